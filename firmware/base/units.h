@@ -1,0 +1,9 @@
+/* Constants shared by everything that counts time. */
+#ifndef BASE_UNITS_H
+#define BASE_UNITS_H
+
+#define FRAME_US 20000u /* servo frame and control tick: 50 Hz */
+#define FRAME_S 0.02f
+#define BEATS_MAX 512u /* longest trial, in beats */
+
+#endif

@@ -1,0 +1,58 @@
+/*
+ * The tail gait: theta(t) = amplitude * sin(2*pi*t/beat), one set-point per 20 ms frame, phase
+ * continuous; a new amplitude is taken over only at a beat boundary, where theta = 0.
+ *
+ * Off:   no pulses. Swim: the sine. Glide: from where the tail is to the centre within glide_frames,
+ * then off. A zero-initialised command means stop.
+ *
+ * Pure functions of (state, command) -> (state, output); called by the 50 Hz tick, so they are
+ * interrupt-safe and bounded (about 300 instructions in soft float).
+ */
+#ifndef GAIT_GAIT_H
+#define GAIT_GAIT_H
+
+#include "gait/servo.h"
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef enum { GAIT_OFF = 0, GAIT_SWIM = 1, GAIT_GLIDE = 2 } gait_mode_t;
+
+typedef struct {
+    servo_config_t servo;
+    uint16_t frames_per_beat; /* 50 for 1 Hz; 4..1000 */
+    uint16_t glide_frames;    /* 0 = off at once */
+} gait_config_t;
+
+typedef struct {
+    bool swim;           /* false = stop: glide to the centre, then no pulses */
+    float amplitude_rad; /* for the next beat; >= 0, already saturated */
+} gait_command_t;
+
+typedef struct {
+    gait_mode_t mode;
+    uint16_t frame;       /* within the beat, 0..frames_per_beat-1 */
+    uint16_t glide_frame; /* within the glide */
+    uint32_t beat;        /* beats begun since the swim began, minus 1 */
+    float amplitude_rad;  /* of the present beat */
+    float glide_from_rad;
+    servo_t servo;
+} gait_t;
+
+typedef struct {
+    gait_mode_t mode;
+    bool beat_start; /* this frame is frame 0 of |beat| */
+    uint32_t beat;
+    float angle_rad;      /* where the tail is told to be, after limits */
+    uint16_t pulse_ticks; /* thirds of a microsecond; 0 = no pulse */
+} gait_output_t;
+
+bool gait_config_valid(const gait_config_t *config);
+
+/* Off, at the centre. */
+void gait_init(gait_t *gait);
+
+/* One frame. Swimming starts with frame 0 of beat 0 at the frame where |swim| first is true. */
+gait_output_t gait_frame_isr(gait_t *gait, const gait_config_t *config, gait_command_t command);
+
+#endif

@@ -1,0 +1,48 @@
+/*
+ * What is remembered between trials: the next amplitudes, and the best ones so far.
+ *
+ * Life of it: memory_begin() when a reference with another CRC arrives; memory_first() when the
+ * first trial is armed; memory_learn() after each trial; memory_restore_best() on request or when a
+ * trial was worse than ratio x best twice in a row. Pure; the caller owns and stores the struct.
+ */
+#ifndef ILC_MEMORY_H
+#define ILC_MEMORY_H
+
+#include "ilc/law.h"
+
+typedef struct {
+    uint32_t reference_crc; /* the reference these amplitudes belong to */
+    uint32_t last_trial;    /* number of the last trial learned from; 0 = none */
+    uint16_t beats;
+    uint16_t iteration;      /* of the amplitudes: iteration i swims u_i; 0 = none computed yet */
+    uint16_t best_iteration; /* 0 = no best yet */
+    uint16_t worse_streak;   /* trials in a row beyond ratio x best */
+    float best_max_abs_error_m_s;
+    float amplitude_rad[BEATS_MAX]; /* unsaturated, next to swim */
+    float best_rad[BEATS_MAX];      /* as swum (saturated) */
+} memory_t;
+
+typedef struct {
+    law_report_t law;
+    bool improved;    /* this trial is the new best */
+    bool rolled_back; /* the next amplitudes are the best ones, not an update */
+} memory_report_t;
+
+/* Empties the memory for a reference of |beats| beats; last_trial stays. */
+void memory_begin(memory_t *memory, uint32_t reference_crc, uint16_t beats);
+
+/* The law applied to iteration 0: zero input, whose error is the reference. No step limit. Sets
+ * iteration 1. |scratch| and refusals: as law_update. */
+law_result_t memory_first(memory_t *memory, const law_t *law, const float *reference_m_s,
+                          float *scratch);
+
+/* Learns from |trial| (its amplitudes are the memory's own). |complete| = every beat was swum: only
+ * then may it become the best. |rollback_ratio| 0 = never roll back. On refusal nothing changes. */
+law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,
+                          uint32_t trial_number, bool complete, float rollback_ratio,
+                          float *scratch, memory_report_t *report);
+
+/* Makes the best amplitudes the next ones. False when there is no best yet. */
+bool memory_restore_best(memory_t *memory);
+
+#endif

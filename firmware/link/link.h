@@ -1,0 +1,133 @@
+/*
+ * The wire: MAVLink 2 on two ports, dialect wire/tailbeat.xml, sysid 1, compid 1.
+ *
+ * Owns the parsers, the parameter and FTP servers, TIMESYNC, HEARTBEAT and telemetry. What a command
+ * does is the application's: it is handed over through link_handlers_t. Main loop only.
+ * Everything sent is dropped and counted when the line is full; answers to requests are not queued
+ * beyond what the port holds.
+ */
+#ifndef LINK_LINK_H
+#define LINK_LINK_H
+
+#include "hal/serial.h"
+#include "ilc/memory.h"
+#include "imu/imu.h"
+#include "link/channel.h"
+#include "link/ftp_server.h"
+#include "params/params.h"
+#include "speed/speed.h"
+#include "store/records.h"
+#include "store/store.h"
+#include "supervisor/supervisor.h"
+
+/* Commands the application decides on. */
+typedef enum {
+    LINK_COMMAND_ARM,
+    LINK_COMMAND_DISARM,
+    LINK_COMMAND_START,  /* trial, issued_s */
+    LINK_COMMAND_ABORT,
+    LINK_COMMAND_LEARN,   /* trial */
+    LINK_COMMAND_DISCARD, /* trial */
+    LINK_COMMAND_RESTORE_BEST,
+    LINK_COMMAND_CLEAR,
+    LINK_COMMAND_COMMIT, /* file, length_bytes, crc */
+    LINK_COMMAND_PARAMS_LOAD,
+    LINK_COMMAND_PARAMS_SAVE,
+    LINK_COMMAND_PARAMS_RESET,
+    LINK_COMMAND_REBOOT
+} link_command_id_t;
+
+typedef enum { LINK_FILE_REFERENCE = 0, LINK_FILE_AMPLITUDES = 1, LINK_FILE_SPEEDS = 2 } link_file_t;
+
+typedef struct {
+    link_command_id_t id;
+    uint32_t trial;
+    float issued_s; /* board time; NaN = not given */
+    link_file_t file;
+    uint32_t length_bytes;
+    uint32_t crc;
+    hal_port_t port; /* where it came in */
+    uint8_t system;  /* who sent it */
+    uint8_t component;
+} link_command_t;
+
+typedef struct {
+    uint64_t time_us; /* board time, middle of the sample's window */
+    float speed_m_s;  /* along x, the swim direction */
+    float sigma_m_s;  /* NaN = not given */
+} link_vision_t;
+
+/* The application's answers. |context| is handed back as it was given. */
+typedef struct {
+    void *context;
+    /* FAULT_NONE = accepted, otherwise the reason for the refusal. */
+    fault_t (*command)(void *context, const link_command_t *command);
+    fault_t (*param_set)(void *context, param_t param, float value);
+    void (*vision)(void *context, const link_vision_t *sample);
+    void (*heartbeat)(void *context, hal_port_t port, uint8_t system, uint8_t component);
+} link_handlers_t;
+
+/* What the link tells the world about the board; the application fills it before each poll. */
+typedef struct {
+    uint64_t now_us;
+    state_t state;
+    fault_t fault;
+    uint32_t trial, next_trial, pending_trial, reference_crc;
+    uint16_t beats, beat;
+    uint16_t battery_mv;
+    const memory_t *memory;
+    /* live view */
+    float angle_rad, amplitude_rad, speed_m_s; /* speed NaN = none */
+    uint16_t live_beat, pulse_ticks;
+    imu_frame_t imu; /* last frame, zero when none */
+    /* counters */
+    imu_counters_t imu_counters;
+    speed_counters_t speed_counters;
+    uint32_t late_ticks, longest_pause_us;
+} link_status_t;
+
+typedef struct {
+    uint32_t trial;
+    uint16_t iteration; /* that the trial swam */
+    memory_report_t report;
+    float best_max_abs_error_m_s; /* NaN = none */
+} link_learn_report_t;
+
+typedef struct {
+    uint32_t trial;
+    uint16_t beat;
+    float amplitude_rad, reference_m_s;
+    speed_beat_t speed;
+    bool saturated;
+} link_beat_t;
+
+typedef struct {
+    hal_t *hal;
+    store_t *store;
+    params_t *params;
+    link_handlers_t handlers;
+    const link_status_t *status;
+    channel_t channel[2]; /* HAL_PORT_RADIO, HAL_PORT_CONSOLE */
+    ftp_server_t ftp;
+    link_learn_report_t last_learned; /* trial 0 = none */
+    uint64_t next_heartbeat_us, next_status_us, next_live_us, next_health_us;
+    uint32_t status_digest;
+    uint16_t param_stream_next[2]; /* next index of a PARAM_REQUEST_LIST in progress */
+} link_t;
+
+void link_init(link_t *link, hal_t *hal, store_t *store, params_t *params,
+               const link_handlers_t *handlers);
+
+/* Takes in what has arrived (bounded: what the rings held), answers it, sends what is due.
+ * |status| is read until the next poll. */
+void link_poll(link_t *link, const link_status_t *status);
+
+/* Sent on both ports. |severity| is a MAV_SEVERITY; text beyond 49 characters is cut. */
+void link_text(link_t *link, uint8_t severity, const char *text);
+void link_beat(link_t *link, const link_beat_t *beat);
+void link_learned(link_t *link, const link_learn_report_t *report);
+
+/* git describe of the firmware, zero-terminated, at most 8 + 1 + 40 characters. */
+const char *link_build_id(void);
+
+#endif

@@ -1,0 +1,50 @@
+/*
+ * The parameters: one table (params.def), values in a plain array owned by the caller.
+ * On the wire and in files every value is a float32; whole numbers are marked and checked.
+ */
+#ifndef PARAMS_PARAMS_H
+#define PARAMS_PARAMS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define PARAM_NAME_BYTES 16u /* MAVLink param_id: not terminated when 16 long */
+
+typedef enum {
+#define PARAM(name, fallback, low, high, kind, unit, text) PARAM_##name,
+#include "params/params.def"
+#undef PARAM
+    PARAM_COUNT
+} param_t;
+
+typedef enum { PARAM_REAL = 0, PARAM_WHOLE = 1 } param_kind_t;
+
+typedef struct {
+    const char *name; /* at most 16 characters */
+    float fallback;   /* value after a reset */
+    float low, high;  /* inclusive */
+    param_kind_t kind;
+    const char *unit; /* "" = a plain number */
+    const char *text; /* one line for people */
+} param_info_t;
+
+typedef struct {
+    float value[PARAM_COUNT];
+} params_t;
+
+typedef enum { PARAM_OK = 0, PARAM_UNKNOWN, PARAM_NOT_FINITE, PARAM_OUT_OF_RANGE, PARAM_NOT_WHOLE } param_result_t;
+
+const param_info_t *param_info(param_t param);
+
+void params_reset(params_t *params);
+
+/* PARAM_COUNT when there is none. |name| is a MAVLink param_id. */
+param_t param_find(const char name[PARAM_NAME_BYTES]);
+
+/* Changes nothing unless it returns PARAM_OK. */
+param_result_t params_set(params_t *params, param_t param, float value);
+
+/* The value of a PARAM_WHOLE parameter. */
+int32_t params_whole(const params_t *params, param_t param);
+
+#endif

@@ -1,0 +1,33 @@
+/*
+ * The rules that stop a swimming tail. Evaluated by the 50 Hz tick on a snapshot of the sensors;
+ * pure and interrupt-safe.
+ */
+#ifndef SUPERVISOR_STOP_RULES_H
+#define SUPERVISOR_STOP_RULES_H
+
+#include "supervisor/faults.h"
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef struct {
+    uint32_t link_timeout_us; /* 0 = not checked */
+    uint32_t imu_timeout_us;  /* 0 = not checked */
+    uint32_t tick_late_us;    /* a tick this much after the last one is late */
+    uint16_t battery_critical_mv;
+    float tilt_max_rad; /* 0 = not checked */
+} stop_limits_t;
+
+typedef struct {
+    uint64_t now_us;
+    uint64_t last_tick_us;
+    uint64_t last_heartbeat_us; /* of the host that armed */
+    uint64_t last_imu_us;
+    uint16_t battery_mv;
+    float pitch_rad, roll_rad;
+} stop_inputs_t;
+
+/* The first rule that is broken, FAULT_NONE when none is. */
+fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs);
+
+#endif

@@ -1,0 +1,17 @@
+/* The tail servo's pulse output, one pulse per 20 ms frame. */
+#ifndef HAL_SERVO_H
+#define HAL_SERVO_H
+
+#include "hal/hal.h"
+
+#include <stdint.h>
+
+/* Pulse widths are counted in thirds of a microsecond: the 3 MHz PWM clock of the SAM3X8E. Every
+ * board uses the same grid, so that the same firmware moves the same tail. */
+#define HAL_SERVO_TICKS_PER_US 3u
+
+/* Width of the pulses from the next frame on; 0 = no pulses (servo limp). The board calls
+ * app_tick_isr() once per frame and the tick calls this at most once. Interrupt context. */
+void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks);
+
+#endif
