@@ -6,8 +6,8 @@
 #include <stdint.h>
 
 /* CRC-32 of MAVLink FTP: reflected polynomial 0xEDB88320, no final inversion. Start with |crc| = 0;
- * feed the result back in to go on over the next piece. crc32_update(0, "123456789", 9) = 0x2DFD2D88.
- * Not zlib's: that one starts with and ends by inverting all bits. */
+ * feed the result back in to go on over the next piece. crc32_update(0, "123456789", 9) =
+ * 0x2DFD2D88. Not zlib's: that one starts with and ends by inverting all bits. */
 uint32_t crc32_update(uint32_t crc, const void *bytes, size_t length);
 
 /* CRC-16/XMODEM of the VN-100 (polynomial 0x1021, start 0). "123456789" gives 0x31C3; running it on

@@ -18,11 +18,12 @@ float real_clip(float x, float low, float high);
 
 float real_abs(float x);
 
-/* Square root, correctly rounded; 0 for x <= 0. */
+/* Square root, correctly rounded by integer arithmetic; 0 for x <= 0; NaN, +infinity unchanged. */
 float real_sqrt(float x);
 
-/* sin(2*pi*numerator/denominator), denominator > 0. Error below 3e-7. Exactly 0 at half turns,
- * exactly odd: sin(-x) = -sin(x). */
+/* sin(2*pi*numerator/denominator), denominator > 0. Error below 3e-7, |value| <= 1. Exactly 0 at
+ * half turns, +-1 at odd quarter turns, and exactly symmetric: turning back or mirroring a quarter
+ * turn gives the same bits but for the sign. Numerators beyond a turn wrap. */
 float real_sin_turn(uint32_t numerator, uint32_t denominator);
 
 #endif

@@ -2,11 +2,16 @@
  * The tail gait: theta(t) = amplitude * sin(2*pi*t/beat), one set-point per 20 ms frame, phase
  * continuous; a new amplitude is taken over only at a beat boundary, where theta = 0.
  *
- * Off:   no pulses. Swim: the sine. Glide: from where the tail is to the centre within glide_frames,
- * then off. A zero-initialised command means stop.
+ * Off: no pulses. Swim: the sine, from frame 0 of beat 0 with the tail at the centre. Glide: half a
+ * raised cosine from where the last frame left the tail to the centre, reached in the last of
+ * glide_frames frames, then off. A stop that comes when the beat is whole ends the sine where it
+ * closes, at the centre, and holds it there as long. A slew limit
+ * slower than the glide does not prolong it. A zero-initialised command means stop.
+ *
+ * A swim begins from off only: a swim command during a glide waits for its end.
  *
  * Pure functions of (state, command) -> (state, output); called by the 50 Hz tick, so they are
- * interrupt-safe and bounded (about 300 instructions in soft float).
+ * interrupt-safe and bounded (at most 2 float divisions and about 40 cheaper float operations).
  */
 #ifndef GAIT_GAIT_H
 #define GAIT_GAIT_H

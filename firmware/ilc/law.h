@@ -1,13 +1,20 @@
 /*
- * The learning law: from the amplitudes a trial swam and the errors they gave to the next amplitudes.
+ * The learning law: from the amplitudes a trial swam and the errors they gave to the next
+ * amplitudes.
  *
  * One pipeline for all memory laws, on the grid of beats (thesis (8.16), (7.10), (6.31)):
  *   validate -> u := sat(u) -> u[k] += kp*e[k+lead] + kd*de[k+lead] -> tail -> Q -> step limit
  * The stored old input is saturated before the correction is added; otherwise it winds up. The
  * result is stored unsaturated: the servo gets law_saturate(u[k]).
  *
- * Pure, float32, no libm: host and board agree bit for bit. Not for interrupts.
- * Cost for 40 beats: about 15 000 instructions in soft float, plus 80 per beat and unit of q_len.
+ * A beat without a speed counts as e = 0, in differences too; so does the rest of an aborted trial.
+ * de[k] = (e[k+1] - e[k]) / beat_s; the last beat repeats the difference before it (one beat: 0).
+ *
+ * Pure, float32, no libm: host and board agree bit for bit. The order of evaluation is part of the
+ * contract: beats in rising order, sat(u) + (kp*e + (kd/beat_s)*(e' - e)), the filter from the
+ * middle outwards with both neighbours of a pair added first and one division per beat, the sum of
+ * squares from beat 0 on. Not for interrupts.
+ * Cost per beat: about 25 soft-float operations, and with a filter 5 more per unit of q_len.
  */
 #ifndef ILC_LAW_H
 #define ILC_LAW_H
@@ -19,26 +26,27 @@
 
 /* What beats get whose e[k+lead] lies beyond the last beat. */
 typedef enum {
-    LAW_TAIL_HOLD = 0, /* the last error, e[n-1] */
+    LAW_TAIL_HOLD = 0, /* the last error, e[n-1], and the last difference */
     LAW_TAIL_KEEP = 1  /* no correction: the old input, saturated */
 } law_tail_t;
 
 typedef struct {
-    float kp_rad_s_m;      /* gamma, rad per m/s; > 0 for the fish, any finite value here */
-    float kd_rad_s2_m;     /* rad per m/s^2, on the forward difference of e */
+    float kp_rad_s_m;        /* gamma, rad per m/s; > 0 for the fish, any finite value here */
+    float kd_rad_s2_m;       /* rad per m/s^2, on the forward difference of e */
     float amplitude_max_rad; /* sat() is [0, this]; > 0 */
-    float step_max_rad;    /* |new - sat(old)| per beat at most; 0 = no limit */
-    float beat_s;          /* > 0 */
-    uint16_t lead_beats;   /* L; < beats */
-    uint16_t q_len;        /* N0 of the zero-phase triangle; 1 = off; 2*q_len-1 <= beats */
+    float step_max_rad;      /* |new - sat(old)| per beat at most, after Q; 0 = no limit */
+    float beat_s;            /* > 0 */
+    uint16_t lead_beats;     /* L; < beats */
+    uint16_t q_len;          /* N0 of the zero-phase triangle; 1 = off; 2*q_len-1 <= beats */
     law_tail_t tail;
 } law_t;
 
 /* One trial as the law sees it. The caller owns the arrays. */
 typedef struct {
-    uint16_t beats;         /* 1..BEATS_MAX */
-    const float *error_m_s; /* reference - measured mean speed, per beat */
-    const uint8_t *measured; /* 0 = this beat has no speed: its error counts as 0 */
+    uint16_t beats;          /* 1..BEATS_MAX */
+    const float *error_m_s;  /* reference - measured mean speed, per beat */
+    const uint8_t *measured; /* 0 = this beat has no speed, its error is not looked at; NULL = all
+                                have one */
 } law_trial_t;
 
 typedef struct {
@@ -50,8 +58,9 @@ typedef struct {
 
 typedef enum {
     LAW_OK = 0,
-    LAW_BAD_CONFIG = 1,   /* non-finite gain, limit <= 0, lead or q_len too long */
-    LAW_BAD_INPUT = 2,    /* a non-finite amplitude or measured error */
+    LAW_BAD_CONFIG = 1, /* non-finite gain, limit <= 0, no beats, lead or q_len too long */
+    LAW_BAD_INPUT = 2,  /* a non-finite amplitude or measured error, or one so large that the
+                           result could overflow */
     LAW_NOTHING_MEASURED = 3
 } law_result_t;
 
@@ -66,7 +75,7 @@ law_result_t law_check(const law_t *law, uint16_t beats);
 law_result_t law_update(const law_t *law, const law_trial_t *trial, float *amplitude_rad,
                         float *scratch, law_report_t *report);
 
-/* max |e| and RMS without learning; same refusals. */
+/* max |e| and RMS without learning; refuses exactly what law_update refuses. */
 law_result_t law_judge(const law_t *law, const law_trial_t *trial, const float *amplitude_rad,
                        law_report_t *report);
 

@@ -14,7 +14,8 @@ typedef struct {
     uint32_t reference_crc; /* the reference these amplitudes belong to */
     uint32_t last_trial;    /* number of the last trial learned from; 0 = none */
     uint16_t beats;
-    uint16_t iteration;      /* of the amplitudes: iteration i swims u_i; 0 = none computed yet */
+    uint16_t iteration;      /* of the amplitudes: iteration i swims u_i; 0 = none computed yet.
+                                Counts trials learned from, rolled back or not; stops at 65535 */
     uint16_t best_iteration; /* 0 = no best yet */
     uint16_t worse_streak;   /* trials in a row beyond ratio x best */
     float best_max_abs_error_m_s;
@@ -28,21 +29,31 @@ typedef struct {
     bool rolled_back; /* the next amplitudes are the best ones, not an update */
 } memory_report_t;
 
-/* Empties the memory for a reference of |beats| beats; last_trial stays. */
+/* Empties the memory for a reference of |beats| beats; last_trial stays (so zero-initialise a new
+ * memory first). */
 void memory_begin(memory_t *memory, uint32_t reference_crc, uint16_t beats);
 
 /* The law applied to iteration 0: zero input, whose error is the reference. No step limit. Sets
- * iteration 1. |scratch| and refusals: as law_update. */
+ * iteration 1; may be repeated with other gains as long as that has not been learned from.
+ * |reference_m_s| and |scratch|: memory->beats floats. Refusals as law_update, and then nothing
+ * changes. */
 law_result_t memory_first(memory_t *memory, const law_t *law, const float *reference_m_s,
                           float *scratch);
 
 /* Learns from |trial| (its amplitudes are the memory's own). |complete| = every beat was swum: only
- * then may it become the best. |rollback_ratio| 0 = never roll back. On refusal nothing changes. */
+ * then, and with every beat measured, may it become the best. |rollback_ratio| 0 = never roll back.
+ * A trial whose max |e| over the beats it has exceeds ratio x best lengthens the streak, cut short
+ * or not; a trial with all beats that does not exceed it ends the streak; other trials prove
+ * nothing and leave it. The second in a row brings the best back and ends the streak.
+ * LAW_BAD_CONFIG when trial->beats is not the memory's, LAW_BAD_INPUT at iteration 0 (nothing was
+ * swum); otherwise refusals as law_update. On refusal nothing changes. */
 law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,
                           uint32_t trial_number, bool complete, float rollback_ratio,
                           float *scratch, memory_report_t *report);
 
-/* Makes the best amplitudes the next ones. False when there is no best yet. */
+/* Makes the best amplitudes the next ones and ends the streak; the iteration stays. False when
+ * there is no best yet. Not between a trial and learning from it: the amplitudes must be those it
+ * swam. */
 bool memory_restore_best(memory_t *memory);
 
 #endif

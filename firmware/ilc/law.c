@@ -1,0 +1,168 @@
+#include "ilc/law.h"
+
+#include "base/real.h"
+
+#include <stddef.h>
+
+/* Corrections beyond this are refused. Any bound will do that keeps the filter's sums finite: its
+ * integer weights add up to at most 2^16. */
+#define CORRECTION_LIMIT_RAD 1e30f
+
+float law_saturate(const law_t *law, float amplitude_rad) {
+    return real_clip(amplitude_rad, 0.0f, law->amplitude_max_rad);
+}
+
+static bool limits_valid(const law_t *law) {
+    return real_is_finite(law->amplitude_max_rad) && law->amplitude_max_rad > 0.0f &&
+           law->amplitude_max_rad <= CORRECTION_LIMIT_RAD && real_is_finite(law->step_max_rad) &&
+           law->step_max_rad >= 0.0f && real_is_finite(law->beat_s) && law->beat_s > 0.0f;
+}
+
+law_result_t law_check(const law_t *law, uint16_t beats) {
+    const bool gains = real_is_finite(law->kp_rad_s_m) && real_is_finite(law->kd_rad_s2_m);
+    const bool lengths = beats >= 1u && beats <= BEATS_MAX && law->lead_beats < beats &&
+                         law->q_len >= 1u && 2u * law->q_len - 1u <= beats;
+    const bool tail = law->tail == LAW_TAIL_HOLD || law->tail == LAW_TAIL_KEEP;
+    return gains && lengths && tail && limits_valid(law) ? LAW_OK : LAW_BAD_CONFIG;
+}
+
+static bool is_measured(const law_trial_t *trial, uint32_t beat) {
+    return trial->measured == NULL || trial->measured[beat] != 0;
+}
+
+static float error_at(const law_trial_t *trial, uint32_t beat) {
+    return is_measured(trial, beat) ? trial->error_m_s[beat] : 0.0f;
+}
+
+static bool inputs_finite(const law_trial_t *trial, const float *amplitude_rad) {
+    bool finite = true;
+    for (uint32_t k = 0; k < trial->beats; k++) {
+        finite = finite && real_is_finite(amplitude_rad[k]) && real_is_finite(error_at(trial, k));
+    }
+    return finite;
+}
+
+static law_report_t judged(const law_t *law, const law_trial_t *trial, const float *amplitude_rad) {
+    law_report_t report = {0};
+    float sum = 0.0f;
+    for (uint32_t k = 0; k < trial->beats; k++) {
+        const float error = real_abs(error_at(trial, k));
+        sum += error * error;
+        if (error > report.max_abs_error_m_s) {
+            report.max_abs_error_m_s = error;
+        }
+        if (is_measured(trial, k)) {
+            report.measured_beats++;
+        }
+        if (law_saturate(law, amplitude_rad[k]) != amplitude_rad[k]) {
+            report.saturated_beats++;
+        }
+    }
+    if (report.measured_beats > 0) {
+        report.rms_error_m_s = real_sqrt(sum / (float)report.measured_beats);
+    }
+    return report;
+}
+
+/* Written so that a NaN from an overflowing gain fails it. */
+static bool correction_bounded(const law_t *law, float max_abs_error_m_s) {
+    const float gain = real_abs(law->kp_rad_s_m) + 2.0f * real_abs(law->kd_rad_s2_m / law->beat_s);
+    return gain * max_abs_error_m_s <= CORRECTION_LIMIT_RAD;
+}
+
+law_result_t law_judge(const law_t *law, const law_trial_t *trial, const float *amplitude_rad,
+                       law_report_t *report) {
+    const law_result_t config = law_check(law, trial->beats);
+    if (config != LAW_OK) {
+        return config;
+    }
+    if (!inputs_finite(trial, amplitude_rad)) {
+        return LAW_BAD_INPUT;
+    }
+    const law_report_t found = judged(law, trial, amplitude_rad);
+    if (found.measured_beats == 0) {
+        return LAW_NOTHING_MEASURED;
+    }
+    if (!real_is_finite(found.rms_error_m_s) || !correction_bounded(law, found.max_abs_error_m_s)) {
+        return LAW_BAD_INPUT;
+    }
+    *report = found;
+    return LAW_OK;
+}
+
+/* e[beat+1] - e[beat]; the last beat repeats the difference before it. */
+static float difference_at(const law_trial_t *trial, uint32_t beat) {
+    if (trial->beats == 1u) {
+        return 0.0f;
+    }
+    const uint32_t from = beat + 1u < trial->beats ? beat : beat - 1u;
+    return error_at(trial, from + 1u) - error_at(trial, from);
+}
+
+static void correct(const law_t *law, const law_trial_t *trial, const float *amplitude_rad,
+                    float *out) {
+    const float kd_per_beat = law->kd_rad_s2_m / law->beat_s;
+    const uint32_t last = trial->beats - 1u;
+    for (uint32_t k = 0; k < trial->beats; k++) {
+        const float old = law_saturate(law, amplitude_rad[k]);
+        const uint32_t ahead = k + law->lead_beats;
+        if (ahead > last && law->tail == LAW_TAIL_KEEP) {
+            out[k] = old;
+            continue;
+        }
+        const uint32_t at = ahead > last ? last : ahead;
+        const float proportional = law->kp_rad_s_m * error_at(trial, at);
+        const float derivative = kd_per_beat * difference_at(trial, at);
+        out[k] = old + (proportional + derivative);
+    }
+}
+
+/* Neighbours are added in pairs, so that a mirrored record gives the mirrored bits. */
+static float zero_phase_at(const float *in, uint32_t beats, uint32_t k, uint32_t q_len) {
+    if (q_len == 1u) {
+        return in[k];
+    }
+    float sum = (float)q_len * in[k];
+    uint32_t weights = q_len;
+    for (uint32_t j = 1; j < q_len; j++) {
+        const uint32_t weight = q_len - j;
+        const bool before = k >= j;
+        const bool after = k + j < beats;
+        if (before && after) {
+            sum += (float)weight * (in[k - j] + in[k + j]);
+            weights += 2u * weight;
+        } else if (before || after) {
+            sum += (float)weight * (before ? in[k - j] : in[k + j]);
+            weights += weight;
+        }
+    }
+    return sum / (float)weights;
+}
+
+void law_zero_phase(const float *in, float *out, uint16_t beats, uint16_t q_len) {
+    for (uint32_t k = 0; k < beats; k++) {
+        out[k] = zero_phase_at(in, beats, k, q_len);
+    }
+}
+
+static float step_limited(const law_t *law, float old_rad, float next_rad) {
+    if (law->step_max_rad <= 0.0f) {
+        return next_rad;
+    }
+    const float swum_rad = law_saturate(law, old_rad);
+    return real_clip(next_rad, swum_rad - law->step_max_rad, swum_rad + law->step_max_rad);
+}
+
+law_result_t law_update(const law_t *law, const law_trial_t *trial, float *amplitude_rad,
+                        float *scratch, law_report_t *report) {
+    const law_result_t result = law_judge(law, trial, amplitude_rad, report);
+    if (result != LAW_OK) {
+        return result;
+    }
+    correct(law, trial, amplitude_rad, scratch);
+    for (uint32_t k = 0; k < trial->beats; k++) {
+        const float filtered = zero_phase_at(scratch, trial->beats, k, law->q_len);
+        amplitude_rad[k] = step_limited(law, amplitude_rad[k], filtered);
+    }
+    return LAW_OK;
+}

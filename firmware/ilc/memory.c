@@ -1,0 +1,112 @@
+#include "ilc/memory.h"
+
+#include "base/panic.h"
+
+#include <string.h>
+
+#define WORSE_TRIALS_TO_ROLL_BACK 2u
+
+void memory_begin(memory_t *memory, uint32_t reference_crc, uint16_t beats) {
+    REQUIRE(beats >= 1u && beats <= BEATS_MAX);
+    const uint32_t last_trial = memory->last_trial;
+    memset(memory, 0, sizeof *memory);
+    memory->reference_crc = reference_crc;
+    memory->last_trial = last_trial;
+    memory->beats = beats;
+}
+
+static void fill_zero(float *values, uint32_t count) {
+    for (uint32_t k = 0; k < count; k++) {
+        values[k] = 0.0f;
+    }
+}
+
+law_result_t memory_first(memory_t *memory, const law_t *law, const float *reference_m_s,
+                          float *scratch) {
+    REQUIRE(memory->iteration <= 1u);
+    law_t first = *law;
+    first.step_max_rad = 0.0f;
+    const law_trial_t rest = {.beats = memory->beats, .error_m_s = reference_m_s};
+    law_report_t report;
+    fill_zero(scratch, memory->beats);
+    const law_result_t result = law_judge(&first, &rest, scratch, &report);
+    if (result != LAW_OK) {
+        return result;
+    }
+    fill_zero(memory->amplitude_rad, memory->beats);
+    REQUIRE(law_update(&first, &rest, memory->amplitude_rad, scratch, &report) == LAW_OK);
+    memory->iteration = 1;
+    return LAW_OK;
+}
+
+static void keep_best(memory_t *memory, const law_t *law, float max_abs_error_m_s) {
+    for (uint32_t k = 0; k < memory->beats; k++) {
+        memory->best_rad[k] = law_saturate(law, memory->amplitude_rad[k]);
+    }
+    memory->best_iteration = memory->iteration;
+    memory->best_max_abs_error_m_s = max_abs_error_m_s;
+}
+
+static bool is_worse(const memory_t *memory, float max_abs_error_m_s, float ratio) {
+    return memory->best_iteration != 0 && ratio > 0.0f &&
+           max_abs_error_m_s > ratio * memory->best_max_abs_error_m_s;
+}
+
+/* Notes what a trial's error says about its amplitudes. True when it is the new best. */
+static bool rate(memory_t *memory, const law_t *law, float max_abs_error_m_s, bool whole,
+                 float ratio) {
+    if (whole &&
+        (memory->best_iteration == 0 || max_abs_error_m_s < memory->best_max_abs_error_m_s)) {
+        keep_best(memory, law, max_abs_error_m_s);
+        memory->worse_streak = 0;
+        return true;
+    }
+    if (is_worse(memory, max_abs_error_m_s, ratio)) {
+        memory->worse_streak++;
+    } else if (whole) {
+        memory->worse_streak = 0;
+    }
+    return false;
+}
+
+static void count_trial(memory_t *memory, uint32_t trial_number) {
+    memory->last_trial = trial_number;
+    if (memory->iteration < UINT16_MAX) {
+        memory->iteration++;
+    }
+}
+
+law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,
+                          uint32_t trial_number, bool complete, float rollback_ratio,
+                          float *scratch, memory_report_t *report) {
+    if (trial->beats != memory->beats) {
+        return LAW_BAD_CONFIG;
+    }
+    if (memory->iteration == 0) {
+        return LAW_BAD_INPUT;
+    }
+    memory_report_t found = {0};
+    const law_result_t result = law_judge(law, trial, memory->amplitude_rad, &found.law);
+    if (result != LAW_OK) {
+        return result;
+    }
+    const bool whole = complete && found.law.measured_beats == memory->beats;
+    found.improved = rate(memory, law, found.law.max_abs_error_m_s, whole, rollback_ratio);
+    found.rolled_back =
+        memory->worse_streak >= WORSE_TRIALS_TO_ROLL_BACK && memory_restore_best(memory);
+    if (!found.rolled_back) {
+        REQUIRE(law_update(law, trial, memory->amplitude_rad, scratch, &found.law) == LAW_OK);
+    }
+    count_trial(memory, trial_number);
+    *report = found;
+    return LAW_OK;
+}
+
+bool memory_restore_best(memory_t *memory) {
+    if (memory->best_iteration == 0) {
+        return false;
+    }
+    memcpy(memory->amplitude_rad, memory->best_rad, memory->beats * sizeof memory->best_rad[0]);
+    memory->worse_streak = 0;
+    return true;
+}

@@ -1,0 +1,273 @@
+/* What the firmware keeps: uploads and their refusals, parameters, reboots, failing flash. */
+#include "app_fixture.h"
+
+#define BEATS 5u
+#define SPEED 0.05f
+
+void setUp(void) { fixture_reset(); }
+void tearDown(void) {}
+
+/* Commits the reference in upload_bytes and checks that a refusal changes nothing. */
+static void expect_reference_refused(fault_t expected, size_t length) {
+    const uint32_t crc = app.reference.crc;
+    const memory_t memory = app.memory;
+    TEST_ASSERT_EQUAL(expected,
+                      commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
+    TEST_ASSERT_EQUAL_MEMORY(&memory, &app.memory, sizeof memory);
+}
+
+static size_t encode_with(uint16_t beat, float speed_m_s) {
+    static reference_t reference;
+    reference.beats = BEATS;
+    reference.beat_s = 1.0f;
+    for (uint16_t k = 0; k < BEATS; k++) {
+        reference.speed_m_s[k] = k == beat ? speed_m_s : SPEED;
+    }
+    return record_encode_reference(&reference, upload_bytes);
+}
+
+static void test_a_good_reference_is_taken_over_and_survives_a_reboot(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(BEATS, app.reference.beats);
+    const uint32_t crc = app.reference.crc;
+    TEST_ASSERT_NOT_EQUAL_UINT32(0, crc);
+    reboot();
+    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
+    TEST_ASSERT_EQUAL_FLOAT(SPEED, app.reference.speed_m_s[4]);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.memory.reference_crc);
+}
+
+static void test_bad_references_are_refused_and_change_nothing(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    expect_reference_refused(FAULT_BAD_DATA, encode_with(2, NAN));
+    expect_reference_refused(FAULT_BAD_DATA, encode_with(0, INFINITY));
+    expect_reference_refused(FAULT_BAD_DATA, encode_with(4, -0.001f));
+    expect_reference_refused(FAULT_TOO_FAST, encode_with(1, 0.31f));
+    expect_reference_refused(FAULT_TOO_FAR, encode_flat_reference(60, SPEED));
+    expect_reference_refused(FAULT_BAD_FORMAT, encode_with(1, SPEED * 2) - 4u);
+    const size_t length = encode_with(1, SPEED * 2);
+    upload_bytes[length - 1u] ^= 0x40u;
+    expect_reference_refused(FAULT_BAD_FORMAT, length);
+}
+
+static void test_a_reference_off_the_servo_grid_is_refused(void) {
+    static reference_t reference = {.beats = 1, .beat_s = 1.0f, .speed_m_s = {SPEED}};
+    reference.beat_s = 0.99f;
+    expect_reference_refused(FAULT_BAD_DATA, record_encode_reference(&reference, upload_bytes));
+}
+
+static void test_a_commit_must_name_the_file_that_is_there(void) {
+    const size_t length = encode_flat_reference(BEATS, SPEED);
+    (void)store_replace(&app.store, "/in/reference.bin", upload_bytes, length);
+    link_command_t request = {.id = LINK_COMMAND_COMMIT,
+                              .file = LINK_FILE_REFERENCE,
+                              .length_bytes = (uint32_t)length,
+                              .crc = crc32_update(0, upload_bytes, length) ^ 1u};
+    TEST_ASSERT_EQUAL(FAULT_BAD_FILE, commands_run(&app, &request));
+    request.crc ^= 1u;
+    request.length_bytes--;
+    TEST_ASSERT_EQUAL(FAULT_BAD_FILE, commands_run(&app, &request));
+    request.length_bytes++;
+    request.file = LINK_FILE_SPEEDS;
+    TEST_ASSERT_EQUAL(FAULT_BAD_FILE, commands_run(&app, &request));
+    request.file = LINK_FILE_REFERENCE;
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_run(&app, &request));
+}
+
+static void test_the_same_reference_again_keeps_what_was_learned(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(2, app.memory.iteration);
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED * 0.9f));
+    TEST_ASSERT_EQUAL(0, app.memory.iteration);
+    TEST_ASSERT_EQUAL(1, app.memory.last_trial);
+}
+
+static void test_a_pending_trial_survives_a_reboot(void) {
+    swim_whole_trial(BEATS, SPEED);
+    const memory_t memory = app.memory;
+    reboot();
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL(1, app.run.trial.number);
+    TEST_ASSERT_EQUAL(2, app.next_trial);
+    TEST_ASSERT_EQUAL_MEMORY(memory.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
+    TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, upload_flat_reference(BEATS, SPEED / 2));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    const memory_t learned = app.memory;
+    reboot();
+    TEST_ASSERT_FALSE(app.run.pending);
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+}
+
+static void test_the_trial_number_never_comes_twice(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
+    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, "/trials/0001.ulg"));
+    reboot();
+    TEST_ASSERT_EQUAL(2, app.next_trial);
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED * 0.9f));
+    TEST_ASSERT_EQUAL(2, app.next_trial);
+}
+
+static size_t encode_speeds(uint32_t trial, uint16_t beats, float speed_m_s) {
+    static speed_upload_t speeds;
+    speeds.trial = trial;
+    speeds.beats = beats;
+    for (uint16_t k = 0; k < beats; k++) {
+        speeds.speed_m_s[k] = speed_m_s;
+        speeds.sigma_m_s[k] = 0.001f;
+    }
+    return record_encode_speeds(&speeds, upload_bytes);
+}
+
+static fault_t upload_speeds(uint32_t trial, uint16_t beats, float speed_m_s) {
+    const size_t length = encode_speeds(trial, beats, speed_m_s);
+    return commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length);
+}
+
+static void test_speeds_uploaded_after_the_swim_are_learned_from(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_SPD_SOURCE, 1.0f));
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, upload_speeds(2, BEATS, 0.03f));
+    TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS, upload_speeds(1, BEATS - 1u, 0.03f));
+    TEST_ASSERT_EQUAL(FAULT_BAD_DATA, upload_speeds(1, BEATS, 1.5f));
+    uint32_t before_bytes = 0, after_bytes = 0;
+    (void)store_size(&app.store, "/trials/0001.ulg", &before_bytes);
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_speeds(1, BEATS, 0.03f));
+    (void)store_size(&app.store, "/trials/0001.ulg", &after_bytes);
+    TEST_ASSERT_GREATER_THAN_UINT32(before_bytes, after_bytes);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED + 4.0f * (SPEED - 0.03f),
+                             app.memory.amplitude_rad[3]);
+}
+
+static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    static amplitudes_upload_t upload;
+    upload.reference_crc = app.reference.crc;
+    upload.beats = BEATS;
+    for (uint16_t k = 0; k < BEATS; k++) {
+        upload.amplitude_rad[k] = 0.1f * (float)k;
+    }
+    size_t length = record_encode_amplitudes(&upload, upload_bytes);
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL_FLOAT(0.3f, app.memory.amplitude_rad[3]);
+    (void)command(LINK_COMMAND_DISARM, 0);
+    upload.reference_crc ^= 1u;
+    length = record_encode_amplitudes(&upload, upload_bytes);
+    TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS,
+                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+}
+
+static void test_the_first_input_follows_the_gain_of_the_moment(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.memory.amplitude_rad[0]);
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, commands_param_set(&app, PARAM_LAW_GAIN, 5.0f));
+    (void)command(LINK_COMMAND_DISARM, 0);
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 5.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
+}
+
+static void test_bad_gains_are_refused(void) {
+    const float bad[] = {0.0f, -1.0f, NAN, INFINITY, -INFINITY, 1e9f};
+    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+        TEST_ASSERT_EQUAL(FAULT_BAD_PARAM, commands_param_set(&app, PARAM_LAW_GAIN, bad[i]));
+        TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    }
+}
+
+static void test_parameters_persist_only_when_saved(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 6.0f));
+    reboot();
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 6.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    reboot();
+    TEST_ASSERT_EQUAL_FLOAT(6.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_RESET, 0));
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
+    TEST_ASSERT_EQUAL_FLOAT(6.0f, app.params.value[PARAM_LAW_GAIN]);
+}
+
+static void test_failing_flash_refuses_the_update_and_keeps_the_old_input(void) {
+    swim_whole_trial(BEATS, SPEED);
+    const memory_t before = app.memory;
+    hal.flash_fail_after = hal.flash_writes;
+    TEST_ASSERT_EQUAL(FAULT_WRITE_FAILED, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL_MEMORY(before.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    hal.flash_fail_after = 0;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+}
+
+static void test_contradicting_servo_parameters_do_not_arm(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_SERVO_MIN_US, 1600.0f));
+    TEST_ASSERT_EQUAL(FAULT_SERVO_CONFIG, command(LINK_COMMAND_ARM, 0));
+}
+
+static void test_a_lead_as_long_as_the_trial_does_not_arm(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_LEAD, BEATS));
+    TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_ARM, 0));
+}
+
+static void test_the_best_comes_back_on_request(void) {
+    TEST_ASSERT_EQUAL(FAULT_NO_BEST, command(LINK_COMMAND_RESTORE_BEST, 0));
+    swim_whole_trial(BEATS, SPEED);
+    const float swum_rad = app.applied_rad[1];
+    TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, command(LINK_COMMAND_RESTORE_BEST, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_RESTORE_BEST, 0));
+    TEST_ASSERT_EQUAL_FLOAT(swum_rad, app.memory.amplitude_rad[1]);
+}
+
+static void test_a_watchdog_reset_is_told_and_must_be_cleared(void) {
+    hal.reset_cause = HAL_RESET_WATCHDOG;
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_WATCHDOG, app.supervisor.reason);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+static void test_a_reboot_command_waits_for_its_acknowledgement(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_REBOOT, 0));
+    run_ms(100);
+    TEST_ASSERT_EQUAL(0, hal.resets);
+    run_ms(200);
+    TEST_ASSERT_EQUAL(1, hal.resets);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_a_good_reference_is_taken_over_and_survives_a_reboot);
+    RUN_TEST(test_bad_references_are_refused_and_change_nothing);
+    RUN_TEST(test_a_reference_off_the_servo_grid_is_refused);
+    RUN_TEST(test_a_commit_must_name_the_file_that_is_there);
+    RUN_TEST(test_the_same_reference_again_keeps_what_was_learned);
+    RUN_TEST(test_a_pending_trial_survives_a_reboot);
+    RUN_TEST(test_the_trial_number_never_comes_twice);
+    RUN_TEST(test_speeds_uploaded_after_the_swim_are_learned_from);
+    RUN_TEST(test_uploaded_amplitudes_swim_next_and_stay_at_arming);
+    RUN_TEST(test_the_first_input_follows_the_gain_of_the_moment);
+    RUN_TEST(test_bad_gains_are_refused);
+    RUN_TEST(test_parameters_persist_only_when_saved);
+    RUN_TEST(test_failing_flash_refuses_the_update_and_keeps_the_old_input);
+    RUN_TEST(test_contradicting_servo_parameters_do_not_arm);
+    RUN_TEST(test_a_lead_as_long_as_the_trial_does_not_arm);
+    RUN_TEST(test_the_best_comes_back_on_request);
+    RUN_TEST(test_a_watchdog_reset_is_told_and_must_be_cleared);
+    RUN_TEST(test_a_reboot_command_waits_for_its_acknowledgement);
+    return UNITY_END();
+}

@@ -1,0 +1,238 @@
+/* Trials on the mocked board: from arming to the learned input, and every way to be cut short. */
+#include "app_fixture.h"
+
+#define BEATS 5u
+#define SPEED 0.05f
+
+void setUp(void) { fixture_reset(); }
+void tearDown(void) {}
+
+static uint16_t last_pulse(void) { return hal.pulses[hal.pulse_count - 1u]; }
+
+static void test_boots_idle_with_the_tail_off(void) {
+    run_ms(1000);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    for (size_t i = 0; i < hal.pulse_count; i++) {
+        TEST_ASSERT_EQUAL_UINT16(0, hal.pulses[i]);
+    }
+}
+
+static void test_arming_needs_a_reference(void) {
+    TEST_ASSERT_EQUAL(FAULT_NO_REFERENCE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+static void test_arming_moves_nothing(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    hal.pulse_count = 0;
+    run_ms(2000);
+    for (size_t i = 0; i < hal.pulse_count; i++) {
+        TEST_ASSERT_EQUAL_UINT16(0, hal.pulses[i]);
+    }
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISARM, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+static void test_a_trial_swims_every_beat_and_becomes_pending(void) {
+    start_trial(BEATS, SPEED);
+    hal.pulse_count = 0;
+    run_ms(BEATS * 1000u + 20u);
+    size_t moved = 0;
+    for (size_t i = 0; i < hal.pulse_count; i++) {
+        moved += hal.pulses[i] != 0 && hal.pulses[i] != 4500u;
+    }
+    /* Two of the 50 frames of a beat are at the centre: the start and the middle. */
+    TEST_ASSERT_EQUAL(BEATS * 48u, moved);
+    TEST_ASSERT_EQUAL(STATE_SETTLING, app.supervisor.state);
+    run_ms(5000);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL_UINT16(0, last_pulse());
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
+    for (uint16_t k = 0; k < BEATS; k++) {
+        TEST_ASSERT_FLOAT_WITHIN(1e-6f, swim_speed_m_s, app.run.trial.speed_m_s[k]);
+    }
+}
+
+static void test_learning_adds_gain_times_error(void) {
+    swim_whole_trial(BEATS, SPEED);
+    const float gain = app.params.value[PARAM_LAW_GAIN];
+    const float first_rad = gain * SPEED;
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, first_rad, app.memory.amplitude_rad[2]);
+    const uint32_t trial = app.run.trial.number;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, first_rad + gain * (SPEED - swim_speed_m_s),
+                             app.memory.amplitude_rad[2]);
+    TEST_ASSERT_EQUAL(2, app.memory.iteration);
+    TEST_ASSERT_FALSE(app.run.pending);
+}
+
+static void test_a_repeated_learn_does_nothing(void) {
+    swim_whole_trial(BEATS, SPEED);
+    const uint32_t trial = app.run.trial.number;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
+    const memory_t learned = app.memory;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, trial + 1u));
+    TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, 0));
+}
+
+static void test_a_repeated_start_does_nothing_and_another_is_refused(void) {
+    start_trial(BEATS, SPEED);
+    const uint32_t trial = app.run.trial.number;
+    run_ms(1500);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, trial));
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, trial + 1u));
+    TEST_ASSERT_EQUAL(1, app.executed);
+    TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
+}
+
+static void test_a_start_must_be_fresh_and_for_the_next_trial(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    run_ms(5000);
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, app.next_trial));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_TRIAL_NUMBER, command(LINK_COMMAND_START, app.next_trial + 1u));
+    link_command_t request = {.id = LINK_COMMAND_START, .trial = app.next_trial, .issued_s = 2.9f};
+    TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
+    request.issued_s = NAN;
+    TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
+    request.issued_s = 3.1f;
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_run(&app, &request));
+}
+
+static void test_an_abort_glides_to_the_centre_and_stays_stopped(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(2250);
+    hal.pulse_count = 0;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
+    TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
+    run_ms(700);
+    TEST_ASSERT_EQUAL_UINT16(0, last_pulse());
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.supervisor.reason);
+}
+
+static void test_an_aborted_trial_is_learned_from_as_far_as_it_swam(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(2250);
+    (void)command(LINK_COMMAND_ABORT, 0);
+    run_ms(5000);
+    TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_EQUAL(2, app.run.trial.executed);
+    TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.run.trial.end);
+    const float before_rad = app.memory.amplitude_rad[3];
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED + 4.0f * (SPEED - swim_speed_m_s),
+                             app.memory.amplitude_rad[1]);
+    TEST_ASSERT_EQUAL_FLOAT(before_rad, app.memory.amplitude_rad[3]);
+    TEST_ASSERT_EQUAL(0, app.memory.best_iteration);
+}
+
+static void test_an_abort_before_the_first_beat_leaves_nothing_to_learn(void) {
+    start_trial(BEATS, SPEED);
+    const uint32_t trial = app.run.trial.number;
+    run_ms(400);
+    (void)command(LINK_COMMAND_ABORT, 0);
+    run_ms(5000);
+    (void)command(LINK_COMMAND_CLEAR, 0);
+    TEST_ASSERT_FALSE(app.run.pending);
+    TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, trial));
+    TEST_ASSERT_EQUAL(trial + 1u, app.next_trial);
+}
+
+static void test_a_trial_without_speeds_is_not_learned_from(void) {
+    camera_on = false;
+    swim_whole_trial(BEATS, SPEED);
+    const memory_t before = app.memory;
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+    TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+}
+
+static void test_a_silent_host_stops_the_tail_and_the_trial_stays(void) {
+    start_trial(12, SPEED / 2);
+    run_ms(3000);
+    host_alive = false;
+    run_ms(4900);
+    TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
+    run_ms(600);
+    TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_LINK_LOST, app.supervisor.reason);
+    run_ms(600);
+    TEST_ASSERT_EQUAL_UINT16(0, last_pulse());
+    host_alive = true;
+    run_ms(5000);
+    TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_TRUE(app.run.pending);
+}
+
+static void test_another_host_does_not_keep_the_tail_going(void) {
+    start_trial(12, SPEED / 2);
+    host_alive = false;
+    for (int i = 0; i < 12; i++) {
+        app.link.handlers.heartbeat(&app, HAL_PORT_RADIO, HOST_SYSTEM - 1u, 190);
+        app.link.handlers.heartbeat(&app, HAL_PORT_CONSOLE, HOST_SYSTEM, 190);
+        run_ms(500);
+    }
+    TEST_ASSERT_EQUAL(FAULT_LINK_LOST, app.supervisor.reason);
+}
+
+static void test_an_unattended_trial_swims_to_its_end(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LINK_TIMEOUT_S, 0.0f));
+    host_alive = false;
+    swim_whole_trial(12, SPEED / 2);
+    TEST_ASSERT_EQUAL(12, app.run.trial.executed);
+}
+
+static void test_a_low_battery_does_not_arm_and_a_critical_one_stops(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    hal.battery_mv = 6500;
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_LOW, command(LINK_COMMAND_ARM, 0));
+    hal.battery_mv = 8000;
+    start_trial(BEATS, SPEED);
+    run_ms(1500);
+    hal.battery_mv = 5900;
+    run_ms(40);
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_CRITICAL, app.supervisor.reason);
+}
+
+static void test_a_second_trial_of_the_same_board_starts_afresh(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(2, app.run.trial.number);
+    TEST_ASSERT_EQUAL(2, app.run.trial.iteration);
+    TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_boots_idle_with_the_tail_off);
+    RUN_TEST(test_arming_needs_a_reference);
+    RUN_TEST(test_arming_moves_nothing);
+    RUN_TEST(test_a_trial_swims_every_beat_and_becomes_pending);
+    RUN_TEST(test_learning_adds_gain_times_error);
+    RUN_TEST(test_a_repeated_learn_does_nothing);
+    RUN_TEST(test_a_repeated_start_does_nothing_and_another_is_refused);
+    RUN_TEST(test_a_start_must_be_fresh_and_for_the_next_trial);
+    RUN_TEST(test_an_abort_glides_to_the_centre_and_stays_stopped);
+    RUN_TEST(test_an_aborted_trial_is_learned_from_as_far_as_it_swam);
+    RUN_TEST(test_an_abort_before_the_first_beat_leaves_nothing_to_learn);
+    RUN_TEST(test_a_trial_without_speeds_is_not_learned_from);
+    RUN_TEST(test_a_silent_host_stops_the_tail_and_the_trial_stays);
+    RUN_TEST(test_another_host_does_not_keep_the_tail_going);
+    RUN_TEST(test_an_unattended_trial_swims_to_its_end);
+    RUN_TEST(test_a_low_battery_does_not_arm_and_a_critical_one_stops);
+    RUN_TEST(test_a_second_trial_of_the_same_board_starts_afresh);
+    return UNITY_END();
+}

@@ -1,0 +1,340 @@
+/* The law against hand-made numbers and an independent filter. */
+#include "ilc/law.h"
+
+#include "base/crc.h"
+#include "unity.h"
+
+#include <math.h>
+#include <string.h>
+
+#define PI 3.14159265358979323846
+#define BEATS 40u
+
+static law_t law;
+static float u[BEATS_MAX];
+static float e[BEATS_MAX];
+static uint8_t measured[BEATS_MAX];
+static float scratch[BEATS_MAX];
+static law_report_t report;
+
+void setUp(void) {
+    law = (law_t){.kp_rad_s_m = 4.0f, .amplitude_max_rad = 0.7853982f, .beat_s = 1.0f, .q_len = 1};
+    memset(u, 0, sizeof u);
+    memset(e, 0, sizeof e);
+    memset(measured, 1, sizeof measured);
+    memset(&report, 0x55, sizeof report);
+}
+void tearDown(void) {}
+
+static law_result_t update(uint16_t beats) {
+    const law_trial_t trial = {.beats = beats, .error_m_s = e, .measured = measured};
+    return law_update(&law, &trial, u, scratch, &report);
+}
+
+static void set(float *to, const float *values, size_t count) {
+    memcpy(to, values, count * sizeof *to);
+}
+
+static void check(const float *expected, size_t count) {
+    for (size_t k = 0; k < count; k++) {
+        TEST_ASSERT_FLOAT_WITHIN(1e-6f, expected[k], u[k]);
+    }
+}
+
+static void test_the_thesis_law(void) {
+    set(u, (float[]){0.0f, 0.2f, 0.5f}, 3);
+    set(e, (float[]){0.05f, 0.0f, -0.02f}, 3);
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){0.2f, 0.2f, 0.42f}, 3);
+}
+
+static void test_the_old_input_is_saturated_before_the_correction(void) {
+    set(u, (float[]){3.0f, -3.0f}, 2);
+    set(e, (float[]){0.1f, -0.1f}, 2);
+    TEST_ASSERT_EQUAL(LAW_OK, update(2));
+    check((float[]){1.1853982f, -0.4f}, 2);
+    TEST_ASSERT_EQUAL(2, report.saturated_beats);
+}
+
+static void test_an_unreachable_target_does_not_wind_up(void) {
+    for (int trial = 0; trial < 1000; trial++) {
+        e[0] = 0.1f;
+        TEST_ASSERT_EQUAL(LAW_OK, update(1));
+        TEST_ASSERT_TRUE(u[0] <= law.amplitude_max_rad + 0.4001f);
+    }
+    e[0] = -0.05f;
+    TEST_ASSERT_EQUAL(LAW_OK, update(1));
+    TEST_ASSERT_TRUE(law_saturate(&law, u[0]) < law.amplitude_max_rad);
+}
+
+static void test_lead_and_tails(void) {
+    law.lead_beats = 2;
+    set(u, (float[]){0.1f, 0.1f, 0.1f, 2.0f}, 4);
+    set(e, (float[]){0.9f, 0.9f, 0.01f, 0.02f}, 4);
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.14f, 0.18f, 0.18f, 0.8653982f}, 4);
+
+    law.tail = LAW_TAIL_KEEP;
+    set(u, (float[]){0.1f, 0.1f, 0.1f, 2.0f}, 4);
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.14f, 0.18f, 0.1f, 0.7853982f}, 4);
+}
+
+static void test_derivative_is_the_forward_difference(void) {
+    law.kp_rad_s_m = 0.0f;
+    law.kd_rad_s2_m = 3.0f;
+    law.beat_s = 0.5f;
+    set(e, (float[]){0.01f, 0.03f, 0.02f}, 3);
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){0.12f, -0.06f, -0.06f}, 3);
+
+    law.lead_beats = 1;
+    memset(u, 0, sizeof u);
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){-0.06f, -0.06f, -0.06f}, 3);
+}
+
+static void test_one_beat_has_no_derivative(void) {
+    law.kd_rad_s2_m = 3.0f;
+    e[0] = 0.05f;
+    TEST_ASSERT_EQUAL(LAW_OK, update(1));
+    check((float[]){0.2f}, 1);
+}
+
+static void test_unmeasured_beats_count_as_no_error(void) {
+    law.kd_rad_s2_m = 1.0f;
+    set(e, (float[]){0.01f, (float)NAN, 0.03f, 1e30f}, 4);
+    set(u, (float[]){0.1f, 0.1f, 0.1f, 0.1f}, 4);
+    measured[1] = 0;
+    measured[3] = 0;
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.1f + 0.04f - 0.01f, 0.1f + 0.03f, 0.1f + 0.12f - 0.03f, 0.1f - 0.03f}, 4);
+    TEST_ASSERT_EQUAL(2, report.measured_beats);
+    TEST_ASSERT_FLOAT_WITHIN(1e-8f, 0.03f, report.max_abs_error_m_s);
+    TEST_ASSERT_FLOAT_WITHIN(1e-8f, 0.02236068f, report.rms_error_m_s);
+}
+
+static void test_no_flags_means_all_measured(void) {
+    const law_trial_t trial = {.beats = 3, .error_m_s = e, .measured = NULL};
+    e[2] = -0.3f;
+    TEST_ASSERT_EQUAL(LAW_OK, law_judge(&law, &trial, u, &report));
+    TEST_ASSERT_EQUAL(3, report.measured_beats);
+    TEST_ASSERT_FLOAT_WITHIN(1e-7f, 0.3f, report.max_abs_error_m_s);
+}
+
+static void check_filter(uint16_t q_len, float scale, const float *in, const float *expected) {
+    float out[11];
+    law_zero_phase(in, out, 11, q_len);
+    for (size_t k = 0; k < 11; k++) {
+        TEST_ASSERT_FLOAT_WITHIN(2e-6f, expected[k], scale * out[k]);
+    }
+}
+
+static void test_filter_goldens(void) {
+    check_filter(4, 16.0f, (float[]){0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0},
+                 (float[]){0, 0, 1.0666667f, 2, 3, 4, 3, 2, 1.0666667f, 0, 0});
+    check_filter(4, 1.0f, (float[]){0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10},
+                 (float[]){1, 1.5384615f, 2.2f, 3, 4, 5, 6, 7, 7.8f, 8.4615385f, 9});
+    check_filter(3, 1.0f, (float[]){0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1},
+                 (float[]){0, 0, 0, 0.1111111f, 0.3333333f, 0.6666667f, 0.8888889f, 1, 1, 1, 1});
+}
+
+/* Two passes of a moving mean, one each way, in double: (6.42) as the thesis writes it. */
+static void test_filter_is_two_moving_means_away_from_the_ends(void) {
+    enum { N0 = 5, COUNT = 40 };
+    float in[COUNT], out[COUNT];
+    double pass[COUNT] = {0};
+    for (int k = 0; k < COUNT; k++) {
+        in[k] = (float)((k * 37 % 23) - 11) * 0.01f;
+    }
+    law_zero_phase(in, out, COUNT, N0);
+    for (int k = N0 - 1; k < COUNT; k++) {
+        for (int j = 0; j < N0; j++) {
+            pass[k] += (double)in[k - j] / N0;
+        }
+    }
+    for (int k = N0 - 1; k <= COUNT - N0; k++) {
+        double twice = 0.0;
+        for (int j = 0; j < N0; j++) {
+            twice += pass[k + j] / N0;
+        }
+        TEST_ASSERT_TRUE(fabs((double)out[k] - twice) < 1e-7);
+    }
+}
+
+static void test_filter_mirrors_bit_for_bit(void) {
+    float in[31], mirrored[31], out[31], out_mirrored[31];
+    for (uint32_t k = 0; k < 31u; k++) {
+        in[k] = 0.1f * (float)(k * 17u % 13u) + 1e-3f * (float)k;
+        mirrored[30u - k] = in[k];
+    }
+    law_zero_phase(in, out, 31, 16);
+    law_zero_phase(mirrored, out_mirrored, 31, 16);
+    for (uint32_t k = 0; k < 31u; k++) {
+        TEST_ASSERT_EQUAL_MEMORY(&out[k], &out_mirrored[30u - k], sizeof(float));
+    }
+}
+
+static void test_filter_length_one_changes_no_bit(void) {
+    const float in[3] = {0.1f, -0.3f, 1e-30f};
+    float out[3];
+    law_zero_phase(in, out, 3, 1);
+    TEST_ASSERT_EQUAL_MEMORY(in, out, sizeof in);
+}
+
+static void test_the_filter_acts_on_the_corrected_input(void) {
+    law.q_len = 2;
+    set(u, (float[]){0.4f, 0.4f, 0.4f}, 3);
+    set(e, (float[]){0.0f, 0.1f, 0.0f}, 3);
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){0.4f + 0.4f / 3.0f, 0.6f, 0.4f + 0.4f / 3.0f}, 3);
+}
+
+static void test_steps_are_limited_after_the_filter(void) {
+    law.step_max_rad = 0.15f;
+    set(u, (float[]){0.3f, 0.3f, 2.0f, 0.3f}, 4);
+    set(e, (float[]){0.1f, -0.1f, 0.1f, 0.01f}, 4);
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.45f, 0.15f, 0.9353982f, 0.34f}, 4);
+
+    law.q_len = 2;
+    set(u, (float[]){0.0f, 0.0f, 0.0f}, 3);
+    set(e, (float[]){0.0f, 0.1f, 0.0f}, 3);
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){0.4f / 3.0f, 0.15f, 0.4f / 3.0f}, 3);
+}
+
+static void check_refused(law_result_t expected, uint16_t beats) {
+    float before[BEATS_MAX];
+    law_report_t untouched;
+    memcpy(before, u, sizeof u);
+    memcpy(&untouched, &report, sizeof report);
+    TEST_ASSERT_EQUAL(expected, update(beats));
+    TEST_ASSERT_EQUAL_MEMORY(before, u, sizeof u);
+    TEST_ASSERT_EQUAL_MEMORY(&untouched, &report, sizeof report);
+    const law_trial_t trial = {.beats = beats, .error_m_s = e, .measured = measured};
+    TEST_ASSERT_EQUAL(expected, law_judge(&law, &trial, u, &report));
+    TEST_ASSERT_EQUAL_MEMORY(&untouched, &report, sizeof report);
+}
+
+static void check_bad_field(float *field, float value) {
+    const float good = *field;
+    *field = value;
+    check_refused(LAW_BAD_CONFIG, 5);
+    *field = good;
+}
+
+static void test_bad_configurations(void) {
+    const float bad[] = {(float)NAN, (float)INFINITY, -(float)INFINITY};
+    for (int i = 0; i < 3; i++) {
+        check_bad_field(&law.kp_rad_s_m, bad[i]);
+        check_bad_field(&law.kd_rad_s2_m, bad[i]);
+        check_bad_field(&law.amplitude_max_rad, bad[i]);
+        check_bad_field(&law.step_max_rad, bad[i]);
+        check_bad_field(&law.beat_s, bad[i]);
+    }
+    check_bad_field(&law.amplitude_max_rad, 0.0f);
+    check_bad_field(&law.amplitude_max_rad, -1.0f);
+    check_bad_field(&law.step_max_rad, -0.1f);
+    check_bad_field(&law.beat_s, 0.0f);
+    law.tail = (law_tail_t)2;
+    check_refused(LAW_BAD_CONFIG, 5);
+}
+
+static void test_lengths(void) {
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 0));
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 1));
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, BEATS_MAX));
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, BEATS_MAX + 1u));
+    law.lead_beats = 5;
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 5));
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 6));
+    law.lead_beats = 0;
+    law.q_len = 0;
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 5));
+    law.q_len = 4;
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 6));
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 7));
+    law.q_len = UINT16_MAX;
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, BEATS_MAX));
+}
+
+static void test_one_bad_number_refuses_the_whole_trial(void) {
+    const float bad[] = {(float)NAN, (float)INFINITY, -(float)INFINITY};
+    for (int i = 0; i < 3; i++) {
+        e[4] = bad[i];
+        check_refused(LAW_BAD_INPUT, 5);
+        e[4] = 0.0f;
+        u[4] = bad[i];
+        check_refused(LAW_BAD_INPUT, 5);
+        u[4] = 0.0f;
+    }
+    TEST_ASSERT_EQUAL(LAW_OK, update(5));
+}
+
+static void test_finite_numbers_that_would_overflow_are_refused(void) {
+    e[0] = 3e38f;
+    check_refused(LAW_BAD_INPUT, 5);
+    law.kp_rad_s_m = 0.001f;
+    e[0] = 1e25f; /* its square is too large for the RMS */
+    check_refused(LAW_BAD_INPUT, 5);
+    e[0] = 1e18f;
+    law.kp_rad_s_m = 1e18f;
+    check_refused(LAW_BAD_INPUT, 5);
+    law.kp_rad_s_m = 0.0f;
+    law.kd_rad_s2_m = 1e30f;
+    law.beat_s = 1e-30f;
+    check_refused(LAW_BAD_INPUT, 5);
+    e[0] = 0.0f;
+    check_refused(LAW_BAD_INPUT, 5);
+}
+
+static void test_nothing_measured(void) {
+    memset(measured, 0, sizeof measured);
+    check_refused(LAW_NOTHING_MEASURED, 5);
+}
+
+/* Simple fractions in, every stage on: computed on x86-64, must come out on the Cortex-M3 too. */
+static void test_bits_are_the_same_on_every_target(void) {
+    law = (law_t){.kp_rad_s_m = 4.1f,
+                  .kd_rad_s2_m = 0.3f,
+                  .amplitude_max_rad = 0.7f,
+                  .step_max_rad = 0.25f,
+                  .beat_s = 0.9f,
+                  .lead_beats = 2,
+                  .q_len = 5};
+    for (uint32_t k = 0; k < BEATS; k++) {
+        u[k] = 0.02f * (float)(k * 7u % 41u);
+        e[k] = 0.003f * (float)(k * 11u % 37u) - 0.05f;
+        measured[k] = k % 9u != 4u;
+    }
+    TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+    uint32_t crc = crc32_update(0, u, BEATS * sizeof u[0]);
+    crc = crc32_update(crc, &report.rms_error_m_s, sizeof report.rms_error_m_s);
+    TEST_ASSERT_EQUAL_HEX32(0x859DDEFAu, crc);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_the_thesis_law);
+    RUN_TEST(test_the_old_input_is_saturated_before_the_correction);
+    RUN_TEST(test_an_unreachable_target_does_not_wind_up);
+    RUN_TEST(test_lead_and_tails);
+    RUN_TEST(test_derivative_is_the_forward_difference);
+    RUN_TEST(test_one_beat_has_no_derivative);
+    RUN_TEST(test_unmeasured_beats_count_as_no_error);
+    RUN_TEST(test_no_flags_means_all_measured);
+    RUN_TEST(test_filter_goldens);
+    RUN_TEST(test_filter_is_two_moving_means_away_from_the_ends);
+    RUN_TEST(test_filter_mirrors_bit_for_bit);
+    RUN_TEST(test_filter_length_one_changes_no_bit);
+    RUN_TEST(test_the_filter_acts_on_the_corrected_input);
+    RUN_TEST(test_steps_are_limited_after_the_filter);
+    RUN_TEST(test_bad_configurations);
+    RUN_TEST(test_lengths);
+    RUN_TEST(test_one_bad_number_refuses_the_whole_trial);
+    RUN_TEST(test_finite_numbers_that_would_overflow_are_refused);
+    RUN_TEST(test_nothing_measured);
+    RUN_TEST(test_bits_are_the_same_on_every_target);
+    return UNITY_END();
+}

@@ -1,0 +1,99 @@
+/* The table itself, and what is refused. */
+#include "params/params.h"
+
+#include "mock_hal.h"
+#include "unity.h"
+
+#include <math.h>
+#include <string.h>
+
+static params_t params;
+
+void setUp(void) { params_reset(&params); }
+void tearDown(void) {}
+
+static void test_every_row_is_sound(void) {
+    for (uint32_t i = 0; i < PARAM_COUNT; i++) {
+        const param_info_t *info = param_info((param_t)i);
+        const size_t length = strlen(info->name);
+        TEST_ASSERT_TRUE_MESSAGE(length >= 1 && length <= PARAM_NAME_BYTES, info->name);
+        TEST_ASSERT_TRUE_MESSAGE(info->low < info->high, info->name);
+        TEST_ASSERT_TRUE_MESSAGE(strlen(info->text) > 0, info->name);
+        TEST_ASSERT_EQUAL_MESSAGE(PARAM_OK, params_set(&params, (param_t)i, info->fallback),
+                                  info->name);
+        TEST_ASSERT_EQUAL_MESSAGE(i, param_find(info->name), info->name);
+    }
+}
+
+static void test_defaults_are_safe_on_an_unknown_fish(void) {
+    TEST_ASSERT_EQUAL_FLOAT(0.5f, params.value[PARAM_AMP_MAX_RAD]);
+    TEST_ASSERT_EQUAL_FLOAT(0.15f, params.value[PARAM_DU_MAX_RAD]);
+    TEST_ASSERT_EQUAL_FLOAT(5.0f, params.value[PARAM_LINK_TIMEOUT_S]);
+    TEST_ASSERT_EQUAL_FLOAT(1.3f, params.value[PARAM_ROLLBACK_RATIO]);
+    TEST_ASSERT_EQUAL(0, params_whole(&params, PARAM_LAW_LEAD));
+}
+
+static void test_sixteen_characters_need_no_terminator(void) {
+    const char wire[PARAM_NAME_BYTES + 4] = "SERVO_SLEW_RAD_SXYZ";
+    TEST_ASSERT_EQUAL(PARAM_SERVO_SLEW_RAD_S, param_find(wire));
+}
+
+static void test_names_must_match_wholly(void) {
+    const char shorter[PARAM_NAME_BYTES] = "LAW_GAI";
+    const char longer[PARAM_NAME_BYTES] = "LAW_GAINS";
+    const char lower[PARAM_NAME_BYTES] = "law_gain";
+    const char empty[PARAM_NAME_BYTES] = "";
+    TEST_ASSERT_EQUAL(PARAM_COUNT, param_find(shorter));
+    TEST_ASSERT_EQUAL(PARAM_COUNT, param_find(longer));
+    TEST_ASSERT_EQUAL(PARAM_COUNT, param_find(lower));
+    TEST_ASSERT_EQUAL(PARAM_COUNT, param_find(empty));
+}
+
+static void test_limits_are_inclusive(void) {
+    TEST_ASSERT_EQUAL(PARAM_OK, params_set(&params, PARAM_LAW_Q_LEN, 64.0f));
+    TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_Q_LEN, 65.0f));
+    TEST_ASSERT_EQUAL(PARAM_OK, params_set(&params, PARAM_LAW_Q_LEN, 1.0f));
+    TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_Q_LEN, 0.0f));
+    TEST_ASSERT_EQUAL(1, params_whole(&params, PARAM_LAW_Q_LEN));
+}
+
+static void test_refusals_change_nothing(void) {
+    const params_t before = params;
+    TEST_ASSERT_EQUAL(PARAM_NOT_FINITE, params_set(&params, PARAM_LAW_GAIN, (float)NAN));
+    TEST_ASSERT_EQUAL(PARAM_NOT_FINITE, params_set(&params, PARAM_LAW_GAIN, (float)INFINITY));
+    TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_GAIN, -1.0f));
+    TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_LEAD, 3e38f));
+    TEST_ASSERT_EQUAL(PARAM_NOT_WHOLE, params_set(&params, PARAM_LAW_LEAD, 1.5f));
+    TEST_ASSERT_EQUAL(PARAM_UNKNOWN, params_set(&params, PARAM_COUNT, 1.0f));
+    TEST_ASSERT_EQUAL(PARAM_UNKNOWN, params_set(&params, (param_t)60000, 1.0f));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &params, sizeof params);
+}
+
+static void test_a_value_goes_where_it_belongs(void) {
+    params_t expected = params;
+    expected.value[PARAM_SERVO_DIR] = -1.0f;
+    TEST_ASSERT_EQUAL(PARAM_OK, params_set(&params, PARAM_SERVO_DIR, -1.0f));
+    TEST_ASSERT_EQUAL_MEMORY(&expected, &params, sizeof params);
+    TEST_ASSERT_EQUAL(-1, params_whole(&params, PARAM_SERVO_DIR));
+}
+
+static void test_misuse_is_our_mistake(void) {
+    static bool panicked;
+    MOCK_EXPECT_PANIC(panicked, (void)params_whole(&params, PARAM_LAW_GAIN));
+    TEST_ASSERT_TRUE(panicked);
+    MOCK_EXPECT_PANIC(panicked, (void)param_info(PARAM_COUNT));
+    TEST_ASSERT_TRUE(panicked);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_every_row_is_sound);
+    RUN_TEST(test_defaults_are_safe_on_an_unknown_fish);
+    RUN_TEST(test_sixteen_characters_need_no_terminator);
+    RUN_TEST(test_names_must_match_wholly);
+    RUN_TEST(test_limits_are_inclusive);
+    RUN_TEST(test_refusals_change_nothing);
+    RUN_TEST(test_a_value_goes_where_it_belongs);
+    RUN_TEST(test_misuse_is_our_mistake);
+    return UNITY_END();
+}
