@@ -17,6 +17,17 @@
 #include "store/store.h"
 #include "supervisor/supervisor.h"
 
+/* A reboot waits this long, so that its acknowledgement still goes out. */
+#define APP_REBOOT_DELAY_US 200000u
+
+/* One small file at a time passes through |record|; decoding one of the uploads goes through
+ * |upload|. Both belong to whoever the main loop is running. */
+typedef union {
+    reference_t reference;
+    amplitudes_upload_t amplitudes;
+    speed_upload_t speeds;
+} app_upload_t;
+
 typedef struct {
     hal_t *hal;
     supervisor_t supervisor;
@@ -24,27 +35,36 @@ typedef struct {
     store_t store;
     reference_t reference;
     memory_t memory;
-    trial_run_t run; /* the running or pending trial */
+    bool first_guess; /* memory holds u_1 as computed at arming, swum or not, never learned from */
+    trial_run_t run;
     uint32_t next_trial;
+    uint64_t settle_until_us; /* when the stopped run is finished */
+    uint16_t executed;        /* whole beats of the running or last trial */
+
     imu_t imu;
     imu_frame_t imu_frame;
-    uint64_t last_imu_us;
+    uint64_t last_imu_us; /* 0 = no frame yet */
+    float live_speed_m_s;
+    uint64_t live_speed_us;
+
     uint64_t last_heartbeat_us; /* of the host that armed */
     hal_port_t armed_port;
     uint8_t armed_system;
+
     uint64_t last_poll_us;
     uint32_t longest_pause_us;
-    uint32_t ticks_seen;
-    float last_speed_m_s;
-    uint64_t last_speed_us;
-    link_status_t status;
-    link_t link;
+    uint64_t reboot_at_us; /* 0 = not asked for */
+
     control_t control;
-    uint8_t record[RECORD_TRIAL_MAX_BYTES]; /* one small file at a time */
-    float scratch[BEATS_MAX];
+    link_t link;
+    link_status_t status;
+
+    float applied_rad[BEATS_MAX]; /* what the servo gets in this trial */
     float error_m_s[BEATS_MAX];
     uint8_t measured[BEATS_MAX];
-    float applied_rad[BEATS_MAX];
+    float scratch[BEATS_MAX];
+    uint8_t record[RECORD_TRIAL_MAX_BYTES];
+    app_upload_t upload;
 } app_t;
 
 /* Mounts the store, loads what is there, leaves BOOT. */

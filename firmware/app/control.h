@@ -12,12 +12,17 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* What the main loop wants. Zero-initialised = stopped. */
+/*
+ * What the main loop wants. Zero-initialised = stopped: the tail glides to the centre as the gait
+ * it began with says. A swim begins with a tick that finds |swim| true and the tail off; after a
+ * stop or the last beat the tail stays off until |swim| has been false.
+ */
 typedef struct {
     bool swim;
     uint16_t beats;             /* of the trial; the tail stops after the last one */
-    const float *amplitude_rad; /* saturated, |beats| values; not changed while |swim| */
-    gait_config_t gait;
+    const float *amplitude_rad; /* saturated, |beats| values; not changed while |swim|.
+                                 * Read at each beat's start; negative or not finite = 0 */
+    gait_config_t gait;         /* taken over while the tail is off, kept until it is off again */
     stop_limits_t limits;
     uint64_t last_heartbeat_us;
     uint64_t last_imu_us;
@@ -25,21 +30,24 @@ typedef struct {
     float pitch_rad, roll_rad;
 } control_orders_t;
 
-/* What the tick found. */
+/* What the tick found. Start, beats, finished and stop are of the present swim and go back to zero
+ * in the tick that finds |swim| false: read them before ordering that. */
 typedef struct {
     gait_output_t gait;
-    uint64_t tick_us;      /* time of this tick */
-    uint64_t swim_start_us; /* tick of frame 0, 0 = not begun */
-    uint16_t beats_done;   /* whole beats swum */
-    bool finished;         /* the last beat is over, the tail is off */
-    fault_t stop;          /* first stop rule broken; the tail was stopped */
-    uint32_t late_ticks;
-    uint32_t clipped_frames;
+    uint64_t tick_us;        /* time of this tick */
+    uint64_t swim_start_us;  /* tick of frame 0, 0 = not begun */
+    uint16_t beats_done;     /* whole beats swum */
+    bool finished;           /* the last beat is over; the tail glides to the centre and off */
+    fault_t stop;            /* first stop rule broken; the tail glides to the centre and off */
+    uint32_t late_ticks;     /* while swimming, since boot */
+    uint32_t clipped_frames; /* since boot */
 } control_report_t;
 
 typedef struct {
     gait_t gait;
+    gait_config_t config; /* of the swim that is on */
     control_orders_t orders;
+    bool stop_ordered; /* |swim| was false at some time since the last tick */
     control_report_t report;
 } control_t;
 
@@ -48,7 +56,8 @@ void control_init(control_t *control);
 /* One tick; writes the pulse. */
 void control_tick_isr(control_t *control, hal_t *hal);
 
-/* Main loop side; lock and unlock the interrupt around a copy. */
+/* Main loop side. Orders to swim need a valid gait and amplitudes. These lock and unlock the
+ * interrupt around a copy. */
 void control_order(control_t *control, hal_t *hal, const control_orders_t *orders);
 control_report_t control_report(control_t *control, hal_t *hal);
 

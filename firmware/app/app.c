@@ -1,0 +1,158 @@
+#include "app/app.h"
+
+#include "app/app_internal.h"
+#include "app/settings.h"
+#include "base/real.h"
+#include "hal/clock.h"
+#include "hal/serial.h"
+#include "hal/system.h"
+
+#include <math.h>
+#include <string.h>
+
+#define IMU_CHUNK_BYTES 256u
+#define IMU_CHUNKS_PER_POLL 16u /* more than the IMU can send in the longest pause */
+#define IMU_FRESH_US 500000u
+#define SPEED_FRESH_US 1000000u
+#define RAD_PER_DEG (REAL_PI / 180.0f)
+
+static void on_vision(void *context, const link_vision_t *sample) {
+    app_t *app = context;
+    trial_run_sample(&app->run, sample->time_us, sample->speed_m_s, sample->sigma_m_s);
+    app->live_speed_m_s = sample->speed_m_s;
+    app->live_speed_us = hal_time_us(app->hal);
+}
+
+static void on_heartbeat(void *context, hal_port_t port, uint8_t system, uint8_t component) {
+    app_t *app = context;
+    (void)component;
+    if (port == app->armed_port && system == app->armed_system) {
+        app->last_heartbeat_us = hal_time_us(app->hal);
+    }
+}
+
+static void find_boot_faults(app_t *app, store_result_t mounted) {
+    if (mounted != STORE_OK) {
+        (void)supervisor_event(&app->supervisor, EVENT_STOP, FAULT_STORAGE);
+    } else if (hal_reset_cause(app->hal) == HAL_RESET_WATCHDOG) {
+        (void)supervisor_event(&app->supervisor, EVENT_STOP, FAULT_WATCHDOG);
+    }
+}
+
+void app_init(app_t *app, hal_t *hal) {
+    memset(app, 0, sizeof *app);
+    app->hal = hal;
+    app->live_speed_m_s = NAN;
+    supervisor_init(&app->supervisor);
+    control_init(&app->control);
+    imu_init(&app->imu);
+    trial_run_init(&app->run, &app->reference, &app->memory);
+    const link_handlers_t handlers = {
+        .context = app,
+        .command = commands_run,
+        .param_set = commands_param_set,
+        .vision = on_vision,
+        .heartbeat = on_heartbeat,
+    };
+    const store_result_t mounted = store_mount(&app->store, hal);
+    link_init(&app->link, hal, &app->store, &app->params, &handlers);
+    boot_load(app);
+    (void)supervisor_event(&app->supervisor, EVENT_BOOTED, FAULT_NONE);
+    find_boot_faults(app, mounted);
+    app->last_poll_us = hal_time_us(hal);
+}
+
+static void read_imu(app_t *app, uint64_t now_us) {
+    uint8_t chunk[IMU_CHUNK_BYTES];
+    for (uint32_t i = 0; i < IMU_CHUNKS_PER_POLL; i++) {
+        const size_t length = hal_serial_read(app->hal, HAL_PORT_IMU, chunk, sizeof chunk);
+        if (length == 0) {
+            return;
+        }
+        size_t taken = 0;
+        while (taken < length) {
+            bool got = false;
+            taken += imu_push(&app->imu, chunk + taken, length - taken, &app->imu_frame, &got);
+            if (got) {
+                app->last_imu_us = now_us;
+            }
+        }
+    }
+}
+
+static bool fresh(uint64_t now_us, uint64_t then_us, uint64_t limit_us) {
+    return then_us != 0 && now_us - then_us < limit_us;
+}
+
+static void give_orders(app_t *app, uint64_t now_us) {
+    const bool level_known = fresh(now_us, app->last_imu_us, IMU_FRESH_US);
+    const control_orders_t orders = {
+        .swim = supervisor_may_swim(&app->supervisor),
+        .beats = app->reference.beats,
+        .amplitude_rad = app->applied_rad,
+        .gait = settings_gait(&app->params, app->reference.beat_s),
+        .limits = settings_stop_limits(&app->params),
+        .last_heartbeat_us = app->last_heartbeat_us,
+        .last_imu_us = app->last_imu_us,
+        .battery_mv = hal_battery_mv(app->hal),
+        .pitch_rad = level_known ? app->imu_frame.ypr_deg[1] * RAD_PER_DEG : 0.0f,
+        .roll_rad = level_known ? app->imu_frame.ypr_deg[2] * RAD_PER_DEG : 0.0f,
+    };
+    control_order(&app->control, app->hal, &orders);
+}
+
+static void fill_status(app_t *app, uint64_t now_us) {
+    const control_report_t report = control_report(&app->control, app->hal);
+    const bool swimming =
+        app->supervisor.state == STATE_RUNNING && app->executed < app->reference.beats;
+    const bool speed_known = fresh(now_us, app->live_speed_us, SPEED_FRESH_US);
+    app->status = (link_status_t){
+        .now_us = now_us,
+        .state = app->supervisor.state,
+        .fault = app->supervisor.reason,
+        .trial = app->next_trial - 1u,
+        .next_trial = app->next_trial,
+        .pending_trial = app->run.pending ? app->run.trial.number : 0,
+        .reference_crc = app->reference.crc,
+        .beats = app->reference.beats,
+        .beat = swimming ? (uint16_t)report.gait.beat : app->executed,
+        .battery_mv = hal_battery_mv(app->hal),
+        .memory = &app->memory,
+        .angle_rad = report.gait.angle_rad,
+        .amplitude_rad = swimming ? app->applied_rad[app->executed] : 0.0f,
+        .speed_m_s = speed_known ? app->live_speed_m_s : NAN,
+        .live_beat = (uint16_t)report.gait.beat,
+        .pulse_ticks = report.gait.pulse_ticks,
+        .imu = app->imu_frame,
+        .imu_counters = app->imu.counters,
+        .speed_counters = app->run.speed.counters,
+        .late_ticks = report.late_ticks,
+        .longest_pause_us = app->longest_pause_us,
+    };
+}
+
+static void mind_the_clock(app_t *app, uint64_t now_us) {
+    const uint64_t pause_us = now_us - app->last_poll_us;
+    if (pause_us > app->longest_pause_us) {
+        app->longest_pause_us = (uint32_t)pause_us;
+    }
+    app->last_poll_us = now_us;
+    if (app->reboot_at_us != 0 && now_us >= app->reboot_at_us) {
+        app->reboot_at_us = 0;
+        hal_reset(app->hal);
+    }
+}
+
+void app_poll(app_t *app) {
+    const uint64_t now_us = hal_time_us(app->hal);
+    mind_the_clock(app, now_us);
+    read_imu(app, now_us);
+    swim_poll(app, now_us);
+    fill_status(app, now_us);
+    link_poll(&app->link, &app->status);
+    give_orders(app, now_us);
+    hal_led(app->hal, supervisor_armed(&app->supervisor));
+    hal_watchdog_feed(app->hal);
+}
+
+void app_tick_isr(app_t *app) { control_tick_isr(&app->control, app->hal); }

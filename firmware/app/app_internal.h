@@ -1,0 +1,40 @@
+/* Shared by the files of this folder only. */
+#ifndef APP_APP_INTERNAL_H
+#define APP_APP_INTERNAL_H
+
+#include "app/app.h"
+
+#define REFERENCE_PATH "/reference.bin"
+#define LEARNED_PATH "/learned.bin"
+#define PARAMS_PATH "/params.bin"
+#define COUNTER_PATH "/counter.bin"
+
+/* boot.c: what is on the store into RAM; parameters fall back to their defaults. */
+void boot_load(app_t *app);
+void boot_load_params(app_t *app);
+/* The learned input as it was last stored; empty when it belongs to another reference. */
+void boot_load_memory(app_t *app);
+
+/* commands.c: the link's handlers. */
+fault_t commands_run(void *context, const link_command_t *command);
+fault_t commands_param_set(void *context, param_t param, float value);
+
+/* uploads.c: an uploaded file becomes what it is meant to be. */
+fault_t uploads_commit(app_t *app, const link_command_t *command);
+
+/* swim.c: a trial from arming to the pending record. */
+fault_t swim_arm(app_t *app, const link_command_t *command);
+fault_t swim_start(app_t *app, const link_command_t *command);
+void swim_stop(app_t *app, fault_t reason);
+void swim_poll(app_t *app, uint64_t now_us);
+/* Ends the collecting of a stopped run at once. */
+void swim_finish(app_t *app, uint64_t now_us);
+
+/* learn.c: from the pending trial to the next amplitudes. */
+fault_t learn_trial(app_t *app, uint32_t trial);
+fault_t learn_discard(app_t *app, uint32_t trial);
+fault_t learn_restore_best(app_t *app);
+/* Stores the memory; when that fails RAM goes back to what is stored. */
+fault_t learn_save(app_t *app);
+
+#endif

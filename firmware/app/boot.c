@@ -1,0 +1,90 @@
+#include "app/app_internal.h"
+
+#include <string.h>
+
+/* Bytes read into app->record; 0 when the file is missing, empty or too long for it. */
+static size_t load_record(app_t *app, const char *path) {
+    uint32_t length = 0;
+    if (store_size(&app->store, path, &length) != STORE_OK || length > sizeof app->record ||
+        store_load(&app->store, path, app->record, length) != STORE_OK) {
+        return 0;
+    }
+    return length;
+}
+
+void boot_load_params(app_t *app) {
+    params_reset(&app->params);
+    const size_t length = load_record(app, PARAMS_PATH);
+    uint16_t ignored = 0;
+    if (length != 0) {
+        (void)record_decode_params(app->record, length, &app->params, &ignored);
+    }
+}
+
+static void load_reference(app_t *app) {
+    const size_t length = load_record(app, REFERENCE_PATH);
+    if (length == 0 ||
+        record_decode_reference(app->record, length, &app->reference) != FAULT_NONE) {
+        app->reference.beats = 0;
+        app->reference.crc = 0;
+    }
+}
+
+void boot_load_memory(app_t *app) {
+    const size_t length = load_record(app, LEARNED_PATH);
+    const bool loaded =
+        length != 0 && record_decode_memory(app->record, length, &app->memory) == FAULT_NONE;
+    if (!loaded) {
+        memset(&app->memory, 0, sizeof app->memory);
+    }
+    if (app->memory.reference_crc != app->reference.crc ||
+        app->memory.beats != app->reference.beats) {
+        memory_begin(&app->memory, app->reference.crc, app->reference.beats);
+    }
+}
+
+/* The cut may have come between storing the learned input and removing the trial it came from. */
+static void load_pending(app_t *app) {
+    trial_run_load(&app->run, &app->store, app->record);
+    const trial_t *trial = &app->run.trial;
+    if (app->run.pending &&
+        (trial->number <= app->memory.last_trial || trial->reference_crc != app->reference.crc)) {
+        (void)trial_run_forget(&app->run, &app->store);
+    }
+}
+
+static uint32_t highest_trial_file(app_t *app) {
+    uint32_t highest = 0;
+    store_entry_t entry;
+    for (uint32_t i = 0; store_entry(&app->store, "/trials", i, &entry) == STORE_OK; i++) {
+        uint32_t number = 0;
+        for (const char *c = entry.name; *c >= '0' && *c <= '9'; c++) {
+            number = number * 10u + (uint32_t)(*c - '0');
+        }
+        highest = number > highest ? number : highest;
+    }
+    return highest;
+}
+
+static uint32_t at_least(uint32_t a, uint32_t b) { return a > b ? a : b; }
+
+/* The counter file is the rule; the others save the number if the counter is lost. */
+static void load_next_trial(app_t *app) {
+    uint32_t next = 1;
+    const size_t length = load_record(app, COUNTER_PATH);
+    if (length == 0 || record_decode_counter(app->record, length, &next) != FAULT_NONE) {
+        next = 1;
+    }
+    next = at_least(next, app->memory.last_trial + 1u);
+    next = at_least(next, app->run.trial.number + 1u);
+    app->next_trial = at_least(next, highest_trial_file(app) + 1u);
+}
+
+void boot_load(app_t *app) {
+    boot_load_params(app);
+    load_reference(app);
+    boot_load_memory(app);
+    load_pending(app);
+    load_next_trial(app);
+    app->executed = app->run.trial.executed;
+}

@@ -1,0 +1,101 @@
+#include "app/app_internal.h"
+#include "hal/clock.h"
+#include "hal/system.h"
+
+/* Stopping is always allowed; it does nothing when nothing runs. */
+static fault_t stop_by_command(app_t *app) {
+    if (app->supervisor.state == STATE_RUNNING) {
+        swim_stop(app, FAULT_ABORT_COMMAND);
+    }
+    return FAULT_NONE;
+}
+
+static fault_t disarm(app_t *app) {
+    switch (app->supervisor.state) {
+    case STATE_IDLE:
+        return FAULT_NONE;
+    case STATE_RUNNING:
+        return stop_by_command(app);
+    default:
+        return supervisor_event(&app->supervisor, EVENT_DISARM, FAULT_NONE) ? FAULT_NONE
+                                                                            : FAULT_WRONG_STATE;
+    }
+}
+
+static fault_t clear(app_t *app) {
+    if (app->supervisor.state == STATE_IDLE) {
+        return FAULT_NONE;
+    }
+    if (!supervisor_allows(&app->supervisor, EVENT_CLEAR)) {
+        return FAULT_WRONG_STATE;
+    }
+    swim_finish(app, hal_time_us(app->hal));
+    (void)supervisor_event(&app->supervisor, EVENT_CLEAR, FAULT_NONE);
+    return FAULT_NONE;
+}
+
+static fault_t change_params(app_t *app, link_command_id_t id) {
+    if (app->supervisor.state != STATE_IDLE) {
+        return FAULT_WRONG_STATE;
+    }
+    if (id == LINK_COMMAND_PARAMS_LOAD) {
+        boot_load_params(app);
+        return FAULT_NONE;
+    }
+    if (id == LINK_COMMAND_PARAMS_RESET) {
+        params_reset(&app->params);
+        return FAULT_NONE;
+    }
+    const size_t length = record_encode_params(&app->params, app->record);
+    return store_replace(&app->store, PARAMS_PATH, app->record, length) == STORE_OK
+               ? FAULT_NONE
+               : FAULT_WRITE_FAILED;
+}
+
+static fault_t reboot(app_t *app) {
+    const state_t state = app->supervisor.state;
+    if (state != STATE_IDLE && state != STATE_ABORTED && state != STATE_FAULT) {
+        return FAULT_WRONG_STATE;
+    }
+    app->reboot_at_us = hal_time_us(app->hal) + APP_REBOOT_DELAY_US;
+    return FAULT_NONE;
+}
+
+fault_t commands_run(void *context, const link_command_t *command) {
+    app_t *app = context;
+    switch (command->id) {
+    case LINK_COMMAND_ARM:
+        return swim_arm(app, command);
+    case LINK_COMMAND_DISARM:
+        return disarm(app);
+    case LINK_COMMAND_START:
+        return swim_start(app, command);
+    case LINK_COMMAND_ABORT:
+        return stop_by_command(app);
+    case LINK_COMMAND_LEARN:
+        return learn_trial(app, command->trial);
+    case LINK_COMMAND_DISCARD:
+        return learn_discard(app, command->trial);
+    case LINK_COMMAND_RESTORE_BEST:
+        return learn_restore_best(app);
+    case LINK_COMMAND_CLEAR:
+        return clear(app);
+    case LINK_COMMAND_COMMIT:
+        return uploads_commit(app, command);
+    case LINK_COMMAND_PARAMS_LOAD:
+    case LINK_COMMAND_PARAMS_SAVE:
+    case LINK_COMMAND_PARAMS_RESET:
+        return change_params(app, command->id);
+    case LINK_COMMAND_REBOOT:
+        return reboot(app);
+    }
+    return FAULT_UNKNOWN_COMMAND;
+}
+
+fault_t commands_param_set(void *context, param_t param, float value) {
+    app_t *app = context;
+    if (app->supervisor.state != STATE_IDLE) {
+        return FAULT_WRONG_STATE;
+    }
+    return params_set(&app->params, param, value) == PARAM_OK ? FAULT_NONE : FAULT_BAD_PARAM;
+}

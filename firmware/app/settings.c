@@ -1,0 +1,57 @@
+#include "app/settings.h"
+
+/* The tick is crystal-driven: a gap of a quarter frame beyond the period can only be a stall. */
+#define TICK_LATE_US (FRAME_US + FRAME_US / 4u)
+
+static uint32_t microseconds(float seconds) { return (uint32_t)(seconds * 1e6f + 0.5f); }
+
+static uint16_t millivolts(float volts) { return (uint16_t)(volts * 1000.0f + 0.5f); }
+
+uint16_t settings_frames(float seconds) { return (uint16_t)(seconds / FRAME_S + 0.5f); }
+
+law_t settings_law(const params_t *params, float beat_s) {
+    return (law_t){
+        .kp_rad_s_m = params->value[PARAM_LAW_GAIN],
+        .kd_rad_s2_m = params->value[PARAM_LAW_KD],
+        .amplitude_max_rad = params->value[PARAM_AMP_MAX_RAD],
+        .step_max_rad = params->value[PARAM_DU_MAX_RAD],
+        .beat_s = beat_s,
+        .lead_beats = (uint16_t)params_whole(params, PARAM_LAW_LEAD),
+        .q_len = (uint16_t)params_whole(params, PARAM_LAW_Q_LEN),
+        .tail = params_whole(params, PARAM_LAW_TAIL) == 1 ? LAW_TAIL_KEEP : LAW_TAIL_HOLD,
+    };
+}
+
+gait_config_t settings_gait(const params_t *params, float beat_s) {
+    return (gait_config_t){
+        .servo =
+            {
+                .centre_us = params->value[PARAM_SERVO_CENTRE_US],
+                .us_per_rad = params->value[PARAM_SERVO_US_RAD],
+                .min_us = params->value[PARAM_SERVO_MIN_US],
+                .max_us = params->value[PARAM_SERVO_MAX_US],
+                .direction = params->value[PARAM_SERVO_DIR],
+                .slew_rad_s = params->value[PARAM_SERVO_SLEW_RAD_S],
+            },
+        .frames_per_beat = settings_frames(beat_s),
+        .glide_frames = settings_frames(params->value[PARAM_GLIDE_S]),
+    };
+}
+
+speed_config_t settings_speed(const params_t *params) {
+    return (speed_config_t){
+        .window_s = params->value[PARAM_SPD_WINDOW_S],
+        .gap_max_s = params->value[PARAM_SPD_GAP_S],
+        .plausible_m_s = params->value[PARAM_SPD_PLAUS_M_S],
+    };
+}
+
+stop_limits_t settings_stop_limits(const params_t *params) {
+    return (stop_limits_t){
+        .link_timeout_us = microseconds(params->value[PARAM_LINK_TIMEOUT_S]),
+        .imu_timeout_us = microseconds(params->value[PARAM_IMU_TIMEOUT_S]),
+        .tick_late_us = TICK_LATE_US,
+        .battery_critical_mv = millivolts(params->value[PARAM_BATT_CRIT_V]),
+        .tilt_max_rad = params->value[PARAM_TILT_MAX_RAD],
+    };
+}

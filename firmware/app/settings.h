@@ -1,0 +1,23 @@
+/*
+ * From parameters to the configurations of the modules. Pure; the one place where a parameter's
+ * name meets a module's field.
+ */
+#ifndef APP_SETTINGS_H
+#define APP_SETTINGS_H
+
+#include "gait/gait.h"
+#include "ilc/law.h"
+#include "params/params.h"
+#include "speed/speed.h"
+#include "supervisor/stop_rules.h"
+
+/* |beat_s| is the reference's; every config is for trials along it. */
+law_t settings_law(const params_t *params, float beat_s);
+gait_config_t settings_gait(const params_t *params, float beat_s);
+speed_config_t settings_speed(const params_t *params);
+stop_limits_t settings_stop_limits(const params_t *params);
+
+/* Whole servo frames in |seconds|, rounded. */
+uint16_t settings_frames(float seconds);
+
+#endif

@@ -1,0 +1,221 @@
+#include "app/app_internal.h"
+#include "app/settings.h"
+#include "hal/clock.h"
+#include "hal/system.h"
+
+#include <math.h>
+#include <string.h>
+
+#define START_STALE_S 2.0f
+
+static fault_t ready_to_arm(const app_t *app) {
+    const law_t law = settings_law(&app->params, app->reference.beat_s);
+    const gait_config_t gait = settings_gait(&app->params, app->reference.beat_s);
+    if (!supervisor_allows(&app->supervisor, EVENT_ARM)) {
+        return FAULT_WRONG_STATE;
+    }
+    if (app->run.pending) {
+        return FAULT_TRIAL_PENDING;
+    }
+    if (app->reference.beats == 0) {
+        return FAULT_NO_REFERENCE;
+    }
+    if (!gait_config_valid(&gait)) {
+        return FAULT_SERVO_CONFIG;
+    }
+    if (law_check(&law, app->reference.beats) != LAW_OK) {
+        return FAULT_BAD_LAW;
+    }
+    const float battery_v = (float)hal_battery_mv(app->hal) * 1e-3f;
+    return battery_v < app->params.value[PARAM_BATT_LOW_V] ? FAULT_BATTERY_LOW : FAULT_NONE;
+}
+
+/* u_1 follows the gain of the moment until something has been learned. */
+static fault_t guess_first(app_t *app) {
+    if (app->memory.iteration != 0 && !app->first_guess) {
+        return FAULT_NONE;
+    }
+    const law_t law = settings_law(&app->params, app->reference.beat_s);
+    if (memory_first(&app->memory, &law, app->reference.speed_m_s, app->scratch) != LAW_OK) {
+        return FAULT_BAD_LAW;
+    }
+    app->first_guess = true;
+    return FAULT_NONE;
+}
+
+fault_t swim_arm(app_t *app, const link_command_t *command) {
+    if (app->supervisor.state != STATE_ARMED) {
+        fault_t fault = ready_to_arm(app);
+        if (fault == FAULT_NONE) {
+            fault = guess_first(app);
+        }
+        if (fault != FAULT_NONE) {
+            return fault;
+        }
+        (void)supervisor_event(&app->supervisor, EVENT_ARM, FAULT_NONE);
+    }
+    app->armed_port = command->port;
+    app->armed_system = command->system;
+    app->last_heartbeat_us = hal_time_us(app->hal);
+    return FAULT_NONE;
+}
+
+static bool is_stale(const app_t *app, float issued_s) {
+    const float now_s = (float)(hal_time_us(app->hal) / 1000u) * 1e-3f;
+    /* Written so that NaN (no time given) is stale. */
+    return !(now_s - issued_s <= START_STALE_S);
+}
+
+static fault_t save_counter(app_t *app) {
+    const size_t length = record_encode_counter(app->next_trial, app->record);
+    return store_replace(&app->store, COUNTER_PATH, app->record, length) == STORE_OK
+               ? FAULT_NONE
+               : FAULT_WRITE_FAILED;
+}
+
+/* Everything that writes flash and can be done before the tail moves. */
+static fault_t prepare_store(app_t *app) {
+    const uint32_t bytes = trial_log_size_bound(app->reference.beats);
+    if (store_make_space(&app->store, bytes, 0) != STORE_OK) {
+        return FAULT_WRITE_FAILED;
+    }
+    app->next_trial++;
+    const fault_t counted = save_counter(app);
+    if (counted != FAULT_NONE) {
+        app->next_trial--;
+        return counted;
+    }
+    return app->first_guess ? learn_save(app) : FAULT_NONE;
+}
+
+fault_t swim_start(app_t *app, const link_command_t *command) {
+    if (app->supervisor.state == STATE_RUNNING && command->trial == app->run.trial.number) {
+        return FAULT_NONE;
+    }
+    if (!supervisor_allows(&app->supervisor, EVENT_START)) {
+        return FAULT_WRONG_STATE;
+    }
+    if (command->trial != app->next_trial) {
+        return FAULT_TRIAL_NUMBER;
+    }
+    if (is_stale(app, command->issued_s)) {
+        return FAULT_STALE_COMMAND;
+    }
+    const fault_t prepared = prepare_store(app);
+    if (prepared != FAULT_NONE) {
+        return prepared;
+    }
+    const law_t law = settings_law(&app->params, app->reference.beat_s);
+    for (uint16_t k = 0; k < app->reference.beats; k++) {
+        app->applied_rad[k] = law_saturate(&law, app->memory.amplitude_rad[k]);
+    }
+    const trial_run_plan_t plan = {
+        .number = command->trial,
+        .source = (speed_source_t)params_whole(&app->params, PARAM_SPD_SOURCE),
+        .applied_rad = app->applied_rad,
+        .speed = settings_speed(&app->params),
+        .late_s = app->params.value[PARAM_SPD_LATE_S],
+    };
+    trial_run_begin(&app->run, &plan);
+    app->executed = 0;
+    (void)supervisor_event(&app->supervisor, EVENT_START, FAULT_NONE);
+    return FAULT_NONE;
+}
+
+static void settle_from(app_t *app, uint64_t now_us) {
+    const float settle_s = app->params.value[PARAM_SETTLE_S];
+    app->settle_until_us = now_us + (uint64_t)(settle_s * 1e6f);
+}
+
+void swim_stop(app_t *app, fault_t reason) {
+    const bool cut = app->supervisor.state == STATE_RUNNING;
+    if (!supervisor_event(&app->supervisor, EVENT_STOP, reason)) {
+        return;
+    }
+    const uint64_t now_us = hal_time_us(app->hal);
+    if (cut) {
+        settle_from(app, now_us);
+    }
+    if (app->run.open && app->run.start_us != 0) {
+        trial_log_text(&app->run.log, now_us, fault_info(reason)->name);
+    }
+    link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
+}
+
+static void settle_beats(app_t *app) {
+    trial_run_beat_t beat;
+    while (trial_run_settle(&app->run, app->executed, &beat)) {
+        const link_beat_t message = {
+            .trial = app->run.trial.number,
+            .beat = beat.beat,
+            .amplitude_rad = beat.applied_rad,
+            .reference_m_s = beat.reference_m_s,
+            .speed = beat.speed,
+            .saturated = beat.amplitude_rad != beat.applied_rad,
+        };
+        link_beat(&app->link, &message);
+    }
+}
+
+void swim_finish(app_t *app, uint64_t now_us) {
+    if (!app->run.open) {
+        return;
+    }
+    trial_run_close_slots(&app->run, app->executed);
+    settle_beats(app);
+    const fault_t end = app->supervisor.reason;
+    if (trial_run_finish(&app->run, &app->store, now_us, end, app->executed, app->record) !=
+        STORE_OK) {
+        swim_stop(app, FAULT_STORAGE);
+    }
+    (void)supervisor_event(&app->supervisor, EVENT_SETTLED, FAULT_NONE);
+}
+
+static const char *board_name(hal_board_kind_t kind) {
+    switch (kind) {
+    case HAL_BOARD_SIMULATED:
+        return "simulated";
+    case HAL_BOARD_EMULATED:
+        return "emulated";
+    case HAL_BOARD_FISH:
+        break;
+    }
+    return "fish";
+}
+
+static void begin_log(app_t *app, uint64_t start_us) {
+    trial_log_header_t header = {
+        .build_id = link_build_id(),
+        .board = board_name(hal_board_kind(app->hal)),
+    };
+    hal_unique_id(app->hal, header.unique_id);
+    trial_run_started(&app->run, start_us, &app->store, &app->params, &header);
+}
+
+static void follow_tail(app_t *app, const control_report_t *report, uint64_t now_us) {
+    if (app->run.start_us == 0 && report->swim_start_us != 0) {
+        begin_log(app, report->swim_start_us);
+    }
+    app->executed = report->beats_done;
+    if (report->stop != FAULT_NONE) {
+        swim_stop(app, report->stop);
+    } else if (report->finished) {
+        (void)supervisor_event(&app->supervisor, EVENT_SWUM, FAULT_NONE);
+        settle_from(app, now_us);
+    }
+}
+
+void swim_poll(app_t *app, uint64_t now_us) {
+    if (app->supervisor.state == STATE_RUNNING) {
+        const control_report_t report = control_report(&app->control, app->hal);
+        follow_tail(app, &report, now_us);
+    }
+    if (!app->run.open) {
+        return;
+    }
+    trial_run_collect(&app->run, now_us, hal_battery_mv(app->hal));
+    settle_beats(app);
+    if (app->supervisor.state != STATE_RUNNING && now_us >= app->settle_until_us) {
+        swim_finish(app, now_us);
+    }
+}
