@@ -134,6 +134,7 @@ void swim_stop(app_t *app, fault_t reason) {
     }
     const uint64_t now_us = hal_time_us(app->hal);
     if (cut) {
+        app->executed = control_report(&app->control, app->hal).beats_done;
         settle_from(app, now_us);
     }
     if (app->run.open && app->run.start_us != 0) {

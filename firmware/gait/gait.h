@@ -4,9 +4,9 @@
  *
  * Off: no pulses. Swim: the sine, from frame 0 of beat 0 with the tail at the centre. Glide: half a
  * raised cosine from where the last frame left the tail to the centre, reached in the last of
- * glide_frames frames, then off. A stop that comes when the beat is whole ends the sine where it
- * closes, at the centre, and holds it there as long. A slew limit
- * slower than the glide does not prolong it. A zero-initialised command means stop.
+ * glide_frames frames, then off. A stop that comes when the beat is whole closes the sine: the tail
+ * goes to the centre at once and is held there as long. A slew limit slower than the glide does not
+ * prolong it. A zero-initialised command means stop.
  *
  * A swim begins from off only: a swim command during a glide waits for its end.
  *

@@ -1,8 +1,15 @@
 /*
  * MAVLink FTP server: list, read, burst read, write (below /in only), remove, CRC32, reset.
  *
- * Request payload in, reply payload out; knows nothing of ports. One session. The tree it shows is
- * /trials, /in, /reference.bin and /crash.bin; parameters, learned input and keys are not in it.
+ * Request payload in, reply payload out; knows nothing of ports. The tree it shows is in
+ * ftp_paths.h. One session. Its owner is the host that opened it; another host's open takes it over
+ * once the owner has been silent for FTP_SESSION_SILENT_US, until then it is refused
+ * (NoSessionsAvailable). ResetSessions closes the sender's own session or a silent one and is
+ * always acknowledged. A request that changes something and comes again, because its answer was
+ * lost, gets the same answer and is not executed twice; ResetSessions is executed every time.
+ * OpenFileWO does what CreateFile does: the file starts anew. Blocks of an upload may come in any
+ * order below FTP_IN_FILE_MAX_BYTES; a block that never comes leaves zeros, which the CRC finds.
+ * Main loop only; writing may take as long as the store's writes do.
  */
 #ifndef LINK_FTP_SERVER_H
 #define LINK_FTP_SERVER_H
@@ -13,37 +20,55 @@
 #include <stdint.h>
 
 #define FTP_PAYLOAD_BYTES 251u /* of FILE_TRANSFER_PROTOCOL.payload */
+#define FTP_HEADER_BYTES 12u
 #define FTP_DATA_BYTES 239u
 #define FTP_IN_FILE_MAX_BYTES 16384u /* largest upload */
 #define FTP_BURST_PACKETS 160u       /* per request: the stock client gives up on longer silence */
+#define FTP_SESSION_SILENT_US 5000000u
+#define FTP_SHORT_REPLY_BYTES                                                                      \
+    16u /* header and the 4 bytes that a changing request answers at most */
+
+typedef struct {
+    uint8_t system, component, port;
+} ftp_host_t;
+
+/* What the server has to know of the board; the caller sets it before each call. */
+typedef struct {
+    uint64_t now_us;
+    bool read_only;      /* no request may write flash now */
+    uint32_t busy_trial; /* its file is being written and is not opened; 0 = none */
+} ftp_conditions_t;
 
 typedef struct {
     store_t *store;
+    ftp_conditions_t conditions;
     store_file_t file;
     bool open, writing;
     uint8_t session;
-    uint8_t owner_system, owner_component, owner_port;
+    ftp_host_t owner;
+    uint64_t last_used_us; /* by the owner */
     /* burst in progress */
     bool bursting;
     uint8_t burst_size;
     uint16_t burst_seq;
     uint16_t burst_left;
     uint32_t burst_offset;
-    /* last reply, repeated when the same request comes again (a lost answer) */
-    uint16_t last_seq;
-    uint8_t last_opcode, last_system;
+    /* last request that changed something, and its answer */
     bool have_last;
-    uint8_t last_reply[FTP_PAYLOAD_BYTES];
+    ftp_host_t last_host;
+    uint32_t last_request_crc;
+    uint64_t last_reply_us;
+    uint8_t last_reply[FTP_SHORT_REPLY_BYTES];
 } ftp_server_t;
 
 void ftp_server_init(ftp_server_t *ftp, store_t *store);
 
-/* Answers one request. |reply| holds FTP_PAYLOAD_BYTES. Returns false when there is nothing to send
- * at once (a burst has begun: its packets come from ftp_server_burst). */
-bool ftp_server_request(ftp_server_t *ftp, const uint8_t *request, uint8_t system,
-                        uint8_t component, uint8_t port, uint8_t *reply);
+/* Answers one request. |request| and |reply| hold FTP_PAYLOAD_BYTES. Returns false when there is
+ * nothing to send at once: a burst has begun (its packets come from ftp_server_burst), or the
+ * request is itself an answer. */
+bool ftp_server_request(ftp_server_t *ftp, ftp_host_t host, const uint8_t *request, uint8_t *reply);
 
-/* The next packet of a running burst; false when none is due. */
+/* The next packet of a running burst, for |ftp->owner|; false when none is due. */
 bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply);
 
 #endif

@@ -1,10 +1,15 @@
 /*
  * The wire: MAVLink 2 on two ports, dialect wire/tailbeat.xml, sysid 1, compid 1.
  *
- * Owns the parsers, the parameter and FTP servers, TIMESYNC, HEARTBEAT and telemetry. What a command
- * does is the application's: it is handed over through link_handlers_t. Main loop only.
+ * Owns the parsers, the parameter and FTP servers, TIMESYNC, HEARTBEAT and telemetry. What a
+ * command does is the application's: it is handed over through link_handlers_t. Main loop only.
  * Everything sent is dropped and counted when the line is full; answers to requests are not queued
- * beyond what the port holds.
+ * beyond what the port holds. A port's line must hold at least LINK_LINE_MIN_BYTES, or file bursts
+ * never start.
+ *
+ * HEARTBEATs and texts go out on both ports always, all other telemetry only on ports where a host
+ * was heard in the last LINK_HEARD_US. What the application gets through the handlers is finite
+ * where a number has to be, and addressed to this board.
  */
 #ifndef LINK_LINK_H
 #define LINK_LINK_H
@@ -20,11 +25,15 @@
 #include "store/store.h"
 #include "supervisor/supervisor.h"
 
+#define LINK_PORTS 2u /* HAL_PORT_RADIO, HAL_PORT_CONSOLE */
+#define LINK_LINE_MIN_BYTES 384u
+#define LINK_HEARD_US 10000000u
+
 /* Commands the application decides on. */
 typedef enum {
     LINK_COMMAND_ARM,
     LINK_COMMAND_DISARM,
-    LINK_COMMAND_START,  /* trial, issued_s */
+    LINK_COMMAND_START, /* trial, issued_s */
     LINK_COMMAND_ABORT,
     LINK_COMMAND_LEARN,   /* trial */
     LINK_COMMAND_DISCARD, /* trial */
@@ -34,10 +43,14 @@ typedef enum {
     LINK_COMMAND_PARAMS_LOAD,
     LINK_COMMAND_PARAMS_SAVE,
     LINK_COMMAND_PARAMS_RESET,
-    LINK_COMMAND_REBOOT
+    LINK_COMMAND_REBOOT /* take note and return; reset once the ACK has left (200 ms later) */
 } link_command_id_t;
 
-typedef enum { LINK_FILE_REFERENCE = 0, LINK_FILE_AMPLITUDES = 1, LINK_FILE_SPEEDS = 2 } link_file_t;
+typedef enum {
+    LINK_FILE_REFERENCE = 0,
+    LINK_FILE_AMPLITUDES = 1,
+    LINK_FILE_SPEEDS = 2
+} link_file_t;
 
 typedef struct {
     link_command_id_t id;
@@ -62,8 +75,11 @@ typedef struct {
     void *context;
     /* FAULT_NONE = accepted, otherwise the reason for the refusal. */
     fault_t (*command)(void *context, const link_command_t *command);
+    /* Sets it, or tells why not; |value| is finite, its range is not checked yet. */
     fault_t (*param_set)(void *context, param_t param, float value);
+    /* |speed_m_s| as it came in, possibly not finite; |sigma_m_s| > 0 or NaN. */
     void (*vision)(void *context, const link_vision_t *sample);
+    /* Of any system that is not a fish. */
     void (*heartbeat)(void *context, hal_port_t port, uint8_t system, uint8_t component);
 } link_handlers_t;
 
@@ -107,12 +123,13 @@ typedef struct {
     params_t *params;
     link_handlers_t handlers;
     const link_status_t *status;
-    channel_t channel[2]; /* HAL_PORT_RADIO, HAL_PORT_CONSOLE */
+    channel_t channel[LINK_PORTS];
     ftp_server_t ftp;
-    link_learn_report_t last_learned; /* trial 0 = none */
-    uint64_t next_heartbeat_us, next_status_us, next_live_us, next_health_us;
+    link_learn_report_t last_learned;    /* trial 0 = none */
+    uint64_t heard_until_us[LINK_PORTS]; /* telemetry goes there until then */
+    uint64_t next_heartbeat_us, next_slow_us, next_live_us, next_health_us;
     uint32_t status_digest;
-    uint16_t param_stream_next[2]; /* next index of a PARAM_REQUEST_LIST in progress */
+    uint16_t param_stream_next[LINK_PORTS]; /* of a PARAM_REQUEST_LIST; PARAM_COUNT = none */
 } link_t;
 
 void link_init(link_t *link, hal_t *hal, store_t *store, params_t *params,

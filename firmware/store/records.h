@@ -1,9 +1,9 @@
 /*
- * The small binary files: reference, learned input, pending trial, parameters, uploads.
+ * The small binary files: reference, learned input, pending trial, parameters, counter, uploads.
  *
- * All of one shape, little-endian: magic (4 characters), version u16, count u16, body, CRC-32 of all
- * before it (docs/protocol.md has every offset). Encoding never fails; decoding checks magic,
- * version, length, CRC and values, and touches its output only when all are right.
+ * All of one shape, little-endian: magic (4 characters), version u16, count u16, CRC-32 of all the
+ * rest, body (docs/protocol.md has every offset). Encoding never fails: its input is ours. Decoding
+ * checks magic, version, length, CRC and values, and touches its output only when all are right.
  * Pure functions over byte buffers; not for interrupts.
  */
 #ifndef STORE_RECORDS_H
@@ -18,13 +18,16 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* The longest record (learned input, 512 beats) and so the size of the shared buffer. */
-#define RECORD_MAX_BYTES (40u + 2u * 4u * BEATS_MAX + 4u)
-_Static_assert(RECORD_MAX_BYTES < 2u * 4u * BEATS_MAX + 64u, "one learned input and a header");
+#define RECORD_HEADER_BYTES 12u
+#define RECORD_VERSION 1u
+
+/* The longest pending trial, and the longest of all others (learned input), 512 beats. */
+#define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
+#define RECORD_MAX_BYTES (32u + 2u * 4u * BEATS_MAX)
 
 typedef struct {
     uint16_t beats; /* 0 = none */
-    uint32_t crc;   /* CRC-32 of the record's bytes: the reference's identity */
+    uint32_t crc;   /* the u32 at offset 8 of its record: the reference's identity */
     float beat_s;
     float speed_m_s[BEATS_MAX];
 } reference_t;
@@ -34,16 +37,16 @@ typedef struct {
     uint32_t number; /* 0 = none */
     uint32_t reference_crc;
     uint16_t iteration;
-    uint16_t beats;    /* of the reference */
-    uint16_t executed; /* beats swum to their end */
-    uint16_t source;   /* speed_source_t */
-    uint16_t end;      /* fault_t: NONE = complete */
+    uint16_t beats;                 /* of the reference */
+    uint16_t executed;              /* beats swum to their end */
+    uint16_t source;                /* speed_source_t */
+    uint16_t end;                   /* fault_t: NONE = complete */
     float amplitude_rad[BEATS_MAX]; /* as swum (saturated) */
     float speed_m_s[BEATS_MAX];     /* NaN = not measured */
     float sigma_m_s[BEATS_MAX];
 } trial_t;
 
-/* Uploads. */
+/* Speeds measured after the swim. */
 typedef struct {
     uint32_t trial;
     uint16_t beats;
@@ -51,28 +54,56 @@ typedef struct {
     float sigma_m_s[BEATS_MAX];
 } speed_upload_t;
 
+/* Amplitudes the host computed. */
 typedef struct {
     uint32_t reference_crc; /* must match the board's */
     uint16_t beats;
     float amplitude_rad[BEATS_MAX];
 } amplitudes_upload_t;
 
-/* Encoders return the number of bytes written; |out| holds RECORD_TRIAL_MAX_BYTES or RECORD_MAX_BYTES. */
-#define RECORD_TRIAL_MAX_BYTES (40u + 3u * 4u * BEATS_MAX + 4u)
+/* Encoders return the number of bytes written; |out| holds RECORD_TRIAL_MAX_BYTES for a trial and
+ * RECORD_MAX_BYTES for the others. Beats must be 1..BEATS_MAX. Only the first |beats| values of an
+ * array are stored. */
+
+/* |reference->crc| is not read; record_crc() of the result is the reference's identity. */
 size_t record_encode_reference(const reference_t *reference, uint8_t *out);
 size_t record_encode_memory(const memory_t *memory, uint8_t *out);
 size_t record_encode_trial(const trial_t *trial, uint8_t *out);
 size_t record_encode_params(const params_t *params, uint8_t *out);
+size_t record_encode_counter(uint32_t next_trial, uint8_t *out);
+size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out);
+size_t record_encode_amplitudes(const amplitudes_upload_t *amplitudes, uint8_t *out);
 
-/* FAULT_NONE, FAULT_BAD_FORMAT (magic, version, length, CRC) or FAULT_BAD_DATA (values). */
+/* The CRC a record states; |bytes| holds at least RECORD_HEADER_BYTES. */
+uint32_t record_crc(const uint8_t *bytes);
+
+/* FAULT_NONE, FAULT_BAD_FORMAT (magic, version, length, CRC) or FAULT_BAD_DATA (values). Array
+ * values beyond |beats| keep what they were. */
+
+/* Speeds finite and >= 0, beat_s > 0. Limits that depend on parameters are the application's. */
 fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t *reference);
-fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory);
-fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial);
-fault_t record_decode_speeds(const uint8_t *bytes, size_t length, speed_upload_t *speeds);
-fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length, amplitudes_upload_t *amplitudes);
 
-/* Parameters are stored by name: unknown names are skipped, missing ones keep their default, values
- * out of range keep their default; |ignored| counts both kinds. */
-fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *params, uint16_t *ignored);
+/* Amplitudes finite (stored unsaturated, so any sign); the best ones and their error finite and >=
+ * 0 once there is a best. */
+fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory);
+
+/* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */
+fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial);
+
+/* next_trial > 0. */
+fault_t record_decode_counter(const uint8_t *bytes, size_t length, uint32_t *next_trial);
+
+/* Each speed NaN (not measured; its sigma is then not looked at) or finite with a finite sigma >=
+ * 0. */
+fault_t record_decode_speeds(const uint8_t *bytes, size_t length, speed_upload_t *speeds);
+
+/* Amplitudes finite, any sign, as the board's own. */
+fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
+                                 amplitudes_upload_t *amplitudes);
+
+/* Parameters are stored by name: unknown names are skipped, missing ones get their default, values
+ * out of range get their default; |ignored| counts both kinds. */
+fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *params,
+                             uint16_t *ignored);
 
 #endif

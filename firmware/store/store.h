@@ -1,9 +1,9 @@
 /*
  * Files on the board: littlefs over the storage flash.
  *
- * Owns the mounted filesystem and all its buffers. One instance per board, no heap. Every replace is
- * write-new, sync, rename: after a cut at any instant the old or the new content is there.
- * Main loop only; a call that writes may take up to 100 ms on hardware.
+ * Owns the mounted filesystem and all its buffers. One instance per board, no heap. Every replace
+ * is write-new, sync, rename: after a cut at any instant the old or the new content is there. Main
+ * loop only; a call that writes may take up to 100 ms on hardware.
  */
 #ifndef STORE_STORE_H
 #define STORE_STORE_H
@@ -19,7 +19,11 @@
 #define STORE_BLOCKS (HAL_FLASH_SIZE_BYTES / STORE_BLOCK_BYTES)
 #define STORE_CACHE_BYTES 256u
 #define STORE_LOOKAHEAD_BYTES 16u
-#define STORE_PATH_BYTES 40u /* longest path, with its final zero */
+#define STORE_PATH_BYTES 40u /* longest path, with its final zero; 4 less for store_replace */
+
+/* What store_make_space keeps free beyond what it is asked for: learned input, pending trial and
+ * the filesystem's own blocks must find room after a trial filled all the rest. */
+#define STORE_RESERVE_BYTES (10u * STORE_BLOCK_BYTES)
 
 typedef enum {
     STORE_OK = 0,
@@ -57,16 +61,23 @@ typedef struct {
     bool directory;
 } store_entry_t;
 
-typedef enum { STORE_READ, STORE_WRITE_NEW, STORE_APPEND } store_mode_t;
+typedef enum { STORE_READ = 0, STORE_WRITE_NEW = 1, STORE_APPEND = 2 } store_mode_t;
 
-/* Mounts; formats only when there is no filesystem to mount. Makes /trials and /in. */
+/* Mounts; formats only when there is no filesystem: mounting found garbage and neither superblock
+ * is readable. Makes /trials and /in, removes what a cut store_replace left behind. |store| must
+ * not move while mounted. Every other call answers STORE_IO while not mounted. */
 store_result_t store_mount(store_t *store, hal_t *hal);
+
+/* Erases all files and mounts the empty filesystem. */
+store_result_t store_format(store_t *store, hal_t *hal);
+
+/* All files must be closed. */
 void store_unmount(store_t *store);
 
 /* Replaces |path| with the given bytes, atomically. */
 store_result_t store_replace(store_t *store, const char *path, const void *bytes, size_t length);
 
-/* Reads the whole of |path|: its length must be exactly |length|. */
+/* Reads the whole of |path|: STORE_CORRUPT unless its length is exactly |length|. */
 store_result_t store_load(store_t *store, const char *path, void *out, size_t length);
 
 store_result_t store_size(store_t *store, const char *path, uint32_t *size_bytes);
@@ -75,6 +86,9 @@ store_result_t store_remove(store_t *store, const char *path);
 /* CRC-32 (base/crc.h) over the whole file. */
 store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc);
 
+/* STORE_READ and STORE_APPEND need the file to be there; STORE_WRITE_NEW empties it. What is
+ * written counts from the next store_sync or store_close on. A file that was opened must be closed,
+ * also after a failed write. */
 store_result_t store_open(store_t *store, store_file_t *file, const char *path, store_mode_t mode);
 store_result_t store_read_at(store_t *store, store_file_t *file, uint32_t offset, void *out,
                              size_t max, size_t *got);
@@ -86,13 +100,15 @@ uint32_t store_file_size(store_t *store, store_file_t *file);
 store_result_t store_close(store_t *store, store_file_t *file);
 
 /* Entry number |index| of a folder ("." and ".." are not counted). STORE_NOT_FOUND past the end. */
-store_result_t store_entry(store_t *store, const char *folder, uint32_t index, store_entry_t *entry);
+store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
+                           store_entry_t *entry);
 
 /* Free bytes in whole blocks. Walks the filesystem. */
 uint32_t store_free_bytes(store_t *store);
 
-/* Removes the oldest files of /trials, never |keep_trial|, until |bytes| are free, then compacts, so
- * that the trial itself need not. */
+/* Removes the oldest files of /trials (lowest number first), never |keep_trial|, until |bytes| and
+ * the reserve are free, then compacts, so that the trial itself need not. STORE_NO_SPACE when there
+ * is nothing left to remove. Takes seconds on hardware: not while swimming. */
 store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial);
 
 #endif

@@ -1,8 +1,10 @@
 /*
- * One ULog file per trial (/trials/NNNN.ulg), appended to while swimming. Collects bytes in RAM and
- * writes them in pieces; synced every 5 s, closed at the end. Main loop only.
+ * One ULog file per trial (/trials/NNNN.ulg), appended to while swimming. Collects whole messages
+ * in RAM and writes them in pieces; synced every 5 s, closed at the end. After a power cut the file
+ * is what the last sync saw and ends with a whole message. Main loop only.
  *
- * A write that fails is counted and ends the log; it never stops the swim.
+ * A write that fails is counted (store_t.failures) and ends the log; it never stops the swim.
+ * Records given to a log that failed or is closed are dropped.
  */
 #ifndef STORE_TRIAL_LOG_H
 #define STORE_TRIAL_LOG_H
@@ -13,6 +15,9 @@
 #include "supervisor/faults.h"
 
 #define TRIAL_LOG_BUFFER_BYTES 512u
+#define TRIAL_LOG_PIECE_BYTES 256u /* held bytes at which a poll writes: one flash page */
+#define TRIAL_LOG_TEXT_BYTES 60u   /* longer texts are cut */
+#define TRIAL_LOG_TEXTS 8u         /* counted in the size bound */
 #define TRIAL_LOG_SYNC_US 5000000u
 
 typedef struct {
@@ -20,9 +25,9 @@ typedef struct {
     uint16_t iteration;
     uint16_t beats;
     uint32_t reference_crc;
-    uint64_t start_us;      /* board time of frame 0 */
-    const char *build_id;   /* zero-terminated, static */
-    const char *board;      /* "fish", "simulated", "emulated" */
+    uint64_t start_us;    /* board time of frame 0 */
+    const char *build_id; /* zero-terminated, static */
+    const char *board;    /* "fish", "simulated", "emulated" */
     uint8_t unique_id[16];
 } trial_log_header_t;
 
@@ -48,12 +53,19 @@ typedef struct {
 /* Path of a trial's file; |out| holds STORE_PATH_BYTES. */
 void trial_log_path(uint32_t trial, char *out);
 
-/* Upper bound of the file's size for a trial of |beats| beats. */
+/* Upper bound of the file's size: |beats| beats, logged for |duration_s| (swim and settling) with
+ * ten slots and one battery record a second, and all beats once more for an upload. */
+uint32_t trial_log_size_bound_for(uint16_t beats, uint32_t duration_s);
+
+/* The same for beats of 1 s and 3 s of settling: below 20 KB for 40 beats. */
 uint32_t trial_log_size_bound(uint16_t beats);
 
-/* Makes the file and writes header and definitions: formats, trial info, all parameters. */
+/* Makes the file (over an older one of that number) and writes header and definitions: formats,
+ * trial info, all parameters. They are synced when this returns. */
 store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log_header_t *header,
                                const params_t *params);
+
+/* Empty slots are not written. */
 void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot);
 void trial_log_beat(trial_log_t *log, uint64_t time_us, const trial_log_beat_t *beat);
 void trial_log_battery(trial_log_t *log, uint64_t time_us, uint16_t battery_mv);
@@ -62,11 +74,13 @@ void trial_log_text(trial_log_t *log, uint64_t time_us, const char *text);
 /* How the trial ended; the last record of the swim. */
 void trial_log_end(trial_log_t *log, uint64_t time_us, fault_t end, uint16_t executed);
 
-/* Flushes what is held once it fills a piece or 5 s have passed. */
+/* Writes what is held once it fills a piece, and syncs every 5 s. Call it every main-loop pass. */
 void trial_log_poll(trial_log_t *log, uint64_t now_us);
+
+/* STORE_IO when anything of the log failed. A log that is not open closes at once. */
 store_result_t trial_log_close(trial_log_t *log);
 
-/* Reopens a closed file to append the uploaded speeds as beat records. */
+/* Reopens a closed file to append the uploaded speeds as beat records. Close it again. */
 store_result_t trial_log_reopen(trial_log_t *log, store_t *store, uint32_t trial);
 
 #endif

@@ -1,7 +1,7 @@
 /*
- * Every reason why the tail stopped or the board refused, once: number, name, what it means, what to
- * do (faults.def). The firmware sends numbers, the host tool prints the words, the docs list them.
- * Numbers are stable for ever.
+ * Every reason why the tail stopped or the board refused, once: number, name, what it means, what
+ * to do (faults.def). The firmware sends numbers, the host tool prints the words, the docs list
+ * them. Numbers are stable for ever.
  */
 #ifndef SUPERVISOR_FAULTS_H
 #define SUPERVISOR_FAULTS_H
@@ -16,8 +16,8 @@ typedef enum {
 
 typedef enum {
     FAULT_KIND_NONE = 0,
-    FAULT_KIND_ABORT = 1, /* a running trial is cut: ABORTED */
-    FAULT_KIND_FAULT = 2, /* the board needs looking at: FAULT */
+    FAULT_KIND_ABORT = 1,  /* a running trial is cut: ABORTED */
+    FAULT_KIND_FAULT = 2,  /* the board needs looking at: FAULT */
     FAULT_KIND_REFUSAL = 3 /* a request was turned down; nothing changed */
 } fault_kind_t;
 

@@ -13,21 +13,22 @@
 typedef struct {
     uint32_t link_timeout_us; /* 0 = not checked */
     uint32_t imu_timeout_us;  /* 0 = not checked */
-    uint32_t tick_late_us;    /* a tick this much after the last one is late */
-    uint16_t battery_critical_mv;
-    float tilt_max_rad; /* 0 = not checked */
+    uint32_t tick_late_us; /* a tick more than this after the last one is late; 0 = not checked */
+    uint16_t battery_critical_mv; /* below this; 0 = not checked */
+    float tilt_max_rad;           /* 0 = not checked */
 } stop_limits_t;
 
 typedef struct {
     uint64_t now_us;
     uint64_t last_tick_us;
-    uint64_t last_heartbeat_us; /* of the host that armed */
+    uint64_t last_heartbeat_us; /* of the host that armed. Times later than now are not silence */
     uint64_t last_imu_us;
     uint16_t battery_mv;
-    float pitch_rad, roll_rad;
+    float pitch_rad, roll_rad; /* not a number = tilted */
 } stop_inputs_t;
 
-/* The first rule that is broken, FAULT_NONE when none is. */
+/* The first rule that is broken, FAULT_NONE when none is. Order: battery critical, tilt, IMU stale,
+ * link lost, late tick. */
 fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs);
 
 #endif

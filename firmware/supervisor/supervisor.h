@@ -2,7 +2,11 @@
  * Who may move the tail, and when: one transition table over (state, event).
  *
  *   BOOT -> IDLE -> ARMED -> RUNNING -> SETTLING -> IDLE       learning only from IDLE
- *   RUNNING --abort--> ABORTED, any --fault--> FAULT; both stay until cleared.
+ *   RUNNING --abort--> ABORTED, any but BOOT --fault--> FAULT; both stay until cleared.
+ *
+ * In ARMED nothing is cut yet: an abort by command and a lost link disarm without leaving a reason,
+ * other aborts are refused. A fault in ABORTED leads to FAULT and leaves the reason of the abort;
+ * one in FAULT changes nothing.
  *
  * The amplitude may be nonzero only in RUNNING. Pure; guards that need the rest of the board are
  * checked by the caller before it sends the event. Not for interrupts.
@@ -43,7 +47,7 @@ typedef enum {
 
 typedef struct {
     state_t state;
-    fault_t reason; /* why it stopped; the first one stays until cleared */
+    fault_t reason; /* of ABORTED and FAULT; the first one stays until cleared. Else FAULT_NONE */
 } supervisor_t;
 
 void supervisor_init(supervisor_t *supervisor);
@@ -52,7 +56,7 @@ void supervisor_init(supervisor_t *supervisor);
  * refused event changes nothing. */
 bool supervisor_event(supervisor_t *supervisor, event_t event, fault_t fault);
 
-/* Whether |event| would be taken now. */
+/* Whether |event| would be taken now; EVENT_STOP: whether an abort by command would. */
 bool supervisor_allows(const supervisor_t *supervisor, event_t event);
 
 bool supervisor_may_swim(const supervisor_t *supervisor);

@@ -7,7 +7,11 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-typedef enum { HAL_BOARD_FISH = 1, HAL_BOARD_SIMULATED = 2, HAL_BOARD_EMULATED = 3 } hal_board_kind_t;
+typedef enum {
+    HAL_BOARD_FISH = 1,
+    HAL_BOARD_SIMULATED = 2,
+    HAL_BOARD_EMULATED = 3
+} hal_board_kind_t;
 
 typedef enum {
     HAL_RESET_POWER = 0,

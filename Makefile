@@ -1,0 +1,74 @@
+# What people type. `make help` lists it.
+MAKEFLAGS += --no-print-directory
+SHELL := /bin/sh
+BIN := .venv/bin
+PYTHON := $(CURDIR)/$(BIN)/python
+CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
+PACKAGE_SOURCES := $(shell find host firmware hal wire CMakeLists.txt cmake -not -name __pycache__ \
+	-not -name '*.pyc' -not -path '*/.*_cache*')
+C_SOURCES = $(shell find firmware hal bench tests/unit host/native -name '*.[ch]' 2>/dev/null)
+PYTHON_SOURCES := host tests tools wire $(wildcard bench)
+
+.PHONY: help demo test bench check clean lock bootstrap package unit coverage
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
+
+demo: package ## a simulated fish learns the thesis's speed profile
+	@$(BIN)/tailbeat demo
+
+test: unit package ## unit tests (sanitized), tests of the host tool, coverage
+	@$(BIN)/pytest tests/host tests/system
+	@$(MAKE) coverage
+
+bench: package ## how much faster than real time the simulation runs
+	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
+	@cmake --build build/bench --target tailbeat_bench -- --quiet
+	@build/bench/tailbeat_bench
+	@for script in $(wildcard bench/*.py); do $(BIN)/python $$script || exit 1; done
+
+check: ## formatting, types, static analysis, who includes whom
+	@tools/bootstrap check
+	@$(MAKE) package
+	$(BIN)/ruff check --quiet $(PYTHON_SOURCES)
+	$(BIN)/ruff format --quiet --check $(PYTHON_SOURCES)
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
+	$(BIN)/python tools/check_includes.py
+	tools/check_c
+
+clean: ## remove everything that was built, but not .venv
+	rm -rf build
+
+lock: bootstrap ## pin the newest versions of the Python packages
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
+		--no-annotate --no-emit-index-url --custom-compile-command "make lock" \
+		-o requirements/lock.txt host/pyproject.toml requirements/dev.in
+
+bootstrap:
+	@tools/bootstrap
+
+package: bootstrap
+	@$(MAKE) -s build/package.stamp
+
+build/package.stamp: $(PACKAGE_SOURCES)
+	@echo "building and installing the host tool into .venv"
+	@mkdir -p build
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
+		--no-deps --force-reinstall --config-settings=build-dir=$(CURDIR)/build/wheel \
+		--config-settings=cmake.define.TAILBEAT_WERROR=ON ./host
+	@touch $@
+
+unit: bootstrap
+	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
+		-DTAILBEAT_NATIVE=OFF >/dev/null
+	@cmake --build build/unit -- --quiet
+	@find build/unit -name '*.gcda' -delete
+	@ctest --test-dir build/unit --output-on-failure
+
+coverage:
+	@echo "Line coverage of firmware/ by the unit tests:"
+	@$(BIN)/gcovr --root . --filter firmware/ --object-directory build/unit \
+		--gcov-ignore-errors=source_not_found --gcov-ignore-errors=no_working_dir_found \
+		build/unit/CMakeFiles/tailbeat_firmware.dir

@@ -1,0 +1,24 @@
+# How C is compiled. tailbeat_common holds for everything, other people's sources included.
+add_library(tailbeat_common INTERFACE)
+target_compile_options(tailbeat_common INTERFACE -ffp-contract=off -fno-semantic-interposition)
+if(TAILBEAT_SANITIZE)
+  target_compile_options(tailbeat_common INTERFACE
+    -g -O1 -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all)
+  target_link_options(tailbeat_common INTERFACE -fsanitize=address,undefined)
+endif()
+
+add_library(tailbeat_warnings INTERFACE)
+target_compile_options(tailbeat_warnings INTERFACE -Wall -Wextra -Wconversion
+  $<$<BOOL:${TAILBEAT_WERROR}>:-Werror>)
+target_link_libraries(tailbeat_warnings INTERFACE tailbeat_common)
+
+# Code that also runs on the board, which has no double in hardware.
+add_library(tailbeat_strict INTERFACE)
+target_compile_options(tailbeat_strict INTERFACE -Wdouble-promotion)
+target_link_libraries(tailbeat_strict INTERFACE tailbeat_warnings)
+
+add_library(tailbeat_measured INTERFACE)
+if(TAILBEAT_COVERAGE)
+  target_compile_options(tailbeat_measured INTERFACE --coverage)
+  target_link_options(tailbeat_measured INTERFACE --coverage)
+endif()

@@ -1,0 +1,101 @@
+#include "link/ftp_list.h"
+
+#include "link/ftp_paths.h"
+
+#include <string.h>
+
+#define ROOT_FOLDERS 2u
+#define DECIMAL_BYTES 11u /* of a uint32_t, with its final zero */
+#define ENTRY_BYTES (1u + STORE_PATH_BYTES + 1u + DECIMAL_BYTES)
+
+/* One entry with its final zero. */
+typedef struct {
+    char text[ENTRY_BYTES];
+    uint8_t length;
+} line_t;
+
+static void append(line_t *line, const char *text) {
+    const size_t length = strlen(text);
+    memcpy(line->text + line->length, text, length);
+    line->length = (uint8_t)(line->length + length);
+}
+
+static void append_decimal(line_t *line, uint32_t value) {
+    char digits[DECIMAL_BYTES];
+    uint32_t at = DECIMAL_BYTES - 1;
+    digits[at] = '\0';
+    do {
+        digits[--at] = (char)('0' + value % 10u);
+        value /= 10u;
+    } while (value != 0);
+    append(line, digits + at);
+}
+
+static void file_line(line_t *line, const char *name, uint32_t size_bytes) {
+    append(line, "F");
+    append(line, name);
+    append(line, "\t");
+    append_decimal(line, size_bytes);
+}
+
+/* The root shows its two folders and those records that exist. */
+static bool root_line(store_t *store, uint32_t index, line_t *line) {
+    static const char *const folders[ROOT_FOLDERS] = {"Dtrials", "Din"};
+    if (index < ROOT_FOLDERS) {
+        append(line, folders[index]);
+        return true;
+    }
+    uint32_t shown = ROOT_FOLDERS;
+    for (uint32_t i = 0; ftp_path_record(i) != NULL; i++) {
+        uint32_t size_bytes = 0;
+        if (store_size(store, ftp_path_record(i), &size_bytes) != STORE_OK) {
+            continue;
+        }
+        if (shown++ == index) {
+            file_line(line, ftp_path_record(i) + 1, size_bytes);
+            return true;
+        }
+    }
+    return false;
+}
+
+static bool folder_line(store_t *store, ftp_path_t folder, uint32_t index, line_t *line) {
+    store_entry_t entry;
+    const char *path = folder == FTP_PATH_TRIALS ? "/trials" : "/in";
+    if (store_entry(store, path, index, &entry) != STORE_OK) {
+        return false;
+    }
+    if (entry.directory || ftp_path_in_folder(folder, entry.name) == FTP_PATH_HIDDEN) {
+        append(line, "S");
+    } else {
+        file_line(line, entry.name, entry.size_bytes);
+    }
+    return true;
+}
+
+static bool next_line(store_t *store, ftp_path_t folder, uint32_t index, line_t *line) {
+    memset(line, 0, sizeof *line);
+    const bool got = folder == FTP_PATH_ROOT ? root_line(store, index, line)
+                                             : folder_line(store, folder, index, line);
+    line->length++;
+    return got;
+}
+
+ftp_error_t ftp_list(store_t *store, const ftp_request_t *request, uint8_t *reply) {
+    char path[STORE_PATH_BYTES];
+    const ftp_path_t folder = ftp_path_parse(request->data, request->size, path);
+    if (folder != FTP_PATH_ROOT && folder != FTP_PATH_TRIALS && folder != FTP_PATH_IN) {
+        return FTP_NOT_FOUND;
+    }
+    uint8_t used = 0;
+    line_t line;
+    for (uint32_t index = request->offset; next_line(store, folder, index, &line); index++) {
+        if (line.length > FTP_DATA_BYTES - used) {
+            break;
+        }
+        memcpy(reply + FTP_HEADER_BYTES + used, line.text, line.length);
+        used = (uint8_t)(used + line.length);
+    }
+    ftp_set_size(reply, used);
+    return used == 0 ? FTP_EOF : FTP_OK;
+}

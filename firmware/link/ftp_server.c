@@ -1,0 +1,304 @@
+#include "link/ftp_server.h"
+
+#include "base/crc.h"
+#include "link/ftp_codec.h"
+#include "link/ftp_list.h"
+#include "link/ftp_paths.h"
+#include "store/trial_log.h"
+
+#include <string.h>
+
+void ftp_server_init(ftp_server_t *ftp, store_t *store) {
+    memset(ftp, 0, sizeof *ftp);
+    ftp->store = store;
+}
+
+static bool same_host(ftp_host_t a, ftp_host_t b) {
+    return a.system == b.system && a.component == b.component && a.port == b.port;
+}
+
+static ftp_error_t from_store(store_result_t result) {
+    switch (result) {
+    case STORE_OK:
+        return FTP_OK;
+    case STORE_NOT_FOUND:
+        return FTP_NOT_FOUND;
+    case STORE_NO_SPACE:
+        return FTP_FAIL_ERRNO;
+    case STORE_CORRUPT:
+    case STORE_IO:
+    case STORE_BAD_ARGUMENT:
+    default:
+        return FTP_FAIL;
+    }
+}
+
+static bool is_busy(const ftp_server_t *ftp, const char *path) {
+    char busy[STORE_PATH_BYTES];
+    if (ftp->conditions.busy_trial == 0) {
+        return false;
+    }
+    trial_log_path(ftp->conditions.busy_trial, busy);
+    return strcmp(path, busy) == 0;
+}
+
+static ftp_error_t close_session(ftp_server_t *ftp) {
+    if (!ftp->open) {
+        return FTP_OK;
+    }
+    ftp->open = false;
+    ftp->bursting = false;
+    return from_store(store_close(ftp->store, &ftp->file));
+}
+
+static bool is_silent(const ftp_server_t *ftp) {
+    return !ftp->bursting && ftp->conditions.now_us - ftp->last_used_us >= FTP_SESSION_SILENT_US;
+}
+
+/* Whether the sender may close or take the session. */
+static bool may_take(const ftp_server_t *ftp, ftp_host_t host) {
+    return !ftp->open || same_host(ftp->owner, host) || is_silent(ftp);
+}
+
+static bool owns_session(const ftp_server_t *ftp, const ftp_request_t *request) {
+    return ftp->open && ftp->session == request->session && same_host(ftp->owner, request->host);
+}
+
+static ftp_error_t open_session(ftp_server_t *ftp, const ftp_request_t *request, const char *path,
+                                store_mode_t mode) {
+    if (!may_take(ftp, request->host)) {
+        return FTP_NO_SESSIONS;
+    }
+    (void)close_session(ftp);
+    const ftp_error_t error = from_store(store_open(ftp->store, &ftp->file, path, mode));
+    if (error == FTP_OK) {
+        ftp->open = true;
+        ftp->writing = mode != STORE_READ;
+        ftp->owner = request->host;
+        ftp->session = request->session;
+    }
+    return error;
+}
+
+static ftp_error_t open_for_reading(ftp_server_t *ftp, const ftp_request_t *request,
+                                    uint8_t *reply) {
+    char path[STORE_PATH_BYTES];
+    const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
+    if (kind != FTP_PATH_TRIAL && kind != FTP_PATH_UPLOAD && kind != FTP_PATH_RECORD) {
+        return FTP_NOT_FOUND;
+    }
+    if (is_busy(ftp, path)) {
+        return FTP_PROTECTED;
+    }
+    const ftp_error_t error = open_session(ftp, request, path, STORE_READ);
+    if (error == FTP_OK) {
+        ftp_set_u32(reply, store_file_size(ftp->store, &ftp->file));
+    }
+    return error;
+}
+
+static ftp_error_t open_for_writing(ftp_server_t *ftp, const ftp_request_t *request) {
+    char path[STORE_PATH_BYTES];
+    const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
+    if (kind != FTP_PATH_UPLOAD || ftp->conditions.read_only) {
+        return FTP_PROTECTED;
+    }
+    return open_session(ftp, request, path, STORE_WRITE_NEW);
+}
+
+/* A request for 0 bytes leaves the amount to us. */
+static uint8_t wanted_bytes(const ftp_request_t *request) {
+    return request->size == 0 ? (uint8_t)FTP_DATA_BYTES : request->size;
+}
+
+static ftp_error_t read_file(ftp_server_t *ftp, const ftp_request_t *request, uint8_t *reply) {
+    if (!owns_session(ftp, request) || ftp->writing) {
+        return FTP_INVALID_SESSION;
+    }
+    if (request->offset >= store_file_size(ftp->store, &ftp->file)) {
+        return FTP_EOF;
+    }
+    size_t got = 0;
+    const store_result_t result =
+        store_read_at(ftp->store, &ftp->file, request->offset, reply + FTP_HEADER_BYTES,
+                      wanted_bytes(request), &got);
+    ftp_set_size(reply, (uint8_t)got);
+    return from_store(result);
+}
+
+static ftp_error_t begin_burst(ftp_server_t *ftp, const ftp_request_t *request) {
+    if (!owns_session(ftp, request) || ftp->writing) {
+        return FTP_INVALID_SESSION;
+    }
+    ftp->bursting = false;
+    if (request->offset >= store_file_size(ftp->store, &ftp->file)) {
+        return FTP_EOF;
+    }
+    ftp->bursting = true;
+    ftp->burst_size = wanted_bytes(request);
+    ftp->burst_seq = (uint16_t)(request->seq + 1u);
+    ftp->burst_left = FTP_BURST_PACKETS;
+    ftp->burst_offset = request->offset;
+    return FTP_OK;
+}
+
+static ftp_error_t write_file(ftp_server_t *ftp, const ftp_request_t *request) {
+    if (!owns_session(ftp, request) || !ftp->writing) {
+        return FTP_INVALID_SESSION;
+    }
+    if (ftp->conditions.read_only) {
+        return FTP_PROTECTED;
+    }
+    if (request->size == 0) {
+        return FTP_INVALID_SIZE;
+    }
+    if (request->offset > FTP_IN_FILE_MAX_BYTES - request->size) {
+        return FTP_FAIL_ERRNO;
+    }
+    return from_store(
+        store_write_at(ftp->store, &ftp->file, request->offset, request->data, request->size));
+}
+
+static ftp_error_t remove_file(ftp_server_t *ftp, const ftp_request_t *request) {
+    char path[STORE_PATH_BYTES];
+    const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
+    if (kind == FTP_PATH_HIDDEN) {
+        return FTP_NOT_FOUND;
+    }
+    if ((kind != FTP_PATH_TRIAL && kind != FTP_PATH_UPLOAD) || ftp->conditions.read_only ||
+        is_busy(ftp, path)) {
+        return FTP_PROTECTED;
+    }
+    return from_store(store_remove(ftp->store, path));
+}
+
+static ftp_error_t checksum(ftp_server_t *ftp, const ftp_request_t *request, uint8_t *reply) {
+    char path[STORE_PATH_BYTES];
+    const ftp_path_t kind = ftp_path_parse(request->data, request->size, path);
+    if (kind != FTP_PATH_TRIAL && kind != FTP_PATH_UPLOAD && kind != FTP_PATH_RECORD) {
+        return FTP_NOT_FOUND;
+    }
+    if (is_busy(ftp, path)) {
+        return FTP_PROTECTED;
+    }
+    uint32_t crc = 0;
+    const ftp_error_t error = from_store(store_crc32(ftp->store, path, &crc));
+    ftp_set_u32(reply, crc);
+    return error;
+}
+
+static ftp_error_t reset_sessions(ftp_server_t *ftp, const ftp_request_t *request) {
+    ftp->have_last = false;
+    if (may_take(ftp, request->host)) {
+        (void)close_session(ftp);
+    }
+    return FTP_OK;
+}
+
+static ftp_error_t execute(ftp_server_t *ftp, const ftp_request_t *request, uint8_t *reply) {
+    switch (request->opcode) {
+    case FTP_OP_NONE:
+        return FTP_OK;
+    case FTP_OP_TERMINATE:
+        return owns_session(ftp, request) ? close_session(ftp) : FTP_INVALID_SESSION;
+    case FTP_OP_RESET:
+        return reset_sessions(ftp, request);
+    case FTP_OP_LIST:
+        return ftp_list(ftp->store, request, reply);
+    case FTP_OP_OPEN_RO:
+        return open_for_reading(ftp, request, reply);
+    case FTP_OP_READ:
+        return read_file(ftp, request, reply);
+    case FTP_OP_CREATE:
+    case FTP_OP_OPEN_WO:
+        return open_for_writing(ftp, request);
+    case FTP_OP_WRITE:
+        return write_file(ftp, request);
+    case FTP_OP_REMOVE:
+        return remove_file(ftp, request);
+    case FTP_OP_CRC32:
+        return checksum(ftp, request, reply);
+    case FTP_OP_BURST:
+        return begin_burst(ftp, request);
+    default:
+        return FTP_UNKNOWN_COMMAND;
+    }
+}
+
+/* Requests whose second execution would differ from the first. */
+static bool changes_something(uint8_t opcode) {
+    return opcode == FTP_OP_TERMINATE || opcode == FTP_OP_OPEN_RO || opcode == FTP_OP_CREATE ||
+           opcode == FTP_OP_OPEN_WO || opcode == FTP_OP_WRITE || opcode == FTP_OP_REMOVE;
+}
+
+static bool is_repeated(const ftp_server_t *ftp, ftp_host_t host, uint32_t crc) {
+    return ftp->have_last && same_host(ftp->last_host, host) && ftp->last_request_crc == crc &&
+           ftp->conditions.now_us - ftp->last_reply_us < FTP_SESSION_SILENT_US;
+}
+
+static void remember(ftp_server_t *ftp, ftp_host_t host, uint32_t crc, const uint8_t *reply) {
+    ftp->have_last = true;
+    ftp->last_host = host;
+    ftp->last_request_crc = crc;
+    ftp->last_reply_us = ftp->conditions.now_us;
+    memcpy(ftp->last_reply, reply, FTP_SHORT_REPLY_BYTES);
+}
+
+bool ftp_server_request(ftp_server_t *ftp, ftp_host_t host, const uint8_t *payload,
+                        uint8_t *reply) {
+    const ftp_request_t request = ftp_decode(payload, host);
+    if (request.opcode == FTP_OP_ACK || request.opcode == FTP_OP_NAK) {
+        return false;
+    }
+    ftp_ack(&request, reply);
+    if (request.size > FTP_DATA_BYTES) {
+        ftp_nak(reply, FTP_INVALID_SIZE);
+        return true;
+    }
+    const bool changes = changes_something(request.opcode);
+    const uint32_t crc =
+        changes ? crc32_update(0, payload, FTP_HEADER_BYTES + (size_t)request.size) : 0;
+    if (changes && is_repeated(ftp, host, crc)) {
+        memcpy(reply, ftp->last_reply, FTP_SHORT_REPLY_BYTES);
+        return true;
+    }
+    const ftp_error_t error = execute(ftp, &request, reply);
+    if (ftp->open && same_host(ftp->owner, host)) {
+        ftp->last_used_us = ftp->conditions.now_us;
+    }
+    if (error != FTP_OK) {
+        ftp_nak(reply, error);
+    } else if (changes) {
+        remember(ftp, host, crc, reply);
+    }
+    return error != FTP_OK || request.opcode != FTP_OP_BURST;
+}
+
+bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply) {
+    if (!ftp->bursting) {
+        return false;
+    }
+    memset(reply, 0, FTP_PAYLOAD_BYTES);
+    size_t got = 0;
+    const store_result_t result = store_read_at(ftp->store, &ftp->file, ftp->burst_offset,
+                                                reply + FTP_HEADER_BYTES, ftp->burst_size, &got);
+    const uint32_t next = ftp->burst_offset + (uint32_t)got;
+    ftp->burst_left--;
+    const bool failed = result != STORE_OK || got == 0;
+    const ftp_burst_packet_t packet = {
+        .seq = ftp->burst_seq++,
+        .session = ftp->session,
+        .offset = ftp->burst_offset,
+        .size = (uint8_t)got,
+        .complete =
+            failed || ftp->burst_left == 0 || next >= store_file_size(ftp->store, &ftp->file),
+    };
+    ftp_put_burst(&packet, reply);
+    if (failed) {
+        ftp_nak(reply, result != STORE_OK ? FTP_FAIL : FTP_EOF);
+    }
+    ftp->bursting = !packet.complete;
+    ftp->burst_offset = next;
+    ftp->last_used_us = ftp->conditions.now_us;
+    return true;
+}

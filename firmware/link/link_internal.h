@@ -1,0 +1,51 @@
+/* What the files of link/ share; nobody else includes it. */
+#ifndef LINK_LINK_INTERNAL_H
+#define LINK_LINK_INTERNAL_H
+
+#include "link/link.h"
+
+/* A message taken in, and where. */
+typedef struct {
+    channel_t *channel;
+    const mavlink_message_t *message;
+} link_received_t;
+
+typedef void (*link_send_t)(link_t *link, channel_t *channel);
+
+/* Bytes left free for answers when something is streamed. */
+#define LINK_RESERVE_BYTES 100u
+
+/* MAVLink 2: longest header, checksum. */
+#define LINK_FRAME_BYTES (MAVLINK_NUM_NON_PAYLOAD_BYTES)
+
+bool link_addressed(uint8_t system, uint8_t component);
+bool link_heard(const link_t *link, const channel_t *channel);
+void link_send_to_heard(link_t *link, link_send_t send);
+
+/* messages.c: one message each, from link->status. */
+void link_send_heartbeat(link_t *link, channel_t *channel);
+void link_send_status(link_t *link, channel_t *channel);
+void link_send_battery(link_t *link, channel_t *channel);
+void link_send_attitude(link_t *link, channel_t *channel);
+void link_send_live(link_t *link, channel_t *channel);
+void link_send_health(link_t *link, channel_t *channel);
+void link_send_learn_report(link_t *link, channel_t *channel);
+void link_send_version(link_t *link, channel_t *channel);
+void link_send_amplitudes(link_t *link, channel_t *channel, uint16_t first);
+void link_send_text(channel_t *channel, uint8_t severity, const char *text);
+mavlink_tailbeat_status_t link_status_message(const link_t *link);
+
+/* telemetry.c: what is due. */
+void link_telemetry(link_t *link);
+
+/* commands.c */
+void link_on_command_long(link_t *link, const link_received_t *in);
+void link_on_command_int(link_t *link, const link_received_t *in);
+
+/* params_server.c */
+void link_on_param_request_list(link_t *link, const link_received_t *in);
+void link_on_param_request_read(link_t *link, const link_received_t *in);
+void link_on_param_set(link_t *link, const link_received_t *in);
+void link_stream_params(link_t *link);
+
+#endif

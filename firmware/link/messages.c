@@ -1,0 +1,273 @@
+#include "link/link_internal.h"
+
+#include "base/real.h"
+#include "hal/clock.h"
+#include "hal/system.h"
+
+#include <string.h>
+
+#define RAD_PER_DEG (REAL_PI / 180.0f)
+#define VERSION_0_1_0 0x00010000u /* major, minor, patch, type: development */
+#define HASH_CHARS 8u
+#define HASH_MIN_CHARS 7u
+#define TEXT_CHARS 49u
+#define AMPLITUDES_PER_MESSAGE 32u
+
+/* Encodes |fields| with the channel's own sequence number and sends it. */
+#define SEND(channel, name, fields)                                                                \
+    do {                                                                                           \
+        mavlink_message_t message_;                                                                \
+        mavlink_msg_##name##_encode_status(LINK_SYSTEM, LINK_COMPONENT, &(channel)->tx_status,     \
+                                           &message_, (fields));                                   \
+        (void)channel_send((channel), &message_);                                                  \
+    } while (0)
+
+static uint32_t boot_ms(const link_t *link) { return (uint32_t)(hal_time_us(link->hal) / 1000u); }
+
+static uint8_t system_status(state_t state) {
+    switch (state) {
+    case STATE_BOOT:
+        return MAV_STATE_BOOT;
+    case STATE_ARMED:
+    case STATE_RUNNING:
+        return MAV_STATE_ACTIVE;
+    case STATE_ABORTED:
+    case STATE_FAULT:
+        return MAV_STATE_CRITICAL;
+    case STATE_IDLE:
+    case STATE_SETTLING:
+    case STATE_LEARNING:
+    case STATE_COUNT:
+    default:
+        return MAV_STATE_STANDBY;
+    }
+}
+
+void link_send_heartbeat(link_t *link, channel_t *channel) {
+    const link_status_t *status = link->status;
+    const bool armed = status->state == STATE_ARMED || status->state == STATE_RUNNING;
+    const mavlink_heartbeat_t heartbeat = {
+        .custom_mode = (uint32_t)status->state | (uint32_t)status->fault << 8,
+        .type = MAV_TYPE_SUBMARINE,
+        .autopilot = MAV_AUTOPILOT_GENERIC,
+        .base_mode =
+            (uint8_t)(MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (armed ? MAV_MODE_FLAG_SAFETY_ARMED : 0)),
+        .system_status = system_status(status->state),
+        .mavlink_version = 3,
+    };
+    SEND(channel, heartbeat, &heartbeat);
+}
+
+mavlink_tailbeat_status_t link_status_message(const link_t *link) {
+    const link_status_t *status = link->status;
+    const memory_t *memory = status->memory;
+    return (mavlink_tailbeat_status_t){
+        .time_boot_ms = boot_ms(link),
+        .trial = status->trial,
+        .next_trial = status->next_trial,
+        .pending_trial = status->pending_trial,
+        .reference_crc = status->reference_crc,
+        .last_learned_trial = memory->last_trial,
+        .best_max_abs_error_m_s =
+            memory->best_iteration != 0 ? memory->best_max_abs_error_m_s : __builtin_nanf(""),
+        .iteration = memory->iteration,
+        .best_iteration = memory->best_iteration,
+        .beats = status->beats,
+        .beat = status->beat,
+        .fault = (uint16_t)status->fault,
+        .battery_mv = status->battery_mv,
+        .state = (uint8_t)status->state,
+    };
+}
+
+void link_send_status(link_t *link, channel_t *channel) {
+    const mavlink_tailbeat_status_t fields = link_status_message(link);
+    SEND(channel, tailbeat_status, &fields);
+}
+
+void link_send_battery(link_t *link, channel_t *channel) {
+    mavlink_battery_status_t battery = {
+        .current_consumed = -1,
+        .energy_consumed = -1,
+        .temperature = INT16_MAX,
+        .current_battery = -1,
+        .battery_remaining = -1,
+        .battery_function = MAV_BATTERY_FUNCTION_ALL,
+        .type = MAV_BATTERY_TYPE_UNKNOWN,
+    };
+    memset(battery.voltages, 0xFF, sizeof battery.voltages);
+    battery.voltages[0] = link->status->battery_mv;
+    SEND(channel, battery_status, &battery);
+}
+
+void link_send_attitude(link_t *link, channel_t *channel) {
+    const imu_frame_t *imu = &link->status->imu;
+    const mavlink_attitude_t attitude = {
+        .time_boot_ms = boot_ms(link),
+        .roll = imu->ypr_deg[2] * RAD_PER_DEG,
+        .pitch = imu->ypr_deg[1] * RAD_PER_DEG,
+        .yaw = imu->ypr_deg[0] * RAD_PER_DEG,
+        .rollspeed = imu->rate_rad_s[0],
+        .pitchspeed = imu->rate_rad_s[1],
+        .yawspeed = imu->rate_rad_s[2],
+    };
+    SEND(channel, attitude, &attitude);
+}
+
+void link_send_live(link_t *link, channel_t *channel) {
+    const link_status_t *status = link->status;
+    const mavlink_tailbeat_live_t live = {
+        .time_boot_ms = boot_ms(link),
+        .angle_rad = status->angle_rad,
+        .amplitude_rad = status->amplitude_rad,
+        .speed_m_s = status->speed_m_s,
+        .yaw_rad = status->imu.ypr_deg[0] * RAD_PER_DEG,
+        .pitch_rad = status->imu.ypr_deg[1] * RAD_PER_DEG,
+        .roll_rad = status->imu.ypr_deg[2] * RAD_PER_DEG,
+        .beat = status->live_beat,
+        .pulse_ticks = status->pulse_ticks,
+    };
+    SEND(channel, tailbeat_live, &live);
+}
+
+static uint32_t overruns(const link_t *link) {
+    uint32_t sum = 0;
+    for (uint32_t port = 0; port < HAL_PORT_COUNT; port++) {
+        sum += hal_serial_errors(link->hal, (hal_port_t)port).overruns;
+    }
+    return sum;
+}
+
+void link_send_health(link_t *link, channel_t *channel) {
+    const link_status_t *status = link->status;
+    const speed_counters_t *speed = &status->speed_counters;
+    const mavlink_tailbeat_health_t health = {
+        .imu_frames = status->imu_counters.frames,
+        .imu_crc_failed = status->imu_counters.crc_failed,
+        .imu_implausible = status->imu_counters.implausible,
+        .imu_skipped_bytes = status->imu_counters.skipped_bytes,
+        .serial_overruns = overruns(link),
+        .link_bad_frames = link->channel[0].bad_frames + link->channel[1].bad_frames,
+        .link_dropped = link->channel[0].dropped + link->channel[1].dropped,
+        .vision_accepted = speed->accepted,
+        .vision_rejected = speed->implausible + speed->late + speed->early,
+        .late_ticks = status->late_ticks,
+        .store_failures = link->store->failures,
+        .store_free_bytes = store_free_bytes(link->store),
+        .longest_pause_us = status->longest_pause_us,
+        .reset_cause = (uint8_t)hal_reset_cause(link->hal),
+    };
+    SEND(channel, tailbeat_health, &health);
+}
+
+void link_send_amplitudes(link_t *link, channel_t *channel, uint16_t first) {
+    const memory_t *memory = link->status->memory;
+    mavlink_tailbeat_amplitudes_t piece = {
+        .reference_crc = memory->reference_crc,
+        .iteration = memory->iteration,
+        .beats = memory->beats,
+        .first = first,
+    };
+    for (uint32_t i = 0; i < AMPLITUDES_PER_MESSAGE && first + i < memory->beats; i++) {
+        piece.amplitude_rad[i] = memory->amplitude_rad[first + i];
+        piece.count++;
+    }
+    SEND(channel, tailbeat_amplitudes, &piece);
+}
+
+void link_send_learn_report(link_t *link, channel_t *channel) {
+    const link_learn_report_t *learned = &link->last_learned;
+    const memory_report_t *report = &learned->report;
+    const mavlink_tailbeat_learn_report_t fields = {
+        .trial = learned->trial,
+        .max_abs_error_m_s = report->law.max_abs_error_m_s,
+        .rms_error_m_s = report->law.rms_error_m_s,
+        .best_max_abs_error_m_s = learned->best_max_abs_error_m_s,
+        .iteration = learned->iteration,
+        .measured_beats = report->law.measured_beats,
+        .saturated_beats = report->law.saturated_beats,
+        .flags = (uint8_t)((report->improved ? TAILBEAT_LEARN_IMPROVED : 0) |
+                           (report->rolled_back ? TAILBEAT_LEARN_ROLLED_BACK : 0)),
+    };
+    SEND(channel, tailbeat_learn_report, &fields);
+}
+
+static bool is_hex(char c) { return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f'); }
+
+/* The commit's hash is the first long run of hexadecimal digits in what git describe says. */
+static const char *find_hash(const char *id) {
+    for (const char *at = id; *at != '\0'; at++) {
+        uint32_t run = 0;
+        while (run < HASH_MIN_CHARS && is_hex(at[run])) {
+            run++;
+        }
+        if (run == HASH_MIN_CHARS) {
+            return at;
+        }
+    }
+    return id;
+}
+
+static void copy_hash(uint8_t out[HASH_CHARS]) {
+    const char *hash = find_hash(link_build_id());
+    for (uint32_t i = 0; i < HASH_CHARS && hash[i] != '\0'; i++) {
+        out[i] = (uint8_t)hash[i];
+    }
+}
+
+void link_send_version(link_t *link, channel_t *channel) {
+    uint8_t unique_id[16];
+    char text[TEXT_CHARS + 1] = "tailbeat ";
+    mavlink_autopilot_version_t version = {
+        .capabilities = MAV_PROTOCOL_CAPABILITY_FTP | MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST |
+                        MAV_PROTOCOL_CAPABILITY_COMMAND_INT | MAV_PROTOCOL_CAPABILITY_MAVLINK2,
+        .flight_sw_version = VERSION_0_1_0,
+        .board_version = (uint32_t)hal_board_kind(link->hal),
+        .product_id = (uint16_t)hal_board_kind(link->hal),
+    };
+    hal_unique_id(link->hal, unique_id);
+    memcpy(version.uid2, unique_id, sizeof unique_id);
+    memcpy(&version.uid, unique_id, sizeof version.uid);
+    copy_hash(version.flight_custom_version);
+    SEND(channel, autopilot_version, &version);
+    strncat(text, link_build_id(), TEXT_CHARS - strlen(text));
+    link_send_text(channel, MAV_SEVERITY_INFO, text);
+}
+
+void link_send_text(channel_t *channel, uint8_t severity, const char *text) {
+    mavlink_statustext_t fields = {.severity = severity};
+    for (uint32_t i = 0; i < TEXT_CHARS && text[i] != '\0'; i++) {
+        fields.text[i] = text[i];
+    }
+    SEND(channel, statustext, &fields);
+}
+
+void link_text(link_t *link, uint8_t severity, const char *text) {
+    for (uint32_t i = 0; i < LINK_PORTS; i++) {
+        link_send_text(&link->channel[i], severity, text);
+    }
+}
+
+void link_beat(link_t *link, const link_beat_t *beat) {
+    const mavlink_tailbeat_beat_t fields = {
+        .trial = beat->trial,
+        .amplitude_rad = beat->amplitude_rad,
+        .reference_m_s = beat->reference_m_s,
+        .speed_m_s = beat->speed.speed_m_s,
+        .sigma_m_s = beat->speed.sigma_m_s,
+        .beat = beat->beat,
+        .samples = beat->speed.samples,
+        .flags = (uint8_t)((beat->speed.measured ? TAILBEAT_BEAT_MEASURED : 0) |
+                           (beat->saturated ? TAILBEAT_BEAT_SATURATED : 0)),
+    };
+    for (uint32_t i = 0; i < LINK_PORTS; i++) {
+        if (link_heard(link, &link->channel[i])) {
+            SEND(&link->channel[i], tailbeat_beat, &fields);
+        }
+    }
+}
+
+void link_learned(link_t *link, const link_learn_report_t *report) {
+    link->last_learned = *report;
+    link_send_to_heard(link, link_send_learn_report);
+}

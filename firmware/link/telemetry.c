@@ -1,0 +1,61 @@
+#include "link/link_internal.h"
+
+#include "base/crc.h"
+#include "hal/clock.h"
+
+#define SECOND_US 1000000u
+#define HEALTH_PERIOD_US 5000000u
+
+/* True once per |period_us|; a missed period is not made up for. */
+static bool is_due(uint64_t *next_us, uint64_t now_us, uint64_t period_us) {
+    if (now_us < *next_us) {
+        return false;
+    }
+    *next_us = *next_us + period_us > now_us ? *next_us + period_us : now_us + period_us;
+    return true;
+}
+
+static void send_heartbeats(link_t *link) {
+    for (uint32_t i = 0; i < LINK_PORTS; i++) {
+        link_send_heartbeat(link, &link->channel[i]);
+    }
+}
+
+static void send_slow(link_t *link) {
+    link_send_to_heard(link, link_send_status);
+    link_send_to_heard(link, link_send_battery);
+    if (link->status->imu_counters.frames != 0) {
+        link_send_to_heard(link, link_send_attitude);
+    }
+}
+
+/* The battery's last digits never rest; they alone are no news. */
+static bool status_changed(link_t *link) {
+    mavlink_tailbeat_status_t message = link_status_message(link);
+    message.time_boot_ms = 0;
+    message.battery_mv = 0;
+    const uint32_t digest = crc32_update(0, &message, MAVLINK_MSG_ID_TAILBEAT_STATUS_LEN);
+    const bool changed = digest != link->status_digest;
+    link->status_digest = digest;
+    return changed;
+}
+
+void link_telemetry(link_t *link) {
+    const uint64_t now_us = hal_time_us(link->hal);
+    const bool changed = status_changed(link);
+    if (is_due(&link->next_heartbeat_us, now_us, SECOND_US)) {
+        send_heartbeats(link);
+    }
+    if (is_due(&link->next_slow_us, now_us, SECOND_US)) {
+        send_slow(link);
+    } else if (changed) {
+        link_send_to_heard(link, link_send_status);
+    }
+    const int32_t rate_hz = params_whole(link->params, PARAM_TLM_RATE_HZ);
+    if (rate_hz > 0 && is_due(&link->next_live_us, now_us, SECOND_US / (uint32_t)rate_hz)) {
+        link_send_to_heard(link, link_send_live);
+    }
+    if (is_due(&link->next_health_us, now_us, HEALTH_PERIOD_US)) {
+        link_send_to_heard(link, link_send_health);
+    }
+}

@@ -1,0 +1,329 @@
+#include "store/records.h"
+
+#include "base/crc.h"
+#include "base/panic.h"
+#include "base/real.h"
+#include "store/bytes.h"
+
+#define MAGIC_BYTES 4u
+#define CRC_OFFSET 8u
+#define F32_BYTES 4u
+#define REFERENCE_FIXED_BYTES 4u
+#define MEMORY_FIXED_BYTES 20u
+#define TRIAL_FIXED_BYTES 16u
+#define COUNTER_BODY_BYTES 4u
+#define SPEEDS_FIXED_BYTES 4u
+#define AMPLITUDES_FIXED_BYTES 4u
+#define PARAM_BYTES (PARAM_NAME_BYTES + F32_BYTES)
+
+_Static_assert(RECORD_MAX_BYTES ==
+                   RECORD_HEADER_BYTES + MEMORY_FIXED_BYTES + 2u * F32_BYTES * BEATS_MAX,
+               "the longest learned input");
+_Static_assert(RECORD_TRIAL_MAX_BYTES ==
+                   RECORD_HEADER_BYTES + TRIAL_FIXED_BYTES + 3u * F32_BYTES * BEATS_MAX,
+               "the longest pending trial");
+_Static_assert(RECORD_HEADER_BYTES + PARAM_BYTES * PARAM_COUNT <= RECORD_MAX_BYTES,
+               "the parameters fit the shared buffer");
+_Static_assert(sizeof(float) == F32_BYTES, "float is IEEE-754 single");
+
+static const char magic_reference[] = "TBRF";
+static const char magic_memory[] = "TBLI";
+static const char magic_trial[] = "TBTR";
+static const char magic_params[] = "TBPA";
+static const char magic_speeds[] = "TBSP";
+static const char magic_amplitudes[] = "TBAM";
+static const char magic_counter[] = "TBCT";
+
+static uint32_t record_sum(const uint8_t *bytes, size_t length) {
+    const uint32_t front = crc32_update(0, bytes, CRC_OFFSET);
+    return crc32_update(front, bytes + RECORD_HEADER_BYTES, length - RECORD_HEADER_BYTES);
+}
+
+/* Returns where the body begins. */
+static uint8_t *begin_record(uint8_t *out, const char *magic, uint16_t count) {
+    memcpy(out, magic, MAGIC_BYTES);
+    uint8_t *at = bytes_put_u16(out + MAGIC_BYTES, RECORD_VERSION);
+    return bytes_put_u32(bytes_put_u16(at, count), 0);
+}
+
+static size_t end_record(uint8_t *out, const uint8_t *end) {
+    const size_t length = (size_t)(end - out);
+    (void)bytes_put_u32(out + CRC_OFFSET, record_sum(out, length));
+    return length;
+}
+
+static uint8_t *put_array(uint8_t *at, const float *values, uint16_t count) {
+    for (uint16_t i = 0; i < count; i++) {
+        at = bytes_put_f32(at, values[i]);
+    }
+    return at;
+}
+
+static void get_array(const uint8_t *at, float *values, uint16_t count) {
+    for (uint16_t i = 0; i < count; i++) {
+        values[i] = bytes_get_f32(at + F32_BYTES * i);
+    }
+}
+
+/* What a record must look like before its values are looked at. */
+typedef struct {
+    const char *magic;
+    size_t fixed_bytes; /* body before the arrays */
+    size_t bytes_each;  /* of the arrays, per count */
+    uint16_t count_min, count_max;
+} shape_t;
+
+static bool shape_fits(const shape_t *shape, const uint8_t *bytes, size_t length) {
+    if (length < RECORD_HEADER_BYTES || memcmp(bytes, shape->magic, MAGIC_BYTES) != 0 ||
+        bytes_get_u16(bytes + MAGIC_BYTES) != RECORD_VERSION) {
+        return false;
+    }
+    const uint16_t count = bytes_get_u16(bytes + 6);
+    return count >= shape->count_min && count <= shape->count_max &&
+           length == RECORD_HEADER_BYTES + shape->fixed_bytes + shape->bytes_each * count &&
+           record_sum(bytes, length) == record_crc(bytes);
+}
+
+static bool all_finite(const uint8_t *at, uint16_t count) {
+    bool good = true;
+    for (uint16_t i = 0; i < count; i++) {
+        good = good && real_is_finite(bytes_get_f32(at + F32_BYTES * i));
+    }
+    return good;
+}
+
+static bool not_negative(const uint8_t *at, uint16_t count) {
+    bool good = all_finite(at, count);
+    for (uint16_t i = 0; i < count; i++) {
+        good = good && bytes_get_f32(at + F32_BYTES * i) >= 0.0f;
+    }
+    return good;
+}
+
+static bool is_nan(float x) { return x != x; }
+
+/* |at|: speeds, then sigmas. */
+static bool speeds_plausible(const uint8_t *at, uint16_t beats) {
+    for (uint16_t i = 0; i < beats; i++) {
+        const uint8_t *speed = at + F32_BYTES * i;
+        const bool good = is_nan(bytes_get_f32(speed)) ||
+                          (all_finite(speed, 1) && not_negative(speed + F32_BYTES * beats, 1));
+        if (!good) {
+            return false;
+        }
+    }
+    return true;
+}
+
+static void require_beats(uint16_t beats) { REQUIRE(beats >= 1u && beats <= BEATS_MAX); }
+
+uint32_t record_crc(const uint8_t *bytes) { return bytes_get_u32(bytes + CRC_OFFSET); }
+
+size_t record_encode_reference(const reference_t *reference, uint8_t *out) {
+    require_beats(reference->beats);
+    uint8_t *at = begin_record(out, magic_reference, reference->beats);
+    at = bytes_put_f32(at, reference->beat_s);
+    return end_record(out, put_array(at, reference->speed_m_s, reference->beats));
+}
+
+fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t *reference) {
+    static const shape_t shape = {magic_reference, REFERENCE_FIXED_BYTES, F32_BYTES, 1, BEATS_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t beats = bytes_get_u16(bytes + 6);
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const float beat_s = bytes_get_f32(body);
+    const uint8_t *speeds = body + REFERENCE_FIXED_BYTES;
+    if (!real_is_finite(beat_s) || !(beat_s > 0.0f) || !not_negative(speeds, beats)) {
+        return FAULT_BAD_DATA;
+    }
+    reference->beats = beats;
+    reference->crc = record_crc(bytes);
+    reference->beat_s = beat_s;
+    get_array(speeds, reference->speed_m_s, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_memory(const memory_t *memory, uint8_t *out) {
+    require_beats(memory->beats);
+    uint8_t *at = begin_record(out, magic_memory, memory->beats);
+    at = bytes_put_u32(at, memory->reference_crc);
+    at = bytes_put_u32(at, memory->last_trial);
+    at = bytes_put_u16(at, memory->iteration);
+    at = bytes_put_u16(at, memory->best_iteration);
+    at = bytes_put_u16(at, memory->worse_streak);
+    at = bytes_put_u16(at, 0);
+    at = bytes_put_f32(at, memory->best_max_abs_error_m_s);
+    at = put_array(at, memory->amplitude_rad, memory->beats);
+    return end_record(out, put_array(at, memory->best_rad, memory->beats));
+}
+
+fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory) {
+    static const shape_t shape = {magic_memory, MEMORY_FIXED_BYTES, 2u * F32_BYTES, 1, BEATS_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t beats = bytes_get_u16(bytes + 6);
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const uint8_t *amplitudes = body + MEMORY_FIXED_BYTES;
+    const uint8_t *best = amplitudes + F32_BYTES * beats;
+    const uint16_t best_iteration = bytes_get_u16(body + 10);
+    const bool best_good =
+        best_iteration == 0u || (not_negative(body + 16, 1) && not_negative(best, beats));
+    if (!all_finite(amplitudes, beats) || !best_good) {
+        return FAULT_BAD_DATA;
+    }
+    memory->beats = beats;
+    memory->reference_crc = bytes_get_u32(body);
+    memory->last_trial = bytes_get_u32(body + 4);
+    memory->iteration = bytes_get_u16(body + 8);
+    memory->best_iteration = best_iteration;
+    memory->worse_streak = bytes_get_u16(body + 12);
+    memory->best_max_abs_error_m_s = bytes_get_f32(body + 16);
+    get_array(amplitudes, memory->amplitude_rad, beats);
+    get_array(best, memory->best_rad, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_trial(const trial_t *trial, uint8_t *out) {
+    require_beats(trial->beats);
+    uint8_t *at = begin_record(out, magic_trial, trial->beats);
+    at = bytes_put_u32(at, trial->number);
+    at = bytes_put_u32(at, trial->reference_crc);
+    at = bytes_put_u16(at, trial->iteration);
+    at = bytes_put_u16(at, trial->executed);
+    at = bytes_put_u16(at, trial->source);
+    at = bytes_put_u16(at, trial->end);
+    at = put_array(at, trial->amplitude_rad, trial->beats);
+    at = put_array(at, trial->speed_m_s, trial->beats);
+    return end_record(out, put_array(at, trial->sigma_m_s, trial->beats));
+}
+
+fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial) {
+    static const shape_t shape = {magic_trial, TRIAL_FIXED_BYTES, 3u * F32_BYTES, 1, BEATS_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t beats = bytes_get_u16(bytes + 6);
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const uint8_t *amplitudes = body + TRIAL_FIXED_BYTES;
+    const uint8_t *speeds = amplitudes + F32_BYTES * beats;
+    const uint32_t number = bytes_get_u32(body);
+    const uint16_t executed = bytes_get_u16(body + 10);
+    const uint16_t source = bytes_get_u16(body + 12);
+    if (number == 0u || executed > beats || source >= SPEED_SOURCE_COUNT ||
+        !not_negative(amplitudes, beats) || !speeds_plausible(speeds, beats)) {
+        return FAULT_BAD_DATA;
+    }
+    trial->number = number;
+    trial->reference_crc = bytes_get_u32(body + 4);
+    trial->iteration = bytes_get_u16(body + 8);
+    trial->beats = beats;
+    trial->executed = executed;
+    trial->source = source;
+    trial->end = bytes_get_u16(body + 14);
+    get_array(amplitudes, trial->amplitude_rad, beats);
+    get_array(speeds, trial->speed_m_s, beats);
+    get_array(speeds + F32_BYTES * beats, trial->sigma_m_s, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_counter(uint32_t next_trial, uint8_t *out) {
+    return end_record(out, bytes_put_u32(begin_record(out, magic_counter, 0), next_trial));
+}
+
+fault_t record_decode_counter(const uint8_t *bytes, size_t length, uint32_t *next_trial) {
+    static const shape_t shape = {magic_counter, COUNTER_BODY_BYTES, 0, 0, 0};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint32_t number = bytes_get_u32(bytes + RECORD_HEADER_BYTES);
+    if (number == 0u) {
+        return FAULT_BAD_DATA;
+    }
+    *next_trial = number;
+    return FAULT_NONE;
+}
+
+size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out) {
+    require_beats(speeds->beats);
+    uint8_t *at = begin_record(out, magic_speeds, speeds->beats);
+    at = bytes_put_u32(at, speeds->trial);
+    at = put_array(at, speeds->speed_m_s, speeds->beats);
+    return end_record(out, put_array(at, speeds->sigma_m_s, speeds->beats));
+}
+
+fault_t record_decode_speeds(const uint8_t *bytes, size_t length, speed_upload_t *speeds) {
+    static const shape_t shape = {magic_speeds, SPEEDS_FIXED_BYTES, 2u * F32_BYTES, 1, BEATS_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t beats = bytes_get_u16(bytes + 6);
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const uint8_t *values = body + SPEEDS_FIXED_BYTES;
+    if (!speeds_plausible(values, beats)) {
+        return FAULT_BAD_DATA;
+    }
+    speeds->trial = bytes_get_u32(body);
+    speeds->beats = beats;
+    get_array(values, speeds->speed_m_s, beats);
+    get_array(values + F32_BYTES * beats, speeds->sigma_m_s, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_amplitudes(const amplitudes_upload_t *amplitudes, uint8_t *out) {
+    require_beats(amplitudes->beats);
+    uint8_t *at = begin_record(out, magic_amplitudes, amplitudes->beats);
+    at = bytes_put_u32(at, amplitudes->reference_crc);
+    return end_record(out, put_array(at, amplitudes->amplitude_rad, amplitudes->beats));
+}
+
+fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
+                                 amplitudes_upload_t *amplitudes) {
+    static const shape_t shape = {magic_amplitudes, AMPLITUDES_FIXED_BYTES, F32_BYTES, 1,
+                                  BEATS_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t beats = bytes_get_u16(bytes + 6);
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    if (!all_finite(body + AMPLITUDES_FIXED_BYTES, beats)) {
+        return FAULT_BAD_DATA;
+    }
+    amplitudes->reference_crc = bytes_get_u32(body);
+    amplitudes->beats = beats;
+    get_array(body + AMPLITUDES_FIXED_BYTES, amplitudes->amplitude_rad, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_params(const params_t *params, uint8_t *out) {
+    uint8_t *at = begin_record(out, magic_params, PARAM_COUNT);
+    for (unsigned i = 0; i < PARAM_COUNT; i++) {
+        const char *name = param_info((param_t)i)->name;
+        memset(at, 0, PARAM_NAME_BYTES);
+        memcpy(at, name, strlen(name));
+        at = bytes_put_f32(at + PARAM_NAME_BYTES, params->value[i]);
+    }
+    return end_record(out, at);
+}
+
+fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *params,
+                             uint16_t *ignored) {
+    static const shape_t shape = {magic_params, 0, PARAM_BYTES, 0, UINT16_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t count = bytes_get_u16(bytes + 6);
+    params_reset(params);
+    *ignored = 0;
+    for (uint16_t i = 0; i < count; i++) {
+        const uint8_t *entry = bytes + RECORD_HEADER_BYTES + PARAM_BYTES * i;
+        const param_t param = param_find((const char *)entry);
+        const float value = bytes_get_f32(entry + PARAM_NAME_BYTES);
+        if (param == PARAM_COUNT || params_set(params, param, value) != PARAM_OK) {
+            (*ignored)++;
+        }
+    }
+    return FAULT_NONE;
+}

@@ -1,0 +1,336 @@
+#include "store/store.h"
+
+#include "base/crc.h"
+#include "store/blockdev.h"
+#include "store/store_internal.h"
+
+#include <string.h>
+
+#define FOLDER_TRIALS "/trials"
+#define FOLDER_IN "/in"
+#define CRC_PIECE_BYTES 128u
+#define TRIAL_SUFFIX ".ulg"
+#define TRIAL_DIGITS_MIN 4u
+#define TRIAL_DIGITS_MAX 10u
+
+store_result_t store_result(int code) {
+    if (code >= 0) {
+        return STORE_OK;
+    }
+    switch (code) {
+    case LFS_ERR_NOENT:
+        return STORE_NOT_FOUND;
+    case LFS_ERR_NOSPC:
+    case LFS_ERR_NAMETOOLONG: /* littlefs's word for no space for a new name; lengths are checked */
+        return STORE_NO_SPACE;
+    case LFS_ERR_CORRUPT:
+        return STORE_CORRUPT;
+    case LFS_ERR_EXIST:
+    case LFS_ERR_NOTDIR:
+    case LFS_ERR_ISDIR:
+    case LFS_ERR_NOTEMPTY:
+    case LFS_ERR_INVAL:
+    case LFS_ERR_FBIG:
+        return STORE_BAD_ARGUMENT;
+    default:
+        return STORE_IO;
+    }
+}
+
+store_result_t store_written(store_t *store, int code) {
+    const store_result_t result = store_result(code);
+    if (result == STORE_NO_SPACE || result == STORE_CORRUPT || result == STORE_IO) {
+        store->failures++;
+    }
+    return result;
+}
+
+static bool path_fits(const char *path, size_t room) { return memchr(path, '\0', room) != NULL; }
+
+static bool ends_with(const char *name, const char *suffix) {
+    const size_t name_length = strlen(name);
+    const size_t suffix_length = strlen(suffix);
+    return name_length > suffix_length && strcmp(name + name_length - suffix_length, suffix) == 0;
+}
+
+static void join_path(char out[STORE_PATH_BYTES], const char *folder, const char *name) {
+    const size_t folder_length = strcmp(folder, "/") == 0 ? 0 : strlen(folder);
+    memcpy(out, folder, folder_length);
+    out[folder_length] = '/';
+    strcpy(out + folder_length + 1, name);
+}
+
+/* Removes one leftover of |folder|; true when there was one. */
+static bool remove_leftover(store_t *store, const char *folder) {
+    store_entry_t entry;
+    for (uint32_t i = 0; store_entry(store, folder, i, &entry) == STORE_OK; i++) {
+        if (!entry.directory && ends_with(entry.name, STORE_NEW_SUFFIX) &&
+            strlen(folder) + 1u + strlen(entry.name) < STORE_PATH_BYTES) {
+            char path[STORE_PATH_BYTES];
+            join_path(path, folder, entry.name);
+            return store_remove(store, path) == STORE_OK;
+        }
+    }
+    return false;
+}
+
+static store_result_t make_folder(store_t *store, const char *path) {
+    const int code = lfs_mkdir(&store->lfs, path);
+    return code == LFS_ERR_EXIST ? STORE_OK : store_written(store, code);
+}
+
+/* What every mount does: finish what a cut left half done, make the folders. A full or unwritable
+ * flash stays mounted, so that the trials on it can be read. */
+static store_result_t settle(store_t *store) {
+    static const char *const folders[] = {"/", FOLDER_IN, FOLDER_TRIALS};
+    store->mounted = true;
+    store_result_t result = store_written(store, lfs_fs_mkconsistent(&store->lfs));
+    if (result == STORE_OK) {
+        result = make_folder(store, FOLDER_TRIALS);
+    }
+    if (result == STORE_OK) {
+        result = make_folder(store, FOLDER_IN);
+    }
+    for (size_t f = 0; f < sizeof folders / sizeof folders[0]; f++) {
+        for (uint32_t i = 0; i < STORE_BLOCKS && remove_leftover(store, folders[f]); i++) {
+        }
+    }
+    return result;
+}
+
+store_result_t store_format(store_t *store, hal_t *hal) {
+    memset(store, 0, sizeof *store);
+    blockdev_configure(store, hal);
+    int code = lfs_format(&store->lfs, &store->config);
+    if (code == LFS_ERR_OK) {
+        code = lfs_mount(&store->lfs, &store->config);
+    }
+    store->formatted = code == LFS_ERR_OK;
+    return code == LFS_ERR_OK ? settle(store) : store_written(store, code);
+}
+
+store_result_t store_mount(store_t *store, hal_t *hal) {
+    memset(store, 0, sizeof *store);
+    blockdev_configure(store, hal);
+    const int code = lfs_mount(&store->lfs, &store->config);
+    if (code == LFS_ERR_OK) {
+        return settle(store);
+    }
+    if (code == LFS_ERR_CORRUPT && !blockdev_superblock_readable(hal)) {
+        return store_format(store, hal);
+    }
+    return store_result(code);
+}
+
+void store_unmount(store_t *store) {
+    if (store->mounted) {
+        (void)lfs_unmount(&store->lfs);
+        store->mounted = false;
+    }
+}
+
+static int open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
+                      const char *path, int flags) {
+    *config = (struct lfs_file_config){.buffer = store->file_cache};
+    return lfs_file_opencfg(&store->lfs, file, path, flags, config);
+}
+
+static int write_whole(store_t *store, const char *path, const void *bytes, size_t length) {
+    lfs_file_t file;
+    struct lfs_file_config config;
+    const int opened =
+        open_short(store, &file, &config, path, LFS_O_WRONLY | LFS_O_CREAT | LFS_O_TRUNC);
+    if (opened < 0) {
+        return opened;
+    }
+    const lfs_ssize_t written = lfs_file_write(&store->lfs, &file, bytes, (lfs_size_t)length);
+    const int closed = lfs_file_close(&store->lfs, &file);
+    return written < 0 ? (int)written : closed;
+}
+
+store_result_t store_replace(store_t *store, const char *path, const void *bytes, size_t length) {
+    if (!store->mounted) {
+        return STORE_IO;
+    }
+    if (!path_fits(path, STORE_PATH_BYTES - STORE_NEW_SUFFIX_BYTES)) {
+        return STORE_BAD_ARGUMENT;
+    }
+    char fresh[STORE_PATH_BYTES];
+    strcpy(fresh, path);
+    strcat(fresh, STORE_NEW_SUFFIX);
+    int code = write_whole(store, fresh, bytes, length);
+    if (code >= 0) {
+        code = lfs_rename(&store->lfs, fresh, path);
+    }
+    if (code < 0) {
+        (void)lfs_remove(&store->lfs, fresh);
+    }
+    return store_written(store, code);
+}
+
+store_result_t store_load(store_t *store, const char *path, void *out, size_t length) {
+    if (!store->mounted) {
+        return STORE_IO;
+    }
+    lfs_file_t file;
+    struct lfs_file_config config;
+    const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
+    if (opened < 0) {
+        return store_result(opened);
+    }
+    store_result_t result = STORE_CORRUPT;
+    if ((size_t)lfs_file_size(&store->lfs, &file) == length) {
+        const lfs_ssize_t got = lfs_file_read(&store->lfs, &file, out, (lfs_size_t)length);
+        result = got < 0                 ? store_result((int)got)
+                 : (size_t)got == length ? STORE_OK
+                                         : STORE_CORRUPT;
+    }
+    (void)lfs_file_close(&store->lfs, &file);
+    return result;
+}
+
+store_result_t store_size(store_t *store, const char *path, uint32_t *size_bytes) {
+    if (!store->mounted) {
+        return STORE_IO;
+    }
+    struct lfs_info info;
+    const int code = lfs_stat(&store->lfs, path, &info);
+    if (code < 0) {
+        return store_result(code);
+    }
+    if (info.type != LFS_TYPE_REG) {
+        return STORE_BAD_ARGUMENT;
+    }
+    *size_bytes = info.size;
+    return STORE_OK;
+}
+
+store_result_t store_remove(store_t *store, const char *path) {
+    return store->mounted ? store_written(store, lfs_remove(&store->lfs, path)) : STORE_IO;
+}
+
+store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc) {
+    if (!store->mounted) {
+        return STORE_IO;
+    }
+    lfs_file_t file;
+    struct lfs_file_config config;
+    const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
+    if (opened < 0) {
+        return store_result(opened);
+    }
+    uint32_t sum = 0;
+    lfs_ssize_t got = 0;
+    const lfs_soff_t size = lfs_file_size(&store->lfs, &file);
+    for (lfs_soff_t done = 0; done < size && got >= 0; done += (lfs_soff_t)CRC_PIECE_BYTES) {
+        uint8_t piece[CRC_PIECE_BYTES];
+        got = lfs_file_read(&store->lfs, &file, piece, sizeof piece);
+        sum = got > 0 ? crc32_update(sum, piece, (size_t)got) : sum;
+    }
+    (void)lfs_file_close(&store->lfs, &file);
+    if (got < 0) {
+        return store_result((int)got);
+    }
+    *crc = sum;
+    return STORE_OK;
+}
+
+static void fill_entry(const struct lfs_info *info, store_entry_t *entry) {
+    const size_t length = strlen(info->name);
+    memset(entry, 0, sizeof *entry);
+    memcpy(entry->name, info->name, length < STORE_PATH_BYTES ? length : STORE_PATH_BYTES - 1u);
+    entry->directory = info->type == LFS_TYPE_DIR;
+    entry->size_bytes = entry->directory ? 0 : info->size;
+}
+
+store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
+                           store_entry_t *entry) {
+    if (!store->mounted) {
+        return STORE_IO;
+    }
+    lfs_dir_t dir;
+    const int opened = lfs_dir_open(&store->lfs, &dir, folder);
+    if (opened < 0) {
+        return store_result(opened);
+    }
+    struct lfs_info info;
+    uint32_t seen = 0;
+    int more = lfs_dir_read(&store->lfs, &dir, &info);
+    while (more > 0) {
+        const bool counted = strcmp(info.name, ".") != 0 && strcmp(info.name, "..") != 0;
+        if (counted && seen++ == index) {
+            break;
+        }
+        more = lfs_dir_read(&store->lfs, &dir, &info);
+    }
+    (void)lfs_dir_close(&store->lfs, &dir);
+    if (more <= 0) {
+        return more < 0 ? store_result(more) : STORE_NOT_FOUND;
+    }
+    fill_entry(&info, entry);
+    return STORE_OK;
+}
+
+uint32_t store_free_bytes(store_t *store) {
+    if (!store->mounted) {
+        return 0;
+    }
+    const lfs_ssize_t used = lfs_fs_size(&store->lfs);
+    const bool known = used >= 0 && (uint32_t)used <= STORE_BLOCKS;
+    return known ? (STORE_BLOCKS - (uint32_t)used) * STORE_BLOCK_BYTES : 0;
+}
+
+/* "0042.ulg" -> 42. */
+static bool trial_number(const char *name, uint32_t *number) {
+    uint64_t value = 0;
+    size_t digits = 0;
+    while (digits <= TRIAL_DIGITS_MAX && name[digits] >= '0' && name[digits] <= '9') {
+        value = value * 10u + (uint64_t)(name[digits] - '0');
+        digits++;
+    }
+    if (digits < TRIAL_DIGITS_MIN || digits > TRIAL_DIGITS_MAX || value > UINT32_MAX ||
+        strcmp(name + digits, TRIAL_SUFFIX) != 0) {
+        return false;
+    }
+    *number = (uint32_t)value;
+    return true;
+}
+
+static store_result_t remove_oldest_trial(store_t *store, uint32_t keep_trial) {
+    store_entry_t entry;
+    char name[STORE_PATH_BYTES] = "";
+    uint32_t oldest = 0;
+    for (uint32_t i = 0; store_entry(store, FOLDER_TRIALS, i, &entry) == STORE_OK; i++) {
+        uint32_t number = 0;
+        if (!entry.directory && trial_number(entry.name, &number) && number != keep_trial &&
+            (name[0] == '\0' || number < oldest)) {
+            oldest = number;
+            strcpy(name, entry.name);
+        }
+    }
+    if (name[0] == '\0') {
+        return STORE_NO_SPACE;
+    }
+    char path[STORE_PATH_BYTES];
+    join_path(path, FOLDER_TRIALS, name);
+    return store_remove(store, path);
+}
+
+store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial) {
+    if (!store->mounted) {
+        return STORE_IO;
+    }
+    if (bytes > HAL_FLASH_SIZE_BYTES) {
+        return STORE_NO_SPACE;
+    }
+    for (uint32_t i = 0; i <= 2u * STORE_BLOCKS; i++) {
+        if (store_free_bytes(store) >= bytes + STORE_RESERVE_BYTES) {
+            return store_written(store, lfs_fs_gc(&store->lfs));
+        }
+        const store_result_t removed = remove_oldest_trial(store, keep_trial);
+        if (removed != STORE_OK) {
+            return removed;
+        }
+    }
+    return STORE_NO_SPACE;
+}

@@ -1,0 +1,16 @@
+/* Shared between store.c and store_file.c only. */
+#ifndef STORE_STORE_INTERNAL_H
+#define STORE_STORE_INTERNAL_H
+
+#include "store/store.h"
+
+#define STORE_NEW_SUFFIX ".new"
+#define STORE_NEW_SUFFIX_BYTES 4u
+
+/* littlefs's code as ours. */
+store_result_t store_result(int code);
+
+/* The same for a call that wrote: counts failures. */
+store_result_t store_written(store_t *store, int code);
+
+#endif

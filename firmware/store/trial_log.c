@@ -1,0 +1,287 @@
+#include "store/trial_log.h"
+
+#include "base/panic.h"
+#include "store/bytes.h"
+#include "store/ulog.h"
+
+#define PATH_DIGITS_MIN 4u
+#define PATH_DIGITS_MAX 10u
+#define UNIQUE_ID_BYTES 16u
+#define MILLIVOLT 0.001f
+
+/* The same in every file, so that records can be appended to a closed one. */
+typedef enum { ID_SLOT = 0, ID_BEAT = 1, ID_BATTERY = 2, ID_TRIAL_END = 3, ID_COUNT } message_id_t;
+
+static const char *const topics[ID_COUNT] = {
+    [ID_SLOT] = "slot", [ID_BEAT] = "beat", [ID_BATTERY] = "battery", [ID_TRIAL_END] = "trial_end"};
+
+static const char *const formats[ID_COUNT] = {
+    [ID_SLOT] = "slot:uint64_t timestamp;float time_s;float speed_m_s;float sigma_m_s;"
+                "uint16_t index;uint16_t samples;",
+    [ID_BEAT] = "beat:uint64_t timestamp;float amplitude_rad;float applied_rad;"
+                "float reference_m_s;float speed_m_s;float sigma_m_s;uint16_t beat;"
+                "uint16_t samples;",
+    [ID_BATTERY] = "battery:uint64_t timestamp;float voltage_v;",
+    [ID_TRIAL_END] = "trial_end:uint64_t timestamp;uint16_t end;uint16_t executed;"};
+
+/* Field bytes after the timestamp, and what a whole data message adds to them. */
+#define SLOT_BYTES 16u
+#define BEAT_BYTES 24u
+#define BATTERY_BYTES 4u
+#define TRIAL_END_BYTES 4u
+#define DATA_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 2u + 8u)
+#define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
+#define SLOTS_PER_S 10u
+#define SETTLE_S 3u /* default of the parameter */
+
+/* Header and definitions without the parameters: 936 bytes with texts of 40 characters. */
+#define DEFINITIONS_BYTES 1024u
+#define PARAMETER_BYTES (ULOG_HEADER_BYTES + 1u + 6u + PARAM_NAME_BYTES + 4u)
+
+_Static_assert(TRIAL_LOG_PIECE_BYTES + ULOG_MESSAGE_MAX_BYTES <= TRIAL_LOG_BUFFER_BYTES,
+               "after writing what a full piece holds any message fits");
+
+void trial_log_path(uint32_t trial, char *out) {
+    char digits[PATH_DIGITS_MAX];
+    size_t count = 0;
+    for (uint32_t rest = trial; rest != 0u || count < PATH_DIGITS_MIN; rest /= 10u) {
+        digits[count++] = (char)('0' + rest % 10u);
+    }
+    strcpy(out, "/trials/");
+    char *at = out + strlen(out);
+    while (count > 0) {
+        *at++ = digits[--count];
+    }
+    strcpy(at, ".ulg");
+}
+
+uint32_t trial_log_size_bound_for(uint16_t beats, uint32_t duration_s) {
+    const uint32_t per_second =
+        SLOTS_PER_S * (DATA_OVERHEAD_BYTES + SLOT_BYTES) + DATA_OVERHEAD_BYTES + BATTERY_BYTES;
+    const uint32_t per_beat = 2u * (DATA_OVERHEAD_BYTES + BEAT_BYTES);
+    return DEFINITIONS_BYTES + PARAM_COUNT * PARAMETER_BYTES + beats * per_beat +
+           (duration_s + 1u) * per_second + DATA_OVERHEAD_BYTES + TRIAL_END_BYTES +
+           TRIAL_LOG_TEXTS * (TEXT_OVERHEAD_BYTES + TRIAL_LOG_TEXT_BYTES);
+}
+
+uint32_t trial_log_size_bound(uint16_t beats) {
+    return trial_log_size_bound_for(beats, beats + SETTLE_S);
+}
+
+/* A failed file keeps what its last sync saw; closing it writes nothing more. */
+static void fail(trial_log_t *log) {
+    log->failed = true;
+    log->held = 0;
+    if (log->file.open) {
+        (void)store_close(log->store, &log->file);
+    }
+}
+
+static void write_held(trial_log_t *log) {
+    if (log->failed || log->held == 0u) {
+        return;
+    }
+    const store_result_t result = store_append(log->store, &log->file, log->buffer, log->held);
+    log->held = 0;
+    if (result != STORE_OK) {
+        fail(log);
+    }
+}
+
+static void sync_file(trial_log_t *log) {
+    if (!log->failed && store_sync(log->store, &log->file) != STORE_OK) {
+        fail(log);
+    }
+}
+
+static bool writable(const trial_log_t *log) { return log->file.open && !log->failed; }
+
+/* Room for one message; NULL when the log is closed. */
+static uint8_t *room(trial_log_t *log) {
+    if (log->held > TRIAL_LOG_BUFFER_BYTES - ULOG_MESSAGE_MAX_BYTES) {
+        write_held(log);
+    }
+    return writable(log) ? log->buffer + log->held : NULL;
+}
+
+static void keep(trial_log_t *log, size_t length) { log->held = (uint16_t)(log->held + length); }
+
+static void put_data(trial_log_t *log, message_id_t id, uint64_t time_us, const uint8_t *fields,
+                     size_t length) {
+    uint8_t *out = room(log);
+    if (out != NULL) {
+        keep(log, ulog_data(out, (uint16_t)id, time_us, fields, length));
+    }
+}
+
+static void put_info_text(trial_log_t *log, const char *name, const char *text) {
+    uint8_t *out = room(log);
+    if (out != NULL) {
+        keep(log, ulog_info_text(out, name, text));
+    }
+}
+
+static void put_info_u32(trial_log_t *log, const char *key, uint32_t value) {
+    uint8_t *out = room(log);
+    if (out != NULL) {
+        keep(log, ulog_info_u32(out, key, value));
+    }
+}
+
+static void put_unique_id(trial_log_t *log, const uint8_t id[UNIQUE_ID_BYTES]) {
+    static const char hex[] = "0123456789abcdef";
+    char text[2u * UNIQUE_ID_BYTES + 1u] = "";
+    for (size_t i = 0; i < UNIQUE_ID_BYTES; i++) {
+        text[2u * i] = hex[id[i] >> 4];
+        text[2u * i + 1u] = hex[id[i] & 0xFu];
+    }
+    put_info_text(log, "unique_id", text);
+}
+
+static void put_start(trial_log_t *log, uint64_t start_us) {
+    uint8_t *out = room(log);
+    if (out != NULL) {
+        uint8_t bytes[8];
+        (void)bytes_put_u64(bytes, start_us);
+        keep(log, ulog_info(out, "uint64_t start_us", bytes, sizeof bytes));
+    }
+}
+
+static void put_formats(trial_log_t *log) {
+    for (unsigned id = 0; id < ID_COUNT; id++) {
+        uint8_t *out = room(log);
+        if (out != NULL) {
+            keep(log, ulog_format(out, formats[id]));
+        }
+    }
+}
+
+static void put_infos(trial_log_t *log, const trial_log_header_t *header) {
+    put_info_text(log, "sys_name", "tailbeat");
+    put_info_text(log, "ver_sw", header->build_id);
+    put_info_text(log, "board", header->board);
+    put_unique_id(log, header->unique_id);
+    put_info_u32(log, "uint32_t trial", header->trial);
+    put_info_u32(log, "uint32_t iteration", header->iteration);
+    put_info_u32(log, "uint32_t beats", header->beats);
+    put_info_u32(log, "uint32_t reference_crc", header->reference_crc);
+    put_start(log, header->start_us);
+}
+
+static void put_parameters(trial_log_t *log, const params_t *params) {
+    for (unsigned i = 0; i < PARAM_COUNT; i++) {
+        uint8_t *out = room(log);
+        if (out != NULL) {
+            keep(log, ulog_parameter(out, param_info((param_t)i)->name, params->value[i]));
+        }
+    }
+}
+
+static void put_subscriptions(trial_log_t *log) {
+    for (unsigned id = 0; id < ID_COUNT; id++) {
+        uint8_t *out = room(log);
+        if (out != NULL) {
+            keep(log, ulog_subscribe(out, (uint16_t)id, topics[id]));
+        }
+    }
+}
+
+static store_result_t open_log(trial_log_t *log, store_t *store, uint32_t trial,
+                               store_mode_t mode) {
+    memset(log, 0, sizeof *log);
+    log->store = store;
+    log->trial = trial;
+    char path[STORE_PATH_BYTES];
+    trial_log_path(trial, path);
+    const store_result_t result = store_open(store, &log->file, path, mode);
+    log->failed = result != STORE_OK;
+    return result;
+}
+
+store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log_header_t *header,
+                               const params_t *params) {
+    const store_result_t result = open_log(log, store, header->trial, STORE_WRITE_NEW);
+    if (result != STORE_OK) {
+        return result;
+    }
+    log->last_sync_us = header->start_us;
+    keep(log, ulog_file_header(log->buffer, header->start_us));
+    keep(log, ulog_flag_bits(log->buffer + log->held));
+    put_formats(log);
+    put_infos(log, header);
+    put_parameters(log, params);
+    put_subscriptions(log);
+    write_held(log);
+    sync_file(log);
+    return log->failed ? STORE_IO : STORE_OK;
+}
+
+void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot) {
+    if (slot->samples == 0u) {
+        return;
+    }
+    uint8_t fields[SLOT_BYTES];
+    uint8_t *at = bytes_put_f32(fields, slot->time_s);
+    at = bytes_put_f32(at, slot->speed_m_s);
+    at = bytes_put_f32(at, slot->sigma_m_s);
+    at = bytes_put_u16(at, slot->index);
+    (void)bytes_put_u16(at, slot->samples);
+    put_data(log, ID_SLOT, time_us, fields, sizeof fields);
+}
+
+void trial_log_beat(trial_log_t *log, uint64_t time_us, const trial_log_beat_t *beat) {
+    uint8_t fields[BEAT_BYTES];
+    uint8_t *at = bytes_put_f32(fields, beat->amplitude_rad);
+    at = bytes_put_f32(at, beat->applied_rad);
+    at = bytes_put_f32(at, beat->reference_m_s);
+    at = bytes_put_f32(at, beat->speed.speed_m_s);
+    at = bytes_put_f32(at, beat->speed.sigma_m_s);
+    at = bytes_put_u16(at, beat->beat);
+    (void)bytes_put_u16(at, beat->speed.samples);
+    put_data(log, ID_BEAT, time_us, fields, sizeof fields);
+}
+
+void trial_log_battery(trial_log_t *log, uint64_t time_us, uint16_t battery_mv) {
+    uint8_t fields[BATTERY_BYTES];
+    (void)bytes_put_f32(fields, (float)battery_mv * MILLIVOLT);
+    put_data(log, ID_BATTERY, time_us, fields, sizeof fields);
+}
+
+void trial_log_text(trial_log_t *log, uint64_t time_us, const char *text) {
+    uint8_t *out = room(log);
+    if (out != NULL) {
+        keep(log, ulog_text(out, time_us, text, TRIAL_LOG_TEXT_BYTES));
+    }
+}
+
+void trial_log_end(trial_log_t *log, uint64_t time_us, fault_t end, uint16_t executed) {
+    uint8_t fields[TRIAL_END_BYTES];
+    (void)bytes_put_u16(bytes_put_u16(fields, (uint16_t)end), executed);
+    put_data(log, ID_TRIAL_END, time_us, fields, sizeof fields);
+}
+
+void trial_log_poll(trial_log_t *log, uint64_t now_us) {
+    if (!writable(log)) {
+        return;
+    }
+    const bool due = now_us >= log->last_sync_us && now_us - log->last_sync_us >= TRIAL_LOG_SYNC_US;
+    if (due || log->held >= TRIAL_LOG_PIECE_BYTES) {
+        write_held(log);
+    }
+    if (due) {
+        sync_file(log);
+        log->last_sync_us = now_us;
+    }
+}
+
+store_result_t trial_log_close(trial_log_t *log) {
+    write_held(log);
+    if (log->file.open && store_close(log->store, &log->file) != STORE_OK) {
+        log->failed = true;
+    }
+    return log->failed ? STORE_IO : STORE_OK;
+}
+
+store_result_t trial_log_reopen(trial_log_t *log, store_t *store, uint32_t trial) {
+    return open_log(log, store, trial, STORE_APPEND);
+}

@@ -1,0 +1,35 @@
+#include "supervisor/stop_rules.h"
+
+#include "base/real.h"
+
+/* An event that the clock has not reached yet (the main loop stamps between two ticks) is not
+ * silence. */
+static bool silent(uint64_t now_us, uint64_t last_us, uint32_t timeout_us) {
+    return timeout_us != 0 && now_us > last_us && now_us - last_us > timeout_us;
+}
+
+/* An angle that is not a number counts as tilted. */
+static bool tilted(const stop_limits_t *limits, const stop_inputs_t *inputs) {
+    const float max_rad = limits->tilt_max_rad;
+    return max_rad > 0.0f &&
+           !(real_abs(inputs->pitch_rad) <= max_rad && real_abs(inputs->roll_rad) <= max_rad);
+}
+
+fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs) {
+    if (inputs->battery_mv < limits->battery_critical_mv) {
+        return FAULT_BATTERY_CRITICAL;
+    }
+    if (tilted(limits, inputs)) {
+        return FAULT_TILT;
+    }
+    if (silent(inputs->now_us, inputs->last_imu_us, limits->imu_timeout_us)) {
+        return FAULT_IMU_STALE;
+    }
+    if (silent(inputs->now_us, inputs->last_heartbeat_us, limits->link_timeout_us)) {
+        return FAULT_LINK_LOST;
+    }
+    if (silent(inputs->now_us, inputs->last_tick_us, limits->tick_late_us)) {
+        return FAULT_LATE_TICK;
+    }
+    return FAULT_NONE;
+}

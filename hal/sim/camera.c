@@ -1,0 +1,80 @@
+#include "camera.h"
+
+#include "noise.h"
+
+/* Of a picture period, so that no picture is ever in step with the board's 20 ms frames. */
+#define EXPOSURE_PHASE 0.33
+#define YAW_PER_TAIL (-10.0 / 45.0)
+#define SWAY_M_PER_RAD 0.02
+#define HEADING_NOISE_RAD 0.01
+
+void camera_init(camera_t *camera, const sim_config_t *config) {
+    camera->seed = config->seed;
+    camera->fps = config->camera_fps;
+    camera->noise_m = config->camera_noise_m;
+    camera->lost = config->camera_lost;
+    camera->latency_us = (uint64_t)(config->camera_latency_s * 1e6 + 0.5);
+    camera->on = true;
+    camera->swim_key = UINT32_MAX;
+}
+
+static uint64_t exposure_us(const camera_t *camera) {
+    return (uint64_t)(((double)camera->picture + EXPOSURE_PHASE) * 1e6 / camera->fps);
+}
+
+static void use_keys_of(camera_t *camera, uint32_t swim_key) {
+    camera->swim_key = swim_key;
+    camera->swim_picture = 0;
+    camera->noise = noise_key(camera->seed, NOISE_CAMERA, swim_key);
+    camera->noise_lost = noise_key(camera->seed, NOISE_LOST, swim_key);
+    camera->noise_heading = noise_key(camera->seed, NOISE_HEADING, swim_key);
+}
+
+static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
+    const uint32_t sample = camera->swim_picture++;
+    if (!camera->on ||
+        (camera->lost > 0 && noise_uniform(camera->noise_lost, sample) < camera->lost)) {
+        return;
+    }
+    const fish_moment_t moment = fish_at(fish, time_us);
+    if (camera->tail - camera->head == CAMERA_QUEUE) {
+        camera->head++;
+    }
+    const uint64_t slot = camera->tail++ % CAMERA_QUEUE;
+    const bool noisy = camera->noise_m > 0;
+    camera->due_us[slot] = time_us + camera->latency_us;
+    camera->frames[slot] = (sim_camera_frame_t){
+        .time_s = (double)time_us * 1e-6,
+        .x_m = moment.x_m + camera->noise_m * noise_normal(camera->noise, 2ull * sample),
+        .y_m = SWAY_M_PER_RAD * moment.tail_rad +
+               camera->noise_m * noise_normal(camera->noise, 2ull * sample + 1u),
+        .heading_rad =
+            YAW_PER_TAIL * moment.tail_rad +
+            (noisy ? HEADING_NOISE_RAD * noise_normal(camera->noise_heading, sample) : 0),
+    };
+}
+
+void camera_follow(camera_t *camera, const fish_t *fish) {
+    if (camera->fps <= 0) {
+        return;
+    }
+    if (camera->swim_key != fish->swim_key) {
+        use_keys_of(camera, fish->swim_key);
+    }
+    for (uint64_t at = exposure_us(camera); at < fish->time_us; at = exposure_us(camera)) {
+        camera->picture++;
+        expose(camera, fish, at);
+    }
+}
+
+uint64_t camera_due_us(const camera_t *camera) {
+    return camera->head == camera->tail ? UINT64_MAX : camera->due_us[camera->head % CAMERA_QUEUE];
+}
+
+size_t camera_read(camera_t *camera, uint64_t now_us, sim_camera_frame_t *out, size_t max) {
+    size_t taken = 0;
+    while (taken < max && camera_due_us(camera) <= now_us) {
+        out[taken++] = camera->frames[camera->head++ % CAMERA_QUEUE];
+    }
+    return taken;
+}

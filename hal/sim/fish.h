@@ -1,0 +1,47 @@
+/*
+ * The fish in its tank: tail, plant and the swims. A pulse train that begins after 0.2 s of silence
+ * means that somebody has put the fish at the start: a new swim.
+ */
+#ifndef SIM_FISH_H
+#define SIM_FISH_H
+
+#include "plant.h"
+#include "tail.h"
+
+#define FISH_BEATS_MAX 640u
+#define FISH_SPEEDS_MAX 32768u
+
+typedef struct {
+    double gain_sigma, flow_sigma_m_s, start_sigma_m_s, beat_s;
+    uint64_t seed;
+    tail_t tail;
+    plant_t plant;
+    uint64_t time_us;  /* up to which the plant has been advanced */
+    uint64_t frame_us; /* length of the last frame */
+    uint16_t pulse;    /* of the present frame, 0 = none */
+    uint32_t silent_frames;
+    uint32_t swims;    /* begun */
+    uint32_t swim_key; /* of the present swim's noise; 0 = no swim yet */
+    uint32_t next_swim_key;
+    uint32_t swim_frame; /* frames with pulses in this swim */
+    double beat_start_m;
+    double tail_from_rad, tail_to_rad; /* real angle at the ends of the last frame */
+    drive_t drive;
+    size_t beats, speeds;
+    double beat_m_s[FISH_BEATS_MAX];
+    double speed_m_s[FISH_SPEEDS_MAX]; /* over ground at 0.04*i s */
+} fish_t;
+
+typedef struct {
+    double x_m, v_m_s, accel_m_s2, tail_rad, tail_rate_rad_s;
+} fish_moment_t;
+
+void fish_init(fish_t *fish, const sim_config_t *config);
+
+/* The frame that ends at |now_us|, where |next_pulse| begins. True when a new swim begins there. */
+bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse);
+
+/* At |time_us| within the last frame. */
+fish_moment_t fish_at(const fish_t *fish, uint64_t time_us);
+
+#endif

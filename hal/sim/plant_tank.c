@@ -1,0 +1,34 @@
+#include "drag_step.h"
+#include "plant.h"
+
+#include <string.h>
+
+#define SUBSTEP_S 0.005
+
+void tank_init(tank_t *tank, const sim_config_t *config) {
+    const double steps = config->delay_s / SUBSTEP_S;
+    tank->kappa_per_m = config->kappa_per_m;
+    tank->slope_m_s_rad = config->slope_m_s_rad;
+    tank->dead_zone_rad = config->dead_zone_rad;
+    tank->delay_steps = (uint32_t)(steps + 1e-6);
+    const double rest = steps - tank->delay_steps;
+    tank->delay_fraction = rest > 1e-6 ? rest : 0;
+    tank_begin(tank);
+}
+
+void tank_begin(tank_t *tank) {
+    tank->step = 0;
+    memset(tank->thrust, 0, sizeof tank->thrust);
+}
+
+double tank_step(tank_t *tank, double *v_m_s, double amplitude_rad, double ripple, double gain,
+                 double dt_s) {
+    const double beyond = amplitude_rad - tank->dead_zone_rad;
+    const double vss = beyond > 0 ? gain * tank->slope_m_s_rad * beyond : 0;
+    const uint32_t now = tank->step++;
+    tank->thrust[now % DELAY_RING] = vss * vss;
+    const double late = tank->thrust[(now - tank->delay_steps) % DELAY_RING];
+    const double later = tank->thrust[(now - tank->delay_steps - 1u) % DELAY_RING];
+    const double h = late + tank->delay_fraction * (later - late);
+    return drag_step(v_m_s, h * ripple, tank->kappa_per_m, dt_s);
+}

@@ -1,0 +1,119 @@
+/*
+ * The simulated board: the firmware with a fish, an IMU, a battery and an overhead camera around
+ * it, in virtual time. One seed gives bit-identical runs. Any number of boards in one process; one
+ * board is not shared between threads.
+ *
+ * Time advances only in sim_run. Nothing here reads a clock, a file or the environment.
+ */
+#ifndef SIM_SIM_H
+#define SIM_SIM_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+typedef struct sim sim_t;
+
+typedef enum { SIM_PLANT_THESIS = 0, SIM_PLANT_TANK = 1 } sim_plant_t;
+
+/* All of it in SI units. sim_config_default fills it; every disturbance is off at 0. */
+typedef struct {
+    uint64_t seed;
+    sim_plant_t plant;
+    /* thesis plant (8.13) */
+    double mass_kg, body_length_m, water_density_kg_m3, tail_area_m2, drag_kg_m;
+    /* tank plant */
+    double kappa_per_m;   /* drag over mass */
+    double delay_s;       /* from amplitude to thrust */
+    double slope_m_s_rad; /* steady speed over amplitude beyond the dead zone */
+    double dead_zone_rad;
+    double servo_lag_s;      /* first-order lag of the tail angle; 0 = none */
+    double servo_rate_rad_s; /* rate limit; 0 = none */
+    double beat_s;           /* tail period of both plants; a multiple of 20 ms */
+    /* disturbances */
+    double gain_sigma;      /* relative thrust speed, per trial */
+    double flow_sigma_m_s;  /* constant per trial */
+    double start_sigma_m_s; /* |N| speed at the start */
+    double camera_noise_m;  /* white, per frame */
+    double camera_lost;     /* probability that a frame is lost */
+    double camera_fps;
+    double camera_latency_s; /* from exposure to delivery; at least one 20 ms frame */
+    double imu_noise;        /* scale of the VN-100's specified noise; 0 = none */
+    double imu_rate_hz;      /* frames per second, 0 = IMU unplugged */
+    double battery_v;        /* fresh pack */
+    double battery_sag_v_per_trial;
+    double link_bytes_per_s; /* of each direction; 0 = unlimited */
+    double boot_s;           /* simulated time at which the board boots (its clock starts) */
+} sim_config_t;
+
+/* One overhead picture, processed: where the fish is along the tank. */
+typedef struct {
+    double time_s; /* simulated time of exposure */
+    double x_m, y_m, heading_rad;
+} sim_camera_frame_t;
+
+typedef struct {
+    double time_s;     /* simulated time of this state: the last servo frame, at most 20 ms ago */
+    double x_m, v_m_s; /* position and speed over ground, along the swim */
+    double tail_rad;   /* real tail angle */
+    double amplitude_rad; /* amplitude the plant feels now */
+    uint32_t swims;       /* swims begun since sim_new */
+    bool swimming;        /* pulses are on */
+    uint16_t pulse_ticks;
+} sim_truth_t;
+
+/* Tank: gain 0.02, flow 1.5 mm/s, start 2 mm/s, camera 1 mm; all off for the
+ * thesis plant. */
+void sim_config_default(sim_config_t *config, sim_plant_t plant);
+
+/* NULL when a value makes no sense or memory is out. The caller frees it with sim_free. */
+sim_t *sim_new(const sim_config_t *config);
+void sim_free(sim_t *sim);
+
+/* Advances by |duration_us|. Stops early (and returns the time left, us) when the board has sent
+ * bytes on |wake_port| or, with |wake_camera|, a picture has come in; wake_port < 0 = none. A
+ * message wakes within 4 ms of its end, together with those right behind it. Unread messages and
+ * pictures wake again at once, so read both before the next call. */
+uint64_t sim_run(sim_t *sim, uint64_t duration_us, int wake_port, bool wake_camera);
+
+uint64_t sim_time_us(const sim_t *sim);
+/* Board clock; what the firmware's hal_time_us returns. */
+uint64_t sim_board_time_us(const sim_t *sim);
+
+/* The host's end of a link: |port| 0 = radio, 1 = console. Bytes travel at link_bytes_per_s.
+ * Returns how many were taken; a cut line, or a board that has not booted, takes all and delivers
+ * nothing. Write whole messages: the board wakes at the end of each write. */
+size_t sim_link_write(sim_t *sim, int port, const uint8_t *bytes, size_t length);
+size_t sim_link_read(sim_t *sim, int port, uint8_t *out, size_t max);
+
+size_t sim_camera_read(sim_t *sim, sim_camera_frame_t *out, size_t max);
+
+sim_truth_t sim_truth(const sim_t *sim);
+
+/* True mean speeds over the whole beats of the present or last swim (from exact distance), and true
+ * speeds at 25 Hz: number i at i * 40 ms after the start, while there are pulses. Over ground.
+ * Return how many there are; fill at most |max|. */
+size_t sim_true_beats(const sim_t *sim, double *out, size_t max);
+size_t sim_true_speeds_25hz(const sim_t *sim, double *out, size_t max);
+
+/* A swim begins with the first pulse after 0.2 s without; somebody has put the fish at x = 0 by
+ * then, so that pictures from before show it elsewhere.
+ *
+ * Sets the number the next swim's noise is keyed by (1 = first). */
+void sim_set_swim(sim_t *sim, uint32_t next_swim);
+
+/* What tests and bad days need. */
+void sim_power_cycle(sim_t *sim); /* flash stays; all else starts anew, now */
+void sim_set_battery_v(sim_t *sim, double volts);
+void sim_set_imu(sim_t *sim, bool plugged);
+void sim_set_camera(sim_t *sim, bool on);
+void sim_set_radio(sim_t *sim, bool connected);
+void sim_set_tilt_rad(sim_t *sim, double roll_rad);
+uint8_t *sim_flash(sim_t *sim); /* HAL_FLASH_SIZE_BYTES, owned by the board */
+
+/* The plant alone, noise-free: mean speed over each of |beats| beats for the given amplitudes, from
+ * rest. False when the config makes no sense. No board, no allocation. */
+bool sim_plant_beats(const sim_config_t *config, const double *amplitude_rad, size_t beats,
+                     double beat_s, double *mean_m_s);
+
+#endif

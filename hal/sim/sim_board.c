@@ -1,0 +1,158 @@
+#include "board.h"
+
+#include "base/panic.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define UNLIMITED_CHUNK 256u
+
+_Noreturn void panic(const char *where) {
+    fprintf(stderr, "tailbeat: panic at %s\n", where);
+    abort();
+}
+
+void board_init(hal_t *hal, const sim_config_t *config) {
+    for (unsigned port = 0; port < BOARD_LINKS; port++) {
+        line_init(&hal->to_board[port], config->link_bytes_per_s);
+        line_init(&hal->to_host[port], config->link_bytes_per_s);
+        hal->connected[port] = true;
+    }
+    memset(hal->flash, 0xFF, sizeof hal->flash);
+    hal->seed = config->seed;
+}
+
+void board_restart(hal_t *hal, hal_reset_cause_t cause) {
+    for (unsigned port = 0; port < BOARD_LINKS; port++) {
+        line_drop_all(&hal->to_board[port]);
+        line_cut(&hal->to_host[port], hal->now_us);
+    }
+    for (unsigned port = 0; port < HAL_PORT_COUNT; port++) {
+        hal->received[port].head = hal->received[port].tail = 0;
+        hal->received[port].errors = (hal_serial_errors_t){0};
+    }
+    hal->boot_us = hal->now_us;
+    hal->pulse_ticks = 0;
+    hal->reset_cause = cause;
+    hal->reset_wanted = false;
+    hal->led = false;
+    hal->irq_locked = false;
+}
+
+uint64_t hal_time_us(const hal_t *hal) { return hal->now_us - hal->boot_us; }
+
+void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks) { hal->pulse_ticks = width_ticks; }
+
+static size_t room(const board_ring_t *ring) {
+    return BOARD_RING_BYTES - (size_t)(ring->tail - ring->head);
+}
+
+void board_receive(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_t length) {
+    board_ring_t *ring = &hal->received[port];
+    const size_t fits = length < room(ring) ? length : room(ring);
+    const size_t at = (size_t)(ring->tail % BOARD_RING_BYTES);
+    const size_t first = fits < BOARD_RING_BYTES - at ? fits : BOARD_RING_BYTES - at;
+    memcpy(ring->bytes + at, bytes, first);
+    memcpy(ring->bytes, bytes + first, fits - first);
+    ring->tail += fits;
+    ring->errors.overruns += (uint32_t)(length - fits);
+}
+
+/* Moves what has come along the line into the ring. An unlimited line waits for room instead of
+ * losing bytes: it stands for a transport with flow control. */
+static void collect(hal_t *hal, hal_port_t port) {
+    line_t *line = &hal->to_board[port];
+    uint8_t chunk[UNLIMITED_CHUNK];
+    size_t length;
+    do {
+        const size_t space = room(&hal->received[port]);
+        const size_t most = line->byte_ns == 0 && space < sizeof chunk ? space : sizeof chunk;
+        length = line_read(line, hal->now_us, chunk, most);
+        board_receive(hal, port, chunk, length);
+    } while (length > 0);
+}
+
+size_t hal_serial_read(hal_t *hal, hal_port_t port, uint8_t *out, size_t max) {
+    if (port < BOARD_LINKS) {
+        collect(hal, port);
+    }
+    board_ring_t *ring = &hal->received[port];
+    const size_t held = (size_t)(ring->tail - ring->head);
+    const size_t taken = held < max ? held : max;
+    const size_t at = (size_t)(ring->head % BOARD_RING_BYTES);
+    const size_t first = taken < BOARD_RING_BYTES - at ? taken : BOARD_RING_BYTES - at;
+    memcpy(out, ring->bytes + at, first);
+    memcpy(out + first, ring->bytes, taken - first);
+    ring->head += taken;
+    return taken;
+}
+
+size_t hal_serial_write_space(const hal_t *hal, hal_port_t port) {
+    if (port >= BOARD_LINKS) {
+        return BOARD_RING_BYTES;
+    }
+    const uint64_t queued = line_queued(&hal->to_host[port], hal->now_us);
+    return queued < BOARD_RING_BYTES ? BOARD_RING_BYTES - (size_t)queued : 0;
+}
+
+size_t hal_serial_write(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_t length) {
+    if (length > hal_serial_write_space(hal, port)) {
+        return 0;
+    }
+    /* The IMU takes its commands without a word; a cut radio swallows everything. */
+    if (length > 0 && port < BOARD_LINKS && hal->connected[port]) {
+        line_write(&hal->to_host[port], hal->now_us, bytes, length);
+    }
+    return length;
+}
+
+hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port) {
+    return hal->received[port].errors;
+}
+
+bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
+    if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES - offset) {
+        return false;
+    }
+    memcpy(out, hal->flash + offset, length);
+    return true;
+}
+
+bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
+    if (offset % HAL_FLASH_PAGE_BYTES != 0 || offset >= HAL_FLASH_SIZE_BYTES) {
+        return false;
+    }
+    memcpy(hal->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    return true;
+}
+
+hal_board_kind_t hal_board_kind(const hal_t *hal) {
+    (void)hal;
+    return HAL_BOARD_SIMULATED;
+}
+
+hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
+
+void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
+    memcpy(out, "sim-fish", 8);
+    for (unsigned i = 0; i < 8; i++) {
+        out[8 + i] = (uint8_t)(hal->seed >> (8 * i));
+    }
+}
+
+uint16_t hal_battery_mv(const hal_t *hal) { return hal->battery_mv; }
+void hal_led(hal_t *hal, bool on) { hal->led = on; }
+/* The event loop is the main loop: it cannot hang without hanging the whole process. */
+void hal_watchdog_feed(hal_t *hal) { (void)hal; }
+void hal_reset(hal_t *hal) { hal->reset_wanted = true; }
+
+void hal_irq_lock(hal_t *hal) {
+    REQUIRE(!hal->irq_locked);
+    hal->irq_locked = true;
+}
+
+void hal_irq_unlock(hal_t *hal) {
+    REQUIRE(hal->irq_locked);
+    hal->irq_locked = false;
+}

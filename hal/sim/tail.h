@@ -1,0 +1,50 @@
+/*
+ * The tail: from servo pulses to what the water feels of them, the amplitude of the beat and where
+ * in the beat the tail is. Pulses are all it sees, with the nominal centre and scale.
+ */
+#ifndef SIM_TAIL_H
+#define SIM_TAIL_H
+
+#include "sim.h"
+
+#define SUBSTEPS 4u /* per 20 ms frame */
+#define FRAMES_PER_BEAT_MIN 4u
+#define FRAMES_PER_BEAT_MAX 1000u
+
+/* In the middle of each quarter of a frame. */
+typedef struct {
+    double amplitude_rad[SUBSTEPS];
+    double ripple[SUBSTEPS]; /* thrust over its mean over the beat: 2 cos^2 of the tail's phase */
+} drive_t;
+
+typedef struct {
+    uint32_t frames_per_beat;
+    double omega_rad_s;
+    bool has_servo;
+    double lag_s, rate_rad_s;             /* 0 = none */
+    double sine[FRAMES_PER_BEAT_MAX + 1]; /* at the frames of a beat */
+    double ripple[FRAMES_PER_BEAT_MAX * SUBSTEPS];
+    uint32_t frame;        /* within the beat */
+    double angle_rad;      /* commanded at the present frame */
+    double fit_ps, fit_ss; /* sums of angle*sine and sine*sine over the beat so far */
+    bool off_sine;         /* this beat's pulses are no sine: stopped, clipped */
+    double servo_rad;      /* real angle */
+} tail_t;
+
+/* Whole frames in |beat_s|; 0 when it is no multiple of a frame or out of range. */
+uint32_t tail_frames(double beat_s);
+
+void tail_init(tail_t *tail, const sim_config_t *config, uint32_t frames_per_beat);
+
+/* The tail is put to the centre; the next frame is frame 0 of a beat. */
+void tail_begin(tail_t *tail);
+
+double tail_angle_rad(uint16_t pulse_ticks);
+
+/* The frame from the present pulse to the next; 0 = no pulses. */
+void tail_frame(tail_t *tail, uint16_t pulse, uint16_t next_pulse, double frame_s, drive_t *drive);
+
+/* The same for a tail that is known to swim a sine of |amplitude_rad|, free of rounding. */
+void tail_frame_sine(tail_t *tail, double amplitude_rad, double frame_s, drive_t *drive);
+
+#endif

@@ -1,0 +1,33 @@
+"""What every camera gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Where the fish was when a picture was taken; x is along the swim direction."""
+
+    t_s: float
+    x_m: float
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+
+
+class Camera(Protocol):
+    """A stream of positions.
+
+    ``clock`` says what ``t_s`` counts: "host" = the clock of the transport to the board (for a real
+    link time.monotonic()), "board" = seconds since the board booted.
+    """
+
+    clock: Literal["host", "board"]
+    fps: float
+
+    def frames(self) -> list[Frame]:
+        """Frames since the last call, in order of time; never blocks."""
+
+    def close(self) -> None:
+        """Gives the camera up."""

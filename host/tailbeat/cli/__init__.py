@@ -1,0 +1,43 @@
+"""The command line: ``tailbeat``. A thin skin over the library."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> None:
+    """Entry point. Exit status: 0 done, 1 refused or failed, 2 wrongly called, 130 Ctrl-C."""
+    sys.exit(run())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Runs one command and returns its exit status; errors are one line on stderr."""
+    import typer
+
+    from tailbeat.cli.app import app
+    from tailbeat.errors import TailbeatError
+
+    try:
+        result = app(arguments, prog_name="tailbeat", standalone_mode=False)
+    except TailbeatError as error:
+        return _fail(str(error), 1)
+    except typer.TyperException as error:
+        return _fail(_usage(error), error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        return 130
+    except BrokenPipeError:
+        sys.stdout = None  # the reader has gone; nothing is left to flush
+        return 1
+    return result if isinstance(result, int) else 0
+
+
+def _usage(error: object) -> str:
+    message = " ".join(str(getattr(error, "format_message", lambda: error)()).split())
+    context = getattr(error, "ctx", None)
+    command = getattr(context, "command_path", "tailbeat")
+    return f"{message.rstrip('.')}. Try: {command} --help"
+
+
+def _fail(line: str, status: int) -> int:
+    sys.stderr.write(f"tailbeat: {line}\n")
+    return status

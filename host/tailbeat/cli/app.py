@@ -1,0 +1,53 @@
+"""Puts the commands together."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from tailbeat.cli import board, experiment, learn, params, reference, simulate, trial
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="A robotic fish learns to swim along a speed profile.\n\n"
+    "First steps: 'tailbeat demo' shows it in simulation; 'tailbeat sim' starts a simulated fish "
+    "to play with; 'tailbeat info' says what is connected.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"tailbeat {version('tailbeat')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    del version
+
+
+app.command()(simulate.demo)
+app.command()(simulate.sim)
+app.command()(board.info)
+app.add_typer(params.app, name="params")
+app.add_typer(reference.app, name="reference")
+app.command()(board.arm)
+app.command()(board.disarm)
+app.command()(board.clear)
+app.add_typer(trial.app, name="trial")
+app.add_typer(learn.speed_app, name="speed")
+app.command()(learn.learn)
+app.command()(learn.law)
+app.command()(board.watch)
+app.command()(simulate.selftest)
+app.add_typer(experiment.app, name="experiment")

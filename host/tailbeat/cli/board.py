@@ -1,0 +1,109 @@
+"""info, arm, disarm, clear, watch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tailbeat.cli.common import Connect, Json, connected, json_line, mm, plain, say
+
+if TYPE_CHECKING:
+    from tailbeat.results import BoardInfo, BoardStatus
+
+
+def info(connect: Connect = None, json: Json = False) -> None:
+    """Who is connected and where it stands.
+
+    Example: tailbeat info --connect tcp:127.0.0.1:5760
+    """
+    with connected(connect) as fish:
+        found = fish.info()
+        health = fish.health()
+    document = plain(found)
+    document["health"] = health
+    say(json, document, lambda: _info_text(found, health))
+
+
+def _info_text(found: BoardInfo, health: dict[str, int | str]) -> str:
+    status = found.status
+    lines = [
+        f"{found.board} board on {found.connection}, firmware {found.build_id}",
+        f"state      {_state(status)}, battery {status.battery_v:.2f} V",
+        f"reference  {_reference(status)}",
+        f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
+    ]
+    if status.best_max_abs_error_m_s is not None:
+        best = mm(status.best_max_abs_error_m_s)
+        lines.append(f"best       {best} mm/s at iteration {status.best_iteration}")
+    if status.pending_trial is not None:
+        lines.append(f"pending    trial {status.pending_trial}: learn from it or discard it")
+    counted = ("imu_crc_failed", "link_bad_frames", "late_ticks", "store_failures")
+    bad = [f"{name} {health[name]}" for name in counted if health.get(name)]
+    if bad:
+        lines.append(f"counters   {', '.join(bad)}")
+    return "\n".join(lines)
+
+
+def _state(status: BoardStatus) -> str:
+    if status.fault.number == 0:
+        return status.state
+    return f"{status.state}: {status.fault.meaning}. {status.fault.remedy}"
+
+
+def _reference(status: BoardStatus) -> str:
+    if status.reference_crc is None:
+        return "none; upload one: tailbeat reference upload thesis"
+    return f"{status.beats} beats, {status.reference_crc:08x}"
+
+
+def arm(connect: Connect = None, json: Json = False) -> None:
+    """Make ready to swim. The tail stays off until the trial starts.
+
+    Example: tailbeat arm
+    """
+    with connected(connect) as fish:
+        fish.arm()
+        status = fish.status()
+    say(json, status, f"armed: iteration {status.iteration} swims next")
+
+
+def disarm(connect: Connect = None, json: Json = False) -> None:
+    """Back to idle; a running trial is aborted.
+
+    Example: tailbeat disarm
+    """
+    with connected(connect) as fish:
+        fish.disarm()
+        status = fish.status()
+    say(json, status, f"disarmed: {status.state}")
+
+
+def clear(connect: Connect = None, json: Json = False) -> None:
+    """Leave a stop: after an abort or a fault has been looked at.
+
+    Example: tailbeat clear
+    """
+    with connected(connect) as fish:
+        fish.clear()
+        status = fish.status()
+    say(json, status, f"cleared: {status.state}")
+
+
+def watch(
+    connect: Connect = None,
+    count: Annotated[
+        int | None, typer.Option("--count", min=1, help="Stop after this many lines.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Print what the board tells as JSON lines, until Ctrl-C.
+
+    Example: tailbeat watch | jq -c 'select(.event == "beat")'
+    """
+    del json  # the stream is JSON lines anyway
+    with connected(connect) as fish:
+        for number, event in enumerate(fish.watch(), start=1):
+            json_line(event)
+            if number == count:
+                return

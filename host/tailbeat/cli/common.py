@@ -1,0 +1,128 @@
+"""What all commands share: options, the way to the fish, and how results are printed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, nothing else.")]
+Connect = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="URL",
+        envvar="TAILBEAT_CONNECT",
+        help="Serial path, tcp:HOST:PORT, udp:PORT, sim or sim:thesis; default: find the fish.",
+        show_default=False,
+    ),
+]
+
+
+@contextmanager
+def connected(url: str | None) -> Iterator[Fish]:
+    """A fish for the length of a command."""
+    from tailbeat.fish import Fish
+
+    with Fish.connect(url) as fish:
+        yield fish
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON knows it; NaN and infinities become null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def say(as_json: bool, document: Any, text: str | Callable[[], str] = "") -> None:
+    """Prints the JSON document, or the text for people (nothing when empty)."""
+    if as_json:
+        sys.stdout.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
+        return
+    words = text() if callable(text) else text
+    if words:
+        sys.stdout.write(words + "\n")
+
+
+def json_line(document: Any) -> None:
+    """One line of a JSON stream."""
+    sys.stdout.write(json.dumps(plain(document), allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def mm(value_m_s: float | None) -> str:
+    """A speed in mm/s, or a dash."""
+    if value_m_s is None or not math.isfinite(value_m_s):
+        return "-"
+    return f"{value_m_s * 1e3:.1f}"
+
+
+def table(header: list[str], rows: list[list[str]], left: tuple[int, ...] = ()) -> str:
+    """Columns under a header; numbers to the right, the columns in ``left`` to the left."""
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+
+    def line(row: list[str]) -> str:
+        cells = (
+            cell.ljust(width) if i in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        return "  ".join(cells).rstrip()
+
+    return "\n".join(map(line, [header, *rows]))
+
+
+def assignments(pairs: list[str]) -> dict[str, float]:
+    """``["kappa=5"]`` to ``{"kappa": 5.0}``."""
+    from tailbeat.errors import InputError
+
+    values = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        try:
+            values[key.strip()] = float(text)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InputError(f"'{pair}' is no setting.", "Write it like --set kappa_per_m=5.")
+    return values
+
+
+@contextmanager
+def progress_bar(as_json: bool, label: str) -> Iterator[Callable[[float, str], None]]:
+    """Gives ``show(fraction, text)``: a bar when a person watches, otherwise nothing."""
+    if as_json or not sys.stderr.isatty():
+        yield lambda fraction, text: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns = (TextColumn("{task.fields[label]}"), BarColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0, label=label)
+        yield lambda fraction, text: bar.update(task, completed=fraction, description=text)

@@ -1,0 +1,116 @@
+"""learn, law, speed upload."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tailbeat.cli.common import Connect, Json, connected, mm, say
+
+speed_app = typer.Typer(no_args_is_help=True, help="Speeds measured after the swim.")
+
+
+def learn(
+    number: Annotated[
+        int | None, typer.Argument(metavar="[TRIAL]", help="Default: the pending one.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Compute the same numbers here; change nothing.")
+    ] = False,
+    restore_best: Annotated[
+        bool, typer.Option("--restore-best", help="Swim the best amplitudes so far next.")
+    ] = False,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Let the board learn from the trial that waits for it.
+
+    Example: tailbeat learn --dry-run
+    """
+    if dry_run and restore_best:
+        raise typer.BadParameter("--dry-run and --restore-best exclude each other")
+    with connected(connect) as fish:
+        if dry_run:
+            from tailbeat.dryrun import dry_run as compute
+
+            found = compute(fish, number)
+            say(json, found.as_dict(), found.text)
+            return
+        if restore_best:
+            fish.restore_best()
+            held = fish.amplitudes()
+            text = f"the best amplitudes swim next, as iteration {held.iteration}"
+            say(json, {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values}, text)
+            return
+        report = fish.learn(number)
+        held = fish.amplitudes()
+    document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
+    document["amplitude_rad"] = held.values
+    text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
+    text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
+    text += "; worse twice, so the best amplitudes swim next" if report.rolled_back else ""
+    say(json, document, text)
+
+
+def law(
+    config: Annotated[Path, typer.Option("--config", help="LAW.json: fields of the law.")],
+    amplitudes: Annotated[Path, typer.Option("--input", help="CSV beat,amplitude_rad.")],
+    errors: Annotated[Path, typer.Option("--error", help="CSV beat,error_m_s; empty = none.")],
+    json: Json = False,
+) -> None:
+    """Apply the learning law once, with the code the board runs.
+
+    Example: tailbeat law --config law.json --input u.csv --error e.csv
+    """
+    from tailbeat import laws
+    from tailbeat.beatcsv import read_column
+
+    old = read_column(amplitudes, "amplitude_rad")
+    error = read_column(errors, "error_m_s", gaps=True)
+    chosen = laws.load(config)
+    following, report = laws.update(
+        chosen, old, [0.0 if e != e else e for e in error], [e == e for e in error]
+    )
+    document = {
+        "law": chosen,
+        "amplitude_rad": following,
+        "applied_rad": laws.saturate(chosen, following),
+        "report": report,
+    }
+    rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(following)]
+    say(json, document, "\n".join(["beat,amplitude_rad", *rows]))
+
+
+@speed_app.command("upload")
+def upload(
+    number: Annotated[int, typer.Argument(metavar="TRIAL", help="The pending trial.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")
+    ],
+    sigma_m_s: Annotated[
+        float, typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s.")
+    ] = 0.001,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Give the pending trial speeds measured after the swim, for example from a video.
+
+    With t_s,v_m_s the speed is averaged over each beat; with beat,speed_m_s it is taken as it is
+    and an empty cell means not measured.
+
+    Example: tailbeat speed upload 3 speed.csv
+    """
+    from tailbeat.beatcsv import read_speeds
+    from tailbeat.records import decode_reference
+
+    with connected(connect) as fish:
+        record = fish.reference_record()
+        beat_s = decode_reference(record).beat_s if record else 1.0
+        beats = fish.status().beats
+        speeds = read_speeds(file, beats, beat_s)
+        fish.upload_speeds(number, speeds, sigma_m_s)
+    measured = sum(1 for value in speeds if value == value)
+    document = {"trial": number, "measured_beats": measured, "speed_m_s": speeds}
+    say(json, document, f"trial {number} has speeds for {measured} of {beats} beats")

@@ -1,0 +1,106 @@
+"""params get, set, list, save, load, reset."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.cli.common import Connect, Json, connected, say, table
+
+if TYPE_CHECKING:
+    from tailbeat.parameters import Parameter
+
+app = typer.Typer(no_args_is_help=True, help="The board's parameters.")
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="For example LAW_GAIN.")]
+
+
+def _number(value: float) -> str:
+    return f"{value:.7g}"
+
+
+def _one(parameter: Parameter) -> dict[str, Any]:
+    return {"name": parameter.name, "value": parameter.value, "unit": parameter.unit}
+
+
+@app.command("get")
+def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
+    """Print one parameter.
+
+    Example: tailbeat params get LAW_GAIN
+    """
+    with connected(connect) as fish:
+        found = fish.params.get(name.upper())
+    say(json, _one(found), f"{found.name} = {_number(found.value)} {found.unit}".rstrip())
+
+
+@app.command("set")
+def set_(
+    name: Name,
+    value: Annotated[float, typer.Argument(help="In the parameter's unit.")],
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Change one parameter at once; 'params save' makes it last.
+
+    Example: tailbeat params set LAW_GAIN 4.6
+    """
+    with connected(connect) as fish:
+        held = fish.params.set(name.upper(), value)
+    say(json, _one(held), f"{held.name} = {_number(held.value)} {held.unit}".rstrip())
+
+
+@app.command("list")
+def list_(connect: Connect = None, json: Json = False) -> None:
+    """Print all parameters with their units and meaning.
+
+    Example: tailbeat params list
+    """
+    with connected(connect) as fish:
+        found = fish.params.list()
+    rows = [
+        [
+            p.name,
+            _number(p.value),
+            p.unit,
+            "" if p.value == p.default else f"(default {_number(p.default)})",
+            p.text,
+        ]
+        for p in found.values()
+    ]
+    header = ["name", "value", "unit", "", "meaning"]
+    say(json, {"params": list(found.values())}, lambda: table(header, rows, left=(0, 2, 3, 4)))
+
+
+@app.command()
+def save(connect: Connect = None, json: Json = False) -> None:
+    """Keep the present values through a power cycle.
+
+    Example: tailbeat params save
+    """
+    with connected(connect) as fish:
+        fish.params.save()
+    say(json, {"saved": True}, "saved")
+
+
+@app.command()
+def load(connect: Connect = None, json: Json = False) -> None:
+    """Bring the saved values back.
+
+    Example: tailbeat params load
+    """
+    with connected(connect) as fish:
+        fish.params.load()
+    say(json, {"loaded": True}, "loaded")
+
+
+@app.command()
+def reset(connect: Connect = None, json: Json = False) -> None:
+    """Set every parameter to its default; what is saved stays until 'params save'.
+
+    Example: tailbeat params reset
+    """
+    with connected(connect) as fish:
+        fish.params.reset()
+    say(json, {"reset": True}, "all parameters at their defaults")

@@ -1,0 +1,151 @@
+"""demo, sim, selftest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tailbeat.cli.common import Json, assignments, json_line, mm, progress_bar, say, table
+
+if TYPE_CHECKING:
+    from tailbeat.demo import DemoResult
+    from tailbeat.simserver import Addresses
+
+Plant = Annotated[
+    str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish and the water.")
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same run, bit for bit.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="A value of the simulator, SI; repeatable."),
+]
+
+
+def demo(
+    plant: Plant = "tank",
+    gain: Annotated[float, typer.Option("--gain", help="Learning gain, rad s/m.")] = 4.0,
+    lead: Annotated[
+        int | None,
+        typer.Option("--lead", min=0, help="Whole beats; default 0 (thesis) or 1 (tank)."),
+    ] = None,
+    trials: Annotated[int, typer.Option("--trials", min=1, help="Trials to swim.")] = 6,
+    seed: Seed = 1,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write; default: below experiments/.")
+    ] = None,
+    settings: Set = None,
+    connect: Annotated[
+        str | None,
+        typer.Option("--connect", metavar="URL", help="Learn on this board instead."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """A fish learns the thesis's speed profile, from connecting to the report.
+
+    Example: tailbeat demo --plant tank --gain 4 --trials 6
+    """
+    from tailbeat.demo import DemoOptions, run_demo
+
+    options = DemoOptions(
+        plant, gain, lead, trials, seed, out, connect, assignments(settings or [])
+    )
+    with progress_bar(json, "demo") as show:
+        result = run_demo(options, show)
+    say(json, result.as_dict(), lambda: _demo_text(result))
+
+
+def _demo_text(result: DemoResult) -> str:
+    rows = [
+        [
+            str(row.iteration),
+            str(row.trial or "-"),
+            mm(row.max_abs_error_m_s),
+            mm(row.rms_error_m_s),
+            mm(row.true_max_abs_error_m_s),
+            str(row.saturated_beats),
+            "zero input, not swum" if row.trial == 0 else row.end,
+        ]
+        for row in result.trials
+    ]
+    header = ["iteration", "trial", "max|e|", "RMS", "true max|e|", "saturated", "end"]
+    first, last = result.trials[0], result.trials[-1]
+    down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
+    lines = [
+        f"plant {result.plant}, gain {result.gain:g} rad s/m, lead {result.lead}, "
+        f"seed {result.seed}; errors in mm/s, over beats",
+        table(header, rows, left=(6,)),
+        f"max|e| down {down * 100:.0f} % in {last.iteration} iterations; "
+        "host and board agree bit for bit",
+    ]
+    if result.floor_m_s is not None:
+        lines.append(
+            f"floor {mm(result.floor_m_s)} mm/s: no input can do better on this plant without "
+            f"noise (least squares: {mm(result.floor_lsq_m_s)})"
+        )
+    return "\n".join([*lines, f"report {result.report}"])
+
+
+def sim(
+    plant: Plant = "tank",
+    seed: Seed = 1,
+    listen: Annotated[
+        str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
+    ] = "tcp:127.0.0.1:5760",
+    pty: Annotated[bool, typer.Option("--pty", help="Serve the wired console on a pty too.")] = False,
+    speed: Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")] = 1.0,
+    settings: Set = None,
+    json: Json = False,
+) -> None:
+    """A simulated fish for other programs, until Ctrl-C; its camera is on the next port.
+
+    Example: tailbeat sim --plant tank --speed 10 --set kappa_per_m=5
+    """
+    from tailbeat.simserver import SimServer
+    from tailbeat.transport.simulated import SimBoard
+
+    board = SimBoard(plant, seed, **assignments(settings or []))
+    server = SimServer(board, listen, pty, speed)
+    try:
+        if json:
+            json_line(server.addresses.as_dict())
+        else:
+            typer.echo(_sim_text(plant, speed, server.addresses))
+        server.serve()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.close()
+
+
+def _sim_text(plant: str, speed: float, at: Addresses) -> str:
+    pace = "" if speed == 1 else f" at {speed:g} x real time"
+    line = f"simulated fish ({plant}){pace} on {at.listen}: tailbeat info --connect {at.listen}"
+    return line + (f"\nconsole on {at.pty}" if at.pty else "") + f"\ncamera on {at.camera}"
+
+
+def selftest(
+    source: Annotated[
+        Path | None, typer.Option("--source", help="Folder of a clone; default: look for it.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Build the firmware's unit tests for this computer and run them.
+
+    Example: tailbeat selftest
+    """
+    from tailbeat.selftest import run_selftest
+
+    with progress_bar(json, "building and running") as show:
+        show(0.0, "")
+        report = run_selftest(source)
+    failed = [
+        f"FAILED {test.suite}: {test.name} {test.message}".rstrip()
+        for test in report.tests
+        if not test.ok
+    ]
+    summary = f"{report.passed} tests passed" + (f", {report.failed} failed" if failed else "")
+    say(json, report.as_dict(), "\n".join([*failed, summary]))
+    if failed:
+        raise typer.Exit(1)

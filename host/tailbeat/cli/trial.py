@@ -1,0 +1,240 @@
+"""trial run, abort, list, pull, show, discard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say, table
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+    from tailbeat.results import TrialOutcome
+    from tailbeat.trial_log import Trial
+
+app = typer.Typer(no_args_is_help=True, help="Swim, and get the logs.")
+
+Number = Annotated[int | None, typer.Argument(metavar="[TRIAL]", help="Default: the last one.")]
+
+
+@app.command()
+def run(
+    connect: Connect = None,
+    camera: Annotated[
+        str | None,
+        typer.Option("--camera", metavar="tcp:HOST:PORT", help="Stream of camera positions."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Arm if needed, swim the next trial to its end, show how it went. Ctrl-C stops the tail.
+
+    Example: tailbeat trial run
+    """
+    warnings: list[str] = []
+    with connected(connect) as fish, progress_bar(json, "swimming") as show:
+        beats = max(fish.status().beats, 1)
+
+        def follow(event: dict[str, Any]) -> None:
+            if event["event"] == "beat":
+                speed = mm(event.get("speed_m_s"))
+                show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
+            elif event["event"] == "warning":
+                warnings.append(event["text"])
+
+        outcome = fish.run_trial(_camera(camera), follow)
+    for warning in warnings:
+        typer.echo(f"tailbeat: {warning}", err=True)
+    say(json, outcome, lambda: _outcome_text(outcome))
+    if outcome.interrupted:
+        raise typer.Exit(130)
+    if outcome.end != "complete":
+        raise typer.Exit(1)
+
+
+def _camera(address: str | None) -> Any:
+    if address is None:
+        return None
+    from tailbeat.camera.simulated import RemoteCamera
+    from tailbeat.simserver import parse_listen
+
+    return RemoteCamera(*parse_listen(address))
+
+
+def _outcome_text(outcome: TrialOutcome) -> str:
+    errors = [
+        abs(beat.reference_m_s - beat.speed_m_s)
+        for beat in outcome.beats
+        if beat.speed_m_s is not None
+    ]
+    worst = f", max|e| {mm(max(errors))} mm/s" if errors else ", no speeds measured"
+    line = f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
+    line += f"{outcome.executed_beats} beats{worst}"
+    return line + ("" if outcome.end == "complete" else "\nnext: tailbeat clear")
+
+
+@app.command()
+def abort(connect: Connect = None, json: Json = False) -> None:
+    """Stop the tail now.
+
+    Example: tailbeat trial abort
+    """
+    with connected(connect) as fish:
+        fish.abort()
+        status = fish.status()
+    say(json, status, f"stopped: {status.state}")
+
+
+@app.command("list")
+def list_(connect: Connect = None, json: Json = False) -> None:
+    """Print the trials whose logs are on the board.
+
+    Example: tailbeat trial list
+    """
+    with connected(connect) as fish:
+        found = fish.trials()
+        pending = fish.status().pending_trial
+    rows = [
+        [str(t.number), str(t.size_bytes), "pending" if t.number == pending else ""] for t in found
+    ]
+    say(
+        json,
+        {"trials": found, "pending_trial": pending},
+        lambda: table(["trial", "bytes", ""], rows) if rows else "no trials on the board",
+    )
+
+
+@app.command()
+def pull(
+    number: Number = None,
+    every: Annotated[bool, typer.Option("--all", help="All trials on the board.")] = False,
+    into: Annotated[
+        Path, typer.Option("--into", help="A folder, or an experiment's folder.")
+    ] = Path(),
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Copy logs from the board. An interrupted copy goes on where it stopped.
+
+    Example: tailbeat trial pull 3 --into experiments/2026-05-04_fish_thesis_p4_01
+    """
+    into.mkdir(parents=True, exist_ok=True)
+    with connected(connect) as fish:
+        numbers = [t.number for t in fish.trials()] if every else [_which(fish, number)]
+        paths = [_pull(fish, wanted, into, json) for wanted in numbers]
+    say(json, {"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
+
+
+def _which(fish: Fish, number: int | None) -> int:
+    from tailbeat.errors import InputError
+
+    if number is not None:
+        return number
+    found = fish.trials()
+    if not found:
+        raise InputError("there are no trials on the board.", "Swim one: tailbeat trial run")
+    return found[-1].number
+
+
+def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
+    """Into an experiment's raw files, where there is one; otherwise just into the folder."""
+    from tailbeat.experiment import Experiment
+
+    experiment = Experiment(into) if (into / "settings.json").is_file() else None
+    folder = into / ".pulling" if experiment else into
+    folder.mkdir(exist_ok=True)
+    with progress_bar(quiet, f"trial {number}") as show:
+        path = fish.pull_trial(
+            number, folder, lambda done, total: show(done / max(total, 1), f"{done} bytes")
+        )
+    if experiment is None:
+        return path
+    kept = experiment.add_raw(path.name, path.read_bytes())
+    path.unlink()
+    folder.rmdir()
+    return kept
+
+
+@app.command()
+def show(
+    what: Annotated[str | None, typer.Argument(metavar="[TRIAL|FILE]")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Print a trial: a file, or a number on the board (default: the last one).
+
+    Example: tailbeat trial show 0003.ulg --csv beats.csv
+    """
+    from tailbeat.trial_log import beats_csv, read_trial
+
+    path = Path(what) if what is not None else None
+    if path is not None and (path.is_file() or not path.name.isdigit()):
+        trial = read_trial(path)
+    else:
+        trial = _from_board(int(what) if what else None, connect, json)
+    if csv is not None:
+        beats_csv(trial, csv)
+    say(json, _document(trial), lambda: _trial_text(trial))
+
+
+def _from_board(number: int | None, connect: str | None, quiet: bool) -> Trial:
+    from tempfile import TemporaryDirectory
+
+    from tailbeat.trial_log import read_trial
+
+    with connected(connect) as fish, TemporaryDirectory() as folder:
+        return read_trial(_pull(fish, _which(fish, number), Path(folder), quiet))
+
+
+def _document(trial: Trial) -> dict[str, Any]:
+    from tailbeat.cli.common import plain
+
+    document: dict[str, Any] = plain(trial)
+    document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
+    document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
+    document["rms_error_m_s"] = trial.rms_error_m_s()
+    return document
+
+
+def _trial_text(trial: Trial) -> str:
+    import numpy as np
+
+    b = trial.beats
+    rows = [
+        [
+            str(k),
+            "-" if np.isnan(b.applied_rad[k]) else f"{np.degrees(b.applied_rad[k]):.1f}",
+            mm(float(b.reference_m_s[k])),
+            mm(float(b.speed_m_s[k])),
+            mm(float(b.error_m_s[k])),
+        ]
+        for k in range(len(b.samples))
+    ]
+    lines = [
+        f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
+        f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
+        f"RMS {mm(trial.rms_error_m_s())}",
+        *(f"note: {problem}" for problem in trial.problems),
+        table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "error mm/s"], rows),
+    ]
+    return "\n".join(lines)
+
+
+@app.command()
+def discard(
+    number: Annotated[
+        int | None, typer.Argument(metavar="[TRIAL]", help="Default: the pending one.")
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Drop the pending trial without learning from it; its log stays.
+
+    Example: tailbeat trial discard
+    """
+    with connected(connect) as fish:
+        fish.discard(number)
+        status = fish.status()
+    say(json, status, f"discarded; iteration {status.iteration} swims next")

@@ -1,0 +1,365 @@
+"""The main job, end to end: a fish learns the thesis's speed profile.
+
+Connect, set the thesis's limits, upload, arm, swim, pull the log over the wire, learn on the board;
+after every step the host recomputes the board's numbers with the same C code and compares the bits.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat import laws, reference
+from tailbeat.errors import InputError, TailbeatError
+from tailbeat.experiment import Experiment
+from tailbeat.report import Series, Swim, render_png, write_html
+from tailbeat.trial_log import Trial, read_trial, recompute_beats
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+    from tailbeat.results import LearnReport
+    from tailbeat.transport.simulated import SimBoard
+
+AMPLITUDE_MAX_RAD = math.pi / 4
+DEFAULT_LEAD = {"thesis": 0, "tank": 1}
+EXPERIMENTS = Path("experiments")
+_SAMPLE_S = 0.04
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """``overrides``: fields of the simulator's configuration, SI. ``connect``: another board than
+    a simulated one in this process."""
+
+    plant: str = "tank"
+    gain: float = 4.0
+    lead: int | None = None
+    trials: int = 6
+    seed: int = 1
+    out: Path | None = None
+    connect: str | None = None
+    overrides: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DemoTrial:
+    """One row of the result; None where only a simulator in this process could tell."""
+
+    iteration: int
+    trial: int  # 0 = not swum
+    max_abs_error_m_s: float
+    rms_error_m_s: float
+    true_max_abs_error_m_s: float | None
+    max_abs_error_25hz_m_s: float | None
+    saturated_beats: int
+    distance_m: float
+    duration_s: float
+    end: str
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What ``tailbeat demo --json`` prints."""
+
+    plant: str
+    gain: float
+    lead: int
+    seed: int
+    floor_m_s: float | None
+    floor_lsq_m_s: float | None
+    trials: list[DemoTrial]
+    report: Path
+
+    def as_dict(self) -> dict[str, Any]:
+        """SI units, JSON types."""
+        return asdict(self) | {"report": str(self.report)}
+
+
+class Mismatch(TailbeatError):
+    """Host and board computed different numbers from the same trial."""
+
+
+def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None) -> DemoResult:
+    """Runs the demo and writes the experiment folder with report.html and report.png."""
+    if options.trials < 1:
+        raise InputError(f"{options.trials} trials are no demo.", "Give --trials 1 or more.")
+    from tailbeat.fish import Fish
+
+    if options.connect is None:
+        url, overrides = f"sim:{options.plant}", {"seed": options.seed, **options.overrides}
+    else:
+        url, overrides = options.connect, options.overrides
+    with Fish.connect(url, **overrides) as fish:
+        return _Demo(fish, options).run(progress)
+
+
+class _Demo:
+    def __init__(self, fish: Fish, options: DemoOptions) -> None:
+        self.fish, self.options = fish, options
+        self.sim: SimBoard | None = fish.sim
+        self.plant = self.sim.plant if self.sim else "unknown"
+        lead = DEFAULT_LEAD.get(self.plant, 1)
+        self.lead = lead if options.lead is None else options.lead
+        self.reference = reference.thesis()
+        self.rows = [_zero_row(self.reference)]
+        self.trials: list[Trial] = []
+
+    def run(self, progress: Progress) -> DemoResult:
+        self._prepare()
+        experiment = self._experiment()
+        count = self.options.trials
+        for i in range(1, count + 1):
+            progress((i - 1) / count, f"trial {i} of {count}")
+            self._one_trial(experiment)
+        progress(1.0, "report")
+        floor = self._floor()
+        result = DemoResult(
+            plant=self.plant,
+            gain=self.options.gain,
+            lead=self.lead,
+            seed=self.options.seed,
+            floor_m_s=floor[0],
+            floor_lsq_m_s=floor[1],
+            trials=self.rows,
+            report=experiment.folder / "report.html",
+        )
+        self._report(experiment, result)
+        return result
+
+    def _prepare(self) -> None:
+        fish = self.fish
+        if fish.status().pending_trial is not None:
+            raise InputError(
+                "the board still holds a trial that is neither learned nor discarded.",
+                "tailbeat learn, or tailbeat trial discard.",
+            )
+        wanted = {
+            "AMP_MAX_RAD": AMPLITUDE_MAX_RAD,
+            "DU_MAX_RAD": 0.0,
+            "LAW_GAIN": self.options.gain,
+            "LAW_LEAD": float(self.lead),
+        }
+        for name, value in wanted.items():
+            fish.params.set(name, value)
+        self.params = {name: p.value for name, p in fish.params.list().items()}
+        self.law = laws.Law.from_params(self.params, self.reference.beat_s)
+        for problem in self.reference.check(reference.Limits.from_params(self.params)):
+            raise InputError(problem.meaning, problem.remedy)
+        fish.upload_reference(self.reference.record())
+        self.info = fish.info()
+
+    def _experiment(self) -> Experiment:
+        fish = f"sim-{self.plant}" if self.sim else self.info.board
+        names = fish, self.reference.name, self.law.label()
+        out = self.options.out
+        if out is None:
+            experiment = Experiment.new(EXPERIMENTS, *names)
+        else:
+            if (out / "settings.json").exists():
+                _make_room(Experiment.open(out))
+            experiment = Experiment.at(out, *names)
+        experiment.write_settings(
+            {
+                "made_by": "demo",
+                "simulated": self.info.simulated,
+                "plant": self.plant,
+                "seed": self.options.seed,
+                "simulator": self.sim.config if self.sim else None,
+                "params": self.params,
+                "firmware": self.info.build_id,
+                "board": self.info.board,
+                "unique_id": self.info.unique_id,
+            }
+        )
+        experiment.add_raw("reference.bin", self.reference.record())
+        self.reference.to_csv(experiment.folder / "reference.csv")
+        return experiment
+
+    def _one_trial(self, experiment: Experiment) -> None:
+        fish = self.fish
+        fish.arm()
+        outcome = fish.run_trial()
+        with tempfile.TemporaryDirectory() as folder:
+            pulled = fish.pull_trial(outcome.number, Path(folder))
+            path = experiment.add_raw(pulled.name, pulled.read_bytes())
+        trial = read_trial(path)
+        if trial.problems:
+            raise TailbeatError(f"{path.name}: {trial.problems[0]}.", "Look at the file.")
+        if outcome.end != "complete":
+            raise TailbeatError(
+                f"trial {outcome.number} ended with {outcome.end} after "
+                f"{outcome.executed_beats} beats.",
+                f"Its file is {path}; clear the board and start again.",
+            )
+        report = fish.learn(outcome.number)
+        compare(trial, self.law, fish.amplitudes().values, report.rolled_back)
+        self.trials.append(trial)
+        self.rows.append(self._row(trial, report))
+
+    def _row(self, trial: Trial, report: LearnReport) -> DemoTrial:
+        true, fine = self._truth()
+        return DemoTrial(
+            iteration=trial.iteration,
+            trial=trial.number,
+            max_abs_error_m_s=report.max_abs_error_m_s,
+            rms_error_m_s=report.rms_error_m_s,
+            true_max_abs_error_m_s=true,
+            max_abs_error_25hz_m_s=fine,
+            saturated_beats=report.saturated_beats,
+            distance_m=distance_m(trial, self.reference.beat_s),
+            duration_s=trial.executed_beats * self.reference.beat_s,
+            end=trial.end,
+        )
+
+    def _truth(self) -> tuple[float | None, float | None]:
+        """max|e| of the last swim by the simulator's own state: over beats, and at 25 Hz."""
+        if self.sim is None:
+            return None, None
+        beats = self.sim.true_beats()[: self.reference.beats]
+        true = np.abs(self.reference.speed_m_s[: len(beats)] - beats)
+        speeds = self.sim.true_speeds_25hz()[: round(self.reference.duration_s / _SAMPLE_S)]
+        wanted = reference.thesis_speed(np.arange(len(speeds)) * _SAMPLE_S)
+        return float(true.max()), float(np.abs(wanted - speeds).max())
+
+    def _floor(self) -> tuple[float | None, float | None]:
+        if self.sim is None:
+            return None, None
+        from tailbeat.floor import floor, plant_config
+
+        config = plant_config(self.plant, self.options.overrides)
+        found = floor(config, self.reference, AMPLITUDE_MAX_RAD)
+        return found.minimax_m_s, found.lsq_max_abs_m_s
+
+    def _report(self, experiment: Experiment, result: DemoResult) -> None:
+        series = self._series(result)
+        png = render_png(series, experiment.folder / "report.png")
+        write_html(series, png, result.report)
+        experiment.note(f"demo: {len(self.trials)} trials, see report.html")
+
+    def _series(self, result: DemoResult) -> Series:
+        simulated = self.info.simulated
+        who = "A simulated fish" if simulated else "The fish"
+        plant = f"{plant_text(self.plant, self.sim)}, seed {result.seed}; " if self.sim else ""
+        lead = f"{self.lead} beat{'' if self.lead == 1 else 's'}"
+        swims = [
+            Swim(
+                iteration=row.iteration,
+                number=row.trial,
+                speed_m_s=trial.beats.speed_m_s,
+                amplitude_rad=trial.beats.applied_rad,
+                max_abs_error_m_s=row.max_abs_error_m_s,
+                rms_error_m_s=row.rms_error_m_s,
+                saturated_beats=row.saturated_beats,
+                distance_m=row.distance_m,
+                end=row.end,
+            )
+            for row, trial in zip(self.rows[1:], self.trials, strict=True)
+        ]
+        return Series(
+            title=f"{who} learns the {self.reference.name} speed profile",
+            subtitle=f"{plant}law P, gain {result.gain:g} rad·s/m, lead {lead}",
+            simulated=simulated,
+            reference_name=self.reference.name,
+            reference_m_s=self.reference.speed_m_s,
+            beat_s=self.reference.beat_s,
+            amplitude_max_rad=AMPLITUDE_MAX_RAD,
+            start_error_m_s=self.rows[0].max_abs_error_m_s,
+            floor_m_s=result.floor_m_s,
+            floor_lsq_m_s=result.floor_lsq_m_s,
+            swims=swims,
+            settings={name: f"{value:g}" for name, value in self.params.items()},
+            versions={
+                "tailbeat": _version(),
+                "firmware": self.info.build_id,
+                "board": f"{self.info.board} {self.info.unique_id}",
+            },
+        )
+
+
+def compare(
+    trial: Trial, law: laws.Law, learned: NDArray[np.float32], rolled_back: bool = False
+) -> None:
+    """Raises Mismatch unless the host gets the board's beat means and next amplitudes, bit for bit,
+    from the trial's file."""
+    beats = trial.beats
+    speed, _ = recompute_beats(trial, law.beat_s)
+    if not same_bits(speed, beats.speed_m_s):
+        raise Mismatch(
+            f"trial {trial.number}: the beat means recomputed from its file differ.",
+            "Tool and firmware may differ in version.",
+        )
+    if rolled_back:
+        return
+    error, measured = laws.errors_of(beats.reference_m_s, beats.speed_m_s)
+    expected, _ = laws.update(law, beats.amplitude_rad, error, measured)
+    if not same_bits(expected, learned):
+        raise Mismatch(
+            f"trial {trial.number}: the amplitudes the board learned are not what the law gives.",
+            "Tool and firmware may differ in version.",
+        )
+
+
+def same_bits(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
+    """Equal as bit patterns; NaNs count as equal."""
+    if a.shape != b.shape:
+        return False
+    same = a.view(np.uint32) == b.view(np.uint32)
+    return bool(np.all(same | (np.isnan(a) & np.isnan(b))))
+
+
+def distance_m(trial: Trial, beat_s: float) -> float:
+    """Measured distance, m; beats without a speed count as 0."""
+    return float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * beat_s
+
+
+def plant_text(plant: str, sim: SimBoard | None) -> str:
+    """The plant in a few words."""
+    if plant == "tank" and sim is not None:
+        return f"tank plant, drag/mass {sim.config['kappa_per_m']:g} 1/m"
+    return f"{plant} plant"
+
+
+def _zero_row(wanted: reference.Reference) -> DemoTrial:
+    """Iteration 0, the zero input: its error is the reference."""
+    speed = wanted.speed_m_s.astype(np.float64)
+    time = np.arange(round(wanted.duration_s / _SAMPLE_S)) * _SAMPLE_S
+    return DemoTrial(
+        iteration=0,
+        trial=0,
+        max_abs_error_m_s=float(speed.max()),
+        rms_error_m_s=float(np.sqrt(np.mean(speed**2))),
+        true_max_abs_error_m_s=float(speed.max()),
+        max_abs_error_25hz_m_s=float(reference.thesis_speed(time).max()),
+        saturated_beats=0,
+        distance_m=0.0,
+        duration_s=0.0,
+        end="complete",
+    )
+
+
+def _make_room(old: Experiment) -> None:
+    """A simulated demo can be made again; anything else is somebody's data."""
+    settings = old.settings()
+    if settings.get("made_by") != "demo" or not settings.get("simulated"):
+        raise InputError(
+            f"{old.folder} holds an experiment that no demo made.", "Choose another --out."
+        )
+    old.clear()
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("tailbeat")
+    except PackageNotFoundError:
+        return "unknown"

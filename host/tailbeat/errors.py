@@ -1,0 +1,49 @@
+"""What can go wrong, in words a person can act on.
+
+Every error says in one line what is wrong and what to do about it.
+"""
+
+from __future__ import annotations
+
+
+class TailbeatError(Exception):
+    """Base of all errors this package raises on purpose."""
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message, remedy)
+        self.message = message
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        message = " ".join(self.message.split())
+        remedy = " ".join(self.remedy.split())
+        if not remedy:
+            return message
+        return f"{message.rstrip('.')}. {remedy}"
+
+
+class ConnectError(TailbeatError):
+    """No board was found, or what was found is not one."""
+
+
+class LinkLostError(TailbeatError):
+    """The board answered before and does not any more."""
+
+
+class TransferError(TailbeatError):
+    """A file could not be moved between host and board."""
+
+
+class InputError(TailbeatError):
+    """Something the caller gave makes no sense."""
+
+
+class Refused(TailbeatError):
+    """The board turned a request down; nothing changed on it."""
+
+    def __init__(self, number: int, name: str, meaning: str, remedy: str) -> None:
+        super().__init__(meaning, remedy)
+        self.args = (number, name, meaning, remedy)
+        self.number = number
+        self.name = name
+        self.meaning = meaning

@@ -1,0 +1,70 @@
+"""The board's fault table: numbers on the wire, words for people (supervisor/faults.def)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+from tailbeat._native import ffi, lib
+from tailbeat.errors import Refused
+
+NONE = 0
+WRONG_STATE = 40
+NO_REFERENCE = 41
+NO_TRIAL = 46
+BAD_PARAM = 54
+UNKNOWN_COMMAND = 57
+
+_KINDS = ("none", "abort", "fault", "refusal")
+
+
+@dataclass(frozen=True)
+class FaultInfo:
+    """One row of the table. ``kind``: none, abort, fault or refusal."""
+
+    number: int
+    name: str
+    kind: str
+    meaning: str
+    remedy: str
+
+
+@cache
+def all_faults() -> tuple[FaultInfo, ...]:
+    """Every row, in rising order of number."""
+    return tuple(_row(lib.fault_row(row)) for row in range(lib.fault_count()))
+
+
+@cache
+def fault_info(number: int) -> FaultInfo:
+    """The row of ``number``; a made-up row when the table has none (a newer firmware)."""
+    for fault in all_faults():
+        if fault.number == number:
+            return fault
+    return FaultInfo(
+        number,
+        f"FAULT_{number}",
+        "fault",
+        f"the board gave fault {number}, which this tool does not know",
+        "Tool and firmware differ in version; update the tool.",
+    )
+
+
+def refusal(number: int) -> Refused:
+    """The exception for a request turned down with fault ``number``."""
+    info = fault_info(number)
+    return Refused(info.number, info.name, info.meaning, info.remedy)
+
+
+def _row(row: object) -> FaultInfo:
+    def text(field: str) -> str:
+        return str(ffi.string(getattr(row, field)).decode())
+
+    kind = int(getattr(row, "kind"))  # noqa: B009
+    return FaultInfo(
+        int(getattr(row, "number")),  # noqa: B009
+        text("name"),
+        _KINDS[kind],
+        text("meaning"),
+        text("remedy"),
+    )

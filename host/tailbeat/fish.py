@@ -1,0 +1,328 @@
+"""The fish: everything a person does with a board, as methods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tailbeat import _dialect as mavlink
+from tailbeat import records, results
+from tailbeat.boardclock import BoardClock
+from tailbeat.camera.base import Camera, Frame
+from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.errors import ConnectError
+from tailbeat.faults import NO_REFERENCE, NO_TRIAL, refusal
+from tailbeat.ftp import FtpClient, FtpError, Progress
+from tailbeat.link import Link, Message, text_of
+from tailbeat.parameters import Parameters
+from tailbeat.results import (
+    Amplitudes,
+    BeatEvent,
+    BoardInfo,
+    BoardStatus,
+    LearnReport,
+    TrialFile,
+    TrialOutcome,
+)
+from tailbeat.transport.base import Transport
+from tailbeat.transport.find import hear_board, open_transport
+from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.transport.tcp import TcpTransport
+
+TRIALS = "/trials"
+LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
+_AMPLITUDES_PER_PIECE = 32
+_FTP_NOT_FOUND = 10
+_NAME = "tailbeat "
+
+Event = dict[str, Any]
+OnEvent = Callable[[Event], None]
+Guard = Callable[[Frame | BeatEvent], str | None]
+
+
+class HasRecord(Protocol):
+    """A reference, as far as uploading it goes."""
+
+    def record(self) -> bytes:
+        """The bytes of the board's file."""
+
+
+class Fish:
+    """One connected board. Use as a context manager, or close() it."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.link = Link(transport)
+        self.clock = BoardClock(self.link)
+        self.params = Parameters(self.link)
+        self.ftp = FtpClient(self.link)
+
+    @classmethod
+    def connect(cls, url: str | None = None, **sim_overrides: float) -> Fish:
+        """Opens ``url`` (None: find the fish) and greets the board. Raises ConnectError."""
+        transport = open_transport(url, **sim_overrides)
+        try:
+            if url is not None and hear_board(transport) is None:
+                raise ConnectError(
+                    f"there is no tailbeat board on {transport.name}",
+                    "Check that it is switched on and that this is the right address.",
+                )
+            fish = cls(transport)
+            fish.clock.sync()
+        except BaseException:
+            transport.close()
+            raise
+        return fish
+
+    def __enter__(self) -> Fish:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the connection; the board stays as it is."""
+        self.link.close()
+
+    @property
+    def sim(self) -> SimBoard | None:
+        """The simulated board when it lives in this process."""
+        return self.transport.board if isinstance(self.transport, SimTransport) else None
+
+    def info(self) -> BoardInfo:
+        """Who the board is and where it stands."""
+        m = self.link.request("AUTOPILOT_VERSION")
+        kind = results.BOARD_KINDS.get(m.board_version, "unknown")
+        version = m.flight_sw_version
+        return BoardInfo(
+            build_id=self._build_id() or text_of(bytes(m.flight_custom_version)),
+            version=f"{version >> 24 & 255}.{version >> 16 & 255}.{version >> 8 & 255}",
+            board=kind,
+            simulated=kind == "simulated",
+            unique_id=bytes(m.uid2)[:16].hex(),
+            connection=self.transport.name,
+            status=self.status(),
+        )
+
+    def status(self) -> BoardStatus:
+        """Where the board stands now."""
+        return BoardStatus.of(self.link.request("TAILBEAT_STATUS"))
+
+    def health(self) -> dict[str, int | str]:
+        """Counters of what went wrong since boot."""
+        return results.health_dict(self.link.request("TAILBEAT_HEALTH"))
+
+    def upload_reference(
+        self, reference: bytes | HasRecord, progress: Progress | None = None
+    ) -> int:
+        """Makes ``reference`` the board's; its CRC. Does nothing when the board has it already."""
+        record = reference if isinstance(reference, bytes) else reference.record()
+        crc = records.record_crc(record)
+        if self.status().reference_crc != crc:
+            self._upload(records.FILE_REFERENCE, record, progress)
+        return crc
+
+    def reference_record(self) -> bytes | None:
+        """The board's reference as it is stored, see records.decode_reference."""
+        try:
+            return self.ftp.read("/reference.bin")
+        except FtpError as error:
+            if error.code == _FTP_NOT_FOUND:
+                return None
+            raise
+
+    def upload_amplitudes(self, amplitude_rad: ArrayLike) -> None:
+        """Makes amplitudes computed elsewhere the next ones to swim."""
+        crc = self.status().reference_crc
+        if crc is None:
+            raise refusal(NO_REFERENCE)
+        self._upload(records.FILE_AMPLITUDES, records.encode_amplitudes(crc, amplitude_rad))
+
+    def upload_speeds(self, trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> None:
+        """Gives the pending trial its speeds, one per beat; NaN = not measured."""
+        record = records.encode_speeds(trial, speed_m_s, sigma_m_s)
+        self._upload(records.FILE_SPEEDS, record)
+
+    def arm(self) -> None:
+        """Ready to swim. Refused when a trial is pending, without a reference, …"""
+        self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    def disarm(self) -> None:
+        """Back to idle; a running trial is aborted."""
+        self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+
+    def clear(self) -> None:
+        """Leaves ABORTED or FAULT."""
+        self.link.command(mavlink.TAILBEAT_CMD_CLEAR)
+
+    def abort(self) -> None:
+        """Stops the tail now."""
+        self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, timeout_s=0.3, tries=10)
+
+    def learn(self, trial: int | None = None) -> LearnReport:
+        """Learns from the pending trial (or ``trial``)."""
+        number = trial if trial is not None else self._pending()
+        heard: list[Message] = []
+        stop = self.link.subscribe(heard.append)
+        try:
+            self.link.command(
+                mavlink.TAILBEAT_CMD_LEARN, float(number), timeout_s=LEARN_TIMEOUT_S
+            )
+        finally:
+            stop()
+        for message in heard:
+            if message.get_type() == "TAILBEAT_LEARN_REPORT" and message.trial == number:
+                return LearnReport.of(message)
+        report = self.link.request("TAILBEAT_LEARN_REPORT", where=lambda m: m.trial == number)
+        return LearnReport.of(report)
+
+    def discard(self, trial: int | None = None) -> None:
+        """Drops the pending trial without learning; its log stays."""
+        number = trial if trial is not None else self._pending()
+        self.link.command(mavlink.TAILBEAT_CMD_DISCARD, float(number))
+
+    def restore_best(self) -> None:
+        """Makes the best amplitudes so far the next ones."""
+        self.link.command(mavlink.TAILBEAT_CMD_RESTORE_BEST)
+
+    def amplitudes(self) -> Amplitudes:
+        """The amplitudes that swim next, bit for bit."""
+        while True:
+            first = self._amplitudes_piece(0)
+            values = list(first.amplitude_rad[: first.count])
+            steady = True
+            while steady and len(values) < first.beats:
+                piece = self._amplitudes_piece(len(values))
+                steady = piece.count > 0 and _same_series(piece, first)
+                values += piece.amplitude_rad[: piece.count]
+            if steady:
+                break
+        return Amplitudes(
+            first.iteration, first.beats, first.reference_crc, np.array(values, dtype=np.float32)
+        )
+
+    def trials(self) -> list[TrialFile]:
+        """Trial logs on the board, oldest first."""
+        found = []
+        for entry in self.ftp.list(TRIALS):
+            stem, _, kind = entry.name.partition(".")
+            if kind == "ulg" and stem.isdigit():
+                found.append(TrialFile(int(stem), f"{TRIALS}/{entry.name}", entry.size))
+        return sorted(found, key=lambda trial: trial.number)
+
+    def pull_trial(self, number: int, folder: Path, progress: Progress | None = None) -> Path:
+        """Copies a trial's log into ``folder``; resumes what an earlier call began."""
+        name = f"{number:04d}.ulg"
+        local = folder / name
+        self.ftp.pull(f"{TRIALS}/{name}", local, progress)
+        return local
+
+    def run_trial(
+        self,
+        camera: Camera | None = None,
+        on_event: OnEvent | None = None,
+        guard: Guard | None = None,
+        reconnect_s: float = 60.0,
+    ) -> TrialOutcome:
+        """Swims the next trial to its end; see trialrun.run_trial."""
+        from tailbeat.trialrun import run_trial
+
+        return run_trial(self, camera, on_event, guard, reconnect_s)
+
+    def watch(self) -> Iterator[Event]:
+        """Everything the board tells, as it comes, for ever."""
+        kinds = tuple(_WATCHED)
+        while True:
+            message = self.link.recv(kinds, 1.0)
+            if message is not None:
+                yield _WATCHED[message.get_type()](message)
+
+    def default_camera(self) -> Camera | None:
+        """The camera that belongs to a simulated board; None for a real one."""
+        if isinstance(self.transport, SimTransport):
+            return SimulatedCamera(self.transport.board)
+        if isinstance(self.transport, TcpTransport):
+            try:
+                return RemoteCamera(self.transport.host, self.transport.port + 1)
+            except ConnectError:
+                return None
+        return None
+
+    def _build_id(self) -> str | None:
+        """The board says it in a line of text behind its version."""
+        patience_s = self.link.patient(0.5)
+        m = self.link.recv("STATUSTEXT", patience_s, lambda m: text_of(m.text).startswith(_NAME))
+        return text_of(m.text).removeprefix(_NAME) if m else None
+
+    def _pending(self) -> int:
+        number = self.status().pending_trial
+        if number is None:
+            raise refusal(NO_TRIAL)
+        return number
+
+    def _upload(self, file: int, record: bytes, progress: Progress | None = None) -> None:
+        self.ftp.write(records.PATHS[file], record, progress)
+        crc = records.crc32(record)
+        signed = crc - (1 << 32) if crc & 0x80000000 else crc
+        self.link.command_int(mavlink.TAILBEAT_CMD_COMMIT, float(file), len(record), signed)
+
+    def _amplitudes_piece(self, first: int) -> Message:
+        return self.link.request(
+            "TAILBEAT_AMPLITUDES",
+            first,
+            lambda m: m.first == first and m.count <= _AMPLITUDES_PER_PIECE,
+        )
+
+
+def _same_series(piece: Message, first: Message) -> bool:
+    return bool(
+        piece.iteration == first.iteration
+        and piece.beats == first.beats
+        and piece.reference_crc == first.reference_crc
+    )
+
+
+def status_event(status: BoardStatus) -> Event:
+    """A status as one event; the fault as number and name."""
+    event: Event = {"event": "status", **vars(status)}
+    event["fault"] = status.fault.number
+    event["fault_name"] = status.fault.name
+    return event
+
+
+def beat_event(beat: BeatEvent) -> Event:
+    """A settled beat as one event."""
+    return {"event": "beat", **vars(beat)}
+
+
+def _live_event(m: Message) -> Event:
+    values = {name: getattr(m, name) for name in m.get_fieldnames() if name != "time_boot_ms"}
+    values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
+    return {"event": "live", "time_s": m.time_boot_ms * 1e-3, **values}
+
+
+def text_event(m: Message) -> Event:
+    """A line of text as one event."""
+    return {"event": "text", "severity": m.severity, "text": text_of(m.text)}
+
+
+_WATCHED: dict[str, Callable[[Message], Event]] = {
+    "TAILBEAT_STATUS": lambda m: status_event(BoardStatus.of(m)),
+    "TAILBEAT_BEAT": lambda m: beat_event(BeatEvent.of(m)),
+    "TAILBEAT_LIVE": _live_event,
+    "TAILBEAT_HEALTH": lambda m: {"event": "health", **results.health_dict(m)},
+    "TAILBEAT_LEARN_REPORT": lambda m: {"event": "learned", **vars(LearnReport.of(m))},
+    "STATUSTEXT": text_event,
+}
+

@@ -1,0 +1,221 @@
+"""The learning law, computed by the C code the board runs (firmware/ilc/law.h), bit for bit."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.errors import InputError
+
+if TYPE_CHECKING:
+    from cffi.api import FFI
+
+Floats = NDArray[np.float32]
+
+_PARAMS = {
+    "LAW_GAIN": "kp_rad_s_m",
+    "LAW_KD": "kd_rad_s2_m",
+    "AMP_MAX_RAD": "amplitude_max_rad",
+    "DU_MAX_RAD": "step_max_rad",
+    "LAW_LEAD": "lead_beats",
+    "LAW_Q_LEN": "q_len",
+    "LAW_TAIL": "tail",
+}
+_SHORT = {
+    "gain": "kp_rad_s_m",
+    "kp": "kp_rad_s_m",
+    "kd": "kd_rad_s2_m",
+    "lead": "lead_beats",
+    "amplitude_max": "amplitude_max_rad",
+    "step_max": "step_max_rad",
+}
+_TAILS = {"hold": 0, "keep": 1}
+_REFUSALS = {
+    1: (
+        "the law does not fit: a gain is not finite, a limit is not above 0, or lead_beats or q_len "
+        "is too long.",
+        "The lead must be shorter than the trial and 2*q_len-1 must fit into it.",
+    ),
+    2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
+    3: ("no beat has a measured speed.", "Upload the speeds of the trial, or swim it again."),
+}
+
+
+@dataclass(frozen=True)
+class Law:
+    """Mirror of ``law_t``; the plain law of the thesis (8.16) is ``Law(kp_rad_s_m=gamma)``."""
+
+    kp_rad_s_m: float = 4.0
+    kd_rad_s2_m: float = 0.0
+    amplitude_max_rad: float = math.pi / 4
+    step_max_rad: float = 0.0
+    beat_s: float = 1.0
+    lead_beats: int = 0
+    q_len: int = 1
+    tail: int = 0
+
+    @classmethod
+    def from_params(cls, params: Mapping[str, float], beat_s: float = 1.0) -> Law:
+        """The law the board runs with these parameters."""
+        values: dict[str, Any] = {field: params[name] for name, field in _PARAMS.items()}
+        for field in ("lead_beats", "q_len", "tail"):
+            values[field] = int(values[field])
+        return cls(**values, beat_s=beat_s)
+
+    def native(self, ffi: FFI) -> Any:
+        """A ``law_t *`` with these values."""
+        return ffi.new("law_t *", asdict(self))
+
+    def label(self) -> str:
+        """Short text for a folder name, ``p4`` or ``p4-lead1``."""
+        text = f"p{self.kp_rad_s_m:g}"
+        text += f"d{self.kd_rad_s2_m:g}" if self.kd_rad_s2_m else ""
+        text += f"-lead{self.lead_beats}" if self.lead_beats else ""
+        return text + (f"-q{self.q_len}" if self.q_len > 1 else "")
+
+
+@dataclass(frozen=True)
+class LawReport:
+    """Mirror of ``law_report_t``; errors over measured beats, m/s."""
+
+    max_abs_error_m_s: float
+    rms_error_m_s: float
+    measured_beats: int
+    saturated_beats: int
+
+
+def load(path: Path) -> Law:
+    """Reads a LAW.json: an object of ``Law`` fields or of parameter names; what is missing keeps
+    its default. ``gain`` and ``lead`` are understood too."""
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot read {path}: {error}.", 'Give a file like {"kp_rad_s_m": 4, "lead_beats": 1}.'
+        ) from error
+    if not isinstance(raw, dict):
+        raise InputError(f"{path.name} holds no JSON object.", 'Write it like {"kp_rad_s_m": 4}.')
+    values: dict[str, Any] = {}
+    for key, value in raw.items():
+        field = _PARAMS.get(key) or _SHORT.get(key) or key
+        values[field] = _law_value(path, key, field, value)
+    return Law(**values)
+
+
+def _law_value(path: Path, key: str, field: str, value: object) -> float | int:
+    names = [f.name for f in fields(Law)]
+    if field not in names:
+        raise InputError(f"{path.name}: unknown key {key}.", f"Known are {', '.join(names)}.")
+    if field == "tail" and value in _TAILS:
+        return _TAILS[str(value)]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{path.name}: {key} is not a number.", "Write it like 4 or 0.785.")
+    if field not in ("lead_beats", "q_len", "tail"):
+        return float(value)
+    if not 0 <= value <= 65535 or value != int(value) or (field == "tail" and value > 1):
+        raise InputError(f"{path.name}: {key} is not a whole number that fits.", "Use 0, 1, 2, …")
+    return int(value)
+
+
+def errors_of(
+    reference_m_s: ArrayLike, speed_m_s: ArrayLike
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """(error, measured) per beat: reference minus speed in float32, 0 where the speed is NaN."""
+    reference = np.asarray(reference_m_s, dtype=np.float32)
+    speed = np.asarray(speed_m_s, dtype=np.float32)
+    measured = np.isfinite(speed)
+    error = np.where(measured, reference - np.where(measured, speed, 0), 0).astype(np.float32)
+    return error, measured
+
+
+class _Call:
+    """The C arguments of one law call, kept alive together."""
+
+    def __init__(self, law: Law, amplitudes: Floats, errors: Floats, measured: ArrayLike | None):
+        from tailbeat._native import ffi, lib
+
+        beats = len(amplitudes)
+        if len(errors) != beats or not 1 <= beats <= 512:
+            raise InputError(
+                f"{beats} amplitudes and {len(errors)} errors do not make a trial.",
+                "Give one of each per beat, 1 to 512 beats.",
+            )
+        mask = np.ones(beats, bool) if measured is None else np.asarray(measured, dtype=bool)
+        self.ffi, self.lib, self.beats = ffi, lib, beats
+        self.law = law.native(ffi)
+        self.amplitudes = ffi.new("float[]", amplitudes.tolist())
+        self.errors = ffi.new("float[]", errors.tolist())
+        self.mask = ffi.new("uint8_t[]", mask.astype(int).tolist())
+        self.trial = ffi.new(
+            "law_trial_t *", {"beats": beats, "error_m_s": self.errors, "measured": self.mask}
+        )
+        self.report = ffi.new("law_report_t *")
+        self.scratch = ffi.new("float[]", beats)
+
+    def check(self, result: int) -> None:
+        if result:
+            raise InputError(*_REFUSALS[result])
+
+    def law_report(self) -> LawReport:
+        return LawReport(*(getattr(self.report, f.name) for f in fields(LawReport)))
+
+    def next_amplitudes(self) -> Floats:
+        return np.frombuffer(self.ffi.buffer(self.amplitudes), dtype=np.float32).copy()
+
+
+def update(
+    law: Law, amplitudes: ArrayLike, errors: ArrayLike, measured: ArrayLike | None = None
+) -> tuple[Floats, LawReport]:
+    """One step of the law: (next amplitudes in rad, unsaturated; report).
+
+    ``amplitudes`` rad and ``errors`` m/s have one value per beat; ``measured`` False = no speed.
+    """
+    u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
+    call = _Call(law, u, e, measured)
+    call.check(
+        call.lib.law_update(call.law, call.trial, call.amplitudes, call.scratch, call.report)
+    )
+    return call.next_amplitudes(), call.law_report()
+
+
+def judge(
+    law: Law, amplitudes: ArrayLike, errors: ArrayLike, measured: ArrayLike | None = None
+) -> LawReport:
+    """Max|e|, RMS and saturation of a trial, without learning."""
+    u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
+    call = _Call(law, u, e, measured)
+    call.check(call.lib.law_judge(call.law, call.trial, call.amplitudes, call.report))
+    return call.law_report()
+
+
+def first(law: Law, reference_m_s: ArrayLike) -> Floats:
+    """The amplitudes of iteration 1: the law applied to the zero input, whose error is the
+    reference. Without the step limit, as on the board."""
+    from tailbeat._native import ffi, lib
+
+    reference = np.asarray(reference_m_s, dtype=np.float32)
+    memory = ffi.new("memory_t *")
+    lib.memory_begin(memory, 1, len(reference))
+    scratch = ffi.new("float[]", len(reference))
+    values = ffi.new("float[]", reference.tolist())
+    result = lib.memory_first(memory, law.native(ffi), values, scratch)
+    if result:
+        raise InputError(*_REFUSALS[result])
+    amplitudes = np.frombuffer(ffi.buffer(memory.amplitude_rad), dtype=np.float32)
+    return amplitudes[: len(reference)].copy()
+
+
+def saturate(law: Law, amplitudes: ArrayLike) -> Floats:
+    """What the servo gets."""
+    from tailbeat._native import ffi, lib
+
+    native = law.native(ffi)
+    values = np.asarray(amplitudes, dtype=np.float32)
+    return np.array([lib.law_saturate(native, float(u)) for u in values], dtype=np.float32)

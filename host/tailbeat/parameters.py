@@ -1,0 +1,199 @@
+"""The board's parameters over the MAVLink parameter protocol."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+
+from tailbeat import _dialect as mavlink
+from tailbeat._native import ffi, lib
+from tailbeat.errors import InputError
+from tailbeat.faults import BAD_PARAM, WRONG_STATE, refusal
+from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
+
+_NAME_BYTES = 16
+_LIST_SILENCE_S = 0.5
+_LIST_ROUNDS = 8
+_FAULTS = {mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED: WRONG_STATE}
+_LOAD, _SAVE, _RESET = 0.0, 1.0, 2.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter as the board holds it. Limits are inclusive; NaN when the tool has none."""
+
+    name: str
+    value: float
+    default: float
+    low: float
+    high: float
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class _Known:
+    default: float
+    low: float
+    high: float
+    whole: bool
+    unit: str
+    text: str
+
+
+_UNKNOWN = _Known(math.nan, math.nan, math.nan, False, "", "")
+
+
+class Parameters:
+    """Reads and changes parameters. A change takes effect at once; save() makes it last."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def list(self) -> dict[str, Parameter]:
+        """All parameters, in the board's order."""
+        found: dict[int, Message] = {}
+        count: int | None = None
+        message = mavlink.MAVLink_param_request_list_message(BOARD_SYSTEM, BOARD_COMPONENT)
+        self._link.flush()
+        for _ in range(_LIST_ROUNDS):
+            if count is None:
+                self._link.send(message)
+            else:
+                self._ask_for(i for i in range(count) if i not in found)
+            count = self._collect(found, count)
+            if count is not None and len(found) >= count:
+                return {p.name: p for p in (_parameter(found[i]) for i in sorted(found))}
+        raise self._link.lost(_LIST_ROUNDS, _LIST_ROUNDS * _LIST_SILENCE_S)
+
+    def get(self, name: str) -> Parameter:
+        """One parameter. Raises Refused when the board has none of that name."""
+        encoded = _encode(name)
+        message = mavlink.MAVLink_param_request_read_message(
+            BOARD_SYSTEM, BOARD_COMPONENT, encoded, -1
+        )
+        return _parameter(self._exchange(message, name))
+
+    def set(self, name: str, value: float) -> Parameter:
+        """Changes one parameter; what the board then holds, equal to ``value`` as float32."""
+        _check_range(name, value, known_parameters().get(name))
+        message = mavlink.MAVLink_param_set_message(
+            BOARD_SYSTEM, BOARD_COMPONENT, _encode(name), value, mavlink.MAV_PARAM_TYPE_REAL32
+        )
+        held = _parameter(self._exchange(message, name))
+        if _bits(held.value) != _bits(value):
+            raise refusal(WRONG_STATE)  # its word on why was lost; the range was right
+        return held
+
+    def save(self) -> None:
+        """Writes the present values to the board's storage."""
+        self._storage(_SAVE)
+
+    def load(self) -> None:
+        """Brings the stored values back."""
+        self._storage(_LOAD)
+
+    def reset(self) -> None:
+        """Sets every parameter to its default; what is stored stays until save()."""
+        self._storage(_RESET)
+
+    def _storage(self, what: float) -> None:
+        self._link.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, what)
+
+    def _ask_for(self, indices: Iterable[int]) -> None:
+        for index in indices:
+            self._link.send(
+                mavlink.MAVLink_param_request_read_message(
+                    BOARD_SYSTEM, BOARD_COMPONENT, b"", index
+                )
+            )
+
+    def _collect(self, found: dict[int, Message], count: int | None) -> int | None:
+        silence_s = self._link.patient(_LIST_SILENCE_S)
+        while count is None or len(found) < count:
+            message = self._link.recv("PARAM_VALUE", silence_s)
+            if message is None:
+                break
+            count = message.param_count
+            if message.param_index < message.param_count:
+                found[message.param_index] = message
+        return count
+
+    def _exchange(self, message: Message, name: str) -> Message:
+        def fits(answer: Message) -> bool:
+            return text_of(answer.param_id) == name
+
+        self._link.flush()
+        for patience_s in self._link.attempts():
+            self._link.send(message)
+            answer = self._link.recv(("PARAM_VALUE", "PARAM_ERROR"), patience_s, fits)
+            if answer is None:
+                continue
+            if answer.get_type() == "PARAM_ERROR":
+                raise refusal(_FAULTS.get(answer.error, BAD_PARAM))
+            return answer
+        raise AssertionError("attempts always raises at its end")
+
+
+@cache
+def known_parameters() -> dict[str, _Known]:
+    """The table this tool was built with (params/params.def)."""
+    table: dict[str, _Known] = {}
+    for index in range(int(lib.PARAM_COUNT)):
+        info = lib.param_info(index)
+        table[_text(info.name)] = _Known(
+            float(info.fallback),
+            float(info.low),
+            float(info.high),
+            info.kind == lib.PARAM_WHOLE,
+            _text(info.unit),
+            _text(info.text),
+        )
+    return table
+
+
+def _text(pointer: object) -> str:
+    return str(ffi.string(pointer).decode())
+
+
+def _parameter(message: Message) -> Parameter:
+    name = text_of(message.param_id)
+    known = known_parameters().get(name, _UNKNOWN)
+    return Parameter(
+        name,
+        float(message.param_value),
+        known.default,
+        known.low,
+        known.high,
+        known.unit,
+        known.text,
+    )
+
+
+def _encode(name: str) -> bytes:
+    encoded = name.encode("ascii", "replace")
+    if not 1 <= len(encoded) <= _NAME_BYTES:
+        raise refusal(BAD_PARAM)
+    return encoded
+
+
+def _bits(value: float) -> bytes:
+    return struct.pack("<f", value)
+
+
+def _check_range(name: str, value: float, known: _Known | None) -> None:
+    if not math.isfinite(value) or abs(value) > 3.4e38:
+        raise InputError(f"{value} is no value for {name}", "Give a finite number.")
+    if known is None:
+        return
+    rounded = struct.unpack("<f", _bits(value))[0]
+    if not known.low <= rounded <= known.high:
+        raise InputError(
+            f"{name} cannot be {value:g}",
+            f"Give a value from {known.low:g} to {known.high:g} {known.unit}".rstrip() + ".",
+        )
+    if known.whole and rounded != round(rounded):
+        raise InputError(f"{name} cannot be {value:g}", "Give a whole number.")

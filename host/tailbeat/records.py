@@ -1,0 +1,153 @@
+"""The small binary files of docs/protocol.md, through the firmware's own encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat._native import ffi, lib
+from tailbeat.errors import InputError
+from tailbeat.faults import fault_info
+
+Float32 = NDArray[np.float32]
+
+FILE_REFERENCE = 0
+FILE_AMPLITUDES = 1
+FILE_SPEEDS = 2
+PATHS = {
+    FILE_REFERENCE: "/in/reference.bin",
+    FILE_AMPLITUDES: "/in/amplitudes.bin",
+    FILE_SPEEDS: "/in/speeds.bin",
+}
+
+_HEADER_BYTES = 12
+_FIXED_BYTES = 64  # more than the header and fixed fields of any record
+_BEATS_MAX = len(ffi.new("reference_t *").speed_m_s)
+
+
+@dataclass(frozen=True)
+class ReferenceRecord:
+    """A decoded reference. ``speed_m_s``: float32, shape (beats,)."""
+
+    beat_s: float
+    speed_m_s: Float32
+    crc: int
+
+
+@dataclass(frozen=True)
+class SpeedsRecord:
+    """Decoded speeds of a trial; NaN = not measured. Arrays: float32, shape (beats,), m/s."""
+
+    trial: int
+    speed_m_s: Float32
+    sigma_m_s: Float32
+
+
+@dataclass(frozen=True)
+class AmplitudesRecord:
+    """Decoded amplitudes, rad, for the reference with ``reference_crc``."""
+
+    reference_crc: int
+    amplitude_rad: Float32
+
+
+def crc32(data: bytes, crc: int = 0) -> int:
+    """CRC-32 of MAVLink FTP (``b"123456789"`` gives 0x2DFD2D88); ``crc`` goes on from a piece."""
+    return int(lib.crc32_update(crc, ffi.from_buffer(data), len(data)))
+
+
+def record_crc(record: bytes) -> int:
+    """The CRC a record carries; for a reference this is its identity."""
+    if len(record) < _HEADER_BYTES:
+        raise InputError("the record is too short", "Encode it again.")
+    return int.from_bytes(record[8:12], "little")
+
+
+def encode_reference(beat_s: float, speed_m_s: ArrayLike) -> bytes:
+    """The file that, uploaded and committed, becomes the reference."""
+    speeds = _beats(speed_m_s, "speed")
+    struct = ffi.new("reference_t *")
+    struct.beats = len(speeds)
+    struct.beat_s = beat_s
+    _fill(struct.speed_m_s, speeds)
+    return _encode(lib.record_encode_reference, struct, 1, len(speeds))
+
+
+def decode_reference(record: bytes) -> ReferenceRecord:
+    """Raises InputError when ``record`` is not a sound reference."""
+    struct = ffi.new("reference_t *")
+    _check(lib.record_decode_reference(ffi.from_buffer(record), len(record), struct), "reference")
+    return ReferenceRecord(
+        float(struct.beat_s), _array(struct.speed_m_s, struct.beats), int(struct.crc)
+    )
+
+
+def encode_speeds(trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> bytes:
+    """Speeds of the pending trial, one per beat; NaN = not measured."""
+    speeds = _beats(speed_m_s, "speed")
+    sigmas = np.broadcast_to(np.asarray(sigma_m_s, dtype=np.float32), speeds.shape)
+    struct = ffi.new("speed_upload_t *")
+    struct.trial = trial
+    struct.beats = len(speeds)
+    _fill(struct.speed_m_s, speeds)
+    _fill(struct.sigma_m_s, np.ascontiguousarray(sigmas))
+    return _encode(lib.record_encode_speeds, struct, 2, len(speeds))
+
+
+def decode_speeds(record: bytes) -> SpeedsRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("speed_upload_t *")
+    _check(lib.record_decode_speeds(ffi.from_buffer(record), len(record), struct), "speeds file")
+    beats = struct.beats
+    return SpeedsRecord(
+        int(struct.trial), _array(struct.speed_m_s, beats), _array(struct.sigma_m_s, beats)
+    )
+
+
+def encode_amplitudes(reference_crc: int, amplitude_rad: ArrayLike) -> bytes:
+    """Amplitudes the host computed itself, one per beat of the reference."""
+    amplitudes = _beats(amplitude_rad, "amplitude")
+    struct = ffi.new("amplitudes_upload_t *")
+    struct.reference_crc = reference_crc
+    struct.beats = len(amplitudes)
+    _fill(struct.amplitude_rad, amplitudes)
+    return _encode(lib.record_encode_amplitudes, struct, 1, len(amplitudes))
+
+
+def decode_amplitudes(record: bytes) -> AmplitudesRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("amplitudes_upload_t *")
+    fault = lib.record_decode_amplitudes(ffi.from_buffer(record), len(record), struct)
+    _check(fault, "amplitudes file")
+    return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
+
+
+def _beats(values: ArrayLike | Sequence[float], what: str) -> Float32:
+    array = np.ascontiguousarray(values, dtype=np.float32)
+    if array.ndim != 1 or not 1 <= array.size <= _BEATS_MAX:
+        raise InputError(
+            f"{array.size} {what}s given", f"Give one per beat, 1 to {_BEATS_MAX} in all."
+        )
+    return array
+
+
+def _fill(target: Any, values: Float32) -> None:
+    ffi.memmove(target, values.tobytes(), values.nbytes)
+
+
+def _array(source: Any, count: int) -> Float32:
+    return np.frombuffer(ffi.buffer(source), dtype=np.float32, count=count).copy()
+
+
+def _encode(encoder: Any, struct: Any, arrays: int, beats: int) -> bytes:
+    out = ffi.new("uint8_t[]", _FIXED_BYTES + 4 * arrays * beats)
+    return bytes(ffi.buffer(out, encoder(struct, out)))
+
+
+def _check(fault: int, what: str) -> None:
+    if fault:
+        raise InputError(f"not a sound {what}: {fault_info(int(fault)).meaning}", "Make it again.")

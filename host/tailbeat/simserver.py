@@ -1,0 +1,278 @@
+"""A simulated board as a process: the radio on a TCP port, the camera on another, the console on a
+pty, in real time times a factor.
+
+The board goes on swimming when a client drops, as a real one would, and takes the next client
+without a restart.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import selectors
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tailbeat.errors import ConnectError, InputError
+from tailbeat.transport.simulated import CONSOLE, RADIO, SimBoard
+
+DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
+
+_CHUNK_BYTES = 65536
+_BACKLOG_MAX_BYTES = 1 << 20
+_STEP_S = 0.002  # wall time between two looks at the board
+_CATCH_UP_MAX_S = 0.25  # wall time a slow machine may owe before the clock is set back
+
+
+class _Client:
+    """One end of a stream: a socket or a pty, with what it has not taken yet."""
+
+    def __init__(self, fd: int, close: Callable[[], None]) -> None:
+        self.fd = fd
+        self.close = close
+        self._out = bytearray()
+
+    def read(self) -> bytes | None:
+        """What has arrived; None = the other end is gone."""
+        try:
+            return os.read(self.fd, _CHUNK_BYTES) or None
+        except BlockingIOError:
+            return b""
+        except OSError:
+            return None
+
+    def write(self, data: bytes) -> bool:
+        """Sends what can be sent now. False = gone, or it does not read."""
+        self._out += data
+        try:
+            while self._out:
+                del self._out[: os.write(self.fd, self._out)]
+        except BlockingIOError:
+            pass
+        except OSError:
+            return False
+        return len(self._out) <= _BACKLOG_MAX_BYTES
+
+
+class _Port:
+    """A listening TCP port with at most one client."""
+
+    def __init__(self, selector: selectors.BaseSelector, host: str, port: int) -> None:
+        self._selector = selector
+        self._listener = _listener(host, port)
+        self.host, self.number = self._listener.getsockname()[:2]
+        self.client: _Client | None = None
+        selector.register(self._listener, selectors.EVENT_READ, self._accept)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            connection, _ = self._listener.accept()
+            if self.client is not None:
+                connection.close()
+                return
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self.client = _Client(connection.fileno(), connection.close)
+            self._selector.register(connection, selectors.EVENT_READ, _nothing)
+            self._connection = connection
+
+    def read(self) -> bytes:
+        data = self.client.read() if self.client else b""
+        if data is None:
+            self.drop()
+        return data or b""
+
+    def write(self, data: bytes) -> None:
+        if self.client is not None and not self.client.write(data):
+            self.drop()
+
+    def drop(self) -> None:
+        if self.client is not None:
+            self._selector.unregister(self._connection)
+            self.client.close()
+            self.client = None
+
+    def close(self) -> None:
+        self.drop()
+        self._selector.unregister(self._listener)
+        self._listener.close()
+
+
+class _Pty:
+    """The console on a pseudo-terminal. The slave end stays open, so that clients may come and go."""
+
+    def __init__(self, selector: selectors.BaseSelector) -> None:
+        try:
+            import pty
+            import tty
+        except ImportError as error:
+            raise InputError("this system has no ptys.", "Use the TCP port.") from error
+        self._selector = selector
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        selector.register(self._master, selectors.EVENT_READ, _nothing)
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._master, _CHUNK_BYTES)
+        except OSError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Bytes nobody reads are lost, as on a cable."""
+        with contextlib.suppress(OSError):
+            os.write(self._master, data)
+
+    def close(self) -> None:
+        self._selector.unregister(self._master)
+        os.close(self._master)
+        os.close(self._slave)
+
+
+@dataclass(frozen=True)
+class Addresses:
+    """Where the simulator can be reached."""
+
+    listen: str
+    camera: str
+    pty: str | None
+
+    def as_dict(self) -> dict[str, str | None]:
+        """For ``--json``."""
+        return {"listen": self.listen, "camera": self.camera, "pty": self.pty}
+
+
+class SimServer:
+    """Serves one SimBoard. ``speed``: simulated seconds per second."""
+
+    def __init__(
+        self, board: SimBoard, listen: str = DEFAULT_LISTEN, pty: bool = False, speed: float = 1.0
+    ) -> None:
+        if not 0 < speed < 1e6:
+            raise InputError(f"a speed of {speed:g} makes no sense.", "Give it like --speed 10.")
+        host, port = parse_listen(listen)
+        self._board = board
+        self._speed = speed
+        self._selector = selectors.DefaultSelector()
+        self._radio, self._camera = _two_ports(self._selector, host, port)
+        self._pty = _Pty(self._selector) if pty else None
+        self._start_s = time.monotonic()
+        self._origin_s = board.time_s
+
+    @property
+    def addresses(self) -> Addresses:
+        """Where to connect."""
+        return Addresses(
+            f"tcp:{self._radio.host}:{self._radio.number}",
+            f"tcp:{self._camera.host}:{self._camera.number}",
+            self._pty.path if self._pty else None,
+        )
+
+    def serve(self, stop: Callable[[], bool] = lambda: False) -> None:
+        """Runs until ``stop()`` says so."""
+        while not stop():
+            self.step()
+
+    def step(self) -> None:
+        """Waits a moment for bytes, moves them, and lets the board's time catch up."""
+        for key, _ in self._selector.select(_STEP_S):
+            key.data()
+        self._board.write(self._radio.read(), RADIO)
+        if self._pty is not None:
+            self._board.write(self._pty.read(), CONSOLE)
+        self._advance()
+        self._deliver()
+        self._camera.read()
+
+    def _advance(self) -> None:
+        wall_s = time.monotonic()
+        done_s = self._board.time_s - self._origin_s
+        due_s = (wall_s - self._start_s) * self._speed - done_s
+        limit_s = _CATCH_UP_MAX_S * self._speed
+        if due_s > limit_s:
+            self._start_s, self._origin_s = wall_s, self._board.time_s + limit_s
+            due_s = limit_s
+        if due_s >= 0.001:
+            self._board.run(due_s)
+
+    def _deliver(self) -> None:
+        if data := self._board.read(RADIO):
+            self._radio.write(data)
+        console = self._board.read(CONSOLE)
+        if console and self._pty is not None:
+            self._pty.write(console)
+        frames = self._board.camera_frames()
+        if frames and self._camera.client is not None:
+            boot_s = self._board.time_s - self._board.board_time_s
+            rows = (
+                {
+                    "t_board_s": frame.time_s - boot_s,
+                    "x_m": frame.x_m,
+                    "y_m": frame.y_m,
+                    "heading_rad": frame.heading_rad,
+                }
+                for frame in frames
+            )
+            self._camera.write("".join(json.dumps(row) + "\n" for row in rows).encode())
+
+    def close(self) -> None:
+        """Gives the ports up."""
+        self._radio.close()
+        self._camera.close()
+        if self._pty is not None:
+            self._pty.close()
+        self._selector.close()
+
+
+def parse_listen(listen: str) -> tuple[str, int]:
+    """``tcp:HOST:PORT`` to (host, port); port 0 = any that is free."""
+    kind, _, rest = listen.partition(":")
+    host, _, port = rest.rpartition(":")
+    if kind != "tcp" or not host or not port.isdigit() or int(port) > 65534:
+        raise InputError(f"'{listen}' is no place to listen.", f"Write it like {DEFAULT_LISTEN}.")
+    return host.strip("[]"), int(port)
+
+
+def _two_ports(
+    selector: selectors.BaseSelector, host: str, port: int
+) -> tuple[_Port, _Port]:
+    """Radio on ``port``, camera on the next one; with port 0 any free pair of neighbours."""
+    for _ in range(50):
+        radio = _Port(selector, host, port)
+        try:
+            return radio, _Port(selector, host, radio.number + 1)
+        except (ConnectError, OverflowError):
+            radio.close()
+            if port != 0:
+                raise
+    raise ConnectError("no two free ports in a row.", "Name one: --listen tcp:127.0.0.1:5760")
+
+
+def _listener(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        taken = error.errno == errno.EADDRINUSE
+        raise ConnectError(
+            f"cannot listen on tcp:{host}:{port} ({error.strerror}).",
+            "Another simulator may run there; choose another port with --listen."
+            if taken
+            else "Check the host name.",
+        ) from error
+    listener.listen(1)
+    listener.setblocking(False)
+    return listener
+
+
+def _nothing() -> None:
+    """Readable clients are read in every step anyway."""

@@ -1,0 +1,133 @@
+"""From a connect URL, or from nothing, to an open transport."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from urllib.parse import parse_qsl
+
+from tailbeat import _dialect as mavlink
+from tailbeat.errors import ConnectError, InputError, TailbeatError
+from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
+from tailbeat.transport.base import Transport
+from tailbeat.transport.serialport import SerialTransport, likely_ports
+from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.transport.tcp import TcpTransport
+from tailbeat.transport.udp import UdpTransport
+
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
+LISTEN_S = 3.0  # a board that was reset by opening its port is up again by then
+GRAMMAR = (
+    "a serial path, tcp:HOST:PORT, udp:PORT, udp:HOST:PORT, sim, sim:tank or sim:thesis"
+    " (with ?seed=1&kappa=5…)"
+)
+
+
+def open_transport(url: str | None = None, **sim_overrides: float) -> Transport:
+    """The transport ``url`` means; None finds the fish. Raises ConnectError, InputError."""
+    if url is None:
+        return find_board()
+    scheme, _, rest = url.partition(":")
+    if scheme.split("?")[0] == "sim":
+        return _open_sim(url, sim_overrides)
+    if sim_overrides:
+        raise InputError("simulator values given for a board that is none", "Connect to sim.")
+    if scheme == "tcp":
+        host, _, port = rest.rpartition(":")
+        return TcpTransport(host or DEFAULT_HOST, _port(port, url))
+    if scheme == "udp":
+        host, _, port = rest.rpartition(":")
+        return UdpTransport(host or None, _port(port, url))
+    if url.startswith(("/", "./", "../", "~")) or url.upper().startswith("COM"):
+        return SerialTransport(url)
+    raise InputError(f"cannot make sense of the address {url}", f"It is {GRAMMAR}.")
+
+
+def find_board(listen_s: float = LISTEN_S) -> Transport:
+    """The first fish that is heard: on serial ports, then on the simulator's usual TCP port."""
+    tried: list[str] = []
+    for name, opener in _candidates():
+        try:
+            transport = opener()
+        except ConnectError as error:
+            tried.append(f"{name} ({error.message})")
+            continue
+        try:
+            heard = hear_board(transport, listen_s)
+        except TailbeatError:
+            heard = None
+        if heard is not None:
+            return transport
+        transport.close()
+        tried.append(f"{name} (no tailbeat heartbeat)")
+    raise ConnectError(
+        f"no fish found; tried {', '.join(tried)}",
+        "Switch the fish on and pair its radio, say where it is with --connect,"
+        " or start a simulated one: tailbeat sim",
+    )
+
+
+def hear_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message | None:
+    """The first heartbeat of a tailbeat board; None when there is none in time.
+
+    Asks for one by sending a heartbeat first: behind UDP nobody speaks before being spoken to.
+    """
+    mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    framer = Framer(mav)
+    hello = mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+    deadline = transport.now_s() + timeout_s
+    next_hello_s = transport.now_s()
+    while (now := transport.now_s()) < deadline:
+        if now >= next_hello_s:
+            transport.write(hello.pack(mav))
+            next_hello_s = now + 1.0
+        for message in framer.push(transport.read()):
+            if is_board(message):
+                return message
+        transport.wait(min(deadline, next_hello_s) - now)
+    return None
+
+
+def is_board(message: Message) -> bool:
+    """Whether this is a heartbeat of a fish."""
+    return bool(
+        message.get_type() == "HEARTBEAT"
+        and message.get_srcSystem() == BOARD_SYSTEM
+        and message.get_srcComponent() == BOARD_COMPONENT
+        and message.type == mavlink.MAV_TYPE_SUBMARINE
+        and message.autopilot == mavlink.MAV_AUTOPILOT_GENERIC
+    )
+
+
+def _candidates() -> Iterator[tuple[str, Callable[[], Transport]]]:
+    for path in likely_ports():
+        yield path, lambda path=path: SerialTransport(path)  # type: ignore[misc]
+    yield (
+        f"tcp:{DEFAULT_HOST}:{DEFAULT_PORT}",
+        lambda: TcpTransport(DEFAULT_HOST, DEFAULT_PORT, connect_timeout_s=0.5),
+    )
+
+
+def _open_sim(url: str, overrides: dict[str, float]) -> SimTransport:
+    head, _, query = url.partition("?")
+    plant = head.partition(":")[2] or "tank"
+    values: dict[str, float] = {}
+    for name, text in parse_qsl(query, keep_blank_values=True):
+        try:
+            values[name] = float(text)
+        except ValueError:
+            what = f"{name}={text} is not a number"
+            raise InputError(what, f"The address is {GRAMMAR}.") from None
+    values.update(overrides)
+    seed = int(values.pop("seed", 1))
+    with contextlib.suppress(KeyError):
+        plant = str(values.pop("plant"))
+    return SimTransport(SimBoard(plant, seed, **values))
+
+
+def _port(text: str, url: str) -> int:
+    if not text.isdigit() or not 0 < int(text) < 65536:
+        raise InputError(f"{url} has no port number", f"The address is {GRAMMAR}.")
+    return int(text)

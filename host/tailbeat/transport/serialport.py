@@ -1,0 +1,130 @@
+"""A board on a serial port: the radio, the programming cable, or a pty."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import sys
+import time
+from collections.abc import Iterator
+
+import serial
+from serial.tools import list_ports
+
+from tailbeat.errors import ConnectError, LinkLostError
+
+BAUD = 115200
+_DUE_VENDOR = 0x2341
+_DUE_PRODUCTS = (0x003D, 0x003E)
+_QUEUE_MAX_BYTES = 1 << 16
+
+
+class SerialTransport:
+    """8N1 without flow control. 1200 baud is never used: it would erase the board."""
+
+    def __init__(self, path: str, baud: int = BAUD) -> None:
+        self.name = path
+        self._path = path
+        self._baud = baud
+        self._out = bytearray()
+        self._port: serial.Serial | None = None
+        self.reopen()
+
+    def reopen(self) -> None:
+        """Opens the port with DTR low, so that the programming port does not reset the board."""
+        self.close()
+        port = serial.Serial(baudrate=self._baud, timeout=0, write_timeout=0)
+        port.port = self._path
+        port.dtr = False
+        port.rts = False
+        try:
+            port.open()
+        except (OSError, serial.SerialException) as error:
+            raise ConnectError(
+                f"cannot open {self._path} ({_reason(error)})",
+                "Check the cable, that no other program holds the port, and that you may use it"
+                " (on Linux: group dialout).",
+            ) from error
+        self._port = port
+
+    def read(self) -> bytes:
+        """All that has arrived."""
+        port = self._open_port()
+        try:
+            waiting = port.in_waiting
+            return bytes(port.read(waiting)) if waiting else b""
+        except (OSError, TypeError, serial.SerialException) as error:
+            raise self._lost() from error
+
+    def write(self, data: bytes) -> None:
+        """Sends what the driver takes; the rest goes out in later waits."""
+        self._out += data
+        if len(self._out) > _QUEUE_MAX_BYTES:
+            del self._out[:-_QUEUE_MAX_BYTES]
+        self._flush()
+
+    def wait(self, timeout_s: float) -> None:
+        """Until bytes arrive or the time is over."""
+        port = self._open_port()
+        timeout_s = max(0.0, timeout_s)
+        if self._out:
+            self._flush()
+            timeout_s = min(timeout_s, 0.005)
+        if sys.platform == "win32":
+            _poll(port, timeout_s)
+            return
+        try:
+            select.select([port.fileno()], [], [], timeout_s)
+        except (OSError, ValueError, serial.SerialException) as error:
+            raise self._lost() from error
+
+    def now_s(self) -> float:
+        """The machine's monotonic clock."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Closes the port."""
+        self._out.clear()
+        if self._port is not None:
+            with contextlib.suppress(OSError, serial.SerialException):
+                self._port.close()
+        self._port = None
+
+    def _flush(self) -> None:
+        try:
+            sent = self._open_port().write(bytes(self._out))
+        except (BlockingIOError, serial.SerialTimeoutException):
+            return
+        except (OSError, serial.SerialException) as error:
+            raise self._lost() from error
+        del self._out[: sent or 0]
+
+    def _open_port(self) -> serial.Serial:
+        if self._port is None:
+            raise self._lost()
+        return self._port
+
+    def _lost(self) -> LinkLostError:
+        return LinkLostError(
+            f"the serial port {self.name} is gone", "Check cable and radio; connect again."
+        )
+
+
+def likely_ports() -> Iterator[str]:
+    """Serial ports that look like a fish: the board's own USB ids, or its radio."""
+    for port in list_ports.comports():
+        text = f"{port.device} {port.description} {port.name}".lower()
+        due = port.vid == _DUE_VENDOR and port.pid in _DUE_PRODUCTS
+        if due or "rfcomm" in text or "hc-05" in text:
+            yield port.device
+
+
+def _poll(port: serial.Serial, timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not port.in_waiting and time.monotonic() < deadline:
+        time.sleep(0.002)
+
+
+def _reason(error: Exception) -> str:
+    strerror = getattr(error, "strerror", None)
+    return str(strerror) if strerror else str(error)

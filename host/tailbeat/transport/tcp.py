@@ -1,0 +1,105 @@
+"""A board behind a TCP port: a simulated or emulated one, or a serial-to-network bridge."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+
+from tailbeat.errors import ConnectError, LinkLostError
+
+_CHUNK_BYTES = 65536
+_QUEUE_MAX_BYTES = 1 << 20
+
+
+class TcpTransport:
+    """Client end of ``tcp:HOST:PORT``."""
+
+    def __init__(self, host: str, port: int, connect_timeout_s: float = 3.0) -> None:
+        self.name = f"tcp:{host}:{port}"
+        self.host = host
+        self.port = port
+        self._connect_timeout_s = connect_timeout_s
+        self._out = bytearray()
+        self._socket: socket.socket | None = None
+        self.reopen()
+
+    def reopen(self) -> None:
+        """Connects anew; what was queued is dropped."""
+        self.close()
+        try:
+            new = socket.create_connection((self.host, self.port), self._connect_timeout_s)
+        except OSError as error:
+            raise ConnectError(
+                f"nothing answers at {self.name} ({error.strerror or error})",
+                "Start a board there, for example: tailbeat sim",
+            ) from error
+        new.setblocking(False)
+        new.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = new
+
+    def read(self) -> bytes:
+        """All that has arrived."""
+        pieces: list[bytes] = []
+        while True:
+            try:
+                piece = self._open_socket().recv(_CHUNK_BYTES)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                raise self._lost() from error
+            if not piece:
+                if pieces:
+                    break
+                raise self._lost()
+            pieces.append(piece)
+            if len(piece) < _CHUNK_BYTES:
+                break
+        return b"".join(pieces)
+
+    def write(self, data: bytes) -> None:
+        """Sends what the socket takes; the rest goes out in later waits."""
+        self._out += data
+        if len(self._out) > _QUEUE_MAX_BYTES:
+            raise self._lost()
+        self._flush()
+
+    def wait(self, timeout_s: float) -> None:
+        """Until bytes arrive or the time is over."""
+        wanted = self._open_socket()
+        writers = [wanted] if self._out else []
+        _, writable, _ = select.select([wanted], writers, [], max(0.0, timeout_s))
+        if writable:
+            self._flush()
+
+    def now_s(self) -> float:
+        """The machine's monotonic clock."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self._out.clear()
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.close()
+        self._socket = None
+
+    def _flush(self) -> None:
+        try:
+            sent = self._open_socket().send(self._out)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise self._lost() from error
+        del self._out[:sent]
+
+    def _open_socket(self) -> socket.socket:
+        if self._socket is None:
+            raise self._lost()
+        return self._socket
+
+    def _lost(self) -> LinkLostError:
+        return LinkLostError(
+            f"the connection to {self.name} broke", "See that the board still runs; connect again."
+        )

@@ -1,0 +1,256 @@
+"""Trial files: the ULog a board writes for every trial, and what can be recomputed from it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.errors import InputError
+
+Floats = NDArray[np.float32]
+
+_SLOT_COLUMNS = ("time_s", "speed_m_s", "sigma_m_s", "index", "samples")
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Merged speed samples of 0.1 s each; all arrays have shape (slots,). Times from the start."""
+
+    index: NDArray[np.uint16]
+    samples: NDArray[np.uint16]
+    time_s: Floats
+    speed_m_s: Floats
+    sigma_m_s: Floats
+
+
+@dataclass(frozen=True)
+class Beats:
+    """One row per beat of the reference, shape (beats,). NaN where the file has no record."""
+
+    amplitude_rad: Floats
+    applied_rad: Floats
+    reference_m_s: Floats
+    speed_m_s: Floats
+    sigma_m_s: Floats
+    samples: NDArray[np.uint16]
+
+    @property
+    def error_m_s(self) -> Floats:
+        """Reference minus speed; NaN where not measured."""
+        return self.reference_m_s - self.speed_m_s
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial as its file tells it."""
+
+    number: int
+    iteration: int
+    reference_crc: int
+    start_us: int
+    board: str
+    build_id: str
+    unique_id: str
+    end_fault: int | None  # None: the file has no end record
+    executed_beats: int
+    end: str  # ``complete``, ``aborted:REASON``, ``fault:NAME`` or ``unfinished``
+    params: dict[str, float]
+    slots: Slots
+    beats: Beats
+    battery_v: list[tuple[float, float]]  # (t_s, V)
+    problems: list[str] = field(default_factory=list)
+
+    def max_abs_error_m_s(self) -> float:
+        """Over measured beats; NaN when there is none."""
+        error = np.abs(self.beats.error_m_s[np.isfinite(self.beats.error_m_s)])
+        return float(error.max()) if error.size else float("nan")
+
+    def rms_error_m_s(self) -> float:
+        """Over measured beats; NaN when there is none."""
+        error = self.beats.error_m_s[np.isfinite(self.beats.error_m_s)].astype(np.float64)
+        return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
+
+
+def fault_text(number: int) -> str:
+    """``complete``, ``aborted:LINK_LOST`` or ``fault:LATE_TICK`` for an end's fault number."""
+    from tailbeat.faults import fault_info
+
+    if number == 0:
+        return "complete"
+    fault = fault_info(number)
+    return f"{'fault' if fault.kind == 'fault' else 'aborted'}:{fault.name}"
+
+
+def read_trial(path: Path) -> Trial:
+    """Reads a trial file. A file cut short is read as far as it goes; ``problems`` says so."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error}.", "Pull the trial again.") from error
+    return parse_trial(raw, path.name)
+
+
+def parse_trial(raw: bytes, name: str = "trial") -> Trial:
+    """As ``read_trial``, from the bytes of the file."""
+    from pyulog import ULog
+
+    if raw[:4] != b"ULog":
+        raise InputError(f"{name} is not a ULog file.", "Pull the trial again.")
+    try:
+        log = ULog(io.BytesIO(raw))
+    except Exception as error:  # pyulog raises whatever its parsing stumbles over
+        raise InputError(
+            f"{name} is damaged before its first record: {error}.", "Pull the trial again."
+        ) from error
+    info = log.msg_info_dict
+    missing = [key for key in ("trial", "beats", "reference_crc") if key not in info]
+    if missing:
+        raise InputError(
+            f"{name} is no trial file: {', '.join(missing)} is missing.", "Pull the trial again."
+        )
+    tables: dict[str, dict[str, Any]] = {data.name: data.data for data in log.data_list}
+    return _trial(log, info, tables, _truncation(raw, log))
+
+
+def _truncation(raw: bytes, log: Any) -> list[str]:
+    """What a walk over the message headers says about the end of the file."""
+    problems = ["the file is damaged in places"] if log.file_corruption else []
+    at = 16
+    while at + 3 <= len(raw):
+        at += 3 + int.from_bytes(raw[at : at + 2], "little")
+    if at != len(raw):
+        problems.append("the file is cut off in the middle of a record")
+    return problems
+
+
+def _trial(
+    log: Any, info: dict[str, Any], tables: dict[str, dict[str, Any]], problems: list[str]
+) -> Trial:
+    end = tables.get("trial_end")
+    fault = int(end["end"][-1]) if end else None
+    if fault is None:
+        problems.append("the file has no end record: the trial was not closed")
+    beats = _beats(tables.get("beat"), int(info["beats"]))
+    start_us = int(info.get("start_us", 0))
+    measured = int(np.count_nonzero(np.isfinite(beats.applied_rad)))
+    return Trial(
+        number=int(info["trial"]),
+        iteration=int(info.get("iteration", 0)),
+        reference_crc=int(info["reference_crc"]),
+        start_us=start_us,
+        board=str(info.get("board", "")),
+        build_id=str(info.get("ver_sw", "")),
+        unique_id=str(info.get("unique_id", "")),
+        end_fault=fault,
+        executed_beats=int(end["executed"][-1]) if end else measured,
+        end="unfinished" if fault is None else fault_text(fault),
+        params={name: float(value) for name, value in log.initial_parameters.items()},
+        slots=_slots(tables.get("slot")),
+        beats=beats,
+        battery_v=_battery(tables.get("battery"), start_us),
+        problems=problems,
+    )
+
+
+def _slots(table: dict[str, Any] | None) -> Slots:
+    columns = {name: (table[name] if table else []) for name in _SLOT_COLUMNS}
+    return Slots(
+        index=np.asarray(columns["index"], dtype=np.uint16),
+        samples=np.asarray(columns["samples"], dtype=np.uint16),
+        time_s=np.asarray(columns["time_s"], dtype=np.float32),
+        speed_m_s=np.asarray(columns["speed_m_s"], dtype=np.float32),
+        sigma_m_s=np.asarray(columns["sigma_m_s"], dtype=np.float32),
+    )
+
+
+def _beats(table: dict[str, Any] | None, beats: int) -> Beats:
+    columns = {
+        name: np.full(beats, np.nan, dtype=np.float32)
+        for name in ("amplitude_rad", "applied_rad", "reference_m_s", "speed_m_s", "sigma_m_s")
+    }
+    samples = np.zeros(beats, dtype=np.uint16)
+    for row, beat in enumerate(table["beat"] if table else ()):
+        if beat >= beats:
+            continue
+        assert table is not None
+        for name, column in columns.items():
+            column[beat] = table[name][row]
+        samples[beat] = table["samples"][row]
+    return Beats(**columns, samples=samples)
+
+
+def _battery(table: dict[str, Any] | None, start_us: int) -> list[tuple[float, float]]:
+    if not table:
+        return []
+    time = (np.asarray(table["timestamp"], dtype=np.float64) - start_us) / 1e6
+    return [(float(t), float(v)) for t, v in zip(time, table["voltage_v"], strict=True)]
+
+
+def recompute_beats(trial: Trial, beat_s: float = 1.0) -> tuple[Floats, Floats]:
+    """(speed_m_s, sigma_m_s) per beat from the logged slots, by the estimator the board runs.
+
+    For trials measured by streamed vision they equal the logged ones bit for bit.
+    """
+    from tailbeat._native import ffi, lib
+
+    count = len(trial.slots.index)
+    slots = ffi.new("speed_slot_t[]", max(count, 1))
+    for i in range(count):
+        slots[i] = {
+            "index": int(trial.slots.index[i]),
+            "samples": int(trial.slots.samples[i]),
+            "time_s": float(trial.slots.time_s[i]),
+            "speed_m_s": float(trial.slots.speed_m_s[i]),
+            "sigma_m_s": float(trial.slots.sigma_m_s[i]),
+        }
+    config = ffi.new(
+        "speed_config_t *",
+        {
+            "window_s": trial.params["SPD_WINDOW_S"],
+            "gap_max_s": trial.params["SPD_GAP_S"],
+            "plausible_m_s": trial.params["SPD_PLAUS_M_S"],
+        },
+    )
+    beats = len(trial.beats.speed_m_s)
+    speed = np.full(beats, np.nan, dtype=np.float32)
+    sigma = np.full(beats, np.nan, dtype=np.float32)
+    for beat in range(min(beats, trial.executed_beats)):
+        begin = float(np.float32(beat) * np.float32(beat_s))
+        mean = lib.speed_beat_mean(slots, count, config, begin, beat_s)
+        speed[beat], sigma[beat] = mean.speed_m_s, mean.sigma_m_s
+    return speed, sigma
+
+
+def beats_csv(trial: Trial, path: Path, beat_s: float = 1.0) -> None:
+    """Writes one row per beat, units in the header; empty cells where nothing is known."""
+    header = ["beat", "t_s", "amplitude_rad", "applied_rad", "reference_m_s", "speed_m_s"]
+    header += ["sigma_m_s", "error_m_s", "samples"]
+    b = trial.beats
+    columns = (b.amplitude_rad, b.applied_rad, b.reference_m_s, b.speed_m_s, b.sigma_m_s)
+    with path.open("w", newline="") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(header)
+        for k in range(len(b.samples)):
+            row = [_cell(column[k]) for column in (*columns, b.error_m_s)]
+            out.writerow([k, _cell((k + 0.5) * beat_s), *row, int(b.samples[k])])
+
+
+def slots_csv(trial: Trial, path: Path) -> None:
+    """Writes the speed signal the estimator ran on, at 10 Hz: ``t_s,v_m_s,sigma_m_s,samples``."""
+    s = trial.slots
+    with path.open("w", newline="") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(["t_s", "v_m_s", "sigma_m_s", "samples"])
+        for row in zip(s.time_s, s.speed_m_s, s.sigma_m_s, s.samples, strict=True):
+            out.writerow([_cell(row[0]), _cell(row[1]), _cell(row[2]), int(row[3])])
+
+
+def _cell(value: Any) -> str:
+    number = float(value)
+    return "" if number != number else repr(number)

@@ -1,0 +1,263 @@
+"""One trial from arming to its end: speeds go up while beats come down."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from tailbeat import _dialect as mavlink
+from tailbeat.camera.base import Camera
+from tailbeat.camera.beatfit import BeatFit, SpeedSample
+from tailbeat.errors import ConnectError, LinkLostError, TailbeatError
+from tailbeat.faults import FaultInfo
+from tailbeat.link import Message
+from tailbeat.results import BeatEvent, BoardStatus, TrialOutcome
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish, Guard, OnEvent
+
+SOURCE_VISION = 0
+_POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
+_SILENCE_S = 3.0  # of board time, after which the link counts as lost
+_SETTLE_MARGIN_S = 2.0
+_STOP_TIMEOUT_S = 10.0
+_RETRY_S = 0.5
+_NAN = math.nan
+
+
+@dataclass
+class _Run:
+    """State of one call of run_trial."""
+
+    fish: Fish
+    camera: Camera | None
+    emit: OnEvent
+    guard: Guard | None
+    reconnect_s: float
+    settle_s: float = 3.0
+    number: int = 0
+    iteration: int = 0
+    beats: dict[int, BeatEvent] = field(default_factory=dict)
+    status: BoardStatus | None = None
+    stopped_at_s: float | None = None
+    abort_reason: str | None = None
+    interrupted: bool = False
+    was_lost: bool = False
+    fit: BeatFit = field(default_factory=BeatFit)
+
+
+def run_trial(
+    fish: Fish,
+    camera: Camera | None = None,
+    on_event: OnEvent | None = None,
+    guard: Guard | None = None,
+    reconnect_s: float = 60.0,
+) -> TrialOutcome:
+    """Swims the next trial and returns when the board has stopped and the trial is stored.
+
+    Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
+    speeds go to the board as they come. ``guard`` sees every frame and beat and aborts the trial by
+    returning a reason. Ctrl-C aborts, waits for the stop and returns (``interrupted``). When the
+    link breaks this tries for ``reconnect_s`` to learn how the trial ended, then raises
+    LinkLostError; the board stops by its own rules.
+    """
+    own_camera = None
+    if camera is None:
+        camera = own_camera = fish.default_camera()
+    run = _Run(fish, camera, on_event or (lambda _: None), guard, reconnect_s)
+    stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
+    try:
+        _prepare(run)
+        _start(run)
+        while not _is_over(run):
+            try:
+                _step(run)
+            except KeyboardInterrupt:
+                _interrupt(run)
+        return _outcome(run)
+    finally:
+        stop_listening()
+        if own_camera is not None:
+            own_camera.close()
+
+
+def _prepare(run: _Run) -> None:
+    fish = run.fish
+    run.settle_s = fish.params.get("SETTLE_S").value
+    window_s = fish.params.get("SPD_WINDOW_S").value
+    source = round(fish.params.get("SPD_SOURCE").value)
+    if run.camera is None and source == SOURCE_VISION:
+        text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
+        run.emit({"event": "warning", "text": text})
+    if run.camera is not None:
+        run.fit = BeatFit(window_s if window_s > 0 else 1.0, run.camera.fps)
+        run.camera.frames()
+    if fish.status().state != "ARMED":
+        fish.arm()
+    fish.clock.sync()
+
+
+def _start(run: _Run) -> None:
+    fish = run.fish
+    status = fish.status()
+    run.number = status.next_trial
+    run.iteration = status.iteration
+    # The board keeps single precision: rounding up could make the command come from the future,
+    # which is harmless, rounding by more than milliseconds needs a board up for days.
+    issued_s = fish.clock.now_s()
+    fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, float(run.number), issued_s)
+    run.status = None
+    if run.camera is not None:  # until now the fish may have been carried or adrift
+        run.camera.frames()
+        run.fit.reset()
+    run.emit({"event": "started", "trial": run.number, "iteration": run.iteration})
+
+
+def _hear(run: _Run, message: Message) -> None:
+    kind = message.get_type()
+    if kind == "TAILBEAT_STATUS":
+        run.status = BoardStatus.of(message)
+    elif kind == "TAILBEAT_BEAT" and message.trial == run.number:
+        beat = BeatEvent.of(message)
+        if beat.beat not in run.beats:
+            run.beats[beat.beat] = beat
+            run.emit({"event": "beat", **vars(beat)})
+            _consult(run, beat)
+    elif kind == "STATUSTEXT" and run.number:
+        from tailbeat.fish import text_event
+
+        run.emit(text_event(message))
+
+
+def _consult(run: _Run, what: object) -> None:
+    if run.guard is not None and run.abort_reason is None:
+        run.abort_reason = run.guard(what)  # type: ignore[arg-type]
+
+
+def _step(run: _Run) -> None:
+    """One wait, and what it brought."""
+    link = run.fish.link
+    try:
+        link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
+        link.flush()
+        _send_speeds(run)
+        run.fish.clock.keep()
+        if run.abort_reason is not None and run.stopped_at_s is None:
+            _abort_once(run)
+    except LinkLostError:
+        _reconnect(run)
+        return
+    silent_s = (link.transport.now_s() - link.last_heard_s) * run.fish.clock.rate
+    if silent_s > _SILENCE_S:
+        _reconnect(run)
+
+
+def _abort_once(run: _Run) -> None:
+    reason, run.abort_reason = run.abort_reason, ""
+    if reason:
+        run.emit({"event": "guard", "reason": reason})
+        run.fish.abort()
+
+
+def _send_speeds(run: _Run) -> None:
+    if run.camera is None:
+        return
+    clock = run.fish.clock
+    for frame in run.camera.frames():
+        _consult(run, frame)
+        sample = run.fit.add(frame.t_s, frame.x_m)
+        if sample is None:
+            continue
+        board_s = sample.t_s if run.camera.clock == "board" else clock.board_s(sample.t_s)
+        if board_s > 0:
+            run.fish.link.send(vision_message(board_s, sample))
+
+
+def vision_message(board_s: float, sample: SpeedSample) -> Message:
+    """VISION_SPEED_ESTIMATE for a mean speed along x around ``board_s``."""
+    covariance = (sample.sigma_m_s**2, *_NO_COVARIANCE)
+    return mavlink.MAVLink_vision_speed_estimate_message(
+        round(board_s * 1e6), sample.speed_m_s, _NAN, _NAN, covariance, 0
+    )
+
+
+_NO_COVARIANCE = (_NAN,) * 8
+
+
+def _is_over(run: _Run) -> bool:
+    status = run.status
+    if status is None or status.state in ("BOOT", "ARMED", "RUNNING", "SETTLING", "LEARNING"):
+        return False
+    if status.state == "IDLE" or status.pending_trial == run.number:
+        return True
+    if run.stopped_at_s is None:  # late speeds of a cut trial are still being collected
+        run.stopped_at_s = status.time_s
+    return status.time_s - run.stopped_at_s > run.settle_s + _SETTLE_MARGIN_S
+
+
+def _interrupt(run: _Run) -> None:
+    """Ctrl-C: the tail stops first; a second one during that ends the waiting."""
+    run.interrupted = True
+    run.emit({"event": "interrupted"})
+    run.fish.abort()
+
+
+def _reconnect(run: _Run) -> None:
+    """Gets the link back, within bounds, and asks how things stand."""
+    link = run.fish.link
+    run.was_lost = True
+    run.emit({"event": "link_lost"})
+    deadline = link.transport.now_s() + run.reconnect_s
+    retry_s = _RETRY_S
+    while link.transport.now_s() < deadline:
+        try:
+            link.reopen()
+            status = BoardStatus.of(link.request("TAILBEAT_STATUS"))
+        except (ConnectError, LinkLostError):
+            _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
+            retry_s = min(2 * retry_s, 5.0)
+            continue
+        run.status = status
+        run.fit.reset()
+        run.fish.clock.sync()
+        run.emit({"event": "link_back", "state": status.state})
+        return
+    raise LinkLostError(
+        f"the link broke during trial {run.number} and did not come back in"
+        f" {run.reconnect_s:.0f} s",
+        "The board stops by itself; reconnect and look with 'tailbeat info'.",
+    )
+
+
+def _rest(run: _Run, duration_s: float) -> None:
+    try:
+        run.fish.link.transport.wait(duration_s)
+    except TailbeatError:
+        import time
+
+        time.sleep(duration_s)
+
+
+def _outcome(run: _Run) -> TrialOutcome:
+    status = run.status
+    assert status is not None
+    outcome = TrialOutcome(
+        run.number,
+        run.iteration,
+        _end(run, status),
+        status.beat if status.trial == run.number else 0,
+        [run.beats[k] for k in sorted(run.beats)],
+        run.interrupted,
+    )
+    run.emit({"event": "ended", "trial": outcome.number, "end": outcome.end})
+    return outcome
+
+
+def _end(run: _Run, status: BoardStatus) -> str:
+    fault: FaultInfo = status.fault
+    if fault.number:
+        return f"{'aborted' if fault.kind == 'abort' else 'fault'}:{fault.name}"
+    if status.trial == run.number and status.beat >= status.beats:
+        return "complete"
+    return "aborted:REBOOT" if run.was_lost else "aborted:ABORT_COMMAND"

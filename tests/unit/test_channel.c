@@ -1,0 +1,194 @@
+#include "link/channel.h"
+#include "link_peer.h"
+
+/* HEARTBEAT (GCS, seq 7, 255/190) as pymavlink packs it, in both versions of the protocol. */
+static const uint8_t heartbeat_v2[] = {0xFD, 0x09, 0x00, 0x00, 0x07, 0xFF, 0xBE,
+                                       0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+                                       0x06, 0x08, 0x00, 0x04, 0x03, 0x7E, 0xFA};
+static const uint8_t heartbeat_v1[] = {0xFE, 0x09, 0x07, 0xFF, 0xBE, 0x00, 0x00, 0x00, 0x00,
+                                       0x00, 0x06, 0x08, 0x00, 0x04, 0x03, 0xCE, 0x51};
+
+static channel_t channel;
+static mavlink_message_t received;
+
+void setUp(void) {
+    peer_reset();
+    channel_init(&channel, &hal, HAL_PORT_RADIO);
+}
+
+void tearDown(void) {}
+
+static void feed(const void *bytes, size_t length) {
+    mock_feed(&hal, HAL_PORT_RADIO, bytes, length);
+}
+
+static uint32_t receive_all(void) {
+    uint32_t count = 0;
+    while (channel_receive(&channel, &received)) {
+        count++;
+    }
+    return count;
+}
+
+static void assert_heartbeat(void) {
+    TEST_ASSERT_EQUAL(MAVLINK_MSG_ID_HEARTBEAT, received.msgid);
+    TEST_ASSERT_EQUAL(255, received.sysid);
+    TEST_ASSERT_EQUAL(190, received.compid);
+    TEST_ASSERT_EQUAL(7, received.seq);
+    TEST_ASSERT_EQUAL(MAV_TYPE_GCS, mavlink_msg_heartbeat_get_type(&received));
+}
+
+static void test_takes_mavlink_2(void) {
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    TEST_ASSERT_TRUE(channel_receive(&channel, &received));
+    assert_heartbeat();
+    TEST_ASSERT_FALSE(channel_receive(&channel, &received));
+}
+
+static void test_takes_mavlink_1(void) {
+    feed(heartbeat_v1, sizeof heartbeat_v1);
+    TEST_ASSERT_TRUE(channel_receive(&channel, &received));
+    assert_heartbeat();
+}
+
+static void test_takes_one_byte_at_a_time(void) {
+    for (size_t i = 0; i + 1 < sizeof heartbeat_v2; i++) {
+        feed(heartbeat_v2 + i, 1);
+        TEST_ASSERT_FALSE(channel_receive(&channel, &received));
+    }
+    feed(heartbeat_v2 + sizeof heartbeat_v2 - 1, 1);
+    TEST_ASSERT_TRUE(channel_receive(&channel, &received));
+    assert_heartbeat();
+}
+
+static void test_takes_frames_longer_than_a_chunk(void) {
+    for (uint32_t i = 0; i < 40; i++) {
+        feed(heartbeat_v2, sizeof heartbeat_v2);
+        feed(heartbeat_v1, sizeof heartbeat_v1);
+    }
+    TEST_ASSERT_EQUAL(80, receive_all());
+    TEST_ASSERT_EQUAL(0, channel.bad_frames);
+}
+
+/* Every single flipped bit behind the length is found. */
+static void test_no_damaged_frame_gets_through(void) {
+    for (size_t bit = 8 * 2; bit < 8 * sizeof heartbeat_v2; bit++) {
+        uint8_t damaged[sizeof heartbeat_v2];
+        memcpy(damaged, heartbeat_v2, sizeof damaged);
+        damaged[bit / 8] = (uint8_t)(damaged[bit / 8] ^ (1u << (bit % 8)));
+        channel_init(&channel, &hal, HAL_PORT_RADIO);
+        feed(damaged, sizeof damaged);
+        TEST_ASSERT_EQUAL(0, receive_all());
+    }
+}
+
+static void test_counts_a_bad_crc(void) {
+    uint8_t damaged[sizeof heartbeat_v2];
+    memcpy(damaged, heartbeat_v2, sizeof damaged);
+    damaged[12] ^= 1;
+    feed(damaged, sizeof damaged);
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    TEST_ASSERT_EQUAL(1, receive_all());
+    TEST_ASSERT_EQUAL(1, channel.bad_frames);
+}
+
+static void test_does_not_count_what_it_cannot_check(void) {
+    uint8_t unknown[sizeof heartbeat_v2];
+    memcpy(unknown, heartbeat_v2, sizeof unknown);
+    unknown[9] = 0xEE; /* message 0xEE0000 is in no dialect */
+    feed(unknown, sizeof unknown);
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    TEST_ASSERT_EQUAL(1, receive_all());
+    TEST_ASSERT_EQUAL(0, channel.bad_frames);
+}
+
+/* One lost byte makes the parser take the next frame's first byte for the end of this one. */
+static void test_a_lost_byte_costs_one_frame(void) {
+    feed(heartbeat_v2, 15);
+    feed(heartbeat_v2 + 16, sizeof heartbeat_v2 - 16);
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    TEST_ASSERT_EQUAL(1, receive_all());
+    assert_heartbeat();
+}
+
+static void test_recovers_from_a_cut_frame(void) {
+    feed(heartbeat_v2, 5);
+    for (uint32_t i = 0; i < 3; i++) {
+        feed(heartbeat_v2, sizeof heartbeat_v2);
+    }
+    TEST_ASSERT_GREATER_OR_EQUAL(1, receive_all());
+}
+
+static void test_one_call_takes_a_bounded_number_of_bytes(void) {
+    static const uint8_t junk[CHANNEL_CALL_BYTES * 2];
+    feed(junk, sizeof junk);
+    TEST_ASSERT_FALSE(channel_receive(&channel, &received));
+    const mock_queue_t *queue = &hal.rx[HAL_PORT_RADIO];
+    TEST_ASSERT_EQUAL(CHANNEL_CALL_BYTES, queue->tail - queue->head);
+}
+
+static void pack_heartbeat(mavlink_message_t *message) {
+    const mavlink_heartbeat_t fields = {.type = MAV_TYPE_SUBMARINE, .mavlink_version = 3};
+    mavlink_msg_heartbeat_encode_status(LINK_SYSTEM, LINK_COMPONENT, &channel.tx_status, message,
+                                        &fields);
+}
+
+static void test_sends_mavlink_2_with_rising_sequence(void) {
+    mavlink_message_t message;
+    for (uint32_t i = 0; i < 3; i++) {
+        pack_heartbeat(&message);
+        TEST_ASSERT_TRUE(channel_send(&channel, &message));
+    }
+    peer_collect(HAL_PORT_RADIO);
+    TEST_ASSERT_EQUAL(3, peer_inbox_count);
+    TEST_ASSERT_EQUAL(0, peer_inbox[0].seq);
+    TEST_ASSERT_EQUAL(2, peer_inbox[2].seq);
+}
+
+static void test_a_full_line_drops_the_whole_message(void) {
+    mavlink_message_t message;
+    hal.tx_limit = 20;
+    TEST_ASSERT_TRUE(channel_has_space(&channel, 20));
+    TEST_ASSERT_FALSE(channel_has_space(&channel, 21));
+    pack_heartbeat(&message);
+    TEST_ASSERT_FALSE(channel_send(&channel, &message));
+    TEST_ASSERT_EQUAL(1, channel.dropped);
+    TEST_ASSERT_EQUAL(0, hal.tx[HAL_PORT_RADIO].tail);
+}
+
+static void test_a_million_random_bytes(void) {
+    uint32_t random = 1;
+    uint8_t bytes[1000];
+    for (uint32_t i = 0; i < 1000; i++) {
+        for (size_t k = 0; k < sizeof bytes; k++) {
+            bytes[k] = (uint8_t)peer_random(&random);
+            /* far more frame beginnings than chance would give */
+            bytes[k] = k % 37 == 0 ? (i % 2 == 0 ? MAVLINK_STX : MAVLINK_STX_MAVLINK1) : bytes[k];
+        }
+        feed(bytes, sizeof bytes);
+        receive_all();
+    }
+    static const uint8_t quiet[300]; /* longer than any frame still open */
+    feed(quiet, sizeof quiet);
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    TEST_ASSERT_GREATER_OR_EQUAL(1, receive_all());
+    assert_heartbeat();
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_takes_mavlink_2);
+    RUN_TEST(test_takes_mavlink_1);
+    RUN_TEST(test_takes_one_byte_at_a_time);
+    RUN_TEST(test_takes_frames_longer_than_a_chunk);
+    RUN_TEST(test_no_damaged_frame_gets_through);
+    RUN_TEST(test_counts_a_bad_crc);
+    RUN_TEST(test_does_not_count_what_it_cannot_check);
+    RUN_TEST(test_a_lost_byte_costs_one_frame);
+    RUN_TEST(test_recovers_from_a_cut_frame);
+    RUN_TEST(test_one_call_takes_a_bounded_number_of_bytes);
+    RUN_TEST(test_sends_mavlink_2_with_rising_sequence);
+    RUN_TEST(test_a_full_line_drops_the_whole_message);
+    RUN_TEST(test_a_million_random_bytes);
+    return UNITY_END();
+}

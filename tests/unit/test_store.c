@@ -1,0 +1,436 @@
+#include "store/store.h"
+
+#include "base/crc.h"
+#include "mock_hal.h"
+#include "store/blockdev.h"
+#include "unity.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#define MODEL_FILES 8u
+#define MODEL_FILE_BYTES 3000u
+#define OPERATIONS 1500u
+#define TRIAL_FILE_BYTES 15000u
+#define TRIAL_FILES 300u
+
+static hal_t hal;
+static store_t store;
+static store_file_t file;
+static uint8_t bytes[TRIAL_FILE_BYTES];
+static uint8_t back[TRIAL_FILE_BYTES];
+
+static uint32_t random_state;
+static uint32_t random_below(uint32_t limit) {
+    random_state = random_state * 1664525u + 1013904223u;
+    return (random_state >> 8) % limit;
+}
+
+static void fill_random(uint8_t *out, size_t length) {
+    for (size_t i = 0; i < length; i++) {
+        out[i] = (uint8_t)random_below(256);
+    }
+}
+
+void setUp(void) {
+    random_state = 12345u;
+    mock_hal_init(&hal);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
+}
+
+void tearDown(void) { store_unmount(&store); }
+
+static void remount(void) {
+    store_unmount(&store);
+    memset(&store, 0xCD, sizeof store);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
+}
+
+static void expect_content(const char *path, const void *wanted, size_t length) {
+    TEST_ASSERT_EQUAL_INT_MESSAGE(STORE_OK, store_load(&store, path, back, length), path);
+    if (length > 0) {
+        TEST_ASSERT_EQUAL_MEMORY_MESSAGE(wanted, back, length, path);
+    }
+}
+
+static void test_blank_flash_is_formatted_once(void) {
+    TEST_ASSERT_TRUE(store.formatted);
+    store_entry_t entry;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_entry(&store, "/", 0, &entry));
+    TEST_ASSERT_EQUAL_STRING("in", entry.name);
+    TEST_ASSERT_TRUE(entry.directory);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_entry(&store, "/", 1, &entry));
+    TEST_ASSERT_EQUAL_STRING("trials", entry.name);
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_entry(&store, "/", 2, &entry));
+    const uint32_t writes = hal.flash_writes;
+    remount();
+    TEST_ASSERT_FALSE(store.formatted);
+    TEST_ASSERT_EQUAL_UINT32(writes, hal.flash_writes);
+}
+
+static void test_replace_load_size_crc_remove(void) {
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a.bin", "123456789", 9));
+    remount();
+    expect_content("/a.bin", "123456789", 9);
+    uint32_t value = 0;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_size(&store, "/a.bin", &value));
+    TEST_ASSERT_EQUAL_UINT32(9, value);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_crc32(&store, "/a.bin", &value));
+    TEST_ASSERT_EQUAL_HEX32(0x2DFD2D88u, value);
+    TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_load(&store, "/a.bin", back, 8));
+    TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_load(&store, "/a.bin", back, 10));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_remove(&store, "/a.bin"));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_load(&store, "/a.bin", back, 9));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, "/a.bin", &value));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_crc32(&store, "/a.bin", &value));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_remove(&store, "/a.bin"));
+    TEST_ASSERT_EQUAL_UINT32(0, store.failures);
+}
+
+static void test_crc_of_a_long_file(void) {
+    fill_random(bytes, sizeof bytes);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a.bin", bytes, sizeof bytes));
+    uint32_t crc = 0;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_crc32(&store, "/a.bin", &crc));
+    TEST_ASSERT_EQUAL_HEX32(crc32_update(0, bytes, sizeof bytes), crc);
+}
+
+static void test_bad_arguments(void) {
+    char longest[STORE_PATH_BYTES + 1];
+    memset(longest, 'x', sizeof longest);
+    longest[0] = '/';
+    longest[STORE_PATH_BYTES] = '\0';
+    TEST_ASSERT_EQUAL_INT(STORE_BAD_ARGUMENT, store_replace(&store, longest, "", 0));
+    TEST_ASSERT_EQUAL_INT(STORE_BAD_ARGUMENT, store_open(&store, &file, longest, STORE_WRITE_NEW));
+    longest[STORE_PATH_BYTES - 4u] = '\0';
+    TEST_ASSERT_EQUAL_INT(STORE_BAD_ARGUMENT, store_replace(&store, longest, "", 0));
+    longest[STORE_PATH_BYTES - 5u] = '\0';
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, longest, "", 0));
+    uint32_t size = 0;
+    TEST_ASSERT_EQUAL_INT(STORE_BAD_ARGUMENT, store_size(&store, "/in", &size));
+    TEST_ASSERT_EQUAL_INT(STORE_BAD_ARGUMENT, store_replace(&store, "/in", "x", 1));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_open(&store, &file, "/none", STORE_READ));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_open(&store, &file, "/none", STORE_APPEND));
+    TEST_ASSERT_FALSE(file.open);
+    store_entry_t entry;
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_entry(&store, "/none", 0, &entry));
+}
+
+static void test_nothing_works_unmounted(void) {
+    store_unmount(&store);
+    uint32_t value = 0;
+    store_entry_t entry;
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_replace(&store, "/a", "x", 1));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_load(&store, "/a", back, 1));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_size(&store, "/a", &value));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_crc32(&store, "/a", &value));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_remove(&store, "/a"));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_entry(&store, "/", 0, &entry));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_open(&store, &file, "/a", STORE_WRITE_NEW));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_make_space(&store, 1, 0));
+    TEST_ASSERT_EQUAL_UINT32(0, store_free_bytes(&store));
+}
+
+static void test_a_file_in_pieces(void) {
+    fill_random(bytes, 5000);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, "/in/f", STORE_WRITE_NEW));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_append(&store, &file, bytes, 1000));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_write_at(&store, &file, 3000, bytes + 3000, 1000));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_sync(&store, &file));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_write_at(&store, &file, 900, bytes + 900, 2100));
+    TEST_ASSERT_EQUAL_UINT32(4000, store_file_size(&store, &file));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, "/in/f", STORE_APPEND));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_append(&store, &file, bytes + 4000, 1000));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    expect_content("/in/f", bytes, 5000);
+    size_t got = 0;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, "/in/f", STORE_READ));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_read_at(&store, &file, 4900, back, 239, &got));
+    TEST_ASSERT_EQUAL_UINT(100, got);
+    TEST_ASSERT_EQUAL_MEMORY(bytes + 4900, back, 100);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_read_at(&store, &file, 5000, back, 239, &got));
+    TEST_ASSERT_EQUAL_UINT(0, got);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_read_at(&store, &file, UINT32_MAX, back, 239, &got));
+    TEST_ASSERT_EQUAL_UINT(0, got);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_read_at(&store, &file, 17, back, 239, &got));
+    TEST_ASSERT_EQUAL_MEMORY(bytes + 17, back, 239);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    static bool panicked;
+    MOCK_EXPECT_PANIC(panicked, (void)store_close(&store, &file));
+    TEST_ASSERT_TRUE(panicked);
+}
+
+static void test_leftovers_go_at_mount(void) {
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/keep", "1", 1));
+    const char *const left[] = {"/keep.new", "/in/a.new", "/in/b.new", "/trials/0001.ulg.new"};
+    for (size_t i = 0; i < 4; i++) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, left[i], STORE_WRITE_NEW));
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    }
+    remount();
+    uint32_t size = 0;
+    for (size_t i = 0; i < 4; i++) {
+        TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, left[i], &size));
+    }
+    expect_content("/keep", "1", 1);
+}
+
+/* Random operations against a plain model, remounting in between. */
+typedef struct {
+    bool there;
+    size_t length;
+    uint8_t bytes[MODEL_FILE_BYTES];
+} model_file_t;
+static model_file_t model[MODEL_FILES];
+
+static void model_name(uint32_t f, char *out) {
+    strcpy(out, f % 2u == 0 ? "/in/f0" : "/f0");
+    out[strlen(out) - 1] = (char)('0' + f);
+}
+
+static void append_once(uint32_t f, const char *path) {
+    const size_t more = random_below(400);
+    if (model[f].length + more > MODEL_FILE_BYTES) {
+        return;
+    }
+    fill_random(model[f].bytes + model[f].length, more);
+    const store_mode_t mode = model[f].there ? STORE_APPEND : STORE_WRITE_NEW;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, mode));
+    TEST_ASSERT_EQUAL_INT(STORE_OK,
+                          store_append(&store, &file, model[f].bytes + model[f].length, more));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+    model[f].there = true;
+    model[f].length += more;
+}
+
+static void operate_once(void) {
+    const uint32_t f = random_below(MODEL_FILES);
+    char path[STORE_PATH_BYTES];
+    model_name(f, path);
+    switch (random_below(5)) {
+    case 0:
+        TEST_ASSERT_EQUAL_INT(model[f].there ? STORE_OK : STORE_NOT_FOUND,
+                              store_remove(&store, path));
+        model[f].there = false;
+        model[f].length = 0;
+        break;
+    case 1:
+    case 2:
+        model[f].there = true;
+        model[f].length = random_below(MODEL_FILE_BYTES);
+        fill_random(model[f].bytes, model[f].length);
+        TEST_ASSERT_EQUAL_INT(STORE_OK,
+                              store_replace(&store, path, model[f].bytes, model[f].length));
+        break;
+    case 3:
+        append_once(f, path);
+        break;
+    default:
+        if (random_below(10) == 0) {
+            remount();
+        }
+    }
+}
+
+static void test_random_operations_against_a_model(void) {
+    memset(model, 0, sizeof model);
+    for (uint32_t n = 0; n < OPERATIONS; n++) {
+        operate_once();
+        const uint32_t f = random_below(MODEL_FILES);
+        char path[STORE_PATH_BYTES];
+        model_name(f, path);
+        if (model[f].there) {
+            expect_content(path, model[f].bytes, model[f].length);
+        } else {
+            uint32_t size = 0;
+            TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, path, &size));
+        }
+    }
+    TEST_ASSERT_EQUAL_UINT32(0, store.failures);
+}
+
+static void trial_path(uint32_t number, char *out) {
+    strcpy(out, "/trials/0000.ulg");
+    for (size_t at = 11; at >= 8; at--, number /= 10u) {
+        out[at] = (char)('0' + number % 10u);
+    }
+}
+
+static uint32_t count_entries(const char *folder) {
+    store_entry_t entry;
+    uint32_t count = 0;
+    while (store_entry(&store, folder, count, &entry) == STORE_OK) {
+        count++;
+    }
+    return count;
+}
+
+static void swim_once(uint32_t number) {
+    char path[STORE_PATH_BYTES];
+    trial_path(number, path);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, 20480, 0));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, STORE_WRITE_NEW));
+    for (size_t done = 0; done < TRIAL_FILE_BYTES; done += 300) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_append(&store, &file, bytes + done, 300));
+        if (done % 1500 == 0) {
+            TEST_ASSERT_EQUAL_INT(STORE_OK, store_sync(&store, &file));
+        }
+    }
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+}
+
+static void test_space_does_not_leak_over_many_trials(void) {
+    fill_random(bytes, sizeof bytes);
+    const uint32_t free_at_first = store_free_bytes(&store);
+    for (uint32_t n = 1; n <= TRIAL_FILES; n++) {
+        swim_once(n);
+        if (n % 37u == 0) {
+            remount();
+        }
+    }
+    TEST_ASSERT_GREATER_OR_EQUAL_UINT32(8, count_entries("/trials"));
+    char path[STORE_PATH_BYTES];
+    for (uint32_t n = TRIAL_FILES; n > TRIAL_FILES - 8u; n--) {
+        trial_path(n, path);
+        expect_content(path, bytes, TRIAL_FILE_BYTES);
+    }
+    for (uint32_t n = TRIAL_FILES; n > 0; n--) {
+        trial_path(n, path);
+        (void)store_remove(&store, path);
+    }
+    /* Emptied folders may keep a metadata pair. */
+    TEST_ASSERT_GREATER_OR_EQUAL_UINT32(free_at_first - 2u * STORE_BLOCK_BYTES,
+                                        store_free_bytes(&store));
+    TEST_ASSERT_EQUAL_UINT32(0, store.failures);
+}
+
+static void test_oldest_trials_go_first_and_the_kept_one_stays(void) {
+    fill_random(bytes, sizeof bytes);
+    const char *const other[] = {"/learned.bin", "/params.bin", "/in/x.ulg", "/trials/notes"};
+    for (size_t i = 0; i < 4; i++) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, other[i], bytes, 600));
+    }
+    /* Not in their order, and one beyond four digits: the number counts, not the name. */
+    const char *const trials[] = {"/trials/10000.ulg", "/trials/0007.ulg", "/trials/9999.ulg",
+                                  "/trials/0003.ulg"};
+    for (size_t i = 0; i < 4; i++) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, trials[i], bytes, 15000));
+    }
+    uint32_t size = 0;
+    uint32_t wanted = store_free_bytes(&store) - STORE_RESERVE_BYTES;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, wanted, 3));
+    TEST_ASSERT_EQUAL_UINT32(5, count_entries("/trials"));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, wanted + 20000, 3));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, "/trials/0007.ulg", &size));
+    TEST_ASSERT_EQUAL_INT(STORE_NOT_FOUND, store_size(&store, "/trials/9999.ulg", &size));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_size(&store, "/trials/10000.ulg", &size));
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_make_space(&store, HAL_FLASH_SIZE_BYTES, 3));
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_make_space(&store, UINT32_MAX, 3));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_size(&store, "/trials/0003.ulg", &size));
+    for (size_t i = 0; i < 4; i++) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_size(&store, other[i], &size));
+    }
+}
+
+static void test_full_flash_refuses_and_keeps_the_old(void) {
+    fill_random(bytes, sizeof bytes);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes, 4128));
+    store_result_t result = STORE_OK;
+    char path[] = "/in/a";
+    for (; result == STORE_OK; path[4]++) {
+        result = store_replace(&store, path, bytes, sizeof bytes);
+    }
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, result);
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE,
+                          store_replace(&store, "/learned.bin", bytes + 1, sizeof bytes - 1));
+    TEST_ASSERT_EQUAL_UINT32(2, store.failures);
+    expect_content("/learned.bin", bytes, 4128);
+    remount();
+    expect_content("/learned.bin", bytes, 4128);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_remove(&store, "/in/a"));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes + 1, 4128));
+}
+
+static void test_dead_flash_is_reported(void) {
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "old", 3));
+    hal.flash_fail_after = hal.flash_writes;
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_replace(&store, "/a", "new", 3));
+    TEST_ASSERT_EQUAL_UINT32(1, store.failures);
+    expect_content("/a", "old", 3);
+}
+
+/* Damage behind a readable superblock is for people to look at: formatting would throw away what
+ * may still be saved. */
+static void test_damage_behind_the_superblock_is_not_formatted_away(void) {
+    store_unmount(&store);
+    memset(hal.flash + 2u * STORE_BLOCK_BYTES, 0xA5, sizeof hal.flash - 2u * STORE_BLOCK_BYTES);
+    const uint32_t writes = hal.flash_writes;
+    TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_mount(&store, &hal));
+    TEST_ASSERT_FALSE(store.mounted);
+    TEST_ASSERT_FALSE(store.formatted);
+    TEST_ASSERT_EQUAL_UINT32(writes, hal.flash_writes);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_format(&store, &hal));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "x", 1));
+}
+
+static void test_garbage_is_formatted(void) {
+    store_unmount(&store);
+    const uint8_t patterns[] = {0x00, 0xFF, 0x5A};
+    for (size_t i = 0; i < sizeof patterns; i++) {
+        memset(hal.flash, patterns[i], sizeof hal.flash);
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
+        TEST_ASSERT_TRUE(store.formatted);
+        store_unmount(&store);
+    }
+    fill_random(hal.flash, sizeof hal.flash);
+    TEST_ASSERT_FALSE(blockdev_superblock_readable(&hal));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
+    TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
+}
+
+/* Any bit of the name, version or geometry wrong in both superblocks: there is no filesystem. */
+static void test_damaged_superblocks_are_not_readable(void) {
+    for (uint32_t bit = 8u * 8u; bit < 8u * 44u; bit++) {
+        const uint8_t mask = (uint8_t)(1u << (bit % 8u));
+        hal.flash[bit / 8u] ^= mask;
+        TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
+        hal.flash[STORE_BLOCK_BYTES + bit / 8u] ^= mask;
+        TEST_ASSERT_FALSE(blockdev_superblock_readable(&hal));
+        hal.flash[bit / 8u] ^= mask;
+        TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
+        hal.flash[STORE_BLOCK_BYTES + bit / 8u] ^= mask;
+    }
+}
+
+/* The first commit holds the whole root folder, files of up to 256 bytes with it. */
+static void test_superblock_with_a_full_root_is_readable(void) {
+    fill_random(bytes, sizeof bytes);
+    char path[] = "/a";
+    for (uint32_t n = 0; n < 60; n++) {
+        path[1] = (char)('a' + n % 4u);
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, path, bytes + n, 250));
+        TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
+    }
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_blank_flash_is_formatted_once);
+    RUN_TEST(test_replace_load_size_crc_remove);
+    RUN_TEST(test_crc_of_a_long_file);
+    RUN_TEST(test_bad_arguments);
+    RUN_TEST(test_nothing_works_unmounted);
+    RUN_TEST(test_a_file_in_pieces);
+    RUN_TEST(test_leftovers_go_at_mount);
+    RUN_TEST(test_random_operations_against_a_model);
+    RUN_TEST(test_space_does_not_leak_over_many_trials);
+    RUN_TEST(test_oldest_trials_go_first_and_the_kept_one_stays);
+    RUN_TEST(test_full_flash_refuses_and_keeps_the_old);
+    RUN_TEST(test_dead_flash_is_reported);
+    RUN_TEST(test_damage_behind_the_superblock_is_not_formatted_away);
+    RUN_TEST(test_garbage_is_formatted);
+    RUN_TEST(test_damaged_superblocks_are_not_readable);
+    RUN_TEST(test_superblock_with_a_full_root_is_readable);
+    return UNITY_END();
+}

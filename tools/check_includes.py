@@ -1,0 +1,106 @@
+"""Checks who includes whom: C files by folder, Python modules by layer.
+
+Prints one line per offence and exits with 1 when there is one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
+
+PURE = ("base", "params", "gait", "ilc", "imu", "speed", "supervisor")
+GENERATED = ("tailbeat/mavlink.h", "lfs.h", "build_id_generated.h")
+
+# What the C files of a folder may include: prefixes of include paths. Files beside the including
+# one, written without a folder, are always allowed.
+PURE_ALLOWED = {
+    "base": ("base/",),
+    "params": ("base/", "params/"),
+    "gait": ("base/", "gait/"),
+    "ilc": ("base/", "ilc/"),
+    "imu": ("base/", "imu/"),
+    "speed": ("base/", "speed/"),
+    "supervisor": ("base/", "supervisor/"),
+}
+PURE_PREFIXES = tuple(f"{name}/" for name in PURE)
+ALLOWED: dict[str, tuple[str, ...]] = {
+    **{f"firmware/{name}": allowed for name, allowed in PURE_ALLOWED.items()},
+    "firmware/store": (*PURE_PREFIXES, "store/", "hal/flash.h", "lfs.h"),
+    "firmware/link": (*PURE_PREFIXES, "store/", "link/", "hal/", *GENERATED),
+    "firmware/app": (*PURE_PREFIXES, "store/", "link/", "app/", "hal/"),
+    "hal/include/hal": ("hal/",),
+}
+
+# Library modules never know the command line; of the library the lower layers never know the upper.
+PYTHON_FORBIDDEN = {
+    "": ("tailbeat.cli",),
+    "errors": ("tailbeat.",),
+}
+
+
+def c_offences(root: Path) -> Iterator[str]:
+    """Forbidden includes in C files."""
+    for folder, allowed in ALLOWED.items():
+        for path in sorted((root / folder).rglob("*.[ch]")):
+            for name in INCLUDE.findall(path.read_text(encoding="utf-8")):
+                beside = "/" not in name and (path.parent / name).is_file()
+                if not beside and not name.startswith(allowed):
+                    yield f"{path.relative_to(root)}: {folder} must not include {name}"
+
+
+def unknown_folders(root: Path) -> Iterator[str]:
+    """Folders of the firmware for which no rule exists."""
+    for path in sorted((root / "firmware").rglob("*.[ch]")):
+        if str(path.parent.relative_to(root)) not in ALLOWED:
+            yield f"{path.relative_to(root)}: its folder has no rule in tools/check_includes.py"
+
+
+def imported_modules(path: Path, package: str) -> Iterator[str]:
+    """Full names of the modules that the file imports; |package| is the one it belongs to."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - node.level + 1]
+            base = ".".join(above) if node.level else ""
+            module = ".".join(part for part in (base, node.module) if part)
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def python_offences(root: Path) -> Iterator[str]:
+    """Forbidden imports in the host package."""
+    top = root / "host" / "tailbeat"
+    for path in sorted(top.rglob("*.py")):
+        relative = path.relative_to(top)
+        if relative.parts[0] == "cli" or relative.name == "__main__.py":
+            continue
+        package = ".".join(("tailbeat", *relative.parts[:-1]))
+        forbidden = PYTHON_FORBIDDEN.get(relative.stem, ()) + PYTHON_FORBIDDEN[""]
+        for name in sorted(set(imported_modules(path, package))):
+            if name.startswith(forbidden) and not name.startswith(f"{package}.{relative.stem}."):
+                yield f"{path.relative_to(root)}: a library module must not import {name}"
+
+
+def offences(root: Path) -> list[str]:
+    """Everything that is wrong below |root|."""
+    return [*c_offences(root), *unknown_folders(root), *python_offences(root)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    default = Path(__file__).resolve().parent.parent
+    parser.add_argument("root", type=Path, nargs="?", default=default)
+    found = offences(parser.parse_args().root)
+    print("\n".join(found) or "includes: all as the layers allow")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
