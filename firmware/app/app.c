@@ -19,8 +19,10 @@
 static void on_vision(void *context, const link_vision_t *sample) {
     app_t *app = context;
     trial_run_sample(&app->run, sample->time_us, sample->speed_m_s, sample->sigma_m_s);
-    app->live_speed_m_s = sample->speed_m_s;
-    app->live_speed_us = hal_time_us(app->hal);
+    if (real_is_finite(sample->speed_m_s)) {
+        app->live_speed_m_s = sample->speed_m_s;
+        app->live_speed_us = hal_time_us(app->hal);
+    }
 }
 
 static void on_heartbeat(void *context, hal_port_t port, uint8_t system, uint8_t component) {

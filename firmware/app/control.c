@@ -2,6 +2,7 @@
 
 #include "base/panic.h"
 #include "base/real.h"
+#include "base/units.h"
 #include "hal/clock.h"
 #include "hal/servo.h"
 #include "hal/system.h"
@@ -97,7 +98,7 @@ void control_tick_isr(control_t *control, hal_t *hal) {
     report->gait = gait_frame_isr(&control->gait, &control->config, command);
     hal_servo_pulse_isr(hal, report->gait.pulse_ticks);
     if (report->gait.beat_start && report->gait.beat == 0) {
-        report->swim_start_us = now_us;
+        report->swim_start_us = now_us + FRAME_US;
     }
     report->tick_us = now_us;
     report->clipped_frames = control->gait.servo.clipped_frames;

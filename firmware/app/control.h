@@ -34,12 +34,12 @@ typedef struct {
  * in the tick that finds |swim| false: read them before ordering that. */
 typedef struct {
     gait_output_t gait;
-    uint64_t tick_us;        /* time of this tick */
-    uint64_t swim_start_us;  /* tick of frame 0, 0 = not begun */
-    uint16_t beats_done;     /* whole beats swum */
-    bool finished;           /* the last beat is over; the tail glides to the centre and off */
-    fault_t stop;            /* first stop rule broken; the tail glides to the centre and off */
-    uint32_t late_ticks;     /* while swimming, since boot */
+    uint64_t tick_us;       /* time of this tick */
+    uint64_t swim_start_us; /* when the pulse of frame 0 comes out: the tick after; 0 = not begun */
+    uint16_t beats_done;    /* whole beats swum */
+    bool finished;          /* the last beat is over; the tail glides to the centre and off */
+    fault_t stop;           /* first stop rule broken; the tail glides to the centre and off */
+    uint32_t late_ticks;    /* while swimming, since boot */
     uint32_t clipped_frames; /* since boot */
 } control_report_t;
 

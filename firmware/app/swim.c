@@ -73,10 +73,15 @@ static fault_t save_counter(app_t *app) {
                : FAULT_WRITE_FAILED;
 }
 
+static uint32_t log_bytes(const app_t *app) {
+    const float swim_s = (float)app->reference.beats * app->reference.beat_s;
+    const float settle_s = app->params.value[PARAM_SETTLE_S];
+    return trial_log_size_bound_for(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
+}
+
 /* Everything that writes flash and can be done before the tail moves. */
 static fault_t prepare_store(app_t *app) {
-    const uint32_t bytes = trial_log_size_bound(app->reference.beats);
-    if (store_make_space(&app->store, bytes, 0) != STORE_OK) {
+    if (store_make_space(&app->store, log_bytes(app), 0) != STORE_OK) {
         return FAULT_WRITE_FAILED;
     }
     app->next_trial++;

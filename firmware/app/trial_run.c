@@ -80,7 +80,7 @@ static void close_until(trial_run_t *run, float until_s) {
 }
 
 void trial_run_collect(trial_run_t *run, uint64_t now_us, uint16_t battery_mv) {
-    if (!collecting(run)) {
+    if (!collecting(run) || now_us < run->start_us) {
         return;
     }
     if (now_us >= run->next_battery_us) {

@@ -7,9 +7,13 @@
  * (NoSessionsAvailable). ResetSessions closes the sender's own session or a silent one and is
  * always acknowledged. A request that changes something and comes again, because its answer was
  * lost, gets the same answer and is not executed twice; ResetSessions is executed every time.
- * OpenFileWO does what CreateFile does: the file starts anew. Blocks of an upload may come in any
- * order below FTP_IN_FILE_MAX_BYTES; a block that never comes leaves zeros, which the CRC finds.
- * Main loop only; writing may take as long as the store's writes do.
+ * The session gets the number its open request carries: pymavlink's client sends the first blocks
+ * of an upload under that number before it has seen the answer.
+ * A burst's last packet, because of FTP_BURST_PACKETS or of the file's end, has burst_complete set;
+ * a request at or beyond the end is answered by NAK EOF. OpenFileWO does what CreateFile does: the
+ * file starts anew. Blocks of an upload may come in any order below FTP_IN_FILE_MAX_BYTES; a block
+ * that never comes leaves zeros, which the CRC finds. Main loop only; writing may take as long as
+ * the store's writes do.
  */
 #ifndef LINK_FTP_SERVER_H
 #define LINK_FTP_SERVER_H
@@ -25,8 +29,7 @@
 #define FTP_IN_FILE_MAX_BYTES 16384u /* largest upload */
 #define FTP_BURST_PACKETS 160u       /* per request: the stock client gives up on longer silence */
 #define FTP_SESSION_SILENT_US 5000000u
-#define FTP_SHORT_REPLY_BYTES                                                                      \
-    16u /* header and the 4 bytes that a changing request answers at most */
+#define FTP_SHORT_REPLY_BYTES 16u /* header and 4 bytes: the answer to a changing request */
 
 typedef struct {
     uint8_t system, component, port;

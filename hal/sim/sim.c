@@ -100,8 +100,8 @@ static void update_battery(sim_t *sim) {
     sim->board.battery_mv = (uint16_t)(v > 0 ? v * 1e3 + 0.5 : 0);
 }
 
-static void advance_fish(sim_t *sim) {
-    const bool begins = fish_frame(&sim->fish, sim->board.now_us, sim->board.pulse_ticks);
+static void advance_fish(sim_t *sim, uint16_t pulse_ticks) {
+    const bool begins = fish_frame(&sim->fish, sim->board.now_us, pulse_ticks);
     camera_follow(&sim->camera, &sim->fish);
     if (begins) {
         update_battery(sim);
@@ -113,7 +113,7 @@ static void boot(sim_t *sim, hal_reset_cause_t cause) {
     const uint64_t now = sim->board.now_us;
     board_restart(&sim->board, cause);
     if (now > sim->fish.time_us) {
-        advance_fish(sim);
+        advance_fish(sim, 0);
     }
     update_battery(sim);
     sim->booted = true;
@@ -126,11 +126,13 @@ static void boot(sim_t *sim, hal_reset_cause_t cause) {
     app_init(&sim->app, &sim->board);
 }
 
+/* A pulse ordered in one frame comes out in the next, as the PWM's update register does it. */
 static void frame_event(sim_t *sim) {
+    const uint16_t pulse_ticks = sim->board.pulse_ticks;
     if (sim->booted) {
         app_tick_isr(&sim->app);
     }
-    advance_fish(sim);
+    advance_fish(sim, pulse_ticks);
     sim->next_frame_us += FRAME_TIME_US;
 }
 

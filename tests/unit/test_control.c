@@ -105,7 +105,7 @@ static void the_trial_has_exactly_its_frames(void) {
         const control_report_t report = tick();
         TEST_ASSERT_FALSE(report.finished);
         TEST_ASSERT_EQUAL_UINT16(i / FRAMES_PER_BEAT, report.beats_done);
-        TEST_ASSERT_TRUE(report.swim_start_us == 1000000 + FRAME_US);
+        TEST_ASSERT_TRUE(report.swim_start_us == 1000000 + 2 * FRAME_US);
         TEST_ASSERT_TRUE(report.tick_us == hal.now_us);
         swum += report.gait.mode == GAIT_SWIM ? 1u : 0u;
     }
@@ -215,7 +215,7 @@ static void a_stop_stays_until_swim_is_taken_back(void) {
     order();
     const control_report_t again = tick();
     TEST_ASSERT_EQUAL_INT(GAIT_SWIM, again.gait.mode);
-    TEST_ASSERT_TRUE(again.swim_start_us == hal.now_us);
+    TEST_ASSERT_TRUE(again.swim_start_us == hal.now_us + FRAME_US);
 }
 
 static void a_finished_trial_does_not_begin_again(void) {

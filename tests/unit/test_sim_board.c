@@ -314,14 +314,14 @@ static void test_camera_sees_the_swim(void) {
     c.camera_noise_m = 0;
     script_reset(cruise, 8, 0);
     sim_t *sim = sim_new(&c);
-    sim_run(sim, 1720000 + 8000000 + 200000, -1, false);
+    sim_run(sim, 1740000 + 8000000 + 200000, -1, false);
     double beats[8], x = 0;
     TEST_ASSERT_EQUAL(8, sim_true_beats(sim, beats, 8));
     static sim_camera_frame_t p[400];
     const size_t pictures = sim_camera_read(sim, p, 400);
     for (int k = 0; k < 8; k++) {
         x += beats[k];
-        const double end = 1.72 + k + 1;
+        const double end = 1.74 + k + 1; /* boot, first tick, and the frame the pulse waits */
         size_t i = 0;
         while (i + 1 < pictures && p[i + 1].time_s < end) {
             i++;
