@@ -3,6 +3,8 @@ MAKEFLAGS += --no-print-directory
 SHELL := /bin/sh
 BIN := .venv/bin
 PYTHON := $(CURDIR)/$(BIN)/python
+# test_trial_log writes a trial file here, which the tests of the host tool read.
+export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware hal wire CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')

@@ -15,11 +15,14 @@ _RATE_BASELINE_S = 0.1
 # Crystals agree within 100 ppm: what is closer to 1 than this is a real-time board, and the rest is
 # jitter of the radio.
 _REAL_TIME_BAND = 0.02
+_REANCHOR_S = 30.0
+# How far the offset may run away per second: crystals, and boards paced by a busy machine.
+_DRIFT_REAL, _DRIFT_VIRTUAL = 1e-4, 0.05
 
 
 @dataclass(frozen=True)
 class ClockSample:
-    """One exchange: at the host's ``host_s`` (middle of it) the board's clock showed ``board_s``."""
+    """One exchange: at ``host_s`` (its middle) the board's clock showed ``board_s``."""
 
     host_s: float
     board_s: float
@@ -29,8 +32,9 @@ class ClockSample:
 class BoardClock:
     """Maps the transport's clock to seconds since the board booted.
 
-    The offset comes from the exchange with the shortest round trip of the last few; the rate from
-    two such that lie apart. A board in virtual time may run faster or slower than the wall clock.
+    The offset comes from the exchange of the last few that is worth most: short round trip, not
+    old. The rate comes from two that lie apart: a board in
+    virtual time may run faster or slower than the wall clock.
     """
 
     def __init__(self, link: Link) -> None:
@@ -39,6 +43,7 @@ class BoardClock:
         self._recent: deque[ClockSample] = deque(maxlen=_SAMPLES)
         self._best: ClockSample | None = None
         self._anchor: ClockSample | None = None
+        self._rate_error = float("inf")
         self._asked_s: dict[int, float] = {}
         self._next_s = 0.0
         link.subscribe(self._hear)
@@ -57,6 +62,7 @@ class BoardClock:
         """A fresh series of exchanges. Raises LinkLostError when the board does not answer."""
         self._recent.clear()
         self._best = self._anchor = None
+        self._rate_error = float("inf")
         for patience_s in self._link.attempts():
             self._ask()
             if self._link.recv("TIMESYNC", patience_s, lambda _: bool(self._recent)):
@@ -91,25 +97,31 @@ class BoardClock:
             self._recent.clear()  # the board has restarted
             self._anchor = None
         self._recent.append(sample)
-        best = min(self._recent, key=lambda s: s.round_trip_s)
         if self._anchor is None:
             self._anchor = sample
-        self._update_rate(best)
-        self._best = best
+        self._update_rate(sample)
+        drift = _DRIFT_REAL if self.rate == 1.0 else _DRIFT_VIRTUAL
+        self._best = min(
+            self._recent,
+            key=lambda s: s.round_trip_s / 2 + (sample.host_s - s.host_s) * drift,
+        )
 
-    def _update_rate(self, best: ClockSample) -> None:
+    def _update_rate(self, sample: ClockSample) -> None:
         assert self._anchor is not None
-        span_s = best.host_s - self._anchor.host_s
-        if span_s <= 0 and best.round_trip_s < self._anchor.round_trip_s:
-            self._anchor = best
-            return
+        span_s = sample.host_s - self._anchor.host_s
         if span_s < _RATE_BASELINE_S:
             return
-        rate = (best.board_s - self._anchor.board_s) / span_s
-        self.rate = 1.0 if abs(rate - 1.0) < _REAL_TIME_BAND else max(rate, 1e-3)
+        error = (sample.round_trip_s + self._anchor.round_trip_s) / 2 / span_s
+        if error > self._rate_error:
+            return
+        rate = (sample.board_s - self._anchor.board_s) / span_s
+        real_time = abs(rate - 1.0) < _REAL_TIME_BAND + error
+        self.rate = 1.0 if real_time else max(rate, 1e-3)
         self._link.rate = self.rate
-        if span_s > 30.0:
-            self._anchor = best  # a rate may change, so the baseline does not grow for ever
+        self._rate_error = error
+        if span_s > _REANCHOR_S:  # a rate may change, so the baseline does not grow for ever
+            self._anchor = sample
+            self._rate_error = float("inf")
 
     def _ask(self) -> None:
         sent_s = self._link.transport.now_s()

@@ -227,7 +227,7 @@ class _Demo:
         beats = self.sim.true_beats()[: self.reference.beats]
         true = np.abs(self.reference.speed_m_s[: len(beats)] - beats)
         speeds = self.sim.true_speeds_25hz()[: round(self.reference.duration_s / _SAMPLE_S)]
-        wanted = reference.thesis_speed(np.arange(len(speeds)) * _SAMPLE_S)
+        wanted = reference.thesis_speed(np.arange(len(speeds), dtype=np.float64) * _SAMPLE_S)
         return float(true.max()), float(np.abs(wanted - speeds).max())
 
     def _floor(self) -> tuple[float | None, float | None]:
@@ -331,7 +331,7 @@ def plant_text(plant: str, sim: SimBoard | None) -> str:
 def _zero_row(wanted: reference.Reference) -> DemoTrial:
     """Iteration 0, the zero input: its error is the reference."""
     speed = wanted.speed_m_s.astype(np.float64)
-    time = np.arange(round(wanted.duration_s / _SAMPLE_S)) * _SAMPLE_S
+    time = np.arange(round(wanted.duration_s / _SAMPLE_S), dtype=np.float64) * _SAMPLE_S
     return DemoTrial(
         iteration=0,
         trial=0,

@@ -9,6 +9,8 @@ from tailbeat._native import ffi, lib
 from tailbeat.errors import Refused
 
 NONE = 0
+ABORT_COMMAND = 1
+REBOOT = 5
 WRONG_STATE = 40
 NO_REFERENCE = 41
 NO_TRIAL = 46

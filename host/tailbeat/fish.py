@@ -176,9 +176,7 @@ class Fish:
         heard: list[Message] = []
         stop = self.link.subscribe(heard.append)
         try:
-            self.link.command(
-                mavlink.TAILBEAT_CMD_LEARN, float(number), timeout_s=LEARN_TIMEOUT_S
-            )
+            self.link.command(mavlink.TAILBEAT_CMD_LEARN, float(number), timeout_s=LEARN_TIMEOUT_S)
         finally:
             stop()
         for message in heard:
@@ -252,7 +250,7 @@ class Fish:
         """The camera that belongs to a simulated board; None for a real one."""
         if isinstance(self.transport, SimTransport):
             return SimulatedCamera(self.transport.board)
-        if isinstance(self.transport, TcpTransport):
+        if isinstance(self.transport, TcpTransport) and self._kind() != "fish":
             try:
                 return RemoteCamera(self.transport.host, self.transport.port + 1)
             except ConnectError:
@@ -264,6 +262,10 @@ class Fish:
         patience_s = self.link.patient(0.5)
         m = self.link.recv("STATUSTEXT", patience_s, lambda m: text_of(m.text).startswith(_NAME))
         return text_of(m.text).removeprefix(_NAME) if m else None
+
+    def _kind(self) -> str:
+        version = self.link.request("AUTOPILOT_VERSION")
+        return results.BOARD_KINDS.get(version.board_version, "unknown")
 
     def _pending(self) -> int:
         number = self.status().pending_trial
@@ -325,4 +327,3 @@ _WATCHED: dict[str, Callable[[Message], Event]] = {
     "TAILBEAT_LEARN_REPORT": lambda m: {"event": "learned", **vars(LearnReport.of(m))},
     "STATUSTEXT": text_event,
 }
-

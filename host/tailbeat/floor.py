@@ -71,7 +71,9 @@ def plant_beats(config: Any, amplitude_rad: Array, beat_s: float) -> Array:
         ffi.cast("double *", ffi.from_buffer(mean, require_writable=True)),
     )
     if not fine:
-        raise InputError("the plant's settings make no sense.", "Look at the values given by --set.")
+        raise InputError(
+            "the plant's settings make no sense.", "Look at the values given by --set."
+        )
     return mean
 
 
@@ -84,7 +86,8 @@ def _thrust_map(config: Any, amplitude_max: float) -> tuple[float, Plant]:
         w_max = (slope * max(amplitude_max - dead, 1e-6)) ** 2
 
         def tank(w: Array) -> Array:
-            return np.clip(dead + np.sqrt(np.maximum(w, 0)) / slope, 0, amplitude_max)
+            amplitude = dead + np.sqrt(np.maximum(w, 0)) / slope
+            return np.asarray(np.clip(amplitude, 0, amplitude_max))
 
         return w_max, tank
     grid = np.linspace(0, amplitude_max, 4001)
@@ -164,7 +167,8 @@ def _linear_step(
     )
     if found.status != 0:
         return None, 0.0
-    return found.x[:beats] * w_max, float(found.x[beats])
+    solution = np.asarray(found.x)
+    return solution[:beats] * w_max, float(solution[beats])
 
 
 def _least_squares(plant: Plant, wanted: Array, w: Array, w_max: float) -> Array:
@@ -173,8 +177,11 @@ def _least_squares(plant: Plant, wanted: Array, w: Array, w_max: float) -> Array
     def jacobian(z: Array) -> Array:
         return _jacobian(plant, z * w_max, plant(z * w_max), w_max) * w_max * _LP_SCALE
 
+    def residual(z: Array) -> Array:
+        return (plant(z * w_max) - wanted) * _LP_SCALE
+
     found = least_squares(
-        lambda z: (plant(z * w_max) - wanted) * _LP_SCALE,
+        residual,
         np.clip(w / w_max, 1e-6, 1 - 1e-6),
         jac=jacobian,
         bounds=(0, 1),

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import os
 import secrets
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from tailbeat import _dialect as mavlink
 from tailbeat.errors import LinkLostError, TailbeatError, TransferError
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, HOST_COMPONENT, HOST_SYSTEM, Link, Message
+from tailbeat.partfile import PartFile
 from tailbeat.records import crc32
 
 Progress = Callable[[int, int], None]
@@ -27,6 +26,7 @@ _CRC32, _BURST = 14, 15
 _ACK, _NACK = 128, 129
 _EOF, _NO_SESSION, _INVALID_SESSION = 6, 5, 4
 _BURST_SEQ_SPAN = 1024  # more than any burst has packets
+_TRIES = 10  # a frame of full length is the likeliest to be hit
 _STALLS_MAX = 8  # rounds without a new byte before a transfer is given up
 _ERRORS = {
     1: "it failed",
@@ -117,7 +117,7 @@ class FtpClient:
         """
         expected = self.crc32(path)
         for last in (False, True):
-            part = _Part(local, expected)
+            part = PartFile(local, expected)
             with _Download(self, path) as download:
                 part.begin(download.size)
                 try:
@@ -199,7 +199,7 @@ class FtpClient:
             seq, _, _, _, request = struct.unpack_from("<HBBBB", payload)
             return _for_us(answer) and seq == expected and request == opcode
 
-        for patience_s in self._link.attempts():
+        for patience_s in self._link.attempts(_TRIES):
             self._link.send(message)
             answer = self._link.recv("FILE_TRANSFER_PROTOCOL", patience_s, fits)
             if answer is not None:
@@ -209,10 +209,17 @@ class FtpClient:
         raise AssertionError("attempts always raises at its end")
 
     def _packet(
-        self, opcode: int, session: int, offset: int, data: bytes, size: int | None = None
+        self,
+        opcode: int,
+        session: int,
+        offset: int,
+        data: bytes,
+        size: int | None = None,
+        seq: int | None = None,
     ) -> Message:
         length = len(data) if size is None else size
-        payload = _HEADER.pack(self._seq, session, opcode, length, 0, 0, 0, offset) + data
+        number = self._seq if seq is None else seq
+        payload = _HEADER.pack(number, session, opcode, length, 0, 0, 0, offset) + data
         return mavlink.MAVLink_file_transfer_protocol_message(
             0, BOARD_SYSTEM, BOARD_COMPONENT, payload.ljust(_PAYLOAD_BYTES, b"\0")
         )
@@ -267,23 +274,23 @@ class _Download:
         if progress and self.size == origin + len(taken):
             progress(self.size, self.size)
 
-    def _read_hole(self, have: int, ahead: dict[int, bytes]) -> list[tuple[int, bytes]]:
+    def _read_hole(self, have: int, ahead: dict[int, bytes]) -> Iterator[tuple[int, bytes]]:
         size = min(DATA_BYTES, min(ahead) - have)
         try:
             reply = self._client._request(_READ, self._path, self._session, have, b"", size)
         except FtpError as error:
             self._reopen_after(error)
-            return []
-        return [(have, reply.data)]
+            return
+        yield have, reply.data
 
-    def _burst(self, have: int) -> list[tuple[int, bytes]]:
-        """One burst, as far as it comes through."""
+    def _burst(self, have: int) -> Iterator[tuple[int, bytes]]:
+        """One burst, as far as it comes through; pieces as they come."""
         client = self._client
         client._seq = (client._seq + 1) & 0xFFFF
         first = client._seq
+        client._seq = (first + _BURST_SEQ_SPAN) & 0xFFFF
         self._link.flush()
-        self._link.send(client._packet(_BURST, self._session, have, b"", DATA_BYTES))
-        pieces: list[tuple[int, bytes]] = []
+        self._link.send(client._packet(_BURST, self._session, have, b"", DATA_BYTES, seq=first))
 
         def fits(answer: Message) -> bool:
             payload = bytes(answer.payload)
@@ -299,15 +306,12 @@ class _Download:
                 break
             reply = _parse(answer)
             if reply.opcode == _NACK:
-                client._seq = (first + _BURST_SEQ_SPAN) & 0xFFFF
                 self._reopen_after(FtpError(reply.data[0] if reply.data else 1, self._path))
                 break
-            pieces.append((reply.offset, reply.data))
+            yield reply.offset, reply.data
             end = max(end, reply.offset + len(reply.data))
             if reply.complete:
                 break
-        client._seq = (first + _BURST_SEQ_SPAN) & 0xFFFF
-        return pieces
 
     def _reopen_after(self, error: FtpError) -> None:
         if error.code == _EOF:
@@ -315,53 +319,6 @@ class _Download:
         if error.code not in (_INVALID_SESSION, _NO_SESSION):
             raise error
         self._session = self._client._open(_OPEN_READ, self._path).session
-
-
-class _Part:
-    """The beginning of a file that is still coming, and what it must become."""
-
-    def __init__(self, local: Path, crc: int) -> None:
-        self.data = bytearray()
-        self._local = local
-        self._part = local.with_name(local.name + ".part")
-        self._note = local.with_name(local.name + ".part.json")
-        self._crc = crc
-        self._handle: int | None = None
-
-    def begin(self, size: int) -> None:
-        """Takes over what is there if it is of the same file; else starts empty."""
-        self._local.parent.mkdir(parents=True, exist_ok=True)
-        note = {"size_bytes": size, "crc32": self._crc}
-        with contextlib.suppress(OSError, ValueError):
-            if json.loads(self._note.read_text()) == note:
-                self.data += self._part.read_bytes()[:size]
-        if not self.data:
-            self._note.write_text(json.dumps(note))
-        self._handle = os.open(self._part, os.O_WRONLY | os.O_CREAT, 0o644)
-        os.ftruncate(self._handle, len(self.data))
-        os.lseek(self._handle, 0, os.SEEK_END)
-
-    def append(self, data: bytes) -> None:
-        """Keeps bytes that extend the beginning."""
-        assert self._handle is not None
-        os.write(self._handle, data)
-
-    def close(self) -> None:
-        """Leaves the beginning on disk."""
-        if self._handle is not None:
-            os.fsync(self._handle)
-            os.close(self._handle)
-        self._handle = None
-
-    def finish(self) -> None:
-        """The file is whole: gives it its name."""
-        os.replace(self._part, self._local)
-        self._note.unlink(missing_ok=True)
-
-    def drop(self) -> None:
-        """What came is of no use."""
-        self._part.unlink(missing_ok=True)
-        self._note.unlink(missing_ok=True)
 
 
 def _join(ahead: dict[int, bytes], have: int) -> bytes:

@@ -7,15 +7,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.errors import InputError
-
-if TYPE_CHECKING:
-    from cffi.api import FFI
 
 Floats = NDArray[np.float32]
 
@@ -39,8 +36,8 @@ _SHORT = {
 _TAILS = {"hold": 0, "keep": 1}
 _REFUSALS = {
     1: (
-        "the law does not fit: a gain is not finite, a limit is not above 0, or lead_beats or q_len "
-        "is too long.",
+        "the law does not fit: a gain is not finite, a limit is not above 0, or lead_beats or "
+        "q_len is too long.",
         "The lead must be shorter than the trial and 2*q_len-1 must fit into it.",
     ),
     2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
@@ -69,7 +66,7 @@ class Law:
             values[field] = int(values[field])
         return cls(**values, beat_s=beat_s)
 
-    def native(self, ffi: FFI) -> Any:
+    def native(self, ffi: Any) -> Any:
         """A ``law_t *`` with these values."""
         return ffi.new("law_t *", asdict(self))
 
@@ -124,9 +121,7 @@ def _law_value(path: Path, key: str, field: str, value: object) -> float | int:
     return int(value)
 
 
-def errors_of(
-    reference_m_s: ArrayLike, speed_m_s: ArrayLike
-) -> tuple[Floats, NDArray[np.bool_]]:
+def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
     """(error, measured) per beat: reference minus speed in float32, 0 where the speed is NaN."""
     reference = np.asarray(reference_m_s, dtype=np.float32)
     speed = np.asarray(speed_m_s, dtype=np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ HEARTBEAT_PERIOD_S = 1.0  # of board time
 REPLY_TIMEOUT_S = 0.7
 TRIES = 6
 _BACKOFF = 1.3
+_TIMEOUT_MAX_S = 2.0
 _INBOX_MAX = 8192
 _MARKER = 0xFD
 _HEADER_BYTES = 10
@@ -110,7 +112,7 @@ class Link:
         self.framer = Framer(self.mav)
         self._inbox: deque[Message] = deque(maxlen=_INBOX_MAX)
         self._callbacks: list[Callable[[Message], None]] = []
-        self._next_heartbeat_s = transport.now_s()
+        self._last_heartbeat_s = -math.inf
 
     def close(self) -> None:
         """Ends the conversation."""
@@ -121,7 +123,7 @@ class Link:
         self.transport.reopen()
         self.framer = Framer(self.mav)
         self._inbox.clear()
-        self._next_heartbeat_s = self.transport.now_s()
+        self._last_heartbeat_s = -math.inf
 
     def subscribe(self, callback: Callable[[Message], None]) -> Callable[[], None]:
         """Calls back for every message from the board; call the result to stop that."""
@@ -142,7 +144,7 @@ class Link:
     def pump(self) -> None:
         """Takes in what has arrived and sends the heartbeat if it is due. Never blocks."""
         now = self.transport.now_s()
-        if now >= self._next_heartbeat_s:
+        if now >= self._heartbeat_due_s():
             self._send_heartbeat(now)
         data = self.transport.read()
         if data:
@@ -151,7 +153,7 @@ class Link:
     def idle(self, timeout_s: float) -> None:
         """Waits once, at most ``timeout_s`` and less when bytes or a heartbeat are due; pumps."""
         now = self.transport.now_s()
-        self.transport.wait(max(0.0, min(timeout_s, self._next_heartbeat_s - now)))
+        self.transport.wait(max(0.0, min(timeout_s, self._heartbeat_due_s() - now)))
         self.pump()
 
     def run(self, duration_s: float) -> None:
@@ -195,7 +197,7 @@ class Link:
         begin = self.transport.now_s()
         for _ in range(tries):
             yield self.patient(timeout_s)
-            timeout_s *= _BACKOFF
+            timeout_s = min(timeout_s * _BACKOFF, max(timeout_s, _TIMEOUT_MAX_S))
         raise self.lost(tries, self.transport.now_s() - begin)
 
     def lost(self, tries: int, waited_s: float) -> LinkLostError:
@@ -269,8 +271,11 @@ class Link:
             raise _refused(ack)
         return ack
 
+    def _heartbeat_due_s(self) -> float:
+        return self._last_heartbeat_s + HEARTBEAT_PERIOD_S / max(self.rate, 1e-3)
+
     def _send_heartbeat(self, now: float) -> None:
-        self._next_heartbeat_s = now + HEARTBEAT_PERIOD_S / max(self.rate, 1e-3)
+        self._last_heartbeat_s = now
         self.send(
             mavlink.MAVLink_heartbeat_message(
                 mavlink.MAV_TYPE_GCS,

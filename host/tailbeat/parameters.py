@@ -16,7 +16,7 @@ from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 
 _NAME_BYTES = 16
 _LIST_SILENCE_S = 0.5
-_LIST_ROUNDS = 8
+_BARREN_ROUNDS_MAX = 8
 _FAULTS = {mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED: WRONG_STATE}
 _LOAD, _SAVE, _RESET = 0.0, 1.0, 2.0
 
@@ -59,7 +59,9 @@ class Parameters:
         count: int | None = None
         message = mavlink.MAVLink_param_request_list_message(BOARD_SYSTEM, BOARD_COMPONENT)
         self._link.flush()
-        for _ in range(_LIST_ROUNDS):
+        barren = 0
+        while barren < _BARREN_ROUNDS_MAX:
+            had = len(found)
             if count is None:
                 self._link.send(message)
             else:
@@ -67,7 +69,8 @@ class Parameters:
             count = self._collect(found, count)
             if count is not None and len(found) >= count:
                 return {p.name: p for p in (_parameter(found[i]) for i in sorted(found))}
-        raise self._link.lost(_LIST_ROUNDS, _LIST_ROUNDS * _LIST_SILENCE_S)
+            barren = 0 if len(found) > had else barren + 1
+        raise self._link.lost(barren, barren * _LIST_SILENCE_S)
 
     def get(self, name: str) -> Parameter:
         """One parameter. Raises Refused when the board has none of that name."""

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,10 +153,10 @@ def _whole_beats(duration_s: float, beat_s: float) -> int:
     return max(1, math.ceil(duration_s / beat_s - _ROUNDING))
 
 
-def thesis_speed(t_s: Array) -> Array:
+def thesis_speed(t_s: NDArray[np.floating[Any]]) -> Array:
     """The wanted speed of (8.31) at the given instants, m/s."""
     polynomial = 2.25 * t_s**2 * (t_s - 40) ** 2 / 40.0**4
-    return np.where((t_s > 10) & (t_s <= 30), THESIS_PLATEAU_M_S, polynomial)
+    return np.asarray(np.where((t_s > 10) & (t_s <= 30), THESIS_PLATEAU_M_S, polynomial))
 
 
 def thesis() -> Reference:
@@ -223,7 +223,8 @@ def _linear_means(time: Array, speed: Array, beat_s: float) -> NDArray[np.float3
         width = time[i + 1] - time[i]
         slope = np.where(width > 0, (speed[i + 1] - speed[i]) / np.where(width > 0, width, 1), 0.0)
         dt = inside - time[i]
-        return distance[i] + speed[i] * dt + slope * dt**2 / 2 + speed[-1] * (t - inside)
+        held = speed[-1] * (t - inside)
+        return np.asarray(distance[i] + speed[i] * dt + slope * dt**2 / 2 + held)
 
     return _beat_means(integral, _whole_beats(float(time[-1]), beat_s), beat_s)
 

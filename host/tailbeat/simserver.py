@@ -103,7 +103,7 @@ class _Port:
 
 
 class _Pty:
-    """The console on a pseudo-terminal. The slave end stays open, so that clients may come and go."""
+    """The console on a pseudo-terminal, held open so that clients may come and go."""
 
     def __init__(self, selector: selectors.BaseSelector) -> None:
         try:
@@ -239,9 +239,7 @@ def parse_listen(listen: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def _two_ports(
-    selector: selectors.BaseSelector, host: str, port: int
-) -> tuple[_Port, _Port]:
+def _two_ports(selector: selectors.BaseSelector, host: str, port: int) -> tuple[_Port, _Port]:
     """Radio on ``port``, camera on the next one; with port 0 any free pair of neighbours."""
     for _ in range(50):
         radio = _Port(selector, host, port)

@@ -10,7 +10,7 @@ from tailbeat import _dialect as mavlink
 from tailbeat.camera.base import Camera
 from tailbeat.camera.beatfit import BeatFit, SpeedSample
 from tailbeat.errors import ConnectError, LinkLostError, TailbeatError
-from tailbeat.faults import FaultInfo
+from tailbeat.faults import ABORT_COMMAND, REBOOT, FaultInfo, fault_info
 from tailbeat.link import Message
 from tailbeat.results import BeatEvent, BoardStatus, TrialOutcome
 
@@ -43,7 +43,7 @@ class _Run:
     stopped_at_s: float | None = None
     abort_reason: str | None = None
     interrupted: bool = False
-    was_lost: bool = False
+    restarted: bool = False
     fit: BeatFit = field(default_factory=BeatFit)
 
 
@@ -93,9 +93,9 @@ def _prepare(run: _Run) -> None:
     if run.camera is not None:
         run.fit = BeatFit(window_s if window_s > 0 else 1.0, run.camera.fps)
         run.camera.frames()
+    fish.clock.sync()
     if fish.status().state != "ARMED":
         fish.arm()
-    fish.clock.sync()
 
 
 def _start(run: _Run) -> None:
@@ -117,7 +117,7 @@ def _start(run: _Run) -> None:
 def _hear(run: _Run, message: Message) -> None:
     kind = message.get_type()
     if kind == "TAILBEAT_STATUS":
-        run.status = BoardStatus.of(message)
+        _take_status(run, BoardStatus.of(message))
     elif kind == "TAILBEAT_BEAT" and message.trial == run.number:
         beat = BeatEvent.of(message)
         if beat.beat not in run.beats:
@@ -128,6 +128,12 @@ def _hear(run: _Run, message: Message) -> None:
         from tailbeat.fish import text_event
 
         run.emit(text_event(message))
+
+
+def _take_status(run: _Run, status: BoardStatus) -> None:
+    if run.status is not None and status.time_s < run.status.time_s:
+        run.restarted = True
+    run.status = status
 
 
 def _consult(run: _Run, what: object) -> None:
@@ -206,7 +212,6 @@ def _interrupt(run: _Run) -> None:
 def _reconnect(run: _Run) -> None:
     """Gets the link back, within bounds, and asks how things stand."""
     link = run.fish.link
-    run.was_lost = True
     run.emit({"event": "link_lost"})
     deadline = link.transport.now_s() + run.reconnect_s
     retry_s = _RETRY_S
@@ -218,7 +223,6 @@ def _reconnect(run: _Run) -> None:
             _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
             retry_s = min(2 * retry_s, 5.0)
             continue
-        run.status = status
         run.fit.reset()
         run.fish.clock.sync()
         run.emit({"event": "link_back", "state": status.state})
@@ -258,6 +262,7 @@ def _end(run: _Run, status: BoardStatus) -> str:
     fault: FaultInfo = status.fault
     if fault.number:
         return f"{'aborted' if fault.kind == 'abort' else 'fault'}:{fault.name}"
-    if status.trial == run.number and status.beat >= status.beats:
+    if status.pending_trial == run.number and status.beat >= status.beats:
         return "complete"
-    return "aborted:REBOOT" if run.was_lost else "aborted:ABORT_COMMAND"
+    # Without a restart of the board somebody else has aborted and cleared it.
+    return f"aborted:{fault_info(REBOOT if run.restarted else ABORT_COMMAND).name}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -60,7 +60,7 @@ def list_(root: Root = Path("experiments"), json: Json = False) -> None:
     from tailbeat.experiment import list_experiments
 
     found = list_experiments(root)
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "name": experiment.name,
             "folder": experiment.folder,

@@ -42,7 +42,11 @@ def learn(
             fish.restore_best()
             held = fish.amplitudes()
             text = f"the best amplitudes swim next, as iteration {held.iteration}"
-            say(json, {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values}, text)
+            say(
+                json,
+                {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values},
+                text,
+            )
             return
         report = fish.learn(number)
         held = fish.amplitudes()
@@ -86,9 +90,7 @@ def law(
 @speed_app.command("upload")
 def upload(
     number: Annotated[int, typer.Argument(metavar="TRIAL", help="The pending trial.")],
-    file: Annotated[
-        Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")
-    ],
+    file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
     sigma_m_s: Annotated[
         float, typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s.")
     ] = 0.001,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -93,7 +95,9 @@ def sim(
     listen: Annotated[
         str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
     ] = "tcp:127.0.0.1:5760",
-    pty: Annotated[bool, typer.Option("--pty", help="Serve the wired console on a pty too.")] = False,
+    pty: Annotated[
+        bool, typer.Option("--pty", help="Serve the wired console on a pty too.")
+    ] = False,
     speed: Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")] = 1.0,
     settings: Set = None,
     json: Json = False,
@@ -107,14 +111,19 @@ def sim(
 
     board = SimBoard(plant, seed, **assignments(settings or []))
     server = SimServer(board, listen, pty, speed)
+    stopped: list[int] = []
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # also when started ignoring them, by a shell's &
+        signal.signal(number, lambda got, _: stopped.append(got))
     try:
         if json:
             json_line(server.addresses.as_dict())
         else:
             typer.echo(_sim_text(plant, speed, server.addresses))
-        server.serve()
-    except KeyboardInterrupt:
-        pass
+            sys.stdout.flush()
+        server.serve(lambda: bool(stopped))
     finally:
         server.close()
 

@@ -46,4 +46,4 @@ class Series:
     @property
     def mid_s(self) -> NDArray[np.float64]:
         """Middle of every beat, s."""
-        return (np.arange(len(self.reference_m_s)) + 0.5) * self.beat_s
+        return np.asarray((np.arange(len(self.reference_m_s)) + 0.5) * self.beat_s, np.float64)

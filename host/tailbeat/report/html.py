@@ -65,7 +65,7 @@ def _trials(series: Series) -> str:
     )
     start = (
         f"<tr><td>0</td><td>–</td><td>{_mm(series.start_error_m_s)}</td><td></td><td></td><td></td>"
-        '<td class=l>zero input, not swum</td></tr>'
+        "<td class=l>zero input, not swum</td></tr>"
     )
     finite = [s for s in series.swims if math.isfinite(s.max_abs_error_m_s)]
     best = min(finite, key=lambda s: s.max_abs_error_m_s, default=None)

@@ -20,7 +20,7 @@ _INK = "0.15"
 _FAINT = "0.55"
 _REFERENCE = "0.86"
 _ACCENT = "#0b5394"  # prints as dark grey
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 14,
     "axes.edgecolor": _FAINT,
@@ -89,9 +89,10 @@ def _draw_error(axes: Axes, series: Series) -> None:
                 axes.annotate(
                     _mm(value), (i, value), (0 if rises else 8, -22 if rises else 9),
                     textcoords="offset points", fontsize=13, ha="center" if rises else "left",
+                    bbox={"boxstyle": "square,pad=0.05", "facecolor": "white", "lw": 0},
                 )  # fmt: skip
     axes.annotate(
-        "zero input,\nnot swum", (0, error[0]), (-6, -17), textcoords="offset points",
+        "zero input,\nnot swum", (0, error[0]), (-6, -31), textcoords="offset points",
         fontsize=11.5, color="0.4", va="top",
     )  # fmt: skip
     _floor_line(axes, series)
@@ -102,7 +103,7 @@ def _floor_line(axes: Axes, series: Series) -> None:
     if series.floor_m_s is None:
         return
     floor = series.floor_m_s * 1e3
-    axes.axhline(floor, color=_INK, lw=1.6, ls=(0, (6, 4)), zorder=2)
+    axes.axhline(floor, color=_INK, lw=1.6, ls=(0, (6, 4)), zorder=1)
     text = f"floor {_mm(floor)} mm/s: no input can do better without noise"
     axes.annotate(
         text, (0.02, floor), (0, -7), xycoords=("axes fraction", "data"),

@@ -70,18 +70,21 @@ def find_board(listen_s: float = LISTEN_S) -> Transport:
 def hear_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message | None:
     """The first heartbeat of a tailbeat board; None when there is none in time.
 
-    Asks for one by sending a heartbeat first: behind UDP nobody speaks before being spoken to.
+    Asks for one instead of waiting for the next; behind UDP nobody speaks before being spoken to.
     """
     mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     framer = Framer(mav)
     hello = mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
     )
+    ask = mavlink.MAVLink_command_long_message(
+        BOARD_SYSTEM, BOARD_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 0, 0, 0, 0, 0, 0, 0
+    )
     deadline = transport.now_s() + timeout_s
     next_hello_s = transport.now_s()
     while (now := transport.now_s()) < deadline:
         if now >= next_hello_s:
-            transport.write(hello.pack(mav))
+            transport.write(hello.pack(mav) + ask.pack(mav))
             next_hello_s = now + 1.0
         for message in framer.push(transport.read()):
             if is_board(message):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import select
 import socket
 import time
@@ -62,13 +61,12 @@ class UdpTransport:
         """Datagrams nobody takes are lost, as on any radio."""
         if self._peer is None:
             return
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            try:
-                self._open_socket().sendto(data, self._peer)
-            except (BlockingIOError, ConnectionError):
-                raise
-            except OSError as error:
-                raise self._lost() from error
+        try:
+            self._open_socket().sendto(data, self._peer)
+        except (BlockingIOError, ConnectionError):
+            return
+        except OSError as error:
+            raise self._lost() from error
 
     def wait(self, timeout_s: float) -> None:
         """Until a datagram arrives or the time is over."""

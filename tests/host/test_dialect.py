@@ -1,0 +1,92 @@
+"""The dialect's ids against every dialect that pymavlink ships."""
+
+from __future__ import annotations
+
+import re
+from importlib.util import find_spec
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tailbeat import _dialect as mavlink
+
+ROOT = Path(__file__).resolve().parents[2]
+OURS = ROOT / "wire" / "tailbeat.xml"
+
+
+def shipped_dialects() -> list[Path]:
+    spec = find_spec("pymavlink")
+    assert spec is not None and spec.origin is not None
+    return sorted((Path(spec.origin).parent / "dialects" / "v20").glob("*.xml"))
+
+
+def messages(path: Path) -> dict[int, str]:
+    nodes = ElementTree.parse(path).iter("message")
+    return {int(node.attrib["id"]): node.attrib["name"] for node in nodes}
+
+
+def commands(path: Path) -> dict[int, str]:
+    enums = ElementTree.parse(path).iter("enum")
+    return {
+        int(entry.attrib["value"], 0): entry.attrib["name"]
+        for enum in enums
+        if enum.attrib["name"] == "MAV_CMD"
+        for entry in enum.iter("entry")
+    }
+
+
+def enums(path: Path) -> set[str]:
+    return {node.attrib["name"] for node in ElementTree.parse(path).iter("enum")} - {"MAV_CMD"}
+
+
+def test_there_is_something_to_compare() -> None:
+    assert len(messages(OURS)) >= 4
+    assert len(commands(OURS)) >= 5
+    assert {path.stem for path in shipped_dialects()} >= {"common", "ardupilotmega", "ASLUAV"}
+    assert sum(len(messages(path)) for path in shipped_dialects()) > 300
+    assert sum(len(commands(path)) for path in shipped_dialects()) > 200
+
+
+@pytest.mark.parametrize("path", shipped_dialects(), ids=lambda path: path.stem)
+def test_no_collision(path: Path) -> None:
+    assert not messages(OURS).keys() & messages(path).keys()
+    assert not set(messages(OURS).values()) & set(messages(path).values())
+    assert not commands(OURS).keys() & commands(path).keys()
+    assert not set(commands(OURS).values()) & set(commands(path).values())
+    assert not enums(OURS) & enums(path)
+
+
+def test_message_ids_need_mavlink_2() -> None:
+    """Ids above 255 cannot be mistaken for another dialect's in MAVLink 1."""
+    assert min(messages(OURS)) > 255
+
+
+def test_names_say_whose_they_are() -> None:
+    for name in (*messages(OURS).values(), *commands(OURS).values(), *enums(OURS)):
+        assert name.startswith("TAILBEAT_"), name
+
+
+@pytest.mark.parametrize("number", sorted(messages(OURS)))
+def test_installed_module_is_of_this_dialect(number: int) -> None:
+    """The installed package knows each message with the fields of the XML, none missing."""
+    node = next(
+        node for node in ElementTree.parse(OURS).iter("message") if int(node.attrib["id"]) == number
+    )
+    generated = mavlink.mavlink_map[number]
+    assert set(generated.fieldnames) == {field.attrib["name"] for field in node.iter("field")}
+
+
+def test_generated_module_speaks_mavlink_2() -> None:
+    assert mavlink.WIRE_PROTOCOL_VERSION == "2.0"
+    assert mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL == 110
+
+
+def test_states_and_files_match_the_firmware() -> None:
+    """Enums that the XML repeats from C headers carry the same numbers."""
+    header = (ROOT / "firmware" / "supervisor" / "supervisor.h").read_text()
+    for name, number in re.findall(r"\bSTATE_(\w+) = (\d+)", header):
+        assert getattr(mavlink, f"TAILBEAT_STATE_{name}") == int(number)
+    header = (ROOT / "firmware" / "link" / "link.h").read_text()
+    for name, number in re.findall(r"\bLINK_FILE_(\w+) = (\d+)", header):
+        assert getattr(mavlink, f"TAILBEAT_FILE_{name}") == int(number)

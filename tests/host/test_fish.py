@@ -1,0 +1,251 @@
+"""Whole trials on the simulated board, good days and bad ones."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat import records
+from tailbeat.camera.base import Frame
+from tailbeat.errors import ConnectError, LinkLostError, Refused
+from tailbeat.fish import Fish
+from tailbeat.results import BeatEvent
+
+
+def test_who_it_is(fish: Fish) -> None:
+    info = fish.info()
+    assert (info.board, info.simulated, info.version) == ("simulated", True, "0.1.0")
+    assert info.build_id
+    assert len(info.unique_id) == 32
+    assert info.status.state == "IDLE"
+    assert fish.health()["reset_cause"] == "power"
+
+
+def test_reference_goes_up_once(ready: Fish, reference: bytes, spoil) -> None:
+    radio = spoil(ready)
+    assert ready.upload_reference(reference) == records.record_crc(reference)
+    assert not [frame for frame in radio.sent if frame[7] == 110]  # no file transfer
+    assert ready.reference_record() == reference
+
+
+def test_no_reference(fish: Fish) -> None:
+    assert fish.reference_record() is None
+    with pytest.raises(Refused):
+        fish.upload_amplitudes([0.1])
+
+
+def test_learning_makes_it_better(ready: Fish, tmp_path: Path) -> None:
+    ready.params.set("DU_MAX_RAD", 0)
+    errors = []
+    for number in (1, 2, 3):
+        outcome = ready.run_trial()
+        assert (outcome.number, outcome.iteration, outcome.end) == (number, number, "complete")
+        assert outcome.executed_beats == 8
+        assert [b.beat for b in outcome.beats] == list(range(8))
+        assert all(b.speed_m_s is not None for b in outcome.beats)
+        assert ready.status().pending_trial == number
+        report = ready.learn()
+        assert (report.trial, report.iteration) == (number, number)
+        assert ready.learn(number) == report  # a repeated command does nothing
+        errors.append(report.rms_error_m_s)
+    assert errors[2] < errors[1] < errors[0]
+    assert [t.number for t in ready.trials()] == [1, 2, 3]
+    path = ready.pull_trial(2, tmp_path)
+    assert path.name == "0002.ulg"
+    assert path.read_bytes() == ready.ftp.read("/trials/0002.ulg")
+
+
+def test_the_board_measures_what_is_true(ready: Fish) -> None:
+    assert ready.sim is not None
+    outcome = ready.run_trial()
+    measured = [b.speed_m_s for b in outcome.beats]
+    np.testing.assert_allclose(measured, ready.sim.true_beats(), atol=4e-3)
+
+
+def test_same_seed_same_trial(reference: bytes) -> None:
+    def swim() -> list[BeatEvent]:
+        with Fish.connect("sim:tank", seed=5) as fish:
+            fish.upload_reference(reference)
+            return fish.run_trial().beats
+
+    assert swim() == swim()
+
+
+def test_learn_and_discard_need_a_pending_trial(ready: Fish) -> None:
+    with pytest.raises(Refused) as refused:
+        ready.learn()
+    assert refused.value.name == "NO_TRIAL"
+    ready.run_trial()
+    with pytest.raises(Refused) as refused:
+        ready.arm()
+    assert refused.value.name == "TRIAL_PENDING"
+    ready.discard()
+    assert ready.status().pending_trial is None
+    with pytest.raises(Refused) as refused:
+        ready.restore_best()
+    assert refused.value.name == "NO_BEST"
+
+
+def test_amplitudes_both_ways(fish: Fish) -> None:
+    beats = 70  # three pieces
+    fish.params.set("TANK_LEN_M", 0)
+    fish.upload_reference(records.encode_reference(1.0, [0.01] * beats))
+    wanted = np.linspace(0.01, 0.4, beats).astype(np.float32)
+    fish.upload_amplitudes(wanted)
+    got = fish.amplitudes()
+    assert got.beats == beats
+    assert got.reference_crc == fish.status().reference_crc
+    np.testing.assert_array_equal(got.values, wanted)
+
+
+def test_speeds_may_come_after_the_swim(ready: Fish) -> None:
+    assert ready.sim is not None
+    ready.params.set("SPD_SOURCE", 1)
+    ready.sim.set_camera(False)
+    outcome = ready.run_trial()
+    with pytest.raises(Refused) as refused:
+        ready.learn()
+    assert refused.value.name == "NOTHING_MEASURED"
+    ready.upload_speeds(outcome.number, np.full(8, 0.01), np.full(8, 0.001))
+    assert ready.learn().measured_beats == 8
+
+
+def test_a_guard_aborts(ready: Fish) -> None:
+    events = []
+    seen: list[object] = []
+
+    def guard(what: Frame | BeatEvent) -> str | None:
+        seen.append(what)
+        return "too close to the wall" if isinstance(what, BeatEvent) and what.beat == 2 else None
+
+    outcome = ready.run_trial(on_event=events.append, guard=guard)
+    assert outcome.end == "aborted:ABORT_COMMAND"
+    assert not outcome.interrupted
+    assert 3 <= outcome.executed_beats < 8
+    assert {"event": "guard", "reason": "too close to the wall"} in events
+    assert any(isinstance(s, Frame) for s in seen)
+    ready.clear()
+    assert ready.status().state == "IDLE"
+    assert ready.learn().measured_beats >= 3
+
+
+def test_ctrl_c_stops_the_tail(ready: Fish) -> None:
+    assert ready.sim is not None
+
+    def press(event: dict) -> None:
+        if event["event"] == "beat" and event["beat"] == 1:
+            raise KeyboardInterrupt
+
+    outcome = ready.run_trial(on_event=press)
+    assert outcome.interrupted
+    assert outcome.end == "aborted:ABORT_COMMAND"
+    assert not ready.sim.truth().swimming
+    assert ready.status().state == "ABORTED"
+
+
+def test_a_short_hole_in_the_radio_changes_nothing(ready: Fish) -> None:
+    assert ready.sim is not None
+    board, todo = ready.sim, ["off"]
+
+    def follow(event: dict) -> None:
+        if event["event"] == "beat" and event["beat"] == 1 and todo:
+            todo.clear()
+            board.set_radio(False)
+            board.run(1.5)
+            board.set_radio(True)
+
+    outcome = ready.run_trial(on_event=follow)
+    assert outcome.end == "complete"
+
+
+def test_a_long_hole_ends_the_trial_and_is_told(ready: Fish) -> None:
+    assert ready.sim is not None
+    ready.upload_reference(records.encode_reference(1.0, [0.03] * 20))
+    board, events, todo = ready.sim, [], ["off"]
+
+    def follow(event: dict) -> None:
+        events.append(event["event"])
+        if event["event"] == "beat" and event["beat"] == 1 and todo:
+            todo.clear()
+            board.set_radio(False)
+        if event["event"] == "link_lost":
+            board.run(8.0)
+            board.set_radio(True)
+
+    outcome = ready.run_trial(on_event=follow)
+    assert outcome.end == "aborted:LINK_LOST"
+    assert events.index("link_lost") < events.index("link_back") < events.index("ended")
+
+
+def test_a_link_that_stays_away_is_an_error_in_bounded_time(ready: Fish) -> None:
+    assert ready.sim is not None
+    board = ready.sim
+
+    def follow(event: dict) -> None:
+        if event["event"] == "beat":
+            board.set_radio(False)
+
+    begin = ready.transport.now_s()
+    with pytest.raises(LinkLostError) as lost:
+        ready.run_trial(on_event=follow, reconnect_s=20.0)
+    assert ready.transport.now_s() - begin < 60.0
+    assert "\n" not in str(lost.value)
+    assert not board.truth().swimming
+
+
+def test_power_lost_in_the_middle(ready: Fish) -> None:
+    assert ready.sim is not None
+    board, todo = ready.sim, ["cut"]
+
+    def follow(event: dict) -> None:
+        if event["event"] == "beat" and event["beat"] == 3 and todo:
+            todo.clear()
+            board.power_cycle()
+
+    outcome = ready.run_trial(on_event=follow)
+    assert outcome.end == "aborted:REBOOT"
+    assert ready.status().next_trial == 2
+
+
+def test_a_trial_without_camera_warns(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Fish, "default_camera", lambda _: None)
+    events: list[dict] = []
+    outcome = ready.run_trial(on_event=events.append)
+    assert events[0]["event"] == "warning"
+    assert all(b.speed_m_s is None for b in outcome.beats)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_trial_over_a_bad_radio(ready: Fish, spoil, seed: int, tmp_path: Path) -> None:
+    radio = spoil(ready, seed, lose=0.1, damage=0.02, twice=0.05)
+    outcome = ready.run_trial()
+    assert outcome.end == "complete"
+    assert ready.learn().measured_beats >= 7
+    pulled = ready.pull_trial(outcome.number, tmp_path).read_bytes()
+    ready.link.transport = radio.inner
+    assert pulled == ready.ftp.read(f"/trials/{outcome.number:04d}.ulg")
+
+
+def test_arming_twice_and_disarming(ready: Fish) -> None:
+    ready.arm()
+    ready.arm()
+    assert ready.status().state == "ARMED"
+    ready.disarm()
+    assert ready.status().state == "IDLE"
+    assert ready.amplitudes().iteration == 1
+    ready.abort()
+
+
+def test_watch(fish: Fish) -> None:
+    events = list(islice(fish.watch(), 20))
+    assert {"status", "live"} <= {e["event"] for e in events}
+    assert all("time_boot_ms" not in e for e in events)
+
+
+def test_no_board_behind_the_address() -> None:
+    with pytest.raises(ConnectError) as missing:
+        Fish.connect("sim:tank", boot_s=1000.0)
+    assert "no tailbeat board" in str(missing.value)

@@ -1,0 +1,60 @@
+"""The binding: cffi reads the headers as the C compiler does, and missing parts are explained."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tailbeat import _native
+from tailbeat._native import ffi, lib
+
+
+def test_every_struct_has_the_compilers_size() -> None:
+    assert _native.layout_mismatches(_native.load()) == []
+
+
+def test_a_wrong_declaration_is_noticed(tmp_path: Path) -> None:
+    for name in ("native.cdef", "libtailbeat_native.so"):
+        shutil.copy(_native.HERE / name, tmp_path / name)
+    cdef = tmp_path / "native.cdef"
+    text = cdef.read_text()
+    assert "float kp_rad_s_m;" in text
+    cdef.write_text(text.replace("float kp_rad_s_m;", "double kp_rad_s_m;"))
+    assert any(
+        line.startswith("law_t: ") for line in _native.layout_mismatches(_native.load(tmp_path))
+    )
+
+
+def test_all_declared_functions_are_exported() -> None:
+    missing = [name for name in dir(lib) if not _resolves(name)]
+    assert missing == []
+    assert {"crc32_update", "law_update", "sim_new", "speed_beat_mean"} <= set(dir(lib))
+
+
+def test_functions_and_constants_work() -> None:
+    assert lib.crc32_update(0, b"123456789", 9) == 0x2DFD2D88
+    assert lib.NATIVE_BEATS_MAX == 512
+    assert ffi.sizeof("reference_t") > 4 * lib.NATIVE_BEATS_MAX
+    assert ffi.string(lib.link_build_id())
+
+
+def test_missing_library_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(_native.NativeLibraryError, match="pip install"):
+        _native.load(tmp_path)
+
+
+def test_broken_library_is_explained(tmp_path: Path) -> None:
+    shutil.copy(_native.HERE / "native.cdef", tmp_path)
+    (tmp_path / "libtailbeat_native.so").write_bytes(b"not a library")
+    with pytest.raises(_native.NativeLibraryError, match="does not load"):
+        _native.load(tmp_path)
+
+
+def _resolves(name: str) -> bool:
+    try:
+        getattr(lib, name)
+    except AttributeError:
+        return False
+    return True

@@ -1,0 +1,81 @@
+"""The parameter protocol against the firmware's own server."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tailbeat.errors import InputError, Refused
+from tailbeat.fish import Fish
+from tailbeat.parameters import known_parameters
+
+
+def test_list_has_all_with_their_limits(fish: Fish) -> None:
+    found = fish.params.list()
+    assert list(found) == list(known_parameters())
+    assert all(p.low <= p.value <= p.high for p in found.values())
+    assert found["LAW_GAIN"].value == 4.0
+    assert found["LAW_GAIN"].unit == "rad s/m"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_list_asks_again_for_what_was_lost(fish: Fish, spoil, seed: int) -> None:
+    spoil(fish, seed, lose=0.3, damage=0.1)
+    assert list(fish.params.list()) == list(known_parameters())
+
+
+@given(st.floats(0.0010000000474974513, 50.0, width=32))
+@settings(
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_values_come_back_bit_for_bit(fish: Fish, value: float) -> None:
+    assert fish.params.set("LAW_GAIN", value).value == value
+    assert fish.params.get("LAW_GAIN").value == value
+
+
+def test_a_double_is_rounded_once(fish: Fish) -> None:
+    single = struct.unpack("<f", struct.pack("<f", 0.1))[0]
+    assert fish.params.set("LAW_KD", 0.1).value == single
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("LAW_LEAD", 99), ("LAW_LEAD", 0.5), ("LAW_GAIN", float("nan")), ("LAW_GAIN", 1e39)],
+)
+def test_bad_values_do_not_reach_the_board(fish: Fish, name: str, value: float) -> None:
+    with pytest.raises(InputError):
+        fish.params.set(name, value)
+
+
+@pytest.mark.parametrize("name", ["NO_SUCH", "", "A_NAME_FAR_TOO_LONG"])
+def test_unknown_names_are_refused(fish: Fish, name: str) -> None:
+    with pytest.raises(Refused) as refused:
+        fish.params.get(name)
+    assert refused.value.name == "BAD_PARAM"
+    with pytest.raises(Refused):
+        fish.params.set(name, 1.0)
+
+
+def test_no_change_while_armed(ready: Fish) -> None:
+    ready.arm()
+    with pytest.raises(Refused) as refused:
+        ready.params.set("LAW_GAIN", 5.0)
+    assert refused.value.name == "WRONG_STATE"
+    assert ready.params.get("LAW_GAIN").value == 4.0
+
+
+def test_save_load_and_reset(fish: Fish) -> None:
+    assert fish.sim is not None
+    fish.params.set("LAW_GAIN", 7.5)
+    fish.params.save()
+    fish.params.set("LAW_GAIN", 9.0)
+    fish.params.load()
+    assert fish.params.get("LAW_GAIN").value == 7.5
+    fish.sim.power_cycle()
+    fish.link.run(1.0)
+    assert fish.params.get("LAW_GAIN").value == 7.5
+    fish.params.reset()
+    assert fish.params.get("LAW_GAIN").value == 4.0

@@ -1,0 +1,66 @@
+"""The small records, and that damaged ones are told apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tailbeat import records
+from tailbeat.errors import InputError
+
+speeds = st.lists(st.floats(0, 0.25, width=32), min_size=1, max_size=512)
+
+
+def test_crc_vector() -> None:
+    assert records.crc32(b"123456789") == 0x2DFD2D88
+    assert records.crc32(b"6789", records.crc32(b"12345")) == 0x2DFD2D88
+    assert records.crc32(b"") == 0
+
+
+@given(speeds)
+def test_reference_round_trip(values: list[float]) -> None:
+    record = records.encode_reference(1.0, values)
+    assert record[:4] == b"TBRF"
+    assert len(record) == 12 + 4 + 4 * len(values)
+    decoded = records.decode_reference(record)
+    assert decoded.beat_s == 1.0
+    assert decoded.speed_m_s.tolist() == values
+    assert decoded.crc == records.record_crc(record)
+
+
+def test_speeds_round_trip() -> None:
+    record = records.encode_speeds(7, [0.1, float("nan"), 0.2], 0.001)
+    decoded = records.decode_speeds(record)
+    assert decoded.trial == 7
+    np.testing.assert_array_equal(decoded.speed_m_s, np.float32([0.1, np.nan, 0.2]))
+    np.testing.assert_array_equal(decoded.sigma_m_s, np.float32([0.001] * 3))
+
+
+def test_amplitudes_round_trip() -> None:
+    record = records.encode_amplitudes(0xDEADBEEF, [0.1, -0.2, 0.3])
+    decoded = records.decode_amplitudes(record)
+    assert decoded.reference_crc == 0xDEADBEEF
+    np.testing.assert_array_equal(decoded.amplitude_rad, np.float32([0.1, -0.2, 0.3]))
+
+
+@pytest.mark.parametrize("at", range(0, 24))
+def test_any_flipped_bit_is_noticed(at: int) -> None:
+    record = bytearray(records.encode_reference(1.0, [0.05, 0.06]))
+    record[at] ^= 1
+    with pytest.raises(InputError):
+        records.decode_reference(bytes(record))
+
+
+@given(st.binary(max_size=80))
+def test_noise_is_no_record(noise: bytes) -> None:
+    for decode in (records.decode_reference, records.decode_speeds, records.decode_amplitudes):
+        with pytest.raises(InputError):
+            decode(noise)
+
+
+@pytest.mark.parametrize("values", [[], [[0.1]], [0.1] * 513])
+def test_wrong_shapes(values: list) -> None:
+    with pytest.raises(InputError):
+        records.encode_reference(1.0, values)

@@ -1,0 +1,102 @@
+"""The TCP link breaks in the middle of a pull and of a trial."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tailbeat import records
+from tailbeat.errors import LinkLostError
+from tailbeat.fish import Fish
+from tailbeat.transport.tcp import TcpTransport
+
+START = "from tailbeat.cli import main; main()"
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """A simulated fish as a process of its own, 20 times as fast as the clock."""
+    command = [sys.executable, "-c", START, "sim", "--json", "--listen", "tcp:127.0.0.1:0"]
+    with subprocess.Popen([*command, "--speed", "20"], stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        try:
+            yield json.loads(server.stdout.readline())["listen"]
+        finally:
+            server.terminate()
+
+
+def cut(fish: Fish) -> None:
+    """Breaks the connection under the fish's feet."""
+    assert isinstance(fish.transport, TcpTransport)
+    assert fish.transport._socket is not None
+    fish.transport._socket.shutdown(socket.SHUT_RDWR)
+
+
+def with_reference(fish: Fish, beats: int) -> None:
+    fish.params.set("TANK_LEN_M", 0)
+    fish.upload_reference(records.encode_reference(1.0, [0.05] * beats))
+
+
+def test_cut_in_the_middle_of_a_pull(address: str, tmp_path: Path) -> None:
+    with Fish.connect(address) as fish:
+        with_reference(fish, 20)
+        assert fish.run_trial().end == "complete"
+        todo = ["cut"]
+
+        def break_off(done: int, total: int) -> None:
+            if done > total // 2 and todo:
+                todo.clear()
+                cut(fish)
+
+        with pytest.raises(LinkLostError):
+            fish.pull_trial(1, tmp_path, break_off)
+    assert not (tmp_path / "0001.ulg").exists()
+    kept = (tmp_path / "0001.ulg.part").stat().st_size
+    assert kept > 0
+    with Fish.connect(address) as fish:
+        seen: list[int] = []
+        path = fish.pull_trial(1, tmp_path, lambda done, _: seen.append(done))
+        assert seen[0] > kept
+        assert path.read_bytes() == fish.ftp.read("/trials/0001.ulg")
+    assert [p.name for p in tmp_path.iterdir()] == ["0001.ulg"]
+
+
+def test_cut_in_the_middle_of_a_trial(address: str) -> None:
+    with Fish.connect(address) as fish:
+        with_reference(fish, 30)
+        events: list[str] = []
+
+        def follow(event: dict) -> None:
+            if event["event"] == "beat" and event["beat"] == 3 and "link_lost" not in events:
+                cut(fish)
+            events.append(event["event"])
+
+        outcome = fish.run_trial(on_event=follow)
+        assert "link_lost" in events
+        assert "link_back" in events
+        # Back within the board's patience it goes on; later it has stopped by itself.
+        assert outcome.end in ("complete", "aborted:LINK_LOST")
+        assert fish.status().pending_trial == outcome.number
+        assert fish.learn().measured_beats >= 3
+
+
+def test_the_simulator_goes_away_for_good(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", START, "sim", "--json", "--listen", "tcp:127.0.0.1:0"]
+    with subprocess.Popen([*command, "--speed", "20"], stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        with Fish.connect(json.loads(server.stdout.readline())["listen"]) as fish:
+            with_reference(fish, 30)
+
+            def follow(event: dict) -> None:
+                if event["event"] == "beat":
+                    server.kill()
+
+            with pytest.raises(LinkLostError) as lost:
+                fish.run_trial(on_event=follow, reconnect_s=1.0)
+    assert "did not come back" in str(lost.value)
