@@ -27,7 +27,7 @@ static size_t keyed(uint8_t *out, char type, const char *key_type, const char *n
     uint8_t *at = out + ULOG_HEADER_BYTES + 1;
     at = put_bytes(out, at, key_type, strlen(key_type));
     at = put_bytes(out, at, name, strlen(name));
-    out[ULOG_HEADER_BYTES] = (uint8_t)(at - out - ULOG_HEADER_BYTES - 1);
+    out[ULOG_HEADER_BYTES] = (uint8_t)((size_t)(at - out) - ULOG_HEADER_BYTES - 1u);
     return finish(out, type, put_bytes(out, at, value, length));
 }
 
