@@ -12,7 +12,8 @@
 /* boot.c: what is on the store into RAM; parameters fall back to their defaults. */
 void boot_load(app_t *app);
 void boot_load_params(app_t *app);
-/* The learned input as it was last stored; empty when it belongs to another reference. */
+/* The learned input as it was last stored; empty when it belongs to another reference. Without a
+ * reference it is kept: the reference it belongs to may come back. */
 void boot_load_memory(app_t *app);
 
 /* commands.c: the link's handlers. */

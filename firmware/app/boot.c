@@ -37,8 +37,9 @@ void boot_load_memory(app_t *app) {
     if (!loaded) {
         memset(&app->memory, 0, sizeof app->memory);
     }
-    if (app->memory.reference_crc != app->reference.crc ||
-        app->memory.beats != app->reference.beats) {
+    const bool of_reference = app->memory.reference_crc == app->reference.crc &&
+                              app->memory.beats == app->reference.beats;
+    if (!of_reference && app->reference.beats != 0) {
         memory_begin(&app->memory, app->reference.crc, app->reference.beats);
     }
 }

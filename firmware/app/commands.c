@@ -2,10 +2,12 @@
 #include "hal/clock.h"
 #include "hal/system.h"
 
-/* Stopping is always allowed; it does nothing when nothing runs. */
+/* Stopping is always allowed: it cuts a trial, disarms, or does nothing. */
 static fault_t stop_by_command(app_t *app) {
     if (app->supervisor.state == STATE_RUNNING) {
         swim_stop(app, FAULT_ABORT_COMMAND);
+    } else {
+        (void)supervisor_event(&app->supervisor, EVENT_DISARM, FAULT_NONE);
     }
     return FAULT_NONE;
 }
@@ -57,6 +59,7 @@ static fault_t reboot(app_t *app) {
     if (state != STATE_IDLE && state != STATE_ABORTED && state != STATE_FAULT) {
         return FAULT_WRONG_STATE;
     }
+    swim_finish(app, hal_time_us(app->hal));
     app->reboot_at_us = hal_time_us(app->hal) + APP_REBOOT_DELAY_US;
     return FAULT_NONE;
 }

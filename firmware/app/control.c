@@ -113,6 +113,14 @@ void control_order(control_t *control, hal_t *hal, const control_orders_t *order
     hal_irq_unlock(hal);
 }
 
+void control_stop(control_t *control, hal_t *hal) {
+    hal_irq_lock(hal);
+    control->orders.swim = false;
+    control->stop_ordered = true;
+    forget_swim(&control->report);
+    hal_irq_unlock(hal);
+}
+
 control_report_t control_report(control_t *control, hal_t *hal) {
     hal_irq_lock(hal);
     const control_report_t report = control->report;

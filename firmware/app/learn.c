@@ -75,11 +75,11 @@ fault_t learn_trial(app_t *app, uint32_t trial) {
     if (!supervisor_allows(&app->supervisor, EVENT_LEARN)) {
         return FAULT_WRONG_STATE;
     }
-    if (!app->run.pending) {
-        const bool repeated = trial != 0 && trial == app->memory.last_trial;
-        return repeated ? FAULT_NONE : FAULT_NO_TRIAL;
+    const bool waiting = app->run.pending && trial == app->run.trial.number;
+    if (trial != 0 && trial == app->memory.last_trial) {
+        return waiting ? learn_discard(app, trial) : FAULT_NONE;
     }
-    if (trial != app->run.trial.number) {
+    if (!waiting) {
         return FAULT_NO_TRIAL;
     }
     (void)supervisor_event(&app->supervisor, EVENT_LEARN, FAULT_NONE);

@@ -1,5 +1,6 @@
 #include "app/app_internal.h"
 #include "app/settings.h"
+#include "base/real.h"
 #include "hal/clock.h"
 #include "hal/system.h"
 
@@ -11,7 +12,7 @@
 static fault_t ready_to_arm(const app_t *app) {
     const law_t law = settings_law(&app->params, app->reference.beat_s);
     const gait_config_t gait = settings_gait(&app->params, app->reference.beat_s);
-    if (!supervisor_allows(&app->supervisor, EVENT_ARM)) {
+    if (!supervisor_allows(&app->supervisor, EVENT_ARM) || app->reboot_at_us != 0) {
         return FAULT_WRONG_STATE;
     }
     if (app->run.pending) {
@@ -62,8 +63,8 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
 
 static bool is_stale(const app_t *app, float issued_s) {
     const float now_s = (float)(hal_time_us(app->hal) / 1000u) * 1e-3f;
-    /* Written so that NaN (no time given) is stale. */
-    return !(now_s - issued_s <= START_STALE_S);
+    /* A time to come is one of an earlier boot. Written so that NaN (no time given) is stale. */
+    return !(real_abs(now_s - issued_s) <= START_STALE_S);
 }
 
 static fault_t save_counter(app_t *app) {
@@ -79,6 +80,15 @@ static uint32_t log_bytes(const app_t *app) {
     return trial_log_size_bound_for(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
 }
 
+/* A failed save went back to what is stored; the board stays armed and needs its guess. */
+static fault_t save_first_guess(app_t *app) {
+    if (!app->first_guess) {
+        return FAULT_NONE;
+    }
+    const fault_t saved = learn_save(app);
+    return saved == FAULT_NONE || guess_first(app) == FAULT_NONE ? saved : FAULT_BAD_LAW;
+}
+
 /* Everything that writes flash and can be done before the tail moves. */
 static fault_t prepare_store(app_t *app) {
     if (store_make_space(&app->store, log_bytes(app), 0) != STORE_OK) {
@@ -90,7 +100,7 @@ static fault_t prepare_store(app_t *app) {
         app->next_trial--;
         return counted;
     }
-    return app->first_guess ? learn_save(app) : FAULT_NONE;
+    return save_first_guess(app);
 }
 
 fault_t swim_start(app_t *app, const link_command_t *command) {
@@ -140,6 +150,7 @@ void swim_stop(app_t *app, fault_t reason) {
     const uint64_t now_us = hal_time_us(app->hal);
     if (cut) {
         app->executed = control_report(&app->control, app->hal).beats_done;
+        control_stop(&app->control, app->hal);
         settle_from(app, now_us);
     }
     if (app->run.open && app->run.start_us != 0) {
@@ -211,7 +222,20 @@ static void follow_tail(app_t *app, const control_report_t *report, uint64_t now
     }
 }
 
+static void watch_host(app_t *app, uint64_t now_us) {
+    const stop_limits_t limits = {.link_timeout_us =
+                                      settings_stop_limits(&app->params).link_timeout_us};
+    const stop_inputs_t inputs = {.now_us = now_us, .last_heartbeat_us = app->last_heartbeat_us};
+    const fault_t fault = stop_rules_check(&limits, &inputs);
+    if (fault != FAULT_NONE) {
+        swim_stop(app, fault);
+    }
+}
+
 void swim_poll(app_t *app, uint64_t now_us) {
+    if (app->supervisor.state == STATE_ARMED) {
+        watch_host(app, now_us);
+    }
     if (app->supervisor.state == STATE_RUNNING) {
         const control_report_t report = control_report(&app->control, app->hal);
         follow_tail(app, &report, now_us);

@@ -22,8 +22,12 @@ static fault_t load_upload(app_t *app, const char *path, const link_command_t *c
 }
 
 static bool beat_fits_servo_frames(float beat_s) {
+    if (!(beat_s <= (float)(GAIT_FRAMES_PER_BEAT_MAX + 1u) * FRAME_S)) {
+        return false;
+    }
     const uint16_t frames = settings_frames(beat_s);
-    return frames >= 4u && frames <= 1000u && real_abs((float)frames * FRAME_S - beat_s) < 1e-4f;
+    return frames >= GAIT_FRAMES_PER_BEAT_MIN && frames <= GAIT_FRAMES_PER_BEAT_MAX &&
+           real_abs((float)frames * FRAME_S - beat_s) < 1e-4f;
 }
 
 static fault_t judge_reference(const app_t *app, const reference_t *reference) {
@@ -60,7 +64,7 @@ static fault_t commit_reference(app_t *app, const link_command_t *command) {
             return FAULT_WRITE_FAILED;
         }
         app->reference = *next;
-        memory_begin(&app->memory, next->crc, next->beats);
+        boot_load_memory(app);
         app->first_guess = false;
         fault = learn_save(app);
     }
@@ -83,8 +87,11 @@ static fault_t commit_amplitudes(app_t *app, const link_command_t *command) {
     memcpy(app->memory.amplitude_rad, next->amplitude_rad, next->beats * sizeof(float));
     app->memory.iteration = app->memory.iteration == 0 ? 1 : app->memory.iteration;
     app->first_guess = false;
-    (void)store_remove(&app->store, IN_AMPLITUDES);
-    return learn_save(app);
+    fault = learn_save(app);
+    if (fault == FAULT_NONE) {
+        (void)store_remove(&app->store, IN_AMPLITUDES);
+    }
+    return fault;
 }
 
 static fault_t commit_speeds(app_t *app, const link_command_t *command) {

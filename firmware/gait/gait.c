@@ -2,12 +2,10 @@
 
 #include "base/real.h"
 
-#define FRAMES_PER_BEAT_MIN 4u
-#define FRAMES_PER_BEAT_MAX 1000u
-
 bool gait_config_valid(const gait_config_t *config) {
-    return servo_config_valid(&config->servo) && config->frames_per_beat >= FRAMES_PER_BEAT_MIN &&
-           config->frames_per_beat <= FRAMES_PER_BEAT_MAX;
+    return servo_config_valid(&config->servo) &&
+           config->frames_per_beat >= GAIT_FRAMES_PER_BEAT_MIN &&
+           config->frames_per_beat <= GAIT_FRAMES_PER_BEAT_MAX;
 }
 
 void gait_init(gait_t *gait) { *gait = (gait_t){.mode = GAIT_OFF}; }

@@ -21,11 +21,14 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#define GAIT_FRAMES_PER_BEAT_MIN 4u
+#define GAIT_FRAMES_PER_BEAT_MAX 1000u
+
 typedef enum { GAIT_OFF = 0, GAIT_SWIM = 1, GAIT_GLIDE = 2 } gait_mode_t;
 
 typedef struct {
     servo_config_t servo;
-    uint16_t frames_per_beat; /* 50 for 1 Hz; 4..1000 */
+    uint16_t frames_per_beat; /* 50 for 1 Hz */
     uint16_t glide_frames;    /* 0 = off at once */
 } gait_config_t;
 

@@ -62,15 +62,26 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
 
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
-static bool config_valid(const sim_config_t *c) {
+static bool water_valid(const sim_config_t *c) {
     return plant_config_valid(c) && tail_frames(c->beat_s) != 0 && within(c->gain_sigma, 0, 1) &&
-           within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10) &&
-           within(c->camera_noise_m, 0, 10) && within(c->camera_lost, 0, 1) &&
+           within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10);
+}
+
+static bool sensors_valid(const sim_config_t *c) {
+    return within(c->camera_noise_m, 0, 10) && within(c->camera_lost, 0, 1) &&
            within(c->camera_fps, 0, 1000) && within(c->camera_latency_s, 0.02, 10) &&
-           within(c->imu_noise, 0, 1e3) && within(c->imu_rate_hz, 0, 800) &&
-           within(c->battery_v, 0, 60) && within(c->battery_sag_v_per_trial, 0, 60) &&
-           within(c->link_bytes_per_s, 0, 1e9) && within(c->boot_s, 0, 1e5) &&
-           (c->link_bytes_per_s >= 10 || c->link_bytes_per_s <= 0);
+           within(c->imu_noise, 0, 1e3) && within(c->imu_rate_hz, 0, 800);
+}
+
+/* A link of 0 bytes per second is not limited. */
+static bool electronics_valid(const sim_config_t *c) {
+    return within(c->battery_v, 0, 60) && within(c->battery_sag_v_per_trial, 0, 60) &&
+           within(c->boot_s, 0, 1e5) &&
+           (within(c->link_bytes_per_s, 10, 1e9) || within(c->link_bytes_per_s, 0, 0));
+}
+
+static bool config_valid(const sim_config_t *c) {
+    return water_valid(c) && sensors_valid(c) && electronics_valid(c);
 }
 
 sim_t *sim_new(const sim_config_t *config) {

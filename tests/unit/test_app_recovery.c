@@ -1,0 +1,173 @@
+/* What the whole firmware does when things go wrong: failing flash, lost files, hasty hosts. */
+#include "app_fixture.h"
+
+#define BEATS 5u
+#define SPEED 0.05f
+
+void setUp(void) { fixture_reset(); }
+void tearDown(void) {}
+
+static void reboot(void) {
+    hal.now_us = 0;
+    app_init(&app, &hal);
+}
+
+static void arm(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+}
+
+/* The command while flash fails after |writes| more writes. */
+static fault_t command_with_failing_flash(link_command_id_t id, uint32_t trial, uint32_t writes) {
+    hal.flash_fail_after = hal.flash_writes + writes;
+    const fault_t fault = command(id, trial);
+    hal.flash_fail_after = 0;
+    return fault;
+}
+
+static void test_a_lost_reference_leaves_a_board_that_boots_and_remembers(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    const memory_t learned = app.memory;
+    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, "/reference.bin"));
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NO_REFERENCE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED / 2));
+    TEST_ASSERT_EQUAL(0, app.memory.iteration);
+}
+
+static void test_a_start_that_failed_to_save_swims_the_first_guess_next_time(void) {
+    arm();
+    uint32_t refused = 0;
+    while (refused < 40u && command_with_failing_flash(LINK_COMMAND_START, app.next_trial,
+                                                       refused + 1u) != FAULT_NONE) {
+        TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
+        refused++;
+    }
+    TEST_ASSERT_GREATER_THAN_UINT32(2, refused);
+    TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
+    TEST_ASSERT_EQUAL(1, app.run.trial.iteration);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.applied_rad[1]);
+}
+
+static void test_a_trial_that_cannot_be_removed_is_learned_from_once(void) {
+    swim_whole_trial(BEATS, SPEED);
+    uint32_t writes = 1;
+    while (writes < 40u &&
+           command_with_failing_flash(LINK_COMMAND_LEARN, 1, writes) != FAULT_NONE) {
+        writes++;
+    }
+    TEST_ASSERT_TRUE(app.run.pending);
+    const memory_t learned = app.memory;
+    TEST_ASSERT_EQUAL(2, learned.iteration);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_FALSE(app.run.pending);
+}
+
+static void test_a_trial_begun_right_after_an_abort_begins_at_its_first_beat(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(400);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    run_ms(10);
+    TEST_ASSERT_EQUAL_UINT64(0, app.run.start_us);
+    run_ms(600);
+    TEST_ASSERT_GREATER_THAN_UINT64(900000u, app.run.start_us);
+    run_ms(BEATS * 1000u);
+    TEST_ASSERT_EQUAL(STATE_SETTLING, app.supervisor.state);
+    TEST_ASSERT_EQUAL(BEATS, app.executed);
+}
+
+static void test_an_abort_disarms(void) {
+    arm();
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.supervisor.reason);
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, app.next_trial));
+}
+
+static void test_a_host_that_goes_silent_disarms(void) {
+    arm();
+    host_alive = false;
+    run_ms(4900);
+    TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
+    run_ms(300);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NONE, app.supervisor.reason);
+}
+
+static void test_an_unattended_board_stays_armed(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LINK_TIMEOUT_S, 0.0f));
+    arm();
+    host_alive = false;
+    run_ms(20000);
+    TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
+}
+
+static void test_a_start_from_an_earlier_boot_is_stale(void) {
+    arm();
+    const link_command_t request = {
+        .id = LINK_COMMAND_START, .trial = app.next_trial, .issued_s = 500.0f};
+    TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
+    TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
+}
+
+static void test_a_reboot_after_an_abort_keeps_the_trial(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(3250);
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_REBOOT, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_REBOOT, 0));
+    run_ms(300);
+    reboot();
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL(3, app.run.trial.executed);
+}
+
+static void test_a_board_about_to_reboot_does_not_arm(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_REBOOT, 0));
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_ARM, 0));
+}
+
+static void test_an_aborted_trial_without_speeds_is_not_learned_from(void) {
+    camera_on = false;
+    start_trial(BEATS, SPEED);
+    run_ms(3250);
+    (void)command(LINK_COMMAND_ABORT, 0);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    const memory_t before = app.memory;
+    TEST_ASSERT_EQUAL(FAULT_NOTHING_MEASURED, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+    TEST_ASSERT_TRUE(app.run.pending);
+}
+
+static void test_an_endless_beat_is_refused(void) {
+    static reference_t reference = {.beats = 1, .beat_s = 1e30f};
+    const size_t length = record_encode_reference(&reference, upload_bytes);
+    TEST_ASSERT_EQUAL(FAULT_BAD_DATA,
+                      commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_a_lost_reference_leaves_a_board_that_boots_and_remembers);
+    RUN_TEST(test_a_start_that_failed_to_save_swims_the_first_guess_next_time);
+    RUN_TEST(test_a_trial_that_cannot_be_removed_is_learned_from_once);
+    RUN_TEST(test_a_trial_begun_right_after_an_abort_begins_at_its_first_beat);
+    RUN_TEST(test_an_abort_disarms);
+    RUN_TEST(test_a_host_that_goes_silent_disarms);
+    RUN_TEST(test_an_unattended_board_stays_armed);
+    RUN_TEST(test_a_start_from_an_earlier_boot_is_stale);
+    RUN_TEST(test_a_reboot_after_an_abort_keeps_the_trial);
+    RUN_TEST(test_a_board_about_to_reboot_does_not_arm);
+    RUN_TEST(test_an_aborted_trial_without_speeds_is_not_learned_from);
+    RUN_TEST(test_an_endless_beat_is_refused);
+    return UNITY_END();
+}
