@@ -114,6 +114,7 @@ static void fill_status(app_t *app, uint64_t now_us) {
         .fault = app->supervisor.reason,
         .trial = app->next_trial - 1u,
         .next_trial = app->next_trial,
+        .open_trial = app->run.open ? app->run.trial.number : 0,
         .pending_trial = app->run.pending ? app->run.trial.number : 0,
         .reference_crc = app->reference.crc,
         .beats = app->reference.beats,

@@ -35,7 +35,6 @@ typedef struct {
     store_t store;
     reference_t reference;
     memory_t memory;
-    bool first_guess; /* memory holds u_1 as computed at arming, swum or not, never learned from */
     trial_run_t run;
     uint32_t next_trial;
     uint64_t settle_until_us; /* when the stopped run is finished */

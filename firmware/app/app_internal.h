@@ -22,14 +22,16 @@ fault_t commands_param_set(void *context, param_t param, float value);
 
 /* uploads.c: an uploaded file becomes what it is meant to be. */
 fault_t uploads_commit(app_t *app, const link_command_t *command);
+/* Whether the board's limits of the moment allow |reference|. */
+fault_t uploads_judge_reference(const app_t *app, const reference_t *reference);
 
 /* swim.c: a trial from arming to the pending record. */
 fault_t swim_arm(app_t *app, const link_command_t *command);
 fault_t swim_start(app_t *app, const link_command_t *command);
 void swim_stop(app_t *app, fault_t reason);
 void swim_poll(app_t *app, uint64_t now_us);
-/* Ends the collecting of a stopped run at once. */
-void swim_finish(app_t *app, uint64_t now_us);
+/* Ends the collecting of a stopped run at once. False when the trial could not be stored. */
+bool swim_finish(app_t *app, uint64_t now_us);
 
 /* learn.c: from the pending trial to the next amplitudes. */
 fault_t learn_trial(app_t *app, uint32_t trial);

@@ -48,23 +48,11 @@ void boot_load_memory(app_t *app) {
 static void load_pending(app_t *app) {
     trial_run_load(&app->run, &app->store, app->record);
     const trial_t *trial = &app->run.trial;
-    if (app->run.pending &&
-        (trial->number <= app->memory.last_trial || trial->reference_crc != app->reference.crc)) {
+    if (app->run.pending && trial->number <= app->memory.last_trial) {
         (void)trial_run_forget(&app->run, &app->store);
     }
-}
-
-static uint32_t highest_trial_file(app_t *app) {
-    uint32_t highest = 0;
-    store_entry_t entry;
-    for (uint32_t i = 0; store_entry(&app->store, "/trials", i, &entry) == STORE_OK; i++) {
-        uint32_t number = 0;
-        for (const char *c = entry.name; *c >= '0' && *c <= '9'; c++) {
-            number = number * 10u + (uint32_t)(*c - '0');
-        }
-        highest = number > highest ? number : highest;
-    }
-    return highest;
+    /* It cannot be learned from without its reference, but nobody has dropped it either. */
+    app->run.pending = app->run.pending && trial->reference_crc == app->reference.crc;
 }
 
 static uint32_t at_least(uint32_t a, uint32_t b) { return a > b ? a : b; }
@@ -78,7 +66,7 @@ static void load_next_trial(app_t *app) {
     }
     next = at_least(next, app->memory.last_trial + 1u);
     next = at_least(next, app->run.trial.number + 1u);
-    app->next_trial = at_least(next, highest_trial_file(app) + 1u);
+    app->next_trial = at_least(next, store_newest_trial(&app->store) + 1u);
 }
 
 void boot_load(app_t *app) {

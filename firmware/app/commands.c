@@ -13,15 +13,7 @@ static fault_t stop_by_command(app_t *app) {
 }
 
 static fault_t disarm(app_t *app) {
-    switch (app->supervisor.state) {
-    case STATE_IDLE:
-        return FAULT_NONE;
-    case STATE_RUNNING:
-        return stop_by_command(app);
-    default:
-        return supervisor_event(&app->supervisor, EVENT_DISARM, FAULT_NONE) ? FAULT_NONE
-                                                                            : FAULT_WRONG_STATE;
-    }
+    return app->supervisor.state == STATE_BOOT ? FAULT_WRONG_STATE : stop_by_command(app);
 }
 
 static fault_t clear(app_t *app) {
@@ -31,7 +23,9 @@ static fault_t clear(app_t *app) {
     if (!supervisor_allows(&app->supervisor, EVENT_CLEAR)) {
         return FAULT_WRONG_STATE;
     }
-    swim_finish(app, hal_time_us(app->hal));
+    if (!swim_finish(app, hal_time_us(app->hal))) {
+        return FAULT_WRITE_FAILED;
+    }
     (void)supervisor_event(&app->supervisor, EVENT_CLEAR, FAULT_NONE);
     return FAULT_NONE;
 }
@@ -59,7 +53,7 @@ static fault_t reboot(app_t *app) {
     if (state != STATE_IDLE && state != STATE_ABORTED && state != STATE_FAULT) {
         return FAULT_WRONG_STATE;
     }
-    swim_finish(app, hal_time_us(app->hal));
+    (void)swim_finish(app, hal_time_us(app->hal));
     app->reboot_at_us = hal_time_us(app->hal) + APP_REBOOT_DELAY_US;
     return FAULT_NONE;
 }

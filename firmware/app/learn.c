@@ -65,7 +65,6 @@ static fault_t learn_pending(app_t *app) {
     if (learn_save(app) != FAULT_NONE) {
         return FAULT_WRITE_FAILED;
     }
-    app->first_guess = false;
     (void)trial_run_forget(&app->run, &app->store);
     report_learned(app, trial->number, trial->iteration, &report);
     return FAULT_NONE;

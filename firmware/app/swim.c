@@ -28,20 +28,21 @@ static fault_t ready_to_arm(const app_t *app) {
         return FAULT_BAD_LAW;
     }
     const float battery_v = (float)hal_battery_mv(app->hal) * 1e-3f;
-    return battery_v < app->params.value[PARAM_BATT_LOW_V] ? FAULT_BATTERY_LOW : FAULT_NONE;
+    if (battery_v < app->params.value[PARAM_BATT_LOW_V]) {
+        return FAULT_BATTERY_LOW;
+    }
+    return uploads_judge_reference(app, &app->reference);
 }
 
 /* u_1 follows the gain of the moment until something has been learned. */
 static fault_t guess_first(app_t *app) {
-    if (app->memory.iteration != 0 && !app->first_guess) {
+    if (app->memory.iteration != 0 && app->memory.guessed == 0) {
         return FAULT_NONE;
     }
     const law_t law = settings_law(&app->params, app->reference.beat_s);
-    if (memory_first(&app->memory, &law, app->reference.speed_m_s, app->scratch) != LAW_OK) {
-        return FAULT_BAD_LAW;
-    }
-    app->first_guess = true;
-    return FAULT_NONE;
+    return memory_first(&app->memory, &law, app->reference.speed_m_s, app->scratch) == LAW_OK
+               ? FAULT_NONE
+               : FAULT_BAD_LAW;
 }
 
 fault_t swim_arm(app_t *app, const link_command_t *command) {
@@ -82,7 +83,7 @@ static uint32_t log_bytes(const app_t *app) {
 
 /* A failed save went back to what is stored; the board stays armed and needs its guess. */
 static fault_t save_first_guess(app_t *app) {
-    if (!app->first_guess) {
+    if (app->memory.guessed == 0) {
         return FAULT_NONE;
     }
     const fault_t saved = learn_save(app);
@@ -133,6 +134,8 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     };
     trial_run_begin(&app->run, &plan);
     app->executed = 0;
+    /* Making space may have taken longer than the host may be silent. */
+    app->last_heartbeat_us = hal_time_us(app->hal);
     (void)supervisor_event(&app->supervisor, EVENT_START, FAULT_NONE);
     return FAULT_NONE;
 }
@@ -174,18 +177,20 @@ static void settle_beats(app_t *app) {
     }
 }
 
-void swim_finish(app_t *app, uint64_t now_us) {
+bool swim_finish(app_t *app, uint64_t now_us) {
     if (!app->run.open) {
-        return;
+        return true;
     }
     trial_run_close_slots(&app->run, app->executed);
     settle_beats(app);
     const fault_t end = app->supervisor.reason;
-    if (trial_run_finish(&app->run, &app->store, now_us, end, app->executed, app->record) !=
-        STORE_OK) {
+    const bool stored = trial_run_finish(&app->run, &app->store, now_us, end, app->executed,
+                                         app->record) == STORE_OK;
+    if (!stored) {
         swim_stop(app, FAULT_STORAGE);
     }
     (void)supervisor_event(&app->supervisor, EVENT_SETTLED, FAULT_NONE);
+    return stored;
 }
 
 static const char *board_name(hal_board_kind_t kind) {
@@ -246,6 +251,6 @@ void swim_poll(app_t *app, uint64_t now_us) {
     trial_run_collect(&app->run, now_us, hal_battery_mv(app->hal));
     settle_beats(app);
     if (app->supervisor.state != STATE_RUNNING && now_us >= app->settle_until_us) {
-        swim_finish(app, now_us);
+        (void)swim_finish(app, now_us);
     }
 }

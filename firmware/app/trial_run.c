@@ -164,7 +164,11 @@ store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_up
         trial->sigma_m_s[k] = speeds->sigma_m_s[k];
     }
     const store_result_t saved = save_pending(run, store, record);
-    if (saved != STORE_OK || trial_log_reopen(&run->log, store, trial->number) != STORE_OK) {
+    if (saved != STORE_OK) {
+        trial_run_load(run, store, record);
+        return saved;
+    }
+    if (trial_log_reopen(&run->log, store, trial->number) != STORE_OK) {
         return saved;
     }
     for (uint16_t k = 0; k < trial->executed; k++) {

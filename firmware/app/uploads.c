@@ -10,6 +10,9 @@
 #define IN_AMPLITUDES "/in/amplitudes.bin"
 #define IN_SPEEDS "/in/speeds.bin"
 
+/* A longer beat would outlast the speed slots that are kept. */
+#define BEAT_MAX_S 4.0f
+
 /* The uploaded bytes into app->record, if they are the ones the host means. */
 static fault_t load_upload(app_t *app, const char *path, const link_command_t *command) {
     uint32_t length = 0, crc = 0;
@@ -21,17 +24,16 @@ static fault_t load_upload(app_t *app, const char *path, const link_command_t *c
     return FAULT_NONE;
 }
 
-static bool beat_fits_servo_frames(float beat_s) {
-    if (!(beat_s <= (float)(GAIT_FRAMES_PER_BEAT_MAX + 1u) * FRAME_S)) {
+static bool beat_fits(float beat_s) {
+    if (!(beat_s <= BEAT_MAX_S)) {
         return false;
     }
     const uint16_t frames = settings_frames(beat_s);
-    return frames >= GAIT_FRAMES_PER_BEAT_MIN && frames <= GAIT_FRAMES_PER_BEAT_MAX &&
-           real_abs((float)frames * FRAME_S - beat_s) < 1e-4f;
+    return frames >= GAIT_FRAMES_PER_BEAT_MIN && real_abs((float)frames * FRAME_S - beat_s) < 1e-4f;
 }
 
-static fault_t judge_reference(const app_t *app, const reference_t *reference) {
-    if (!beat_fits_servo_frames(reference->beat_s)) {
+fault_t uploads_judge_reference(const app_t *app, const reference_t *reference) {
+    if (!beat_fits(reference->beat_s)) {
         return FAULT_BAD_DATA;
     }
     float travel_m = 0.0f;
@@ -53,7 +55,7 @@ static fault_t commit_reference(app_t *app, const link_command_t *command) {
         fault = record_decode_reference(app->record, command->length_bytes, next);
     }
     if (fault == FAULT_NONE) {
-        fault = judge_reference(app, next);
+        fault = uploads_judge_reference(app, next);
     }
     if (fault != FAULT_NONE) {
         return fault;
@@ -65,7 +67,6 @@ static fault_t commit_reference(app_t *app, const link_command_t *command) {
         }
         app->reference = *next;
         boot_load_memory(app);
-        app->first_guess = false;
         fault = learn_save(app);
     }
     (void)store_remove(&app->store, IN_REFERENCE);
@@ -86,7 +87,7 @@ static fault_t commit_amplitudes(app_t *app, const link_command_t *command) {
     }
     memcpy(app->memory.amplitude_rad, next->amplitude_rad, next->beats * sizeof(float));
     app->memory.iteration = app->memory.iteration == 0 ? 1 : app->memory.iteration;
-    app->first_guess = false;
+    app->memory.guessed = 0;
     fault = learn_save(app);
     if (fault == FAULT_NONE) {
         (void)store_remove(&app->store, IN_AMPLITUDES);

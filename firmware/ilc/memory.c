@@ -36,6 +36,7 @@ law_result_t memory_first(memory_t *memory, const law_t *law, const float *refer
     fill_zero(memory->amplitude_rad, memory->beats);
     REQUIRE(law_update(&first, &rest, memory->amplitude_rad, scratch, &report) == LAW_OK);
     memory->iteration = 1;
+    memory->guessed = 1;
     return LAW_OK;
 }
 
@@ -98,6 +99,7 @@ law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t 
         REQUIRE(law_update(law, trial, memory->amplitude_rad, scratch, &found.law) == LAW_OK);
     }
     count_trial(memory, trial_number);
+    memory->guessed = 0;
     *report = found;
     return LAW_OK;
 }

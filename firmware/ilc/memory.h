@@ -17,7 +17,8 @@ typedef struct {
     uint16_t iteration;      /* of the amplitudes: iteration i swims u_i; 0 = none computed yet.
                                 Counts trials learned from, rolled back or not; stops at 65535 */
     uint16_t best_iteration; /* 0 = no best yet */
-    uint16_t worse_streak;   /* trials in a row beyond ratio x best */
+    uint16_t guessed;      /* 1 = the amplitudes are memory_first's: nothing has been learned yet */
+    uint16_t worse_streak; /* trials in a row beyond ratio x best */
     float best_max_abs_error_m_s;
     float amplitude_rad[BEATS_MAX]; /* unsaturated, next to swim */
     float best_rad[BEATS_MAX];      /* as swum (saturated) */

@@ -97,14 +97,12 @@ static void on_ftp(link_t *link, const link_received_t *in) {
     }
 }
 
-/* While the tail beats only the trial's own log may write flash. */
+/* While a trial's log is open only it may write flash. */
 static void set_ftp_conditions(link_t *link) {
-    const link_status_t *status = link->status;
-    const bool swimming = status->state == STATE_RUNNING || status->state == STATE_SETTLING;
     link->ftp.conditions = (ftp_conditions_t){
         .now_us = hal_time_us(link->hal),
-        .read_only = swimming,
-        .busy_trial = swimming ? status->trial : 0,
+        .read_only = link->status->open_trial != 0,
+        .busy_trial = link->status->open_trial,
     };
 }
 

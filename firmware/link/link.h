@@ -89,6 +89,7 @@ typedef struct {
     state_t state;
     fault_t fault;
     uint32_t trial, next_trial, pending_trial, reference_crc;
+    uint32_t open_trial; /* still writing its log; 0 = none */
     uint16_t beats, beat;
     uint16_t battery_mv;
     const memory_t *memory;

@@ -32,7 +32,13 @@ typedef struct {
     float value[PARAM_COUNT];
 } params_t;
 
-typedef enum { PARAM_OK = 0, PARAM_UNKNOWN, PARAM_NOT_FINITE, PARAM_OUT_OF_RANGE, PARAM_NOT_WHOLE } param_result_t;
+typedef enum {
+    PARAM_OK = 0,
+    PARAM_UNKNOWN,
+    PARAM_NOT_FINITE,
+    PARAM_OUT_OF_RANGE,
+    PARAM_NOT_WHOLE
+} param_result_t;
 
 const param_info_t *param_info(param_t param);
 

@@ -153,7 +153,7 @@ size_t record_encode_memory(const memory_t *memory, uint8_t *out) {
     at = bytes_put_u16(at, memory->iteration);
     at = bytes_put_u16(at, memory->best_iteration);
     at = bytes_put_u16(at, memory->worse_streak);
-    at = bytes_put_u16(at, 0);
+    at = bytes_put_u16(at, memory->guessed);
     at = bytes_put_f32(at, memory->best_max_abs_error_m_s);
     at = put_array(at, memory->amplitude_rad, memory->beats);
     return end_record(out, put_array(at, memory->best_rad, memory->beats));
@@ -180,6 +180,7 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     memory->iteration = bytes_get_u16(body + 8);
     memory->best_iteration = best_iteration;
     memory->worse_streak = bytes_get_u16(body + 12);
+    memory->guessed = bytes_get_u16(body + 14);
     memory->best_max_abs_error_m_s = bytes_get_f32(body + 16);
     get_array(amplitudes, memory->amplitude_rad, beats);
     get_array(best, memory->best_rad, beats);

@@ -316,6 +316,17 @@ static store_result_t remove_oldest_trial(store_t *store, uint32_t keep_trial) {
     return store_remove(store, path);
 }
 
+uint32_t store_newest_trial(store_t *store) {
+    uint32_t newest = 0, number = 0;
+    store_entry_t entry;
+    for (uint32_t i = 0; store_entry(store, FOLDER_TRIALS, i, &entry) == STORE_OK; i++) {
+        if (!entry.directory && trial_number(entry.name, &number) && number > newest) {
+            newest = number;
+        }
+    }
+    return newest;
+}
+
 store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial) {
     if (!store->mounted) {
         return STORE_IO;

@@ -103,6 +103,9 @@ store_result_t store_close(store_t *store, store_file_t *file);
 store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
                            store_entry_t *entry);
 
+/* The highest number of a file in /trials; 0 when there is none. */
+uint32_t store_newest_trial(store_t *store);
+
 /* Free bytes in whole blocks. Walks the filesystem. */
 uint32_t store_free_bytes(store_t *store);
 

@@ -182,6 +182,40 @@ static void test_the_first_input_follows_the_gain_of_the_moment(void) {
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
 }
 
+static void test_the_first_input_follows_the_gain_across_a_reboot(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 5.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
+}
+
+static void test_arming_checks_the_reference_against_the_limits_of_the_moment(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_REF_MAX_M_S, SPEED * 0.9f));
+    TEST_ASSERT_EQUAL(FAULT_TOO_FAST, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_REF_MAX_M_S, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_TANK_LEN_M, 0.5f));
+    TEST_ASSERT_EQUAL(FAULT_TOO_FAR, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_ones(void) {
+    swim_whole_trial(BEATS, SPEED);
+    const float measured_m_s = app.run.trial.speed_m_s[1];
+    const size_t length = encode_speeds(1, BEATS, 0.03f);
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, "/in/speeds.bin", upload_bytes, length));
+    hal.flash_fail_after = hal.flash_writes;
+    const link_command_t request = {.id = LINK_COMMAND_COMMIT,
+                                    .file = LINK_FILE_SPEEDS,
+                                    .length_bytes = (uint32_t)length,
+                                    .crc = crc32_update(0, upload_bytes, length)};
+    TEST_ASSERT_EQUAL(FAULT_WRITE_FAILED, commands_run(&app, &request));
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL_FLOAT(measured_m_s, app.run.trial.speed_m_s[1]);
+}
+
 static void test_bad_gains_are_refused(void) {
     const float bad[] = {0.0f, -1.0f, NAN, INFINITY, -INFINITY, 1e9f};
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
@@ -266,6 +300,9 @@ int main(void) {
     RUN_TEST(test_speeds_uploaded_after_the_swim_are_learned_from);
     RUN_TEST(test_uploaded_amplitudes_swim_next_and_stay_at_arming);
     RUN_TEST(test_the_first_input_follows_the_gain_of_the_moment);
+    RUN_TEST(test_the_first_input_follows_the_gain_across_a_reboot);
+    RUN_TEST(test_arming_checks_the_reference_against_the_limits_of_the_moment);
+    RUN_TEST(test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_ones);
     RUN_TEST(test_bad_gains_are_refused);
     RUN_TEST(test_parameters_persist_only_when_saved);
     RUN_TEST(test_failing_flash_refuses_the_update_and_keeps_the_old_input);

@@ -117,6 +117,15 @@ static void test_an_abort_glides_to_the_centre_and_stays_stopped(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, app.supervisor.reason);
 }
 
+static void test_disarming_is_never_refused(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(1500);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISARM, 0));
+    TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISARM, 0));
+    TEST_ASSERT_EQUAL(STATE_ABORTED, app.supervisor.state);
+}
+
 static void test_an_aborted_trial_is_learned_from_as_far_as_it_swam(void) {
     start_trial(BEATS, SPEED);
     run_ms(2250);
@@ -226,6 +235,7 @@ int main(void) {
     RUN_TEST(test_a_repeated_start_does_nothing_and_another_is_refused);
     RUN_TEST(test_a_start_must_be_fresh_and_for_the_next_trial);
     RUN_TEST(test_an_abort_glides_to_the_centre_and_stays_stopped);
+    RUN_TEST(test_disarming_is_never_refused);
     RUN_TEST(test_an_aborted_trial_is_learned_from_as_far_as_it_swam);
     RUN_TEST(test_an_abort_before_the_first_beat_leaves_nothing_to_learn);
     RUN_TEST(test_a_trial_without_speeds_is_not_learned_from);

@@ -282,9 +282,10 @@ static void test_ftp_answers_its_asker(void) {
     TEST_ASSERT_EQUAL(0, peer_count(MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL));
 }
 
-static void test_no_upload_while_the_tail_beats(void) {
+static void test_no_upload_while_a_trial_is_open(void) {
     uint8_t payload[FTP_PAYLOAD_BYTES];
-    status.state = STATE_RUNNING;
+    status.state = STATE_ABORTED;
+    status.open_trial = 3;
     send_ftp(6, 1, 0, "/in/speeds.bin");
     mavlink_msg_file_transfer_protocol_get_payload(peer_find(MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL),
                                                    payload);
@@ -340,7 +341,7 @@ int main(void) {
     RUN_TEST(test_a_long_text_is_cut);
     RUN_TEST(test_ftp_bursts_as_the_line_allows);
     RUN_TEST(test_ftp_answers_its_asker);
-    RUN_TEST(test_no_upload_while_the_tail_beats);
+    RUN_TEST(test_no_upload_while_a_trial_is_open);
     RUN_TEST(test_a_full_line_loses_messages_not_the_link);
     RUN_TEST(test_random_contents_in_valid_frames);
     return UNITY_END();
