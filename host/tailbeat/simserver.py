@@ -24,38 +24,45 @@ DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
 
 _CHUNK_BYTES = 65536
 _BACKLOG_MAX_BYTES = 1 << 20
+_TURN_AWAY_S = 0.5
 _STEP_S = 0.002  # wall time between two looks at the board
 _CATCH_UP_MAX_S = 0.25  # wall time a slow machine may owe before the clock is set back
 
 
 class _Client:
-    """One end of a stream: a socket or a pty, with what it has not taken yet."""
+    """The other end of a TCP connection, with what it has not taken yet."""
 
-    def __init__(self, fd: int, close: Callable[[], None]) -> None:
-        self.fd = fd
-        self.close = close
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.connection = connection
+        self.gone = False
         self._out = bytearray()
 
-    def read(self) -> bytes | None:
-        """What has arrived; None = the other end is gone."""
-        try:
-            return os.read(self.fd, _CHUNK_BYTES) or None
-        except BlockingIOError:
-            return b""
-        except OSError:
-            return None
+    def read(self) -> bytes:
+        """All that has arrived."""
+        pieces = []
+        while not self.gone:
+            try:
+                piece = self.connection.recv(_CHUNK_BYTES)
+            except BlockingIOError:
+                break
+            except OSError:
+                piece = b""
+            self.gone = not piece
+            pieces.append(piece)
+        return b"".join(pieces)
 
-    def write(self, data: bytes) -> bool:
-        """Sends what can be sent now. False = gone, or it does not read."""
+    def write(self, data: bytes) -> None:
+        """Sends what can be sent now; a client that does not read is given up."""
         self._out += data
         try:
-            while self._out:
-                del self._out[: os.write(self.fd, self._out)]
+            while self._out and not self.gone:
+                del self._out[: self.connection.send(self._out)]
         except BlockingIOError:
-            pass
+            self.gone = len(self._out) > _BACKLOG_MAX_BYTES
         except OSError:
-            return False
-        return len(self._out) <= _BACKLOG_MAX_BYTES
+            self.gone = True
 
 
 class _Port:
@@ -66,38 +73,56 @@ class _Port:
         self._listener = _listener(host, port)
         self.host, self.number = self._listener.getsockname()[:2]
         self.client: _Client | None = None
+        self._waiting: socket.socket | None = None
+        self._turn_away_s = 0.0
         selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()
-            if self.client is not None:
+            if self._waiting is not None:
                 connection.close()
                 return
-            connection.setblocking(False)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self.client = _Client(connection.fileno(), connection.close)
-            self._selector.register(connection, selectors.EVENT_READ, _nothing)
-            self._connection = connection
+            self._waiting = connection
+            self._turn_away_s = time.monotonic() + _TURN_AWAY_S
 
     def read(self) -> bytes:
+        """What the client sent. A client that went makes room for one that waits for a moment:
+        who connects again may be quicker than the news that the old connection is gone."""
         data = self.client.read() if self.client else b""
-        if data is None:
-            self.drop()
-        return data or b""
+        if self.client is not None and self.client.gone:
+            self._drop()
+        if self._waiting is not None:
+            self._admit()
+        return data
+
+    def _admit(self) -> None:
+        assert self._waiting is not None
+        if self.client is None:
+            self.client = _Client(self._waiting)
+            self._selector.register(self._waiting, selectors.EVENT_READ, _nothing)
+        elif time.monotonic() > self._turn_away_s:
+            self._waiting.close()
+        else:
+            return
+        self._waiting = None
 
     def write(self, data: bytes) -> None:
-        if self.client is not None and not self.client.write(data):
-            self.drop()
-
-    def drop(self) -> None:
+        """To the client; without one the bytes are lost, as on a radio."""
         if self.client is not None:
-            self._selector.unregister(self._connection)
-            self.client.close()
+            self.client.write(data)
+
+    def _drop(self) -> None:
+        if self.client is not None:
+            self._selector.unregister(self.client.connection)
+            self.client.connection.close()
             self.client = None
 
     def close(self) -> None:
-        self.drop()
+        """Gives port and client up."""
+        self._drop()
+        if self._waiting is not None:
+            self._waiting.close()
         self._selector.unregister(self._listener)
         self._listener.close()
 
@@ -208,8 +233,9 @@ class SimServer:
         if console and self._pty is not None:
             self._pty.write(console)
         frames = self._board.camera_frames()
-        if frames and self._camera.client is not None:
-            boot_s = self._board.time_s - self._board.board_time_s
+        board_s = self._board.board_time_s
+        if board_s > 0:  # before that its clock does not run
+            boot_s = self._board.time_s - board_s
             rows = (
                 {
                     "t_board_s": frame.time_s - boot_s,
@@ -218,6 +244,7 @@ class SimServer:
                     "heading_rad": frame.heading_rad,
                 }
                 for frame in frames
+                if frame.time_s >= boot_s
             )
             self._camera.write("".join(json.dumps(row) + "\n" for row in rows).encode())
 

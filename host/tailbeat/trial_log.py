@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 from dataclasses import dataclass, field
@@ -12,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
+from tailbeat.reference import BEATS_MAX
 
 Floats = NDArray[np.float32]
 
+_HEADER_BYTES = 16
+_RECORD_TYPES = b"FIMPQARDSOLCB"
 _SLOT_COLUMNS = ("time_s", "speed_m_s", "sigma_m_s", "index", "samples")
 
 
@@ -102,9 +106,11 @@ def parse_trial(raw: bytes, name: str = "trial") -> Trial:
 
     if raw[:4] != b"ULog":
         raise InputError(f"{name} is not a ULog file.", "Pull the trial again.")
+    sound, problems = _sound_part(raw)
     try:
-        log = ULog(io.BytesIO(raw))
-    except Exception as error:  # pyulog raises whatever its parsing stumbles over
+        with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what it thinks of a file
+            log = ULog(io.BytesIO(sound))
+    except Exception as error:  # it raises whatever its parsing stumbles over
         raise InputError(
             f"{name} is damaged before its first record: {error}.", "Pull the trial again."
         ) from error
@@ -115,28 +121,42 @@ def parse_trial(raw: bytes, name: str = "trial") -> Trial:
             f"{name} is no trial file: {', '.join(missing)} is missing.", "Pull the trial again."
         )
     tables: dict[str, dict[str, Any]] = {data.name: data.data for data in log.data_list}
-    return _trial(log, info, tables, _truncation(raw, log))
+    try:
+        return _trial(log, info, tables, problems)
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} holds values that make no sense: {error}.", "Pull the trial again."
+        ) from error
 
 
-def _truncation(raw: bytes, log: Any) -> list[str]:
-    """What a walk over the message headers says about the end of the file."""
-    problems = ["the file is damaged in places"] if log.file_corruption else []
-    at = 16
+def _sound_part(raw: bytes) -> tuple[bytes, list[str]]:
+    """The file up to the first record that is none, and what is wrong there. (Left to itself pyulog
+    may search a damaged file for ever.)"""
+    at = _HEADER_BYTES
     while at + 3 <= len(raw):
-        at += 3 + int.from_bytes(raw[at : at + 2], "little")
-    if at != len(raw):
-        problems.append("the file is cut off in the middle of a record")
-    return problems
+        size = int.from_bytes(raw[at : at + 2], "little")
+        if size == 0 or raw[at + 2] not in _RECORD_TYPES:
+            return raw[:at], ["the file is damaged; what comes after the damage is left out"]
+        if at + 3 + size > len(raw):
+            break
+        at += 3 + size
+    cut = at < len(raw)
+    return raw[:at], ["the file is cut off in the middle of a record"] if cut else []
 
 
 def _trial(
     log: Any, info: dict[str, Any], tables: dict[str, dict[str, Any]], problems: list[str]
 ) -> Trial:
+    if log.file_corruption:
+        problems.append("the file is damaged in places")
     end = tables.get("trial_end")
     fault = int(end["end"][-1]) if end else None
     if fault is None:
         problems.append("the file has no end record: the trial was not closed")
-    beats = _beats(tables.get("beat"), int(info["beats"]))
+    count = int(info["beats"])
+    if not 1 <= count <= BEATS_MAX:
+        raise ValueError(f"{count} beats")
+    beats = _beats(tables.get("beat"), count)
     start_us = int(info.get("start_us", 0))
     measured = int(np.count_nonzero(np.isfinite(beats.applied_rad)))
     return Trial(

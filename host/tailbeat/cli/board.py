@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tailbeat.cli.common import Connect, Json, connected, json_line, mm, plain, say
+from tailbeat.cli.common import (
+    Connect,
+    Json,
+    connected,
+    json_line,
+    mm,
+    plain,
+    say,
+    status_after_command,
+)
 
 if TYPE_CHECKING:
     from tailbeat.results import BoardInfo, BoardStatus
@@ -64,7 +73,7 @@ def arm(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.arm()
-        status = fish.status()
+        status = status_after_command(fish)
     say(json, status, f"armed: iteration {status.iteration} swims next")
 
 
@@ -75,7 +84,7 @@ def disarm(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.disarm()
-        status = fish.status()
+        status = status_after_command(fish)
     say(json, status, f"disarmed: {status.state}")
 
 
@@ -86,7 +95,7 @@ def clear(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.clear()
-        status = fish.status()
+        status = status_after_command(fish)
     say(json, status, f"cleared: {status.state}")
 
 

@@ -70,7 +70,7 @@ def list_(root: Root = Path("experiments"), json: Json = False) -> None:
         for experiment in found
     ]
     lines = [
-        f"{row['name']}  {row['trials']} trials"
+        f"{row['name']}  {row['trials']} trial{'' if row['trials'] == 1 else 's'}"
         + (f"  DAMAGED: {', '.join(row['damaged'])}" if row["damaged"] else "")
         for row in rows
     ]

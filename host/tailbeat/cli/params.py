@@ -35,7 +35,7 @@ def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
     say(json, _one(found), f"{found.name} = {_number(found.value)} {found.unit}".rstrip())
 
 
-@app.command("set")
+@app.command("set", context_settings={"ignore_unknown_options": True})  # values may be negative
 def set_(
     name: Name,
     value: Annotated[float, typer.Argument(help="In the parameter's unit.")],

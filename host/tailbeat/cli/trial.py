@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say, table
+from tailbeat.cli.common import (
+    Connect,
+    Json,
+    connected,
+    mm,
+    progress_bar,
+    say,
+    status_after_command,
+    table,
+)
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -82,7 +91,7 @@ def abort(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.abort()
-        status = fish.status()
+        status = status_after_command(fish)
     say(json, status, f"stopped: {status.state}")
 
 
@@ -236,5 +245,5 @@ def discard(
     """
     with connected(connect) as fish:
         fish.discard(number)
-        status = fish.status()
+        status = status_after_command(fish)
     say(json, status, f"discarded; iteration {status.iteration} swims next")

@@ -105,8 +105,9 @@ def _floor_line(axes: Axes, series: Series) -> None:
     floor = series.floor_m_s * 1e3
     axes.axhline(floor, color=_INK, lw=1.6, ls=(0, (6, 4)), zorder=1)
     text = f"floor {_mm(floor)} mm/s: no input can do better without noise"
-    axes.annotate(
-        text, (0.02, floor), (0, -7), xycoords=("axes fraction", "data"),
+    near = any(swim.max_abs_error_m_s < 1.3 * series.floor_m_s for swim in series.swims)
+    axes.annotate(  # clear of the numbers that stand below points near the line
+        text, (0.02, floor), (0, -30 if near else -7), xycoords=("axes fraction", "data"),
         textcoords="offset points", va="top", fontsize=12.5, color=_INK,
     )  # fmt: skip
 
@@ -115,7 +116,7 @@ def _error_axes(axes: Axes, series: Series, error: Any) -> None:
     from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLocator
 
     floor = (series.floor_m_s or np.inf) * 1e3
-    low, high = min(float(error.min()), floor) / 1.45, float(error.max()) * 1.35
+    low, high = min(float(error.min()), floor) / 1.55, float(error.max()) * 1.35
     axes.set_ylim(low, high)
     ticks = [t * 10.0**p for p in range(-3, 4) for t in (1, 2, 5) if low <= t * 10.0**p <= high]
     axes.yaxis.set_major_locator(FixedLocator(ticks))
@@ -193,7 +194,7 @@ def _label_beats(curves: list[Any], named: list[int]) -> list[int]:
     """For each named curve the beat where its label, set into the line, is clearest of the other
     curves and of the other labels."""
     beats: list[int] = []
-    top = max(float(np.nanmax(curve, initial=0)) for curve in curves) or 1.0
+    top = max([float(np.nanmax(curve, initial=0)) for curve in curves], default=0.0) or 1.0
     for i in named:
         mine = np.nan_to_num(curves[i])
         others = [np.nan_to_num(c) for j, c in enumerate(curves) if j != i]

@@ -1,0 +1,237 @@
+"""The command line: one JSON document or one quiet line, errors as one line on stderr."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tailbeat.cli import run
+from tailbeat.transport.simulated import SimBoard, SimTransport
+
+
+@pytest.fixture(scope="module")
+def simulated() -> SimBoard:
+    """One board for all commands of this module, in virtual time."""
+    return SimBoard("tank")
+
+
+class Shell:
+    """Runs commands and checks what every command promises."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], url: str | None) -> None:
+        self.capsys, self.url = capsys, url
+
+    def line(self, *words: str) -> list[str]:
+        return [*words, *(["--connect", self.url] if self.url else [])]
+
+    def text(self, *words: str) -> str:
+        assert run(self.line(*words)) == 0
+        out, err = self.capsys.readouterr()
+        assert err == ""
+        return out
+
+    def json(self, *words: str) -> Any:
+        return json.loads(self.text(*words, "--json"))
+
+    def fails(self, *words: str, status: int = 1) -> str:
+        assert run(self.line(*words)) == status
+        out, err = self.capsys.readouterr()
+        assert out == ""
+        assert err.startswith("tailbeat: ")
+        assert err.count("\n") == 1
+        return err
+
+
+@pytest.fixture
+def board(
+    capsys: pytest.CaptureFixture[str], simulated: SimBoard, monkeypatch: pytest.MonkeyPatch
+) -> Shell:
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    return Shell(capsys, "the board")
+
+
+@pytest.fixture
+def alone(capsys: pytest.CaptureFixture[str]) -> Shell:
+    return Shell(capsys, None)
+
+
+def test_a_session(board: Shell, alone: Shell, tmp_path: Path) -> None:
+    swim = tmp_path / "swim.csv"
+    swim.write_text("t_s,v_m_s\n0,0\n2,0.06\n8,0.06\n10,0\n")
+    assert board.json("info")["status"]["state"] == "IDLE"
+    assert board.json("params", "set", "AMP_MAX_RAD", "0.75")["value"] == 0.75
+    assert board.json("params", "set", "law_lead", "1") == {
+        "name": "LAW_LEAD", "value": 1.0, "unit": "beats",
+    }  # fmt: skip
+    assert board.json("reference", "check", str(swim))["problems"] == []
+    assert board.text("reference", "upload", str(swim)).startswith("uploaded swim: 10 beats")
+    assert board.json("reference", "show")["beats"] == 10
+    assert board.json("arm")["state"] == "ARMED"
+    assert board.json("disarm")["state"] == "IDLE"
+    for iteration in (1, 2):
+        outcome = board.json("trial", "run")
+        assert (outcome["iteration"], outcome["end"]) == (iteration, "complete")
+        dry = board.json("learn", "--dry-run")
+        learned = board.json("learn")
+        assert (
+            np.array(dry["amplitude_rad"], np.float32).tobytes()
+            == np.array(learned["amplitude_rad"], np.float32).tobytes()
+        )
+        assert dry["max_abs_error_m_s"] == learned["max_abs_error_m_s"]
+    assert board.json("learn", "--restore-best")["restored"] is True
+    assert [t["number"] for t in board.json("trial", "list")["trials"]] == [1, 2]
+    folder = board.json(
+        "experiment", "new", "--reference", str(swim), "--root", str(tmp_path / "e")
+    )["folder"]
+    files = board.json("trial", "pull", "--all", "--into", folder)["files"]
+    assert [Path(path).name for path in files] == ["0001.ulg", "0002.ulg"]
+    assert board.json("trial", "show", "2")["iteration"] == 2
+    assert alone.json("trial", "show", files[0])["number"] == 1
+    assert "trial 1, iteration 1, simulated: complete" in alone.text("trial", "show", files[0])
+    alone.text("experiment", "note", folder, "went well")
+    listed = alone.json("experiment", "list", "--root", str(tmp_path / "e"))["experiments"]
+    assert (listed[0]["trials"], listed[0]["damaged"]) == (2, [])
+    assert len(alone.json("experiment", "export", folder, "--format", "csv")["files"]) == 3
+
+
+def test_speeds_uploaded_after_the_swim(board: Shell, tmp_path: Path) -> None:
+    board.text("reference", "upload", "trapezoid:0.05,2,2")
+    number = board.json("trial", "run")["number"]
+    speeds = tmp_path / "speed.csv"
+    speeds.write_text("beat,speed_m_s\n0,0.01\n1,0.02\n2,\n3,0.03\n4,0.03\n5,0.01\n")
+    assert board.json("speed", "upload", str(number), str(speeds))["measured_beats"] == 5
+    assert board.json("learn")["measured_beats"] == 5
+    assert "no complete trial" in board.fails("learn", "--restore-best")
+
+
+def test_discard(board: Shell) -> None:
+    board.text("reference", "upload", "trapezoid:0.05,1,1")
+    board.text("trial", "run")
+    assert board.json("trial", "discard")["pending_trial"] is None
+    assert "waiting to be learned" in board.fails("learn")
+
+
+def test_params(board: Shell, tmp_path: Path) -> None:
+    board.text("params", "set", "LAW_GAIN", "5")
+    board.text("params", "save")
+    board.text("params", "reset")
+    assert board.json("params", "get", "LAW_GAIN")["value"] == 4
+    board.text("params", "load")
+    assert board.text("params", "get", "LAW_GAIN") == "LAW_GAIN = 5 rad s/m\n"
+    board.text("params", "reset")
+    assert board.json("params", "set", "LAW_KD", "-0.5")["value"] == -0.5
+    board.text("params", "reset")
+    rows = board.json("params", "list")["params"]
+    assert {"name", "value", "default", "low", "high", "unit", "text"} == set(rows[0])
+    assert "LAW_GAIN" in board.fails("params", "set", "LAW_GAIN", "-1")
+    assert "no such parameter" in board.fails("params", "get", "NOSUCH")
+
+
+def test_a_reference_that_does_not_fit(board: Shell, tmp_path: Path) -> None:
+    assert "the tank has 3.00 m" in board.fails("reference", "upload", "trapezoid:0.1,1,40")
+    assert "the board allows 300.0" in board.fails("reference", "check", "trapezoid:0.5,1,1")
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t_s,v_m_s\n0,0\n1,nan\n")
+    assert "row 3, column v_m_s" in board.fails("reference", "upload", str(bad))
+
+
+def test_watch_prints_json_lines(board: Shell) -> None:
+    lines = board.text("watch", "--count", "3").splitlines()
+    assert len(lines) == 3
+    assert all("event" in json.loads(line) for line in lines)
+
+
+def test_abort_and_clear_when_idle_do_nothing(board: Shell) -> None:
+    assert board.json("trial", "abort")["state"] == "IDLE"
+    assert board.json("clear")["state"] == "IDLE"
+
+
+def law_files(folder: Path, law: str) -> list[str]:
+    (folder / "law.json").write_text(law)
+    (folder / "u.csv").write_text("beat,amplitude_rad\n0,0.1\n1,2.0\n2,0.3\n")
+    (folder / "e.csv").write_text("beat,error_m_s\n0,0.01\n1,-0.01\n2,\n")
+    names = {"--config": "law.json", "--input": "u.csv", "--error": "e.csv"}
+    return [word for key, name in names.items() for word in (key, str(folder / name))]
+
+
+def test_law(alone: Shell, tmp_path: Path) -> None:
+    words = law_files(tmp_path, '{"kp_rad_s_m": 4}')
+    document = alone.json("law", *words)
+    expected = np.array([0.14, np.pi / 4 - 0.04, 0.3])
+    np.testing.assert_allclose(document["amplitude_rad"], expected, rtol=1e-6)
+    assert document["report"]["measured_beats"] == 2
+    lines = alone.text("law", *words).splitlines()
+    assert lines[0] == "beat,amplitude_rad"
+    assert [float(line.split(",")[1]) for line in lines[1:]] == document["amplitude_rad"]
+
+
+def test_law_refuses(alone: Shell, tmp_path: Path) -> None:
+    assert "unknown key gamma" in alone.fails("law", *law_files(tmp_path, '{"gamma": 4}'))
+    words = law_files(tmp_path, "{}")
+    (tmp_path / "u.csv").write_text("beat,amplitude_rad\n0,0.1\n2,0.2\n")
+    assert "row 3, column beat" in alone.fails("law", *words)
+    (tmp_path / "u.csv").write_text("beat,amplitude_rad\n0,x\n")
+    assert "row 2, column amplitude_rad" in alone.fails("law", *words)
+    (tmp_path / "u.csv").write_text("0,1\n")
+    assert "no column beat" in alone.fails("law", *words)
+
+
+def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
+    document = alone.json("demo", "--trials", "1", "--seed", "4", "--out", str(tmp_path))
+    assert (document["seed"], len(document["trials"])) == (4, 2)
+    text = alone.text("demo", "--trials", "1", "--out", str(tmp_path))
+    assert "floor 10.4 mm/s" in text
+    assert text.splitlines()[-1] == f"report {tmp_path / 'report.html'}"
+
+
+def test_wrong_calls(alone: Shell) -> None:
+    assert "No such command" in alone.fails("swim", status=2)
+    assert "--help" in alone.fails("params", "set", "LAW_GAIN", status=2)
+    assert alone.fails("demo", "--trials", "0", status=2)
+    assert alone.fails("learn", "--dry-run", "--restore-best", status=2)
+    assert "no plant pond" in alone.fails("demo", "--plant", "pond")
+    assert "no value colour" in alone.fails("demo", "--set", "colour=1")
+    assert "is no setting" in alone.fails("sim", "--set", "kappa")
+    assert "is no experiment" in alone.fails("experiment", "note", "/nonexistent", "x")
+
+
+def test_nobody_there(capsys: pytest.CaptureFixture[str]) -> None:
+    shell = Shell(capsys, "tcp:127.0.0.1:1")
+    assert "tailbeat sim" in shell.fails("info")
+
+
+def test_every_command_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in all_commands():
+        assert run([*words, "--help"]) == 0
+        page = capsys.readouterr().out
+        assert "Example: tailbeat" in page, words
+        assert "--json" in page, words
+
+
+def all_commands() -> list[list[str]]:
+    from tailbeat.cli.app import app
+
+    found = [[str(c.callback.__name__).strip("_")] for c in app.registered_commands if c.callback]
+    for group in app.registered_groups:
+        assert group.typer_instance is not None and group.name is not None
+        for command in group.typer_instance.registered_commands:
+            assert command.callback is not None
+            name = command.name or command.callback.__name__
+            found.append([group.name, name])
+    return found
+
+
+def test_start_is_quick_because_nothing_heavy_is_imported() -> None:
+    heavy = ["matplotlib", "scipy", "pyulog", "numpy", "pyarrow"]
+    code = (
+        "import sys; from tailbeat.cli import run; run(['--help']); "
+        f"sys.exit(', '.join(m for m in {heavy} if m in sys.modules) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,106 @@
+"""The main job on the simulated board."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.demo import DemoOptions, DemoResult, Mismatch, compare, run_demo
+from tailbeat.errors import InputError
+from tailbeat.experiment import Experiment
+from tailbeat.laws import Law
+
+GOLDEN_M_S = {
+    4: [0.0791, 0.0353, 0.0139, 0.0049, 0.0018, 0.0010, 0.0010],
+    7: [0.0791, 0.0021, 0.0013, 0.0011, 0.0010, 0.0010, 0.0010],
+    10: [0.0791, 0.0483, 0.0373, 0.0245, 0.0181, 0.0123, 0.0089],
+}
+
+
+@pytest.mark.parametrize("gain", [4, 7, 10])
+def test_golden_series_of_the_thesis_plant(gain: int, tmp_path: Path) -> None:
+    result = run_demo(DemoOptions("thesis", gain=gain, out=tmp_path))
+    assert (result.lead, len(result.trials)) == (0, 7)
+    for row, golden in zip(result.trials, GOLDEN_M_S[gain], strict=True):
+        limit = max(0.02 * golden, 0.0002)
+        assert row.max_abs_error_m_s == pytest.approx(golden, abs=limit)
+        assert row.true_max_abs_error_m_s == pytest.approx(golden, abs=limit)
+
+
+@pytest.fixture(scope="module")
+def tank(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoResult, Path]:
+    folder = tmp_path_factory.mktemp("tank")
+    seen: list[float] = []
+    result = run_demo(DemoOptions(trials=3, out=folder), lambda done, _: seen.append(done))
+    assert seen == sorted(seen)
+    return result, folder
+
+
+def test_document_has_the_promised_keys(tank: tuple[DemoResult, Path]) -> None:
+    document = json.loads(json.dumps(tank[0].as_dict(), allow_nan=False))
+    assert list(document) == [
+        "plant", "gain", "lead", "seed", "floor_m_s", "floor_lsq_m_s", "trials", "report",
+    ]  # fmt: skip
+    assert list(document["trials"][1]) == [
+        "iteration", "trial", "max_abs_error_m_s", "rms_error_m_s", "true_max_abs_error_m_s",
+        "max_abs_error_25hz_m_s", "saturated_beats", "distance_m", "duration_s", "end",
+    ]  # fmt: skip
+    assert (document["plant"], document["lead"]) == ("tank", 1)
+    assert document["floor_m_s"] == pytest.approx(0.0104, rel=0.01)
+
+
+def test_iteration_0_is_listed_but_not_swum(tank: tuple[DemoResult, Path]) -> None:
+    zero, first = tank[0].trials[:2]
+    assert (zero.iteration, zero.trial, zero.duration_s) == (0, 0, 0)
+    assert zero.max_abs_error_m_s == np.float32(0.0791)
+    assert (first.iteration, first.duration_s, first.end) == (1, 40, "complete")
+
+
+def test_folder_is_an_experiment_with_a_report(tank: tuple[DemoResult, Path]) -> None:
+    result, folder = tank
+    experiment = Experiment.open(folder)
+    assert experiment.damaged() == []
+    assert [trial.iteration for trial in experiment.trials()] == [1, 2, 3]
+    assert experiment.settings()["params"]["LAW_LEAD"] == 1
+    assert result.report == folder / "report.html"
+    assert "SIMULATED" in result.report.read_text()
+    assert (folder / "report.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_same_seed_same_run(tank: tuple[DemoResult, Path], tmp_path: Path) -> None:
+    again = run_demo(DemoOptions(trials=2, out=tmp_path))
+    assert again.trials == tank[0].trials[:3]
+    other = run_demo(DemoOptions(trials=1, seed=9, out=tmp_path))
+    assert other.trials[1] != again.trials[1]
+
+
+def test_somebody_elses_folder_is_left_alone(tmp_path: Path) -> None:
+    made = Experiment.at(tmp_path, "fish", "thesis", "p4")
+    made.add_raw("0001.ulg", b"precious")
+    with pytest.raises(InputError, match="no demo made"):
+        run_demo(DemoOptions(trials=1, out=tmp_path))
+    assert made.damaged() == []
+
+
+def test_no_trials(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        run_demo(DemoOptions(trials=0, out=tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bit_of_difference_is_noticed(tank: tuple[DemoResult, Path]) -> None:
+    first, second, _ = Experiment.open(tank[1]).trials()
+    law = Law.from_params(first.params)
+    learned = second.beats.amplitude_rad
+    compare(first, law, learned)
+    with pytest.raises(Mismatch, match="the amplitudes"):
+        compare(first, law, np.nextafter(learned, np.float32(9)))
+    with pytest.raises(Mismatch, match="the amplitudes"):
+        compare(first, replace(law, kp_rad_s_m=4.0001), learned)
+    first.beats.speed_m_s[7] = np.nextafter(first.beats.speed_m_s[7], np.float32(9))
+    with pytest.raises(Mismatch, match="beat means"):
+        compare(first, law, learned)

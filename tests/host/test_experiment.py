@@ -1,0 +1,133 @@
+"""Experiment folders and exports."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import shutil
+import stat
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import loadmat
+
+from tailbeat import reference
+from tailbeat.demo import DemoOptions, run_demo
+from tailbeat.errors import InputError
+from tailbeat.experiment import Experiment, export, list_experiments
+
+NOON = datetime(2026, 5, 4, 12, 0, 0)
+
+
+@pytest.fixture(scope="module")
+def swum(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An experiment with two simulated trials."""
+    folder = tmp_path_factory.mktemp("demo") / "series"
+    run_demo(DemoOptions(trials=2, out=folder))
+    return folder
+
+
+def make(root: Path) -> Experiment:
+    return Experiment.new(root, "carl the fish", "thesis", "p4-lead1", NOON)
+
+
+def test_names_count_up(tmp_path: Path) -> None:
+    names = [make(tmp_path).name for _ in range(3)]
+    assert names == [f"2026-05-04_carl-the-fish_thesis_p4-lead1_{n:02d}" for n in (1, 2, 3)]
+    assert [e.name for e in list_experiments(tmp_path)] == names
+    assert list_experiments(tmp_path / "none") == []
+
+
+def test_names_cannot_leave_the_root(tmp_path: Path) -> None:
+    made = Experiment.new(tmp_path, "../../x", "a/b", "", NOON)
+    assert made.folder.parent == tmp_path
+    assert made.name == "2026-05-04_x_a-b_x_01"
+
+
+def test_raw_files_are_read_only_and_listed(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    path = made.add_raw("0001.ulg", b"swim")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o444
+    sums = (made.raw / "SHA256SUMS").read_text()
+    assert sums == f"{hashlib.sha256(b'swim').hexdigest()}  0001.ulg\n"
+    made.add_raw("0001.ulg", b"swim")
+    assert (made.raw / "SHA256SUMS").read_text() == sums
+    with pytest.raises(InputError, match="other content"):
+        made.add_raw("0001.ulg", b"another")
+    assert path.read_bytes() == b"swim"
+
+
+def test_damage_is_found(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    for name in ("a", "b", "c"):
+        made.add_raw(name, name.encode())
+    (made.raw / "a").chmod(0o644)
+    (made.raw / "a").write_bytes(b"x")
+    (made.raw / "b").unlink()
+    assert made.damaged() == ["a", "b"]
+
+
+def test_notes_have_the_time(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    made.note("water 22 °C ", NOON)
+    made.note("second", NOON)
+    assert "- **2026-05-04 12:00:00** water 22 °C\n" in made.notes()
+    assert made.notes().index("water") < made.notes().index("second")
+
+
+def test_settings_add_up(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    made.write_settings({"params": {"LAW_GAIN": 4.0}})
+    assert made.settings()["params"] == {"LAW_GAIN": 4.0}
+    assert made.settings()["fish"] == "carl the fish"
+    assert "tailbeat" in made.settings()["tool"]
+
+
+def test_only_an_experiment_opens(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is no experiment"):
+        Experiment.open(tmp_path)
+    made = make(tmp_path)
+    assert Experiment.open(made.folder) == made
+    with pytest.raises(InputError, match="already holds"):
+        Experiment.at(made.folder, "a", "b", "c")
+
+
+def test_clear_leaves_other_files(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    made.add_raw("0001.ulg", b"swim")
+    (made.folder / "thoughts.txt").write_text("mine")
+    made.clear()
+    assert [path.name for path in made.folder.iterdir()] == ["thoughts.txt"]
+
+
+def test_export_without_trials_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no trials"):
+        export(make(tmp_path))
+
+
+def test_unknown_format(swum: Path) -> None:
+    with pytest.raises(InputError, match="no format xls"):
+        export(Experiment.open(swum), ["xls"])
+
+
+def test_exports_agree(swum: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(swum, copy)
+    files = {path.name: path for path in export(Experiment.open(copy))}
+    assert set(files) == {
+        "trials.csv", "beats.csv", "slots.csv", "trials.mat", "beats.parquet", "slots.parquet",
+    }  # fmt: skip
+    with files["beats.csv"].open() as file:
+        rows = list(csv.DictReader(file))
+    matrices = loadmat(files["trials.mat"])
+    table = pq.read_table(files["beats.parquet"]).to_pydict()
+    assert len(rows) == 80
+    assert matrices["speed_m_s"].shape == (2, 40)
+    from_csv = np.array([float(row["speed_m_s"]) for row in rows], dtype=np.float32)
+    assert from_csv.tobytes() == np.array(table["speed_m_s"], dtype=np.float32).tobytes()
+    np.testing.assert_array_equal(matrices["speed_m_s"].ravel(), from_csv.astype(np.float64))
+    wanted = [float(row["reference_m_s"]) for row in rows[:40]]
+    np.testing.assert_array_equal(np.array(wanted, np.float32), reference.thesis().speed_m_s)

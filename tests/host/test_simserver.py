@@ -1,0 +1,133 @@
+"""The simulator as a process: ports, clients that drop, the camera, the console."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from tailbeat.errors import ConnectError, InputError
+from tailbeat.fish import Fish
+from tailbeat.simserver import SimServer, parse_listen
+from tailbeat.transport.simulated import SimBoard
+
+SPEED = 40.0
+PATIENCE_S = 30.0
+
+
+@contextmanager
+def running(pty: bool = False) -> Iterator[SimServer]:
+    server = SimServer(SimBoard("tank"), "tcp:127.0.0.1:0", pty, SPEED)
+    stop = threading.Event()
+    thread = threading.Thread(target=server.serve, args=(stop.is_set,))
+    thread.start()
+    try:
+        yield server
+    finally:
+        stop.set()
+        thread.join()
+        server.close()
+
+
+def connect(address: str) -> socket.socket:
+    host, port = parse_listen(address)
+    return socket.create_connection((host, port), PATIENCE_S)
+
+
+def test_a_fish_answers_and_clients_may_come_again() -> None:
+    with running() as server:
+        times = []
+        for _ in range(3):
+            with Fish.connect(server.addresses.listen) as fish:
+                info = fish.info()
+                assert info.simulated
+                times.append(info.status.time_s)
+        assert times == sorted(times)
+
+
+def test_the_board_lives_on_when_a_client_drops() -> None:
+    with running() as server:
+        with Fish.connect(server.addresses.listen) as fish:
+            fish.params.set("LAW_GAIN", 5.0)
+            fish.link.transport.close()
+        with Fish.connect(server.addresses.listen) as fish:
+            assert fish.params.get("LAW_GAIN").value == 5.0
+
+
+def test_a_second_client_is_turned_away() -> None:
+    with running() as server, Fish.connect(server.addresses.listen) as fish:
+        with connect(server.addresses.listen) as second:
+            second.settimeout(PATIENCE_S)
+            assert second.recv(1) == b""
+        assert fish.info().simulated
+
+
+def test_camera_speaks_json_lines_in_board_time() -> None:
+    with (
+        running() as server,
+        connect(server.addresses.camera) as camera,
+        Fish.connect(server.addresses.listen) as fish,
+    ):
+        lines = camera.makefile()
+        first, second = json.loads(lines.readline()), json.loads(lines.readline())
+        assert list(first) == ["t_board_s", "x_m", "y_m", "heading_rad"]
+        assert second["t_board_s"] > first["t_board_s"]
+        assert fish.status().time_s >= first["t_board_s"]
+
+
+def test_camera_is_on_the_next_port() -> None:
+    with running() as server:
+        radio = parse_listen(server.addresses.listen)[1]
+        assert parse_listen(server.addresses.camera)[1] == radio + 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
+def test_console_on_a_pty() -> None:
+    with running(pty=True) as server:
+        path = server.addresses.pty
+        assert path is not None
+        for _ in range(2):
+            with Fish.connect(path) as fish:
+                assert fish.info().simulated
+        assert os.path.exists(path)  # noqa: PTH110
+
+
+def test_a_port_that_is_taken() -> None:
+    with running() as server, pytest.raises(ConnectError, match="cannot listen") as caught:
+        SimServer(SimBoard("tank"), server.addresses.listen)
+    assert "--listen" in caught.value.remedy
+
+
+def test_garbage_does_not_stop_it() -> None:
+    with running() as server:
+        with connect(server.addresses.listen) as stranger:
+            stranger.sendall(bytes(range(256)) * 64)
+        with Fish.connect(server.addresses.listen) as fish:
+            assert fish.info().simulated
+
+
+@pytest.mark.parametrize("text", ["", "udp:1.2.3.4:5", "tcp:5760", "tcp:h:x", "tcp:h:99999"])
+def test_places_that_are_none(text: str) -> None:
+    with pytest.raises(InputError, match="no place to listen"):
+        parse_listen(text)
+
+
+def test_speed_must_make_sense() -> None:
+    for speed in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match="makes no sense"):
+            SimServer(SimBoard("tank"), "tcp:127.0.0.1:0", speed=speed)
+
+
+def test_time_passes_at_the_given_pace() -> None:
+    with running() as server:
+        for _ in range(2000):
+            with Fish.connect(server.addresses.listen) as fish:
+                if fish.status().time_s > 5:
+                    return
+    raise AssertionError("the board's time stands still")
