@@ -42,8 +42,9 @@ check: ## formatting, types, static analysis, who includes whom
 	$(BIN)/ruff check --quiet $(PYTHON_SOURCES)
 	$(BIN)/ruff format --quiet --check $(PYTHON_SOURCES)
 	$(BIN)/mypy
-	$(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
+	@$(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
 	$(BIN)/python tools/check_includes.py
+	$(BIN)/python tools/protocol_tables.py --check
 	tools/check_c
 
 clean: ## remove everything that was built, but not .venv

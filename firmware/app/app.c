@@ -103,7 +103,8 @@ static void give_orders(app_t *app, uint64_t now_us) {
     control_order(&app->control, app->hal, &orders);
 }
 
-static void fill_status(app_t *app, uint64_t now_us) {
+void app_refresh_status(app_t *app) {
+    const uint64_t now_us = hal_time_us(app->hal);
     const control_report_t report = control_report(&app->control, app->hal);
     const bool swimming =
         app->supervisor.state == STATE_RUNNING && app->executed < app->reference.beats;
@@ -151,7 +152,7 @@ void app_poll(app_t *app) {
     mind_the_clock(app, now_us);
     read_imu(app, now_us);
     swim_poll(app, now_us);
-    fill_status(app, now_us);
+    app_refresh_status(app);
     link_poll(&app->link, &app->status);
     give_orders(app, now_us);
     hal_led(app->hal, supervisor_armed(&app->supervisor));

@@ -9,6 +9,9 @@
 #define PARAMS_PATH "/params.bin"
 #define COUNTER_PATH "/counter.bin"
 
+/* app.c: what the link tells follows the board's state of this moment. */
+void app_refresh_status(app_t *app);
+
 /* boot.c: what is on the store into RAM; parameters fall back to their defaults. */
 void boot_load(app_t *app);
 void boot_load_params(app_t *app);

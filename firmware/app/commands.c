@@ -58,8 +58,7 @@ static fault_t reboot(app_t *app) {
     return FAULT_NONE;
 }
 
-fault_t commands_run(void *context, const link_command_t *command) {
-    app_t *app = context;
+static fault_t run(app_t *app, const link_command_t *command) {
     switch (command->id) {
     case LINK_COMMAND_ARM:
         return swim_arm(app, command);
@@ -87,6 +86,14 @@ fault_t commands_run(void *context, const link_command_t *command) {
         return reboot(app);
     }
     return FAULT_UNKNOWN_COMMAND;
+}
+
+/* What is told with the acknowledgement is already so. */
+fault_t commands_run(void *context, const link_command_t *command) {
+    app_t *app = context;
+    const fault_t fault = run(app, command);
+    app_refresh_status(app);
+    return fault;
 }
 
 fault_t commands_param_set(void *context, param_t param, float value) {

@@ -9,7 +9,7 @@
 typedef struct {
     uint16_t command;
     bool as_int;
-    float param1, param2;
+    float param1, param2, param3;
     int32_t x, y; /* COMMAND_INT only */
 } request_t;
 
@@ -198,13 +198,15 @@ static link_send_t find_sender(uint32_t message) {
 static void request_amplitudes(link_t *link, const link_received_t *in, const request_t *request) {
     const uint16_t beats = link->status->memory->beats;
     const float last = beats > 0 ? (float)(beats - 1u) : 0.0f;
-    uint32_t first = 0;
-    if (!read_whole(request->param2, 0.0f, last, &first)) {
+    uint32_t first = 0, set = 0;
+    if (!read_whole(request->param2, 0.0f, last, &first) ||
+        !read_whole(request->param3, TAILBEAT_AMPLITUDE_SET_NEXT, TAILBEAT_AMPLITUDE_SET_BEST,
+                    &set)) {
         send_answer(in, request->command, bad_values);
         return;
     }
     send_answer(in, request->command, accepted);
-    link_send_amplitudes(link, in->channel, (uint16_t)first);
+    link_send_amplitudes(link, in->channel, (uint8_t)set, (uint16_t)first);
 }
 
 static void request_message(link_t *link, const link_received_t *in, const request_t *request) {
@@ -240,8 +242,10 @@ static void handle(link_t *link, const link_received_t *in, uint8_t system, uint
 void link_on_command_long(link_t *link, const link_received_t *in) {
     mavlink_command_long_t message;
     mavlink_msg_command_long_decode(in->message, &message);
-    const request_t request = {
-        .command = message.command, .param1 = message.param1, .param2 = message.param2};
+    const request_t request = {.command = message.command,
+                               .param1 = message.param1,
+                               .param2 = message.param2,
+                               .param3 = message.param3};
     handle(link, in, message.target_system, message.target_component, &request);
 }
 
@@ -253,6 +257,7 @@ void link_on_command_int(link_t *link, const link_received_t *in) {
         .as_int = true,
         .param1 = message.param1,
         .param2 = message.param2,
+        .param3 = message.param3,
         .x = message.x,
         .y = message.y,
     };

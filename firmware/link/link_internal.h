@@ -31,7 +31,7 @@ void link_send_live(link_t *link, channel_t *channel);
 void link_send_health(link_t *link, channel_t *channel);
 void link_send_learn_report(link_t *link, channel_t *channel);
 void link_send_version(link_t *link, channel_t *channel);
-void link_send_amplitudes(link_t *link, channel_t *channel, uint16_t first);
+void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first);
 void link_send_text(channel_t *channel, uint8_t severity, const char *text);
 mavlink_tailbeat_status_t link_status_message(const link_t *link);
 

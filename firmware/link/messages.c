@@ -77,6 +77,8 @@ mavlink_tailbeat_status_t link_status_message(const link_t *link) {
         .fault = (uint16_t)status->fault,
         .battery_mv = status->battery_mv,
         .state = (uint8_t)status->state,
+        .worse_streak =
+            (uint8_t)(memory->worse_streak < UINT8_MAX ? memory->worse_streak : UINT8_MAX),
     };
 }
 
@@ -160,16 +162,19 @@ void link_send_health(link_t *link, channel_t *channel) {
     SEND(channel, tailbeat_health, &health);
 }
 
-void link_send_amplitudes(link_t *link, channel_t *channel, uint16_t first) {
+void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first) {
+    const bool best = set == TAILBEAT_AMPLITUDE_SET_BEST;
     const memory_t *memory = link->status->memory;
     mavlink_tailbeat_amplitudes_t piece = {
         .reference_crc = memory->reference_crc,
-        .iteration = memory->iteration,
+        .iteration = best ? memory->best_iteration : memory->iteration,
         .beats = memory->beats,
         .first = first,
+        .set = set,
     };
+    const float *amplitude_rad = best ? memory->best_rad : memory->amplitude_rad;
     for (uint32_t i = 0; i < AMPLITUDES_PER_MESSAGE && first + i < memory->beats; i++) {
-        piece.amplitude_rad[i] = memory->amplitude_rad[first + i];
+        piece.amplitude_rad[i] = amplitude_rad[first + i];
         piece.count++;
     }
     SEND(channel, tailbeat_amplitudes, &piece);

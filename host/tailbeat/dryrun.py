@@ -63,46 +63,33 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
     wanted = decode_reference(record)
     params = {name: p.value for name, p in fish.params.list().items()}
     law = laws.Law.from_params(params, wanted.beat_s)
-    held = fish.amplitudes()
     trial = _pulled(fish, pending)
     error, measured = laws.errors_of(wanted.speed_m_s, trial.beats.speed_m_s)
-    following, report = laws.update(law, held.values, error, measured)
-    best = _rolled_back(fish, status, params["ROLLBACK_RATIO"], report)
+    complete = trial.end_fault == 0 and trial.executed_beats == len(wanted.speed_m_s)
+    following, report, rolled_back = laws.learn(
+        law, _memory(fish, status), error, measured, complete, params["ROLLBACK_RATIO"]
+    )
     return DryRun(
         trial=pending,
         iteration=trial.iteration,
         report=report,
-        rolled_back=best is not None,
-        amplitude_rad=following if best is None else best,
+        rolled_back=rolled_back,
+        amplitude_rad=following,
+    )
+
+
+def _memory(fish: Fish, status: BoardStatus) -> laws.Memory:
+    held, best = fish.amplitudes(), fish.amplitudes(best=True)
+    return laws.Memory(
+        iteration=held.iteration,
+        amplitude_rad=held.values,
+        best_iteration=best.iteration,
+        best_rad=best.values,
+        best_max_abs_error_m_s=status.best_max_abs_error_m_s or 0.0,
+        worse_streak=status.worse_streak,
     )
 
 
 def _pulled(fish: Fish, number: int) -> Trial:
     with TemporaryDirectory() as folder:
         return read_trial(fish.pull_trial(number, Path(folder)))
-
-
-def _rolled_back(
-    fish: Fish, status: BoardStatus, ratio: float, report: laws.LawReport
-) -> Floats | None:
-    """The best amplitudes, if this trial and the one learned before it were both too bad.
-
-    The board counts such trials but does not tell the count; it follows from the logs.
-    """
-    best_m_s, last = status.best_max_abs_error_m_s, status.last_learned_trial
-    if not ratio or best_m_s is None or last is None:
-        return None
-    limit = float(np.float32(ratio) * np.float32(best_m_s))
-    if report.max_abs_error_m_s <= limit:
-        return None
-    numbers = [trial.number for trial in fish.trials()]
-    if last not in numbers or _pulled(fish, last).max_abs_error_m_s() <= limit:
-        return None
-    for number in sorted(numbers, reverse=True):
-        if number > last:
-            continue
-        trial = _pulled(fish, number)
-        same = trial.reference_crc == status.reference_crc
-        if same and trial.iteration == status.best_iteration and trial.end_fault == 0:
-            return trial.beats.applied_rad
-    return None

@@ -194,14 +194,14 @@ class Fish:
         """Makes the best amplitudes so far the next ones."""
         self.link.command(mavlink.TAILBEAT_CMD_RESTORE_BEST)
 
-    def amplitudes(self) -> Amplitudes:
-        """The amplitudes that swim next, bit for bit."""
+    def amplitudes(self, best: bool = False) -> Amplitudes:
+        """The amplitudes that swim next (unsaturated) or the best so far (as swum), bit for bit."""
         while True:
-            first = self._amplitudes_piece(0)
+            first = self._amplitudes_piece(0, best)
             values = list(first.amplitude_rad[: first.count])
             steady = True
             while steady and len(values) < first.beats:
-                piece = self._amplitudes_piece(len(values))
+                piece = self._amplitudes_piece(len(values), best)
                 steady = piece.count > 0 and _same_series(piece, first)
                 values += piece.amplitude_rad[: piece.count]
             if steady:
@@ -279,11 +279,12 @@ class Fish:
         signed = crc - (1 << 32) if crc & 0x80000000 else crc
         self.link.command_int(mavlink.TAILBEAT_CMD_COMMIT, float(file), len(record), signed)
 
-    def _amplitudes_piece(self, first: int) -> Message:
+    def _amplitudes_piece(self, first: int, best: bool) -> Message:
         return self.link.request(
             "TAILBEAT_AMPLITUDES",
             first,
-            lambda m: m.first == first and m.count <= _AMPLITUDES_PER_PIECE,
+            int(best),
+            where=lambda m: m.first == first and m.set == best and m.count <= _AMPLITUDES_PER_PIECE,
         )
 
 

@@ -190,6 +190,47 @@ def judge(
     return call.law_report()
 
 
+@dataclass(frozen=True)
+class Memory:
+    """What the board remembers between trials (firmware/ilc/memory.h). Amplitudes in rad."""
+
+    iteration: int
+    amplitude_rad: Floats
+    best_iteration: int  # 0 = no best yet
+    best_rad: Floats
+    best_max_abs_error_m_s: float
+    worse_streak: int
+
+
+def learn(
+    law: Law,
+    memory: Memory,
+    errors: ArrayLike,
+    measured: ArrayLike,
+    complete: bool,
+    rollback_ratio: float,
+) -> tuple[Floats, LawReport, bool]:
+    """What the board would make of a trial: (next amplitudes, report, rolled back)."""
+    call = _Call(law, memory.amplitude_rad, np.asarray(errors, dtype=np.float32), measured)
+    native = call.ffi.new("memory_t *")
+    call.lib.memory_begin(native, 1, call.beats)
+    for name in ("iteration", "best_iteration", "worse_streak"):
+        setattr(native, name, getattr(memory, name))
+    native.best_max_abs_error_m_s = memory.best_max_abs_error_m_s
+    native.amplitude_rad[0 : call.beats] = memory.amplitude_rad.tolist()
+    if memory.best_iteration:
+        native.best_rad[0 : call.beats] = memory.best_rad.tolist()
+    report = call.ffi.new("memory_report_t *")
+    call.check(
+        call.lib.memory_learn(
+            native, call.law, call.trial, 1, complete, rollback_ratio, call.scratch, report
+        )
+    )
+    following = np.frombuffer(call.ffi.buffer(native.amplitude_rad), dtype=np.float32)
+    found = LawReport(*(getattr(report.law, f.name) for f in fields(LawReport)))
+    return following[: call.beats].copy(), found, bool(report.rolled_back)
+
+
 def first(law: Law, reference_m_s: ArrayLike) -> Floats:
     """The amplitudes of iteration 1: the law applied to the zero input, whose error is the
     reference. Without the step limit, as on the board."""

@@ -232,11 +232,11 @@ class Link:
                 return ack
         raise AssertionError("attempts always raises at its end")
 
-    def request(self, kind: str, param2: float = 0.0, where: Where | None = None) -> Message:
-        """Asks for one message by name and returns it. Raises Refused."""
+    def request(self, kind: str, *params: float, where: Where | None = None) -> Message:
+        """Asks for a message by name and returns it; ``params`` from param2 on. Raises Refused."""
         number = _message_id(kind)
         command = mavlink.MAV_CMD_REQUEST_MESSAGE
-        values = [float(number), float(param2), 0.0, 0.0, 0.0, 0.0, 0.0]
+        values = [float(v) for v in (number, *params)] + [0.0] * (6 - len(params))
 
         def fits(message: Message) -> bool:
             if message.get_type() == kind:

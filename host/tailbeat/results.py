@@ -37,6 +37,7 @@ class BoardStatus:
     beats: int
     beat: int
     battery_v: float
+    worse_streak: int
 
     @classmethod
     def of(cls, m: Message) -> BoardStatus:
@@ -56,6 +57,7 @@ class BoardStatus:
             beats=m.beats,
             beat=m.beat,
             battery_v=m.battery_mv * 1e-3,
+            worse_streak=m.worse_streak,
         )
 
 

@@ -14,7 +14,6 @@ from tailbeat.cli.common import (
     mm,
     plain,
     say,
-    status_after_command,
 )
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ def arm(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.arm()
-        status = status_after_command(fish)
+        status = fish.status()
     say(json, status, f"armed: iteration {status.iteration} swims next")
 
 
@@ -84,7 +83,7 @@ def disarm(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.disarm()
-        status = status_after_command(fish)
+        status = fish.status()
     say(json, status, f"disarmed: {status.state}")
 
 
@@ -95,7 +94,7 @@ def clear(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.clear()
-        status = status_after_command(fish)
+        status = fish.status()
     say(json, status, f"cleared: {status.state}")
 
 

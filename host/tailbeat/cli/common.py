@@ -16,7 +16,6 @@ import typer
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
-    from tailbeat.results import BoardStatus
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, nothing else.")]
 Connect = Annotated[
@@ -38,16 +37,6 @@ def connected(url: str | None) -> Iterator[Fish]:
 
     with Fish.connect(url) as fish:
         yield fish
-
-
-def status_after_command(fish: Fish) -> BoardStatus:
-    """The board's status once a command is done.
-
-    Together with the acknowledgement the board may send a status from just before it, and that can
-    pass for the answer to the first request; the second answer is newer than the command.
-    """
-    fish.status()
-    return fish.status()
 
 
 def plain(value: Any) -> Any:

@@ -14,7 +14,6 @@ from tailbeat.cli.common import (
     mm,
     progress_bar,
     say,
-    status_after_command,
     table,
 )
 
@@ -91,7 +90,7 @@ def abort(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         fish.abort()
-        status = status_after_command(fish)
+        status = fish.status()
     say(json, status, f"stopped: {status.state}")
 
 
@@ -245,5 +244,5 @@ def discard(
     """
     with connected(connect) as fish:
         fish.discard(number)
-        status = status_after_command(fish)
+        status = fish.status()
     say(json, status, f"discarded; iteration {status.iteration} swims next")
