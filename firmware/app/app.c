@@ -14,7 +14,6 @@
 #define IMU_CHUNKS_PER_POLL 16u /* more than the IMU can send in the longest pause */
 #define IMU_FRESH_US 500000u
 #define SPEED_FRESH_US 1000000u
-#define RAD_PER_DEG (REAL_PI / 180.0f)
 
 static void on_vision(void *context, const link_vision_t *sample) {
     app_t *app = context;
@@ -97,8 +96,8 @@ static void give_orders(app_t *app, uint64_t now_us) {
         .last_heartbeat_us = app->last_heartbeat_us,
         .last_imu_us = app->last_imu_us,
         .battery_mv = hal_battery_mv(app->hal),
-        .pitch_rad = level_known ? app->imu_frame.ypr_deg[1] * RAD_PER_DEG : 0.0f,
-        .roll_rad = level_known ? app->imu_frame.ypr_deg[2] * RAD_PER_DEG : 0.0f,
+        .pitch_rad = level_known ? app->imu_frame.ypr_deg[1] * REAL_RAD_PER_DEG : 0.0f,
+        .roll_rad = level_known ? app->imu_frame.ypr_deg[2] * REAL_RAD_PER_DEG : 0.0f,
     };
     control_order(&app->control, app->hal, &orders);
 }

@@ -9,6 +9,7 @@
 #include <stdint.h>
 
 #define REAL_PI 3.14159265358979f
+#define REAL_RAD_PER_DEG (REAL_PI / 180.0f)
 
 /* False for NaN and infinities, whatever the compiler flags. */
 bool real_is_finite(float x);

@@ -6,7 +6,6 @@
 
 #include <string.h>
 
-#define RAD_PER_DEG (REAL_PI / 180.0f)
 #define VERSION_0_1_0 0x00010000u /* major, minor, patch, type: development */
 #define HASH_CHARS 8u
 #define HASH_MIN_CHARS 7u
@@ -106,9 +105,9 @@ void link_send_attitude(link_t *link, channel_t *channel) {
     const imu_frame_t *imu = &link->status->imu;
     const mavlink_attitude_t attitude = {
         .time_boot_ms = boot_ms(link),
-        .roll = imu->ypr_deg[2] * RAD_PER_DEG,
-        .pitch = imu->ypr_deg[1] * RAD_PER_DEG,
-        .yaw = imu->ypr_deg[0] * RAD_PER_DEG,
+        .roll = imu->ypr_deg[2] * REAL_RAD_PER_DEG,
+        .pitch = imu->ypr_deg[1] * REAL_RAD_PER_DEG,
+        .yaw = imu->ypr_deg[0] * REAL_RAD_PER_DEG,
         .rollspeed = imu->rate_rad_s[0],
         .pitchspeed = imu->rate_rad_s[1],
         .yawspeed = imu->rate_rad_s[2],
@@ -123,9 +122,9 @@ void link_send_live(link_t *link, channel_t *channel) {
         .angle_rad = status->angle_rad,
         .amplitude_rad = status->amplitude_rad,
         .speed_m_s = status->speed_m_s,
-        .yaw_rad = status->imu.ypr_deg[0] * RAD_PER_DEG,
-        .pitch_rad = status->imu.ypr_deg[1] * RAD_PER_DEG,
-        .roll_rad = status->imu.ypr_deg[2] * RAD_PER_DEG,
+        .yaw_rad = status->imu.ypr_deg[0] * REAL_RAD_PER_DEG,
+        .pitch_rad = status->imu.ypr_deg[1] * REAL_RAD_PER_DEG,
+        .roll_rad = status->imu.ypr_deg[2] * REAL_RAD_PER_DEG,
         .beat = status->live_beat,
         .pulse_ticks = status->pulse_ticks,
     };

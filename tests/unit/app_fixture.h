@@ -27,6 +27,11 @@ static void fixture_reset(void) {
     app_init(&app, &hal);
 }
 
+static inline void reboot(void) {
+    hal.now_us = 0;
+    app_init(&app, &hal);
+}
+
 static void see_fish(void) {
     const link_vision_t sample = {
         .time_us = hal.now_us - 500000u, .speed_m_s = swim_speed_m_s, .sigma_m_s = 0.001f};

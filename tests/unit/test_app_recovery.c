@@ -7,11 +7,6 @@
 void setUp(void) { fixture_reset(); }
 void tearDown(void) {}
 
-static void reboot(void) {
-    hal.now_us = 0;
-    app_init(&app, &hal);
-}
-
 static void arm(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));

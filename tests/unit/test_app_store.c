@@ -7,11 +7,6 @@
 void setUp(void) { fixture_reset(); }
 void tearDown(void) {}
 
-static void reboot(void) {
-    hal.now_us = 0;
-    app_init(&app, &hal);
-}
-
 /* Commits the reference in upload_bytes and checks that a refusal changes nothing. */
 static void expect_reference_refused(fault_t expected, size_t length) {
     const uint32_t crc = app.reference.crc;
