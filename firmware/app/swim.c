@@ -171,7 +171,7 @@ static void settle_beats(app_t *app) {
             .amplitude_rad = beat.applied_rad,
             .reference_m_s = beat.reference_m_s,
             .speed = beat.speed,
-            .saturated = beat.amplitude_rad != beat.applied_rad,
+            .saturated = beat.amplitude_rad > beat.applied_rad,
         };
         link_beat(&app->link, &message);
     }

@@ -54,7 +54,7 @@ static law_report_t judged(const law_t *law, const law_trial_t *trial, const flo
         if (is_measured(trial, k)) {
             report.measured_beats++;
         }
-        if (law_saturate(law, amplitude_rad[k]) != amplitude_rad[k]) {
+        if (amplitude_rad[k] > law->amplitude_max_rad) {
             report.saturated_beats++;
         }
     }

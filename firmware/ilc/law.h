@@ -53,7 +53,8 @@ typedef struct {
     float max_abs_error_m_s; /* over measured beats */
     float rms_error_m_s;     /* over measured beats */
     uint16_t measured_beats;
-    uint16_t saturated_beats; /* beats whose old input lay outside [0, amplitude_max] */
+    uint16_t saturated_beats; /* beats whose old input was above amplitude_max: the tail could not
+                                 do what was asked. Below 0 a beat just rests. */
 } law_report_t;
 
 typedef enum {

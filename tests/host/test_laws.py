@@ -33,7 +33,7 @@ def test_update_is_the_thesis_law_bit_for_bit(lead: int) -> None:
     following, report = laws.update(law, u, e)
     assert following.tobytes() == plain_step(law, u, e).tobytes()
     assert report.max_abs_error_m_s == np.abs(e).max()
-    assert report.saturated_beats == np.count_nonzero((u < 0) | (u > F(math.pi / 4)))
+    assert report.saturated_beats == np.count_nonzero(u > F(math.pi / 4))
 
 
 def test_old_input_is_saturated_before_the_correction() -> None:

@@ -53,7 +53,7 @@ static void test_the_old_input_is_saturated_before_the_correction(void) {
     set(e, (float[]){0.1f, -0.1f}, 2);
     TEST_ASSERT_EQUAL(LAW_OK, update(2));
     check((float[]){1.1853982f, -0.4f}, 2);
-    TEST_ASSERT_EQUAL(2, report.saturated_beats);
+    TEST_ASSERT_EQUAL(1, report.saturated_beats);
 }
 
 static void test_an_unreachable_target_does_not_wind_up(void) {
