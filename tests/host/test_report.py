@@ -61,7 +61,7 @@ def test_page_stands_alone(tmp_path: Path) -> None:
     assert not re.search(r"(src|href)=[\"'](?!data:)", page)
     assert "http" not in page
     assert "A &lt;fish&gt;" in page
-    assert "SIMULATED" in page
+    assert "(simulated)" in page
     assert "10.40 mm/s" in page
     assert page.count("<tr") >= 1 + 1 + 6 + 2
     assert page.count('class="best"') == 1
@@ -70,4 +70,4 @@ def test_page_stands_alone(tmp_path: Path) -> None:
 def test_a_real_fish_is_not_called_simulated(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     write_html(replace(series(), simulated=False), b"png", path)
-    assert "SIMULATED" not in path.read_text()
+    assert "(simulated)" not in path.read_text()

@@ -11,10 +11,8 @@ from tailbeat.report.data import Series, Swim
 
 _CSS = """
 body{font:16px/1.5 system-ui,sans-serif;color:#222;max-width:1100px;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.7rem;margin:0}h2{font-size:1.15rem;margin:2rem 0 .5rem}
-p.sub{color:#555;margin:.2rem 0 1rem}img{width:100%;height:auto}
-.tag{font-size:.8rem;font-weight:700;background:#333;color:#fff;border-radius:4px;
-padding:.15rem .5rem;vertical-align:middle;margin-left:.6rem;letter-spacing:.05em}
+h1{position:absolute;left:-9999px}h2{font-size:1.15rem;margin:2rem 0 .5rem}
+img{width:100%;height:auto}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}
 th,td{padding:.3rem .8rem;text-align:right;border-bottom:1px solid #ddd}
 th{border-bottom:2px solid #333;font-weight:600}td.l,th.l{text-align:left}
@@ -25,17 +23,17 @@ tr.best td{font-weight:700}
 
 
 def write_html(series: Series, png: bytes, path: Path) -> None:
-    """Writes the report; everything it shows is inside the file."""
+    """Writes the report; everything it shows is inside the file. The picture carries the title; the
+    heading is there for those who hear the page."""
     picture = base64.b64encode(png).decode("ascii")
-    tag = '<span class="tag">SIMULATED</span>' if series.simulated else ""
+    simulated = " (simulated)" if series.simulated else ""
     page = f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(series.title)}</title>
 <meta name="viewport" content="width=device-width">
 <style>{_CSS}</style></head><body>
-<h1>{escape(series.title)}{tag}</h1>
-<p class="sub">{escape(series.subtitle)}</p>
+<h1>{escape(series.title)}</h1>
 <img alt="{escape(_alt(series))}" src="data:image/png;base64,{picture}">
-<h2>Trials</h2>
+<h2>Trials{simulated}</h2>
 {_trials(series)}
 {_floor(series)}
 <div class="cols">
