@@ -36,7 +36,7 @@ class Native:
 
 @cache
 def load(folder: Path = HERE) -> Native:
-    """Loads the library out of |folder|.
+    """Loads the library out of ``folder``.
 
     Raises:
         NativeLibraryError: when it is not there or was built for another machine.

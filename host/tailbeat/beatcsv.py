@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
+from tailbeat.errors import InputError, reason
 
 Floats = NDArray[np.float32]
 
@@ -34,7 +34,7 @@ def read_column(path: Path, column: str, gaps: bool = False) -> Floats:
 def read_speeds(path: Path, beats: int, beat_s: float) -> Floats:
     """Speeds per beat: from ``beat,speed_m_s`` as they are, from ``t_s,v_m_s`` as means over each
     beat (NaN where a beat is not covered). float32, shape (beats,)."""
-    if "speed_m_s" in _header(path):
+    if "speed_m_s" in _header(read_table(path, "t_s,v_m_s or beat,speed_m_s")):
         values = read_column(path, "speed_m_s", gaps=True)
         if len(values) != beats:
             raise InputError(
@@ -81,23 +81,25 @@ def _at(
     return float(distance[i] + speed[i] * dt + slope * dt**2 / 2)
 
 
-def _table(path: Path) -> list[list[str]]:
+def read_table(path: Path, columns: str) -> list[list[str]]:
+    """The cells of a CSV file; ``columns`` are named when it is none. Raises InputError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {error}.", "Give a CSV file.") from error
-    return list(csv.reader(text.splitlines()))
+        return list(csv.reader(text.splitlines()))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        remedy = f"Give a CSV file with the columns {columns}."
+        raise InputError(f"cannot read {path} ({reason(error)}).", remedy) from error
 
 
-def _header(path: Path) -> list[str]:
-    table = _table(path)
+def _header(table: list[list[str]]) -> list[str]:
     return [cell.strip() for cell in table[0]] if table else []
 
 
 def _rows(path: Path, columns: tuple[str, str]) -> list[tuple[int, str, str]]:
     """(row number, first cell, second cell) of every row that is not empty."""
     wanted = ",".join(columns)
-    header = _header(path)
+    table = read_table(path, wanted)
+    header = _header(table)
     for column in columns:
         if column not in header:
             raise InputError(
@@ -106,7 +108,7 @@ def _rows(path: Path, columns: tuple[str, str]) -> list[tuple[int, str, str]]:
             )
     at = [header.index(column) for column in columns]
     rows = []
-    for number, row in enumerate(_table(path)[1:], start=2):
+    for number, row in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in row):
             first, second = (row[i].strip() if i < len(row) else "" for i in at)
             rows.append((number, first, second))

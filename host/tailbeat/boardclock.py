@@ -49,11 +49,6 @@ class BoardClock:
         link.subscribe(self._hear)
 
     @property
-    def synced(self) -> bool:
-        """Whether board_s can be trusted."""
-        return self._best is not None
-
-    @property
     def round_trip_s(self) -> float:
         """Round trip of the exchange in use; infinite before the first."""
         return self._best.round_trip_s if self._best else float("inf")

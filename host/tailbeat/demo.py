@@ -73,7 +73,7 @@ class DemoResult:
     plant: str
     gain: float
     lead: int
-    seed: int
+    seed: int | None  # None: not simulated in this process
     floor_m_s: float | None
     floor_lsq_m_s: float | None
     trials: list[DemoTrial]
@@ -126,7 +126,7 @@ class _Demo:
             plant=self.plant,
             gain=self.options.gain,
             lead=self.lead,
-            seed=self.options.seed,
+            seed=self.sim.seed if self.sim else None,
             floor_m_s=floor[0],
             floor_lsq_m_s=floor[1],
             trials=self.rows,
@@ -172,7 +172,7 @@ class _Demo:
                 "made_by": "demo",
                 "simulated": self.info.simulated,
                 "plant": self.plant,
-                "seed": self.options.seed,
+                "seed": self.sim.seed if self.sim else None,
                 "simulator": self.sim.config if self.sim else None,
                 "params": self.params,
                 "firmware": self.info.build_id,
@@ -191,6 +191,8 @@ class _Demo:
         with tempfile.TemporaryDirectory() as folder:
             pulled = fish.pull_trial(outcome.number, Path(folder))
             path = experiment.add_raw(pulled.name, pulled.read_bytes())
+        if outcome.interrupted:
+            raise KeyboardInterrupt
         trial = read_trial(path)
         if trial.problems:
             raise TailbeatError(f"{path.name}: {trial.problems[0]}.", "Look at the file.")
@@ -235,7 +237,9 @@ class _Demo:
             return None, None
         from tailbeat.floor import floor, plant_config
 
-        config = plant_config(self.plant, self.options.overrides)
+        fixed = ("seed", "plant")
+        values = {name: v for name, v in self.sim.config.items() if name not in fixed}
+        config = plant_config(self.plant, values)
         found = floor(config, self.reference, AMPLITUDE_MAX_RAD)
         return found.minimax_m_s, found.lsq_max_abs_m_s
 

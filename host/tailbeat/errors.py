@@ -47,3 +47,8 @@ class Refused(TailbeatError):
         self.number = number
         self.name = name
         self.meaning = meaning
+
+
+def reason(error: Exception) -> str:
+    """Why the system refused, without its numbers and paths."""
+    return str(getattr(error, "strerror", None) or error)

@@ -16,7 +16,7 @@ from tailbeat import records, results
 from tailbeat.boardclock import BoardClock
 from tailbeat.camera.base import Camera, Frame
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
-from tailbeat.errors import ConnectError
+from tailbeat.errors import ConnectError, TransferError
 from tailbeat.faults import NO_REFERENCE, NO_TRIAL, refusal
 from tailbeat.ftp import FtpClient, FtpError, Progress
 from tailbeat.link import Link, Message, text_of
@@ -39,6 +39,7 @@ TRIALS = "/trials"
 LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
 _AMPLITUDES_PER_PIECE = 32
 _FTP_NOT_FOUND = 10
+_STEADY_TRIES = 5
 _NAME = "tailbeat "
 
 Event = dict[str, Any]
@@ -196,7 +197,7 @@ class Fish:
 
     def amplitudes(self, best: bool = False) -> Amplitudes:
         """The amplitudes that swim next (unsaturated) or the best so far (as swum), bit for bit."""
-        while True:
+        for _ in range(_STEADY_TRIES):
             first = self._amplitudes_piece(0, best)
             values = list(first.amplitude_rad[: first.count])
             steady = True
@@ -205,9 +206,10 @@ class Fish:
                 steady = piece.count > 0 and _same_series(piece, first)
                 values += piece.amplitude_rad[: piece.count]
             if steady:
-                break
-        return Amplitudes(
-            first.iteration, first.beats, first.reference_crc, np.array(values, dtype=np.float32)
+                array = np.array(values, dtype=np.float32)
+                return Amplitudes(first.iteration, first.beats, first.reference_crc, array)
+        raise TransferError(
+            "the board's amplitudes change while they are read", "Try again when it is idle."
         )
 
     def trials(self) -> list[TrialFile]:
@@ -249,7 +251,8 @@ class Fish:
     def default_camera(self) -> Camera | None:
         """The camera that belongs to a simulated board; None for a real one."""
         if isinstance(self.transport, SimTransport):
-            return SimulatedCamera(self.transport.board)
+            board = self.transport.board
+            return SimulatedCamera(board) if board.config["camera_fps"] > 0 else None
         if isinstance(self.transport, TcpTransport) and self._kind() != "fish":
             try:
                 return RemoteCamera(self.transport.host, self.transport.port + 1)

@@ -26,6 +26,7 @@ _CRC32, _BURST = 14, 15
 _ACK, _NACK = 128, 129
 _EOF, _NO_SESSION, _INVALID_SESSION = 6, 5, 4
 _BURST_SEQ_SPAN = 1024  # more than any burst has packets
+_ENTRIES_MAX = 10_000  # far more than fit on any board
 _TRIES = 10  # a frame of full length is the likeliest to be hit
 _STALLS_MAX = 8  # rounds without a new byte before a transfer is given up
 _ERRORS = {
@@ -84,7 +85,7 @@ class FtpClient:
         """Entries of a folder, as the board orders them."""
         found: list[RemoteFile] = []
         entries = 0
-        while True:
+        while entries < _ENTRIES_MAX:
             try:
                 reply = self._request(_LIST, path, offset=entries, data=path.encode())
             except FtpError as error:
@@ -96,6 +97,7 @@ class FtpClient:
                 return found
             entries += len(rows)
             found += [f for f in map(_remote_file, rows) if f is not None]
+        raise TransferError(f"{path} has no end", "Power the board off and on, and try again.")
 
     def crc32(self, path: str) -> int:
         """CRC-32 of a whole file, computed by the board."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tailbeat.errors import InputError
+from tailbeat.errors import InputError, reason
 
 Floats = NDArray[np.float32]
 
@@ -95,7 +95,8 @@ def load(path: Path) -> Law:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"cannot read {path}: {error}.", 'Give a file like {"kp_rad_s_m": 4, "lead_beats": 1}.'
+            f"cannot read {path} ({reason(error)}).",
+            'Give a file like {"kp_rad_s_m": 4, "lead_beats": 1}.',
         ) from error
     if not isinstance(raw, dict):
         raise InputError(f"{path.name} holds no JSON object.", 'Write it like {"kp_rad_s_m": 4}.')

@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from tailbeat import _dialect as mavlink
@@ -28,18 +27,11 @@ TRIES = 6
 _BACKOFF = 1.3
 _TIMEOUT_MAX_S = 2.0
 _INBOX_MAX = 8192
+_PROGRESS_MAX = 100  # of "in progress" before a command is said again
 _MARKER = 0xFD
 _HEADER_BYTES = 10
 _CRC_BYTES = 2
 _SIGNATURE_BYTES = 13
-
-
-@dataclass(frozen=True)
-class StatusText:
-    """One line of text from the board; ``severity`` is a MAV_SEVERITY (0 worst … 7)."""
-
-    severity: int
-    text: str
 
 
 class Framer:
@@ -105,8 +97,6 @@ class Link:
     ) -> None:
         self.transport = transport
         self.rate = 1.0
-        self.latest: dict[str, Message] = {}
-        self.texts: deque[StatusText] = deque(maxlen=200)
         self.last_heard_s = transport.now_s()
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
         self.framer = Framer(self.mav)
@@ -265,8 +255,12 @@ class Link:
             return bool(message.command == command)
 
         ack = self.recv("COMMAND_ACK", patience_s, fits)
-        while ack is not None and ack.result == mavlink.MAV_RESULT_IN_PROGRESS:
+        for _ in range(_PROGRESS_MAX):
+            if ack is None or ack.result != mavlink.MAV_RESULT_IN_PROGRESS:
+                break
             ack = self.recv("COMMAND_ACK", patience_s, fits)
+        else:
+            return None
         if ack is not None and _denied(ack):
             raise _refused(ack)
         return ack
@@ -292,12 +286,8 @@ class Link:
             header = message.get_header()
             if header.srcSystem != BOARD_SYSTEM or header.srcComponent != BOARD_COMPONENT:
                 continue
-            kind = message.get_type()
             self.last_heard_s = now
-            self.latest[kind] = message
             self._inbox.append(message)
-            if kind == "STATUSTEXT":
-                self.texts.append(StatusText(message.severity, text_of(message.text)))
             for callback in tuple(self._callbacks):
                 callback(message)
 

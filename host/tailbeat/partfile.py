@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 
 class PartFile:
@@ -17,7 +18,7 @@ class PartFile:
         self._part = local.with_name(local.name + ".part")
         self._note = local.with_name(local.name + ".part.json")
         self._crc = crc
-        self._handle: int | None = None
+        self._file: BinaryIO | None = None
 
     def begin(self, size: int) -> None:
         """Takes over what is there if it is of the same file; else starts empty."""
@@ -28,21 +29,22 @@ class PartFile:
                 self.data += self._part.read_bytes()[:size]
         if not self.data:
             self._note.write_text(json.dumps(note))
-        self._handle = os.open(self._part, os.O_WRONLY | os.O_CREAT, 0o644)
-        os.ftruncate(self._handle, len(self.data))
-        os.lseek(self._handle, 0, os.SEEK_END)
+        self._file = self._part.open("ab")
+        self._file.truncate(len(self.data))
 
     def append(self, data: bytes) -> None:
         """Keeps bytes that extend the beginning."""
-        assert self._handle is not None
-        os.write(self._handle, data)
+        assert self._file is not None
+        self._file.write(data)
 
     def close(self) -> None:
         """Leaves the beginning on disk."""
-        if self._handle is not None:
-            os.fsync(self._handle)
-            os.close(self._handle)
-        self._handle = None
+        if self._file is None:
+            return
+        with self._file as file:
+            self._file = None
+            file.flush()
+            os.fsync(file.fileno())
 
     def finish(self) -> None:
         """The file is whole: gives it its name."""

@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.beatcsv import read_table
 from tailbeat.errors import InputError
 
 Array = NDArray[np.float64]
@@ -252,13 +253,7 @@ def from_csv(path: Path, beat_s: float = 1.0) -> Reference:
 
 
 def _read_points(path: Path) -> tuple[Array, Array]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"cannot read {path}: {error}.", "Give a CSV file with the columns t_s,v_m_s."
-        ) from error
-    rows = list(csv.reader(text.splitlines()))
+    rows = read_table(path, "t_s,v_m_s")
     if not rows:
         raise InputError(f"{path.name} is empty.", "It needs a header t_s,v_m_s and numbers.")
     header = [cell.strip() for cell in rows[0]]

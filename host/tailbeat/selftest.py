@@ -27,7 +27,7 @@ class SelftestError(TailbeatError):
 
 @dataclass(frozen=True)
 class SelftestResult:
-    """One test; |suite| is the executable it belongs to."""
+    """One test; ``suite`` is the executable it belongs to."""
 
     name: str
     suite: str
@@ -63,7 +63,7 @@ def is_source_tree(folder: Path) -> bool:
 
 
 def find_source(starts: Iterable[Path] | None = None) -> Path:
-    """The source tree at or above one of |starts|.
+    """The source tree at or above one of ``starts``.
 
     Raises:
         SelftestError: when there is none.
@@ -95,7 +95,7 @@ def build_step(command: list[str]) -> None:
 
 
 def build_tests(source: Path, build: Path) -> list[Path]:
-    """Builds tests/unit, sanitized, in |build|; returns the executables."""
+    """Builds tests/unit, sanitized, in ``build``; returns the executables."""
     configure = ["cmake", "-S", str(source), "-B", str(build), "-DTAILBEAT_SANITIZE=ON"]
     configure += ["-DTAILBEAT_COVERAGE=ON", "-DTAILBEAT_NATIVE=OFF", "-DTAILBEAT_TESTS=ON"]
     configure += [f"-DPython_EXECUTABLE={sys.executable}"]

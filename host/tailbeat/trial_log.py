@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
+from tailbeat.errors import InputError, reason
 from tailbeat.reference import BEATS_MAX
 
 Floats = NDArray[np.float32]
@@ -96,7 +96,9 @@ def read_trial(path: Path) -> Trial:
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise InputError(f"cannot read {path}: {error}.", "Pull the trial again.") from error
+        raise InputError(
+            f"cannot read {path} ({reason(error)}).", "Pull the trial again."
+        ) from error
     return parse_trial(raw, path.name)
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from tailbeat import _dialect as mavlink
 from tailbeat.camera.base import Camera
@@ -21,7 +22,7 @@ SOURCE_VISION = 0
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SILENCE_S = 3.0  # of board time, after which the link counts as lost
 _SETTLE_MARGIN_S = 2.0
-_STOP_TIMEOUT_S = 10.0
+_STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
 _NAN = math.nan
 
@@ -42,6 +43,9 @@ class _Run:
     status: BoardStatus | None = None
     stopped_at_s: float | None = None
     abort_reason: str | None = None
+    abort_wanted: bool = False
+    progress: tuple[str, int] | None = None
+    progress_at_s: float = 0.0
     interrupted: bool = False
     restarted: bool = False
     fit: BeatFit = field(default_factory=BeatFit)
@@ -58,9 +62,9 @@ def run_trial(
 
     Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
     speeds go to the board as they come. ``guard`` sees every frame and beat and aborts the trial by
-    returning a reason. Ctrl-C aborts, waits for the stop and returns (``interrupted``). When the
-    link breaks this tries for ``reconnect_s`` to learn how the trial ended, then raises
-    LinkLostError; the board stops by its own rules.
+    returning a reason. Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
+    one ends the waiting. When the link breaks this tries for ``reconnect_s`` to learn how the trial
+    ended, then raises LinkLostError; the board stops by its own rules.
     """
     own_camera = None
     if camera is None:
@@ -99,6 +103,15 @@ def _prepare(run: _Run) -> None:
 
 
 def _start(run: _Run) -> None:
+    try:
+        _command_start(run)
+    except KeyboardInterrupt:
+        with contextlib.suppress(TailbeatError):
+            run.fish.abort()  # the board may have got the command already
+        raise
+
+
+def _command_start(run: _Run) -> None:
     fish = run.fish
     status = fish.status()
     run.number = status.next_trial
@@ -108,6 +121,7 @@ def _start(run: _Run) -> None:
     issued_s = fish.clock.now_s()
     fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, float(run.number), issued_s)
     run.status = None
+    run.progress_at_s = fish.transport.now_s()
     if run.camera is not None:  # until now the fish may have been carried or adrift
         run.camera.frames()
         run.fit.reset()
@@ -134,36 +148,48 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
     if run.status is not None and status.time_s < run.status.time_s:
         run.restarted = True
     run.status = status
+    if run.progress != (status.state, status.beat):
+        run.progress = (status.state, status.beat)
+        run.progress_at_s = run.fish.link.transport.now_s()
 
 
 def _consult(run: _Run, what: object) -> None:
     if run.guard is not None and run.abort_reason is None:
-        run.abort_reason = run.guard(what)  # type: ignore[arg-type]
+        run.abort_reason = run.guard(what) or None  # type: ignore[arg-type]
+        if run.abort_reason is not None:
+            run.abort_wanted = True
+            run.emit({"event": "guard", "reason": run.abort_reason})
 
 
 def _step(run: _Run) -> None:
     """One wait, and what it brought."""
     link = run.fish.link
     try:
+        if run.abort_wanted and run.stopped_at_s is None:
+            run.fish.abort()
+            run.abort_wanted = False  # only now: what a broken link swallowed is said again
         link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
         link.flush()
         _send_speeds(run)
         run.fish.clock.keep()
-        if run.abort_reason is not None and run.stopped_at_s is None:
-            _abort_once(run)
     except LinkLostError:
         _reconnect(run)
         return
     silent_s = (link.transport.now_s() - link.last_heard_s) * run.fish.clock.rate
     if silent_s > _SILENCE_S:
         _reconnect(run)
+    if (link.transport.now_s() - run.progress_at_s) * run.fish.clock.rate > _STALL_S + run.settle_s:
+        _give_up(run)
 
 
-def _abort_once(run: _Run) -> None:
-    reason, run.abort_reason = run.abort_reason, ""
-    if reason:
-        run.emit({"event": "guard", "reason": reason})
+def _give_up(run: _Run) -> NoReturn:
+    with contextlib.suppress(TailbeatError):
         run.fish.abort()
+    state = run.status.state if run.status else "nothing"
+    raise TailbeatError(
+        f"trial {run.number} makes no progress; the board says {state} and was told to stop",
+        "Look with 'tailbeat info'; switch it off if the tail still beats.",
+    )
 
 
 def _send_speeds(run: _Run) -> None:
@@ -203,10 +229,11 @@ def _is_over(run: _Run) -> bool:
 
 
 def _interrupt(run: _Run) -> None:
-    """Ctrl-C: the tail stops first; a second one during that ends the waiting."""
-    run.interrupted = True
+    """Ctrl-C: the tail stops first; a second one ends the waiting."""
+    if run.interrupted:
+        raise KeyboardInterrupt
+    run.interrupted = run.abort_wanted = True
     run.emit({"event": "interrupted"})
-    run.fish.abort()
 
 
 def _reconnect(run: _Run) -> None:
@@ -219,12 +246,13 @@ def _reconnect(run: _Run) -> None:
         try:
             link.reopen()
             status = BoardStatus.of(link.request("TAILBEAT_STATUS"))
+            run.fish.clock.sync()
         except (ConnectError, LinkLostError):
             _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
             retry_s = min(2 * retry_s, 5.0)
             continue
         run.fit.reset()
-        run.fish.clock.sync()
+        run.progress_at_s = link.transport.now_s()
         run.emit({"event": "link_back", "state": status.state})
         return
     raise LinkLostError(

@@ -235,3 +235,58 @@ def test_start_is_quick_because_nothing_heavy_is_imported() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_what_the_system_refuses_is_one_line(alone: Shell, tmp_path: Path) -> None:
+    taken = tmp_path / "file"
+    taken.write_text("x")
+    assert str(taken) in alone.fails("demo", "--trials", "1", "--out", str(taken))
+    assert str(taken) in alone.fails("trial", "pull", "--into", str(taken))
+    long = tmp_path / "long.csv"
+    long.write_text("t_s,v_m_s\n" + "1" * 200_000)
+    assert "cannot read" in alone.fails("reference", "check", str(long))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_behind_the_output() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", "from tailbeat.cli import main; main()", "--version"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("tailbeat: cannot use the output")
+    assert done.stderr.count("\n") == 1
+
+
+def test_numbers_out_of_range(board: Shell) -> None:
+    for words in (("learn",), ("trial", "pull"), ("trial", "discard")):
+        board.fails(*words, "9" * 60, status=2)
+        board.fails(*words, "0", status=2)
+    board.fails("speed", "upload", "9" * 12, "speed.csv", status=2)
+    assert "cannot read" in board.fails("trial", "show", "\u00b2")
+
+
+def test_a_seed_out_of_range(alone: Shell) -> None:
+    assert "is no seed" in alone.fails("demo", "--seed", "9" * 30)
+
+
+def test_camera_addresses(board: Shell) -> None:
+    assert "no TCP address" in board.fails("trial", "run", "--camera", "pond")
+    assert "no camera answers" in board.fails("trial", "run", "--camera", "tcp:127.0.0.1:1")
+
+
+def test_a_pull_that_was_broken_off_does_not_disturb_the_next(board: Shell, tmp_path: Path) -> None:
+    board.text("reference", "upload", "trapezoid:0.05,1,1")
+    number = board.json("trial", "run")["number"]
+    board.text("trial", "discard")
+    words = ("experiment", "new", "--reference", "thesis", "--root", str(tmp_path))
+    folder = Path(board.json(*words)["folder"])
+    (folder / ".pulling").mkdir()
+    (folder / ".pulling" / "9999.ulg.part").write_bytes(b"ULog")
+    files = board.json("trial", "pull", str(number), "--into", str(folder))["files"]
+    assert Path(files[0]).parent == folder / "raw"
+    assert (folder / ".pulling" / "9999.ulg.part").exists()

@@ -67,7 +67,7 @@ def test_folder_is_an_experiment_with_a_report(tank: tuple[DemoResult, Path]) ->
     assert [trial.iteration for trial in experiment.trials()] == [1, 2, 3]
     assert experiment.settings()["params"]["LAW_LEAD"] == 1
     assert result.report == folder / "report.html"
-    assert "SIMULATED" in result.report.read_text()
+    assert "A simulated fish" in result.report.read_text()
     assert (folder / "report.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -104,3 +104,13 @@ def test_a_bit_of_difference_is_noticed(tank: tuple[DemoResult, Path]) -> None:
     first.beats.speed_m_s[7] = np.nextafter(first.beats.speed_m_s[7], np.float32(9))
     with pytest.raises(Mismatch, match="beat means"):
         compare(first, law, learned)
+
+
+def test_what_the_address_says_about_the_simulator_holds(tmp_path: Path) -> None:
+    url = "sim:tank?seed=9&kappa=6"
+    told = run_demo(DemoOptions(trials=1, connect=url, out=tmp_path / "a"))
+    same = DemoOptions(trials=1, seed=9, overrides={"kappa": 6.0}, out=tmp_path / "b")
+    expected = run_demo(same)
+    assert told.seed == 9
+    assert told.floor_m_s == expected.floor_m_s
+    assert told.trials == expected.trials

@@ -131,3 +131,22 @@ def test_exports_agree(swum: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(matrices["speed_m_s"].ravel(), from_csv.astype(np.float64))
     wanted = [float(row["reference_m_s"]) for row in rows[:40]]
     np.testing.assert_array_equal(np.array(wanted, np.float32), reference.thesis().speed_m_s)
+
+
+def test_damaged_settings_are_told(tmp_path: Path) -> None:
+    experiment = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
+    for text in ("{", "[]"):
+        (experiment.folder / "settings.json").write_text(text)
+        with pytest.raises(InputError, match="is damaged"):
+            experiment.settings()
+
+
+def test_a_raw_file_whose_sum_was_not_listed_is_listed_next_time(tmp_path: Path) -> None:
+    experiment = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
+    path = experiment.add_raw("0001.ulg", b"trial")
+    sums = experiment.raw / "SHA256SUMS"
+    listed = sums.read_text()
+    sums.write_text("")  # as if the power had gone between the file and its sum
+    assert experiment.add_raw("0001.ulg", b"trial") == path
+    assert experiment.add_raw("0001.ulg", b"trial") == path
+    assert sums.read_text() == listed

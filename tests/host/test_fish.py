@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tailbeat import _dialect as mavlink
 from tailbeat import records
 from tailbeat.camera.base import Frame
-from tailbeat.errors import ConnectError, LinkLostError, Refused
+from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError, TransferError
 from tailbeat.fish import Fish
 from tailbeat.results import BeatEvent
 
@@ -249,3 +250,106 @@ def test_no_board_behind_the_address() -> None:
     with pytest.raises(ConnectError) as missing:
         Fish.connect("sim:tank", boot_s=1000.0)
     assert "no tailbeat board" in str(missing.value)
+
+
+def test_an_abort_the_link_swallowed_is_said_again(
+    ready: Fish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = []
+    abort = ready.abort
+
+    def first_one_lost() -> None:
+        said.append("abort")
+        if len(said) == 1:
+            raise LinkLostError("the link broke")
+        abort()
+
+    monkeypatch.setattr(ready, "abort", first_one_lost)
+    outcome = ready.run_trial(guard=lambda what: "wall" if isinstance(what, BeatEvent) else None)
+    assert outcome.end == "aborted:ABORT_COMMAND"
+    assert len(said) == 2
+
+
+def test_ctrl_c_before_the_start_is_acknowledged_stops_the_tail(
+    ready: Fish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert ready.sim is not None
+    command = ready.link.command
+
+    def press(number: int, *params: float, **more: float) -> object:
+        ack = command(number, *params, **more)
+        if number == mavlink.TAILBEAT_CMD_TRIAL_START:
+            raise KeyboardInterrupt
+        return ack
+
+    monkeypatch.setattr(ready.link, "command", press)
+    with pytest.raises(KeyboardInterrupt):
+        ready.run_trial()
+    assert not ready.sim.truth().swimming
+    assert ready.status().state == "ABORTED"
+
+
+def test_a_second_ctrl_c_ends_the_waiting(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
+    def press(event: dict) -> None:
+        if event["event"] in ("started", "link_lost"):
+            raise KeyboardInterrupt
+
+    def lost() -> None:
+        raise LinkLostError("the link broke")
+
+    monkeypatch.setattr(ready, "abort", lost)
+    monkeypatch.setattr(ready.clock, "keep", lambda: press({"event": "started"}))
+    with pytest.raises(KeyboardInterrupt):
+        ready.run_trial(on_event=lambda e: press(e) if e["event"] == "link_lost" else None)
+
+
+def test_a_trial_that_never_ends_is_given_up(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert ready.sim is not None
+    monkeypatch.setattr("tailbeat.trialrun._is_over", lambda run: False)
+    begin = ready.transport.now_s()
+    with pytest.raises(TailbeatError, match="makes no progress"):
+        ready.run_trial()
+    assert ready.transport.now_s() - begin < 120.0
+
+
+def test_a_link_that_breaks_again_while_coming_back_gets_its_time(
+    ready: Fish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert ready.sim is not None
+    board, sync, state = ready.sim, ready.clock.sync, {"cut": False, "failed": False}
+
+    def follow(event: dict) -> None:
+        if event["event"] == "beat" and not state["cut"]:
+            state["cut"] = True
+            board.set_radio(False)
+        if event["event"] == "link_lost":
+            board.set_radio(True)
+
+    def sync_once_lost() -> None:
+        if state["cut"] and not state["failed"]:
+            state["failed"] = True
+            raise LinkLostError("again")
+        sync()
+
+    monkeypatch.setattr(ready.clock, "sync", sync_once_lost)
+    assert ready.run_trial(on_event=follow).end == "complete"
+    assert state["failed"]
+
+
+def test_amplitudes_that_never_hold_still(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
+    piece = ready._amplitudes_piece
+    iterations = count()
+
+    def changing(first: int, best: bool) -> object:
+        message = piece(0, best)
+        message.count, message.iteration = 1, next(iterations)
+        return message
+
+    monkeypatch.setattr(ready, "_amplitudes_piece", changing)
+    with pytest.raises(TransferError, match="change while they are read"):
+        ready.amplitudes()
+
+
+def test_a_simulator_without_camera(reference: bytes) -> None:
+    with Fish.connect("sim:tank?camera_fps=0") as fish:
+        assert fish.default_camera() is None

@@ -80,6 +80,16 @@ def test_tcp_nobody_there(listener: socket.socket) -> None:
     assert "tailbeat sim" in str(refused.value)
 
 
+@pytest.mark.parametrize("url", ["tcp:..:5", "udp:..:5"])
+def test_names_no_host_can_have(url: str) -> None:
+    with pytest.raises(ConnectError):
+        find.open_transport(url)
+
+
+def test_tcp_version_6_in_brackets() -> None:
+    assert find.tcp_address("tcp:[::1]:5760") == ("::1", 5760)
+
+
 def test_tcp_reopens(listener: socket.socket) -> None:
     transport = TcpTransport("127.0.0.1", listener.getsockname()[1])
     first, _ = listener.accept()
@@ -149,7 +159,8 @@ def test_serial_missing() -> None:
 @pytest.mark.parametrize(
     "url",
     ["", "xyz", "tcp:", "tcp:host", "tcp:host:port", "tcp:h:99999", "udp:x", "sim:pond",
-     "sim?seed=x", "sim?nonsense=1", "sim?camera=1"],
+     "sim?seed=x", "sim?seed=nan", "sim?seed=-1", "sim?seed=1e30",
+     "sim?nonsense=1", "sim?camera=1"],
 )  # fmt: skip
 def test_senseless_addresses(url: str) -> None:
     with pytest.raises(InputError) as bad:

@@ -15,19 +15,11 @@ import pytest
 from tailbeat import records
 from tailbeat.fish import Fish
 
-START = "from tailbeat.cli import main; main()"
-
 
 @pytest.fixture
-def address() -> Iterator[str]:
-    """A simulated fish as a process of its own, 50 times as fast as the clock."""
-    command = [sys.executable, "-c", START, "sim", "--json", "--listen", "tcp:127.0.0.1:0"]
-    with subprocess.Popen([*command, "--speed", "50"], stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        try:
-            yield json.loads(server.stdout.readline())["listen"]
-        finally:
-            server.terminate()
+def address(simulator) -> Iterator[str]:
+    with simulator(50) as (listen, _):
+        yield listen
 
 
 CLIENT = """

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,19 +13,11 @@ from tailbeat.errors import LinkLostError
 from tailbeat.fish import Fish
 from tailbeat.transport.tcp import TcpTransport
 
-START = "from tailbeat.cli import main; main()"
-
 
 @pytest.fixture
-def address() -> Iterator[str]:
-    """A simulated fish as a process of its own, 20 times as fast as the clock."""
-    command = [sys.executable, "-c", START, "sim", "--json", "--listen", "tcp:127.0.0.1:0"]
-    with subprocess.Popen([*command, "--speed", "20"], stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        try:
-            yield json.loads(server.stdout.readline())["listen"]
-        finally:
-            server.terminate()
+def address(simulator) -> Iterator[str]:
+    with simulator(20) as (listen, _):
+        yield listen
 
 
 def cut(fish: Fish) -> None:
@@ -86,17 +75,14 @@ def test_cut_in_the_middle_of_a_trial(address: str) -> None:
         assert fish.learn().measured_beats >= 3
 
 
-def test_the_simulator_goes_away_for_good(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", START, "sim", "--json", "--listen", "tcp:127.0.0.1:0"]
-    with subprocess.Popen([*command, "--speed", "20"], stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
-        with Fish.connect(json.loads(server.stdout.readline())["listen"]) as fish:
-            with_reference(fish, 30)
+def test_the_simulator_goes_away_for_good(simulator) -> None:
+    with simulator(20) as (listen, server), Fish.connect(listen) as fish:
+        with_reference(fish, 30)
 
-            def follow(event: dict) -> None:
-                if event["event"] == "beat":
-                    server.kill()
+        def follow(event: dict) -> None:
+            if event["event"] == "beat":
+                server.kill()
 
-            with pytest.raises(LinkLostError) as lost:
-                fish.run_trial(on_event=follow, reconnect_s=1.0)
+        with pytest.raises(LinkLostError) as lost:
+            fish.run_trial(on_event=follow, reconnect_s=1.0)
     assert "did not come back" in str(lost.value)

@@ -8,7 +8,7 @@ import socket
 from typing import Literal
 
 from tailbeat.camera.base import Frame
-from tailbeat.errors import ConnectError
+from tailbeat.errors import ConnectError, reason
 from tailbeat.transport.simulated import SimBoard
 
 _CHUNK_BYTES = 65536
@@ -44,9 +44,10 @@ class RemoteCamera:
         self._rest = b""
         try:
             self._socket = socket.create_connection((host, port), 2.0)
-        except OSError as error:
+        except (OSError, UnicodeError, OverflowError) as error:
             raise ConnectError(
-                f"no simulated camera at {host}:{port}", "It comes with: tailbeat sim"
+                f"no camera answers at tcp:{host}:{port} ({reason(error)})",
+                "A simulated one comes with: tailbeat sim",
             ) from error
         self._socket.setblocking(False)
 

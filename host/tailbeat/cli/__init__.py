@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
+
+_OS_REMEDY = "Check the path, your rights there and the free space."
 
 
 def main() -> None:
@@ -15,10 +19,11 @@ def run(arguments: list[str] | None = None) -> int:
     import typer
 
     from tailbeat.cli.app import app
-    from tailbeat.errors import TailbeatError
+    from tailbeat.errors import TailbeatError, reason
 
     try:
         result = app(arguments, prog_name="tailbeat", standalone_mode=False)
+        sys.stdout.flush()  # here a full disk can still be told
     except TailbeatError as error:
         return _fail(str(error), 1)
     except typer.TyperException as error:
@@ -26,9 +31,21 @@ def run(arguments: list[str] | None = None) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return 130
     except BrokenPipeError:
-        sys.stdout = None  # the reader has gone; nothing is left to flush
+        _discard_stdout()  # the reader has gone
         return 1
+    except OSError as error:
+        _discard_stdout()
+        where = error.filename if error.filename is not None else "the output"
+        return _fail(f"cannot use {where} ({reason(error)}). {_OS_REMEDY}", 1)
     return result if isinstance(result, int) else 0
+
+
+def _discard_stdout() -> None:
+    """What could not be written is not tried again, and failed again, at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
 
 
 def _usage(error: object) -> str:

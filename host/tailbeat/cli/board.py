@@ -37,10 +37,12 @@ def _info_text(found: BoardInfo, health: dict[str, int | str]) -> str:
     status = found.status
     lines = [
         f"{found.board} board on {found.connection}, firmware {found.build_id}",
-        f"state      {_state(status)}, battery {status.battery_v:.2f} V",
+        f"state      {status.state}, battery {status.battery_v:.2f} V",
         f"reference  {_reference(status)}",
         f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
     ]
+    if status.fault.number:
+        lines.insert(2, f"stopped    {status.fault.meaning}. {status.fault.remedy}")
     if status.best_max_abs_error_m_s is not None:
         best = mm(status.best_max_abs_error_m_s)
         lines.append(f"best       {best} mm/s at iteration {status.best_iteration}")
@@ -51,12 +53,6 @@ def _info_text(found: BoardInfo, health: dict[str, int | str]) -> str:
     if bad:
         lines.append(f"counters   {', '.join(bad)}")
     return "\n".join(lines)
-
-
-def _state(status: BoardStatus) -> str:
-    if status.fault.number == 0:
-        return status.state
-    return f"{status.state}: {status.fault.meaning}. {status.fault.remedy}"
 
 
 def _reference(status: BoardStatus) -> str:

@@ -17,6 +17,8 @@ import typer
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
 
+TRIAL_MAX = 2**24 - 1  # trials travel as single precision numbers
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, nothing else.")]
 Connect = Annotated[
     str | None,

@@ -7,14 +7,15 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.cli.common import Connect, Json, connected, mm, say
+from tailbeat.cli.common import TRIAL_MAX, Connect, Json, connected, mm, say
 
 speed_app = typer.Typer(no_args_is_help=True, help="Speeds measured after the swim.")
 
 
 def learn(
     number: Annotated[
-        int | None, typer.Argument(metavar="[TRIAL]", help="Default: the pending one.")
+        int | None,
+        typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the pending one."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Compute the same numbers here; change nothing.")
@@ -89,7 +90,9 @@ def law(
 
 @speed_app.command("upload")
 def upload(
-    number: Annotated[int, typer.Argument(metavar="TRIAL", help="The pending trial.")],
+    number: Annotated[
+        int, typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="The pending trial.")
+    ],
     file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
     sigma_m_s: Annotated[
         float, typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s.")

@@ -75,8 +75,9 @@ def _demo_text(result: DemoResult) -> str:
     first, last = result.trials[0], result.trials[-1]
     down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
     lines = [
-        f"plant {result.plant}, gain {result.gain:g} rad s/m, lead {result.lead}, "
-        f"seed {result.seed}; errors in mm/s, over beats",
+        f"plant {result.plant}, gain {result.gain:g} rad s/m, lead {result.lead}"
+        + ("" if result.seed is None else f", seed {result.seed}")
+        + "; errors in mm/s, over beats",
         table(header, rows, left=(6,)),
         f"max|e| down {down * 100:.0f} % in {last.iteration} iterations; "
         "host and board agree bit for bit",

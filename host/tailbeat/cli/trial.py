@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tailbeat.cli.common import (
+    TRIAL_MAX,
     Connect,
     Json,
     connected,
@@ -24,7 +26,15 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Swim, and get the logs.")
 
-Number = Annotated[int | None, typer.Argument(metavar="[TRIAL]", help="Default: the last one.")]
+_LINK_NEWS = {
+    "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
+    "link_back": "the link is back",
+}
+
+Number = Annotated[
+    int | None,
+    typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the last one."),
+]
 
 
 @app.command()
@@ -50,6 +60,8 @@ def run(
                 show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
             elif event["event"] == "warning":
                 warnings.append(event["text"])
+            elif event["event"] in _LINK_NEWS:
+                typer.echo(f"tailbeat: {_LINK_NEWS[event['event']]}", err=True)
 
         outcome = fish.run_trial(_camera(camera), follow)
     for warning in warnings:
@@ -65,9 +77,9 @@ def _camera(address: str | None) -> Any:
     if address is None:
         return None
     from tailbeat.camera.simulated import RemoteCamera
-    from tailbeat.simserver import parse_listen
+    from tailbeat.transport.find import tcp_address
 
-    return RemoteCamera(*parse_listen(address))
+    return RemoteCamera(*tcp_address(address))
 
 
 def _outcome_text(outcome: TrialOutcome) -> str:
@@ -160,7 +172,8 @@ def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
         return path
     kept = experiment.add_raw(path.name, path.read_bytes())
     path.unlink()
-    folder.rmdir()
+    with contextlib.suppress(OSError):  # the beginning of another trial may lie there
+        folder.rmdir()
     return kept
 
 
@@ -178,7 +191,7 @@ def show(
     from tailbeat.trial_log import beats_csv, read_trial
 
     path = Path(what) if what is not None else None
-    if path is not None and (path.is_file() or not path.name.isdigit()):
+    if what is not None and path is not None and (path.is_file() or not what.isdecimal()):
         trial = read_trial(path)
     else:
         trial = _from_board(int(what) if what else None, connect, json)
@@ -233,7 +246,8 @@ def _trial_text(trial: Trial) -> str:
 @app.command()
 def discard(
     number: Annotated[
-        int | None, typer.Argument(metavar="[TRIAL]", help="Default: the pending one.")
+        int | None,
+        typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the pending one."),
     ] = None,
     connect: Connect = None,
     json: Json = False,

@@ -99,7 +99,13 @@ class Experiment:
 
     def settings(self) -> dict[str, Any]:
         """What was set when the trials were swum."""
-        values: dict[str, Any] = json.loads((self.folder / _SETTINGS).read_text(encoding="utf-8"))
+        path = self.folder / _SETTINGS
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            values = None
+        if not isinstance(values, dict):
+            raise InputError(f"{path} is damaged.", "Mend it by hand; it is a JSON object.")
         return values
 
     def write_settings(self, values: dict[str, Any]) -> None:
@@ -127,6 +133,7 @@ class Experiment:
         digest = hashlib.sha256(content).hexdigest()
         if path.exists():
             if hashlib.sha256(path.read_bytes()).hexdigest() == digest:
+                self._list_sum(digest, name)  # an earlier call may have ended before it did
                 return path
             raise InputError(
                 f"{path} is there already with other content.",
@@ -136,9 +143,15 @@ class Experiment:
         part.write_bytes(content)
         part.chmod(0o444)
         part.replace(path)
-        with (self.raw / _SUMS).open("a", encoding="utf-8") as file:
-            file.write(f"{digest}  {name}\n")
+        self._list_sum(digest, name)
         return path
+
+    def _list_sum(self, digest: str, name: str) -> None:
+        sums, line = self.raw / _SUMS, f"{digest}  {name}"
+        if sums.exists() and line in sums.read_text(encoding="utf-8").splitlines():
+            return
+        with sums.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
 
     def damaged(self) -> list[str]:
         """Names of raw files that are missing or differ from what was added."""

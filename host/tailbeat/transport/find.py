@@ -33,8 +33,7 @@ def open_transport(url: str | None = None, **sim_overrides: float) -> Transport:
     if sim_overrides:
         raise InputError("simulator values given for a board that is none", "Connect to sim.")
     if scheme == "tcp":
-        host, _, port = rest.rpartition(":")
-        return TcpTransport(host or DEFAULT_HOST, _port(port, url))
+        return TcpTransport(*tcp_address(url))
     if scheme == "udp":
         host, _, port = rest.rpartition(":")
         return UdpTransport(host or None, _port(port, url))
@@ -124,10 +123,19 @@ def _open_sim(url: str, overrides: dict[str, float]) -> SimTransport:
             what = f"{name}={text} is not a number"
             raise InputError(what, f"The address is {GRAMMAR}.") from None
     values.update(overrides)
-    seed = int(values.pop("seed", 1))
+    seed = values.pop("seed", 1)
     with contextlib.suppress(KeyError):
         plant = str(values.pop("plant"))
     return SimTransport(SimBoard(plant, seed, **values))
+
+
+def tcp_address(url: str) -> tuple[str, int]:
+    """``tcp:HOST:PORT`` to (host, port). Raises InputError."""
+    scheme, _, rest = url.partition(":")
+    if scheme != "tcp":
+        raise InputError(f"{url} is no TCP address", "Write it like tcp:127.0.0.1:5761.")
+    host, _, port = rest.rpartition(":")
+    return host.strip("[]") or DEFAULT_HOST, _port(port, url)
 
 
 def _port(text: str, url: str) -> int:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import serial
 from serial.tools import list_ports
 
-from tailbeat.errors import ConnectError, LinkLostError
+from tailbeat.errors import ConnectError, LinkLostError, reason
 
 BAUD = 115200
 _DUE_VENDOR = 0x2341
@@ -41,7 +41,7 @@ class SerialTransport:
             port.open()
         except (OSError, serial.SerialException) as error:
             raise ConnectError(
-                f"cannot open {self._path} ({_reason(error)})",
+                f"cannot open {self._path} ({reason(error)})",
                 "Check the cable, that no other program holds the port, and that you may use it"
                 " (on Linux: group dialout).",
             ) from error
@@ -123,8 +123,3 @@ def _poll(port: serial.Serial, timeout_s: float) -> None:
     deadline = time.monotonic() + timeout_s
     while not port.in_waiting and time.monotonic() < deadline:
         time.sleep(0.002)
-
-
-def _reason(error: Exception) -> str:
-    strerror = getattr(error, "strerror", None)
-    return str(strerror) if strerror else str(error)

@@ -48,19 +48,21 @@ class Truth:
 class SimBoard:
     """The firmware with a fish around it. Keyword overrides are the fields of sim_config_t."""
 
-    def __init__(self, plant: str = "tank", seed: int = 1, **overrides: float) -> None:
+    def __init__(self, plant: str = "tank", seed: float = 1, **overrides: float) -> None:
         if plant not in PLANTS:
             raise InputError(f"there is no plant {plant}", f"Use one of: {', '.join(PLANTS)}.")
+        if not 0 <= seed < 1 << 64 or seed != int(seed):
+            raise InputError(f"{seed} is no seed", "Give a whole number from 0 to 2^64 - 1.")
         config = ffi.new("sim_config_t *")
         lib.sim_config_default(config, PLANTS[plant])
-        config.seed = seed
+        config.seed = int(seed)
         for name, value in overrides.items():
             setattr(config, config_field(name), value)
         sim = lib.sim_new(config)
         if sim == ffi.NULL:
             raise InputError("the simulator cannot run with these values", "Check them: SI units.")
         self.plant = plant
-        self.seed = seed
+        self.seed = int(seed)
         self.config: dict[str, float] = {name: getattr(config, name) for name in config_fields()}
         self._sim: Any = ffi.gc(sim, lib.sim_free)
         self._bytes = ffi.new("uint8_t[]", _READ_BYTES)

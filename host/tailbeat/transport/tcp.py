@@ -7,7 +7,7 @@ import select
 import socket
 import time
 
-from tailbeat.errors import ConnectError, LinkLostError
+from tailbeat.errors import ConnectError, LinkLostError, reason
 
 _CHUNK_BYTES = 65536
 _QUEUE_MAX_BYTES = 1 << 20
@@ -30,9 +30,9 @@ class TcpTransport:
         self.close()
         try:
             new = socket.create_connection((self.host, self.port), self._connect_timeout_s)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter from a name that cannot be one
             raise ConnectError(
-                f"nothing answers at {self.name} ({error.strerror or error})",
+                f"nothing answers at {self.name} ({reason(error)})",
                 "Start a board there, for example: tailbeat sim",
             ) from error
         new.setblocking(False)

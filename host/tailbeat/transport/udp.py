@@ -6,7 +6,7 @@ import select
 import socket
 import time
 
-from tailbeat.errors import ConnectError, LinkLostError
+from tailbeat.errors import ConnectError, LinkLostError, reason
 
 _DATAGRAM_BYTES = 65536
 
@@ -31,10 +31,10 @@ class UdpTransport:
                 new.bind(("", self._port))
             else:
                 self._peer = (socket.gethostbyname(self._host), self._port)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             new.close()
             raise ConnectError(
-                f"cannot use {self.name} ({error.strerror or error})",
+                f"cannot use {self.name} ({reason(error)})",
                 "Check the address, and that no other program holds the port.",
             ) from error
         new.setblocking(False)
