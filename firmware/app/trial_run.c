@@ -45,6 +45,7 @@ void trial_run_started(trial_run_t *run, uint64_t start_us, store_t *store, cons
     complete.iteration = run->trial.iteration;
     complete.beats = run->trial.beats;
     complete.reference_crc = run->trial.reference_crc;
+    complete.beat_s = run->reference->beat_s;
     complete.start_us = start_us;
     run->start_us = start_us;
     run->next_battery_us = start_us;

@@ -147,6 +147,15 @@ static void put_start(trial_log_t *log, uint64_t start_us) {
     }
 }
 
+static void put_beat(trial_log_t *log, float beat_s) {
+    uint8_t *out = room(log);
+    if (out != NULL) {
+        uint8_t bytes[4];
+        (void)bytes_put_f32(bytes, beat_s);
+        keep(log, ulog_info(out, "float beat_s", bytes, sizeof bytes));
+    }
+}
+
 static void put_formats(trial_log_t *log) {
     for (unsigned id = 0; id < ID_COUNT; id++) {
         uint8_t *out = room(log);
@@ -165,6 +174,7 @@ static void put_infos(trial_log_t *log, const trial_log_header_t *header) {
     put_info_u32(log, "uint32_t iteration", header->iteration);
     put_info_u32(log, "uint32_t beats", header->beats);
     put_info_u32(log, "uint32_t reference_crc", header->reference_crc);
+    put_beat(log, header->beat_s);
     put_start(log, header->start_us);
 }
 

@@ -25,6 +25,7 @@ typedef struct {
     uint16_t iteration;
     uint16_t beats;
     uint32_t reference_crc;
+    float beat_s;
     uint64_t start_us;    /* board time of frame 0 */
     const char *build_id; /* zero-terminated, static */
     const char *board;    /* "fish", "simulated", "emulated" */

@@ -217,7 +217,7 @@ class _Demo:
             true_max_abs_error_m_s=true,
             max_abs_error_25hz_m_s=fine,
             saturated_beats=report.saturated_beats,
-            distance_m=distance_m(trial, self.reference.beat_s),
+            distance_m=distance_m(trial),
             duration_s=trial.executed_beats * self.reference.beat_s,
             end=trial.end,
         )
@@ -295,7 +295,7 @@ def compare(
     """Raises Mismatch unless the host gets the board's beat means and next amplitudes, bit for bit,
     from the trial's file."""
     beats = trial.beats
-    speed, _ = recompute_beats(trial, law.beat_s)
+    speed, _ = recompute_beats(trial)
     if not same_bits(speed, beats.speed_m_s):
         raise Mismatch(
             f"trial {trial.number}: the beat means recomputed from its file differ.",
@@ -320,9 +320,9 @@ def same_bits(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
     return bool(np.all(same | (np.isnan(a) & np.isnan(b))))
 
 
-def distance_m(trial: Trial, beat_s: float) -> float:
+def distance_m(trial: Trial) -> float:
     """Measured distance, m; beats without a speed count as 0."""
-    return float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * beat_s
+    return float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * trial.beat_s
 
 
 def plant_text(plant: str, sim: SimBoard | None) -> str:

@@ -57,6 +57,7 @@ class Trial:
     number: int
     iteration: int
     reference_crc: int
+    beat_s: float
     start_us: int
     board: str
     build_id: str
@@ -117,7 +118,7 @@ def parse_trial(raw: bytes, name: str = "trial") -> Trial:
             f"{name} is damaged before its first record: {error}.", "Pull the trial again."
         ) from error
     info = log.msg_info_dict
-    missing = [key for key in ("trial", "beats", "reference_crc") if key not in info]
+    missing = [key for key in ("trial", "beats", "reference_crc", "beat_s") if key not in info]
     if missing:
         raise InputError(
             f"{name} is no trial file: {', '.join(missing)} is missing.", "Pull the trial again."
@@ -165,6 +166,7 @@ def _trial(
         number=int(info["trial"]),
         iteration=int(info.get("iteration", 0)),
         reference_crc=int(info["reference_crc"]),
+        beat_s=float(info["beat_s"]),
         start_us=start_us,
         board=str(info.get("board", "")),
         build_id=str(info.get("ver_sw", "")),
@@ -214,7 +216,7 @@ def _battery(table: dict[str, Any] | None, start_us: int) -> list[tuple[float, f
     return [(float(t), float(v)) for t, v in zip(time, table["voltage_v"], strict=True)]
 
 
-def recompute_beats(trial: Trial, beat_s: float = 1.0) -> tuple[Floats, Floats]:
+def recompute_beats(trial: Trial) -> tuple[Floats, Floats]:
     """(speed_m_s, sigma_m_s) per beat from the logged slots, by the estimator the board runs.
 
     For trials measured by streamed vision they equal the logged ones bit for bit.
@@ -243,13 +245,13 @@ def recompute_beats(trial: Trial, beat_s: float = 1.0) -> tuple[Floats, Floats]:
     speed = np.full(beats, np.nan, dtype=np.float32)
     sigma = np.full(beats, np.nan, dtype=np.float32)
     for beat in range(min(beats, trial.executed_beats)):
-        begin = float(np.float32(beat) * np.float32(beat_s))
-        mean = lib.speed_beat_mean(slots, count, config, begin, beat_s)
+        begin = float(np.float32(beat) * np.float32(trial.beat_s))
+        mean = lib.speed_beat_mean(slots, count, config, begin, trial.beat_s)
         speed[beat], sigma[beat] = mean.speed_m_s, mean.sigma_m_s
     return speed, sigma
 
 
-def beats_csv(trial: Trial, path: Path, beat_s: float = 1.0) -> None:
+def beats_csv(trial: Trial, path: Path) -> None:
     """Writes one row per beat, units in the header; empty cells where nothing is known."""
     header = ["beat", "t_s", "amplitude_rad", "applied_rad", "reference_m_s", "speed_m_s"]
     header += ["sigma_m_s", "error_m_s", "samples"]
@@ -260,7 +262,7 @@ def beats_csv(trial: Trial, path: Path, beat_s: float = 1.0) -> None:
         out.writerow(header)
         for k in range(len(b.samples)):
             row = [_cell(column[k]) for column in (*columns, b.error_m_s)]
-            out.writerow([k, _cell((k + 0.5) * beat_s), *row, int(b.samples[k])])
+            out.writerow([k, _cell((k + 0.5) * trial.beat_s), *row, int(b.samples[k])])
 
 
 def slots_csv(trial: Trial, path: Path) -> None:

@@ -50,6 +50,7 @@ INFORMATION = {
     "iteration": 3,
     "beats": 40,
     "reference_crc": 0xCAFEF00D,
+    "beat_s": 1.0,
     "start_us": 10_000_000,
 }
 
