@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -60,7 +59,6 @@ def swim_one(address: str) -> bytes:
         fish.upload_reference(records.encode_reference(1.0, [0.05] * 20))
         assert fish.run_trial().end == "complete"
         fish.learn()
-        time.sleep(0.1)
         return fish.ftp.read("/trials/0001.ulg")
 
 
