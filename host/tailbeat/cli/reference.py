@@ -117,8 +117,6 @@ def check(what: What, connect: Connect = None, json: Json = False) -> None:
     reference = from_text(what)
     with connected(connect) as fish:
         problems = reference.check(_limits(fish))
-    if not json:
-        _refuse(problems)
-    say(json, _document(reference, reference.crc, problems), f"fits: {_line(reference)}")
-    if problems:
-        raise typer.Exit(1)
+    if json or not problems:
+        say(json, _document(reference, reference.crc, problems), f"fits: {_line(reference)}")
+    _refuse(problems)
