@@ -24,6 +24,7 @@ _SILENCE_S = 3.0  # of board time, after which the link counts as lost
 _SETTLE_MARGIN_S = 2.0
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
+_BLIND_S = 1.0  # of board time without a picture, after which somebody should look
 _NAN = math.nan
 
 
@@ -49,6 +50,8 @@ class _Run:
     interrupted: bool = False
     restarted: bool = False
     fit: BeatFit = field(default_factory=BeatFit)
+    seen_at_s: float = 0.0
+    blind: bool = False
 
 
 def run_trial(
@@ -125,6 +128,7 @@ def _command_start(run: _Run) -> None:
     if run.camera is not None:  # until now the fish may have been carried or adrift
         run.camera.frames()
         run.fit.reset()
+        run.seen_at_s = fish.transport.now_s()
     run.emit({"event": "started", "trial": run.number, "iteration": run.iteration})
 
 
@@ -196,7 +200,9 @@ def _send_speeds(run: _Run) -> None:
     if run.camera is None:
         return
     clock = run.fish.clock
-    for frame in run.camera.frames():
+    frames = run.camera.frames()
+    _watch_camera(run, seen=bool(frames))
+    for frame in frames:
         _consult(run, frame)
         sample = run.fit.add(frame.t_s, frame.x_m)
         if sample is None:
@@ -204,6 +210,18 @@ def _send_speeds(run: _Run) -> None:
         board_s = sample.t_s if run.camera.clock == "board" else clock.board_s(sample.t_s)
         if board_s > 0:
             run.fish.link.send(vision_message(board_s, sample))
+
+
+def _watch_camera(run: _Run, seen: bool) -> None:
+    """Says once when the pictures stop while the tail beats."""
+    now_s = run.fish.transport.now_s()
+    swimming = run.status is None or run.status.state == "RUNNING"
+    if seen or not swimming:
+        run.seen_at_s = now_s
+    blind = (now_s - run.seen_at_s) * run.fish.clock.rate > _BLIND_S
+    if blind and not run.blind:
+        run.emit({"event": "warning", "text": "the camera sends no pictures; beats go unmeasured"})
+    run.blind = blind
 
 
 def vision_message(board_s: float, sample: SpeedSample) -> Message:

@@ -219,6 +219,22 @@ def test_a_trial_without_camera_warns(ready: Fish, monkeypatch: pytest.MonkeyPat
     assert all(b.speed_m_s is None for b in outcome.beats)
 
 
+def test_a_camera_that_dies_in_the_middle_is_told_once(ready: Fish) -> None:
+    events: list[dict] = []
+
+    def follow(event: dict) -> None:
+        events.append(event)
+        if event["event"] == "beat" and event["beat"] == 2:
+            ready.sim.set_camera(False)
+
+    outcome = ready.run_trial(on_event=follow)
+    warnings = [e["text"] for e in events if e["event"] == "warning"]
+    assert warnings == ["the camera sends no pictures; beats go unmeasured"]
+    assert outcome.end == "complete"
+    assert outcome.beats[1].speed_m_s is not None
+    assert outcome.beats[-1].speed_m_s is None
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_trial_over_a_bad_radio(ready: Fish, spoil, seed: int, tmp_path: Path) -> None:
     radio = spoil(ready, seed, lose=0.1, damage=0.02, twice=0.05)

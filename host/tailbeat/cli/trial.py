@@ -50,7 +50,6 @@ def run(
 
     Example: tailbeat trial run
     """
-    warnings: list[str] = []
     with connected(connect) as fish, progress_bar(json, "swimming") as show:
         beats = max(fish.status().beats, 1)
 
@@ -59,13 +58,11 @@ def run(
                 speed = mm(event.get("speed_m_s"))
                 show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
             elif event["event"] == "warning":
-                warnings.append(event["text"])
+                typer.echo(f"tailbeat: {event['text']}", err=True)
             elif event["event"] in _LINK_NEWS:
                 typer.echo(f"tailbeat: {_LINK_NEWS[event['event']]}", err=True)
 
         outcome = fish.run_trial(_camera(camera), follow)
-    for warning in warnings:
-        typer.echo(f"tailbeat: {warning}", err=True)
     say(json, outcome, lambda: _outcome_text(outcome))
     if outcome.interrupted:
         raise typer.Exit(130)
