@@ -27,7 +27,8 @@ _ACK, _NACK = 128, 129
 _EOF, _NO_SESSION, _INVALID_SESSION = 6, 5, 4
 _BURST_SEQ_SPAN = 1024  # more than any burst has packets
 _ENTRIES_MAX = 10_000  # far more than fit on any board
-_TRIES = 10  # a frame of full length is the likeliest to be hit
+_TRIES = 10
+_READ_MIN_BYTES = 30
 _STALLS_MAX = 8  # rounds without a new byte before a transfer is given up
 _ERRORS = {
     1: "it failed",
@@ -194,15 +195,15 @@ class FtpClient:
         expected = (self._seq + 1) & 0xFFFF
         self._repeated = False
         self._link.flush()
-        message = self._packet(opcode, session, offset, data, size)
 
         def fits(answer: Message) -> bool:
             payload = bytes(answer.payload)
             seq, _, _, _, request = struct.unpack_from("<HBBBB", payload)
             return _for_us(answer) and seq == expected and request == opcode
 
-        for patience_s in self._link.attempts(_TRIES):
-            self._link.send(message)
+        for attempt, patience_s in enumerate(self._link.attempts(_TRIES)):
+            length = size if size is None else _shorter(size, attempt)
+            self._link.send(self._packet(opcode, session, offset, data, length))
             answer = self._link.recv("FILE_TRANSFER_PROTOCOL", patience_s, fits)
             if answer is not None:
                 self._seq = expected
@@ -321,6 +322,12 @@ class _Download:
         if error.code not in (_INVALID_SESSION, _NO_SESSION):
             raise error
         self._session = self._client._open(_OPEN_READ, self._path).session
+
+
+def _shorter(size: int, attempt: int) -> int:
+    """Bytes to ask for: a frame of full length is the likeliest to be hit, so every second try that
+    fails halves it."""
+    return min(size, max(size >> attempt // 2, _READ_MIN_BYTES))
 
 
 def _join(ahead: dict[int, bytes], have: int) -> bytes:

@@ -102,7 +102,7 @@ static void test_does_not_count_what_it_cannot_check(void) {
     TEST_ASSERT_EQUAL(0, channel.bad_frames);
 }
 
-/* One lost byte makes the parser take the next frame's first byte for the end of this one. */
+/* One lost byte makes the next frame's first byte look like the end of this one. */
 static void test_a_lost_byte_costs_one_frame(void) {
     feed(heartbeat_v2, 15);
     feed(heartbeat_v2 + 16, sizeof heartbeat_v2 - 16);
@@ -116,7 +116,32 @@ static void test_recovers_from_a_cut_frame(void) {
     for (uint32_t i = 0; i < 3; i++) {
         feed(heartbeat_v2, sizeof heartbeat_v2);
     }
-    TEST_ASSERT_GREATER_OR_EQUAL(1, receive_all());
+    TEST_ASSERT_EQUAL(3, receive_all());
+}
+
+/* A start byte inside a payload promises a long frame; the frames that it would swallow are there.
+ */
+static void test_a_false_start_swallows_nothing(void) {
+    const uint8_t false_start[] = {0xFD, 0xFE, 0x00, 0x00, 0x01, 0xFF, 0xBE, 0x6E, 0x00, 0x00};
+    feed(false_start, sizeof false_start);
+    for (uint32_t i = 0; i < 14; i++) {
+        feed(heartbeat_v2, sizeof heartbeat_v2);
+    }
+    TEST_ASSERT_EQUAL(14, receive_all());
+    TEST_ASSERT_EQUAL(1, channel.bad_frames);
+}
+
+/* Without this a request repeated into a half frame would be lost each time. */
+static void test_a_frame_that_stops_coming_is_given_up(void) {
+    const uint8_t false_start[] = {0xFD, 0xFE, 0x00, 0x00, 0x01, 0xFF, 0xBE, 0x6E, 0x00, 0x00};
+    feed(false_start, sizeof false_start);
+    feed(heartbeat_v2, sizeof heartbeat_v2);
+    TEST_ASSERT_EQUAL(0, receive_all());
+    hal.now_us += CHANNEL_SILENCE_US;
+    TEST_ASSERT_EQUAL(0, receive_all());
+    hal.now_us += 1;
+    TEST_ASSERT_EQUAL(1, receive_all());
+    assert_heartbeat();
 }
 
 static void test_one_call_takes_a_bounded_number_of_bytes(void) {
@@ -186,6 +211,8 @@ int main(void) {
     RUN_TEST(test_does_not_count_what_it_cannot_check);
     RUN_TEST(test_a_lost_byte_costs_one_frame);
     RUN_TEST(test_recovers_from_a_cut_frame);
+    RUN_TEST(test_a_false_start_swallows_nothing);
+    RUN_TEST(test_a_frame_that_stops_coming_is_given_up);
     RUN_TEST(test_one_call_takes_a_bounded_number_of_bytes);
     RUN_TEST(test_sends_mavlink_2_with_rising_sequence);
     RUN_TEST(test_a_full_line_drops_the_whole_message);
