@@ -109,7 +109,6 @@ void app_refresh_status(app_t *app) {
         app->supervisor.state == STATE_RUNNING && app->executed < app->reference.beats;
     const bool speed_known = fresh(now_us, app->live_speed_us, SPEED_FRESH_US);
     app->status = (link_status_t){
-        .now_us = now_us,
         .state = app->supervisor.state,
         .fault = app->supervisor.reason,
         .trial = app->next_trial - 1u,
@@ -124,7 +123,6 @@ void app_refresh_status(app_t *app) {
         .angle_rad = report.gait.angle_rad,
         .amplitude_rad = swimming ? app->applied_rad[app->executed] : 0.0f,
         .speed_m_s = speed_known ? app->live_speed_m_s : NAN,
-        .live_beat = (uint16_t)report.gait.beat,
         .pulse_ticks = report.gait.pulse_ticks,
         .imu = app->imu_frame,
         .imu_counters = app->imu.counters,
@@ -154,7 +152,7 @@ void app_poll(app_t *app) {
     app_refresh_status(app);
     link_poll(&app->link, &app->status);
     give_orders(app, now_us);
-    hal_led(app->hal, supervisor_armed(&app->supervisor));
+    hal_led(app->hal, state_is_armed(app->supervisor.state));
     hal_watchdog_feed(app->hal);
 }
 

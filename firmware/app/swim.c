@@ -78,7 +78,7 @@ static fault_t save_counter(app_t *app) {
 static uint32_t log_bytes(const app_t *app) {
     const float swim_s = (float)app->reference.beats * app->reference.beat_s;
     const float settle_s = app->params.value[PARAM_SETTLE_S];
-    return trial_log_size_bound_for(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
+    return trial_log_size_bound(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
 }
 
 /* A failed save went back to what is stored; the board stays armed and needs its guess. */

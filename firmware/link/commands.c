@@ -3,6 +3,8 @@
 #include "base/real.h"
 
 /* Whole numbers that a float32 parameter holds exactly. */
+#include <math.h>
+
 #define WHOLE_MAX 16777216.0f
 
 /* COMMAND_LONG and COMMAND_INT in one shape. */
@@ -146,7 +148,7 @@ static answer_t run(link_t *link, const link_received_t *in, const request_t *re
     }
     link_command_t command = {
         .id = row->id,
-        .issued_s = __builtin_nanf(""),
+        .issued_s = NAN,
         .port = in->channel->port,
         .system = in->message->sysid,
         .component = in->message->compid,

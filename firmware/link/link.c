@@ -3,6 +3,7 @@
 #include "base/real.h"
 #include "hal/clock.h"
 
+#include <math.h>
 #include <string.h>
 
 #define MESSAGES_PER_POLL 32u /* per port: more than the rings hold of all but the shortest */
@@ -62,7 +63,7 @@ static void on_timesync(link_t *link, const link_received_t *in) {
 
 /* A variance of 0 is a field that was left out: MAVLink 1, or zeros cut off the end. */
 static float sigma_of(float variance) {
-    return real_is_finite(variance) && variance > 0.0f ? real_sqrt(variance) : __builtin_nanf("");
+    return real_is_finite(variance) && variance > 0.0f ? real_sqrt(variance) : NAN;
 }
 
 static void on_vision(link_t *link, const link_received_t *in) {

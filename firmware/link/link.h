@@ -85,7 +85,6 @@ typedef struct {
 
 /* What the link tells the world about the board; the application fills it before each poll. */
 typedef struct {
-    uint64_t now_us;
     state_t state;
     fault_t fault;
     uint32_t trial, next_trial, pending_trial, reference_crc;
@@ -95,7 +94,7 @@ typedef struct {
     const memory_t *memory;
     /* live view */
     float angle_rad, amplitude_rad, speed_m_s; /* speed NaN = none */
-    uint16_t live_beat, pulse_ticks;
+    uint16_t pulse_ticks;
     imu_frame_t imu; /* last frame, zero when none */
     /* counters */
     imu_counters_t imu_counters;

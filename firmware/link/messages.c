@@ -4,6 +4,7 @@
 #include "hal/clock.h"
 #include "hal/system.h"
 
+#include <math.h>
 #include <string.h>
 
 #define VERSION_0_1_0 0x00010000u /* major, minor, patch, type: development */
@@ -44,7 +45,7 @@ static uint8_t system_status(state_t state) {
 
 void link_send_heartbeat(link_t *link, channel_t *channel) {
     const link_status_t *status = link->status;
-    const bool armed = status->state == STATE_ARMED || status->state == STATE_RUNNING;
+    const bool armed = state_is_armed(status->state);
     const mavlink_heartbeat_t heartbeat = {
         .custom_mode = (uint32_t)status->state | (uint32_t)status->fault << 8,
         .type = MAV_TYPE_SUBMARINE,
@@ -68,7 +69,7 @@ mavlink_tailbeat_status_t link_status_message(const link_t *link) {
         .reference_crc = status->reference_crc,
         .last_learned_trial = memory->last_trial,
         .best_max_abs_error_m_s =
-            memory->best_iteration != 0 ? memory->best_max_abs_error_m_s : __builtin_nanf(""),
+            memory->best_iteration != 0 ? memory->best_max_abs_error_m_s : NAN,
         .iteration = memory->iteration,
         .best_iteration = memory->best_iteration,
         .beats = status->beats,
@@ -125,7 +126,7 @@ void link_send_live(link_t *link, channel_t *channel) {
         .yaw_rad = status->imu.ypr_deg[0] * REAL_RAD_PER_DEG,
         .pitch_rad = status->imu.ypr_deg[1] * REAL_RAD_PER_DEG,
         .roll_rad = status->imu.ypr_deg[2] * REAL_RAD_PER_DEG,
-        .beat = status->live_beat,
+        .beat = status->beat,
         .pulse_ticks = status->pulse_ticks,
     };
     SEND(channel, tailbeat_live, &live);

@@ -32,7 +32,6 @@ static const char *const formats[ID_COUNT] = {
 #define DATA_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 2u + 8u)
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
 #define SLOTS_PER_S 10u
-#define SETTLE_S 3u /* default of the parameter */
 
 /* Header and definitions without the parameters: 936 bytes with texts of 40 characters. */
 #define DEFINITIONS_BYTES 1024u
@@ -55,17 +54,13 @@ void trial_log_path(uint32_t trial, char *out) {
     strcpy(at, ".ulg");
 }
 
-uint32_t trial_log_size_bound_for(uint16_t beats, uint32_t duration_s) {
+uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s) {
     const uint32_t per_second =
         SLOTS_PER_S * (DATA_OVERHEAD_BYTES + SLOT_BYTES) + DATA_OVERHEAD_BYTES + BATTERY_BYTES;
     const uint32_t per_beat = 2u * (DATA_OVERHEAD_BYTES + BEAT_BYTES);
     return DEFINITIONS_BYTES + PARAM_COUNT * PARAMETER_BYTES + beats * per_beat +
            (duration_s + 1u) * per_second + DATA_OVERHEAD_BYTES + TRIAL_END_BYTES +
            TRIAL_LOG_TEXTS * (TEXT_OVERHEAD_BYTES + TRIAL_LOG_TEXT_BYTES);
-}
-
-uint32_t trial_log_size_bound(uint16_t beats) {
-    return trial_log_size_bound_for(beats, beats + SETTLE_S);
 }
 
 /* A failed file keeps what its last sync saw; closing it writes nothing more. */

@@ -55,11 +55,9 @@ typedef struct {
 void trial_log_path(uint32_t trial, char *out);
 
 /* Upper bound of the file's size: |beats| beats, logged for |duration_s| (swim and settling) with
- * ten slots and one battery record a second, and all beats once more for an upload. */
-uint32_t trial_log_size_bound_for(uint16_t beats, uint32_t duration_s);
-
-/* The same for beats of 1 s and 3 s of settling: below 20 KB for 40 beats. */
-uint32_t trial_log_size_bound(uint16_t beats);
+ * ten slots and one battery record a second, and all beats once more for an upload; below 20 KB for
+ * 40 beats of 1 s and 3 s of settling. */
+uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 
 /* Makes the file (over an older one of that number) and writes header and definitions: formats,
  * trial info, all parameters. They are synced when this returns. */

@@ -67,9 +67,7 @@ bool supervisor_may_swim(const supervisor_t *supervisor) {
     return supervisor->state == STATE_RUNNING;
 }
 
-bool supervisor_armed(const supervisor_t *supervisor) {
-    return supervisor->state == STATE_ARMED || supervisor->state == STATE_RUNNING;
-}
+bool state_is_armed(state_t state) { return state == STATE_ARMED || state == STATE_RUNNING; }
 
 const char *state_name(state_t state) {
     static const char *const NAMES[STATE_COUNT] = {

@@ -62,7 +62,7 @@ bool supervisor_allows(const supervisor_t *supervisor, event_t event);
 bool supervisor_may_swim(const supervisor_t *supervisor);
 
 /* MAV_MODE_FLAG_SAFETY_ARMED: ARMED or RUNNING. */
-bool supervisor_armed(const supervisor_t *supervisor);
+bool state_is_armed(state_t state);
 
 /* "IDLE", ... */
 const char *state_name(state_t state);

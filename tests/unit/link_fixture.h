@@ -55,7 +55,6 @@ static inline void on_heartbeat(void *context, hal_port_t port, uint8_t system, 
 
 static inline void poll_at(uint64_t now_us) {
     hal.now_us = now_us;
-    status.now_us = now_us;
     link_poll(&board, &status);
 }
 

@@ -121,7 +121,7 @@ static void a_trial_goes_round(void) {
         TEST_ASSERT_TRUE(supervisor_event(&supervisor, way[i], FAULT_NONE));
         TEST_ASSERT_EQUAL_INT(way[i] == EVENT_START, supervisor_may_swim(&supervisor));
         TEST_ASSERT_EQUAL_INT(way[i] == EVENT_ARM || way[i] == EVENT_START,
-                              supervisor_armed(&supervisor));
+                              state_is_armed(supervisor.state));
     }
     TEST_ASSERT_EQUAL_INT(STATE_IDLE, supervisor.state);
 }

@@ -182,7 +182,7 @@ static void test_a_whole_trial_and_its_upload(void) {
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 3, &at));
     printf("40 beats: %u bytes, %u page writes, at most %u in one pass, bound %u\n",
            (unsigned)content_bytes, (unsigned)(hal.flash_writes - writes), (unsigned)worst_pages,
-           (unsigned)trial_log_size_bound(40));
+           (unsigned)trial_log_size_bound(40, 43));
     /* The longest pause is 100 ms, and a page may take 10. */
     TEST_ASSERT_LESS_OR_EQUAL_UINT32(10, worst_pages);
 
@@ -202,8 +202,8 @@ static void test_a_whole_trial_and_its_upload(void) {
     load();
     TEST_ASSERT_EQUAL_UINT32(80, count_messages('D', 1, &at));
     TEST_ASSERT_EQUAL_UINT16(39, bytes_get_u16(content + at + 30));
-    TEST_ASSERT_LESS_OR_EQUAL_UINT32(trial_log_size_bound(40), content_bytes);
-    TEST_ASSERT_LESS_OR_EQUAL_UINT32(20480, trial_log_size_bound(40));
+    TEST_ASSERT_LESS_OR_EQUAL_UINT32(trial_log_size_bound(40, 43), content_bytes);
+    TEST_ASSERT_LESS_OR_EQUAL_UINT32(20480, trial_log_size_bound(40, 43));
     TEST_ASSERT_EQUAL_UINT32(0, store.failures);
     export_log();
 }
