@@ -31,7 +31,7 @@ PURE_ALLOWED = {
 PURE_PREFIXES = tuple(f"{name}/" for name in PURE)
 ALLOWED: dict[str, tuple[str, ...]] = {
     **{f"firmware/{name}": allowed for name, allowed in PURE_ALLOWED.items()},
-    "firmware/store": (*PURE_PREFIXES, "store/", "hal/flash.h", "lfs.h"),
+    "firmware/store": (*PURE_PREFIXES, "store/", "hal/flash.h", "hal/system.h", "lfs.h"),
     "firmware/link": (*PURE_PREFIXES, "store/", "link/", "hal/", *GENERATED),
     "firmware/app": (*PURE_PREFIXES, "store/", "link/", "app/", "hal/"),
     "hal/include/hal": ("hal/",),

@@ -14,6 +14,7 @@
 #define IMU_CHUNKS_PER_POLL 16u /* more than the IMU can send in the longest pause */
 #define IMU_FRESH_US 500000u
 #define SPEED_FRESH_US 1000000u
+#define TICK_ALIVE_US 100000u
 
 static void on_vision(void *context, const link_vision_t *sample) {
     app_t *app = context;
@@ -32,12 +33,17 @@ static void on_heartbeat(void *context, hal_port_t port, uint8_t system, uint8_t
     }
 }
 
-static void find_boot_faults(app_t *app, store_result_t mounted) {
+static fault_t boot_fault(const app_t *app, store_result_t mounted, bool crashed) {
     if (mounted != STORE_OK) {
-        (void)supervisor_event(&app->supervisor, EVENT_STOP, FAULT_STORAGE);
-    } else if (hal_reset_cause(app->hal) == HAL_RESET_WATCHDOG) {
-        (void)supervisor_event(&app->supervisor, EVENT_STOP, FAULT_WATCHDOG);
+        return FAULT_STORAGE;
     }
+    if (crashed) {
+        return FAULT_CRASH;
+    }
+    if (hal_reset_cause(app->hal) == HAL_RESET_WATCHDOG) {
+        return FAULT_WATCHDOG;
+    }
+    return hal_clock_exact(app->hal) ? FAULT_NONE : FAULT_CLOCK;
 }
 
 void app_init(app_t *app, hal_t *hal) {
@@ -57,9 +63,13 @@ void app_init(app_t *app, hal_t *hal) {
     };
     const store_result_t mounted = store_mount(&app->store, hal);
     link_init(&app->link, hal, &app->store, &app->params, &handlers);
+    const bool crashed = boot_keep_crash(app);
     boot_load(app);
     (void)supervisor_event(&app->supervisor, EVENT_BOOTED, FAULT_NONE);
-    find_boot_faults(app, mounted);
+    const fault_t fault = boot_fault(app, mounted, crashed);
+    if (fault != FAULT_NONE) {
+        (void)supervisor_event(&app->supervisor, EVENT_STOP, fault);
+    }
     app->last_poll_us = hal_time_us(hal);
 }
 
@@ -153,7 +163,9 @@ void app_poll(app_t *app) {
     link_poll(&app->link, &app->status);
     give_orders(app, now_us);
     hal_led(app->hal, state_is_armed(app->supervisor.state));
-    hal_watchdog_feed(app->hal);
+    if (now_us - control_report(&app->control, app->hal).tick_us < TICK_ALIVE_US) {
+        hal_watchdog_feed(app->hal);
+    }
 }
 
 void app_tick_isr(app_t *app) { control_tick_isr(&app->control, app->hal); }

@@ -26,6 +26,7 @@ typedef union {
     reference_t reference;
     amplitudes_upload_t amplitudes;
     speed_upload_t speeds;
+    memory_t memory;
 } app_upload_t;
 
 typedef struct {

@@ -8,6 +8,7 @@
 #define LEARNED_PATH "/learned.bin"
 #define PARAMS_PATH "/params.bin"
 #define COUNTER_PATH "/counter.bin"
+#define CRASH_PATH "/crash.bin"
 
 /* app.c: what the link tells follows the board's state of this moment. */
 void app_refresh_status(app_t *app);
@@ -15,6 +16,11 @@ void app_refresh_status(app_t *app);
 /* boot.c: what is on the store into RAM; parameters fall back to their defaults. */
 void boot_load(app_t *app);
 void boot_load_params(app_t *app);
+/* Tells the board what the parameters say of it; false when it cannot do it. */
+bool boot_apply_params(app_t *app);
+/* Whether the run before this one crashed; the record goes to /crash.bin, and is kept in RAM as
+ * long as it cannot be stored. */
+bool boot_keep_crash(app_t *app);
 /* The learned input as it was last stored; empty when it belongs to another reference. Without a
  * reference it is kept: the reference it belongs to may come back. */
 void boot_load_memory(app_t *app);

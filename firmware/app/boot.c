@@ -1,4 +1,6 @@
 #include "app/app_internal.h"
+#include "hal/serial.h"
+#include "hal/system.h"
 
 #include <string.h>
 
@@ -12,6 +14,24 @@ static size_t load_record(app_t *app, const char *path) {
     return length;
 }
 
+bool boot_keep_crash(app_t *app) {
+    crash_report_t report = {0};
+    if (!hal_crash_read(app->hal, &report.crash)) {
+        return false;
+    }
+    (void)strncpy(report.build_id, link_build_id(), BUILD_ID_BYTES - 1u);
+    const size_t length = record_encode_crash(&report, app->record);
+    if (store_replace(&app->store, CRASH_PATH, app->record, length) == STORE_OK) {
+        hal_crash_forget(app->hal);
+    }
+    return true;
+}
+
+bool boot_apply_params(app_t *app) {
+    const uint32_t baud = (uint32_t)app->params.value[PARAM_IMU_BAUD];
+    return hal_serial_set_baud(app->hal, HAL_PORT_IMU, baud);
+}
+
 void boot_load_params(app_t *app) {
     params_reset(&app->params);
     const size_t length = load_record(app, PARAMS_PATH);
@@ -19,6 +39,7 @@ void boot_load_params(app_t *app) {
     if (length != 0) {
         (void)record_decode_params(app->record, length, &app->params, &ignored);
     }
+    (void)boot_apply_params(app);
 }
 
 static void load_reference(app_t *app) {

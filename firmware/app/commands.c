@@ -40,6 +40,7 @@ static fault_t change_params(app_t *app, link_command_id_t id) {
     }
     if (id == LINK_COMMAND_PARAMS_RESET) {
         params_reset(&app->params);
+        (void)boot_apply_params(app);
         return FAULT_NONE;
     }
     const size_t length = record_encode_params(&app->params, app->record);
@@ -101,5 +102,13 @@ fault_t commands_param_set(void *context, param_t param, float value) {
     if (app->supervisor.state != STATE_IDLE) {
         return FAULT_WRONG_STATE;
     }
-    return params_set(&app->params, param, value) == PARAM_OK ? FAULT_NONE : FAULT_BAD_PARAM;
+    const float before = param < PARAM_COUNT ? app->params.value[param] : 0.0f;
+    if (params_set(&app->params, param, value) != PARAM_OK) {
+        return FAULT_BAD_PARAM;
+    }
+    if (param == PARAM_IMU_BAUD && !boot_apply_params(app)) {
+        app->params.value[param] = before;
+        return FAULT_BAD_PARAM;
+    }
+    return FAULT_NONE;
 }

@@ -1,6 +1,7 @@
 #include "app/app_internal.h"
 #include "app/settings.h"
 #include "base/real.h"
+#include "base/units.h"
 #include "hal/clock.h"
 #include "hal/system.h"
 
@@ -14,6 +15,9 @@ static fault_t ready_to_arm(const app_t *app) {
     const gait_config_t gait = settings_gait(&app->params, app->reference.beat_s);
     if (!supervisor_allows(&app->supervisor, EVENT_ARM) || app->reboot_at_us != 0) {
         return FAULT_WRONG_STATE;
+    }
+    if (!hal_clock_exact(app->hal)) {
+        return FAULT_CLOCK;
     }
     if (app->run.pending) {
         return FAULT_TRIAL_PENDING;
@@ -63,7 +67,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
 }
 
 static bool is_stale(const app_t *app, float issued_s) {
-    const float now_s = (float)(hal_time_us(app->hal) / 1000u) * 1e-3f;
+    const float now_s = (float)units_ms(hal_time_us(app->hal)) * 1e-3f;
     /* A time to come is one of an earlier boot. Written so that NaN (no time given) is stale. */
     return !(real_abs(now_s - issued_s) <= START_STALE_S);
 }
@@ -142,7 +146,7 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
 
 static void settle_from(app_t *app, uint64_t now_us) {
     const float settle_s = app->params.value[PARAM_SETTLE_S];
-    app->settle_until_us = now_us + (uint64_t)(settle_s * 1e6f);
+    app->settle_until_us = now_us + real_whole_u64(settle_s * 1e6f);
 }
 
 void swim_stop(app_t *app, fault_t reason) {

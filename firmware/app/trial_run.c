@@ -68,7 +68,7 @@ void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float
 }
 
 static uint64_t board_time_us(const trial_run_t *run, float time_s) {
-    return run->start_us + (uint64_t)(time_s * 1e6f + 0.5f);
+    return run->start_us + real_whole_u64(time_s * 1e6f + 0.5f);
 }
 
 static void close_until(trial_run_t *run, float until_s) {

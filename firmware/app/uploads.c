@@ -9,6 +9,7 @@
 #define IN_REFERENCE "/in/reference.bin"
 #define IN_AMPLITUDES "/in/amplitudes.bin"
 #define IN_SPEEDS "/in/speeds.bin"
+#define IN_LEARNED "/in/learned.bin"
 
 /* A longer beat would outlast the speed slots that are kept. */
 #define BEAT_MAX_S 4.0f
@@ -95,6 +96,30 @@ static fault_t commit_amplitudes(app_t *app, const link_command_t *command) {
     return fault;
 }
 
+/* All that was learned, from a backup: the next trial goes on where the last of it left off. */
+static fault_t commit_learned(app_t *app, const link_command_t *command) {
+    memory_t *next = &app->upload.memory;
+    fault_t fault = load_upload(app, IN_LEARNED, command);
+    if (fault == FAULT_NONE) {
+        fault = record_decode_memory(app->record, command->length_bytes, next);
+    }
+    if (fault != FAULT_NONE) {
+        return fault;
+    }
+    if (next->beats != app->reference.beats || next->reference_crc != app->reference.crc) {
+        return FAULT_WRONG_BEATS;
+    }
+    app->memory = *next;
+    fault = learn_save(app);
+    if (fault == FAULT_NONE) {
+        if (app->next_trial <= next->last_trial) {
+            app->next_trial = next->last_trial + 1u;
+        }
+        (void)store_remove(&app->store, IN_LEARNED);
+    }
+    return fault;
+}
+
 static fault_t commit_speeds(app_t *app, const link_command_t *command) {
     speed_upload_t *speeds = &app->upload.speeds;
     fault_t fault = load_upload(app, IN_SPEEDS, command);
@@ -138,6 +163,8 @@ fault_t uploads_commit(app_t *app, const link_command_t *command) {
         return commit_reference(app, command);
     case LINK_FILE_AMPLITUDES:
         return commit_amplitudes(app, command);
+    case LINK_FILE_LEARNED:
+        return commit_learned(app, command);
     case LINK_FILE_SPEEDS:
         break;
     }

@@ -34,6 +34,16 @@ float real_clip(float x, float low, float high) {
 
 float real_abs(float x) { return of_bits(bits_of(x) & ~SIGN_BIT); }
 
+uint64_t real_whole_u64(float x) {
+    if (!(x >= 1.0f && x < 0x1p64f)) {
+        return 0;
+    }
+    const uint32_t bits = bits_of(x);
+    const int32_t shift = (int32_t)(bits >> 23) - EXPONENT_BIAS - 23;
+    const uint64_t mantissa = (bits & (HIDDEN_BIT - 1u)) | HIDDEN_BIT;
+    return shift >= 0 ? mantissa << shift : mantissa >> -shift;
+}
+
 /* Largest 25-bit root with root * root <= square, bit by bit. */
 static uint32_t integer_root(uint64_t square) {
     uint32_t root = 0;

@@ -2,8 +2,13 @@
 #ifndef BASE_UNITS_H
 #define BASE_UNITS_H
 
+#include <stdint.h>
+
 #define FRAME_US 20000u /* servo frame and control tick: 50 Hz */
 #define FRAME_S 0.02f
 #define BEATS_MAX 512u /* longest trial, in beats */
+
+/* Whole milliseconds in |time_us|, rounded down. Pure, callable from interrupts. */
+uint64_t units_ms(uint64_t time_us);
 
 #endif

@@ -81,7 +81,7 @@ static bool read_start(const request_t *request, link_command_t *command) {
 
 static bool read_commit(const request_t *request, link_command_t *command) {
     uint32_t choice = 0;
-    if (!read_choice(request, 3, &choice) || request->x < 0) {
+    if (!read_choice(request, 4, &choice) || request->x < 0) {
         return false;
     }
     command->file = (link_file_t)choice;

@@ -4,7 +4,8 @@
 #include <string.h>
 
 static const char *const records[] = {"/reference.bin", "/crash.bin"};
-static const char *const uploads[] = {"reference.bin", "amplitudes.bin", "speeds.bin"};
+static const char *const uploads[] = {"reference.bin", "amplitudes.bin", "speeds.bin",
+                                      "learned.bin"};
 
 #define COUNT(array) (sizeof(array) / sizeof((array)[0]))
 

@@ -1,5 +1,5 @@
 /*
- * Which files the FTP server shows and which it lets be written: /trials, /in with its three upload
+ * Which files the FTP server shows and which it lets be written: /trials, /in with its four upload
  * names, /reference.bin, /crash.bin. All else on the board does not exist for it.
  */
 #ifndef LINK_FTP_PATHS_H

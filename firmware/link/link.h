@@ -49,7 +49,8 @@ typedef enum {
 typedef enum {
     LINK_FILE_REFERENCE = 0,
     LINK_FILE_AMPLITUDES = 1,
-    LINK_FILE_SPEEDS = 2
+    LINK_FILE_SPEEDS = 2,
+    LINK_FILE_LEARNED = 3
 } link_file_t;
 
 typedef struct {

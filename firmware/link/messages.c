@@ -1,6 +1,7 @@
 #include "link/link_internal.h"
 
 #include "base/real.h"
+#include "base/units.h"
 #include "hal/clock.h"
 #include "hal/system.h"
 
@@ -22,7 +23,7 @@
         (void)channel_send((channel), &message_);                                                  \
     } while (0)
 
-static uint32_t boot_ms(const link_t *link) { return (uint32_t)(hal_time_us(link->hal) / 1000u); }
+static uint32_t boot_ms(const link_t *link) { return (uint32_t)units_ms(hal_time_us(link->hal)); }
 
 static uint8_t system_status(state_t state) {
     switch (state) {

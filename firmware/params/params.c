@@ -7,7 +7,7 @@
 
 static const param_info_t table[PARAM_COUNT] = {
 #define PARAM(name, fallback, low, high, kind, unit, text)                                         \
-    [PARAM_##name] = {#name, fallback, low, high, kind, unit, text},
+    [PARAM_##name] = {#name, fallback, low, high, kind},
 #include "params/params.def"
 #undef PARAM
 };

@@ -24,8 +24,6 @@ typedef struct {
     float fallback;   /* value after a reset */
     float low, high;  /* inclusive */
     param_kind_t kind;
-    const char *unit; /* "" = a plain number */
-    const char *text; /* one line for people */
 } param_info_t;
 
 typedef struct {
@@ -41,6 +39,11 @@ typedef enum {
 } param_result_t;
 
 const param_info_t *param_info(param_t param);
+
+/* Words for people. The host tool prints them; the firmware has no use for them, so they stay out
+ * of the image. The unit of a plain number is "", the text is one line. */
+const char *param_unit(param_t param);
+const char *param_text(param_t param);
 
 void params_reset(params_t *params);
 

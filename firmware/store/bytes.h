@@ -34,6 +34,10 @@ static inline uint32_t bytes_get_u32(const uint8_t *at) {
     return bytes_get_u16(at) | (uint32_t)bytes_get_u16(at + 2) << 16;
 }
 
+static inline uint64_t bytes_get_u64(const uint8_t *at) {
+    return bytes_get_u32(at) | (uint64_t)bytes_get_u32(at + 4) << 32;
+}
+
 static inline float bytes_get_f32(const uint8_t *at) {
     const uint32_t bits = bytes_get_u32(at);
     float value = 0.0f;

@@ -14,6 +14,8 @@
 #define COUNTER_BODY_BYTES 4u
 #define SPEEDS_FIXED_BYTES 4u
 #define AMPLITUDES_FIXED_BYTES 4u
+#define CRASH_REGISTERS 16u
+#define CRASH_FIXED_BYTES (4u + 8u + BUILD_ID_BYTES + HAL_CRASH_WHERE_BYTES + 4u * CRASH_REGISTERS)
 #define PARAM_BYTES (PARAM_NAME_BYTES + F32_BYTES)
 
 _Static_assert(RECORD_MAX_BYTES ==
@@ -33,6 +35,7 @@ static const char magic_params[] = "TBPA";
 static const char magic_speeds[] = "TBSP";
 static const char magic_amplitudes[] = "TBAM";
 static const char magic_counter[] = "TBCT";
+static const char magic_crash[] = "TBCR";
 
 static uint32_t record_sum(const uint8_t *bytes, size_t length) {
     const uint32_t front = crc32_update(0, bytes, CRC_OFFSET);
@@ -295,6 +298,58 @@ fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
     amplitudes->reference_crc = bytes_get_u32(body);
     amplitudes->beats = beats;
     get_array(body + AMPLITUDES_FIXED_BYTES, amplitudes->amplitude_rad, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_crash(const crash_report_t *report, uint8_t *out) {
+    const hal_crash_t *crash = &report->crash;
+    const uint32_t words[CRASH_REGISTERS] = {
+        crash->r0,    crash->r1,   crash->r2,   crash->r3,         crash->r12,  crash->lr,
+        crash->pc,    crash->xpsr, crash->sp,   crash->exc_return, crash->cfsr, crash->hfsr,
+        crash->mmfar, crash->bfar, crash->icsr, crash->crashes};
+    REQUIRE(crash->stack_words <= HAL_CRASH_STACK_WORDS);
+    uint8_t *at = begin_record(out, magic_crash, (uint16_t)crash->stack_words);
+    at = bytes_put_u64(bytes_put_u32(at, crash->kind), crash->time_us);
+    memcpy(at, report->build_id, BUILD_ID_BYTES);
+    at += BUILD_ID_BYTES;
+    memcpy(at, crash->where, HAL_CRASH_WHERE_BYTES);
+    at += HAL_CRASH_WHERE_BYTES;
+    for (unsigned i = 0; i < CRASH_REGISTERS; i++) {
+        at = bytes_put_u32(at, words[i]);
+    }
+    for (uint32_t i = 0; i < crash->stack_words; i++) {
+        at = bytes_put_u32(at, crash->stack[i]);
+    }
+    return end_record(out, at);
+}
+
+fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report) {
+    static const shape_t shape = {magic_crash, CRASH_FIXED_BYTES, 4u, 0, HAL_CRASH_STACK_WORDS};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    hal_crash_t *crash = &report->crash;
+    uint32_t *const registers[CRASH_REGISTERS] = {
+        &crash->r0,    &crash->r1,   &crash->r2,   &crash->r3,         &crash->r12,  &crash->lr,
+        &crash->pc,    &crash->xpsr, &crash->sp,   &crash->exc_return, &crash->cfsr, &crash->hfsr,
+        &crash->mmfar, &crash->bfar, &crash->icsr, &crash->crashes};
+    const uint8_t *id = bytes + RECORD_HEADER_BYTES + 12u;
+    const uint8_t *where = id + BUILD_ID_BYTES;
+    const uint8_t *words = where + HAL_CRASH_WHERE_BYTES;
+    if (id[BUILD_ID_BYTES - 1u] != 0 || where[HAL_CRASH_WHERE_BYTES - 1u] != 0) {
+        return FAULT_BAD_DATA;
+    }
+    crash->kind = bytes_get_u32(bytes + RECORD_HEADER_BYTES);
+    crash->time_us = bytes_get_u64(bytes + RECORD_HEADER_BYTES + 4u);
+    memcpy(report->build_id, id, BUILD_ID_BYTES);
+    memcpy(crash->where, where, HAL_CRASH_WHERE_BYTES);
+    for (unsigned i = 0; i < CRASH_REGISTERS; i++) {
+        *registers[i] = bytes_get_u32(words + 4u * i);
+    }
+    crash->stack_words = bytes_get_u16(bytes + 6);
+    for (uint32_t i = 0; i < crash->stack_words; i++) {
+        crash->stack[i] = bytes_get_u32(words + 4u * (CRASH_REGISTERS + i));
+    }
     return FAULT_NONE;
 }
 

@@ -10,6 +10,7 @@
 #define STORE_RECORDS_H
 
 #include "base/units.h"
+#include "hal/system.h"
 #include "ilc/memory.h"
 #include "params/params.h"
 #include "speed/speed.h"
@@ -61,6 +62,14 @@ typedef struct {
     float amplitude_rad[BEATS_MAX];
 } amplitudes_upload_t;
 
+#define BUILD_ID_BYTES 50u
+
+/* How a firmware died, and which one it was. */
+typedef struct {
+    char build_id[BUILD_ID_BYTES]; /* ends with a NUL */
+    hal_crash_t crash;
+} crash_report_t;
+
 /* Encoders return the number of bytes written; |out| holds RECORD_TRIAL_MAX_BYTES for a trial and
  * RECORD_MAX_BYTES for the others. Beats must be 1..BEATS_MAX. Only the first |beats| values of an
  * array are stored. */
@@ -73,6 +82,7 @@ size_t record_encode_params(const params_t *params, uint8_t *out);
 size_t record_encode_counter(uint32_t next_trial, uint8_t *out);
 size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out);
 size_t record_encode_amplitudes(const amplitudes_upload_t *amplitudes, uint8_t *out);
+size_t record_encode_crash(const crash_report_t *report, uint8_t *out);
 
 /* The CRC a record states; |bytes| holds at least RECORD_HEADER_BYTES. */
 uint32_t record_crc(const uint8_t *bytes);
@@ -100,6 +110,9 @@ fault_t record_decode_speeds(const uint8_t *bytes, size_t length, speed_upload_t
 /* Amplitudes finite, any sign, as the board's own. */
 fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
                                  amplitudes_upload_t *amplitudes);
+
+/* stack_words <= HAL_CRASH_STACK_WORDS; both texts end with a NUL. */
+fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report);
 
 /* Parameters are stored by name: unknown names are skipped, missing ones get their default, values
  * out of range get their default; |ignored| counts both kinds. */

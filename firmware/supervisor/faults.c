@@ -3,8 +3,7 @@
 #include "base/panic.h"
 
 static const fault_info_t ROWS[] = {
-#define FAULT(number, name, kind, meaning, remedy)                                                 \
-    {number, FAULT_KIND_##kind, #name, meaning, remedy},
+#define FAULT(number, name, kind, meaning, remedy) {number, FAULT_KIND_##kind, #name, meaning},
 #include "supervisor/faults.def"
 #undef FAULT
 };

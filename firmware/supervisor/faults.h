@@ -26,12 +26,15 @@ typedef struct {
     fault_kind_t kind;
     const char *name;
     const char *meaning; /* at most 49 characters: it travels in one STATUSTEXT */
-    const char *remedy;
 } fault_info_t;
 
 /* Rows in rising order of number. */
 uint16_t fault_count(void);
 const fault_info_t *fault_row(uint16_t row);
+
+/* What to do about the fault of a row; "" for FAULT_NONE. The host tool prints it; the firmware has
+ * no use for it, so it stays out of the image. */
+const char *fault_remedy(uint16_t row);
 
 /* The row of |fault|; that of FAULT_NONE when there is no such number. Never NULL. */
 const fault_info_t *fault_info(fault_t fault);

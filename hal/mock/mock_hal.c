@@ -52,6 +52,8 @@ size_t mock_take(hal_t *hal, hal_port_t port, void *out, size_t max) {
 
 uint64_t hal_time_us(const hal_t *hal) { return hal->now_us; }
 
+bool hal_clock_exact(const hal_t *hal) { return !hal->clock_inexact; }
+
 void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks) {
     if (hal->pulse_count < MOCK_PULSES) {
         hal->pulses[hal->pulse_count] = width_ticks;
@@ -76,6 +78,14 @@ size_t hal_serial_write(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_
     memcpy(queue->bytes + queue->tail, bytes, length);
     queue->tail += length;
     return length;
+}
+
+bool hal_serial_set_baud(hal_t *hal, hal_port_t port, uint32_t baud) {
+    if (hal->baud_max != 0 && baud > hal->baud_max) {
+        return false;
+    }
+    hal->baud[port] = baud;
+    return true;
 }
 
 hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port) {
@@ -104,6 +114,15 @@ bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
 
 hal_board_kind_t hal_board_kind(const hal_t *hal) { return hal->kind; }
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
+
+bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
+    if (hal->crashed) {
+        *out = hal->crash;
+    }
+    return hal->crashed;
+}
+
+void hal_crash_forget(hal_t *hal) { hal->crashed = false; }
 
 void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     (void)hal;

@@ -37,6 +37,11 @@ struct hal {
     uint16_t battery_mv;
     hal_board_kind_t kind;
     hal_reset_cause_t reset_cause;
+    bool clock_inexact;
+    bool crashed;
+    hal_crash_t crash; /* valid when |crashed| */
+    uint32_t baud[HAL_PORT_COUNT];
+    uint32_t baud_max; /* faster ones are refused; 0 = none */
     bool led;
     uint32_t watchdog_feeds;
     uint32_t resets;

@@ -166,6 +166,28 @@ static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
                       commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
 }
 
+static void test_what_was_learned_comes_back_from_a_backup(void) {
+    static uint8_t backup[RECORD_TRIAL_MAX_BYTES];
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    const size_t length = record_encode_memory(&app.memory, backup);
+    TEST_ASSERT_EQUAL(STORE_OK, store_format(&app.store, &hal));
+    reboot();
+    TEST_ASSERT_EQUAL(1, app.next_trial);
+    TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS,
+                      commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+    TEST_ASSERT_EQUAL(2, app.next_trial);
+    reboot();
+    TEST_ASSERT_EQUAL(2, app.next_trial);
+    TEST_ASSERT_EQUAL(length, record_encode_memory(&app.memory, upload_bytes));
+    TEST_ASSERT_EQUAL_MEMORY(backup, upload_bytes, length);
+    backup[length - 1u] ^= 1u;
+    TEST_ASSERT_EQUAL(FAULT_BAD_FORMAT,
+                      commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+}
+
 static void test_the_first_input_follows_the_gain_of_the_moment(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
@@ -275,6 +297,81 @@ static void test_a_watchdog_reset_is_told_and_must_be_cleared(void) {
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
 }
 
+static void test_a_crash_is_told_and_kept_in_a_file(void) {
+    hal.crashed = true;
+    hal.crash = (hal_crash_t){.kind = HAL_CRASH_ASSERTION,
+                              .pc = 0x80123u,
+                              .cfsr = 7u,
+                              .time_us = 5000000000u,
+                              .where = "gait.c:12",
+                              .stack_words = 2,
+                              .stack = {11u, 22u}};
+    hal.reset_cause = HAL_RESET_SOFTWARE;
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_CRASH, app.supervisor.reason);
+    TEST_ASSERT_FALSE(hal.crashed);
+    uint32_t length = 0;
+    crash_report_t report;
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, "/crash.bin", &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, "/crash.bin", app.record, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_crash(app.record, length, &report));
+    TEST_ASSERT_EQUAL_STRING(link_build_id(), report.build_id);
+    TEST_ASSERT_EQUAL_STRING("gait.c:12", report.crash.where);
+    TEST_ASSERT_EQUAL_HEX32(0x80123u, report.crash.pc);
+    TEST_ASSERT_EQUAL_UINT64(5000000000u, report.crash.time_us);
+    TEST_ASSERT_EQUAL(22u, report.crash.stack[1]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, "/crash.bin", &length));
+}
+
+static void test_a_crash_that_cannot_be_stored_is_kept_for_the_next_boot(void) {
+    hal.crashed = true;
+    hal.crash = (hal_crash_t){.kind = HAL_CRASH_BUS_FAULT};
+    hal.flash_fail_after = hal.flash_writes;
+    reboot();
+    TEST_ASSERT_TRUE(hal.crashed);
+    hal.flash_fail_after = 0;
+    reboot();
+    TEST_ASSERT_FALSE(hal.crashed);
+    TEST_ASSERT_EQUAL(FAULT_CRASH, app.supervisor.reason);
+}
+
+static void test_a_dead_crystal_is_told_and_the_tail_stays_off(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    hal.clock_inexact = true;
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_CLOCK, app.supervisor.reason);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_EQUAL(FAULT_CLOCK, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+static void test_the_watchdog_is_fed_while_the_tick_lives(void) {
+    run_ms(200);
+    const uint32_t fed = hal.watchdog_feeds;
+    TEST_ASSERT_GREATER_THAN(10u, fed);
+    hal.now_us += 200000u;
+    app_poll(&app);
+    app_poll(&app);
+    TEST_ASSERT_EQUAL(fed, hal.watchdog_feeds);
+    app_tick_isr(&app);
+    app_poll(&app);
+    TEST_ASSERT_EQUAL(fed + 1u, hal.watchdog_feeds);
+}
+
+static void test_the_imu_line_runs_at_the_speed_of_the_parameter(void) {
+    TEST_ASSERT_EQUAL(115200u, hal.baud[HAL_PORT_IMU]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_IMU_BAUD, 460800.0f));
+    TEST_ASSERT_EQUAL(460800u, hal.baud[HAL_PORT_IMU]);
+    hal.baud_max = 500000u;
+    TEST_ASSERT_EQUAL(FAULT_BAD_PARAM, commands_param_set(&app, PARAM_IMU_BAUD, 921600.0f));
+    TEST_ASSERT_EQUAL_FLOAT(460800.0f, app.params.value[PARAM_IMU_BAUD]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_RESET, 0));
+    TEST_ASSERT_EQUAL(115200u, hal.baud[HAL_PORT_IMU]);
+}
+
 static void test_a_reboot_command_waits_for_its_acknowledgement(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_REBOOT, 0));
     run_ms(100);
@@ -294,6 +391,7 @@ int main(void) {
     RUN_TEST(test_the_trial_number_never_comes_twice);
     RUN_TEST(test_speeds_uploaded_after_the_swim_are_learned_from);
     RUN_TEST(test_uploaded_amplitudes_swim_next_and_stay_at_arming);
+    RUN_TEST(test_what_was_learned_comes_back_from_a_backup);
     RUN_TEST(test_the_first_input_follows_the_gain_of_the_moment);
     RUN_TEST(test_the_first_input_follows_the_gain_across_a_reboot);
     RUN_TEST(test_arming_checks_the_reference_against_the_limits_of_the_moment);
@@ -305,6 +403,11 @@ int main(void) {
     RUN_TEST(test_a_lead_as_long_as_the_trial_does_not_arm);
     RUN_TEST(test_the_best_comes_back_on_request);
     RUN_TEST(test_a_watchdog_reset_is_told_and_must_be_cleared);
+    RUN_TEST(test_a_crash_is_told_and_kept_in_a_file);
+    RUN_TEST(test_a_crash_that_cannot_be_stored_is_kept_for_the_next_boot);
+    RUN_TEST(test_a_dead_crystal_is_told_and_the_tail_stays_off);
+    RUN_TEST(test_the_watchdog_is_fed_while_the_tick_lives);
+    RUN_TEST(test_the_imu_line_runs_at_the_speed_of_the_parameter);
     RUN_TEST(test_a_reboot_command_waits_for_its_acknowledgement);
     return UNITY_END();
 }

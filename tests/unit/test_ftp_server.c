@@ -18,6 +18,7 @@ static void test_paths(void) {
         {"/crash.bin", FTP_PATH_RECORD, "/crash.bin"},
         {"/params.bin", FTP_PATH_HIDDEN, NULL},
         {"/learned.bin", FTP_PATH_HIDDEN, NULL},
+        {"/in/learned.bin", FTP_PATH_UPLOAD, "/in/learned.bin"},
         {"/trials/../params.bin", FTP_PATH_HIDDEN, NULL},
         {"/trials/..", FTP_PATH_HIDDEN, NULL},
         {"/trials/.", FTP_PATH_HIDDEN, NULL},

@@ -134,7 +134,7 @@ static void test_commit_comes_as_command_int(void) {
     TEST_ASSERT_EQUAL(LINK_FILE_AMPLITUDES, last_command.file);
     TEST_ASSERT_EQUAL(172, last_command.length_bytes);
     TEST_ASSERT_EQUAL_HEX32(0xFEDCBA98u, last_command.crc);
-    send_commit(3, 172, 0);
+    send_commit(4, 172, 0);
     expect_answer(TAILBEAT_CMD_COMMIT, MAV_RESULT_DENIED, FAULT_BAD_DATA);
     send_commit(0, -1, 0);
     expect_answer(TAILBEAT_CMD_COMMIT, MAV_RESULT_DENIED, FAULT_BAD_DATA);

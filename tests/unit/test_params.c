@@ -18,7 +18,7 @@ static void test_every_row_is_sound(void) {
         const size_t length = strlen(info->name);
         TEST_ASSERT_TRUE_MESSAGE(length >= 1 && length <= PARAM_NAME_BYTES, info->name);
         TEST_ASSERT_TRUE_MESSAGE(info->low < info->high, info->name);
-        TEST_ASSERT_TRUE_MESSAGE(strlen(info->text) > 0, info->name);
+        TEST_ASSERT_TRUE_MESSAGE(strlen(param_text((param_t)i)) > 0, info->name);
         TEST_ASSERT_EQUAL_MESSAGE(PARAM_OK, params_set(&params, (param_t)i, info->fallback),
                                   info->name);
         TEST_ASSERT_EQUAL_MESSAGE(i, param_find(info->name), info->name);

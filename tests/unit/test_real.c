@@ -45,6 +45,17 @@ static void test_clip_and_abs(void) {
 }
 
 /* Double has more than twice float's digits, so rounding its root once more is exact. */
+static void test_whole_numbers_are_those_of_the_cast(void) {
+    for (uint32_t bits = 0; bits < 0x5F800000u; bits += 4099u) {
+        TEST_ASSERT_EQUAL_UINT64((uint64_t)of_bits(bits), real_whole_u64(of_bits(bits)));
+    }
+    TEST_ASSERT_EQUAL_UINT64(UINT64_C(0xFFFFFF0000000000), real_whole_u64(of_bits(0x5F7FFFFFu)));
+    const float outside[] = {0x1p64f, INFINITY, NAN, -0.0f, -1.0f, -INFINITY};
+    for (uint32_t i = 0; i < sizeof outside / sizeof outside[0]; i++) {
+        TEST_ASSERT_EQUAL_UINT64(0, real_whole_u64(outside[i]));
+    }
+}
+
 static void check_sqrt(uint32_t bits) {
     const float x = of_bits(bits);
     TEST_ASSERT_EQUAL_HEX32(bits_of((float)sqrt((double)x)), bits_of(real_sqrt(x)));
@@ -130,6 +141,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_finite);
     RUN_TEST(test_clip_and_abs);
+    RUN_TEST(test_whole_numbers_are_those_of_the_cast);
     RUN_TEST(test_sqrt_is_correctly_rounded);
     RUN_TEST(test_sqrt_of_what_has_none);
     RUN_TEST(test_sine_is_near_the_true_one);

@@ -35,8 +35,9 @@ static const step_t ALLOWED[] = {
     {STATE_RUNNING, EVENT_STOP, FAULT_REBOOT, STATE_ABORTED},
 };
 
-static const fault_t STOPPING_FAULTS[] = {FAULT_BATTERY_CRITICAL, FAULT_LATE_TICK, FAULT_STORAGE,
-                                          FAULT_SERVO_CONFIG, FAULT_WATCHDOG};
+static const fault_t STOPPING_FAULTS[] = {
+    FAULT_BATTERY_CRITICAL, FAULT_LATE_TICK, FAULT_STORAGE, FAULT_SERVO_CONFIG,
+    FAULT_WATCHDOG,         FAULT_CRASH,     FAULT_CLOCK};
 
 /* Refusals, nothing, and a number that no table has. */
 static const fault_t NO_STOPS[] = {FAULT_NONE, FAULT_WRONG_STATE, FAULT_WRONG_BEATS, (fault_t)99};

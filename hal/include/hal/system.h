@@ -21,8 +21,38 @@ typedef enum {
     HAL_RESET_PIN = 4
 } hal_reset_cause_t;
 
+typedef enum {
+    HAL_CRASH_ASSERTION = 1, /* panic() */
+    HAL_CRASH_HARD_FAULT = 2,
+    HAL_CRASH_MEMORY_FAULT = 3, /* the stack ran into its guard, a write where none may be */
+    HAL_CRASH_BUS_FAULT = 4,
+    HAL_CRASH_USAGE_FAULT = 5, /* division by zero, undefined instruction */
+    HAL_CRASH_INTERRUPT = 6    /* one that nobody expects */
+} hal_crash_kind_t;
+
+#define HAL_CRASH_WHERE_BYTES 48u
+#define HAL_CRASH_STACK_WORDS 32u
+
+/* How the firmware died. Registers and stack are those of the moment (ARMv7-M, B1.5 and B3.2). */
+typedef struct {
+    uint32_t kind;                     /* hal_crash_kind_t */
+    uint32_t crashes;                  /* since power-on */
+    uint64_t time_us;                  /* since the boot that crashed */
+    char where[HAL_CRASH_WHERE_BYTES]; /* "file:line" of a failed assertion, end of it; else "" */
+    uint32_t r0, r1, r2, r3, r12, lr, pc, xpsr;
+    uint32_t sp, exc_return;
+    uint32_t cfsr, hfsr, mmfar, bfar, icsr;
+    uint32_t stack_words; /* valid words in |stack| */
+    uint32_t stack[HAL_CRASH_STACK_WORDS];
+} hal_crash_t;
+
 hal_board_kind_t hal_board_kind(const hal_t *hal);
 hal_reset_cause_t hal_reset_cause(const hal_t *hal);
+
+/* Fills |out| with how the run before this one died; false when it did not. The record stays until
+ * hal_crash_forget(). */
+bool hal_crash_read(const hal_t *hal, hal_crash_t *out);
+void hal_crash_forget(hal_t *hal);
 
 /* 128-bit serial number of the chip. */
 void hal_unique_id(const hal_t *hal, uint8_t out[16]);
