@@ -8,7 +8,7 @@
 #include "hal/servo.h"
 #include "hal/system.h"
 #include "line.h"
-#include "sim.h"
+#include "sim_config.h"
 
 #define BOARD_LINKS 2          /* radio and console */
 #define BOARD_RING_BYTES 2048u /* as on the fish, each direction */

@@ -3,6 +3,7 @@
 #define SIM_CAMERA_H
 
 #include "fish.h"
+#include "world.h"
 
 #define CAMERA_QUEUE 1024u
 

@@ -8,6 +8,10 @@
 #include "plant.h"
 #include "tail.h"
 
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
 #define FISH_BEATS_MAX 640u
 #define FISH_SPEEDS_MAX 32768u
 

@@ -1,5 +1,7 @@
 #include "plant.h"
 
+#include "world.h"
+
 #include <math.h>
 
 static bool within(double x, double low, double high) { return x >= low && x <= high; }

@@ -2,7 +2,7 @@
 #ifndef SIM_PLANT_H
 #define SIM_PLANT_H
 
-#include "sim.h"
+#include "sim_config.h"
 #include "tail.h"
 
 #define DELAY_RING 2048u /* substeps; a power of two */

@@ -2,137 +2,66 @@
 
 #include "app/app.h"
 #include "board.h"
-#include "camera.h"
-#include "fish.h"
-#include "vn100_stream.h"
 
-#include <math.h>
 #include <stdlib.h>
 
-#define FRAME_TIME_US 20000u
 #define POLL_US 10000u /* the main loop wakes at least this often */
 /* A message waits at most this long for the next one, so that the host wakes once for both. */
 #define COALESCE_US 4000u
-/* The sensor's supply comes up after the board's; the two clocks must not be mistaken. */
-#define IMU_POWER_LATER_US 61000u
 
 struct sim {
     hal_t board;
-    sim_config_t config;
+    world_t *world;
     bool booted;
     uint64_t next_boot_us, next_frame_us, next_poll_us;
-    double battery_v;
-    fish_t fish;
-    camera_t camera;
-    vn100_t vn100;
     app_t app;
 };
 
-void sim_config_default(sim_config_t *config, sim_plant_t plant) {
-    *config = (sim_config_t){
-        .seed = 1,
-        .plant = plant,
-        .mass_kg = 0.4,
-        .body_length_m = 0.36,
-        .water_density_kg_m3 = 1000,
-        .tail_area_m2 = 3.14159265358979323846 * 0.165 * 0.165 / 4,
-        .drag_kg_m = 165.7056,
-        .kappa_per_m = 10,
-        .delay_s = 0.3,
-        .slope_m_s_rad = 0.219,
-        .dead_zone_rad = 0.197,
-        .servo_lag_s = 0.04,
-        .servo_rate_rad_s = 5.23598775598298873,
-        .beat_s = 1,
-        .camera_fps = 25,
-        .camera_latency_s = 0.08,
-        .imu_rate_hz = 100,
-        .battery_v = 8.2,
-        .link_bytes_per_s = 11520,
-        .boot_s = 1.7,
-    };
-    if (plant == SIM_PLANT_TANK) {
-        config->gain_sigma = 0.02;
-        config->flow_sigma_m_s = 0.0015;
-        config->start_sigma_m_s = 0.002;
-        config->camera_noise_m = 0.001;
-        config->imu_noise = 1;
-    }
-}
-
-static bool within(double x, double low, double high) { return x >= low && x <= high; }
-
-static bool water_valid(const sim_config_t *c) {
-    return plant_config_valid(c) && tail_frames(c->beat_s) != 0 && within(c->gain_sigma, 0, 1) &&
-           within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10);
-}
-
-static bool sensors_valid(const sim_config_t *c) {
-    return within(c->camera_noise_m, 0, 10) && within(c->camera_lost, 0, 1) &&
-           within(c->camera_fps, 0, 1000) && within(c->camera_latency_s, 0.02, 10) &&
-           within(c->imu_noise, 0, 1e3) && within(c->imu_rate_hz, 0, 800);
-}
-
-/* A link of 0 bytes per second is not limited. */
-static bool electronics_valid(const sim_config_t *c) {
-    return within(c->battery_v, 0, 60) && within(c->battery_sag_v_per_trial, 0, 60) &&
-           within(c->boot_s, 0, 1e5) &&
-           (within(c->link_bytes_per_s, 10, 1e9) || within(c->link_bytes_per_s, 0, 0));
-}
-
-static bool config_valid(const sim_config_t *c) {
-    return water_valid(c) && sensors_valid(c) && electronics_valid(c);
-}
-
 sim_t *sim_new(const sim_config_t *config) {
-    if (!config_valid(config)) {
-        return NULL;
-    }
-    sim_t *sim = calloc(1, sizeof *sim);
+    world_t *world = world_new(config);
+    sim_t *sim = world != NULL ? calloc(1, sizeof *sim) : NULL;
     if (sim == NULL) {
+        world_free(world);
         return NULL;
     }
-    sim->config = *config;
-    sim->battery_v = config->battery_v;
+    sim->world = world;
     sim->next_boot_us = (uint64_t)(config->boot_s * 1e6 + 0.5);
-    sim->next_frame_us = FRAME_TIME_US;
+    sim->next_frame_us = WORLD_FRAME_US;
     sim->next_poll_us = UINT64_MAX;
     board_init(&sim->board, config);
-    fish_init(&sim->fish, config);
-    camera_init(&sim->camera, config);
-    vn100_init(&sim->vn100, config);
     return sim;
 }
 
-void sim_free(sim_t *sim) { free(sim); }
-
-static void update_battery(sim_t *sim) {
-    const double v = sim->battery_v - sim->config.battery_sag_v_per_trial * sim->fish.swims;
-    sim->board.battery_mv = (uint16_t)(v > 0 ? v * 1e3 + 0.5 : 0);
+void sim_free(sim_t *sim) {
+    if (sim != NULL) {
+        world_free(sim->world);
+        free(sim);
+    }
 }
 
-static void advance_fish(sim_t *sim, uint16_t pulse_ticks) {
-    const bool begins = fish_frame(&sim->fish, sim->board.now_us, pulse_ticks);
-    camera_follow(&sim->camera, &sim->fish);
-    if (begins) {
-        update_battery(sim);
-    }
+static void update_battery(sim_t *sim) {
+    sim->board.battery_mv = (uint16_t)(world_battery_v(sim->world) * 1e3 + 0.5);
+}
+
+static void advance_world(sim_t *sim, uint16_t pulse_ticks) {
+    world_frame(sim->world, sim->board.now_us, pulse_ticks);
+    update_battery(sim);
 }
 
 /* The frame under way is cut short: the servo's frames count from the boot. */
 static void boot(sim_t *sim, hal_reset_cause_t cause) {
     const uint64_t now = sim->board.now_us;
     board_restart(&sim->board, cause);
-    if (now > sim->fish.time_us) {
-        advance_fish(sim, 0);
+    if (now > world_time_us(sim->world)) {
+        advance_world(sim, 0);
     }
     update_battery(sim);
     sim->booted = true;
     sim->next_boot_us = UINT64_MAX;
-    sim->next_frame_us = now + FRAME_TIME_US;
+    sim->next_frame_us = now + WORLD_FRAME_US;
     sim->next_poll_us = now + POLL_US;
     if (cause != HAL_RESET_SOFTWARE) {
-        vn100_power_on(&sim->vn100, now + IMU_POWER_LATER_US);
+        world_imu_power_on(sim->world, now);
     }
     app_init(&sim->app, &sim->board);
 }
@@ -143,13 +72,13 @@ static void frame_event(sim_t *sim) {
     if (sim->booted) {
         app_tick_isr(&sim->app);
     }
-    advance_fish(sim, pulse_ticks);
-    sim->next_frame_us += FRAME_TIME_US;
+    advance_world(sim, pulse_ticks);
+    sim->next_frame_us += WORLD_FRAME_US;
 }
 
 static void imu_event(sim_t *sim) {
-    uint8_t frame[VN100_FRAME_BYTES];
-    vn100_frame(&sim->vn100, &sim->fish, frame);
+    uint8_t frame[WORLD_IMU_FRAME_BYTES];
+    world_imu_frame(sim->world, frame);
     board_receive(&sim->board, HAL_PORT_IMU, frame, sizeof frame);
 }
 
@@ -174,7 +103,7 @@ static void handle_events(sim_t *sim) {
         frame_event(sim);
     }
     bool work = sim->next_poll_us <= now;
-    if (vn100_due_us(&sim->vn100) <= now) {
+    if (world_imu_due_us(sim->world) <= now) {
         imu_event(sim);
         work = true;
     }
@@ -195,7 +124,7 @@ static uint64_t least(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static uint64_t next_event_us(const sim_t *sim) {
     uint64_t next = least(sim->next_boot_us, sim->next_frame_us);
     next = least(next, sim->next_poll_us);
-    next = least(next, vn100_due_us(&sim->vn100));
+    next = least(next, world_imu_due_us(sim->world));
     for (unsigned port = 0; port < BOARD_LINKS; port++) {
         next = least(next, line_message_us(&sim->board.to_board[port]));
     }
@@ -213,7 +142,7 @@ static uint64_t wake_us(const sim_t *sim, int wake_port, bool wake_camera) {
             wake = least(message + COALESCE_US, idle > message ? idle : message);
         }
     }
-    return wake_camera ? least(wake, camera_due_us(&sim->camera)) : wake;
+    return wake_camera ? least(wake, world_camera_due_us(sim->world)) : wake;
 }
 
 uint64_t sim_run(sim_t *sim, uint64_t duration_us, int wake_port, bool wake_camera) {
@@ -259,55 +188,33 @@ size_t sim_link_read(sim_t *sim, int port, uint8_t *out, size_t max) {
 }
 
 size_t sim_camera_read(sim_t *sim, sim_camera_frame_t *out, size_t max) {
-    return camera_read(&sim->camera, sim->board.now_us, out, max);
+    return world_camera_read(sim->world, sim->board.now_us, out, max);
 }
 
-sim_truth_t sim_truth(const sim_t *sim) {
-    const fish_t *fish = &sim->fish;
-    return (sim_truth_t){
-        .time_s = (double)fish->time_us * 1e-6,
-        .x_m = fish->plant.x_m,
-        .v_m_s = fish->plant.water_v_m_s + fish->plant.flow_m_s,
-        .tail_rad = fish->tail_to_rad,
-        .amplitude_rad = fish->drive.amplitude_rad[SUBSTEPS - 1],
-        .swims = fish->swims,
-        .swimming = fish->pulse != 0,
-        .pulse_ticks = fish->pulse,
-    };
-}
-
-static size_t copy_out(const double *values, size_t count, double *out, size_t max) {
-    for (size_t i = 0; i < count && i < max; i++) {
-        out[i] = values[i];
-    }
-    return count;
-}
+sim_truth_t sim_truth(const sim_t *sim) { return world_truth(sim->world); }
 
 size_t sim_true_beats(const sim_t *sim, double *out, size_t max) {
-    return copy_out(sim->fish.beat_m_s, sim->fish.beats, out, max);
+    return world_true_beats(sim->world, out, max);
 }
 
 size_t sim_true_speeds_25hz(const sim_t *sim, double *out, size_t max) {
-    return copy_out(sim->fish.speed_m_s, sim->fish.speeds, out, max);
+    return world_true_speeds_25hz(sim->world, out, max);
 }
 
-void sim_set_swim(sim_t *sim, uint32_t next_swim) { sim->fish.next_swim_key = next_swim; }
+void sim_set_swim(sim_t *sim, uint32_t next_swim) { world_set_swim(sim->world, next_swim); }
 
 void sim_power_cycle(sim_t *sim) { boot(sim, HAL_RESET_POWER); }
 
 void sim_set_battery_v(sim_t *sim, double volts) {
-    sim->battery_v = volts >= 0 && volts <= 60 ? volts : 0;
+    world_set_battery_v(sim->world, volts);
     update_battery(sim);
 }
 
 void sim_set_imu(sim_t *sim, bool plugged) {
-    if (plugged && !sim->vn100.plugged && sim->booted) {
-        vn100_power_on(&sim->vn100, sim->board.now_us);
-    }
-    sim->vn100.plugged = plugged;
+    world_set_imu(sim->world, sim->board.now_us, plugged);
 }
 
-void sim_set_camera(sim_t *sim, bool on) { sim->camera.on = on; }
+void sim_set_camera(sim_t *sim, bool on) { world_set_camera(sim->world, on); }
 
 void sim_set_radio(sim_t *sim, bool connected) {
     if (!connected) {
@@ -317,6 +224,6 @@ void sim_set_radio(sim_t *sim, bool connected) {
     sim->board.connected[HAL_PORT_RADIO] = connected;
 }
 
-void sim_set_tilt_rad(sim_t *sim, double roll_rad) { sim->vn100.tilt_rad = roll_rad; }
+void sim_set_tilt_rad(sim_t *sim, double roll_rad) { world_set_tilt_rad(sim->world, roll_rad); }
 
 uint8_t *sim_flash(sim_t *sim) { return sim->board.flash; }

@@ -42,6 +42,11 @@ void board_restart(hal_t *hal, hal_reset_cause_t cause) {
 
 uint64_t hal_time_us(const hal_t *hal) { return hal->now_us - hal->boot_us; }
 
+bool hal_clock_exact(const hal_t *hal) {
+    (void)hal;
+    return true;
+}
+
 void hal_servo_pulse_isr(hal_t *hal, uint16_t width_ticks) { hal->pulse_ticks = width_ticks; }
 
 static size_t room(const board_ring_t *ring) {
@@ -107,6 +112,14 @@ size_t hal_serial_write(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_
     return length;
 }
 
+/* Bytes of the simulated IMU arrive at once, frame by frame. */
+bool hal_serial_set_baud(hal_t *hal, hal_port_t port, uint32_t baud) {
+    (void)hal;
+    (void)port;
+    (void)baud;
+    return true;
+}
+
 hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port) {
     return hal->received[port].errors;
 }
@@ -133,6 +146,15 @@ hal_board_kind_t hal_board_kind(const hal_t *hal) {
 }
 
 hal_reset_cause_t hal_reset_cause(const hal_t *hal) { return hal->reset_cause; }
+
+/* A crash here ends the process. */
+bool hal_crash_read(const hal_t *hal, hal_crash_t *out) {
+    (void)hal;
+    (void)out;
+    return false;
+}
+
+void hal_crash_forget(hal_t *hal) { (void)hal; }
 
 void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     memcpy(out, "sim-fish", 8);

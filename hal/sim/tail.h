@@ -5,7 +5,7 @@
 #ifndef SIM_TAIL_H
 #define SIM_TAIL_H
 
-#include "sim.h"
+#include "sim_config.h"
 
 #define SUBSTEPS 4u /* per 20 ms frame */
 #define FRAMES_PER_BEAT_MIN 4u

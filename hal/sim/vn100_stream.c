@@ -27,6 +27,7 @@ void vn100_init(vn100_t *vn100, const sim_config_t *config) {
 }
 
 void vn100_power_on(vn100_t *vn100, uint64_t now_us) {
+    vn100->powered = true;
     vn100->power_us = now_us;
     vn100->sample = 0;
     vn100->key = noise_key(vn100->seed, NOISE_IMU, vn100->starts);
@@ -44,8 +45,10 @@ void vn100_power_on(vn100_t *vn100, uint64_t now_us) {
     vn100->starts++;
 }
 
+void vn100_power_off(vn100_t *vn100) { vn100->powered = false; }
+
 uint64_t vn100_due_us(const vn100_t *vn100) {
-    if (!vn100->plugged || vn100->rate_hz <= 0 || vn100->starts == 0) {
+    if (!vn100->plugged || !vn100->powered || vn100->rate_hz <= 0) {
         return UINT64_MAX;
     }
     const double since = (double)vn100->sample * 1e6 / vn100->rate_hz;

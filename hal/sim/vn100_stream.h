@@ -13,7 +13,7 @@
 typedef struct {
     uint64_t seed;
     double rate_hz, noise;
-    bool plugged;
+    bool plugged, powered;
     uint64_t power_us; /* simulated time at which its clock started */
     uint64_t starts;   /* times it was powered */
     uint64_t sample;   /* next frame since start-up */
@@ -25,6 +25,7 @@ typedef struct {
 
 void vn100_init(vn100_t *vn100, const sim_config_t *config);
 void vn100_power_on(vn100_t *vn100, uint64_t now_us);
+void vn100_power_off(vn100_t *vn100);
 
 /* Simulated time of the next frame; UINT64_MAX = none. */
 uint64_t vn100_due_us(const vn100_t *vn100);

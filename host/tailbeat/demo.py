@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +21,13 @@ from tailbeat import laws, reference
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment
 from tailbeat.report import Series, Swim, render_png, write_html
+from tailbeat.transport.find import is_simulated
 from tailbeat.trial_log import Trial, read_trial, recompute_beats
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
     from tailbeat.results import LearnReport
-    from tailbeat.transport.simulated import SimBoard
+    from tailbeat.transport.inprocess import SimulatedBoard
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 DEFAULT_LEAD = {"thesis": 0, "tank": 1}
@@ -37,14 +39,15 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """``overrides``: fields of the simulator's configuration, SI. ``connect``: another board than
-    a simulated one in this process."""
+    """``connect``: None = the simulated board. ``plant``, ``seed`` and ``overrides`` (fields of the
+    simulator's configuration, SI) are refused for a board without a simulated fish in this process;
+    None = as the address says, else tank and 1."""
 
-    plant: str = "tank"
+    plant: str | None = None
     gain: float = 4.0
     lead: int | None = None
     trials: int = 6
-    seed: int = 1
+    seed: int | None = None
     out: Path | None = None
     connect: str | None = None
     overrides: dict[str, float] = field(default_factory=dict)
@@ -94,18 +97,29 @@ def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None)
         raise InputError(f"{options.trials} trials are no demo.", "Give --trials 1 or more.")
     from tailbeat.fish import Fish
 
-    if options.connect is None:
-        url, overrides = f"sim:{options.plant}", {"seed": options.seed, **options.overrides}
-    else:
-        url, overrides = options.connect, options.overrides
-    with Fish.connect(url, **overrides) as fish:
+    with Fish.connect(_address(options), **options.overrides) as fish:
         return _Demo(fish, options).run(progress)
+
+
+def _address(options: DemoOptions) -> str:
+    """Where to connect, with plant and seed if they are given."""
+    url = options.connect or "sim"
+    wanted = {"plant": options.plant, "seed": options.seed}
+    given = {name: value for name, value in wanted.items() if value is not None}
+    if not given:
+        return url
+    if not is_simulated(url):
+        raise InputError(
+            f"{' and '.join(given)} given for a board that is not simulated here",
+            "Leave them out, or connect to sim or vboard.",
+        )
+    return f"{url}{'&' if '?' in url else '?'}{urlencode(given)}"
 
 
 class _Demo:
     def __init__(self, fish: Fish, options: DemoOptions) -> None:
         self.fish, self.options = fish, options
-        self.sim: SimBoard | None = fish.sim
+        self.sim: SimulatedBoard | None = fish.sim
         self.plant = self.sim.plant if self.sim else "unknown"
         lead = DEFAULT_LEAD.get(self.plant, 1)
         self.lead = lead if options.lead is None else options.lead
@@ -158,7 +172,8 @@ class _Demo:
         self.info = fish.info()
 
     def _experiment(self) -> Experiment:
-        fish = f"sim-{self.plant}" if self.sim else self.info.board
+        kind = "vboard" if self.info.board == "emulated" else "sim"
+        fish = f"{kind}-{self.plant}" if self.sim else self.info.board
         names = fish, self.reference.name, self.law.label()
         out = self.options.out
         if out is None:
@@ -252,6 +267,7 @@ class _Demo:
     def _series(self, result: DemoResult) -> Series:
         simulated = self.info.simulated
         who = "A simulated fish" if simulated else "The fish"
+        board = "emulated board, " if self.info.board == "emulated" else ""
         plant = f"{plant_text(self.plant, self.sim)}, seed {result.seed}; " if self.sim else ""
         lead = f"{self.lead} beat{'' if self.lead == 1 else 's'}"
         swims = [
@@ -270,7 +286,7 @@ class _Demo:
         ]
         return Series(
             title=f"{who} learns the {self.reference.name} speed profile",
-            subtitle=f"{plant}law P, gain {result.gain:g} rad·s/m, lead {lead}",
+            subtitle=f"{board}{plant}law P, gain {result.gain:g} rad·s/m, lead {lead}",
             simulated=simulated,
             reference_name=self.reference.name,
             reference_m_s=self.reference.speed_m_s,
@@ -284,7 +300,7 @@ class _Demo:
             versions={
                 "tailbeat": _version(),
                 "firmware": self.info.build_id,
-                "board": f"{self.info.board} {self.info.unique_id}",
+                "board": f"{self.info.board} board {self.info.unique_id}",
             },
         )
 
@@ -325,7 +341,7 @@ def distance_m(trial: Trial) -> float:
     return float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * trial.beat_s
 
 
-def plant_text(plant: str, sim: SimBoard | None) -> str:
+def plant_text(plant: str, sim: SimulatedBoard | None) -> str:
     """The plant in a few words."""
     if plant == "tank" and sim is not None:
         return f"tank plant, drag/mass {sim.config['kappa_per_m']:g} 1/m"

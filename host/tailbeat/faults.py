@@ -34,7 +34,7 @@ class FaultInfo:
 @cache
 def all_faults() -> tuple[FaultInfo, ...]:
     """Every row, in rising order of number."""
-    return tuple(_row(lib.fault_row(row)) for row in range(lib.fault_count()))
+    return tuple(_row(row) for row in range(lib.fault_count()))
 
 
 @cache
@@ -58,15 +58,16 @@ def refusal(number: int) -> Refused:
     return Refused(info.number, info.name, info.meaning, info.remedy)
 
 
-def _row(row: object) -> FaultInfo:
-    def text(field: str) -> str:
-        return str(ffi.string(getattr(row, field)).decode())
-
-    kind = int(getattr(row, "kind"))  # noqa: B009
+def _row(row: int) -> FaultInfo:
+    info = lib.fault_row(row)
     return FaultInfo(
-        int(getattr(row, "number")),  # noqa: B009
-        text("name"),
-        _KINDS[kind],
-        text("meaning"),
-        text("remedy"),
+        int(info.number),
+        _text(info.name),
+        _KINDS[int(info.kind)],
+        _text(info.meaning),
+        _text(lib.fault_remedy(row)),
     )
+
+
+def _text(pointer: object) -> str:
+    return str(ffi.string(pointer).decode())

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat import _dialect as mavlink
-from tailbeat import records, results
+from tailbeat import crash, records, results
 from tailbeat.boardclock import BoardClock
 from tailbeat.camera.base import Camera, Frame
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.crash import CrashReport
 from tailbeat.errors import ConnectError, TransferError
 from tailbeat.faults import NO_REFERENCE, NO_TRIAL, refusal
 from tailbeat.ftp import FtpClient, FtpError, Progress
@@ -32,7 +33,7 @@ from tailbeat.results import (
 )
 from tailbeat.transport.base import Transport
 from tailbeat.transport.find import hear_board, open_transport
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.transport.inprocess import SimTransport, SimulatedBoard
 from tailbeat.transport.tcp import TcpTransport
 
 TRIALS = "/trials"
@@ -97,8 +98,9 @@ class Fish:
         self.link.close()
 
     @property
-    def sim(self) -> SimBoard | None:
-        """The simulated board when it lives in this process."""
+    def sim(self) -> SimulatedBoard | None:
+        """The board when it lives in this process: the simulator's or an emulated one, either with
+        a simulated fish around it."""
         return self.transport.board if isinstance(self.transport, SimTransport) else None
 
     def info(self) -> BoardInfo:
@@ -110,7 +112,7 @@ class Fish:
             build_id=self._build_id() or text_of(bytes(m.flight_custom_version)),
             version=f"{version >> 24 & 255}.{version >> 16 & 255}.{version >> 8 & 255}",
             board=kind,
-            simulated=kind == "simulated",
+            simulated=kind in results.SIMULATED_FISH,
             unique_id=bytes(m.uid2)[:16].hex(),
             connection=self.transport.name,
             status=self.status(),
@@ -136,8 +138,20 @@ class Fish:
 
     def reference_record(self) -> bytes | None:
         """The board's reference as it is stored, see records.decode_reference."""
+        return self._record("/reference.bin")
+
+    def crash_report(self) -> CrashReport | None:
+        """How the firmware last died; None when it never has."""
+        record = self.crash_record()
+        return None if record is None else crash.decode_crash(record)
+
+    def crash_record(self) -> bytes | None:
+        """The same as it is stored."""
+        return self._record(crash.PATH)
+
+    def _record(self, path: str) -> bytes | None:
         try:
-            return self.ftp.read("/reference.bin")
+            return self.ftp.read(path)
         except FtpError as error:
             if error.code == _FTP_NOT_FOUND:
                 return None
@@ -149,6 +163,18 @@ class Fish:
         if crc is None:
             raise refusal(NO_REFERENCE)
         self._upload(records.FILE_AMPLITUDES, records.encode_amplitudes(crc, amplitude_rad))
+
+    def learned_record(self) -> bytes | None:
+        """All that was learned, as upload_learned takes it; None when there is nothing."""
+        status = self.status()
+        if status.iteration == 0:
+            return None
+        best = self.amplitudes(best=True) if status.best_iteration else None
+        return records.encode_learned(status, self.amplitudes(), best)
+
+    def upload_learned(self, record: bytes) -> None:
+        """Makes ``record`` all that the board has learned; it must be of the board's reference."""
+        self._upload(records.FILE_LEARNED, record)
 
     def upload_speeds(self, trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> None:
         """Gives the pending trial its speeds, one per beat; NaN = not measured."""

@@ -152,8 +152,8 @@ def known_parameters() -> dict[str, _Known]:
             float(info.low),
             float(info.high),
             info.kind == lib.PARAM_WHOLE,
-            _text(info.unit),
-            _text(info.text),
+            _text(lib.param_unit(index)),
+            _text(lib.param_text(index)),
         )
     return table
 

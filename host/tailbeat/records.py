@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,15 +13,20 @@ from tailbeat._native import ffi, lib
 from tailbeat.errors import InputError
 from tailbeat.faults import fault_info
 
+if TYPE_CHECKING:
+    from tailbeat.results import Amplitudes, BoardStatus
+
 Float32 = NDArray[np.float32]
 
 FILE_REFERENCE = 0
 FILE_AMPLITUDES = 1
 FILE_SPEEDS = 2
+FILE_LEARNED = 3
 PATHS = {
     FILE_REFERENCE: "/in/reference.bin",
     FILE_AMPLITUDES: "/in/amplitudes.bin",
     FILE_SPEEDS: "/in/speeds.bin",
+    FILE_LEARNED: "/in/learned.bin",
 }
 
 _HEADER_BYTES = 12
@@ -124,6 +129,22 @@ def decode_amplitudes(record: bytes) -> AmplitudesRecord:
     fault = lib.record_decode_amplitudes(ffi.from_buffer(record), len(record), struct)
     _check(fault, "amplitudes file")
     return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
+
+
+def encode_learned(status: BoardStatus, now: Amplitudes, best: Amplitudes | None) -> bytes:
+    """All that a board has learned, from what it tells of it."""
+    struct = ffi.new("memory_t *")
+    struct.reference_crc = now.reference_crc
+    struct.last_trial = status.last_learned_trial or 0
+    struct.beats = now.beats
+    struct.iteration = now.iteration
+    struct.worse_streak = status.worse_streak
+    _fill(struct.amplitude_rad, now.values)
+    if best is not None:
+        struct.best_iteration = status.best_iteration or 0
+        struct.best_max_abs_error_m_s = status.best_max_abs_error_m_s or 0.0
+        _fill(struct.best_rad, best.values)
+    return _encode(lib.record_encode_memory, struct, 2, now.beats)
 
 
 def _beats(values: ArrayLike | Sequence[float], what: str) -> Float32:

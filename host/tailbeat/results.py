@@ -13,6 +13,7 @@ from tailbeat.link import Message
 
 STATES = ("BOOT", "IDLE", "ARMED", "RUNNING", "SETTLING", "LEARNING", "ABORTED", "FAULT")
 BOARD_KINDS = {1: "fish", 2: "simulated", 3: "emulated"}
+SIMULATED_FISH = ("simulated", "emulated")  # kinds of boards with no real fish around them
 RESET_CAUSES = ("power", "backup", "watchdog", "software", "reset pin")
 
 _MEASURED, _SATURATED = 1, 2
@@ -63,7 +64,7 @@ class BoardStatus:
 
 @dataclass(frozen=True)
 class BoardInfo:
-    """Who the board is."""
+    """Who the board is. ``simulated``: there is no real fish around it."""
 
     build_id: str
     version: str

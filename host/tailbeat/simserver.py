@@ -1,5 +1,5 @@
-"""A simulated board as a process: the radio on a TCP port, the camera on another, the console on a
-pty, in real time times a factor.
+"""A simulated or emulated board as a process: the radio on a TCP port, the camera on another, the
+console on a pty, in real time times a factor.
 
 The board goes on swimming when a client drops, as a real one would, and takes the next client
 without a restart.
@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tailbeat.errors import ConnectError, InputError
-from tailbeat.transport.simulated import CONSOLE, RADIO, SimBoard
+from tailbeat.transport.inprocess import CONSOLE, RADIO, SimulatedBoard
 
 DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
 
@@ -27,6 +27,10 @@ _BACKLOG_MAX_BYTES = 1 << 20
 _TURN_AWAY_S = 0.5
 _STEP_S = 0.002  # wall time between two looks at the board
 _CATCH_UP_MAX_S = 0.25  # wall time a slow machine may owe before the clock is set back
+_STEP_MAX_S = 0.05  # wall time spent on the board before the ports are looked at again
+_PIECE_S = 0.02  # simulated time run at once
+_PACE_SPAN_S = 5.0  # wall time over which the pace is judged
+_PACE_MIN = 0.95  # of the wanted one
 
 
 class _Client:
@@ -174,10 +178,17 @@ class Addresses:
 
 
 class SimServer:
-    """Serves one SimBoard. ``speed``: simulated seconds per second."""
+    """Serves one board. ``speed``: simulated seconds per second; a board that cannot keep up runs
+    as fast as it can, and ``on_slow`` is called once with the pace it reaches."""
 
     def __init__(
-        self, board: SimBoard, listen: str = DEFAULT_LISTEN, pty: bool = False, speed: float = 1.0
+        self,
+        board: SimulatedBoard,
+        listen: str = DEFAULT_LISTEN,
+        pty: bool = False,
+        speed: float = 1.0,
+        on_slow: Callable[[float], None] = lambda pace: None,
+        wall_s: Callable[[], float] = time.monotonic,
     ) -> None:
         if not 0 < speed < 1e6:
             raise InputError(f"a speed of {speed:g} makes no sense.", "Give it like --speed 10.")
@@ -187,8 +198,11 @@ class SimServer:
         self._selector = selectors.DefaultSelector()
         self._radio, self._camera = _two_ports(self._selector, host, port)
         self._pty = _Pty(self._selector) if pty else None
-        self._start_s = time.monotonic()
+        self._wall_s = wall_s
+        self._on_slow: Callable[[float], None] | None = on_slow
+        self._start_s = wall_s()
         self._origin_s = board.time_s
+        self._span_s = self._start_s, board.time_s
 
     @property
     def addresses(self) -> Addresses:
@@ -216,15 +230,28 @@ class SimServer:
         self._camera.read()
 
     def _advance(self) -> None:
-        wall_s = time.monotonic()
+        wall_s = self._wall_s()
         done_s = self._board.time_s - self._origin_s
         due_s = (wall_s - self._start_s) * self._speed - done_s
         limit_s = _CATCH_UP_MAX_S * self._speed
         if due_s > limit_s:
             self._start_s, self._origin_s = wall_s, self._board.time_s + limit_s
             due_s = limit_s
-        if due_s >= 0.001:
-            self._board.run(due_s)
+        while due_s >= 0.001 and self._wall_s() - wall_s < _STEP_MAX_S:
+            before_s = self._board.time_s
+            self._board.run(min(due_s, _PIECE_S))
+            due_s -= self._board.time_s - before_s
+        self._judge_pace(wall_s)
+
+    def _judge_pace(self, wall_s: float) -> None:
+        begin_s, begin_time_s = self._span_s
+        if self._on_slow is None or wall_s - begin_s < _PACE_SPAN_S:
+            return
+        pace = (self._board.time_s - begin_time_s) / (wall_s - begin_s)
+        self._span_s = wall_s, self._board.time_s
+        if pace < _PACE_MIN * self._speed:
+            self._on_slow(pace)
+            self._on_slow = None
 
     def _deliver(self) -> None:
         if data := self._board.read(RADIO):

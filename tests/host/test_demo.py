@@ -108,9 +108,30 @@ def test_a_bit_of_difference_is_noticed(tank: tuple[DemoResult, Path]) -> None:
 
 def test_what_the_address_says_about_the_simulator_holds(tmp_path: Path) -> None:
     url = "sim:tank?seed=9&kappa=6"
-    told = run_demo(DemoOptions(trials=1, connect=url, out=tmp_path / "a"))
+    told = run_demo(DemoOptions(trials=1, seed=9, connect=url, out=tmp_path / "a"))
     same = DemoOptions(trials=1, seed=9, overrides={"kappa": 6.0}, out=tmp_path / "b")
     expected = run_demo(same)
     assert told.seed == 9
     assert told.floor_m_s == expected.floor_m_s
     assert told.trials == expected.trials
+
+
+def test_plant_and_seed_hold_for_a_simulated_address(tmp_path: Path) -> None:
+    options = DemoOptions("thesis", seed=5, trials=1, connect="sim", out=tmp_path)
+    result = run_demo(options)
+    assert (result.plant, result.seed, result.lead) == ("thesis", 5, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (DemoOptions("tank", connect="tcp:127.0.0.1:1"), "plant given for a board that is not"),
+        (DemoOptions(seed=1, connect="/dev/x"), "seed given for a board that is not"),
+        (DemoOptions(overrides={"kappa": 5.0}, connect="udp:5"), "simulator values given"),
+        (DemoOptions("tank", connect="sim:thesis"), "two plants"),
+        (DemoOptions(seed=2, connect="sim?seed=3"), "seed is given as 3 and as 2"),
+    ],
+)
+def test_what_does_not_belong_to_the_board_is_refused(options: DemoOptions, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        run_demo(options)

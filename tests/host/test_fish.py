@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from littlefs import LittleFS, UserContext
 
 from tailbeat import _dialect as mavlink
 from tailbeat import records
@@ -369,3 +370,16 @@ def test_amplitudes_that_never_hold_still(ready: Fish, monkeypatch: pytest.Monke
 def test_a_simulator_without_camera(reference: bytes) -> None:
     with Fish.connect("sim:tank?camera_fps=0") as fish:
         assert fish.default_camera() is None
+
+
+def test_the_learned_record_is_what_the_board_stores(fish: Fish) -> None:
+    assert fish.learned_record() is None
+    fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
+    fish.learn(fish.run_trial().number)
+    sim = fish.sim
+    assert sim is not None
+    disk = UserContext(buffsize=len(sim.flash))
+    disk.buffer[:] = sim.flash
+    stored = LittleFS(context=disk, block_size=2048, block_count=128)
+    with stored.open("/learned.bin", "rb") as file:
+        assert fish.learned_record() == file.read()

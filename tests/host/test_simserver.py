@@ -112,6 +112,41 @@ def test_garbage_does_not_stop_it() -> None:
             assert fish.info().simulated
 
 
+class Wall:
+    """A clock that moves when the board works: ``cost`` wall seconds per simulated one."""
+
+    def __init__(self, board: SimBoard, cost: float) -> None:
+        self.now_s = 0.0
+        self._run = board.run
+        board.run = self._work  # type: ignore[method-assign]
+        self._cost = cost
+
+    def _work(self, duration_s: float) -> float:
+        self.now_s += duration_s * self._cost
+        return self._run(duration_s)
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.parametrize(("cost", "slow"), [(0.5, [2.0]), (0.05, [])])
+def test_a_board_that_falls_behind_is_told_once(cost: float, slow: list[float]) -> None:
+    board = SimBoard("tank")
+    wall = Wall(board, cost)
+    told: list[float] = []
+    server = SimServer(board, "tcp:127.0.0.1:0", speed=10.0, on_slow=told.append, wall_s=wall)
+    longest_s = 0.0
+    while wall.now_s < 20.0:
+        before_s = wall.now_s
+        wall.now_s += 1e-3
+        server.step()
+        longest_s = max(longest_s, wall.now_s - before_s)
+    server.close()
+    assert told == pytest.approx(slow, rel=0.05)
+    assert longest_s < 0.1
+    assert board.time_s == pytest.approx(20.0 * min(10.0, 1 / cost), rel=0.05)
+
+
 @pytest.mark.parametrize("text", ["", "udp:1.2.3.4:5", "tcp:5760", "tcp:h:x", "tcp:h:99999"])
 def test_places_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match="no place to listen"):

@@ -160,7 +160,8 @@ def test_serial_missing() -> None:
     "url",
     ["", "xyz", "tcp:", "tcp:host", "tcp:host:port", "tcp:h:99999", "udp:x", "sim:pond",
      "sim?seed=x", "sim?seed=nan", "sim?seed=-1", "sim?seed=1e30",
-     "sim?nonsense=1", "sim?camera=1"],
+     "sim?nonsense=1", "sim?camera=1", "sim:tank?plant=thesis", "sim?plant=pond",
+     "sim?seed=1&seed=2"],
 )  # fmt: skip
 def test_senseless_addresses(url: str) -> None:
     with pytest.raises(InputError) as bad:
@@ -176,6 +177,8 @@ def test_sim_address_with_values() -> None:
     assert board.config["mass_kg"] == 0.5
     assert board.config["camera_fps"] == 50.0
     assert find.open_transport("sim").board.plant == "tank"
+    assert find.open_transport("sim?plant=thesis").board.plant == "thesis"
+    assert find.open_transport(f"sim?seed={2**64 - 1}").board.seed == 2**64 - 1
     assert find.open_transport("sim?kappa=5").board.config["kappa_per_m"] == 5.0
     with pytest.raises(InputError):
         find.open_transport("tcp:127.0.0.1:1", kappa=5.0)

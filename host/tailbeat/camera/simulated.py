@@ -9,17 +9,17 @@ from typing import Literal
 
 from tailbeat.camera.base import Frame
 from tailbeat.errors import ConnectError, reason
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.transport.inprocess import SimulatedBoard
 
 _CHUNK_BYTES = 65536
 
 
 class SimulatedCamera:
-    """Frames of a SimBoard, stamped with simulated time (the clock of its transport)."""
+    """Frames of a board in this process, in simulated time (the clock of its transport)."""
 
     clock: Literal["host", "board"] = "host"
 
-    def __init__(self, board: SimBoard) -> None:
+    def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
         board.watched = True
         board.camera_frames()

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat.cli import board, experiment, learn, params, reference, simulate, trial
+from tailbeat.cli import board, experiment, flash, learn, params, reference, simulate, trial
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -38,6 +38,7 @@ def _root(
 
 app.command()(simulate.demo)
 app.command()(simulate.sim)
+app.command()(simulate.vboard)
 app.command()(board.info)
 app.add_typer(params.app, name="params")
 app.add_typer(reference.app, name="reference")
@@ -49,5 +50,7 @@ app.add_typer(learn.speed_app, name="speed")
 app.command()(learn.learn)
 app.command()(learn.law)
 app.command()(board.watch)
+app.command()(board.crash)
+app.command()(flash.flash)
 app.command()(simulate.selftest)
 app.add_typer(experiment.app, name="experiment")

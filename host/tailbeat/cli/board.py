@@ -1,7 +1,8 @@
-"""info, arm, disarm, clear, watch."""
+"""info, arm, disarm, clear, watch, crash."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,6 +18,7 @@ from tailbeat.cli.common import (
 )
 
 if TYPE_CHECKING:
+    from tailbeat.crash import CrashReport
     from tailbeat.results import BoardInfo, BoardStatus
 
 
@@ -48,6 +50,8 @@ def _info_text(found: BoardInfo, health: dict[str, int | str]) -> str:
         lines.append(f"best       {best} mm/s at iteration {status.best_iteration}")
     if status.pending_trial is not None:
         lines.append(f"pending    trial {status.pending_trial}: learn from it or discard it")
+    if health.get("reset_cause") != "power":
+        lines.append(f"last start {health['reset_cause']}")
     counted = ("imu_crc_failed", "link_bad_frames", "late_ticks", "store_failures")
     bad = [f"{name} {health[name]}" for name in counted if health.get(name)]
     if bad:
@@ -111,3 +115,42 @@ def watch(
             json_line(event)
             if number == count:
                 return
+
+
+def crash(
+    connect: Connect = None,
+    elf: Annotated[
+        Path | None,
+        typer.Option("--elf", help="The .elf that crashed: names the places in the source."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """How the firmware last crashed, from the board's /crash.bin.
+
+    Example: tailbeat crash --elf build/firmware/tailbeat.elf
+    """
+    from tailbeat.crash import places
+
+    with connected(connect) as fish:
+        report = fish.crash_report()
+    found = places(report, elf) if report is not None and elf is not None else []
+    document = {"crash": None if report is None else report.as_dict() | {"places": found}}
+    say(json, document, lambda: _crash_text(report, found))
+
+
+def _crash_text(report: CrashReport | None, found: list[str]) -> str:
+    if report is None:
+        return "no crash on record"
+    what = ", ".join([report.kind, *report.reasons, *filter(None, [report.where])])
+    registers = [f"{name:<10} {value:08x}" for name, value in report.registers.items()]
+    columns = ["  ".join(registers[i : i + 3]) for i in range(0, len(registers), 3)]
+    words = [f"{word:08x}" for word in report.stack]
+    stack = ["stack  " + " ".join(words[i : i + 8]) for i in range(0, len(words), 8)]
+    return "\n".join(
+        [
+            f"{what}, {report.time_s:.3f} s after its start, firmware {report.build_id}",
+            *found,
+            *columns,
+            *stack,
+        ]
+    )

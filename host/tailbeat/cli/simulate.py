@@ -1,4 +1,4 @@
-"""demo, sim, selftest."""
+"""demo, sim, vboard, selftest."""
 
 from __future__ import annotations
 
@@ -14,11 +14,17 @@ from tailbeat.cli.common import Json, assignments, json_line, mm, progress_bar, 
 if TYPE_CHECKING:
     from tailbeat.demo import DemoResult
     from tailbeat.simserver import Addresses
+    from tailbeat.transport.inprocess import SimulatedBoard
 
 Plant = Annotated[
     str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish and the water.")
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same run, bit for bit.")]
+Listen = Annotated[
+    str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
+]
+Pty = Annotated[bool, typer.Option("--pty", help="Serve the wired console on a pty too.")]
+Speed = Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="A value of the simulator, SI; repeatable."),
@@ -26,21 +32,31 @@ Set = Annotated[
 
 
 def demo(
-    plant: Plant = "tank",
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            "--plant", metavar="tank|thesis", help="Model of the fish and the water; default: tank."
+        ),
+    ] = None,
     gain: Annotated[float, typer.Option("--gain", help="Learning gain, rad s/m.")] = 4.0,
     lead: Annotated[
         int | None,
         typer.Option("--lead", min=0, help="Whole beats; default 0 (thesis) or 1 (tank)."),
     ] = None,
     trials: Annotated[int, typer.Option("--trials", min=1, help="Trials to swim.")] = 6,
-    seed: Seed = 1,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", min=0, help="Same seed, same run, bit for bit; default: 1."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder to write; default: below experiments/.")
     ] = None,
     settings: Set = None,
     connect: Annotated[
         str | None,
-        typer.Option("--connect", metavar="URL", help="Learn on this board instead."),
+        typer.Option(
+            "--connect", metavar="URL", help="Learn on this board instead; vboard = flash image."
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -93,13 +109,9 @@ def _demo_text(result: DemoResult) -> str:
 def sim(
     plant: Plant = "tank",
     seed: Seed = 1,
-    listen: Annotated[
-        str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
-    ] = "tcp:127.0.0.1:5760",
-    pty: Annotated[
-        bool, typer.Option("--pty", help="Serve the wired console on a pty too.")
-    ] = False,
-    speed: Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")] = 1.0,
+    listen: Listen = "tcp:127.0.0.1:5760",
+    pty: Pty = False,
+    speed: Speed = 1.0,
     settings: Set = None,
     json: Json = False,
 ) -> None:
@@ -107,11 +119,47 @@ def sim(
 
     Example: tailbeat sim --plant tank --speed 10 --set kappa_per_m=5
     """
-    from tailbeat.simserver import SimServer
     from tailbeat.transport.simulated import SimBoard
 
     board = SimBoard(plant, seed, **assignments(settings or []))
-    server = SimServer(board, listen, pty, speed)
+    _serve(board, "simulated fish", listen, pty, speed, json)
+
+
+def vboard(
+    image: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[IMAGE]", help="The flash image, .elf; default: build/firmware/tailbeat.elf."
+        ),
+    ] = None,
+    plant: Plant = "tank",
+    seed: Seed = 1,
+    listen: Listen = "tcp:127.0.0.1:5760",
+    pty: Pty = False,
+    speed: Speed = 1.0,
+    settings: Set = None,
+    json: Json = False,
+) -> None:
+    """The flash image on an emulated board with a simulated fish around it, until Ctrl-C.
+
+    Example: tailbeat vboard build/firmware/tailbeat.elf --pty
+    """
+    from tailbeat.transport.emulated import EmulatedBoard
+
+    board = EmulatedBoard(image, plant, seed, **assignments(settings or []))
+    _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
+
+
+def _serve(
+    board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float, json: bool
+) -> None:
+    from tailbeat.simserver import SimServer
+
+    def slow(pace: float) -> None:
+        words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
+        typer.echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
+
+    server = SimServer(board, listen, pty, speed, slow)
     stopped: list[int] = []
     for number in (
         signal.SIGINT,
@@ -122,16 +170,16 @@ def sim(
         if json:
             json_line(server.addresses.as_dict())
         else:
-            typer.echo(_sim_text(plant, speed, server.addresses))
+            typer.echo(_serve_text(f"{what} ({board.plant})", speed, server.addresses))
             sys.stdout.flush()
         server.serve(lambda: bool(stopped))
     finally:
         server.close()
 
 
-def _sim_text(plant: str, speed: float, at: Addresses) -> str:
+def _serve_text(what: str, speed: float, at: Addresses) -> str:
     pace = "" if speed == 1 else f" at {speed:g} x real time"
-    line = f"simulated fish ({plant}){pace} on {at.listen}: tailbeat info --connect {at.listen}"
+    line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
     return line + (f"\nconsole on {at.pty}" if at.pty else "") + f"\ncamera on {at.camera}"
 
 

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from urllib.parse import parse_qsl
 
 from tailbeat import _dialect as mavlink
 from tailbeat.errors import ConnectError, InputError, TailbeatError
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
 from tailbeat.transport.base import Transport
+from tailbeat.transport.inprocess import SimTransport
 from tailbeat.transport.serialport import SerialTransport, likely_ports
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.transport.simulated import SimBoard
 from tailbeat.transport.tcp import TcpTransport
 from tailbeat.transport.udp import UdpTransport
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
 LISTEN_S = 3.0  # a board that was reset by opening its port is up again by then
 GRAMMAR = (
-    "a serial path, tcp:HOST:PORT, udp:PORT, udp:HOST:PORT, sim, sim:tank or sim:thesis"
-    " (with ?seed=1&kappa=5…)"
+    "a serial path, tcp:HOST:PORT, udp:PORT, udp:HOST:PORT, sim, sim:tank, sim:thesis, vboard or"
+    " vboard:IMAGE (the last four with ?plant=tank&seed=1&kappa=5…)"
 )
+DEFAULT_PLANT, DEFAULT_SEED = "tank", 1.0
 
 
 def open_transport(url: str | None = None, **sim_overrides: float) -> Transport:
     """The transport ``url`` means; None finds the fish. Raises ConnectError, InputError."""
     if url is None:
         return find_board()
-    scheme, _, rest = url.partition(":")
-    if scheme.split("?")[0] == "sim":
-        return _open_sim(url, sim_overrides)
+    if is_simulated(url):
+        return _open_simulated(url, sim_overrides)
     if sim_overrides:
-        raise InputError("simulator values given for a board that is none", "Connect to sim.")
+        raise InputError(
+            "simulator values given for a board that is none", "Connect to sim or vboard."
+        )
+    scheme, _, rest = url.partition(":")
     if scheme == "tcp":
         return TcpTransport(*tcp_address(url))
     if scheme == "udp":
@@ -112,21 +116,48 @@ def _candidates() -> Iterator[tuple[str, Callable[[], Transport]]]:
     )
 
 
-def _open_sim(url: str, overrides: dict[str, float]) -> SimTransport:
+def is_simulated(url: str) -> bool:
+    """Whether ``url`` means a board in this process, with a simulated fish."""
+    return _kind(url) in ("sim", "vboard")
+
+
+def _kind(url: str) -> str:
+    return url.partition("?")[0].partition(":")[0]
+
+
+def _open_simulated(url: str, overrides: dict[str, float]) -> SimTransport:
     head, _, query = url.partition("?")
-    plant = head.partition(":")[2] or "tank"
+    kind, _, what = head.partition(":")
+    words, values = _settings(query)
+    values = {"seed": DEFAULT_SEED} | values | overrides
+    if kind == "vboard":
+        from tailbeat.transport.emulated import EmulatedBoard
+
+        image = Path(what) if what else None
+        return SimTransport(EmulatedBoard(image, words.get("plant", DEFAULT_PLANT), **values))
+    plant = words.get("plant", what or DEFAULT_PLANT)
+    if what and what != plant:
+        raise InputError(f"{url} names two plants", f"The address is {GRAMMAR}.")
+    return SimTransport(SimBoard(plant, **values))
+
+
+def _settings(query: str) -> tuple[dict[str, str], dict[str, float]]:
+    """What stands behind the ? of an address: words and numbers. Raises InputError."""
+    words: dict[str, str] = {}
     values: dict[str, float] = {}
     for name, text in parse_qsl(query, keep_blank_values=True):
+        if words.get(name, text) != text:
+            what = f"{name} is given as {words[name]} and as {text}"
+            raise InputError(what, "Say it once.")
+        words[name] = text
         try:
-            values[name] = float(text)
+            values[name] = int(text) if text.isdecimal() else float(text)
         except ValueError:
-            what = f"{name}={text} is not a number"
-            raise InputError(what, f"The address is {GRAMMAR}.") from None
-    values.update(overrides)
-    seed = values.pop("seed", 1)
-    with contextlib.suppress(KeyError):
-        plant = str(values.pop("plant"))
-    return SimTransport(SimBoard(plant, seed, **values))
+            if name != "plant":
+                what = f"{name}={text} is not a number"
+                raise InputError(what, f"The address is {GRAMMAR}.") from None
+    values.pop("plant", None)
+    return words, values
 
 
 def tcp_address(url: str) -> tuple[str, int]:

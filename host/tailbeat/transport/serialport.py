@@ -11,18 +11,22 @@ from collections.abc import Iterator
 import serial
 from serial.tools import list_ports
 
-from tailbeat.errors import ConnectError, LinkLostError, reason
+from tailbeat.errors import ConnectError, InputError, LinkLostError, reason
 
 BAUD = 115200
+_ERASE_BAUD = 1200
 _DUE_VENDOR = 0x2341
 _DUE_PRODUCTS = (0x003D, 0x003E)
 _QUEUE_MAX_BYTES = 1 << 16
 
 
 class SerialTransport:
-    """8N1 without flow control. 1200 baud is never used: it would erase the board."""
+    """8N1 without flow control, for this program alone. 1200 baud is refused: at that speed the
+    programming port erases the board."""
 
     def __init__(self, path: str, baud: int = BAUD) -> None:
+        if baud == _ERASE_BAUD:
+            raise InputError("1200 baud would erase the board", f"Use {BAUD}.")
         self.name = path
         self._path = path
         self._baud = baud
@@ -31,9 +35,10 @@ class SerialTransport:
         self.reopen()
 
     def reopen(self) -> None:
-        """Opens the port with DTR low, so that the programming port does not reset the board."""
+        """Opens the port, DTR low. The system raises DTR for a moment all the same, at which the
+        programming port resets the board: who opens it waits for a heartbeat."""
         self.close()
-        port = serial.Serial(baudrate=self._baud, timeout=0, write_timeout=0)
+        port = serial.Serial(baudrate=self._baud, timeout=0, write_timeout=0, exclusive=True)
         port.port = self._path
         port.dtr = False
         port.rts = False

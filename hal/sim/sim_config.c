@@ -1,0 +1,60 @@
+#include "sim_config.h"
+
+#include "plant.h"
+#include "tail.h"
+
+void sim_config_default(sim_config_t *config, sim_plant_t plant) {
+    *config = (sim_config_t){
+        .seed = 1,
+        .plant = plant,
+        .mass_kg = 0.4,
+        .body_length_m = 0.36,
+        .water_density_kg_m3 = 1000,
+        .tail_area_m2 = 3.14159265358979323846 * 0.165 * 0.165 / 4,
+        .drag_kg_m = 165.7056,
+        .kappa_per_m = 10,
+        .delay_s = 0.3,
+        .slope_m_s_rad = 0.219,
+        .dead_zone_rad = 0.197,
+        .servo_lag_s = 0.04,
+        .servo_rate_rad_s = 5.23598775598298873,
+        .beat_s = 1,
+        .camera_fps = 25,
+        .camera_latency_s = 0.08,
+        .imu_rate_hz = 100,
+        .battery_v = 8.2,
+        .link_bytes_per_s = 11520,
+        .boot_s = 1.7,
+    };
+    if (plant == SIM_PLANT_TANK) {
+        config->gain_sigma = 0.02;
+        config->flow_sigma_m_s = 0.0015;
+        config->start_sigma_m_s = 0.002;
+        config->camera_noise_m = 0.001;
+        config->imu_noise = 1;
+    }
+}
+
+static bool within(double x, double low, double high) { return x >= low && x <= high; }
+
+static bool water_valid(const sim_config_t *c) {
+    return plant_config_valid(c) && tail_frames(c->beat_s) != 0 && within(c->gain_sigma, 0, 1) &&
+           within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10);
+}
+
+static bool sensors_valid(const sim_config_t *c) {
+    return within(c->camera_noise_m, 0, 10) && within(c->camera_lost, 0, 1) &&
+           within(c->camera_fps, 0, 1000) && within(c->camera_latency_s, 0.02, 10) &&
+           within(c->imu_noise, 0, 1e3) && within(c->imu_rate_hz, 0, 800);
+}
+
+/* A link of 0 bytes per second is not limited. */
+static bool electronics_valid(const sim_config_t *c) {
+    return within(c->battery_v, 0, 60) && within(c->battery_sag_v_per_trial, 0, 60) &&
+           within(c->boot_s, 0, 1e5) &&
+           (within(c->link_bytes_per_s, 10, 1e9) || within(c->link_bytes_per_s, 0, 0));
+}
+
+bool sim_config_valid(const sim_config_t *c) {
+    return water_valid(c) && sensors_valid(c) && electronics_valid(c);
+}

@@ -1,0 +1,47 @@
+/* What a simulated world and the board in it are made of. */
+#ifndef SIM_SIM_CONFIG_H
+#define SIM_SIM_CONFIG_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+typedef enum { SIM_PLANT_THESIS = 0, SIM_PLANT_TANK = 1 } sim_plant_t;
+
+/* All of it in SI units. sim_config_default fills it; every disturbance is off at 0. */
+typedef struct {
+    uint64_t seed;
+    sim_plant_t plant;
+    /* thesis plant (8.13) */
+    double mass_kg, body_length_m, water_density_kg_m3, tail_area_m2, drag_kg_m;
+    /* tank plant */
+    double kappa_per_m;   /* drag over mass */
+    double delay_s;       /* from amplitude to thrust */
+    double slope_m_s_rad; /* steady speed over amplitude beyond the dead zone */
+    double dead_zone_rad;
+    double servo_lag_s;      /* first-order lag of the tail angle; 0 = none */
+    double servo_rate_rad_s; /* rate limit; 0 = none */
+    double beat_s;           /* tail period of both plants; a multiple of 20 ms */
+    /* disturbances */
+    double gain_sigma;      /* relative thrust speed, per trial */
+    double flow_sigma_m_s;  /* constant per trial */
+    double start_sigma_m_s; /* |N| speed at the start */
+    double camera_noise_m;  /* white, per frame */
+    double camera_lost;     /* probability that a frame is lost */
+    double camera_fps;
+    double camera_latency_s; /* from exposure to delivery; at least one 20 ms frame */
+    double imu_noise;        /* scale of the VN-100's specified noise; 0 = none */
+    double imu_rate_hz;      /* frames per second, 0 = IMU unplugged */
+    double battery_v;        /* fresh pack */
+    double battery_sag_v_per_trial;
+    double link_bytes_per_s; /* of each direction; 0 = unlimited */
+    double boot_s;           /* simulated time at which the board boots (its clock starts) */
+} sim_config_t;
+
+/* Tank: gain 0.02, flow 1.5 mm/s, start 2 mm/s, camera 1 mm; all off for the
+ * thesis plant. */
+void sim_config_default(sim_config_t *config, sim_plant_t plant);
+
+/* Whether every value makes sense. */
+bool sim_config_valid(const sim_config_t *config);
+
+#endif

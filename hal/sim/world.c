@@ -1,0 +1,111 @@
+#include "world.h"
+
+#include "base/panic.h"
+#include "camera.h"
+#include "fish.h"
+#include "vn100_stream.h"
+
+#include <stdlib.h>
+
+#define IMU_POWER_LATER_US 61000u
+
+_Static_assert(WORLD_IMU_FRAME_BYTES == VN100_FRAME_BYTES, "one frame of the IMU");
+
+struct world {
+    fish_t fish;
+    camera_t camera;
+    vn100_t vn100;
+    double battery_v, battery_sag_v_per_trial;
+};
+
+world_t *world_new(const sim_config_t *config) {
+    world_t *world = sim_config_valid(config) ? calloc(1, sizeof *world) : NULL;
+    if (world == NULL) {
+        return NULL;
+    }
+    fish_init(&world->fish, config);
+    camera_init(&world->camera, config);
+    vn100_init(&world->vn100, config);
+    world->battery_v = config->battery_v;
+    world->battery_sag_v_per_trial = config->battery_sag_v_per_trial;
+    return world;
+}
+
+void world_free(world_t *world) { free(world); }
+
+void world_frame(world_t *world, uint64_t now_us, uint16_t next_pulse_ticks) {
+    REQUIRE(now_us >= world->fish.time_us);
+    fish_frame(&world->fish, now_us, next_pulse_ticks);
+    camera_follow(&world->camera, &world->fish);
+}
+
+uint64_t world_time_us(const world_t *world) { return world->fish.time_us; }
+
+void world_imu_power_on(world_t *world, uint64_t board_power_us) {
+    vn100_power_on(&world->vn100, board_power_us + IMU_POWER_LATER_US);
+}
+
+void world_imu_power_off(world_t *world) { vn100_power_off(&world->vn100); }
+
+uint64_t world_imu_due_us(const world_t *world) { return vn100_due_us(&world->vn100); }
+
+void world_imu_frame(world_t *world, uint8_t out[WORLD_IMU_FRAME_BYTES]) {
+    vn100_frame(&world->vn100, &world->fish, out);
+}
+
+double world_battery_v(const world_t *world) {
+    const double v = world->battery_v - world->battery_sag_v_per_trial * world->fish.swims;
+    return v > 0 ? v : 0;
+}
+
+uint64_t world_camera_due_us(const world_t *world) { return camera_due_us(&world->camera); }
+
+size_t world_camera_read(world_t *world, uint64_t now_us, sim_camera_frame_t *out, size_t max) {
+    return camera_read(&world->camera, now_us, out, max);
+}
+
+sim_truth_t world_truth(const world_t *world) {
+    const fish_t *fish = &world->fish;
+    return (sim_truth_t){
+        .time_s = (double)fish->time_us * 1e-6,
+        .x_m = fish->plant.x_m,
+        .v_m_s = fish->plant.water_v_m_s + fish->plant.flow_m_s,
+        .tail_rad = fish->tail_to_rad,
+        .amplitude_rad = fish->drive.amplitude_rad[SUBSTEPS - 1],
+        .swims = fish->swims,
+        .swimming = fish->pulse != 0,
+        .pulse_ticks = fish->pulse,
+    };
+}
+
+static size_t copy_out(const double *values, size_t count, double *out, size_t max) {
+    for (size_t i = 0; i < count && i < max; i++) {
+        out[i] = values[i];
+    }
+    return count;
+}
+
+size_t world_true_beats(const world_t *world, double *out, size_t max) {
+    return copy_out(world->fish.beat_m_s, world->fish.beats, out, max);
+}
+
+size_t world_true_speeds_25hz(const world_t *world, double *out, size_t max) {
+    return copy_out(world->fish.speed_m_s, world->fish.speeds, out, max);
+}
+
+void world_set_swim(world_t *world, uint32_t next_swim) { world->fish.next_swim_key = next_swim; }
+
+void world_set_battery_v(world_t *world, double volts) {
+    world->battery_v = volts >= 0 && volts <= 60 ? volts : 0;
+}
+
+void world_set_imu(world_t *world, uint64_t now_us, bool plugged) {
+    if (plugged && !world->vn100.plugged && world->vn100.powered) {
+        vn100_power_on(&world->vn100, now_us);
+    }
+    world->vn100.plugged = plugged;
+}
+
+void world_set_camera(world_t *world, bool on) { world->camera.on = on; }
+
+void world_set_tilt_rad(world_t *world, double roll_rad) { world->vn100.tilt_rad = roll_rad; }

@@ -1,0 +1,92 @@
+/*
+ * What is around a board: the fish in its tank, the overhead camera, the VN-100 and the battery, in
+ * simulated time. The board's servo pulses drive it; whoever has the board calls it in order of
+ * time. One seed gives bit-identical worlds. Any number of worlds; one is not shared between
+ * threads. Nothing here reads a clock, a file or the environment.
+ */
+#ifndef SIM_WORLD_H
+#define SIM_WORLD_H
+
+#include "sim_config.h"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define WORLD_FRAME_US 20000u
+#define WORLD_IMU_FRAME_BYTES 64u
+
+typedef struct world world_t;
+
+/* One overhead picture, processed: where the fish is along the tank. */
+typedef struct {
+    double time_s; /* simulated time of exposure */
+    double x_m, y_m, heading_rad;
+} sim_camera_frame_t;
+
+typedef struct {
+    double time_s;     /* simulated time of this state: the last servo frame, at most 20 ms ago */
+    double x_m, v_m_s; /* position and speed over ground, along the swim */
+    double tail_rad;   /* real tail angle */
+    double amplitude_rad; /* amplitude the plant feels now */
+    uint32_t swims;       /* swims begun since sim_new */
+    bool swimming;        /* pulses are on */
+    uint16_t pulse_ticks;
+} sim_truth_t;
+
+/* At time 0, board and IMU without power. NULL when a value makes no sense or memory is out. The
+ * caller frees it with world_free. */
+world_t *world_new(const sim_config_t *config);
+void world_free(world_t *world);
+
+/* The servo frame that ends at |now_us|, where the pulse of |next_pulse_ticks| (0 = none) begins.
+ * Frames are WORLD_FRAME_US long, with pulses and without; one without may be cut short, when a
+ * board starts within it. */
+void world_frame(world_t *world, uint64_t now_us, uint16_t next_pulse_ticks);
+
+/* End of the last frame; the next one ends WORLD_FRAME_US later at most. */
+uint64_t world_time_us(const world_t *world);
+
+/* The IMU is fed by the board, and its supply comes up 61 ms after the board's: the two clocks must
+ * not be mistaken. */
+void world_imu_power_on(world_t *world, uint64_t board_power_us);
+void world_imu_power_off(world_t *world);
+
+/* When the next frame of the IMU begins to come down its line; UINT64_MAX = none. */
+uint64_t world_imu_due_us(const world_t *world);
+/* Takes that frame. The fish must have been advanced to the last frame before its time. */
+void world_imu_frame(world_t *world, uint8_t out[WORLD_IMU_FRAME_BYTES]);
+
+double world_battery_v(const world_t *world);
+
+/* When the next picture is delivered; UINT64_MAX = none under way. */
+uint64_t world_camera_due_us(const world_t *world);
+/* Takes at most |max| of the pictures delivered by |now_us|. */
+size_t world_camera_read(world_t *world, uint64_t now_us, sim_camera_frame_t *out, size_t max);
+
+sim_truth_t world_truth(const world_t *world);
+
+/* True mean speeds over the whole beats of the present or last swim (from exact distance), and true
+ * speeds at 25 Hz: number i at i * 40 ms after the start, while there are pulses. Over ground.
+ * Return how many there are; fill at most |max|. */
+size_t world_true_beats(const world_t *world, double *out, size_t max);
+size_t world_true_speeds_25hz(const world_t *world, double *out, size_t max);
+
+/* A swim begins with the first pulse after 0.2 s without; somebody has put the fish at x = 0 by
+ * then, so that pictures from before show it elsewhere.
+ *
+ * Sets the number the next swim's noise is keyed by (1 = first). */
+void world_set_swim(world_t *world, uint32_t next_swim);
+
+void world_set_battery_v(world_t *world, double volts);
+/* Plugged in while the board has power, the IMU starts at |now_us|. */
+void world_set_imu(world_t *world, uint64_t now_us, bool plugged);
+void world_set_camera(world_t *world, bool on);
+void world_set_tilt_rad(world_t *world, double roll_rad);
+
+/* The plant alone, noise-free: mean speed over each of |beats| beats for the given amplitudes, from
+ * rest. False when the config makes no sense. No board, no allocation. */
+bool sim_plant_beats(const sim_config_t *config, const double *amplitude_rad, size_t beats,
+                     double beat_s, double *mean_m_s);
+
+#endif

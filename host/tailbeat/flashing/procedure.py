@@ -1,0 +1,312 @@
+"""The whole procedure: save, erase, write, start, compare the build, put back.
+
+Everything that can be checked is checked before anything is erased. From the erase on, every
+failure says how to get the board back and where its content lies.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tailbeat.errors import ConnectError, LinkLostError, TailbeatError, reason
+from tailbeat.fish import Fish
+from tailbeat.flashing import bossac, openocd, ports
+from tailbeat.flashing.image import Image
+from tailbeat.flashing.keep import Kept, OnStep, keep, require_quiet
+from tailbeat.flashing.ports import BoardPort, Enumerate, PortKind
+from tailbeat.flashing.programs import Run, require_program, run_program
+from tailbeat.flashing.putback import put_back
+
+BOSSAC, OPENOCD = "bossac", "openocd"
+TOOLS = (BOSSAC, OPENOCD)
+
+_ERASED_S = 1.0  # ERASE and RESET pulses of the ATmega16U2 take 0.75 s
+_RETURN_S = 10.0  # for a USB device to leave and come back under another id
+_POLL_S = 0.1
+_SETTLE_S = 0.5  # for the system to give a new port its rights
+_HEAR_TRIES = 4  # of 3 s each, see transport.find.LISTEN_S; opening the port resets the board
+_HEAR_PAUSE_S = 1.0
+_INFO_TRIES = 3
+
+_RECOVER = (
+    "Hold the board's ERASE button for at least 1 s, release it, press RESET, and run the same"
+    " command again."
+)
+
+
+class FlashError(TailbeatError):
+    """Flashing failed after the board had been erased, or may have been."""
+
+
+@dataclass(frozen=True)
+class FlashPlan:
+    """What is wanted. ``connect``: where to talk to the board when not by the port it is flashed
+    by. ``keep`` False: erase whatever the board holds without asking it."""
+
+    image: Path
+    port: str | None = None
+    tool: str = BOSSAC
+    keep: bool = True
+    out: Path = Path("backups")
+    connect: str | None = None
+    adapter: str = openocd.ADAPTER
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The world outside: USB ports, programs, time, the way to a board."""
+
+    enumerate_ports: Enumerate = ports.system_ports
+    require_free: Callable[[str], None] = ports.require_free
+    touch: Callable[[BoardPort], None] = ports.touch
+    require_program: Callable[[str, str], None] = require_program
+    run: Run = run_program
+    connect: Callable[[str], Fish] = Fish.connect
+    sleep: Callable[[float], None] = time.sleep
+    now_s: Callable[[], float] = time.monotonic
+
+
+@dataclass
+class FlashReport:
+    """How it went. ``verified``: the board itself said that it runs ``build_id``."""
+
+    image: Path
+    size_bytes: int
+    build_id: str
+    tool: str
+    port: str | None
+    verified: bool = False
+    backup: Path | None = None
+    trials_pulled: list[Path] = field(default_factory=list)
+    restored: list[str] = field(default_factory=list)
+    not_restored: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def flash(
+    plan: FlashPlan,
+    on_step: OnStep = lambda fraction, text: None,
+    around: Surroundings | None = None,
+) -> FlashReport:
+    """Flashes as planned. Raises TailbeatError while nothing has been changed, then FlashError."""
+    return _Flashing(plan, on_step, around or Surroundings()).run()
+
+
+class _Flashing:
+    """One run of the procedure."""
+
+    def __init__(self, plan: FlashPlan, on_step: OnStep, around: Surroundings) -> None:
+        self._plan = plan
+        self._on_step = on_step
+        self._around = around
+        self._image = Image.load(plan.image)
+        self._elf = self._image.elf() if plan.tool == OPENOCD else None
+        used = openocd if plan.tool == OPENOCD else bossac
+        around.require_program(used.PROGRAM, used.PACKAGE)
+        self._port = self._find_port()
+        self._kept: Kept | None = None
+        self._report = FlashReport(
+            image=plan.image,
+            size_bytes=self._image.size_bytes,
+            build_id=self._image.build_id,
+            tool=plan.tool,
+            port=self._port.device if self._port else None,
+        )
+
+    def run(self) -> FlashReport:
+        """All of it, in order."""
+        self._keep()
+        with self._failures_after_erase():
+            self._write()
+        self._check_and_restore()
+        return self._report
+
+    def _find_port(self) -> BoardPort | None:
+        """None: OpenOCD needs no port, and the board is talked to elsewhere or not at all."""
+        if self._plan.tool == OPENOCD and not self._plan.port:
+            found = ports.board_ports(self._around.enumerate_ports)
+            if self._plan.connect or len(found) != 1:
+                return None
+        port = ports.find_port(self._plan.port, self._around.enumerate_ports)
+        self._around.require_free(port.device)
+        return port
+
+    def _talk_address(self) -> str | None:
+        """Where the firmware can be spoken to. It does not serve the chip's own USB."""
+        if self._plan.connect:
+            return self._plan.connect
+        if self._port is not None and self._port.kind is PortKind.PROGRAMMING:
+            return self._port.device
+        found = ports.board_ports(self._around.enumerate_ports)
+        beside = [port.device for port in found if port.kind is PortKind.PROGRAMMING]
+        return beside[0] if len(beside) == 1 else None
+
+    def _keep(self) -> None:
+        if not self._plan.keep:
+            self._report.notes.append("nothing was saved from the board (--no-keep)")
+        elif self._port is not None and self._port.kind is PortKind.SAM_BA:
+            self._report.notes.append("the board was in its boot loader: there was nobody to ask")
+        else:
+            self._keep_from(self._talk_address())
+
+    def _keep_from(self, address: str | None) -> None:
+        if address is None:
+            raise ConnectError(
+                "the board cannot be talked to, so what it holds cannot be saved",
+                "Plug in its programming port, say where it is with --connect, or add --no-keep:"
+                " then all that is stored on it is lost.",
+            )
+        self._on_step(0.0, "waiting for the board")
+        try:
+            fish = self._around.connect(address)
+        except (ConnectError, LinkLostError) as error:
+            self._accept_silence(address, error)
+            return
+        with fish:
+            require_quiet(fish, wipes=self._plan.tool == BOSSAC)
+            self._kept = keep(
+                fish, self._plan.out, lambda at, text: self._on_step(0.1 + 0.4 * at, text)
+            )
+        self._report.backup = self._kept.folder
+        self._report.trials_pulled = self._kept.trials
+
+    def _accept_silence(self, address: str, error: TailbeatError) -> None:
+        """Only the boot loader of an erased chip may be silent: it has nothing to lose."""
+        by_bossac = self._plan.tool == BOSSAC and self._port is not None
+        if by_bossac and self._port and bossac.loader_answers(self._around.run, self._port):
+            self._report.notes.append("the board was in its boot loader: there was nothing to save")
+            return
+        raise ConnectError(
+            f"the board on {address} does not answer, so what it holds cannot be saved"
+            f" ({error.message})",
+            "Switch it on. If it cannot answer (first flash, or its firmware hangs), add --no-keep:"
+            " then all that is stored on it is lost.",
+        ) from error
+
+    def _write(self) -> None:
+        if self._elf is not None:
+            self._on_step(0.5, "writing over SWD")
+            openocd.write(self._around.run, self._elf, self._plan.adapter)
+            return
+        assert self._port is not None
+        loader = self._port
+        if loader.kind is not PortKind.SAM_BA:
+            self._on_step(0.5, "erasing")
+            loader = self._erase(loader)
+        self._on_step(0.55, "writing and verifying")
+        bossac.write(self._around.run, loader, self._image)
+        self._on_step(0.85, "starting")
+        bossac.start(self._around.run, loader)
+
+    def _erase(self, port: BoardPort) -> BoardPort:
+        """The touch; then the port on which the boot loader waits."""
+        before = ports.board_ports(self._around.enumerate_ports)
+        self._around.require_free(port.device)
+        self._around.touch(port)
+        self._around.sleep(_ERASED_S)
+
+        def back(found: BoardPort) -> bool:
+            if port.kind is PortKind.PROGRAMMING:
+                return found == port
+            return found.kind is PortKind.SAM_BA and found not in before
+
+        deadline = self._around.now_s() + _RETURN_S
+        while True:
+            for found in ports.board_ports(self._around.enumerate_ports):
+                if back(found):
+                    self._around.sleep(_SETTLE_S)
+                    return found
+            if self._around.now_s() >= deadline:
+                raise ConnectError(
+                    f"the board's boot loader did not appear on USB within {_RETURN_S:g} s"
+                )
+            self._around.sleep(_POLL_S)
+
+    def _check_and_restore(self) -> None:
+        address = self._talk_address()
+        if address is None:
+            self._report.notes.append(
+                "the board was not asked which build it runs; it must say"
+                f" {self._image.build_id}: tailbeat info"
+            )
+            return
+        self._on_step(0.9, "waiting for the new firmware")
+        with self._failures_after_erase():
+            fish = self._hear(address)
+        with fish:
+            with self._failures_after_erase():
+                self._compare_build(fish, address)
+            self._report.verified = True
+            if self._kept is not None:
+                self._on_step(0.95, "restoring")
+                self._restore(fish, self._kept)
+
+    def _hear(self, address: str) -> Fish:
+        last: TailbeatError | None = None
+        for attempt in range(_HEAR_TRIES):
+            if attempt:
+                self._around.sleep(_HEAR_PAUSE_S)
+            try:
+                return self._around.connect(address)
+            except (ConnectError, LinkLostError) as error:
+                last = error
+        raise ConnectError(
+            "the image was written, but the board does not answer"
+            f" on {address} ({last.message if last else 'silence'})"
+        )
+
+    def _compare_build(self, fish: Fish, address: str) -> None:
+        for _ in range(_INFO_TRIES):  # the line of text that carries the id may get lost
+            info = fish.info()
+            if self._image.is_build(info.build_id):
+                break
+        else:
+            raise TailbeatError(
+                f"the board on {address} says it runs {info.build_id},"
+                f" but the image is {self._image.build_id}"
+            )
+        if self._kept is not None and info.unique_id != self._kept.backup.unique_id:
+            raise TailbeatError(
+                f"the board on {address} is not the one that was saved: its id is"
+                f" {info.unique_id}, not {self._kept.backup.unique_id}"
+            )
+
+    def _restore(self, fish: Fish, kept: Kept) -> None:
+        try:
+            result = put_back(fish, kept.backup)
+        except (TailbeatError, OSError, KeyboardInterrupt) as error:
+            raise FlashError(
+                f"the board runs {self._image.build_id}, but has not all of its content back"
+                f" ({_words(error)})",
+                _back_by(kept),
+            ) from error
+        self._report.restored = result.back
+        self._report.not_restored = result.missing
+
+    @contextmanager
+    def _failures_after_erase(self) -> Iterator[None]:
+        try:
+            yield
+        except (TailbeatError, OSError, KeyboardInterrupt) as error:
+            remedy = _RECOVER
+            if self._plan.tool == OPENOCD:
+                remedy = f"Check the SWD probe and its wires. If the board is dead: {_RECOVER}"
+            if self._kept is not None:
+                remedy += f" {_back_by(self._kept)}"
+            raise FlashError(_words(error), remedy) from error
+
+
+def _back_by(kept: Kept) -> str:
+    return f"What the board held goes back with: tailbeat flash --restore {kept.folder}"
+
+
+def _words(error: BaseException) -> str:
+    if isinstance(error, TailbeatError):
+        return error.message
+    if isinstance(error, OSError):
+        return f"the system refused ({reason(error)})"
+    return "stopped half way"

@@ -1,0 +1,177 @@
+"""The simulated world by itself, for a board that is not the simulator's own: hal/sim/world.h."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat._native import ffi, lib
+from tailbeat.errors import InputError
+from tailbeat.transport.inprocess import CameraFrame, Truth
+
+PLANTS = {"thesis": 0, "tank": 1}
+FRAME_US = 20_000  # of the servo
+IMU_FRAME_BYTES = 64
+
+_PICTURES_AT_ONCE = 256
+_NEVER = (1 << 64) - 1
+
+
+class World:
+    """The fish in its tank, the camera, the IMU and the battery. Times are simulated microseconds.
+
+    Keyword overrides are the fields of sim_config_t. Raises InputError when they make no sense.
+    """
+
+    def __init__(self, plant: str, seed: float, **overrides: float) -> None:
+        config = make_config(plant, seed, overrides)
+        world = lib.world_new(config)
+        if world == ffi.NULL:
+            raise senseless()
+        self.config = config_values(config)
+        self._world: Any = ffi.gc(world, lib.world_free)
+        self._pictures = ffi.new("sim_camera_frame_t[]", _PICTURES_AT_ONCE)
+        self._imu_frame = ffi.new("uint8_t[]", IMU_FRAME_BYTES)
+
+    @property
+    def time_us(self) -> int:
+        """End of the last servo frame."""
+        return int(lib.world_time_us(self._world))
+
+    def frame(self, now_us: int, next_pulse_ticks: int) -> None:
+        """The servo frame that ends now, where the next pulse (0 = none) begins."""
+        lib.world_frame(self._world, now_us, next_pulse_ticks)
+
+    def rest(self, until_us: int) -> None:
+        """Frames without pulses, as many as end by ``until_us``."""
+        while self.time_us + FRAME_US <= until_us:
+            self.frame(self.time_us + FRAME_US, 0)
+
+    def imu_power(self, on: bool, now_us: int) -> None:
+        """The board's supply, which feeds the IMU, goes on or off."""
+        if on:
+            lib.world_imu_power_on(self._world, now_us)
+        else:
+            lib.world_imu_power_off(self._world)
+
+    def imu_due_us(self) -> int | None:
+        """When the IMU begins to send its next frame."""
+        return _time(lib.world_imu_due_us(self._world))
+
+    def imu_frame(self) -> bytes:
+        """Takes that frame."""
+        lib.world_imu_frame(self._world, self._imu_frame)
+        return bytes(ffi.buffer(self._imu_frame))
+
+    def battery_v(self) -> float:
+        """Voltage of the pack now."""
+        return float(lib.world_battery_v(self._world))
+
+    def camera_due_us(self) -> int | None:
+        """When the next picture comes in."""
+        return _time(lib.world_camera_due_us(self._world))
+
+    def camera_read(self, now_us: int) -> list[CameraFrame]:
+        """Pictures that have come in by now."""
+        return read_pictures(
+            lambda out, most: lib.world_camera_read(self._world, now_us, out, most), self._pictures
+        )
+
+    def truth(self) -> Truth:
+        """State of the fish at the end of the last frame."""
+        return truth_of(lib.world_truth(self._world))
+
+    def true_beats(self) -> NDArray[np.float64]:
+        """True mean speed of each beat of the present or last swim, m/s."""
+        return read_values(lib.world_true_beats, self._world)
+
+    def true_speeds_25hz(self) -> NDArray[np.float64]:
+        """True speed every 40 ms of the present or last swim, m/s."""
+        return read_values(lib.world_true_speeds_25hz, self._world)
+
+    def set_swim(self, next_swim: int) -> None:
+        """The number the next swim's noise is keyed by (1 = first)."""
+        lib.world_set_swim(self._world, next_swim)
+
+    def set_battery_v(self, volts: float) -> None:
+        """Battery voltage from now on."""
+        lib.world_set_battery_v(self._world, volts)
+
+    def set_imu(self, now_us: int, plugged: bool) -> None:
+        """Plugs the IMU in or out."""
+        lib.world_set_imu(self._world, now_us, plugged)
+
+    def set_camera(self, on: bool) -> None:
+        """Switches the camera."""
+        lib.world_set_camera(self._world, on)
+
+    def set_tilt_rad(self, roll_rad: float) -> None:
+        """Rolls the fish."""
+        lib.world_set_tilt_rad(self._world, roll_rad)
+
+
+def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
+    """A sim_config_t. Raises InputError for names there are none of."""
+    if plant not in PLANTS:
+        raise InputError(f"there is no plant {plant}", f"Use one of: {', '.join(PLANTS)}.")
+    if not 0 <= seed < 1 << 64 or seed != int(seed):
+        raise InputError(f"{seed} is no seed", "Give a whole number from 0 to 2^64 - 1.")
+    config = ffi.new("sim_config_t *")
+    lib.sim_config_default(config, PLANTS[plant])
+    config.seed = int(seed)
+    for name, value in overrides.items():
+        setattr(config, config_field(name), value)
+    return config
+
+
+def senseless() -> InputError:
+    """The error for values that fit no world."""
+    return InputError("the simulator cannot run with these values", "Check them: SI units.")
+
+
+def config_values(config: Any) -> dict[str, float]:
+    """All values of a sim_config_t by name."""
+    return {name: getattr(config, name) for name in config_fields()}
+
+
+def config_fields() -> list[str]:
+    """Names of all values of the simulator's configuration."""
+    return [name for name, _ in ffi.typeof("sim_config_t").fields]
+
+
+def config_field(name: str) -> str:
+    """The field meant by ``name``; its unit may be left out (kappa = kappa_per_m)."""
+    fields = [f for f in config_fields() if f not in ("seed", "plant")]
+    matches = [f for f in fields if f == name] or [f for f in fields if f.startswith(name + "_")]
+    if len(matches) != 1:
+        raise InputError(f"the simulator has no value {name}", f"It has: {', '.join(fields)}.")
+    return matches[0]
+
+
+def truth_of(t: Any) -> Truth:
+    """From a sim_truth_t."""
+    return Truth(
+        t.time_s, t.x_m, t.v_m_s, t.tail_rad, t.amplitude_rad, t.swims, t.swimming, t.pulse_ticks
+    )
+
+
+def read_values(getter: Any, handle: Any) -> NDArray[np.float64]:
+    """All that ``getter(handle, out, max)`` has."""
+    count = getter(handle, ffi.NULL, 0)
+    out = np.zeros(count, dtype=np.float64)
+    getter(handle, ffi.cast("double *", out.ctypes.data), count)
+    return out
+
+
+def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
+    """All that ``getter(out, max)`` has, by way of ``buffer``."""
+    found = []
+    while count := getter(buffer, len(buffer)):
+        found += [CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad) for f in buffer[0:count]]
+    return found
+
+
+def _time(time_us: int) -> int | None:
+    return None if time_us == _NEVER else int(time_us)

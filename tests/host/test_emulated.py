@@ -1,0 +1,387 @@
+"""The wires between an emulated board and the simulated world, at a board without a processor. What
+a real image does with them is in tests/system/test_vboard.py."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tailbeat.errors import InputError
+from tailbeat.transport import find
+from tailbeat.transport.emulated import UNIQUE_ID, EmulatedBoard, EmulationError
+from tailbeat.transport.inprocess import CONSOLE, RADIO
+from tailbeat.transport.world import FRAME_US, World
+from vboard.core.bus import BusViolation
+from vboard.core.clock import TICKS_PER_S, TICKS_PER_US, Clock
+from vboard.wires.serial_line import SerialLine
+
+BYTE_US = 1e7 / 115200
+PERIOD = FRAME_US * TICKS_PER_US
+
+
+class Port:
+    """A serial port that says what the test wants."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.line: Any = None
+        self._char = round(BYTE_US * TICKS_PER_US)
+        self._said: list[tuple[int, bytes]] = []
+
+    def connect(self, line: SerialLine) -> None:
+        self.line = line
+        line.connect(self)
+
+    def say(self, data: bytes) -> None:
+        begin = self._said[-1][0] if self._said else self.clock.now
+        self._said.append((begin + len(data) * self._char, data))
+
+    def sync(self) -> None:
+        while self._said and self._said[0][0] <= self.clock.now:
+            end, data = self._said.pop(0)
+            self.line.deliver(end - (len(data) - 1) * self._char, self._char, data)
+
+    def replan(self) -> None:
+        self.sync()
+
+    def next_sent(self) -> int | None:
+        self.sync()
+        return self._said[0][0] if self._said else None
+
+    def all_sent(self) -> int | None:
+        self.sync()
+        return self._said[-1][0] if self._said else None
+
+
+class Timer:
+    """A counter of half the master clock in 32 bits."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.start: int | None = None
+
+    def read_cv(self) -> int:
+        return 0 if self.start is None else (self.clock.now - self.start) // 2 % (1 << 32)
+
+
+class Pwm:
+    """Channel 4 with pulses out of a list; ``wired``: the pin is handed over."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.on_period: list[Callable[[int, int, int, int], None]] = []
+        self.pulses: list[int] = []
+        self.wired = True
+        self._event: Any = None
+
+    def start(self) -> None:
+        for call in self.on_period:
+            call(3, self.clock.now, 60000, 4711)
+            call(4, self.clock.now, 60000, self.pulses.pop(0) if self.pulses else 0)
+        self._event = self.clock.after(PERIOD, self.start)
+
+    def stop(self) -> None:
+        self.clock.cancel(self._event)
+
+    def owner(self, bit: int) -> str | None:
+        return "B" if self.wired and bit == 21 else None
+
+
+class Adc:
+    def __init__(self) -> None:
+        self.volts: dict[int, Callable[[], float]] = {}
+
+
+class Board:
+    """As much of vboard.board.Board as an EmulatedBoard touches."""
+
+    def __init__(self, image: Path, *, unique_id: bytes, seed: int) -> None:
+        assert unique_id == UNIQUE_ID
+        self.image, self.seed = image, seed
+        self.clock = Clock()
+        self.bank1 = b"\xff" * 262144
+        self.violation: str | None = None
+        self._wires: list[Callable[[], None]] = []
+        self.power_on()
+
+    @property
+    def chip(self) -> Board:
+        return self
+
+    def mck_ticks(self) -> int:
+        return 1
+
+    def wire(self, connect: Callable[[], None]) -> None:
+        self._wires.append(connect)
+        connect()
+
+    def power_on(self) -> None:
+        self.powered = True
+        pwm = Pwm(self.clock)
+        ports = {name: Port(self.clock) for name in ("USART0", "USART1", "UART")}
+        timer = {"TC0_0": Timer(self.clock)}
+        self.periph: dict[str, Any] = {"PWM": pwm, "PIOC": pwm, "ADC": Adc(), **timer, **ports}
+        for connect in self._wires:
+            connect()
+
+    def power_cut(self) -> None:
+        self.powered = False
+        self.periph["PWM"].stop()
+
+    def run_until(self, tick: int) -> None:
+        if self.violation:
+            raise BusViolation(self.violation)
+        self.clock.advance(tick)
+
+
+@pytest.fixture
+def image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("vboard.board.Board", Board)
+    path = tmp_path / "tailbeat.elf"
+    path.write_bytes(b"any")
+    return path
+
+
+@pytest.fixture
+def emulated(image: Path) -> EmulatedBoard:
+    return EmulatedBoard(image)
+
+
+def sine(frames: int, amplitude_rad: float = 0.6) -> list[int]:
+    angle = (amplitude_rad * math.sin(2 * math.pi * i / 50) for i in range(frames))
+    return [round(3 * (1500 + 572.9578 * a)) for a in angle]
+
+
+def test_pulses_move_the_fish_as_they_do_in_the_simulator(emulated: EmulatedBoard) -> None:
+    pulses = sine(250)
+    world = World("tank", 1)
+    world.rest(2_000_000)
+    for pulse in [*pulses, 0]:
+        world.frame(world.time_us + FRAME_US, pulse)
+
+    emulated.run(0.0123457)  # the PWM starts at any instant, not at a whole frame
+    pwm = emulated.board.periph["PWM"]
+    pwm.pulses = [0] * 20 + pulses
+    pwm.start()
+    emulated.run(2.0)
+    assert emulated.truth().swimming
+    assert emulated.truth().pulse_ticks in pulses
+    emulated.run(5.0)
+    assert not emulated.truth().swimming
+    assert emulated.truth().swims == 1
+    assert len(emulated.true_beats()) == 5
+    assert emulated.true_beats().tobytes() == world.true_beats().tobytes()
+    assert emulated.true_speeds_25hz().tobytes() == world.true_speeds_25hz().tobytes()
+
+
+def test_without_a_pwm_that_runs_the_fish_drifts_on(emulated: EmulatedBoard) -> None:
+    emulated.run(1.0)
+    assert emulated.time_s - emulated.truth().time_s == pytest.approx(0, abs=0.0201)
+    pwm = emulated.board.periph["PWM"]
+    pwm.pulses = sine(1000)
+    pwm.start()
+    emulated.run(2.0)
+    assert emulated.truth().swimming
+    pwm.stop()
+    emulated.run(1.0)
+    assert not emulated.truth().swimming
+    assert len(emulated.true_speeds_25hz()) == 51
+    assert emulated.time_s - emulated.truth().time_s == pytest.approx(0, abs=0.0201)
+
+
+def test_a_pulse_that_does_not_reach_the_pin_is_none(emulated: EmulatedBoard) -> None:
+    pwm = emulated.board.periph["PWM"]
+    pwm.wired, pwm.pulses = False, sine(100)
+    pwm.start()
+    emulated.run(1.0)
+    assert emulated.truth().swims == 0
+
+
+def test_imu_bytes_come_at_the_speed_of_their_line(emulated: EmulatedBoard) -> None:
+    port = emulated.board.periph["USART0"]
+    emulated.run(0.5)
+    pieces = list(port.line.fetch(emulated.board.clock.now))
+    first = pieces[0]
+    assert (first.data[:2], len(first.data)) == (b"\xfa\x11", 64)
+    assert first.first / TICKS_PER_US == pytest.approx(261_000 + BYTE_US, abs=0.1)
+    assert first.last / TICKS_PER_US == pytest.approx(261_000 + 64 * BYTE_US, abs=0.1)
+    assert pieces[1].first - first.first == 10_000 * TICKS_PER_US
+    emulated.set_imu(False)
+    emulated.run(1.0)
+    list(port.line.fetch(emulated.board.clock.now))
+    emulated.run(1.0)
+    assert list(port.line.fetch(emulated.board.clock.now)) == []
+    emulated.set_imu(True)
+    emulated.run(0.25)
+    assert len(list(port.line.fetch(emulated.board.clock.now))) == 5
+
+
+def test_a_message_ends_the_wait_with_what_follows_it(emulated: EmulatedBoard) -> None:
+    port = emulated.board.periph["USART1"]
+    emulated.run(0.1)
+    begin = emulated.time_s
+    port.say(b"hello ")
+    port.say(b"fish")
+    assert emulated.run(1.0, RADIO) == pytest.approx(1.0 - 10 * BYTE_US * 1e-6, abs=1e-6)
+    assert emulated.read(RADIO) == b"hello fish"
+    assert emulated.time_s - begin == pytest.approx(10 * BYTE_US * 1e-6, abs=1e-6)
+    port.say(bytes(200))  # 17 ms
+    port.say(b"x")
+    emulated.run(1.0, RADIO)
+    assert len(emulated.read(RADIO)) == 201
+    port.say(b"late")
+    assert emulated.run(0.5, CONSOLE) == 0
+    assert emulated.run(0.5, RADIO) == pytest.approx(0.5, abs=0.005)
+
+
+def test_a_stream_ends_the_wait_after_4_ms(emulated: EmulatedBoard) -> None:
+    port = emulated.board.periph["UART"]
+    for _ in range(100):
+        port.say(bytes(10))
+    left = emulated.run(1.0, CONSOLE)
+    assert 1.0 - left == pytest.approx(0.008, abs=0.0011)
+    assert 80 <= len(emulated.read(CONSOLE)) <= 110
+
+
+def test_bytes_reach_the_board_unless_the_radio_is_cut(emulated: EmulatedBoard) -> None:
+    port = emulated.board.periph["USART1"]
+    assert emulated.write(b"hello", RADIO) == 5
+    emulated.run(0.01)
+    assert [piece.data for piece in port.line.fetch(emulated.board.clock.now)] == [b"hello"]
+    emulated.set_radio(False)
+    emulated.write(b"lost", RADIO)
+    emulated.run(0.01)
+    assert list(port.line.fetch(emulated.board.clock.now)) == []
+    emulated.set_radio(True)
+    emulated.write(b"back", RADIO)
+    emulated.run(0.01)
+    assert [piece.data for piece in port.line.fetch(emulated.board.clock.now)] == [b"back"]
+
+
+def test_pictures_end_a_wait_and_stop_with_the_camera(emulated: EmulatedBoard) -> None:
+    emulated.camera_frames()
+    begin = emulated.time_s
+    assert emulated.run(1.0, RADIO, camera=True) > 0.9
+    assert emulated.run(1.0, RADIO, camera=True) > 0.9
+    frames = emulated.camera_frames()
+    assert len(frames) == 2
+    assert frames[1].time_s - frames[0].time_s == pytest.approx(0.04)
+    assert emulated.time_s - frames[1].time_s == pytest.approx(0.08, abs=1e-6)
+    assert emulated.time_s - begin < 0.081
+    emulated.set_camera(False)
+    emulated.run(0.5)
+    emulated.camera_frames()
+    assert emulated.run(0.5, RADIO, camera=True) == 0
+
+
+def test_board_time_is_that_of_the_firmwares_counter(emulated: EmulatedBoard) -> None:
+    emulated.run(0.01)
+    assert emulated.board_time_s == 0
+    emulated.board.periph["TC0_0"].start = emulated.board.clock.now - 8400
+    for _ in range(250):  # the counter wraps after 102 s
+        emulated.run(1.0)
+    assert emulated.board_time_s == pytest.approx(250.0001, abs=1e-7)
+    assert emulated.time_s == pytest.approx(1.7 + 250.01, abs=1e-7)
+    emulated.board.periph["TC0_0"].start = emulated.board.clock.now
+    emulated.run(2.0)
+    assert emulated.board_time_s == pytest.approx(2.0, abs=1e-7)
+
+
+def test_power_cycle_starts_everything_anew_but_the_flash(emulated: EmulatedBoard) -> None:
+    emulated.flash = bytes(1000) + b"\xff" * 261144
+    old = emulated.board.periph["USART0"]
+    emulated.board.periph["TC0_0"].start = 0
+    emulated.run(3.0)
+    emulated.power_cycle()
+    assert emulated.board.periph["USART0"] is not old
+    assert emulated.board_time_s == 0
+    begin = emulated.board.clock.now
+    list(old.line.fetch(begin))
+    emulated.run(0.5)
+    arrivals = list(emulated.board.periph["USART0"].line.fetch(emulated.board.clock.now))
+    assert (arrivals[0].first - begin) / TICKS_PER_US == pytest.approx(261_000 + BYTE_US, abs=2)
+    assert emulated.flash[:1001] == bytes(1000) + b"\xff"
+
+
+def test_battery_is_on_its_divider(image: Path) -> None:
+    emulated = EmulatedBoard(image, battery_sag_v_per_trial=0.3)
+    volts = emulated.board.periph["ADC"].volts[7]
+    assert volts() == pytest.approx(8.2 / 3)
+    emulated.board.periph["PWM"].pulses = sine(50)
+    emulated.board.periph["PWM"].start()
+    emulated.run(0.5)
+    assert volts() == pytest.approx(7.9 / 3)
+    emulated.set_battery_v(6.3)
+    assert volts() == pytest.approx(6.0 / 3)
+
+
+def test_address_with_values(image: Path) -> None:
+    url = f"vboard:{image}?plant=thesis&seed=9&mass=0.5&imu_baud=460800&imu_rate_hz=400"
+    emulated = find.open_transport(url, camera_fps=50.0).board
+    assert (emulated.plant, emulated.seed) == ("thesis", 9)
+    assert (emulated.config["mass_kg"], emulated.config["camera_fps"]) == (0.5, 50.0)
+    assert emulated.board.seed == 9
+    port = emulated.board.periph["USART0"]
+    emulated.run(1.261)
+    data = b"".join(piece.data for piece in port.line.fetch(emulated.board.clock.now))
+    assert len(data) == 400 * 64
+
+
+@pytest.mark.parametrize(
+    "query", ["plant=pond", "seed=x", "nonsense=1", "imu_rate_hz=200", "kappa=-1", "seed=-1"]
+)
+def test_senseless_values(image: Path, query: str) -> None:
+    with pytest.raises(InputError) as bad:
+        find.open_transport(f"vboard:{image}?{query}")
+    assert "\n" not in str(bad.value)
+    assert bad.value.remedy
+
+
+def test_image_is_looked_for_below_this_folder_and_in_the_clone(
+    image: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clone = tmp_path / "clone"
+    for folder in ("firmware", "tests/unit", "build/firmware", "docs"):
+        (clone / folder).mkdir(parents=True)
+    (clone / "CMakeLists.txt").touch()
+    monkeypatch.chdir(clone / "docs")
+    with pytest.raises(InputError, match=r"clone/build/firmware/tailbeat\.elf.*make firmware"):
+        find.open_transport("vboard")
+    built = clone / "build" / "firmware" / "tailbeat.elf"
+    image.rename(built)
+    assert find.open_transport("vboard").board.image == built
+    monkeypatch.chdir(clone)
+    assert find.open_transport("vboard").board.image.resolve() == built
+
+
+def test_what_is_no_image(tmp_path: Path) -> None:
+    page, text = tmp_path / "page.html", tmp_path / "text.elf"
+    page.write_text("hello")
+    text.write_text("hello")
+    with pytest.raises(InputError, match="is no flash image"):
+        EmulatedBoard(page)
+    with pytest.raises(InputError, match="cannot boot this image"):
+        EmulatedBoard(text)
+
+
+def test_emulator_that_is_not_installed(image: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "vboard.board", None)
+    with pytest.raises(InputError, match="pip install"):
+        EmulatedBoard(image)
+
+
+def test_what_no_correct_image_does_is_an_error(emulated: EmulatedBoard) -> None:
+    emulated.board.violation = "store to unknown register"
+    with pytest.raises(EmulationError, match="store to unknown register"):
+        emulated.run(1.0)
+
+
+def test_time_passes_for_sure(emulated: EmulatedBoard) -> None:
+    before = emulated.board.clock.now
+    assert emulated.run(0.0) == 0
+    assert emulated.board.clock.now == before + TICKS_PER_S // 1000

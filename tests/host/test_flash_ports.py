@@ -1,0 +1,284 @@
+"""Flashing: USB ports, the touch that erases, and the real conversation over a serial line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import serial
+
+from tailbeat import records
+from tailbeat.errors import ConnectError, InputError
+from tailbeat.fish import Fish
+from tailbeat.flashing import ports
+from tailbeat.flashing.keep import keep
+from tailbeat.flashing.ports import BoardPort, PortKind
+from tailbeat.flashing.programs import run_program
+from tailbeat.flashing.putback import put_back
+from tailbeat.simserver import SimServer
+from tailbeat.transport.serialport import SerialTransport
+from tailbeat.transport.simulated import SimBoard, SimTransport
+
+ACM = "/dev/ttyACM0"
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
+needs_proc = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="no /proc")
+
+
+@dataclass
+class Listed:
+    device: str
+    vid: int | None = None
+    pid: int | None = None
+
+
+def listed(device: str, kind: PortKind) -> Listed:
+    return Listed(device, *kind.value)
+
+
+OTHERS = [Listed("/dev/ttyS0"), Listed("/dev/ttyUSB0", 0x0403, 0x6001), Listed("/dev/x", 0x2341, 1)]
+
+
+# Which port
+
+
+@pytest.mark.parametrize("kind", list(PortKind))
+def test_the_only_port_is_found_among_others(kind: PortKind) -> None:
+    found = ports.find_port(None, lambda: [*OTHERS, listed(ACM, kind)])
+    assert found == BoardPort(ACM, kind)
+    assert found.by_usb == (kind is not PortKind.PROGRAMMING)
+
+
+def test_no_board() -> None:
+    with pytest.raises(ConnectError, match="no board is plugged in") as refused:
+        ports.find_port(None, lambda: OTHERS)
+    assert "programming port" in refused.value.remedy
+
+
+def test_several_boards() -> None:
+    def both() -> list[Listed]:
+        return [listed("/dev/ttyACM1", PortKind.NATIVE), listed(ACM, PortKind.PROGRAMMING)]
+
+    with pytest.raises(ConnectError, match=r"board's: /dev/ttyACM0, /dev/ttyACM1\.") as refused:
+        ports.find_port(None, both)
+    assert refused.value.remedy.startswith("Say which one, for example --port /dev/ttyACM0")
+    assert ports.find_port("/dev/ttyACM1", both).kind is PortKind.NATIVE
+
+
+def test_a_port_of_another_make_is_refused() -> None:
+    with pytest.raises(ConnectError) as refused:
+        ports.find_port("/dev/ttyUSB0", lambda: [*OTHERS, listed(ACM, PortKind.NATIVE)])
+    assert str(refused.value) == (
+        "/dev/ttyUSB0 is not a port of the board (those are: /dev/ttyACM0). Plug the USB cable into"
+        " the board's programming port; ports are told by their USB ids (2341:003d, 2341:003e,"
+        " 03eb:6124)."
+    )
+
+
+def test_a_port_by_another_name(tmp_path: Path) -> None:
+    device, link = tmp_path / "ttyACM0", tmp_path / "by-id"
+    device.touch()
+    link.symlink_to(device)
+    found = ports.find_port(str(link), lambda: [listed(str(device), PortKind.NATIVE)])
+    assert found.device == str(device)
+
+
+# Who uses it
+
+
+def test_holders_are_named(tmp_path: Path) -> None:
+    for number, (name, target) in {
+        7: ("picocom", ACM), 40: ("bash", "/dev/pts/1"), os.getpid(): ("pytest", ACM),
+    }.items():  # fmt: skip
+        process = tmp_path / "proc" / str(number)
+        (process / "fd").mkdir(parents=True)
+        (process / "comm").write_text(f"{name}\n")
+        (process / "fd" / "3").symlink_to(target)
+    (tmp_path / "proc" / "99").mkdir()  # one whose files are not ours to see
+    assert ports.holders(ACM, tmp_path / "proc") == ["picocom (7)"]
+    assert ports.holders("/dev/ttyACM1", tmp_path / "proc") == []
+
+
+@needs_pty
+@needs_proc
+def test_a_port_that_another_process_holds() -> None:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    holder = subprocess.Popen(["cat"], stdin=slave, stdout=subprocess.DEVNULL)
+    try:
+        with pytest.raises(ConnectError, match=rf"is in use by \S+ \({holder.pid}\)"):
+            ports.require_free(path)
+    finally:
+        holder.kill()
+        holder.wait()
+    ports.require_free(path)
+    os.close(master)
+    os.close(slave)
+
+
+@needs_pty
+def test_two_of_us_cannot_have_one_port() -> None:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+    with contextlib.closing(SerialTransport(path)):
+        with pytest.raises(ConnectError, match="cannot open"):
+            SerialTransport(path)
+        with pytest.raises(ConnectError, match="cannot touch"):
+            ports.touch(BoardPort(path, PortKind.PROGRAMMING))
+    os.close(master)
+    os.close(slave)
+
+
+# 1200 baud
+
+
+class Line:
+    """serial.Serial as far as the touch goes, and the ATmega16U2 behind it."""
+
+    log: list[str]
+
+    def __init__(self, baudrate: int, exclusive: bool) -> None:
+        assert exclusive
+        Line.log = []
+        self.__dict__.update(baudrate=baudrate, dtr=True, rts=True)
+
+    def open(self) -> None:
+        Line.log.append(f"open {self.port} at {self.baudrate}")
+
+    def close(self) -> None:
+        Line.log.append("close")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        self.__dict__[name] = value
+        Line.log.append(f"{name} {value}")
+
+
+@pytest.mark.parametrize(
+    ("kind", "after"), [(PortKind.PROGRAMMING, ["baudrate 115200"]), (PortKind.NATIVE, [])]
+)
+def test_the_touch(kind: PortKind, after: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Left at 1200 baud, the programming port would erase the board again at the next open."""
+    monkeypatch.setattr(serial, "Serial", Line)
+    ports.touch(BoardPort(ACM, kind))
+    lines = [f"port {ACM}", f"open {ACM} at 1200", "dtr False", "rts False"]
+    assert Line.log == [*lines, *after, "close"]
+
+
+def test_nobody_else_opens_at_1200_baud() -> None:
+    with pytest.raises(InputError, match="1200 baud would erase the board"):
+        SerialTransport(ACM, 1200)
+    source = Path(ports.__file__).resolve().parents[1]
+    users = [
+        path.relative_to(source).as_posix()
+        for path in source.rglob("*.py")
+        if "serial.Serial(" in path.read_text()
+    ]
+    assert sorted(users) == ["flashing/ports.py", "transport/serialport.py"]
+
+
+# The board at the other end
+
+
+class Resets(SimTransport):
+    """A programming port: it resets the board a moment after it was opened, when the board may have
+    answered already; then the board is silent until it has booted."""
+
+    def __init__(self, board: SimBoard, boot_s: float) -> None:
+        super().__init__(board)
+        self._reset_s = board.time_s + 0.02
+        self._up_s = self._reset_s + boot_s
+        self._booted = False
+
+    def _down(self) -> bool:
+        return self._reset_s <= self.board.time_s and not self._booted
+
+    def read(self) -> bytes:
+        data = super().read()
+        return b"" if self._down() else data
+
+    def write(self, data: bytes) -> None:
+        if not self._down():
+            super().write(data)
+
+    def wait(self, timeout_s: float) -> None:
+        super().wait(min(timeout_s, 0.01))
+        if self._down() and self.board.time_s >= self._up_s:
+            self._booted = True
+            self.board.power_cycle()
+
+
+@pytest.mark.parametrize("boot_s", [0.0, 0.5, 1.5, 2.5])
+def test_a_wired_connect_survives_the_reboot_it_causes(
+    boot_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: Resets(SimBoard(), boot_s))
+    with Fish.connect(ACM) as fish:
+        assert fish.info().status.state == "IDLE"
+        assert len(fish.params.list()) > 10
+
+
+@pytest.fixture
+def console() -> Iterator[str]:
+    """A board in its own thread, its console on a pty."""
+    board = SimBoard("tank")
+    with Fish(SimTransport(board)) as fish:
+        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("SERVO_CENTRE_US", 1487.25)
+        fish.params.save()
+        fish.upload_reference(records.encode_reference(1.0, np.full(8, 0.04)))
+        fish.learn(fish.run_trial().number)
+    server = SimServer(board, "tcp:127.0.0.1:0", pty=True, speed=40.0)
+    stop = threading.Event()
+    thread = threading.Thread(target=server.serve, args=(stop.is_set,))
+    thread.start()
+    assert server.addresses.pty is not None
+    yield server.addresses.pty
+    stop.set()
+    thread.join()
+    server.close()
+
+
+@needs_pty
+def test_there_and_back_over_a_serial_line(console: str, tmp_path: Path) -> None:
+    path = console
+    steps: list[str] = []
+    with Fish.connect(path) as fish:
+        kept = keep(fish, tmp_path / "out", lambda _, text: steps.append(text), tmp_path / "none")
+        learned = fish.learned_record()
+        assert (kept.folder / "trials" / "0001.ulg").read_bytes() == fish.ftp.read(
+            "/trials/0001.ulg"
+        )
+        fish.params.reset()
+        fish.params.save()
+        fish.upload_reference(records.encode_reference(1.0, np.full(5, 0.03)))
+        result = put_back(fish, kept.backup)
+        assert fish.learned_record() == learned is not None
+        assert {n: p.value for n, p in fish.params.list().items()} == kept.backup.params
+    assert steps[-1] == "pulling trial 1"
+    assert result.back[1:] == ["the reference", "all that was learned"]
+    assert "SERVO_CENTRE_US" in kept.backup.params
+
+
+# Other programs
+
+
+def test_a_program_that_hangs_is_ended() -> None:
+    code = "print('began', flush=True); import time; time.sleep(600)"
+    outcome = run_program([sys.executable, "-c", code], 0.5)
+    assert not outcome.ok
+    assert outcome.output.splitlines()[-1] == "it did not end within 0.5 s"
+
+
+def test_last_words() -> None:
+    done = run_program([sys.executable, "-c", "print('[=] 1%\\r[==] 2%\\rno device\\n\\n')"], 30.0)
+    assert (done.ok, done.last_words) == (True, "no device")
+    quiet = run_program([sys.executable, "-c", "import sys; sys.exit(3)"], 30.0)
+    assert quiet.last_words == "exit status 3"

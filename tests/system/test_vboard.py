@@ -1,0 +1,157 @@
+"""The flash image on the emulated board, through the host tool: it does what the simulated board
+does. Needs the image: make firmware."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat import records
+from tailbeat.fish import Fish
+
+IMAGE = Path(__file__).parents[2] / "build" / "firmware" / "tailbeat.elf"
+START = "from tailbeat.cli import main; main()"
+BEATS = 8
+
+
+@pytest.fixture(scope="module")
+def image() -> Path:
+    if not IMAGE.is_file():
+        pytest.fail(f"there is no {IMAGE}: make firmware", pytrace=False)
+    return IMAGE
+
+
+def command(*arguments: str | Path) -> list[str]:
+    return [sys.executable, "-c", START, *map(str, arguments)]
+
+
+def run(*arguments: str | Path) -> dict:
+    done = subprocess.run(command(*arguments), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return json.loads(done.stdout)
+
+
+def session(url: str, seed: int, source: int) -> dict[str, object]:
+    """Two trials with speeds from the camera (0) or uploaded (1), and all that came of them."""
+    speed = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS))
+    with Fish.connect(url, seed=seed) as fish:
+        for name, value in {"LAW_LEAD": 1, "SPD_SOURCE": source, "DU_MAX_RAD": 0}.items():
+            fish.params.set(name, value)
+        fish.upload_reference(records.encode_reference(1.0, speed))
+        found: dict[str, object] = {"kind": fish.info().board}
+        for trial in (1, 2):
+            assert fish.run_trial().end == "complete"
+            true = fish.sim.true_beats()
+            if source == 1:
+                fish.upload_speeds(trial, true.astype(np.float32), np.full(BEATS, 1e-3))
+            found[f"error {trial}"] = fish.learn(trial).max_abs_error_m_s
+            found[f"true {trial}"] = true.tobytes()
+            found[f"25 Hz {trial}"] = fish.sim.true_speeds_25hz().tobytes()
+            found[f"learned {trial}"] = fish.amplitudes().values.tobytes()
+        found["time"] = fish.sim.time_s
+        found["flash"] = fish.sim.flash
+    return found
+
+
+def test_image_learns_what_the_simulated_board_learns_bit_for_bit(image: Path) -> None:
+    emulated = session(f"vboard:{image}", 3, 1)
+    simulated = session("sim", 3, 1)
+    assert (emulated.pop("kind"), simulated.pop("kind")) == ("emulated", "simulated")
+    for own in ("time", "flash"):
+        del emulated[own], simulated[own]
+    assert emulated == simulated
+
+
+def test_same_seed_same_run(image: Path) -> None:
+    first, again = session(f"vboard:{image}", 5, 0), session(f"vboard:{image}", 5, 0)
+    assert first == again
+    assert session(f"vboard:{image}", 6, 0)["error 1"] != first["error 1"]
+
+
+def test_time_of_the_board_is_that_of_its_firmware(image: Path) -> None:
+    with Fish.connect(f"vboard:{image}") as fish:
+        for _ in range(2):
+            fish.clock.sync()
+            assert fish.clock.now_s() == pytest.approx(fish.sim.board_time_s, abs=1e-3)
+            fish.link.run(110.0)  # beyond the wrap of its counter
+
+
+def test_power_cycle_keeps_what_is_stored(image: Path) -> None:
+    with Fish.connect(f"vboard:{image}") as fish:
+        fish.params.set("LAW_GAIN", 5.5)
+        fish.params.save()
+        fish.params.set("LAW_LEAD", 3)
+        fish.sim.set_battery_v(7.3)
+        fish.sim.power_cycle()
+        fish.link.run(1.0)
+        assert fish.params.get("LAW_GAIN").value == 5.5
+        assert fish.params.get("LAW_LEAD").value == 0
+        assert fish.status().battery_v == pytest.approx(7.3, abs=0.03)
+        assert fish.health()["reset_cause"] == "power"
+        assert fish.sim.board_time_s < 5
+
+
+def test_imu_may_be_unplugged_and_may_be_fast(image: Path) -> None:
+    url = f"vboard:{image}?imu_rate_hz=400&imu_baud=460800"
+    with Fish.connect(url) as fish:
+        fish.params.set("IMU_BAUD", 460800)
+        fish.link.run(1.0)
+        before = fish.health()
+        fish.link.run(2.0)
+        after = fish.health()
+        assert after["imu_frames"] - before["imu_frames"] == pytest.approx(800, abs=20)
+        assert after["imu_crc_failed"] == before["imu_crc_failed"]
+        assert after["serial_overruns"] == 0
+        fish.sim.set_imu(False)
+        fish.link.run(0.1)
+        before = fish.health()
+        fish.link.run(1.0)
+        assert fish.health()["imu_frames"] == before["imu_frames"]
+
+
+def test_info_command(image: Path) -> None:
+    found = run("info", "--connect", f"vboard:{image}", "--json")
+    assert (found["board"], found["simulated"]) == ("emulated", True)
+    assert bytes.fromhex(found["unique_id"]) == b"tailbeat vboard "
+    assert found["status"]["state"] == "IDLE"
+
+
+def test_demo_command_tells_all_a_simulator_knows(image: Path, tmp_path: Path) -> None:
+    url = f"vboard:{image}"
+    given = ("--trials", "1", "--plant", "thesis", "--seed", "7", "--out", tmp_path)
+    found = run("demo", "--connect", url, *given, "--json")
+    assert (found["plant"], found["seed"], found["lead"]) == ("thesis", 7, 0)
+    assert found["floor_m_s"] == pytest.approx(0.0008, abs=0.0002)
+    trial = found["trials"][1]
+    assert trial["true_max_abs_error_m_s"] == pytest.approx(trial["max_abs_error_m_s"], abs=2e-4)
+    assert "emulated board" in (tmp_path / "report.html").read_text()
+    assert json.loads((tmp_path / "settings.json").read_text())["board"] == "emulated"
+
+
+def test_vboard_command_serves_the_board(image: Path) -> None:
+    arguments = ("vboard", image, "--json", "--listen", "tcp:127.0.0.1:0", "--seed", "2")
+    with subprocess.Popen(command(*arguments), stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            listen = json.loads(server.stdout.readline())["listen"]
+            with Fish.connect(listen) as fish:
+                assert fish.info().board == "emulated"
+                camera = fish.default_camera()
+                assert camera is not None
+                assert camera.clock == "board"
+                camera.close()
+        finally:
+            server.kill()
+
+
+def test_vboard_command_without_an_image() -> None:
+    done = subprocess.run(
+        command("vboard", "no-such.elf"), capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0
+    assert done.stderr == "tailbeat: there is no flash image no-such.elf. Build it: make firmware\n"
