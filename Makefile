@@ -11,7 +11,7 @@ PACKAGE_SOURCES := $(shell find host firmware hal wire CMakeLists.txt cmake -not
 C_SOURCES = $(shell find firmware hal bench tests/unit host/native -name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
-.PHONY: help demo test bench size check clean lock bootstrap package unit coverage
+.PHONY: help demo test bench firmware size check clean lock bootstrap package unit coverage
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -28,6 +28,13 @@ bench: package ## how much faster than real time the simulation runs
 	@cmake --build build/bench --target tailbeat_bench -- --quiet
 	@build/bench/tailbeat_bench
 	@for script in $(wildcard bench/*.py); do $(BIN)/python $$script || exit 1; done
+
+firmware: ## the image that is flashed to the fish: build/firmware/tailbeat.bin
+	@tools/bootstrap firmware
+	@$(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
+		--toolchain $(CURDIR)/cmake/cortex-m3.cmake >/dev/null
+	@cmake --build build/firmware --target tailbeat_image -- --quiet
+	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
 
 size: ## how large the portable firmware is on the fish's Cortex-M3
 	@tools/bootstrap size

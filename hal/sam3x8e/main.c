@@ -1,0 +1,41 @@
+#include "app/app.h"
+#include "board.h"
+
+hal_t board;
+
+static app_t app;
+
+void board_tick_isr(void) {
+    timebase_tick_isr(&board);
+    app_tick_isr(&app);
+    board.wake = true;
+}
+
+/* A handler that runs between the last look at board.wake and the WFI would leave its bytes lying
+ * until the next interrupt; with interrupts off it waits, and ends the WFI at once. */
+static void sleep_until_interrupt(void) {
+    cpu_interrupts_off();
+    if (!board.wake) {
+        cpu_wait_for_interrupt();
+    }
+    cpu_interrupts_on();
+}
+
+static void init_board(void) {
+    timebase_init(&board);
+    chip_init(&board);
+    storage_flash_init(&board);
+    serial_init(&board);
+    battery_init(&board);
+}
+
+int main(void) {
+    init_board();
+    app_init(&app, &board);
+    servo_init(&board);
+    for (;;) {
+        board.wake = false;
+        app_poll(&app);
+        sleep_until_interrupt();
+    }
+}
