@@ -1,0 +1,130 @@
+"""From reset to the first heartbeat: what the image writes, in which order; and with bad hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tailbeat import reference
+from tailbeat.errors import Refused
+from tailbeat.fish import Fish
+from tailbeat.transport.emulated import EmulatedBoard
+from tailbeat.transport.find import hear_board
+from tailbeat.transport.inprocess import CONSOLE, RADIO, SimTransport
+from vboard.core.clock import TICKS_PER_US
+
+# Watchdog of 1 s first, flash wait states before speed, then crystal, its detector, the switch to
+# it, PLL 12 MHz * 14, halved, and the core onto it (datasheet, "Programming Sequence" of the PMC).
+CLOCK_WRITES = [
+    ("WDT", "MR", 0x1FFF2100),
+    ("EEFC0", "FMR", 0x400),
+    ("EEFC1", "FMR", 0x400),
+    ("PMC", "CKGR_MOR", 0x00370028),
+    ("PMC", "CKGR_MOR", 0x00370829),
+    ("PMC", "CKGR_MOR", 0x02370829),
+    ("PMC", "CKGR_MOR", 0x03370829),
+    ("PMC", "CKGR_PLLAR", 0x200D3F01),
+    ("PMC", "PMC_MCKR", 0x11),
+    ("PMC", "PMC_MCKR", 0x12),
+]
+FIRST_BYTE_S = 0.1
+
+NewBoard = Callable[..., EmulatedBoard]
+Connect = Callable[[EmulatedBoard], Fish]
+
+
+def clock_writes(board: EmulatedBoard) -> list[tuple[str, str, int]]:
+    names = {(peripheral, register) for peripheral, register, _ in CLOCK_WRITES}
+    trace = board.board.bus.trace or []
+    writes = [(a.peripheral, a.register, a.value) for a in trace if a.write]
+    return [write for write in writes if write[:2] in names]
+
+
+@pytest.mark.parametrize("port", [RADIO, CONSOLE])
+def test_from_reset_to_the_first_heartbeat(new_board: NewBoard, port: int) -> None:
+    board = new_board()
+    board.board.bus.trace = []
+    heartbeat = hear_board(SimTransport(board, port), 2.0)
+    assert heartbeat is not None
+    assert clock_writes(board)[: len(CLOCK_WRITES)] == CLOCK_WRITES
+    assert [w for w in clock_writes(board) if w[0] == "WDT"] == CLOCK_WRITES[:1]
+    assert board.board.chip.mck_hz() == 84_000_000
+
+
+def test_the_first_bytes_come_soon(new_board: NewBoard) -> None:
+    board = new_board()
+    for _ in range(100):
+        board.run(0.001)
+        if board.read(RADIO):
+            break
+    first_s = board.board.now_s
+    print(f"first bytes {first_s * 1000:.0f} ms after reset, on an empty flash")
+    assert first_s < FIRST_BYTE_S
+
+
+def test_the_servo_pin_is_driven_low_at_once(new_board: NewBoard) -> None:
+    board = new_board()
+    board.board.bus.trace = []
+    board.run(0.001)
+    first = [a for a in board.board.bus.trace or [] if a.peripheral == "PIOC" and a.write]
+    assert [(a.register, a.value) for a in first[:4]] == [
+        ("CODR", 1 << 21), ("OER", 1 << 21), ("PER", 1 << 21), ("PUDR", 1 << 21),
+    ]  # fmt: skip
+    assert first[3].time < 50 * TICKS_PER_US
+
+
+def test_a_dead_crystal_answers_and_does_not_arm(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    board.board.periph["PMC"].crystal = False
+    fish = connect(board)
+    assert fish.status().fault.name == "CLOCK"
+    assert fish.params.get("LAW_GAIN").value == 4.0
+    with pytest.raises(Refused):
+        fish.arm()
+    fish.clear()
+    fish.upload_reference(reference.thesis().record())
+    with pytest.raises(Refused, match="crystal"):
+        fish.arm()
+    board.run(1.0)
+    assert board.board.chip.mck_hz() == 84_000_000
+    assert not board.truth().swimming
+    assert board.board.periph["PIOC"].owner(21) == "PIO"
+
+
+def test_a_crystal_that_dies_later_ends_in_the_same_state(
+    new_board: NewBoard, connect: Connect
+) -> None:
+    board = new_board()
+    fish = connect(board)
+    board.board.periph["PMC"].fail_crystal()
+    board.run(1.0)
+    fish = connect(board)
+    assert fish.status().fault.name == "CRASH"
+    report = fish.crash_report()
+    assert report is not None
+    assert report.kind == "unexpected interrupt"
+    fish.clear()
+    fish.upload_reference(reference.thesis().record())
+    with pytest.raises(Refused, match="crystal"):
+        fish.arm()
+
+
+def test_who_it_is(new_board: NewBoard, connect: Connect) -> None:
+    fish = connect(new_board())
+    info = fish.info()
+    assert info.board == "emulated"
+    assert info.simulated
+    assert bytes.fromhex(info.unique_id) == b"tailbeat vboard "
+    assert info.status.battery_v == pytest.approx(8.2, abs=0.02)
+    assert fish.health()["reset_cause"] == "power"
+
+
+def test_a_pressed_reset_pin_is_told(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    connect(board)
+    board.board.reset_pin()
+    board.run(0.5)
+    fish = connect(board)
+    assert fish.health()["reset_cause"] == "reset pin"
+    assert fish.status().state == "IDLE"
