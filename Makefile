@@ -6,12 +6,15 @@ PYTHON := $(CURDIR)/$(BIN)/python
 # test_trial_log writes a trial file here, which the tests of the host tool read.
 export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
-PACKAGE_SOURCES := $(shell find host firmware hal wire CMakeLists.txt cmake -not -name __pycache__ \
+PACKAGE_SOURCES := $(shell find host firmware hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
-C_SOURCES = $(shell find firmware hal bench tests/unit host/native -name '*.[ch]' 2>/dev/null)
+C_SOURCES = $(shell find firmware hal bench tests/unit tests/image host/native -name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
-.PHONY: help demo test bench firmware size check clean lock bootstrap package unit coverage
+PYTEST := $(BIN)/pytest -n auto --dist worksteal
+
+.PHONY: help demo test image qemu soak bench firmware flash size check clean lock bootstrap package \
+	unit coverage toolchain
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -19,11 +22,24 @@ help: ## list the targets
 demo: package ## a simulated fish learns the thesis's speed profile
 	@$(BIN)/tailbeat demo
 
-test: unit package ## unit tests (sanitized), tests of the host tool, coverage
-	@$(BIN)/pytest tests/host tests/system
+test: toolchain unit qemu package firmware ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
+	@$(PYTEST) tests/image tests/host tests/system
 	@$(MAKE) coverage
 
-bench: package ## how much faster than real time the simulation runs
+image: package firmware ## only the tests of the flash image
+	@$(PYTEST) tests/image
+
+qemu: bootstrap ## the unit tests as Cortex-M3 code
+	@tools/bootstrap test
+	@$(CONFIGURE) -B build/qemu -DTAILBEAT_NATIVE=OFF \
+		--toolchain $(CURDIR)/cmake/qemu-mps2.cmake >/dev/null
+	@cmake --build build/qemu --target unit_tests -- --quiet
+	@ctest --test-dir build/qemu -j2 --output-on-failure
+
+soak: package firmware ## what takes long: a thousand power cuts
+	@$(PYTEST) -m soak -s tests/image
+
+bench: package firmware ## speed of the simulation, load of the fish's processor
 	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
 	@cmake --build build/bench --target tailbeat_bench -- --quiet
 	@build/bench/tailbeat_bench
@@ -36,12 +52,12 @@ firmware: ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@cmake --build build/firmware --target tailbeat_image -- --quiet
 	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
 
-size: ## how large the portable firmware is on the fish's Cortex-M3
-	@tools/bootstrap size
-	@$(CONFIGURE) -B build/size -DCMAKE_BUILD_TYPE=MinSizeRel -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
-		--toolchain $(CURDIR)/cmake/cortex-m3.cmake >/dev/null
-	@cmake --build build/size --target tailbeat_firmware size_probe -- --quiet
-	@tools/size_report build/size
+flash: firmware package ## write the image to the fish: make flash PORT=/dev/ttyACM0
+	@tools/bootstrap flash
+	@$(BIN)/tailbeat flash build/firmware/tailbeat.bin --port "$(PORT)"
+
+size: firmware ## bytes, biggest symbols, deepest stack; fails over the budgets
+	@$(PYTHON) tools/size_report.py build/firmware/tailbeat.elf
 
 check: ## formatting, types, static analysis, who includes whom
 	@tools/bootstrap check
@@ -66,6 +82,9 @@ lock: bootstrap ## pin the newest versions of the Python packages
 bootstrap:
 	@tools/bootstrap
 
+toolchain: # first, so that what is missing is installed in one go
+	@tools/bootstrap test
+
 package: bootstrap
 	@$(MAKE) -s build/package.stamp
 
@@ -75,6 +94,8 @@ build/package.stamp: $(PACKAGE_SOURCES)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
 		--no-deps --force-reinstall --config-settings=build-dir=$(CURDIR)/build/wheel \
 		--config-settings=cmake.define.TAILBEAT_WERROR=ON ./host
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
+		--no-deps --force-reinstall ./tools/vboard
 	@touch $@
 
 unit: bootstrap

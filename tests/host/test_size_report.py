@@ -253,6 +253,28 @@ def test_compiled_code_counts_as_the_compiler_says_and_tail_calls_leave_their_fr
     assert bench.main_stack() == frames["at_the_end"] + frames["leaf"]
 
 
+def test_a_struct_that_comes_half_in_registers_counts_whole(bench: Bench) -> None:
+    """The compiler's own figure lacks the eight bytes."""
+    taking = """
+typedef struct { int word[3]; } three_t;
+void leaf(void *);
+__attribute__((noinline)) void leaf(void *at) { __asm__ volatile("" : : "r"(at)); }
+__attribute__((noipa)) static int take(int a, int b, three_t three) {
+    leaf(&three);
+    return a + b + three.word[1];
+}
+int reset(void);
+int reset(void) { return take(1, 2, (three_t){{1, 2, 3}}) + 1; }
+__attribute__((used, section(".vectors"))) int (*const vectors[2])(void) = {0, reset};
+"""
+    bench.build(taking, ".c")
+    with_struct = bench.main_stack()
+    compiler = sum(
+        int(line.split("\t")[1]) for line in (bench.folder / "code.su").read_text().splitlines()
+    )
+    assert with_struct == compiler + 8
+
+
 def test_a_frame_of_unknown_size_is_refused(bench: Bench) -> None:
     grows = C_SOURCE.replace("char bytes[200]", "char bytes[x]")
     bench.build(grows, ".c")

@@ -1,4 +1,4 @@
-"""From reset to the first heartbeat: what the image writes, in which order; and with bad hardware."""
+"""From reset to the first heartbeat: what the image writes, in which order; bad hardware."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def vboard(
     image: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[IMAGE]", help="The flash image, .elf; default: build/firmware/tailbeat.elf."
+            metavar="IMAGE", help="The flash image, .elf; default: build/firmware/tailbeat.elf."
         ),
     ] = None,
     plant: Plant = "tank",

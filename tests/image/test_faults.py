@@ -1,0 +1,203 @@
+"""What the image does when it is broken on purpose, while the tail swims."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from tailbeat import _dialect as mavlink
+from tailbeat import records
+from tailbeat.errors import Refused
+from tailbeat.fish import Fish
+from tailbeat.transport.emulated import EmulatedBoard
+from vboard.core.clock import TICKS_PER_US
+from vboard.periph.pins import PinTrace
+
+LONGEST_PULSE_US = 2100
+WATCHDOG_S = 1.01  # 256 ticks of the slow clock at its nominal 32 kHz
+FREE_STACK = 2048  # bytes above its end that no path of the firmware reaches
+
+NewBoard = Callable[..., EmulatedBoard]
+Connect = Callable[[EmulatedBoard], Fish]
+
+LOOP = "fee7"  # b .
+CRASHES = {
+    "bus fault": ("4ff0c0400068", "no such address"),  # r0 = 0x60000000; ldr r0, [r0]
+    "undefined instruction": ("00de", "undefined instruction"),
+    "division by zero": ("002090fbf0f0", "division by zero"),  # sdiv r0, r0, r0
+    "endless push": ("2de9ff5ffce7", "stack guard"),  # push {r0-r12, lr}; b .-4
+    "huge frame": ("adf5005d0090", "stack guard"),  # sub sp, #8192; str r0, [sp]
+}
+KINDS = {
+    "bus fault": "bus fault",
+    "undefined instruction": "usage fault",
+    "division by zero": "usage fault",
+    "endless push": "memory fault",
+    "huge frame": "memory fault",
+}
+
+
+def swimming(board: EmulatedBoard, fish: Fish, beats: int = 5) -> PinTrace:
+    """Starts a trial and lets it swim 1.2 s; a scope on the servo pin."""
+    fish.upload_reference(records.encode_reference(1.0, [0.04] * beats))
+    trace = PinTrace(board.board.clock, 21, 4)
+    board.board.wire(lambda: trace.connect(board.board.periph["PIOC"], board.board.periph["PWM"]))
+    fish.arm()
+    number = float(fish.status().next_trial)
+    fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, number, fish.clock.now_s())
+    board.run(1.2)
+    assert board.truth().swimming
+    return trace
+
+
+def inject(board: EmulatedBoard, code: str) -> None:
+    """Makes the main loop run ``code`` (Thumb, hex), then nothing for ever."""
+    address = board.board.symbol("__stack_bottom") + FREE_STACK
+    board.board.chip.memory.write(address, bytes.fromhex(code + LOOP))
+    board.board.chip.divert(address)
+
+
+def call(board: EmulatedBoard, function: str, text: str) -> None:
+    """Makes the main loop call ``function(text)``."""
+    at = board.board.symbol("__stack_bottom") + FREE_STACK
+    board.board.chip.memory.write(at + 64, text.encode() + b"\0")
+    # ldr r0, [pc, #4]; ldr r1, [pc, #8]; blx r1; b .
+    code = struct.pack(
+        "<4H2I", 0x4801, 0x4902, 0x4788, 0xE7FE, at + 64, board.board.symbol(function) | 1
+    )
+    inject(board, code.hex())
+
+
+def expect_stopped(board: EmulatedBoard, fish: Fish, trace: PinTrace, fault: str) -> None:
+    assert not board.truth().swimming
+    assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
+    status = fish.status()
+    assert (status.state, status.fault.name) == ("FAULT", fault)
+
+
+@pytest.mark.parametrize("what", CRASHES)
+def test_a_crash_stops_the_tail_and_leaves_a_record(
+    new_board: NewBoard, connect: Connect, what: str
+) -> None:
+    code, reason = CRASHES[what]
+    board = new_board()
+    trace = swimming(board, connect(board))
+    inject(board, code)
+    crashed = board.board.clock.now
+    board.run(0.3)
+    assert board.board.periph["RSTC"].cause == 3
+    last = trace.pulses()[-2]
+    assert last.start + last.ticks - crashed < 100 * TICKS_PER_US
+    fish = connect(board)
+    expect_stopped(board, fish, trace, "CRASH")
+    report = fish.crash_report()
+    assert report is not None
+    assert report.kind == KINDS[what]
+    assert any(reason in text for text in report.reasons)
+    assert report.build_id == fish.info().build_id
+    at = board.board.symbol("__stack_bottom") + FREE_STACK
+    if what != "huge frame":  # whose registers could not be pushed
+        assert at <= report.registers["pc"] <= at + 8
+    assert fish.health()["reset_cause"] == "software"
+
+
+def test_a_failed_assertion_names_its_place(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    trace = swimming(board, connect(board))
+    call(board, "panic", "gait/gait.c:42")
+    board.run(0.3)
+    fish = connect(board)
+    expect_stopped(board, fish, trace, "CRASH")
+    report = fish.crash_report()
+    assert report is not None
+    assert (report.kind, report.where) == ("assertion", "gait/gait.c:42")
+    fish.clear()
+    assert fish.status().state == "IDLE"
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["", "72b6"],
+    ids=["the tick goes on", "interrupts are off"],  # cpsie i, cpsid i
+)
+def test_a_stuck_main_loop_ends_in_a_watchdog_reset(
+    new_board: NewBoard, connect: Connect, code: str
+) -> None:
+    board = new_board()
+    trace = swimming(board, connect(board))
+    stuck_s = board.board.now_s
+    inject(board, code)
+    while board.board.periph["RSTC"].cause != 2 and board.board.now_s < stuck_s + 3:
+        board.run(0.01)
+    took_s = board.board.now_s - stuck_s
+    print(f"watchdog reset after {took_s * 1000:.0f} ms")
+    assert took_s < WATCHDOG_S
+    board.run(0.3)
+    fish = connect(board)
+    expect_stopped(board, fish, trace, "WATCHDOG")
+    assert fish.health()["reset_cause"] == "watchdog"
+
+
+def test_a_dead_tick_ends_in_a_watchdog_reset(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    trace = swimming(board, connect(board))
+    board.board.periph["PWM"].write_idr1(1 << 4)
+    board.run(1.5)
+    fish = connect(board)
+    expect_stopped(board, fish, trace, "WATCHDOG")
+
+
+def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    fish = connect(board)
+    fish.params.set("IMU_TIMEOUT_S", 0.5)
+    trace = swimming(board, fish)
+    frames = fish.health()["imu_frames"]
+    board.set_imu(False)
+    board.run(1.5)
+    status = fish.status()
+    assert (status.state, status.fault.name) == ("ABORTED", "IMU_STALE")
+    assert not board.truth().swimming
+    assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
+    board.set_imu(True)
+    board.run(1.0)
+    assert fish.health()["imu_frames"] > frames + 50
+    assert fish.health()["imu_crc_failed"] <= 1
+
+
+def test_a_supply_that_dips_during_a_write_harms_nothing(
+    new_board: NewBoard, connect: Connect
+) -> None:
+    board = new_board()
+    fish = connect(board)
+    fish.params.set("LAW_GAIN", 3.0)
+    fish.params.save()
+    rail, controller = board.board.periph["SUPC"].rail, board.board.periph["EEFC1"]
+    dips = 0
+
+    def dip(busy: bool) -> None:
+        nonlocal dips
+        if busy and dips < 3:
+            dips += 1
+            board.board.clock.after(1000 * TICKS_PER_US, lambda: rail.set(2.5))
+            board.board.clock.after(6000 * TICKS_PER_US, lambda: rail.set(3.3))
+
+    controller.on_busy.append(dip)
+    for gain in (4.0, 5.0, 6.0):
+        fish.params.set("LAW_GAIN", gain)
+        try:
+            fish.params.save()
+        except Refused as error:
+            print("save:", error)
+    assert dips == 3
+    stored = board.flash
+    board.power_cycle()
+    fish = connect(board)
+    print(
+        fish.params.get("LAW_GAIN").value, fish.status().fault.name, fish.health()["store_failures"]
+    )
+    assert fish.params.get("LAW_GAIN").value in (3.0, 4.0, 5.0, 6.0)
+    assert fish.status().fault.name == "NONE"
+    assert stored

@@ -1,0 +1,1 @@
+"""Processor, interrupts, time and bus."""
