@@ -26,7 +26,7 @@ Connect = Annotated[
         "--connect",
         metavar="URL",
         envvar="TAILBEAT_CONNECT",
-        help="Serial path, tcp:HOST:PORT, udp:PORT, sim or sim:thesis; default: find the fish.",
+        help="Serial path, tcp:HOST:PORT, udp:PORT, sim[:plant] or vboard; default: find the fish.",
         show_default=False,
     ),
 ]
