@@ -19,6 +19,7 @@ from vboard.core.bench import (
     run_program,
 )
 from vboard.core.bus import BusViolation
+from vboard.core.clock import TICKS_PER_S
 from vboard.core.exceptions import Lockup
 from vboard.image import ImageError, load
 
@@ -180,6 +181,35 @@ def test_power_cut_loses_all_but_flash(build: Build) -> None:
     assert board.word(0x20070200) != 0x12345678
     assert board.periph["GPBR"].values["GPBR0"] == 0
     assert board.bank1[:256] == whole
+
+
+@pytest.mark.parametrize(("code", "sleeps"), [("", True), ("for (;;) { VALUE = 1; }", False)])
+def test_power_may_go_and_come_while_it_runs(build: Build, code: str, sleeps: bool) -> None:
+    """By events, as a test at random instants does it."""
+    board = Board(build(f"void program(void) {{ {code} }}"), peripherals=only_probe)
+    ms = TICKS_PER_S // 1000
+    powered: list[bool] = []
+    board.clock.at(3 * ms, board.power_cut)
+    board.clock.at(4 * ms, lambda: powered.append(board.powered))
+    board.clock.at(7 * ms, board.power_on)
+    assert not board.run_until(10 * ms)
+    assert powered == [False] and board.powered
+    assert board.clock.now == 10 * ms
+    assert board.idle_ticks + board.busy_ticks == 6 * ms
+    assert (board.idle_ticks > 5 * ms) == sleeps
+
+
+def test_stop_is_asked_after_each_event_of_a_sleep(build: Build) -> None:
+    board = Board(build("void program(void) { }"), peripherals=only_probe)
+    seen: list[int] = []
+    for due in (1000, 2000, 3000):
+        board.clock.at(due, lambda due=due: seen.append(due))
+    assert board.run_for(1.0, lambda: len(seen) == 2)
+    assert board.clock.now == 2000
+    board.power_cut()
+    board.clock.at(4000, lambda: seen.append(4000))
+    assert board.run_for(1.0, lambda: 4000 in seen)
+    assert board.clock.now == 4000
 
 
 def test_resets_keep_ram_and_tell_their_cause(build: Build) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vboard.board import Board
-from vboard.chip import CYCLES_PER_INSTRUCTION
+from vboard.chip import CYCLES_PER_INSTRUCTION, MASKED_SLICE
 from vboard.core.bench import (
     COMPILER,
     PROBE,
@@ -350,3 +350,24 @@ def test_handlers_are_chained_without_a_new_frame(build: Build) -> None:
     first, second = probe.times()
     assert second - first < 10 * CYCLES_PER_INSTRUCTION + CHAIN_CYCLES
     assert second - first >= CHAIN_CYCLES + 3 * CYCLES_PER_INSTRUCTION
+
+
+def test_an_interrupt_masked_for_long_is_taken_soon_after(build: Build) -> None:
+    """Single steps would make a hang with interrupts off too slow to wait for the watchdog."""
+    probe = run_program(
+        build(
+            """void on_irq(void) { LINE = 0; MARK = 2; }
+            void program(void) {
+                ISER = PROBE_BIT;
+                __asm volatile("cpsid i");
+                LINE = 1;
+                __asm volatile("ldr r0, =100000\\n 1: subs r0, #1\\n bne 1b" ::: "r0", "cc");
+                MARK = 1;
+                __asm volatile("cpsie i");
+                for (;;) { if (REG(0xE000E200u) == 0) { break; } }
+            }"""
+        )
+    )
+    assert probe.values_marked() == [1, 2]
+    first, second = probe.times()
+    assert second - first < 2 * MASKED_SLICE * CYCLES_PER_INSTRUCTION

@@ -80,6 +80,7 @@ def test_violation_names_the_place(build: Build) -> None:
         ("REG(0x4000C014u) = 1;", "READ_ONLY, which cannot be"),
         ("(void)REG(0x4000D000u);", "no peripheral"),
         ("REG(0xE000E000u) = 1;", "no such writable system register"),
+        ("REG(0xE000ED14u) = 0x208;", "CCR: bits 0x8 are unknown or not modelled"),
         ("REG(0xE000ED0Cu) = 4;", "AIRCR written without its key"),
         ("(void)REG(0x42000000u);", "no peripheral"),
     ],

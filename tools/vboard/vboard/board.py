@@ -138,11 +138,22 @@ class Board:
         Raises BusViolation for whatever no correct image does and Lockup for a fault without a
         handler, both with pc and function. Without power only time passes.
         """
-        if self._chip is not None:
-            self._chip.on_breakpoint = self.on_breakpoint
-            return self._chip.run_until(tick, stop)
-        self.clock.advance(tick)
+        while self.clock.now < tick:
+            if self._chip is not None:
+                self._chip.on_breakpoint = self.on_breakpoint
+                if self._chip.run_until(tick, stop):
+                    return True
+            elif self._wait_without_power(tick, stop):
+                return True
         return stop is not None and stop()
+
+    def _wait_without_power(self, tick: int, stop: Callable[[], bool] | None) -> bool:
+        while self.clock.now < tick and not self.powered:
+            if stop is not None and stop():
+                return True
+            due = self.clock.next_due()
+            self.clock.advance(tick if due is None else min(tick, due))
+        return False
 
     def run_for(self, seconds: float, stop: Callable[[], bool] | None = None) -> bool:
         """As run_until(), from now on."""

@@ -37,7 +37,7 @@ Where = Callable[[int], str]
 
 
 class Chip:
-    """Implements Soc for its peripherals.
+    """Implements Soc for its peripherals. ``off``: after power_off().
 
     ``where`` names an address for messages. ``on_breakpoint`` is asked at BKPT with its number;
     True goes on behind it.
@@ -54,10 +54,11 @@ class Chip:
         trace: bool = False,
     ) -> None:
         self.clock, self.flash = clock.part(), flash
-        self.idle_ticks = self.instructions = 0
+        self.instructions = self._idle_ticks = 0
+        self._asleep_since: int | None = None
         self.on_breakpoint: Callable[[int], bool] | None = None
         self._where = where
-        self._sleeping = self._running = False
+        self.off = self._sleeping = self._running = False
         self._masked_steps = 0
         self._reset_cause: int | None = None
         self._cost = CYCLES_PER_INSTRUCTION
@@ -76,6 +77,12 @@ class Chip:
         self.periph.update(factory(self))
         self._wire()
         self._start(RESET_POWER_UP)
+
+    @property
+    def idle_ticks(self) -> int:
+        """Time asleep in WFI."""
+        since = self._asleep_since
+        return self._idle_ticks + (0 if since is None else self.clock.now - since)
 
     # What peripherals ask for (Soc).
 
@@ -118,16 +125,21 @@ class Chip:
     def run_until(self, tick: int, stop: Callable[[], bool] | None = None) -> bool:
         """Runs until the clock reaches ``tick`` or ``stop()`` is true; tells whether it was stop.
 
-        ``stop`` is asked after each millisecond at the latest and whenever something happened.
+        ``stop`` is asked after each millisecond at the latest and whenever something happened. Ends
+        early when the power goes.
         """
         clock = self.clock
+        self._running = True
         try:
-            while clock.now < tick:
+            while clock.now < tick and not self.off:
                 if stop is not None and stop():
                     return True
-                self._step(tick)
+                self._step(tick, stop)
         except (BusViolation, Lockup) as error:
             raise self._located(error) from error
+        finally:
+            self._running = False
+            self._close_if_off()
         return stop is not None and stop()
 
     def divert(self, address: int) -> None:
@@ -141,16 +153,25 @@ class Chip:
         for peripheral in self.periph.values():
             peripheral.power_off()
         self.clock.drop()
+        self.off = self.exceptions.attention = True
+        self._close_if_off()
 
-    def _step(self, tick: int) -> None:
-        """One decision and one slice, or one sleep up to the next event."""
+    def _close_if_off(self) -> None:
+        """Power may go in the middle of a run; the processor is given back after it."""
+        if self.off and not self._running:
+            self.cpu.close()
+
+    def _step(self, tick: int, stop: Callable[[], bool] | None) -> None:
+        """One decision and one slice, or one sleep."""
         self.clock.advance(self.clock.now)
+        if self.off:
+            return
         while self._deferred:
             self._deferred.pop(0)()
         if self._reset_cause is not None:
             self._reset()
         if self._sleeping and not self._awake():
-            self._sleep(tick)
+            self._sleep(tick, stop)
             return
         masked = self.exceptions.dispatch()
         if self.clock.now < tick:
@@ -164,14 +185,12 @@ class Chip:
         self._cost = cost = CYCLES_PER_INSTRUCTION * self.mck_ticks()
         self._slice_start, self._slice_end = start, end
         exceptions.attention = False
-        self._running = True
         try:
             stop = cpu.run(self._budget(-(-(end - start) // cost), single))
         finally:
-            self._running = False
             self.instructions += cpu.executed
         clock.advance(max(clock.now, start + cpu.executed * cost))
-        if stop is not Stop.COUNT:
+        if stop is not Stop.COUNT and not self.off:
             self._stopped(stop)
 
     def _budget(self, instructions: int, masked: bool) -> int:
@@ -230,14 +249,18 @@ class Chip:
             self._tell_watchdog()
         return not self._sleeping
 
-    def _sleep(self, tick: int) -> None:
-        clock = self.clock
-        begun, pending = clock.now, self.exceptions
-        pending.attention = False
-        while clock.now < tick and not pending.attention:
+    def _sleep(self, tick: int, stop: Callable[[], bool] | None) -> None:
+        """From event to event until one of them wants something."""
+        clock, exceptions = self.clock, self.exceptions
+        exceptions.attention = False
+        self._asleep_since = begun = clock.now
+        while clock.now < tick and not exceptions.attention:
             due = clock.next_due()
             clock.advance(tick if due is None else min(tick, due))
-        self.idle_ticks += clock.now - begun
+            if stop is not None and stop():
+                break
+        self._idle_ticks += clock.now - begun
+        self._asleep_since = None
 
     def _tell_watchdog(self) -> None:
         if "WDT" in self.periph:

@@ -77,6 +77,10 @@ class Clock:
         self._dropped = True
         for event in self._own or ():
             event.cancelled = True
+        self._own = []
+        events = self._time.events
+        events[:] = [entry for entry in events if not entry[2].cancelled]
+        heapq.heapify(events)
 
     def next_due(self) -> int | None:
         """Time of the next event."""

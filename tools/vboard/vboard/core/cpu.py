@@ -227,6 +227,11 @@ class Cpu:
         if status != UC_ERR_OK:
             raise UcError(status)
 
+    def close(self) -> None:
+        """Gives the engine back, some megabytes; nothing may be asked of it afterwards."""
+        self._engine._Uc__finalizer()
+        self._keep.clear()
+
     def protect(self, address: int, size: int, permissions: int) -> None:
         """Restricts whole pages of 4096 bytes; what they then refuse goes to on_protected.
 

@@ -1,7 +1,8 @@
 """Exceptions of the Cortex-M3: what is pending, what is active, entry, return and faults.
 
 ARMv7-M Architecture Reference Manual, B1.5. Not modelled: late arrival (an exception that comes
-during entry waits for its first instruction), imprecise faults, debug.
+during entry waits for its first instruction), imprecise faults, faults of unaligned LDM and LDRD,
+the exclusive monitor's clearing at entry, debug.
 """
 
 from __future__ import annotations

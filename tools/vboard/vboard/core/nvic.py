@@ -25,7 +25,7 @@ ICSR_PENDSTSET, ICSR_PENDSTCLR, ICSR_ISRPENDING = 1 << 26, 1 << 25, 1 << 22
 ICSR_RETTOBASE = 1 << 11
 DEMCR_TRCENA, DEMCR_MON_EN = 1 << 24, 1 << 16
 DWT_CYCCNTENA = 1 << 0
-CCR_KNOWN = 0x31B
+CCR_KNOWN = 0x213
 RESET_SOFTWARE = 3
 # (bit of SHCSR, exception): active, pending, enabled.
 _SHCSR_ACTIVE = ((0, 4), (1, 5), (3, 6), (7, 11), (8, 12), (10, 14), (11, 15))
