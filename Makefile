@@ -6,7 +6,7 @@ PYTHON := $(CURDIR)/$(BIN)/python
 # test_trial_log writes a trial file here, which the tests of the host tool read.
 export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
-PACKAGE_SOURCES := $(shell find host firmware hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
+PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
 C_SOURCES = $(shell find firmware hal bench tests/unit tests/image host/native -name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
