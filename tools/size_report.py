@@ -39,7 +39,8 @@ ARCHIVES = {
 
 @dataclass(frozen=True)
 class Sizes:
-    """Bytes of the image. ``text`` is all that only lies in flash, constants included."""
+    """Bytes of the image. ``text`` is all that only lies in flash, constants included; ``data`` is
+    copied from flash to RAM, code that runs there included."""
 
     text: int
     data: int
@@ -56,12 +57,13 @@ class Sizes:
 
 def sizes(elf: ELFFile) -> Sizes:
     text = data = bss = 0
+    moved = [s for s in elf.iter_segments("PT_LOAD") if s["p_vaddr"] != s["p_paddr"]]
     for section in elf.iter_sections():
         if not section["sh_flags"] & SH_FLAGS.SHF_ALLOC:
             continue
         if section["sh_type"] == "SHT_NOBITS":
             bss += section["sh_size"]
-        elif section["sh_flags"] & SH_FLAGS.SHF_WRITE:
+        elif any(segment.section_in_segment(section) for segment in moved):
             data += section["sh_size"]
         else:
             text += section["sh_size"]
@@ -113,6 +115,12 @@ class Report:
                 "worst stack",
                 "the linker script reserves",
             ),
+            (
+                self.stack.largest.bytes,
+                self.stack.guard_bytes,
+                "largest frame",
+                "the stack's guard",
+            ),
         ]
         for own in self.stack.own:
             checks.append((own.deepest.bytes, own.size_bytes, f"stack {own.name}", "it holds"))
@@ -158,6 +166,7 @@ def print_stack(stack: StackReport) -> None:
     for level in stack.levels:
         print(chain_line(level.deepest, f"interrupt of priority {level.priority}"))
     print(f"  {EXCEPTION_BYTES:6} a fault on top of all")
+    print(chain_line(stack.largest, f"largest frame, of the {stack.guard_bytes} of the guard"))
     for own in stack.own:
         print(f"stack {own.name}: {own.deepest.bytes} bytes of {own.size_bytes}")
 

@@ -126,10 +126,15 @@ class OwnStack:
 
 @dataclass(frozen=True)
 class StackReport:
+    """``largest``: the function that moves the stack pointer furthest; ``guard_bytes``: what lies
+    below the stack to catch it."""
+
     main: Chain
     levels: tuple[Level, ...]
     own: tuple[OwnStack, ...]
     reserved_bytes: int
+    largest: Chain
+    guard_bytes: int
 
     @property
     def worst_bytes(self) -> int:
@@ -222,6 +227,15 @@ class Program:
         if name not in self._by_name:
             raise StackError(f"the image has no symbol {name}")
         return self._by_name[name]
+
+    def distance(self, low: str, high: str) -> int:
+        """Bytes from one symbol up to the other."""
+        return self.symbol(high).address - self.symbol(low).address
+
+    def largest(self) -> Chain:
+        """The function with the largest frame."""
+        function = max(self.functions.values(), key=lambda f: f.frame_bytes)
+        return Chain(function.frame_bytes, (function.name,))
 
     def handlers(self) -> list[str]:
         """Everything the vector table goes to but reset, each once."""
@@ -441,5 +455,7 @@ def measure(elf: Path, su_folder: Path, facts: Facts) -> StackReport:
         program.deepest(program.reset()),
         levels(program, on_main),
         own_stacks(program),
-        program.symbol("__stack_top").address - program.symbol("__stack_bottom").address,
+        program.distance("__stack_bottom", "__stack_top"),
+        program.largest(),
+        program.distance("__stack_guard", "__stack_bottom"),
     )

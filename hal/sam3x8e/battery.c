@@ -59,10 +59,10 @@ static void replace_oldest(hal_t *hal, uint16_t sample) {
     hal->battery_at = (uint8_t)((hal->battery_at + 1u) % BATTERY_SAMPLES);
 }
 
+/* A conversion takes 20 us. A converter that has not done it within a frame is broken and counts as
+ * an empty battery, not as the last good one. */
 void battery_tick_isr(hal_t *hal) {
-    if (conversion_ended()) {
-        replace_oldest(hal, last_conversion());
-    }
+    replace_oldest(hal, conversion_ended() ? last_conversion() : 0);
     ADC->CR = ADC_CR_START;
 }
 

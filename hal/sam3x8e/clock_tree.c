@@ -13,16 +13,17 @@
 /* Between 53 and 78 MHz the flash needs three wait states, above four. */
 #define FLASH_WAIT_STATES 4u
 
-/* The crystal is given 8 * 8 periods of the slow clock to start: 3.2 ms at the slowest. */
-#define CRYSTAL_START_COUNT 8u
+/* The crystal is given 64 * 8 periods of the slow clock to start: 12 to 26 ms as that one spreads.
+ * A slow starter must not be taken for a dead one. */
+#define CRYSTAL_START_COUNT 64u
 
 /* 12 MHz * (13 + 1) = 168 MHz, halved for the core; the PLL gets 63 slow periods to lock. */
 #define PLL_MULTIPLIER 13u
 #define PLL_LOCK_COUNT 63u
 
-/* A poll takes at least 0.3 us at 12 MHz, so that this is 15 ms or more, three times what the
- * slowest change needs. */
-#define POLLS_MAX 50000u
+/* A poll takes at least 0.3 us at 12 MHz, so that this is 60 ms or more, twice what the slowest
+ * change needs. */
+#define POLLS_MAX 200000u
 
 /* The detector tells after two periods of the slow clock, 100 us at most. */
 #define FAILURE_DETECTOR_POLLS 1000u

@@ -17,7 +17,7 @@ typedef struct {
 } clock_tree_t;
 
 /* Brings the chip from its reset clock to full speed. Called once, before RAM is set up: uses no
- * variables. Takes 3 ms, at worst 0.2 s: every wait is bounded. */
+ * variables. Takes 20 ms, with a dead crystal 0.3 s: every wait is bounded. */
 clock_tree_t clock_tree_init(void);
 
 /* Gives peripheral |id| (registers/peripherals.h) its clock. Before that, writes to it are lost. */

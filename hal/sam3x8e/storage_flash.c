@@ -3,8 +3,8 @@
  * that interrupts and all go on while a page is written; only nobody may read bank 1 meanwhile.
  *
  * A page takes about 5 ms. The main loop sleeps through them: the controller's interrupt wakes it.
- * FMR enables it before the command, when FRDY is still up, so a request stands by from the start:
- * it is taken back once the command runs, before the core lets the interrupt through.
+ * That interrupt is asked for as long as FRDY is up, before the command too. So the core lets it
+ * through only for a sleep, and the handler shuts it out again.
  */
 #include "board.h"
 #include "registers/eefc.h"
@@ -31,11 +31,14 @@ static const uint8_t *bank(uint32_t offset) {
 void storage_flash_isr(void) { interrupt_disable(ID_EFC1); }
 
 /* Status of the controller; when it is busy, after an interrupt, its own or another. The request
- * that comes between the look and the WFI ends the WFI, as interrupts are off. */
-static uint32_t status_or_sleep(void) {
+ * that comes between the look and the WFI ends the WFI, as interrupts are off. A request from
+ * before the command that is still on its way ends it too early; the next look sends it to sleep
+ * again. Before the tick runs nothing would wake it from a controller that hangs: then no sleep. */
+static uint32_t status_or_sleep(const hal_t *hal) {
     cpu_interrupts_off();
     const uint32_t status = EFC1->FSR;
-    if ((status & EFC_FSR_FRDY) == 0) {
+    if ((status & EFC_FSR_FRDY) == 0 && hal->ticks != 0) {
+        interrupt_enable(ID_EFC1, PRIORITY_DMA);
         cpu_wait_for_interrupt();
     }
     cpu_interrupts_on();
@@ -45,15 +48,13 @@ static uint32_t status_or_sleep(void) {
 static bool ready(void) { return (EFC1->FSR & EFC_FSR_FRDY) != 0; }
 
 /* Reading the status clears its error bits, so they are gathered. The tick ends each sleep after
- * 20 ms at the latest; before the tick runs, the watchdog would. */
+ * 20 ms at the latest. */
 static bool command(const hal_t *hal, uint32_t code, uint32_t argument) {
     const uint64_t start_us = hal_time_us(hal);
     uint32_t status = 0;
     EFC1->FCR = EFC_FCR_FKEY_PASSWD | FIELD(EFC_FCR_FARG, argument) | code;
-    interrupt_disable(ID_EFC1);
-    interrupt_enable(ID_EFC1, PRIORITY_DMA);
     do {
-        status |= status_or_sleep();
+        status |= status_or_sleep(hal);
     } while ((status & EFC_FSR_FRDY) == 0 && hal_time_us(hal) - start_us < COMMAND_LIMIT_US);
     interrupt_disable(ID_EFC1);
     return (status & (EFC_FSR_FRDY | COMMAND_ERRORS)) == EFC_FSR_FRDY;

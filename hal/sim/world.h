@@ -29,7 +29,7 @@ typedef struct {
     double x_m, v_m_s; /* position and speed over ground, along the swim */
     double tail_rad;   /* real tail angle */
     double amplitude_rad; /* amplitude the plant feels now */
-    uint32_t swims;       /* swims begun since sim_new */
+    uint32_t swims;       /* swims begun since the world began */
     bool swimming;        /* pulses are on */
     uint16_t pulse_ticks;
 } sim_truth_t;

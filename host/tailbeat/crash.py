@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -39,7 +37,7 @@ _REGISTERS = (
     "r0", "r1", "r2", "r3", "r12", "lr", "pc", "xpsr", "sp", "exc_return",
     "cfsr", "hfsr", "mmfar", "bfar", "icsr",
 )  # fmt: skip
-_ADDR2LINE = "arm-none-eabi-addr2line"
+_ADDR2LINE, _PACKAGE = "arm-none-eabi-addr2line", "binutils-arm-none-eabi"
 _TIMEOUT_S = 20.0
 
 
@@ -80,17 +78,24 @@ def decode_crash(record: bytes) -> CrashReport:
 
 
 def places(report: CrashReport, elf: Path) -> list[str]:
-    """``function at file:line`` of pc and lr, by the image that crashed. Empty without binutils."""
-    if shutil.which(_ADDR2LINE) is None:
-        return []
-    if not elf.is_file():
-        raise InputError(f"there is no image {elf}.", "Name the .elf of the build that crashed.")
-    addresses = [f"0x{report.registers[name] & ~1:x}" for name in ("pc", "lr")]
-    done = subprocess.run(
-        [_ADDR2LINE, "-f", "-p", "-e", str(elf), *addresses],
-        capture_output=True,
-        text=True,
-        timeout=_TIMEOUT_S,
-        check=False,
-    )
-    return done.stdout.splitlines()
+    """``pc: function at file:line`` and the same of lr, by the image that crashed.
+
+    Raises InputError when ``elf`` is of another build or the program that looks it up is missing.
+    """
+    from tailbeat.flashing.image import build_id_of
+    from tailbeat.flashing.programs import require_program, run_program
+
+    build_id = build_id_of(elf)
+    if build_id != report.build_id:
+        raise InputError(
+            f"{elf} is of build {build_id}, but {report.build_id} crashed",
+            "Name the .elf of that build, or leave --elf out.",
+        )
+    require_program(_ADDR2LINE, _PACKAGE)
+    names = "pc", "lr"
+    addresses = [f"0x{report.registers[name] & ~1:x}" for name in names]
+    outcome = run_program([_ADDR2LINE, "-f", "-p", "-e", str(elf), *addresses], _TIMEOUT_S)
+    if not outcome.ok:
+        raise InputError(f"{elf} tells no places: {outcome.last_words}", "Leave --elf out.")
+    lines = outcome.output.splitlines()
+    return [f"{name}: {line}" for name, line in zip(names, lines, strict=False)]

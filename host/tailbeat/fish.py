@@ -66,7 +66,7 @@ class Fish:
         self.ftp = FtpClient(self.link)
 
     @classmethod
-    def connect(cls, url: str | None = None, **sim_overrides: float) -> Fish:
+    def connect(cls, url: str | None = None, /, **sim_overrides: float) -> Fish:
         """Opens ``url`` (None: find the fish) and greets the board. Raises ConnectError."""
         transport = open_transport(url, **sim_overrides)
         try:

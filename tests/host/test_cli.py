@@ -198,6 +198,10 @@ def test_wrong_calls(alone: Shell) -> None:
     assert "no plant pond" in alone.fails("demo", "--plant", "pond")
     assert "no value colour" in alone.fails("demo", "--set", "colour=1")
     assert "is no setting" in alone.fails("sim", "--set", "kappa")
+    for word in ("plant", "self", "url"):
+        assert f"no value {word}" in alone.fails("demo", "--set", f"{word}=1")
+        assert f"no value {word}" in alone.fails("sim", "--set", f"{word}=1")
+    assert "is no seed" in alone.fails("sim", "--set", "seed=1.5")
     assert "is no experiment" in alone.fails("experiment", "note", "/nonexistent", "x")
 
 

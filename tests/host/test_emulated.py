@@ -4,6 +4,7 @@ a real image does with them is in tests/system/test_vboard.py."""
 from __future__ import annotations
 
 import math
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -106,6 +107,7 @@ class Board:
         self.clock = Clock()
         self.bank1 = b"\xff" * 262144
         self.violation: str | None = None
+        self.during_run: Callable[[], object] = lambda: None
         self._wires: list[Callable[[], None]] = []
         self.power_on()
 
@@ -136,6 +138,7 @@ class Board:
     def run_until(self, tick: int) -> None:
         if self.violation:
             raise BusViolation(self.violation)
+        self.during_run()
         self.clock.advance(tick)
 
 
@@ -333,8 +336,10 @@ def test_address_with_values(image: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "query", ["plant=pond", "seed=x", "nonsense=1", "imu_rate_hz=200", "kappa=-1", "seed=-1"]
-)
+    "query",
+    ["plant=pond", "seed=x", "nonsense=1", "imu_rate_hz=200", "kappa=-1", "seed=-1", "image=1",
+     "self=1", "imu_baud=nan", "imu_rate_hz=0&imu_baud=0"],
+)  # fmt: skip
 def test_senseless_values(image: Path, query: str) -> None:
     with pytest.raises(InputError) as bad:
         find.open_transport(f"vboard:{image}?{query}")
@@ -379,6 +384,26 @@ def test_what_no_correct_image_does_is_an_error(emulated: EmulatedBoard) -> None
     emulated.board.violation = "store to unknown register"
     with pytest.raises(EmulationError, match="store to unknown register"):
         emulated.run(1.0)
+
+
+def test_ctrl_c_lets_the_emulator_finish_its_step(emulated: EmulatedBoard) -> None:
+    emulated.board.during_run = lambda: signal.raise_signal(signal.SIGINT)
+    before = emulated.board.clock.now
+    with pytest.raises(KeyboardInterrupt):
+        emulated.run(0.001)
+    assert emulated.board.clock.now == before + TICKS_PER_S // 1000
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_is_left_to_who_asked_for_it(emulated: EmulatedBoard) -> None:
+    pressed: list[int] = []
+    old = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        emulated.board.during_run = lambda: signal.raise_signal(signal.SIGINT)
+        emulated.run(0.001)
+    finally:
+        signal.signal(signal.SIGINT, old)
+    assert pressed == [signal.SIGINT]
 
 
 def test_time_passes_for_sure(emulated: EmulatedBoard) -> None:

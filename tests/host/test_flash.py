@@ -57,7 +57,7 @@ flags = arguments[2:]
 if "-i" in flags:
     end(0, "Device : ATSAM3X8")
 if "-w" in flags and "write" in chip["broken"]:
-    end(2, "Write 38904 bytes to flash\\r[==] 100%\\nVerify failed\\nPage errors: 1")
+    end(2, "[==] 100%\\nVerify failed\\nPage errors: 1\\nByte errors: 1")
 if "-e" in flags:
     chip.update(image=None, stored=False)
 if "-w" in flags:
@@ -70,7 +70,7 @@ end(0, "Set boot flash true")
 """
 OPENOCD = """
 if "write" in chip["broken"]:
-    end(1, "Error: unable to find a matching CMSIS-DAP device")
+    end(1, "Error: unable to find a matching CMSIS-DAP device\\n1: dummy\\n2: jlink")
 commands = dict(zip(arguments[4::2], arguments[5::2]))
 steps = commands["-c"].split("; ")
 write(steps[2].split("{")[1].split("}")[0])
@@ -130,6 +130,8 @@ class Due:
     on_touch: Callable[[], None] = lambda: None
     now_s: float = 0.0
     away_until_s: float = 0.0
+    on_open: Callable[[], None] = lambda: None
+    on_radio: SimBoard | None = None
     reachable: tuple[str, ...] = (ACM, "radio")
 
     def __post_init__(self) -> None:
@@ -180,6 +182,9 @@ class Due:
 
     def open_transport(self, url: str | None, **_: float) -> SimTransport | DeadTransport:
         """Opening the programming port resets the chip."""
+        self.on_open()
+        if url == "radio" and self.on_radio is not None:
+            return SimTransport(self.on_radio)
         chip = self.chip()
         if url == ACM:
             chip["mode"] = "firmware" if chip["boot"] and chip["image"] else "loader"
@@ -287,6 +292,7 @@ def test_programming_port(due: Due, taught: Content, image: Path) -> None:
     assert due.touched == [ACM]
     assert len(saved_first) == 1
     assert due.calls == [[*WRITE, str(image)], START]
+    assert due.now_s >= 2.0  # the erase takes time, and so does the boot bit
     assert due.chip()["image"] == image.read_bytes().hex()
     assert report.verified
     assert report.backup == saved_first[0].parent
@@ -447,7 +453,9 @@ def test_openocd_loses_nothing(due: Due, taught: Content, image: Path) -> None:
 def test_openocd_without_any_port(due: Due, image: Path) -> None:
     due.ports = []
     assert due.flash(image, tool="openocd", connect="radio", adapter="jlink").verified
-    assert "adapter driver jlink" in due.calls[0]
+    assert due.calls[0][2:5] == ["adapter driver jlink", "-c", "transport select swd"]
+    due.flash(image, tool="openocd", connect="radio", adapter="st-link")
+    assert due.calls[1][2:5] == ["adapter driver st-link", "-c", "transport select dapdirect_swd"]
     report = due.flash(image, tool="openocd", keep=False)
     assert (report.port, report.verified) == (None, False)
 
@@ -470,7 +478,19 @@ def test_a_silent_board(due: Due, image: Path) -> None:
     due.state(broken=["boot"])
     error = untouched(due, image)
     assert "does not answer, so what it holds cannot be saved" in error.message
+    assert error.remedy.startswith("Check that it is switched on")
     assert "--no-keep" in error.remedy
+
+
+def test_a_port_that_may_not_be_opened(
+    due: Due, image: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(url: str | None) -> SimTransport:
+        raise ConnectError(f"cannot open {url} (Permission denied)", "Join the group dialout.")
+
+    monkeypatch.setattr("tailbeat.fish.open_transport", refused)
+    due.state(mode="firmware")
+    assert untouched(due, image).remedy.startswith("Join the group dialout. If it cannot answer")
 
 
 @pytest.mark.usefixtures("taught")
@@ -504,6 +524,27 @@ def test_a_low_battery(due: Due, image: Path) -> None:
 def test_a_port_in_use(due: Due, image: Path) -> None:
     due.users = ["picocom (123)"]
     assert "in use by picocom (123)" in untouched(due, image).message
+
+
+@pytest.mark.usefixtures("taught")
+def test_a_port_that_is_taken_while_the_board_is_saved(due: Due, image: Path) -> None:
+    due.on_open = lambda: due.users.append("ModemManager (7)")
+    assert "in use by ModemManager (7)" in untouched(due, image).message
+
+
+def test_another_board_on_the_radio_than_on_the_port(due: Due, image: Path) -> None:
+    due.on_radio = SimBoard("tank", 2)
+    error = untouched(due, image, connect="radio")
+    assert error.message.startswith("the board on /dev/ttyACM0 (73696d2d66697368")
+    assert "is not the one on radio (73696d2d66697368" in error.message
+    due.state(broken=["boot"])
+    error = untouched(due, image, connect="radio")
+    assert "(silent: there is no tailbeat board on /dev/ttyACM0) is not the one" in error.message
+
+
+def test_the_same_board_on_the_radio(due: Due, taught: Content, image: Path) -> None:
+    assert due.flash(image, connect="radio").verified
+    assert on_board(due).learned == taught.learned
 
 
 def test_programs_that_are_missing(due: Due, image: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -544,7 +585,8 @@ def test_a_write_that_fails(due: Due, image: Path) -> None:
     error = broken(due, image)
     (backup,) = (due.folder / "backups").iterdir()
     assert str(error) == (
-        "bossac could not write the image: Page errors: 1."
+        "bossac could not write the image: the flash holds something else than was written"
+        " (Byte errors: 1)."
         " Hold the board's ERASE button for at least 1 s, release it, press RESET, and run the same"
         f" command again. What the board held goes back with: tailbeat flash --restore {backup}"
     )
@@ -594,6 +636,15 @@ def test_another_board_answers(due: Due, image: Path) -> None:
     assert "is not the one that was saved" in broken(due, image).message
 
 
+@pytest.mark.usefixtures("taught")
+def test_another_board_was_erased(due: Due, image: Path) -> None:
+    """Only the native port of one board is plugged in, and another is spoken to."""
+    due.ports = [listed(USB.replace("1", "7"), PortKind.NATIVE)]
+    due.on_radio = due.board
+    error = broken(due, image, connect="radio")
+    assert error.message == "the board on radio still has its reference: another one was erased"
+
+
 def test_the_loader_does_not_appear(due: Due, image: Path) -> None:
     due.ports = [listed(USB, PortKind.NATIVE)]
     around = due.around(touch=lambda port: due.ports.clear())
@@ -615,7 +666,8 @@ def test_ctrl_c_half_way(due: Due, image: Path) -> None:
 def test_openocd_finds_no_probe(due: Due, image: Path) -> None:
     due.state(broken=["write"])
     error = broken(due, image, tool="openocd")
-    assert "unable to find a matching CMSIS-DAP device" in error.message
+    why = "unable to find a matching CMSIS-DAP device"
+    assert error.message == f"openocd could not write the image: {why}"
     assert error.remedy.startswith("Check the SWD probe")
 
 
@@ -689,7 +741,7 @@ def test_failure_is_one_line(due: Due, image: Path, command: Command) -> None:
     due.state(broken=["write"])
     status, out, err = command(str(image))
     assert (status, out) == (1, "")
-    assert err.startswith("tailbeat: bossac could not write the image: Page errors: 1. Hold the")
+    assert err.startswith("tailbeat: bossac could not write the image: the flash holds something")
     assert err.count("\n") == 1
 
 

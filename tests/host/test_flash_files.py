@@ -73,7 +73,7 @@ def test_what_is_no_image(tmp_path: Path, values: dict[str, int], problem: str) 
 def test_an_elf_by_mistake(tmp_path: Path) -> None:
     path = tmp_path / "tailbeat.elf"
     path.write_bytes(b"\x7fELF" + bytes(60) + MARKED)
-    with pytest.raises(InputError, match="is no image for the board"):
+    with pytest.raises(InputError, match=r"it is an ELF file; give the \.bin beside it"):
         Image.load(path)
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import queue
+import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,14 +21,14 @@ import serial
 from tailbeat import records
 from tailbeat.errors import ConnectError, InputError
 from tailbeat.fish import Fish
-from tailbeat.flashing import ports
+from tailbeat.flashing import FlashPlan, Surroundings, flash, ports
 from tailbeat.flashing.keep import keep
 from tailbeat.flashing.ports import BoardPort, PortKind
-from tailbeat.flashing.programs import run_program
+from tailbeat.flashing.programs import Outcome, run_program
 from tailbeat.flashing.putback import put_back
 from tailbeat.simserver import SimServer
 from tailbeat.transport.serialport import SerialTransport
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.transport.simulated import FLASH_BYTES, SimBoard, SimTransport
 
 ACM = "/dev/ttyACM0"
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
@@ -225,9 +227,29 @@ def test_a_wired_connect_survives_the_reboot_it_causes(
         assert len(fish.params.list()) > 10
 
 
-@pytest.fixture
-def console() -> Iterator[str]:
+@dataclass
+class Console:
     """A board in its own thread, its console on a pty."""
+
+    path: str
+    board: SimBoard
+    jobs: queue.SimpleQueue[Callable[[], None]]
+
+    def wipe(self) -> None:
+        """Has the board's thread erase the board and start it again."""
+        done = threading.Event()
+
+        def wipe() -> None:
+            self.board.flash = b"\xff" * FLASH_BYTES
+            self.board.power_cycle()
+            done.set()
+
+        self.jobs.put(wipe)
+        assert done.wait(30.0)
+
+
+@pytest.fixture
+def console() -> Iterator[Console]:
     board = SimBoard("tank")
     with Fish(SimTransport(board)) as fish:
         fish.params.set("LAW_LEAD", 1)
@@ -237,20 +259,26 @@ def console() -> Iterator[str]:
         fish.learn(fish.run_trial().number)
     server = SimServer(board, "tcp:127.0.0.1:0", pty=True, speed=40.0)
     stop = threading.Event()
-    thread = threading.Thread(target=server.serve, args=(stop.is_set,))
+    jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    def stopped() -> bool:
+        while not jobs.empty():
+            jobs.get()()
+        return stop.is_set()
+
+    thread = threading.Thread(target=server.serve, args=(stopped,))
     thread.start()
     assert server.addresses.pty is not None
-    yield server.addresses.pty
+    yield Console(server.addresses.pty, board, jobs)
     stop.set()
     thread.join()
     server.close()
 
 
 @needs_pty
-def test_there_and_back_over_a_serial_line(console: str, tmp_path: Path) -> None:
-    path = console
+def test_there_and_back_over_a_serial_line(console: Console, tmp_path: Path) -> None:
     steps: list[str] = []
-    with Fish.connect(path) as fish:
+    with Fish.connect(console.path) as fish:
         kept = keep(fish, tmp_path / "out", lambda _, text: steps.append(text), tmp_path / "none")
         learned = fish.learned_record()
         assert (kept.folder / "trials" / "0001.ulg").read_bytes() == fish.ftp.read(
@@ -265,6 +293,38 @@ def test_there_and_back_over_a_serial_line(console: str, tmp_path: Path) -> None
     assert steps[-1] == "pulling trial 1"
     assert result.back[1:] == ["the reference", "all that was learned"]
     assert "SERVO_CENTRE_US" in kept.backup.params
+
+
+@needs_pty
+def test_the_whole_procedure_over_a_serial_line(console: Console, tmp_path: Path) -> None:
+    with Fish.connect(console.path) as fish:
+        build_id = fish.info().build_id
+        learned = fish.learned_record()
+    image = tmp_path / "tailbeat.bin"
+    marked = b"tailbeat build id: " + build_id.encode() + b"\0"
+    image.write_bytes(struct.pack("<II", 0x20088000, 0x80101) + bytes(512) + marked)
+    calls: list[Sequence[str]] = []
+
+    def bossac(command: Sequence[str], timeout_s: float) -> Outcome:
+        calls.append(command[3:])
+        return Outcome(0, "")
+
+    around = Surroundings(
+        enumerate_ports=lambda: [listed(console.path, PortKind.PROGRAMMING)],
+        touch=lambda port: console.wipe(),
+        require_program=lambda name, package: None,
+        run=bossac,
+        sleep=lambda duration_s: None,
+    )
+    report = flash(FlashPlan(image, out=tmp_path / "backups"), around=around)
+    assert calls == [["-e", "-w", "-v", "-b", str(image)], ["-R"]]
+    assert report.verified
+    assert report.restored[1:] == ["the reference", "all that was learned"]
+    assert [path.name for path in report.trials_pulled] == ["0001.ulg"]
+    with Fish.connect(console.path) as fish:
+        assert fish.learned_record() == learned is not None
+        assert fish.params.get("SERVO_CENTRE_US").value == 1487.25
+        assert fish.trials() == []
 
 
 # Other programs

@@ -8,8 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tailbeat import records
-from tailbeat._native import ffi, lib
-from tailbeat.crash import decode_crash
 from tailbeat.errors import InputError
 
 speeds = st.lists(st.floats(0, 0.25, width=32), min_size=1, max_size=512)
@@ -66,40 +64,3 @@ def test_noise_is_no_record(noise: bytes) -> None:
 def test_wrong_shapes(values: list) -> None:
     with pytest.raises(InputError):
         records.encode_reference(1.0, values)
-
-
-def crash_record(**fields: object) -> bytes:
-    report = ffi.new("crash_report_t *")
-    report.build_id = b"0.1.0-abc"
-    for name, value in fields.items():
-        setattr(report.crash, name, value)
-    out = ffi.new("uint8_t[1024]")
-    return bytes(ffi.buffer(out, lib.record_encode_crash(report, out)))
-
-
-def test_a_crash_says_what_happened() -> None:
-    record = crash_record(kind=5, cfsr=1 << 25, pc=0x80124, time_us=1500000, crashes=2)
-    report = decode_crash(record)
-    assert (report.kind, report.reasons) == ("usage fault", ["division by zero"])
-    assert (report.build_id, report.time_s, report.crashes) == ("0.1.0-abc", 1.5, 2)
-    assert report.registers["pc"] == 0x80124
-    assert report.stack == []
-
-
-def test_a_crash_record_has_the_documented_layout() -> None:
-    record = crash_record(
-        kind=1, where=b"law.c:33", time_us=7, icsr=0x11, crashes=3, stack_words=2, stack=[5, 6]
-    )
-    assert record[:4] == b"TBCR"
-    assert int.from_bytes(record[6:8], "little") == 2
-    assert record[12:16] == b"\1\0\0\0"
-    assert record[24:33] == b"0.1.0-abc"
-    assert record[74:82] == b"law.c:33"
-    assert record[-16:] == bytes([0x11, 0, 0, 0, 3, 0, 0, 0, 5, 0, 0, 0, 6, 0, 0, 0])
-
-
-def test_a_damaged_crash_record_is_refused() -> None:
-    record = bytearray(crash_record(kind=2))
-    record[40] ^= 1
-    with pytest.raises(InputError, match="not a sound crash record"):
-        decode_crash(bytes(record))

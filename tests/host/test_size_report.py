@@ -26,6 +26,7 @@ MEMORY { rom (rx) : ORIGIN = 0x80000, LENGTH = 256K
          ram (rw) : ORIGIN = 0x20070000, LENGTH = 96K }
 __stack_top = ORIGIN(ram) + LENGTH(ram);
 __stack_bottom = __stack_top - STACK_BYTES;
+__stack_guard = __stack_bottom - 1K;
 SECTIONS {
     .text : { KEEP(*(.vectors)) *(.text .text.*) *(.rodata .rodata.*) } >rom
     .data : { *(.data .data.*) } >ram AT>rom
@@ -279,6 +280,22 @@ def test_a_frame_of_unknown_size_is_refused(bench: Bench) -> None:
     grows = C_SOURCE.replace("char bytes[200]", "char bytes[x]")
     bench.build(grows, ".c")
     assert "at_the_end" in bench.refusal()
+
+
+def test_a_frame_that_could_step_over_the_guard_is_refused(bench: Bench) -> None:
+    more = function("wide", "sub sp, #508", "sub sp, #508", "sub sp, #{}", "bx lr")
+    bench.build(chain(more=more.format(8)))
+    assert bench.report()["stack"]["largest"] == {"bytes": 1024, "names": ["wide"]}
+    bench.build(chain(more=more.format(12)))
+    assert "largest frame: 1028 bytes, 4 more than the stack's guard (1024)" in bench.refusal()
+
+
+def test_code_that_runs_from_ram_counts_in_both(bench: Bench) -> None:
+    more = '\n    .section .data.code, "ax"\n' + function("in_ram", "nop", "bx lr")
+    bench.build(chain(more=more))
+    found = bench.report()
+    assert found["data"] == 4
+    assert found["image"] == found["text"] + 4
 
 
 def test_sizes_and_parts(bench: Bench) -> None:

@@ -21,14 +21,16 @@ CLOCK_WRITES = [
     ("EEFC0", "FMR", 0x400),
     ("EEFC1", "FMR", 0x400),
     ("PMC", "CKGR_MOR", 0x00370028),
-    ("PMC", "CKGR_MOR", 0x00370829),
-    ("PMC", "CKGR_MOR", 0x02370829),
-    ("PMC", "CKGR_MOR", 0x03370829),
+    ("PMC", "CKGR_MOR", 0x00374029),
+    ("PMC", "CKGR_MOR", 0x02374029),
+    ("PMC", "CKGR_MOR", 0x03374029),
     ("PMC", "CKGR_PLLAR", 0x200D3F01),
     ("PMC", "PMC_MCKR", 0x11),
     ("PMC", "PMC_MCKR", 0x12),
 ]
 FIRST_BYTE_S = 0.1
+SLOWEST_PAGE_US = 10_000.0
+POWER_UP = 0
 
 NewBoard = Callable[..., EmulatedBoard]
 Connect = Callable[[EmulatedBoard], Fish]
@@ -74,9 +76,28 @@ def test_the_servo_pin_is_driven_low_at_once(new_board: NewBoard) -> None:
     assert first[3].time < 50 * TICKS_PER_US
 
 
-def test_a_dead_crystal_answers_and_does_not_arm(new_board: NewBoard, connect: Connect) -> None:
+@pytest.mark.parametrize("slow_rc_hz", [20_000, 44_000])
+def test_the_slowest_flash_is_formatted_before_the_watchdog_bites(
+    new_board: NewBoard, slow_rc_hz: int
+) -> None:
+    board = new_board()
+    watchdog = board.board.periph["WDT"]
+    watchdog.slow.rc_hz = slow_rc_hz
+    board.board.periph["EEFC1"].timing.erase_write_us = SLOWEST_PAGE_US
+    assert hear_board(SimTransport(board), 2.0) is not None
+    board.run(1.0)
+    assert board.board.periph["RSTC"].cause == POWER_UP
+    print(f"slow clock {slow_rc_hz} Hz: {watchdog.shortest_left_s:.2f} s left to the watchdog")
+    assert watchdog.shortest_left_s > 0.5
+
+
+@pytest.mark.parametrize("by_time", [False, True], ids=["never ready", "ready by time"])
+def test_a_dead_crystal_answers_and_does_not_arm(
+    new_board: NewBoard, connect: Connect, by_time: bool
+) -> None:
     board = new_board()
     board.board.periph["PMC"].crystal = False
+    board.board.periph["PMC"].moscxts_by_time = by_time
     fish = connect(board)
     assert fish.status().fault.name == "CLOCK"
     assert fish.params.get("LAW_GAIN").value == 4.0

@@ -17,6 +17,8 @@ from vboard.periph.pins import PinTrace
 
 LONGEST_PULSE_US = 2100
 WATCHDOG_S = 1.01  # 256 ticks of the slow clock at its nominal 32 kHz
+HANGS_US = 1e9
+BATTERY_CHANNEL = 7
 FREE_STACK = 2048  # bytes above its end that no path of the firmware reaches
 
 NewBoard = Callable[..., EmulatedBoard]
@@ -165,6 +167,38 @@ def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect)
     board.run(1.0)
     assert fish.health()["imu_frames"] > frames + 50
     assert fish.health()["imu_crc_failed"] <= 1
+
+
+@pytest.mark.parametrize("at_boot", [True, False])
+def test_a_flash_that_never_finishes_is_told(
+    new_board: NewBoard, connect: Connect, at_boot: bool
+) -> None:
+    """At boot nobody wakes the processor: the tick does not run yet, no IMU sends."""
+    board = new_board()
+    board.set_imu(False)
+    if not at_boot:
+        connect(board)
+    board.board.periph["EEFC1"].timing.erase_write_us = HANGS_US
+    fish = connect(board)
+    if not at_boot:
+        fish.params.set("LAW_GAIN", 3.0)
+        with pytest.raises(Refused):
+            fish.params.save()
+    board.run(2.0)
+    assert fish.status().fault.name == ("STORAGE" if at_boot else "NONE")
+    assert fish.health()["reset_cause"] == "power"
+
+
+def test_a_dead_converter_counts_as_an_empty_battery(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    fish = connect(board)
+    swimming(board, fish)
+    converter = board.board.periph["ADC"]
+    converter.write_cher(1 << BATTERY_CHANNEL + 1)
+    converter.write_chdr(1 << BATTERY_CHANNEL)
+    board.run(1.5)
+    status = fish.status()
+    assert (status.state, status.fault.name) == ("FAULT", "BATTERY_CRITICAL")
 
 
 def test_a_supply_that_dips_during_a_write_harms_nothing(

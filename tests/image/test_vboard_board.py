@@ -260,7 +260,7 @@ def test_raw_image_and_bank_1(build: Build, tmp_path: Path) -> None:
 def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     empty = tmp_path / "empty.bin"
     empty.write_bytes(b"")
-    with pytest.raises(ImageError, match="0 bytes do not fit"):
+    with pytest.raises(ImageError, match="0 bytes are no image"):
         load(empty)
     blank = tmp_path / "blank.bin"
     blank.write_bytes(b"\xff" * 64)
@@ -275,3 +275,11 @@ def test_wires_are_soldered_again_after_each_power_on(build: Build) -> None:
     board.power_cut()
     board.power_on()
     assert len(seen) == 2 and seen[0] is not seen[1]
+
+
+def test_flash_can_be_set_while_the_power_is_off(build: Build) -> None:
+    board = Board(build("void program(void) { MARK = REG(0x000C0000u); }"), peripherals=only_probe)
+    board.power_cut()
+    board.bank1 = b"\x78\x56\x34\x12"
+    board.power_on()
+    assert finish(board).values_marked() == [0x12345678]

@@ -30,8 +30,8 @@ size_t hal_serial_write(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_
 /* Bytes that hal_serial_write would accept now. */
 size_t hal_serial_write_space(const hal_t *hal, hal_port_t port);
 
-/* Line speed from the next byte on; what is in the rings stays. Boots with 115200. False when the
- * port cannot keep within 2 % of it. */
+/* Line speed from the next byte on; what is in the rings stays. Boots with 115200. Waits until at
+ * most two bytes are sent. False when the port cannot keep within 2 % of it. */
 bool hal_serial_set_baud(hal_t *hal, hal_port_t port, uint32_t baud);
 
 hal_serial_errors_t hal_serial_errors(const hal_t *hal, hal_port_t port);

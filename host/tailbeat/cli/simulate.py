@@ -121,7 +121,7 @@ def sim(
     """
     from tailbeat.transport.simulated import SimBoard
 
-    board = SimBoard(plant, seed, **assignments(settings or []))
+    board = SimBoard(plant, **{"seed": seed} | assignments(settings or []))
     _serve(board, "simulated fish", listen, pty, speed, json)
 
 
@@ -146,7 +146,7 @@ def vboard(
     """
     from tailbeat.transport.emulated import EmulatedBoard
 
-    board = EmulatedBoard(image, plant, seed, **assignments(settings or []))
+    board = EmulatedBoard(image, plant, **{"seed": seed} | assignments(settings or []))
     _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
 
 
@@ -161,10 +161,7 @@ def _serve(
 
     server = SimServer(board, listen, pty, speed, slow)
     stopped: list[int] = []
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # also when started ignoring them, by a shell's &
+    for number in (signal.SIGINT, signal.SIGTERM):  # even if started to ignore them, by a shell's &
         signal.signal(number, lambda got, _: stopped.append(got))
     try:
         if json:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from tailbeat.errors import TailbeatError
 from tailbeat.flashing.image import Image
 from tailbeat.flashing.ports import BoardPort
-from tailbeat.flashing.programs import Run
+from tailbeat.flashing.programs import Outcome, Run
 
 PROGRAM, PACKAGE = "bossac", "bossa-cli"
 
@@ -26,7 +26,7 @@ def write(run: Run, port: BoardPort, image: Image) -> None:
     """Erases both banks, writes and verifies the image, and sets the boot bit."""
     outcome = run([*_call(port), "-e", "-w", "-v", "-b", str(image.path)], _WRITE_TIMEOUT_S)
     if not outcome.ok:
-        raise TailbeatError(f"bossac could not write the image: {outcome.last_words}")
+        raise TailbeatError(f"bossac could not write the image: {_why(outcome)}")
 
 
 def start(run: Run, port: BoardPort) -> None:
@@ -36,6 +36,12 @@ def start(run: Run, port: BoardPort) -> None:
     and then no boot loader is left to answer. Whether the image runs is for the caller to find out.
     """
     run([*_call(port), "-R"], _ASK_TIMEOUT_S)
+
+
+def _why(outcome: Outcome) -> str:
+    if "Verify failed" in outcome.output:
+        return f"the flash holds something else than was written ({outcome.last_words})"
+    return outcome.last_words
 
 
 def _call(port: BoardPort) -> list[str]:

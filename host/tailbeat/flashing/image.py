@@ -41,7 +41,7 @@ class Image:
     def elf(self) -> Path:
         """The .elf next to the .bin. Raises InputError when it is missing or of another build."""
         path = self.path.with_suffix(".elf")
-        if _build_id(path, _read(path)) != self.build_id:
+        if build_id_of(path) != self.build_id:
             raise InputError(f"{path} and {self.path.name} are of different builds", _REMEDY)
         return path
 
@@ -49,6 +49,11 @@ class Image:
         """Whether a board that says ``board_id`` runs this image."""
         cut = len(board_id) == _SENT_CHARS and self.build_id.startswith(board_id)
         return cut or board_id == self.build_id
+
+
+def build_id_of(path: Path) -> str:
+    """The build that an .elf or .bin says it is of. Raises InputError."""
+    return _build_id(path, _read(path))
 
 
 def _read(path: Path) -> bytes:
@@ -60,6 +65,8 @@ def _read(path: Path) -> bytes:
 
 def _not_bootable(data: bytes) -> str:
     """What is wrong with the first two words, which the chip loads at reset; empty if nothing."""
+    if data.startswith(b"\x7fELF"):
+        return "it is an ELF file; give the .bin beside it"
     if len(data) < 8:
         return "it is too short"
     if len(data) > len(_CODE):

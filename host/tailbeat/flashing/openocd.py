@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from tailbeat.errors import TailbeatError
-from tailbeat.flashing.programs import Run
+from tailbeat.flashing.programs import Outcome, Run
 
 PROGRAM, PACKAGE = "openocd", "openocd"
 ADAPTER = "cmsis-dap"
+_TRANSPORTS = {"st-link": "dapdirect_swd"}  # OpenOCD's name for SWD by a chip of this probe
 
 _TIMEOUT_S = 120.0
 _VERIFIED = "Verified OK"
@@ -29,11 +31,17 @@ def write(run: Run, elf: Path, adapter: str = ADAPTER) -> None:
         [
             PROGRAM,
             *("-c", f"adapter driver {adapter}"),
-            *("-c", "transport select swd"),
+            *("-c", f"transport select {_TRANSPORTS.get(adapter, 'swd')}"),
             *("-f", "target/at91sam3ax_8x.cfg"),
             *("-c", "; ".join(commands)),
         ],
         _TIMEOUT_S,
     )
     if not outcome.ok or _VERIFIED not in outcome.output:
-        raise TailbeatError(f"openocd could not write the image: {outcome.last_words}")
+        raise TailbeatError(f"openocd could not write the image: {_why(outcome)}")
+
+
+def _why(outcome: Outcome) -> str:
+    """Behind the error OpenOCD prints where it came from, or a list of what there is instead."""
+    errors = re.findall(r"Error: (.+)", outcome.output)
+    return errors[-1].strip() if errors else outcome.last_words

@@ -13,9 +13,7 @@ from typing import Protocol
 import serial
 
 from tailbeat.errors import ConnectError, reason
-
-TOUCH_BAUD = 1200
-_TALK_BAUD = 115200
+from tailbeat.transport.serialport import BAUD, ERASE_BAUD
 
 
 class PortKind(Enum):
@@ -138,14 +136,14 @@ def touch(port: BoardPort) -> None:
     lines are left so that the next program to open the port does not start that again: the system
     keeps a port's speed, and at 1200 baud every change of a line erases.
     """
-    line = serial.Serial(baudrate=TOUCH_BAUD, exclusive=True)
+    line = serial.Serial(baudrate=ERASE_BAUD, exclusive=True)
     line.port = port.device
     try:
         line.open()
         line.dtr = False
         line.rts = False
         if port.kind is PortKind.PROGRAMMING:
-            line.baudrate = _TALK_BAUD
+            line.baudrate = BAUD
     except (OSError, serial.SerialException) as error:
         raise ConnectError(
             f"cannot touch {port.device} at 1200 baud ({reason(error)})",

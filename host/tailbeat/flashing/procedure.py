@@ -20,6 +20,7 @@ from tailbeat.flashing.keep import Kept, OnStep, keep, require_quiet
 from tailbeat.flashing.ports import BoardPort, Enumerate, PortKind
 from tailbeat.flashing.programs import Run, require_program, run_program
 from tailbeat.flashing.putback import put_back
+from tailbeat.results import BoardInfo
 
 BOSSAC, OPENOCD = "bossac", "openocd"
 TOOLS = (BOSSAC, OPENOCD)
@@ -28,6 +29,7 @@ _ERASED_S = 1.0  # ERASE and RESET pulses of the ATmega16U2 take 0.75 s
 _RETURN_S = 10.0  # for a USB device to leave and come back under another id
 _POLL_S = 0.1
 _SETTLE_S = 0.5  # for the system to give a new port its rights
+_BOOT_BIT_S = 0.5  # for the chip to keep the boot bit: bossac ends as soon as it has asked for it
 _HEAR_TRIES = 4  # of 3 s each, see transport.find.LISTEN_S; opening the port resets the board
 _HEAR_PAUSE_S = 1.0
 _INFO_TRIES = 3
@@ -120,6 +122,8 @@ class _Flashing:
     def run(self) -> FlashReport:
         """All of it, in order."""
         self._keep()
+        if self._port is not None:  # again: pulling trials may have taken minutes
+            self._around.require_free(self._port.device)
         with self._failures_after_erase():
             self._write()
         self._check_and_restore()
@@ -173,6 +177,24 @@ class _Flashing:
             )
         self._report.backup = self._kept.folder
         self._report.trials_pulled = self._kept.trials
+        if self._port is not None and self._plan.tool == BOSSAC:
+            self._require_same_board(self._port, address, self._kept.backup.unique_id)
+
+    def _require_same_board(self, port: BoardPort, address: str, saved_id: str) -> None:
+        """With several boards about, another than the one on ``port`` may have been saved."""
+        if port.kind is not PortKind.PROGRAMMING or port.device == address:
+            return
+        try:
+            with self._around.connect(port.device) as fish:
+                unique_id = fish.info().unique_id
+        except (ConnectError, LinkLostError) as error:
+            unique_id = f"silent: {error.message}"
+        if unique_id != saved_id:
+            raise ConnectError(
+                f"the board on {port.device} ({unique_id}) is not the one on {address} ({saved_id})"
+                " that was saved",
+                "Leave --connect out to save what is on the port, or plug in the other board.",
+            )
 
     def _accept_silence(self, address: str, error: TailbeatError) -> None:
         """Only the boot loader of an erased chip may be silent: it has nothing to lose."""
@@ -183,8 +205,8 @@ class _Flashing:
         raise ConnectError(
             f"the board on {address} does not answer, so what it holds cannot be saved"
             f" ({error.message})",
-            "Switch it on. If it cannot answer (first flash, or its firmware hangs), add --no-keep:"
-            " then all that is stored on it is lost.",
+            f"{error.remedy} If it cannot answer (first flash, or its firmware hangs), add"
+            " --no-keep: then all that is stored on it is lost.",
         ) from error
 
     def _write(self) -> None:
@@ -200,12 +222,12 @@ class _Flashing:
         self._on_step(0.55, "writing and verifying")
         bossac.write(self._around.run, loader, self._image)
         self._on_step(0.85, "starting")
+        self._around.sleep(_BOOT_BIT_S)
         bossac.start(self._around.run, loader)
 
     def _erase(self, port: BoardPort) -> BoardPort:
         """The touch; then the port on which the boot loader waits."""
         before = ports.board_ports(self._around.enumerate_ports)
-        self._around.require_free(port.device)
         self._around.touch(port)
         self._around.sleep(_ERASED_S)
 
@@ -239,6 +261,7 @@ class _Flashing:
             fish = self._hear(address)
         with fish:
             with self._failures_after_erase():
+                self._require_flashed_board(fish.info(), address)
                 self._compare_build(fish, address)
             self._report.verified = True
             if self._kept is not None:
@@ -259,21 +282,28 @@ class _Flashing:
             f" on {address} ({last.message if last else 'silence'})"
         )
 
-    def _compare_build(self, fish: Fish, address: str) -> None:
-        for _ in range(_INFO_TRIES):  # the line of text that carries the id may get lost
-            info = fish.info()
-            if self._image.is_build(info.build_id):
-                break
-        else:
-            raise TailbeatError(
-                f"the board on {address} says it runs {info.build_id},"
-                f" but the image is {self._image.build_id}"
-            )
+    def _require_flashed_board(self, info: BoardInfo, address: str) -> None:
+        """With several boards about, the one that answers may be another."""
         if self._kept is not None and info.unique_id != self._kept.backup.unique_id:
             raise TailbeatError(
                 f"the board on {address} is not the one that was saved: its id is"
                 f" {info.unique_id}, not {self._kept.backup.unique_id}"
             )
+        if self._plan.tool == BOSSAC and info.status.reference_crc is not None:
+            raise TailbeatError(
+                f"the board on {address} still has its reference: another one was erased"
+            )
+
+    def _compare_build(self, fish: Fish, address: str) -> None:
+        build_id = ""
+        for _ in range(_INFO_TRIES):  # the line of text that carries the id may get lost
+            build_id = fish.info().build_id
+            if self._image.is_build(build_id):
+                return
+        raise TailbeatError(
+            f"the board on {address} says it runs {build_id},"
+            f" but the image is {self._image.build_id}"
+        )
 
     def _restore(self, fish: Fish, kept: Kept) -> None:
         try:
@@ -294,7 +324,7 @@ class _Flashing:
         except (TailbeatError, OSError, KeyboardInterrupt) as error:
             remedy = _RECOVER
             if self._plan.tool == OPENOCD:
-                remedy = f"Check the SWD probe and its wires. If the board is dead: {_RECOVER}"
+                remedy = f"Check the SWD probe and its wires. A board that is dead: {_RECOVER}"
             if self._kept is not None:
                 remedy += f" {_back_by(self._kept)}"
             raise FlashError(_words(error), remedy) from error

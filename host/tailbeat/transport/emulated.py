@@ -8,7 +8,11 @@ same pulses give the same true speeds, bit for bit.
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,6 +39,7 @@ _SERVO_CHANNEL = 4
 _SERVO_PIN = ("PIOC", 21, "B")
 _BATTERY_CHANNEL = 7
 _BATTERY_DIVIDER = 3
+_IMU_BAUD_MIN, _IMU_BAUD_MAX = 9600, 921600  # of a VN-100
 _TIME_BASE = "TC0_0"  # counts half the master clock from the start of the firmware's time on
 _TIME_BASE_DIVIDER = 2
 _COUNTER_WRAP = 1 << 32
@@ -62,6 +67,7 @@ class EmulatedBoard:
         self,
         image: Path | None = None,
         plant: str = "tank",
+        /,
         seed: float = 1,
         imu_baud: float = BAUD,
         **overrides: float,
@@ -138,11 +144,13 @@ class EmulatedBoard:
         from vboard.core.exceptions import Lockup
 
         try:
-            self._board.run_until(tick)
+            with _interrupt_afterwards():
+                self._board.run_until(tick)
         except (BusViolation, Lockup) as error:
             raise EmulationError(
                 f"the image failed on the emulated board: {error}",
-                "This is a mistake in the firmware or in the emulator; see tools/vboard.",
+                "If it is an image of tailbeat (make firmware), this is a mistake in the firmware"
+                " or in the emulator; see tools/vboard.",
             ) from error
 
     def _follow_time_base(self) -> None:
@@ -277,10 +285,10 @@ class EmulatedBoard:
 
     def _imu_baud(self, baud: float) -> int:
         needed = self.config["imu_rate_hz"] * IMU_FRAME_BYTES * 10
-        if baud < needed:
+        if not max(needed, _IMU_BAUD_MIN) <= baud <= _IMU_BAUD_MAX:
             raise InputError(
                 f"the IMU's line cannot carry {needed:.0f} bit/s at {baud:.0f} baud",
-                "Give it a faster one (and set IMU_BAUD on the board): imu_baud=460800",
+                "Give it another speed (and set IMU_BAUD on the board): imu_baud=460800",
             )
         return round(baud)
 
@@ -341,6 +349,24 @@ class EmulatedBoard:
 
     def _now_us(self) -> int:
         return self._us(self._clock.now)
+
+
+@contextmanager
+def _interrupt_afterwards() -> Iterator[None]:
+    """Ctrl-C comes at the end: raised in a call that the emulator makes from C, it would be lost
+    there, and leave a board that stopped between two instructions."""
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    pressed: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if pressed:
+        raise KeyboardInterrupt
 
 
 def find_image(image: Path | None) -> Path:

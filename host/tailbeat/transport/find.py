@@ -25,7 +25,7 @@ GRAMMAR = (
 DEFAULT_PLANT, DEFAULT_SEED = "tank", 1.0
 
 
-def open_transport(url: str | None = None, **sim_overrides: float) -> Transport:
+def open_transport(url: str | None = None, /, **sim_overrides: float) -> Transport:
     """The transport ``url`` means; None finds the fish. Raises ConnectError, InputError."""
     if url is None:
         return find_board()

@@ -14,7 +14,7 @@ from serial.tools import list_ports
 from tailbeat.errors import ConnectError, InputError, LinkLostError, reason
 
 BAUD = 115200
-_ERASE_BAUD = 1200
+ERASE_BAUD = 1200
 _DUE_VENDOR = 0x2341
 _DUE_PRODUCTS = (0x003D, 0x003E)
 _QUEUE_MAX_BYTES = 1 << 16
@@ -25,7 +25,7 @@ class SerialTransport:
     programming port erases the board."""
 
     def __init__(self, path: str, baud: int = BAUD) -> None:
-        if baud == _ERASE_BAUD:
+        if baud == ERASE_BAUD:
             raise InputError("1200 baud would erase the board", f"Use {BAUD}.")
         self.name = path
         self._path = path

@@ -40,7 +40,7 @@ _PICTURES_MAX = 4096
 class SimBoard:
     """The firmware with a fish around it. Keyword overrides are the fields of sim_config_t."""
 
-    def __init__(self, plant: str = "tank", seed: float = 1, **overrides: float) -> None:
+    def __init__(self, plant: str = "tank", /, seed: float = 1, **overrides: float) -> None:
         config = make_config(plant, seed, overrides)
         sim = lib.sim_new(config)
         if sim == ffi.NULL:

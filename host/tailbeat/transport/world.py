@@ -25,7 +25,7 @@ class World:
     Keyword overrides are the fields of sim_config_t. Raises InputError when they make no sense.
     """
 
-    def __init__(self, plant: str, seed: float, **overrides: float) -> None:
+    def __init__(self, plant: str, seed: float, /, **overrides: float) -> None:
         config = make_config(plant, seed, overrides)
         world = lib.world_new(config)
         if world == ffi.NULL:

@@ -152,6 +152,7 @@ class Chip:
         """The supply is gone at this very instant."""
         for peripheral in self.periph.values():
             peripheral.power_off()
+        self.flash.on_change.remove(self._flash_changed)
         self.clock.drop()
         self.off = self.exceptions.attention = True
         self._close_if_off()
@@ -304,7 +305,7 @@ class Chip:
     def _wire(self) -> None:
         for peripheral in self.periph.values():
             self.bus.add(peripheral)
-        self.flash.on_change[:] = [self._flash_changed]
+        self.flash.on_change.append(self._flash_changed)
         for name in ("EEFC0", "EEFC1"):
             if name in self.periph:
                 self.periph[name].on_busy.append(self._busy_changed)

@@ -12,6 +12,9 @@ from elftools.elf.sections import SymbolTableSection
 from vboard.core.memory import FLASH_SIZE, FLASH_START
 
 
+SHORTEST = 8  # stack pointer and reset vector
+
+
 class ImageError(Exception):
     """The file is no image for this chip."""
 
@@ -62,7 +65,9 @@ def _flash_of(path: Path, elf: ELFFile) -> bytes:
 
 
 def _fitting(path: Path, flash: bytes) -> bytes:
-    if not 8 <= len(flash) <= FLASH_SIZE:
+    if len(flash) < SHORTEST:
+        raise ImageError(f"{path}: {len(flash)} bytes are no image, not even its first two words")
+    if len(flash) > FLASH_SIZE:
         raise ImageError(f"{path}: {len(flash)} bytes do not fit into {FLASH_SIZE} of flash")
     return flash
 

@@ -1,0 +1,122 @@
+"""How the firmware crashed: the record, the places in the source, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tailbeat._native import ffi, lib
+from tailbeat.cli import run
+from tailbeat.crash import decode_crash, places
+from tailbeat.errors import InputError
+from tailbeat.fish import Fish
+from tailbeat.transport.simulated import SimBoard, SimTransport
+
+ADDR2LINE = """#!/bin/sh
+[ "$4" = tailbeat.elf ] || { echo "what is $4?" >&2; exit 1; }
+shift 4
+for address; do echo "at_$address at main.c:7"; done
+"""
+
+
+def crash_record(**fields: object) -> bytes:
+    report = ffi.new("crash_report_t *")
+    report.build_id = b"0.1.0-abc"
+    for name, value in fields.items():
+        setattr(report.crash, name, value)
+    out = ffi.new("uint8_t[1024]")
+    return bytes(ffi.buffer(out, lib.record_encode_crash(report, out)))
+
+
+def test_a_crash_says_what_happened() -> None:
+    record = crash_record(kind=5, cfsr=1 << 25, pc=0x80124, time_us=1500000, crashes=2)
+    report = decode_crash(record)
+    assert (report.kind, report.reasons) == ("usage fault", ["division by zero"])
+    assert (report.build_id, report.time_s, report.crashes) == ("0.1.0-abc", 1.5, 2)
+    assert report.registers["pc"] == 0x80124
+    assert report.stack == []
+
+
+def test_a_crash_record_has_the_documented_layout() -> None:
+    record = crash_record(
+        kind=1, where=b"law.c:33", time_us=7, icsr=0x11, crashes=3, stack_words=2, stack=[5, 6]
+    )
+    assert record[:4] == b"TBCR"
+    assert int.from_bytes(record[6:8], "little") == 2
+    assert record[12:16] == b"\1\0\0\0"
+    assert record[24:33] == b"0.1.0-abc"
+    assert record[74:82] == b"law.c:33"
+    assert record[-16:] == bytes([0x11, 0, 0, 0, 3, 0, 0, 0, 5, 0, 0, 0, 6, 0, 0, 0])
+
+
+def test_a_damaged_crash_record_is_refused() -> None:
+    record = bytearray(crash_record(kind=2))
+    record[40] ^= 1
+    with pytest.raises(InputError, match="not a sound crash record"):
+        decode_crash(bytes(record))
+
+
+@pytest.fixture
+def elf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An image of the build that crashed, and a fake of the program that knows its places."""
+    program = tmp_path / "bin" / "arm-none-eabi-addr2line"
+    program.parent.mkdir()
+    program.write_text(ADDR2LINE)
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:/usr/bin:/bin")
+    monkeypatch.chdir(tmp_path)
+    Path("tailbeat.elf").write_bytes(b"\x7fELF tailbeat build id: 0.1.0-abc\0")
+    return Path("tailbeat.elf")
+
+
+def test_places_in_the_source(elf: Path) -> None:
+    report = decode_crash(crash_record(kind=2, pc=0x80124, lr=0x80201))
+    assert places(report, elf) == [
+        "pc: at_0x80124 at main.c:7", "lr: at_0x80200 at main.c:7",
+    ]  # fmt: skip
+
+
+def test_places_that_cannot_be_told(elf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = decode_crash(crash_record(kind=2))
+    other = Path("other.elf")
+    with pytest.raises(InputError, match=r"cannot read the image other\.elf"):
+        places(report, other)
+    other.write_bytes(elf.read_bytes().replace(b"abc", b"xyz"))
+    with pytest.raises(InputError, match=r"is of build 0\.1\.0-xyz, but 0\.1\.0-abc crashed"):
+        places(report, other)
+    other.write_bytes(elf.read_bytes())
+    with pytest.raises(InputError, match=r"tells no places: what is other\.elf\?"):
+        places(report, other)
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(InputError, match="apt-get install binutils-arm-none-eabi"):
+        places(report, elf)
+
+
+def test_the_command(
+    elf: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board = SimBoard("tank")
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    words = ["crash", "--connect", "the board"]
+    assert run(words) == 0
+    assert capsys.readouterr().out == "no crash on record\n"
+    assert run([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"crash": None}
+
+    record = crash_record(
+        kind=1, where=b"law.c:33", time_us=2500, pc=0x80124, stack_words=9, stack=list(range(9))
+    )
+    monkeypatch.setattr(Fish, "crash_record", lambda self: record)
+    assert run([*words, "--elf", str(elf)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == [
+        "assertion, law.c:33, 0.003 s after its start, firmware 0.1.0-abc",
+        "pc: at_0x80124 at main.c:7",
+    ]
+    assert lines[3] == "r0         00000000  r1         00000000  r2         00000000"
+    assert lines[-1] == "stack  00000008"
+    assert run([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["crash"]
+    assert (found["kind"], found["registers"]["pc"], found["places"]) == ("assertion", 0x80124, [])
