@@ -37,7 +37,7 @@ qemu: bootstrap ## the unit tests as Cortex-M3 code
 	@ctest --test-dir build/qemu -j2 --output-on-failure
 
 soak: package firmware ## what takes long: a thousand power cuts
-	@$(PYTEST) -m soak -s tests/image
+	@$(BIN)/pytest -s -m soak tests/image
 
 bench: package firmware ## speed of the simulation, load of the fish's processor
 	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null

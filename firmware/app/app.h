@@ -38,6 +38,7 @@ typedef struct {
     memory_t memory;
     trial_run_t run;
     uint32_t next_trial;
+    bool room_made;           /* for the log of the trial that the board is armed for */
     uint64_t settle_until_us; /* when the stopped run is finished */
     uint16_t executed;        /* whole beats of the running or last trial */
 
@@ -52,6 +53,7 @@ typedef struct {
     uint8_t armed_system;
 
     uint64_t last_poll_us;
+    uint64_t last_link_us; /* when the hosts were last listened to */
     uint32_t longest_pause_us;
     uint64_t reboot_at_us; /* 0 = not asked for */
 

@@ -9,6 +9,8 @@
 #include <string.h>
 
 #define START_STALE_S 2.0f
+#define ROOM_LINK_US 500000u
+#define ROOM_STEPS_MAX (2u * STORE_BLOCKS) /* no more files than that fit */
 
 static fault_t ready_to_arm(const app_t *app) {
     const law_t law = settings_law(&app->params, app->reference.beat_s);
@@ -58,6 +60,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
         if (fault != FAULT_NONE) {
             return fault;
         }
+        app->room_made = false;
         (void)supervisor_event(&app->supervisor, EVENT_ARM, FAULT_NONE);
     }
     app->armed_port = command->port;
@@ -85,6 +88,23 @@ static uint32_t log_bytes(const app_t *app) {
     return trial_log_size_bound(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
 }
 
+/* What fails here fails at the start too, and is told then. */
+static void make_room_step(app_t *app) {
+    if (!app->room_made) {
+        const store_result_t result =
+            store_make_space_step(&app->store, log_bytes(app), 0, &app->room_made);
+        app->room_made = app->room_made || result != STORE_OK;
+    }
+}
+
+/* A step per pass while armed, so that the start finds room. The hosts wait meanwhile, but not so
+ * long that they seem lost. */
+static void make_room(app_t *app, uint64_t now_us) {
+    if (now_us - app->last_link_us < ROOM_LINK_US) {
+        make_room_step(app);
+    }
+}
+
 /* A failed save went back to what is stored; the board stays armed and needs its guess. */
 static fault_t save_first_guess(app_t *app) {
     if (app->memory.guessed == 0) {
@@ -96,6 +116,10 @@ static fault_t save_first_guess(app_t *app) {
 
 /* Everything that writes flash and can be done before the tail moves. */
 static fault_t prepare_store(app_t *app) {
+    for (uint32_t i = 0; i < ROOM_STEPS_MAX && !app->room_made; i++) {
+        make_room_step(app);
+        hal_watchdog_feed(app->hal);
+    }
     if (store_make_space(&app->store, log_bytes(app), 0) != STORE_OK) {
         return FAULT_WRITE_FAILED;
     }
@@ -160,7 +184,7 @@ void swim_stop(app_t *app, fault_t reason) {
         control_stop(&app->control, app->hal);
         settle_from(app, now_us);
     }
-    if (app->run.open && app->run.start_us != 0) {
+    if (app->run.open && app->run.start_us != 0 && !app->run.log_ended) {
         trial_log_text(&app->run.log, now_us, fault_info(reason)->name);
     }
     link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
@@ -181,15 +205,21 @@ static void settle_beats(app_t *app) {
     }
 }
 
+static bool end_log(app_t *app, uint64_t now_us) {
+    trial_run_close_slots(&app->run, app->executed);
+    settle_beats(app);
+    return trial_run_end_log(&app->run, now_us, app->supervisor.reason, app->executed);
+}
+
 bool swim_finish(app_t *app, uint64_t now_us) {
     if (!app->run.open) {
         return true;
     }
-    trial_run_close_slots(&app->run, app->executed);
-    settle_beats(app);
-    const fault_t end = app->supervisor.reason;
-    const bool stored = trial_run_finish(&app->run, &app->store, now_us, end, app->executed,
-                                         app->record) == STORE_OK;
+    bool ended = false;
+    for (uint32_t step = 0; step < TRIAL_RUN_END_STEPS && !ended; step++) {
+        ended = end_log(app, now_us);
+    }
+    const bool stored = trial_run_finish(&app->run, &app->store, app->record) == STORE_OK;
     if (!stored) {
         swim_stop(app, FAULT_STORAGE);
     }
@@ -219,9 +249,6 @@ static void begin_log(app_t *app, uint64_t start_us) {
 }
 
 static void follow_tail(app_t *app, const control_report_t *report, uint64_t now_us) {
-    if (app->run.start_us == 0 && report->swim_start_us != 0) {
-        begin_log(app, report->swim_start_us);
-    }
     app->executed = report->beats_done;
     if (report->stop != FAULT_NONE) {
         swim_stop(app, report->stop);
@@ -243,18 +270,25 @@ static void watch_host(app_t *app, uint64_t now_us) {
 
 void swim_poll(app_t *app, uint64_t now_us) {
     if (app->supervisor.state == STATE_ARMED) {
+        make_room(app, now_us);
         watch_host(app, now_us);
     }
+    bool begun = false;
     if (app->supervisor.state == STATE_RUNNING) {
         const control_report_t report = control_report(&app->control, app->hal);
+        begun = app->run.start_us == 0 && report.swim_start_us != 0;
+        if (begun) {
+            begin_log(app, report.swim_start_us);
+        }
         follow_tail(app, &report, now_us);
     }
-    if (!app->run.open) {
+    if (!app->run.open || begun) { /* the rest of the log's beginning is for the next pass */
         return;
     }
     trial_run_collect(&app->run, now_us, hal_battery_mv(app->hal));
     settle_beats(app);
-    if (app->supervisor.state != STATE_RUNNING && now_us >= app->settle_until_us) {
+    const bool settled = app->supervisor.state != STATE_RUNNING && now_us >= app->settle_until_us;
+    if (settled && end_log(app, now_us)) {
         (void)swim_finish(app, now_us);
     }
 }

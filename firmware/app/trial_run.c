@@ -35,6 +35,7 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
     run->late_s = plan->late_s;
     run->start_us = 0;
     run->next_beat = 0;
+    run->log_ended = false;
     run->open = true;
 }
 
@@ -52,7 +53,9 @@ void trial_run_started(trial_run_t *run, uint64_t start_us, store_t *store, cons
     (void)trial_log_begin(&run->log, store, &complete, params);
 }
 
-static bool collecting(const trial_run_t *run) { return run->open && run->start_us != 0; }
+static bool collecting(const trial_run_t *run) {
+    return run->open && run->start_us != 0 && !run->log_ended;
+}
 
 void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float sigma_m_s) {
     if (!collecting(run) || run->trial.source != SPEED_SOURCE_VISION) {
@@ -84,13 +87,13 @@ void trial_run_collect(trial_run_t *run, uint64_t now_us, uint16_t battery_mv) {
     if (!collecting(run) || now_us < run->start_us) {
         return;
     }
+    trial_log_poll(&run->log, now_us);
     if (now_us >= run->next_battery_us) {
         run->next_battery_us += BATTERY_LOG_US;
         trial_log_battery(&run->log, now_us, battery_mv);
     }
     const float now_s = (float)(now_us - run->start_us) * 1e-6f;
     close_until(run, now_s - run->late_s);
-    trial_log_poll(&run->log, now_us);
 }
 
 /* A beat may look at slots this far: until then its speed is not settled. */
@@ -137,18 +140,29 @@ static store_result_t save_pending(const trial_run_t *run, store_t *store, uint8
     return store_replace(store, PENDING_PATH, record, record_encode_trial(&run->trial, record));
 }
 
-store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint64_t now_us, fault_t end,
-                                uint16_t executed, uint8_t *record) {
-    REQUIRE(run->open);
-    run->open = false;
-    run->trial.executed = executed;
-    run->trial.end = (uint16_t)end;
-    store_result_t logged = STORE_OK;
-    if (run->start_us != 0) {
-        trial_log_end(&run->log, now_us, end, executed);
-        logged = trial_log_close(&run->log);
+bool trial_run_end_log(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t executed) {
+    if (!run->log_ended) {
+        run->log_ended = true;
+        run->trial.executed = executed;
+        run->trial.end = (uint16_t)end;
+        if (run->start_us != 0) {
+            trial_log_end(&run->log, now_us, end, executed);
+            trial_log_write(&run->log);
+        }
+        return run->start_us == 0;
     }
-    if (executed == 0) {
+    if (run->start_us != 0 && run->log.file.open) {
+        (void)trial_log_close(&run->log);
+        return false;
+    }
+    return true;
+}
+
+store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record) {
+    REQUIRE(run->open && run->log_ended);
+    run->open = false;
+    const store_result_t logged = run->start_us != 0 ? trial_log_close(&run->log) : STORE_OK;
+    if (run->trial.executed == 0) {
         return logged;
     }
     run->pending = true;

@@ -23,7 +23,10 @@ typedef struct {
     const memory_t *memory; /* stored amplitudes, for the log */
     trial_log_t log;
     uint64_t next_battery_us;
+    bool log_ended; /* its last record is written; nothing is collected any more */
 } trial_run_t;
+
+#define TRIAL_RUN_END_STEPS 3u /* calls of trial_run_end_log until it is true */
 
 typedef struct {
     uint32_t number;
@@ -63,10 +66,13 @@ void trial_run_collect(trial_run_t *run, uint64_t now_us, uint16_t battery_mv);
  * Call until false. */
 bool trial_run_settle(trial_run_t *run, uint16_t executed, trial_run_beat_t *beat);
 
-/* Closes what is open: every executed beat is settled by repeated trial_run_settle before this.
- * Makes the trial pending if at least one beat was swum, and stores it. */
-store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint64_t now_us, fault_t end,
-                                uint16_t executed, uint8_t *record);
+/* Ends the log in steps, each with no more to write than one pause of the main loop allows; true
+ * when it is closed. Every executed beat is settled by repeated trial_run_settle before this. */
+bool trial_run_end_log(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t executed);
+
+/* Closes the run, whose log has ended. Makes the trial pending if at least one beat was swum, and
+ * stores it. */
+store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record);
 
 /* Closes the slots the first |executed| beats need, whether or not samples may still come. */
 void trial_run_close_slots(trial_run_t *run, uint16_t executed);

@@ -59,43 +59,57 @@ static bool root_line(store_t *store, uint32_t index, line_t *line) {
     return false;
 }
 
-static bool folder_line(store_t *store, ftp_path_t folder, uint32_t index, line_t *line) {
-    store_entry_t entry;
-    const char *path = folder == FTP_PATH_TRIALS ? "/trials" : "/in";
-    if (store_entry(store, path, index, &entry) != STORE_OK) {
+typedef struct {
+    ftp_path_t folder;
+    uint8_t *out; /* data of the reply */
+    uint8_t used;
+} listing_t;
+
+/* Adds the line, with its final zero; false when it does not fit. */
+static bool put(listing_t *listing, const line_t *line) {
+    const uint8_t length = (uint8_t)(line->length + 1u);
+    if (length > FTP_DATA_BYTES - listing->used) {
         return false;
     }
-    if (entry.directory || ftp_path_in_folder(folder, entry.name) == FTP_PATH_HIDDEN) {
-        append(line, "S");
-    } else {
-        file_line(line, entry.name, entry.size_bytes);
-    }
+    memcpy(listing->out + listing->used, line->text, length);
+    listing->used = (uint8_t)(listing->used + length);
     return true;
 }
 
-static bool next_line(store_t *store, ftp_path_t folder, uint32_t index, line_t *line) {
-    memset(line, 0, sizeof *line);
-    const bool got = folder == FTP_PATH_ROOT ? root_line(store, index, line)
-                                             : folder_line(store, folder, index, line);
-    line->length++;
-    return got;
+static bool put_entry(void *context, const store_entry_t *entry) {
+    listing_t *listing = context;
+    line_t line = {0};
+    if (entry->directory || ftp_path_in_folder(listing->folder, entry->name) == FTP_PATH_HIDDEN) {
+        append(&line, "S");
+    } else {
+        file_line(&line, entry->name, entry->size_bytes);
+    }
+    return put(listing, &line);
+}
+
+static void put_root(listing_t *listing, store_t *store, uint32_t first) {
+    bool fits = true;
+    for (uint32_t index = first; fits; index++) {
+        line_t line = {0};
+        fits = root_line(store, index, &line) && put(listing, &line);
+    }
 }
 
 ftp_error_t ftp_list(store_t *store, const ftp_request_t *request, uint8_t *reply) {
     char path[STORE_PATH_BYTES];
-    const ftp_path_t folder = ftp_path_parse(request->data, request->size, path);
-    if (folder != FTP_PATH_ROOT && folder != FTP_PATH_TRIALS && folder != FTP_PATH_IN) {
+    listing_t listing = {.folder = ftp_path_parse(request->data, request->size, path),
+                         .out = reply + FTP_HEADER_BYTES};
+    switch (listing.folder) {
+    case FTP_PATH_ROOT:
+        put_root(&listing, store, request->offset);
+        break;
+    case FTP_PATH_TRIALS:
+    case FTP_PATH_IN:
+        (void)store_walk(store, path, request->offset, put_entry, &listing);
+        break;
+    default:
         return FTP_NOT_FOUND;
     }
-    uint8_t used = 0;
-    line_t line;
-    for (uint32_t index = request->offset; next_line(store, folder, index, &line); index++) {
-        if (line.length > FTP_DATA_BYTES - used) {
-            break;
-        }
-        memcpy(reply + FTP_HEADER_BYTES + used, line.text, line.length);
-        used = (uint8_t)(used + line.length);
-    }
-    ftp_set_size(reply, used);
-    return used == 0 ? FTP_EOF : FTP_OK;
+    ftp_set_size(reply, listing.used);
+    return listing.used == 0 ? FTP_EOF : FTP_OK;
 }

@@ -9,6 +9,7 @@
 #define FOLDER_TRIALS "/trials"
 #define FOLDER_IN "/in"
 #define CRC_PIECE_BYTES 128u
+#define DOT_ENTRIES 2u /* "." and ".." come first in each folder */
 #define TRIAL_SUFFIX ".ulg"
 #define TRIAL_DIGITS_MIN 4u
 #define TRIAL_DIGITS_MAX 10u
@@ -60,18 +61,32 @@ static void join_path(char out[STORE_PATH_BYTES], const char *folder, const char
     strcpy(out + folder_length + 1, name);
 }
 
+/* A trial's file has its header from its first sync on; until then there is but its name. */
+static bool is_leftover(const char *folder, const store_entry_t *entry) {
+    const bool unsynced = entry->size_bytes == 0 && strcmp(folder, FOLDER_TRIALS) == 0;
+    return !entry->directory && (unsynced || ends_with(entry->name, STORE_NEW_SUFFIX));
+}
+
+typedef struct {
+    const char *folder;
+    char path[STORE_PATH_BYTES]; /* of the first leftover; empty: none yet */
+} leftover_t;
+
+static bool note_leftover(void *context, const store_entry_t *entry) {
+    leftover_t *leftover = context;
+    const char *folder = leftover->folder;
+    if (is_leftover(folder, entry) &&
+        strlen(folder) + 1u + strlen(entry->name) < STORE_PATH_BYTES) {
+        join_path(leftover->path, folder, entry->name);
+    }
+    return leftover->path[0] == '\0';
+}
+
 /* Removes one leftover of |folder|; true when there was one. */
 static bool remove_leftover(store_t *store, const char *folder) {
-    store_entry_t entry;
-    for (uint32_t i = 0; store_entry(store, folder, i, &entry) == STORE_OK; i++) {
-        if (!entry.directory && ends_with(entry.name, STORE_NEW_SUFFIX) &&
-            strlen(folder) + 1u + strlen(entry.name) < STORE_PATH_BYTES) {
-            char path[STORE_PATH_BYTES];
-            join_path(path, folder, entry.name);
-            return store_remove(store, path) == STORE_OK;
-        }
-    }
-    return false;
+    leftover_t leftover = {.folder = folder};
+    (void)store_walk(store, folder, 0, note_leftover, &leftover);
+    return leftover.path[0] != '\0' && store_remove(store, leftover.path) == STORE_OK;
 }
 
 static store_result_t make_folder(store_t *store, const char *path) {
@@ -243,32 +258,45 @@ static void fill_entry(const struct lfs_info *info, store_entry_t *entry) {
     entry->size_bytes = entry->directory ? 0 : info->size;
 }
 
-store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
-                           store_entry_t *entry) {
+store_result_t store_walk(store_t *store, const char *folder, uint32_t first, store_visit_t visit,
+                          void *context) {
     if (!store->mounted) {
         return STORE_IO;
+    }
+    if (first > HAL_FLASH_SIZE_BYTES) {
+        return STORE_OK;
     }
     lfs_dir_t dir;
     const int opened = lfs_dir_open(&store->lfs, &dir, folder);
     if (opened < 0) {
         return store_result(opened);
     }
+    store_entry_t entry;
     struct lfs_info info;
-    uint32_t seen = 0;
-    int more = lfs_dir_read(&store->lfs, &dir, &info);
-    while (more > 0) {
-        const bool counted = strcmp(info.name, ".") != 0 && strcmp(info.name, "..") != 0;
-        if (counted && seen++ == index) {
-            break;
-        }
+    int more = lfs_dir_seek(&store->lfs, &dir, first + DOT_ENTRIES);
+    if (more == LFS_ERR_INVAL) { /* past the end */
+        more = 0;
+    } else if (more == LFS_ERR_OK) {
         more = lfs_dir_read(&store->lfs, &dir, &info);
     }
-    (void)lfs_dir_close(&store->lfs, &dir);
-    if (more <= 0) {
-        return more < 0 ? store_result(more) : STORE_NOT_FOUND;
+    while (more > 0) {
+        fill_entry(&info, &entry);
+        more = visit(context, &entry) ? lfs_dir_read(&store->lfs, &dir, &info) : 0;
     }
-    fill_entry(&info, entry);
-    return STORE_OK;
+    (void)lfs_dir_close(&store->lfs, &dir);
+    return more < 0 ? store_result(more) : STORE_OK;
+}
+
+static bool take_entry(void *context, const store_entry_t *entry) {
+    *(store_entry_t *)context = *entry;
+    return false;
+}
+
+store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
+                           store_entry_t *entry) {
+    entry->name[0] = '\0';
+    const store_result_t result = store_walk(store, folder, index, take_entry, entry);
+    return result == STORE_OK && entry->name[0] == '\0' ? STORE_NOT_FOUND : result;
 }
 
 uint32_t store_free_bytes(store_t *store) {
@@ -296,52 +324,66 @@ static bool trial_number(const char *name, uint32_t *number) {
     return true;
 }
 
-static store_result_t remove_oldest_trial(store_t *store, uint32_t keep_trial) {
-    store_entry_t entry;
-    char name[STORE_PATH_BYTES] = "";
-    uint32_t oldest = 0;
-    for (uint32_t i = 0; store_entry(store, FOLDER_TRIALS, i, &entry) == STORE_OK; i++) {
-        uint32_t number = 0;
-        if (!entry.directory && trial_number(entry.name, &number) && number != keep_trial &&
-            (name[0] == '\0' || number < oldest)) {
-            oldest = number;
-            strcpy(name, entry.name);
-        }
+/* What a walk through the trials looks for. */
+typedef struct {
+    uint32_t keep, oldest, newest;
+    bool found;
+    char name[STORE_PATH_BYTES]; /* of the oldest */
+} trial_span_t;
+
+static bool note_trial(void *context, const store_entry_t *entry) {
+    trial_span_t *span = context;
+    uint32_t number = 0;
+    if (entry->directory || !trial_number(entry->name, &number)) {
+        return true;
     }
-    if (name[0] == '\0') {
+    span->newest = number > span->newest ? number : span->newest;
+    if (number != span->keep && (!span->found || number < span->oldest)) {
+        span->found = true;
+        span->oldest = number;
+        strcpy(span->name, entry->name);
+    }
+    return true;
+}
+
+static store_result_t remove_oldest_trial(store_t *store, uint32_t keep_trial) {
+    trial_span_t span = {.keep = keep_trial};
+    char path[STORE_PATH_BYTES];
+    (void)store_walk(store, FOLDER_TRIALS, 0, note_trial, &span);
+    if (!span.found) {
         return STORE_NO_SPACE;
     }
-    char path[STORE_PATH_BYTES];
-    join_path(path, FOLDER_TRIALS, name);
+    join_path(path, FOLDER_TRIALS, span.name);
     return store_remove(store, path);
 }
 
 uint32_t store_newest_trial(store_t *store) {
-    uint32_t newest = 0, number = 0;
-    store_entry_t entry;
-    for (uint32_t i = 0; store_entry(store, FOLDER_TRIALS, i, &entry) == STORE_OK; i++) {
-        if (!entry.directory && trial_number(entry.name, &number) && number > newest) {
-            newest = number;
-        }
-    }
-    return newest;
+    trial_span_t span = {0};
+    (void)store_walk(store, FOLDER_TRIALS, 0, note_trial, &span);
+    return span.newest;
 }
 
-store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial) {
+store_result_t store_make_space_step(store_t *store, uint32_t bytes, uint32_t keep_trial,
+                                     bool *done) {
+    *done = false;
     if (!store->mounted) {
         return STORE_IO;
     }
     if (bytes > HAL_FLASH_SIZE_BYTES) {
         return STORE_NO_SPACE;
     }
-    for (uint32_t i = 0; i <= 2u * STORE_BLOCKS; i++) {
-        if (store_free_bytes(store) >= bytes + STORE_RESERVE_BYTES) {
-            return store_written(store, lfs_fs_gc(&store->lfs));
-        }
-        const store_result_t removed = remove_oldest_trial(store, keep_trial);
-        if (removed != STORE_OK) {
-            return removed;
-        }
+    if (store_free_bytes(store) < bytes + STORE_RESERVE_BYTES) {
+        return remove_oldest_trial(store, keep_trial);
     }
-    return STORE_NO_SPACE;
+    *done = true;
+    return store_written(store, lfs_fs_gc(&store->lfs));
+}
+
+store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial) {
+    store_result_t result = STORE_OK;
+    bool done = false;
+    for (uint32_t i = 0; i <= 2u * STORE_BLOCKS && result == STORE_OK && !done; i++) {
+        result = store_make_space_step(store, bytes, keep_trial, &done);
+    }
+    return result != STORE_OK || done ? result : STORE_NO_SPACE;
 }

@@ -64,8 +64,9 @@ typedef struct {
 typedef enum { STORE_READ = 0, STORE_WRITE_NEW = 1, STORE_APPEND = 2 } store_mode_t;
 
 /* Mounts; formats only when there is no filesystem: mounting found garbage and neither superblock
- * is readable. Makes /trials and /in, removes what a cut store_replace left behind. |store| must
- * not move while mounted. Every other call answers STORE_IO while not mounted. */
+ * is readable. Makes /trials and /in, removes what a cut left behind: halves of a store_replace
+ * and trial files without content. |store| must not move while mounted. Every other call answers
+ * STORE_IO while not mounted. */
 store_result_t store_mount(store_t *store, hal_t *hal);
 
 /* Erases all files and mounts the empty filesystem. */
@@ -99,7 +100,15 @@ store_result_t store_sync(store_t *store, store_file_t *file);
 uint32_t store_file_size(store_t *store, store_file_t *file);
 store_result_t store_close(store_t *store, store_file_t *file);
 
-/* Entry number |index| of a folder ("." and ".." are not counted). STORE_NOT_FOUND past the end. */
+/* Called for one entry; false ends the walk. */
+typedef bool (*store_visit_t)(void *context, const store_entry_t *entry);
+
+/* Visits the entries of a folder from number |first| on ("." and ".." are not counted). Looking for
+ * an entry costs as much as a walk to it: walk once. |visit| must not write. */
+store_result_t store_walk(store_t *store, const char *folder, uint32_t first, store_visit_t visit,
+                          void *context);
+
+/* Entry number |index| alone. STORE_NOT_FOUND past the end. */
 store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
                            store_entry_t *entry);
 
@@ -111,7 +120,10 @@ uint32_t store_free_bytes(store_t *store);
 
 /* Removes the oldest files of /trials (lowest number first), never |keep_trial|, until |bytes| and
  * the reserve are free, then compacts, so that the trial itself need not. STORE_NO_SPACE when there
- * is nothing left to remove. Takes seconds on hardware: not while swimming. */
+ * is nothing left to remove. One step removes one file, or compacts and sets |*done|; all of them
+ * may take seconds on hardware: not while swimming. */
+store_result_t store_make_space_step(store_t *store, uint32_t bytes, uint32_t keep_trial,
+                                     bool *done);
 store_result_t store_make_space(store_t *store, uint32_t bytes, uint32_t keep_trial);
 
 #endif

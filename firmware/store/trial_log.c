@@ -89,9 +89,11 @@ static void sync_file(trial_log_t *log) {
     }
 }
 
+static void put_rest(trial_log_t *log);
+
 static bool writable(const trial_log_t *log) { return log->file.open && !log->failed; }
 
-/* Room for one message; NULL when the log is closed. */
+/* Room for one message of the definitions; NULL when the log is closed. */
 static uint8_t *room(trial_log_t *log) {
     if (log->held > TRIAL_LOG_BUFFER_BYTES - ULOG_MESSAGE_MAX_BYTES) {
         write_held(log);
@@ -99,11 +101,17 @@ static uint8_t *room(trial_log_t *log) {
     return writable(log) ? log->buffer + log->held : NULL;
 }
 
+/* Room for one message behind the definitions. */
+static uint8_t *room_behind(trial_log_t *log) {
+    put_rest(log);
+    return room(log);
+}
+
 static void keep(trial_log_t *log, size_t length) { log->held = (uint16_t)(log->held + length); }
 
 static void put_data(trial_log_t *log, message_id_t id, uint64_t time_us, const uint8_t *fields,
                      size_t length) {
-    uint8_t *out = room(log);
+    uint8_t *out = room_behind(log);
     if (out != NULL) {
         keep(log, ulog_data(out, (uint16_t)id, time_us, fields, length));
     }
@@ -191,6 +199,16 @@ static void put_subscriptions(trial_log_t *log) {
     }
 }
 
+/* Parameters and subscriptions; once. */
+static void put_rest(trial_log_t *log) {
+    const params_t *params = log->params;
+    log->params = NULL;
+    if (params != NULL) {
+        put_parameters(log, params);
+        put_subscriptions(log);
+    }
+}
+
 static store_result_t open_log(trial_log_t *log, store_t *store, uint32_t trial,
                                store_mode_t mode) {
     memset(log, 0, sizeof *log);
@@ -214,10 +232,8 @@ store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log
     keep(log, ulog_flag_bits(log->buffer + log->held));
     put_formats(log);
     put_infos(log, header);
-    put_parameters(log, params);
-    put_subscriptions(log);
-    write_held(log);
-    sync_file(log);
+    log->params = params;
+    log->sync_due = true;
     return log->failed ? STORE_IO : STORE_OK;
 }
 
@@ -253,7 +269,7 @@ void trial_log_battery(trial_log_t *log, uint64_t time_us, uint16_t battery_mv) 
 }
 
 void trial_log_text(trial_log_t *log, uint64_t time_us, const char *text) {
-    uint8_t *out = room(log);
+    uint8_t *out = room_behind(log);
     if (out != NULL) {
         keep(log, ulog_text(out, time_us, text, TRIAL_LOG_TEXT_BYTES));
     }
@@ -265,21 +281,31 @@ void trial_log_end(trial_log_t *log, uint64_t time_us, fault_t end, uint16_t exe
     put_data(log, ID_TRIAL_END, time_us, fields, sizeof fields);
 }
 
+void trial_log_write(trial_log_t *log) { write_held(log); }
+
+/* Writing may have to move a block, syncing a folder: never both in one call. */
 void trial_log_poll(trial_log_t *log, uint64_t now_us) {
     if (!writable(log)) {
         return;
     }
-    const bool due = now_us >= log->last_sync_us && now_us - log->last_sync_us >= TRIAL_LOG_SYNC_US;
-    if (due || log->held >= TRIAL_LOG_PIECE_BYTES) {
-        write_held(log);
+    if (log->params != NULL) {
+        put_rest(log);
+        return;
     }
-    if (due) {
+    const bool due = now_us >= log->last_sync_us && now_us - log->last_sync_us >= TRIAL_LOG_SYNC_US;
+    const bool sync_now = log->sync_due && log->held < TRIAL_LOG_PIECE_BYTES;
+    if (sync_now) {
         sync_file(log);
+        log->sync_due = false;
         log->last_sync_us = now_us;
+    } else if (due || log->held >= TRIAL_LOG_PIECE_BYTES) {
+        write_held(log);
+        log->sync_due = log->sync_due || due;
     }
 }
 
 store_result_t trial_log_close(trial_log_t *log) {
+    put_rest(log);
     write_held(log);
     if (log->file.open && store_close(log->store, &log->file) != STORE_OK) {
         log->failed = true;

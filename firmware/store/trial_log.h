@@ -3,6 +3,9 @@
  * in RAM and writes them in pieces; synced every 5 s, closed at the end. After a power cut the file
  * is what the last sync saw and ends with a whole message. Main loop only.
  *
+ * The longest pause of the main loop while swimming is one call of these. A call writes at most 9
+ * flash pages: a block that must move, because its half was synced, and one more; or a folder.
+ *
  * A write that fails is counted (store_t.failures) and ends the log; it never stops the swim.
  * Records given to a log that failed or is closed are dropped.
  */
@@ -46,6 +49,8 @@ typedef struct {
     store_file_t file;
     uint8_t buffer[TRIAL_LOG_BUFFER_BYTES];
     uint16_t held;
+    const params_t *params; /* not written yet; NULL = written */
+    bool sync_due;          /* at the next poll */
     uint64_t last_sync_us;
     uint32_t trial;
     bool failed;
@@ -59,8 +64,9 @@ void trial_log_path(uint32_t trial, char *out);
  * 40 beats of 1 s and 3 s of settling. */
 uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 
-/* Makes the file (over an older one of that number) and writes header and definitions: formats,
- * trial info, all parameters. They are synced when this returns. */
+/* Makes the file (over an older one of that number) and writes the header and the first
+ * definitions: formats and trial info. The first poll or record writes the rest, all parameters, a
+ * poll after that syncs them; until then |params| must stay as it is. */
 store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log_header_t *header,
                                const params_t *params);
 
@@ -73,7 +79,11 @@ void trial_log_text(trial_log_t *log, uint64_t time_us, const char *text);
 /* How the trial ended; the last record of the swim. */
 void trial_log_end(trial_log_t *log, uint64_t time_us, fault_t end, uint16_t executed);
 
-/* Writes what is held once it fills a piece, and syncs every 5 s. Call it every main-loop pass. */
+/* Writes what is held now, so that closing need not. */
+void trial_log_write(trial_log_t *log);
+
+/* Writes what is held once it fills a piece, and syncs every 5 s: one of the two in one call. Call
+ * it every main-loop pass. */
 void trial_log_poll(trial_log_t *log, uint64_t now_us);
 
 /* STORE_IO when anything of the log failed. A log that is not open closes at once. */

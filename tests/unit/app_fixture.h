@@ -103,7 +103,7 @@ static void start_trial(uint16_t beats, float speed_m_s) {
     TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
 }
 
-static void swim_whole_trial(uint16_t beats, float speed_m_s) {
+static inline void swim_whole_trial(uint16_t beats, float speed_m_s) {
     start_trial(beats, speed_m_s);
     run_ms(beats * 1000u + 5000u);
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
