@@ -1,0 +1,183 @@
+"""How busy the fish's processor is: the flash image on the emulated chip, in simulated time.
+
+The emulator counts instructions and the time slept in WFI; how long an instruction takes it does
+not know and assumes (flash wait states and the pipeline make it 1 to 3 cycles on the chip). So the
+share of time is an estimate, the numbers of instructions are not.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tailbeat import _dialect as mavlink
+from tailbeat import records
+from tailbeat.camera.beatfit import BeatFit
+from tailbeat.errors import TailbeatError
+from tailbeat.fish import Fish
+from tailbeat.link import Message
+from tailbeat.transport.emulated import EmulatedBoard
+from tailbeat.transport.find import hear_board
+from tailbeat.transport.inprocess import SimTransport
+from tailbeat.trialrun import vision_message
+from vboard.chip import CYCLES_PER_INSTRUCTION
+from vboard.core.clock import TICKS_PER_S
+
+MEASURED_S = 4.0
+TICKS_MEASURED = 25
+BEATS = 12
+TICK_EXCEPTION = 16 + 36  # of the PWM
+LAST_TRIAL = "/trials/0001.ulg"
+
+
+@dataclass(frozen=True)
+class Load:
+    """What was measured of ``simulated_s`` seconds."""
+
+    simulated_s: float
+    busy_share: float
+    instructions: int
+    tick_instructions: list[int]
+    cpu_s: float
+
+
+def new_fish(imu_rate_hz: int, imu_baud: int) -> Fish:
+    """A board whose IMU is heard, with a reference."""
+    board = EmulatedBoard(imu_rate_hz=imu_rate_hz, imu_baud=imu_baud)
+    transport = SimTransport(board)
+    hear_board(transport)
+    fish = Fish(transport)
+    fish.clock.sync()
+    fish.params.set("IMU_BAUD", imu_baud)
+    fish.upload_reference(records.encode_reference(1.0, [0.04] * BEATS))
+    return fish
+
+
+def board_of(fish: Fish) -> EmulatedBoard:
+    assert isinstance(fish.sim, EmulatedBoard)
+    return fish.sim
+
+
+def send_speeds(fish: Fish) -> None:
+    """From now on the camera's speeds go to the board whenever something comes from it."""
+    camera = fish.default_camera()
+    assert camera is not None
+    fit = BeatFit(1.0, camera.fps)
+
+    def send(_: Message) -> None:
+        for picture in camera.frames():
+            if (sample := fit.add(picture.t_s, picture.x_m)) is not None:
+                at_s = fish.clock.board_s(sample.t_s)
+                fish.link.send(vision_message(at_s, sample))
+
+    fish.link.subscribe(send)
+
+
+def start(fish: Fish) -> None:
+    fish.arm()
+    fish.link.run(0.5)
+    number = float(fish.status().next_trial)
+    fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, number, fish.clock.now_s())
+    fish.link.run(1.5)
+
+
+def rest(fish: Fish) -> None:
+    fish.link.run(MEASURED_S)
+
+
+def pull(fish: Fish) -> None:
+    end_s = fish.transport.now_s() + MEASURED_S
+    while fish.transport.now_s() < end_s:
+        fish.ftp.read(LAST_TRIAL)
+
+
+def measure(fish: Fish, work: Callable[[Fish], None]) -> Load:
+    board = board_of(fish).board
+    begin, begin_cpu_s = board.clock.now, time.process_time()
+    busy, instructions = board.busy_ticks, board.instructions
+    work(fish)
+    cpu_s = time.process_time() - begin_cpu_s
+    span = board.clock.now - begin
+    return Load(
+        span / TICKS_PER_S,
+        (board.busy_ticks - busy) / span,
+        board.instructions - instructions,
+        [tick_instructions(board_of(fish)) for _ in range(TICKS_MEASURED)],
+        cpu_s,
+    )
+
+
+def tick_instructions(emulated: EmulatedBoard) -> int:
+    """Instructions that the next 20 ms interrupt takes, without those of others within it."""
+    board = emulated.board
+    starts: list[int] = []
+    hooks = board.periph["PWM"].on_period
+    hooks.append(lambda *_: starts.append(board.clock.now))
+    while not starts:
+        board.run_until(board.clock.now + TICKS_PER_S // 10_000)
+    hooks.pop()
+    board.run_until(starts[0] + TICKS_PER_S // 50)
+    counted, entered = 0, False
+    while board.cpu.exception_number() != 0 or not entered:
+        in_tick = board.cpu.exception_number() == TICK_EXCEPTION
+        entered = entered or in_tick
+        before = board.instructions
+        board.run_until(board.clock.now + 1)
+        counted += in_tick * (board.instructions - before)
+    return counted
+
+
+def finish(fish: Fish) -> None:
+    while fish.status().state != "IDLE":
+        fish.link.run(0.5)
+    fish.discard()
+
+
+def measure_all() -> dict[str, Load]:
+    loads = {}
+    with new_fish(100, 115200) as fish:
+        loads["idle, IMU 100 Hz"] = measure(fish, rest)
+        send_speeds(fish)
+        start(fish)
+        loads["swimming, IMU 100 Hz"] = measure(fish, rest)
+    with new_fish(400, 460800) as fish:
+        send_speeds(fish)
+        start(fish)
+        loads["swimming, IMU 400 Hz"] = measure(fish, rest)
+        finish(fish)
+        start(fish)
+        loads["... and a trial is pulled"] = measure(fish, pull)
+    return loads
+
+
+def show(loads: dict[str, Load]) -> None:
+    print(
+        "load of the fish's processor (84 MHz), if an instruction takes"
+        f" {CYCLES_PER_INSTRUCTION} cycles (assumed):"
+    )
+    print(f"  {'':26} {'busy':>6} {'instructions/s':>15} {'in a tick':>10} {'emulated at':>14}")
+    for name, load in loads.items():
+        per_s = load.instructions / load.simulated_s
+        in_tick = statistics.median(load.tick_instructions)
+        speed = load.simulated_s / load.cpu_s
+        print(
+            f"  {name:26} {load.busy_share:6.1%} {per_s / 1e6:13.2f} M {in_tick:10.0f}"
+            f" {speed:8.1f} x real time"
+        )
+    longest = max(max(load.tick_instructions) for load in loads.values())
+    us = longest * CYCLES_PER_INSTRUCTION / 84
+    print(f"  longest tick: {longest} instructions, about {us:.0f} us of its 20000")
+
+
+def main() -> None:
+    """Measures and prints."""
+    try:
+        show(measure_all())
+    except TailbeatError as error:
+        raise SystemExit(f"image_load: {error}") from error
+
+
+if __name__ == "__main__":
+    main()
