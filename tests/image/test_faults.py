@@ -85,6 +85,7 @@ def test_a_crash_stops_the_tail_and_leaves_a_record(
 ) -> None:
     code, reason = CRASHES[what]
     board = new_board()
+    board.board.chip.divide_traps = True
     trace = swimming(board, connect(board))
     inject(board, code)
     crashed = board.board.clock.now

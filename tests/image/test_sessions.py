@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from tailbeat import laws, reference
 from tailbeat.demo import compare, same_bits
@@ -73,16 +72,3 @@ def test_seen_speeds_teach_it_what_the_host_computes_from_the_log(tmp_path: Path
         assert fish.health()["late_ticks"] == 0
     print("max|e| mm/s:", " ".join(f"{e * 1000:.1f}" for e in errors))
     assert errors[-1] < 0.25 * errors[0] < 0.1
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_same_session_twice_is_the_same_session(seed: int) -> None:
-    def session() -> tuple[bytes, float, int]:
-        with Fish.connect("vboard", seed=seed) as fish:
-            fish.upload_reference(reference.thesis().record())
-            fish.arm()
-            sim = fish.sim
-            assert sim is not None
-            return sim.flash, sim.time_s, sim.board.instructions  # type: ignore[attr-defined]
-
-    assert session() == session()

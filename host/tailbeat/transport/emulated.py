@@ -295,6 +295,7 @@ class EmulatedBoard:
     def _connect(self) -> None:
         """Solders the wires to the chip; it is new after each power-on."""
         periph = self._board.periph
+        self._board.chip.divide_traps = False  # each division would cost 20 us
         for name, port in _LINES.items():
             periph[name].connect(self._lines[port])
         periph[_IMU_PORT].connect(self._imu)

@@ -39,8 +39,9 @@ Where = Callable[[int], str]
 class Chip:
     """Implements Soc for its peripherals. ``off``: after power_off().
 
-    ``where`` names an address for messages. ``on_breakpoint`` is asked at BKPT with its number;
-    True goes on behind it.
+    ``divide_traps``: False gives 0 for a division by zero, whatever the image asks for, and is
+    faster. ``where`` names an address for messages. ``on_breakpoint`` is asked at BKPT with its
+    number; True goes on behind it.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Chip:
         self.instructions = self._idle_ticks = 0
         self._asleep_since: int | None = None
         self.on_breakpoint: Callable[[int], bool] | None = None
+        self.divide_traps = True
         self._where = where
         self.off = self._sleeping = self._running = False
         self._masked_steps = 0
@@ -118,7 +120,7 @@ class Chip:
 
     def trap_division(self, on: bool) -> None:
         """CCR.DIV_0_TRP changed."""
-        self._defer(partial(self.cpu.trap_division, on))
+        self._defer(partial(self.cpu.trap_division, on and self.divide_traps))
 
     # Running.
 

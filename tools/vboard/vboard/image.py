@@ -11,7 +11,6 @@ from elftools.elf.sections import SymbolTableSection
 
 from vboard.core.memory import FLASH_SIZE, FLASH_START
 
-
 SHORTEST = 8  # stack pointer and reset vector
 
 
