@@ -45,7 +45,7 @@ bench: package firmware ## speed of the simulation, load of the fish's processor
 	@build/bench/tailbeat_bench
 	@for script in $(wildcard bench/*.py); do $(BIN)/python $$script || exit 1; done
 
-firmware: ## the image that is flashed to the fish: build/firmware/tailbeat.bin
+firmware: package ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@tools/bootstrap firmware
 	@$(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
 		--toolchain $(CURDIR)/cmake/cortex-m3.cmake >/dev/null
