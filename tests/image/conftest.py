@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from tailbeat.fish import Fish
 from tailbeat.transport.emulated import EmulatedBoard
 from tailbeat.transport.find import hear_board
 from tailbeat.transport.inprocess import SimTransport
+from vboard.core.bench import COMPILER, compile_program
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "firmware" / "tailbeat.elf"
 BOOT_S = 3.0
@@ -52,3 +54,11 @@ def connect() -> Iterator[Connect]:
     yield to
     for fish in fishes:
         fish.close()
+
+
+@pytest.fixture
+def build(tmp_path: Path) -> Callable[[str], Path]:
+    """Compiles a program for the emulated chip."""
+    if shutil.which(COMPILER) is None:
+        pytest.skip(f"{COMPILER} is not installed")
+    return lambda code: compile_program(code, tmp_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,10 +9,8 @@ import pytest
 
 from vboard.board import Board
 from vboard.core.bench import (
-    COMPILER,
     RAM,
     RAM_BYTES,
-    compile_program,
     finish,
     only_probe,
     run_program,
@@ -24,14 +21,6 @@ from vboard.core.exceptions import Lockup
 from vboard.image import ImageError, load
 
 Build = Callable[[str], Path]
-
-
-@pytest.fixture
-def build(tmp_path: Path) -> Build:
-    """Compiles a program."""
-    if shutil.which(COMPILER) is None:
-        pytest.skip(f"{COMPILER} is not installed")
-    return lambda code: compile_program(code, tmp_path)
 
 
 def test_sram0_shows_in_its_mirrors_and_below_sram1(build: Build) -> None:

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
 from vboard.board import Board
 from vboard.chip import CYCLES_PER_INSTRUCTION, MASKED_SLICE
 from vboard.core.bench import (
-    COMPILER,
     PROBE,
     RAM,
     RAM_BYTES,
-    compile_program,
     finish,
     only_probe,
     run_program,
@@ -25,14 +20,6 @@ from vboard.core.clock import TICKS_PER_S
 from vboard.core.exceptions import CHAIN_CYCLES
 
 Build = Callable[[str], Path]
-
-
-@pytest.fixture
-def build(tmp_path: Path) -> Build:
-    """Compiles a program."""
-    if shutil.which(COMPILER) is None:
-        pytest.skip(f"{COMPILER} is not installed")
-    return lambda code: compile_program(code, tmp_path)
 
 
 def test_time_is_instructions_at_the_master_clock(build: Build) -> None:

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from vboard.board import Board
-from vboard.core.bench import COMPILER, compile_program, only_probe, run_program
+from vboard.core.bench import only_probe, run_program
 from vboard.core.bus import BusViolation
 from vboard.core.exceptions import Lockup
 
 Build = Callable[[str], Path]
-
-
-@pytest.fixture
-def build(tmp_path: Path) -> Build:
-    """Compiles a program."""
-    if shutil.which(COMPILER) is None:
-        pytest.skip(f"{COMPILER} is not installed")
-    return lambda code: compile_program(code, tmp_path)
 
 
 REPORT = """
