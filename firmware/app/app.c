@@ -11,7 +11,7 @@
 #include <string.h>
 
 #define IMU_CHUNK_BYTES 256u
-#define IMU_CHUNKS_PER_POLL 16u /* more than the IMU can send in the longest pause */
+#define IMU_CHUNKS_PER_POLL 16u /* what is left, the next pass takes */
 #define IMU_FRESH_US 500000u
 #define SPEED_FRESH_US 1000000u
 #define TICK_ALIVE_US 100000u
@@ -159,7 +159,7 @@ static void mind_the_clock(app_t *app, uint64_t now_us) {
 }
 
 /* A long pass saw ticks come that are later than its beginning. */
-static void mind_the_tick(app_t *app) {
+void app_feed_watchdog(app_t *app) {
     const uint64_t tick_us = control_report(&app->control, app->hal).tick_us;
     if (hal_time_us(app->hal) - tick_us < TICK_ALIVE_US) {
         hal_watchdog_feed(app->hal);
@@ -178,7 +178,7 @@ void app_poll(app_t *app) {
     }
     give_orders(app, now_us);
     hal_led(app->hal, state_is_armed(app->supervisor.state));
-    mind_the_tick(app);
+    app_feed_watchdog(app);
 }
 
 void app_tick_isr(app_t *app) { control_tick_isr(&app->control, app->hal); }

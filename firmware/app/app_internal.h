@@ -12,6 +12,8 @@
 
 /* app.c: what the link tells follows the board's state of this moment. */
 void app_refresh_status(app_t *app);
+/* The main loop is alive; but without the tick the watchdog shall bite all the same. */
+void app_feed_watchdog(app_t *app);
 
 /* boot.c: what is on the store into RAM; parameters fall back to their defaults. */
 void boot_load(app_t *app);

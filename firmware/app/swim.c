@@ -118,7 +118,7 @@ static fault_t save_first_guess(app_t *app) {
 static fault_t prepare_store(app_t *app) {
     for (uint32_t i = 0; i < ROOM_STEPS_MAX && !app->room_made; i++) {
         make_room_step(app);
-        hal_watchdog_feed(app->hal);
+        app_feed_watchdog(app);
     }
     if (store_make_space(&app->store, log_bytes(app), 0) != STORE_OK) {
         return FAULT_WRITE_FAILED;

@@ -23,7 +23,6 @@ struct hal {
     volatile bool wake;  /* set by every handler: the main loop has something to do */
 
     volatile uint32_t ticks; /* servo.c: 20 ms frames since boot */
-    uint32_t ticks_fed;      /* chip.c: the one that last fed the watchdog */
 
     uint64_t time_us;       /* timebase.c: the time when the counter was at ... */
     uint32_t time_last;     /* ... this */

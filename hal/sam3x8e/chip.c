@@ -67,14 +67,9 @@ void hal_led(hal_t *hal, bool on) {
     pin_set(PIN_LED, on);
 }
 
-/* Only when the tick has come since: a main loop without a tick is as dead as the other way round.
- */
 void hal_watchdog_feed(hal_t *hal) {
-    const uint32_t ticks = hal->ticks;
-    if (ticks != hal->ticks_fed) {
-        hal->ticks_fed = ticks;
-        WDT->CR = WDT_CR_KEY_PASSWD | WDT_CR_WDRSTT;
-    }
+    (void)hal;
+    WDT->CR = WDT_CR_KEY_PASSWD | WDT_CR_WDRSTT;
 }
 
 /* With interrupts off: no tick hands the servo's pin back. */

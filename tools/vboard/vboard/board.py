@@ -29,8 +29,7 @@ class Board:
     a peripheral in ``bus.trace``. ``peripherals``: others than the chip's own, for tests; further
     options go to vboard.periph.build().
 
-    ``on_power_on`` is called after each power-on, also at once for what is there when it is added
-    by wire(): peripherals are new then and want their wires again.
+    Peripherals are new after each power-on and want their wires again: wire() sees to it.
     """
 
     def __init__(
