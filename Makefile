@@ -39,9 +39,10 @@ qemu: bootstrap ## the unit tests as Cortex-M3 code
 soak: package firmware ## what takes long: a thousand power cuts
 	@$(BIN)/pytest -s -m soak tests/image
 
-bench: package firmware ## speed of the simulation, load of the fish's processor
+bench: package firmware ## speed of the simulation, load of the fish's processor, cost of an IMU byte
+	@tools/bootstrap bench
 	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
-	@cmake --build build/bench --target tailbeat_bench -- --quiet
+	@cmake --build build/bench --target tailbeat_bench imu_reader_cost -- --quiet
 	@build/bench/tailbeat_bench
 	@for script in $(wildcard bench/*.py); do $(BIN)/python $$script || exit 1; done
 
