@@ -25,7 +25,7 @@ PURE_ALLOWED = {
     "gait": ("base/", "gait/"),
     "ilc": ("base/", "ilc/"),
     "imu": ("base/", "imu/"),
-    "speed": ("base/", "speed/"),
+    "speed": ("base/", "imu/frame.h", "speed/"),
     "supervisor": ("base/", "supervisor/"),
 }
 PURE_PREFIXES = tuple(f"{name}/" for name in PURE)

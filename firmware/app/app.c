@@ -12,6 +12,7 @@
 
 #define IMU_CHUNK_BYTES 256u
 #define IMU_CHUNKS_PER_POLL 16u /* what is left, the next pass takes */
+#define IMU_ACTIONS_PER_POLL 4u
 #define IMU_FRESH_US 500000u
 #define SPEED_FRESH_US 1000000u
 #define TICK_ALIVE_US 100000u
@@ -56,8 +57,11 @@ void app_init(app_t *app, hal_t *hal) {
     app->live_speed_m_s = NAN;
     supervisor_init(&app->supervisor);
     control_init(&app->control);
-    imu_init(&app->imu);
-    trial_run_init(&app->run, &app->reference, &app->memory);
+    params_reset(&app->params);
+    const imu_driver_config_t imu = settings_imu(&app->params);
+    imu_init(&app->imu, &imu, hal_time_us(hal));
+    rest_init(&app->rest);
+    trial_run_init(&app->run, &app->reference, &app->memory, &app->upload.estimate);
     const link_handlers_t handlers = {
         .context = app,
         .command = commands_run,
@@ -77,6 +81,12 @@ void app_init(app_t *app, hal_t *hal) {
     app->last_poll_us = hal_time_us(hal);
 }
 
+static void take_frame(app_t *app, const imu_sample_t *sample) {
+    rest_push(&app->rest, &sample->frame, sample->dt_s);
+    trial_run_motion(&app->run, sample);
+    link_imu(&app->link, sample);
+}
+
 static void read_imu(app_t *app, uint64_t now_us) {
     uint8_t chunk[IMU_CHUNK_BYTES];
     for (uint32_t i = 0; i < IMU_CHUNKS_PER_POLL; i++) {
@@ -85,14 +95,56 @@ static void read_imu(app_t *app, uint64_t now_us) {
             return;
         }
         size_t taken = 0;
-        while (taken < length) {
-            bool got = false;
-            taken += imu_push(&app->imu, chunk + taken, length - taken, &app->imu_frame, &got);
+        bool got = true;
+        while (taken < length || got) {
+            imu_sample_t sample;
+            taken += imu_push(&app->imu, chunk + taken, length - taken, now_us, &sample, &got);
             if (got) {
-                app->last_imu_us = now_us;
+                take_frame(app, &sample);
             }
         }
     }
+}
+
+static void set_imu_baud(app_t *app, uint32_t baud) {
+    uint8_t old[IMU_CHUNK_BYTES];
+    (void)hal_serial_set_baud(app->hal, HAL_PORT_IMU, baud);
+    for (uint32_t i = 0; i < IMU_CHUNKS_PER_POLL * 2u; i++) {
+        if (hal_serial_read(app->hal, HAL_PORT_IMU, old, sizeof old) == 0) {
+            return;
+        }
+    }
+}
+
+/* A new verdict is news for people. */
+static void tell_problem(app_t *app) {
+    const imu_problem_t problem = app->imu.driver.problem;
+    if (problem == app->told_problem) {
+        return;
+    }
+    app->told_problem = problem;
+    if (problem != IMU_PROBLEM_STARTING) {
+        const bool well = problem == IMU_PROBLEM_NONE;
+        link_text(&app->link, well ? MAV_SEVERITY_INFO : MAV_SEVERITY_WARNING,
+                  imu_problem_meaning(problem));
+    }
+}
+
+static void drive_imu(app_t *app, uint64_t now_us) {
+    const uint32_t overruns = hal_serial_errors(app->hal, HAL_PORT_IMU).overruns;
+    for (uint32_t i = 0; i < IMU_ACTIONS_PER_POLL; i++) {
+        const imu_action_t action = imu_poll(&app->imu, overruns, now_us);
+        if (action.what == IMU_DO_NOTHING) {
+            break;
+        }
+        if (action.what == IMU_DO_SET_BAUD) {
+            set_imu_baud(app, action.baud);
+        } else {
+            (void)hal_serial_write(app->hal, HAL_PORT_IMU, (const uint8_t *)action.bytes,
+                                   action.length);
+        }
+    }
+    tell_problem(app);
 }
 
 static bool fresh(uint64_t now_us, uint64_t then_us, uint64_t limit_us) {
@@ -100,7 +152,7 @@ static bool fresh(uint64_t now_us, uint64_t then_us, uint64_t limit_us) {
 }
 
 static void give_orders(app_t *app, uint64_t now_us) {
-    const bool level_known = fresh(now_us, app->last_imu_us, IMU_FRESH_US);
+    const bool level_known = fresh(now_us, app->imu.last_us, IMU_FRESH_US);
     const control_orders_t orders = {
         .swim = supervisor_may_swim(&app->supervisor),
         .beats = app->reference.beats,
@@ -108,10 +160,10 @@ static void give_orders(app_t *app, uint64_t now_us) {
         .gait = settings_gait(&app->params, app->reference.beat_s),
         .limits = settings_stop_limits(&app->params),
         .last_heartbeat_us = app->last_heartbeat_us,
-        .last_imu_us = app->last_imu_us,
+        .last_imu_us = app->imu.last_us,
         .battery_mv = hal_battery_mv(app->hal),
-        .pitch_rad = level_known ? app->imu_frame.ypr_deg[1] * REAL_RAD_PER_DEG : 0.0f,
-        .roll_rad = level_known ? app->imu_frame.ypr_deg[2] * REAL_RAD_PER_DEG : 0.0f,
+        .pitch_rad = level_known ? app->imu.last.ypr_deg[1] * REAL_RAD_PER_DEG : 0.0f,
+        .roll_rad = level_known ? app->imu.last.ypr_deg[2] * REAL_RAD_PER_DEG : 0.0f,
     };
     control_order(&app->control, app->hal, &orders);
 }
@@ -138,8 +190,7 @@ void app_refresh_status(app_t *app) {
         .amplitude_rad = swimming ? app->applied_rad[app->executed] : 0.0f,
         .speed_m_s = speed_known ? app->live_speed_m_s : NAN,
         .pulse_ticks = report.gait.pulse_ticks,
-        .imu = app->imu_frame,
-        .imu_counters = app->imu.counters,
+        .imu = &app->imu,
         .speed_counters = app->run.speed.counters,
         .late_ticks = report.late_ticks,
         .longest_pause_us = app->longest_pause_us,
@@ -169,8 +220,9 @@ void app_feed_watchdog(app_t *app) {
 void app_poll(app_t *app) {
     const uint64_t now_us = hal_time_us(app->hal);
     mind_the_clock(app, now_us);
+    swim_poll(app, now_us); /* first: frames that come in after the start belong to the swim */
     read_imu(app, now_us);
-    swim_poll(app, now_us);
+    drive_imu(app, now_us);
     app_refresh_status(app);
     if (hal_time_us(app->hal) - now_us < STORING_US) {
         app->last_link_us = now_us;

@@ -13,6 +13,7 @@
 #include "imu/imu.h"
 #include "link/link.h"
 #include "params/params.h"
+#include "speed/rest.h"
 #include "store/records.h"
 #include "store/store.h"
 #include "supervisor/supervisor.h"
@@ -27,6 +28,7 @@ typedef union {
     amplitudes_upload_t amplitudes;
     speed_upload_t speeds;
     memory_t memory;
+    estimate_t estimate; /* of the open run: uploads are taken in IDLE only, when none is open */
 } app_upload_t;
 
 typedef struct {
@@ -43,8 +45,8 @@ typedef struct {
     uint16_t executed;        /* whole beats of the running or last trial */
 
     imu_t imu;
-    imu_frame_t imu_frame;
-    uint64_t last_imu_us; /* 0 = no frame yet */
+    rest_t rest;
+    imu_problem_t told_problem; /* of the IMU */
     float live_speed_m_s;
     uint64_t live_speed_us;
 

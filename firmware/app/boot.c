@@ -1,4 +1,6 @@
 #include "app/app_internal.h"
+#include "app/settings.h"
+#include "hal/clock.h"
 #include "hal/serial.h"
 #include "hal/system.h"
 
@@ -28,8 +30,21 @@ bool boot_keep_crash(app_t *app) {
 }
 
 bool boot_apply_params(app_t *app) {
-    const uint32_t baud = (uint32_t)app->params.value[PARAM_IMU_BAUD];
-    return hal_serial_set_baud(app->hal, HAL_PORT_IMU, baud);
+    const imu_driver_config_t config = settings_imu(&app->params);
+    if (!imu_driver_config_valid(&config) ||
+        !hal_serial_set_baud(app->hal, HAL_PORT_IMU, config.baud)) {
+        return false;
+    }
+    imu_configure(&app->imu, &config, hal_time_us(app->hal));
+    return true;
+}
+
+/* Stored values that contradict each other: the IMU runs as if they had never been set. */
+static void reset_imu_params(app_t *app) {
+    for (param_t param = PARAM_IMU_BAUD; param <= PARAM_IMU_MOUNT; param++) {
+        app->params.value[param] = param_info(param)->fallback;
+    }
+    (void)boot_apply_params(app);
 }
 
 void boot_load_params(app_t *app) {
@@ -39,7 +54,9 @@ void boot_load_params(app_t *app) {
     if (length != 0) {
         (void)record_decode_params(app->record, length, &app->params, &ignored);
     }
-    (void)boot_apply_params(app);
+    if (!boot_apply_params(app)) {
+        reset_imu_params(app);
+    }
 }
 
 static void load_reference(app_t *app) {

@@ -59,6 +59,17 @@ static fault_t reboot(app_t *app) {
     return FAULT_NONE;
 }
 
+static fault_t save_imu(app_t *app) {
+    if (app->supervisor.state != STATE_IDLE) {
+        return FAULT_WRONG_STATE;
+    }
+    if (app->imu.driver.state != IMU_STREAMING) {
+        return FAULT_NO_IMU;
+    }
+    imu_driver_save(&app->imu.driver);
+    return FAULT_NONE;
+}
+
 static fault_t run(app_t *app, const link_command_t *command) {
     switch (command->id) {
     case LINK_COMMAND_ARM:
@@ -85,6 +96,8 @@ static fault_t run(app_t *app, const link_command_t *command) {
         return change_params(app, command->id);
     case LINK_COMMAND_REBOOT:
         return reboot(app);
+    case LINK_COMMAND_IMU_SAVE:
+        return save_imu(app);
     }
     return FAULT_UNKNOWN_COMMAND;
 }
@@ -106,7 +119,8 @@ fault_t commands_param_set(void *context, param_t param, float value) {
     if (params_set(&app->params, param, value) != PARAM_OK) {
         return FAULT_BAD_PARAM;
     }
-    if (param == PARAM_IMU_BAUD && !boot_apply_params(app)) {
+    const bool of_imu = param >= PARAM_IMU_BAUD && param <= PARAM_IMU_MOUNT;
+    if (of_imu && value != before && !boot_apply_params(app)) {
         app->params.value[param] = before;
         return FAULT_BAD_PARAM;
     }

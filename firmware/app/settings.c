@@ -2,6 +2,7 @@
 
 /* The tick is crystal-driven: a gap of a quarter frame beyond the period can only be a stall. */
 #define TICK_LATE_US (FRAME_US + FRAME_US / 4u)
+#define IMU_NEEDED_TIMEOUT_S 1.0f
 
 static uint32_t microseconds(float seconds) { return (uint32_t)(seconds * 1e6f + 0.5f); }
 
@@ -38,18 +39,55 @@ gait_config_t settings_gait(const params_t *params, float beat_s) {
     };
 }
 
-speed_config_t settings_speed(const params_t *params) {
-    return (speed_config_t){
-        .window_s = params->value[PARAM_SPD_WINDOW_S],
-        .gap_max_s = params->value[PARAM_SPD_GAP_S],
-        .plausible_m_s = params->value[PARAM_SPD_PLAUS_M_S],
+estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats) {
+    return (estimate_config_t){
+        .source = (speed_source_t)params_whole(params, PARAM_SPD_SOURCE),
+        .beat_s = beat_s,
+        .beats = beats,
+        .vision =
+            {
+                .window_s = params->value[PARAM_SPD_WINDOW_S],
+                .gap_max_s = params->value[PARAM_SPD_GAP_S],
+                .plausible_m_s = params->value[PARAM_SPD_PLAUS_M_S],
+            },
+        .thrust =
+            {
+                .kappa_per_m = params->value[PARAM_MDL_KAPPA],
+                .slope_m_s_rad = params->value[PARAM_MDL_SLOPE],
+                .dead_zone_rad = params->value[PARAM_MDL_DEAD_RAD],
+                .delay_s = params->value[PARAM_MDL_DELAY_S],
+            },
+        .model_sigma = params->value[PARAM_MDL_SIGMA],
+        .rest_sigma_m_s = params->value[PARAM_REST_SIGMA_M_S],
+        .rest_min_s = params->value[PARAM_REST_MIN_S],
+        .sigma_max_m_s = params->value[PARAM_SPD_SIGMA_MAX],
     };
+}
+
+imu_driver_config_t settings_imu(const params_t *params) {
+    return (imu_driver_config_t){
+        .baud = (uint32_t)params_whole(params, PARAM_IMU_BAUD),
+        .rate_hz = (uint16_t)params_whole(params, PARAM_IMU_RATE_HZ),
+        .port = (uint8_t)params_whole(params, PARAM_IMU_PORT),
+        .heading = (int8_t)params_whole(params, PARAM_IMU_HEADING),
+        .mount = (uint8_t)params_whole(params, PARAM_IMU_MOUNT),
+    };
+}
+
+bool settings_need_imu(const params_t *params) {
+    const int32_t source = params_whole(params, PARAM_SPD_SOURCE);
+    return source == SPEED_SOURCE_IMU || source == SPEED_SOURCE_MODEL;
+}
+
+static float imu_timeout_s(const params_t *params) {
+    const float wanted_s = params->value[PARAM_IMU_TIMEOUT_S];
+    return settings_need_imu(params) && wanted_s <= 0.0f ? IMU_NEEDED_TIMEOUT_S : wanted_s;
 }
 
 stop_limits_t settings_stop_limits(const params_t *params) {
     return (stop_limits_t){
         .link_timeout_us = microseconds(params->value[PARAM_LINK_TIMEOUT_S]),
-        .imu_timeout_us = microseconds(params->value[PARAM_IMU_TIMEOUT_S]),
+        .imu_timeout_us = microseconds(imu_timeout_s(params)),
         .tick_late_us = TICK_LATE_US,
         .battery_critical_mv = millivolts(params->value[PARAM_BATT_CRIT_V]),
         .tilt_max_rad = params->value[PARAM_TILT_MAX_RAD],

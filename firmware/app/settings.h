@@ -7,15 +7,19 @@
 
 #include "gait/gait.h"
 #include "ilc/law.h"
+#include "imu/driver.h"
 #include "params/params.h"
-#include "speed/speed.h"
+#include "speed/estimate.h"
 #include "supervisor/stop_rules.h"
 
-/* |beat_s| is the reference's; every config is for trials along it. */
+/* |beat_s|, |beats| are the reference's; every config is for trials along it. */
 law_t settings_law(const params_t *params, float beat_s);
 gait_config_t settings_gait(const params_t *params, float beat_s);
-speed_config_t settings_speed(const params_t *params);
+estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats);
 stop_limits_t settings_stop_limits(const params_t *params);
+imu_driver_config_t settings_imu(const params_t *params);
+/* Whether the speed source is nothing without the IMU. */
+bool settings_need_imu(const params_t *params);
 
 /* Whole servo frames in |seconds|, rounded. */
 uint16_t settings_frames(float seconds);

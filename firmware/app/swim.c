@@ -11,6 +11,8 @@
 #define START_STALE_S 2.0f
 #define ROOM_LINK_US 500000u
 #define ROOM_STEPS_MAX (2u * STORE_BLOCKS) /* no more files than that fit */
+#define REST_WAIT_S 30.0f /* for the fish to come to rest after the swim, when that is needed */
+#define RESULTS_PER_PASS 4u
 
 static fault_t ready_to_arm(const app_t *app) {
     const law_t law = settings_law(&app->params, app->reference.beat_s);
@@ -82,9 +84,14 @@ static fault_t save_counter(app_t *app) {
                : FAULT_WRITE_FAILED;
 }
 
+static bool needs_rest(const app_t *app) {
+    return params_whole(&app->params, PARAM_SPD_SOURCE) == SPEED_SOURCE_IMU;
+}
+
 static uint32_t log_bytes(const app_t *app) {
     const float swim_s = (float)app->reference.beats * app->reference.beat_s;
-    const float settle_s = app->params.value[PARAM_SETTLE_S];
+    const float settle_s =
+        app->params.value[PARAM_SETTLE_S] + (needs_rest(app) ? REST_WAIT_S : 0.0f);
     return trial_log_size_bound(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
 }
 
@@ -132,6 +139,22 @@ static fault_t prepare_store(app_t *app) {
     return save_first_guess(app);
 }
 
+static float still_s(const app_t *app) {
+    rest_mean_t rest;
+    return rest_get(&app->rest, &rest) ? rest.still_s : 0.0f;
+}
+
+/* What the speed source asks of the IMU and of the hand that holds the fish. */
+static fault_t ready_to_measure(const app_t *app) {
+    if (settings_need_imu(&app->params) && app->imu.driver.state != IMU_STREAMING) {
+        return FAULT_NO_IMU;
+    }
+    if (needs_rest(app) && still_s(app) < app->params.value[PARAM_REST_MIN_S]) {
+        return FAULT_NOT_STILL;
+    }
+    return FAULT_NONE;
+}
+
 fault_t swim_start(app_t *app, const link_command_t *command) {
     if (app->supervisor.state == STATE_RUNNING && command->trial == app->run.trial.number) {
         return FAULT_NONE;
@@ -145,6 +168,10 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     if (is_stale(app, command->issued_s)) {
         return FAULT_STALE_COMMAND;
     }
+    const fault_t measurable = ready_to_measure(app);
+    if (measurable != FAULT_NONE) {
+        return measurable;
+    }
     const fault_t prepared = prepare_store(app);
     if (prepared != FAULT_NONE) {
         return prepared;
@@ -155,9 +182,8 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     }
     const trial_run_plan_t plan = {
         .number = command->trial,
-        .source = (speed_source_t)params_whole(&app->params, PARAM_SPD_SOURCE),
         .applied_rad = app->applied_rad,
-        .speed = settings_speed(&app->params),
+        .estimate = settings_estimate(&app->params, app->reference.beat_s, app->reference.beats),
         .late_s = app->params.value[PARAM_SPD_LATE_S],
     };
     trial_run_begin(&app->run, &plan);
@@ -184,31 +210,53 @@ void swim_stop(app_t *app, fault_t reason) {
         control_stop(&app->control, app->hal);
         settle_from(app, now_us);
     }
-    if (app->run.open && app->run.start_us != 0 && !app->run.log_ended) {
+    if (app->run.open && app->run.start_us != 0 && app->run.stage != TRIAL_RUN_ENDED) {
         trial_log_text(&app->run.log, now_us, fault_info(reason)->name);
     }
     link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(reason)->meaning);
 }
 
+static void tell_beat(app_t *app, const trial_run_beat_t *beat) {
+    const link_beat_t message = {
+        .trial = app->run.trial.number,
+        .beat = beat->beat,
+        .amplitude_rad = beat->applied_rad,
+        .reference_m_s = beat->reference_m_s,
+        .speed = beat->speed,
+        .saturated = beat->amplitude_rad > beat->applied_rad,
+        .provisional = beat->provisional,
+    };
+    link_beat(&app->link, &message);
+}
+
 static void settle_beats(app_t *app) {
+    const bool stopped = app->supervisor.state != STATE_RUNNING;
     trial_run_beat_t beat;
-    while (trial_run_settle(&app->run, app->executed, &beat)) {
-        const link_beat_t message = {
-            .trial = app->run.trial.number,
-            .beat = beat.beat,
-            .amplitude_rad = beat.applied_rad,
-            .reference_m_s = beat.reference_m_s,
-            .speed = beat.speed,
-            .saturated = beat.amplitude_rad > beat.applied_rad,
-        };
-        link_beat(&app->link, &message);
+    while (trial_run_settle(&app->run, app->executed, stopped, &beat)) {
+        tell_beat(app, &beat);
     }
 }
 
-static bool end_log(app_t *app, uint64_t now_us) {
-    trial_run_close_slots(&app->run, app->executed);
-    settle_beats(app);
-    return trial_run_end_log(&app->run, now_us, app->supervisor.reason, app->executed);
+static estimate_rest_t rest_after(const app_t *app, uint64_t now_us) {
+    return needs_rest(app) ? trial_run_rest_after(&app->run, app->executed, now_us, still_s(app))
+                           : (estimate_rest_t){0};
+}
+
+static bool end_run(app_t *app, uint64_t now_us) {
+    const estimate_rest_t after = rest_after(app, now_us);
+    for (uint32_t i = 0; i < RESULTS_PER_PASS; i++) {
+        trial_run_beat_t beat;
+        bool got = false;
+        if (trial_run_end(&app->run, now_us, app->supervisor.reason, app->executed, &after, &beat,
+                          &got)) {
+            return true;
+        }
+        if (!got) {
+            return false;
+        }
+        tell_beat(app, &beat);
+    }
+    return false;
 }
 
 bool swim_finish(app_t *app, uint64_t now_us) {
@@ -217,7 +265,8 @@ bool swim_finish(app_t *app, uint64_t now_us) {
     }
     bool ended = false;
     for (uint32_t step = 0; step < TRIAL_RUN_END_STEPS && !ended; step++) {
-        ended = end_log(app, now_us);
+        ended = end_run(app, now_us);
+        app_feed_watchdog(app);
     }
     const bool stored = trial_run_finish(&app->run, &app->store, app->record) == STORE_OK;
     if (!stored) {
@@ -244,8 +293,15 @@ static void begin_log(app_t *app, uint64_t start_us) {
         .build_id = link_build_id(),
         .board = board_name(hal_board_kind(app->hal)),
     };
+    trial_run_imu_t imu = {
+        .alive = app->imu.driver.state == IMU_STREAMING,
+        .last = app->imu.last,
+    };
+    if (!rest_get(&app->rest, &imu.rest)) {
+        imu.rest.still_s = 0.0f;
+    }
     hal_unique_id(app->hal, header.unique_id);
-    trial_run_started(&app->run, start_us, &app->store, &app->params, &header);
+    trial_run_started(&app->run, start_us, &imu, &app->store, &app->params, &header);
 }
 
 static void follow_tail(app_t *app, const control_report_t *report, uint64_t now_us) {
@@ -268,6 +324,29 @@ static void watch_host(app_t *app, uint64_t now_us) {
     }
 }
 
+/* A trial that needs a rest behind it waits for one, but not for ever: without it the beats stay
+ * unmeasured. */
+static bool has_settled(app_t *app, uint64_t now_us) {
+    if (app->supervisor.state == STATE_RUNNING || now_us < app->settle_until_us) {
+        return false;
+    }
+    const bool collects = app->run.stage == TRIAL_RUN_COLLECTING && app->run.start_us != 0;
+    if (!collects || !needs_rest(app) || app->executed == 0) {
+        return true;
+    }
+    if (rest_after(app, now_us).still_s >= app->params.value[PARAM_REST_MIN_S]) {
+        return true;
+    }
+    const float steps_s = (float)(SMOOTHER_AFTER - 2u) * app->reference.beat_s;
+    const float wait_s = steps_s < REST_WAIT_S ? steps_s : REST_WAIT_S;
+    if (now_us < app->settle_until_us + real_whole_u64(wait_s * 1e6f)) {
+        return false;
+    }
+    link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(FAULT_NOT_STILL)->meaning);
+    trial_log_text(&app->run.log, now_us, fault_info(FAULT_NOT_STILL)->name);
+    return true;
+}
+
 void swim_poll(app_t *app, uint64_t now_us) {
     if (app->supervisor.state == STATE_ARMED) {
         make_room(app, now_us);
@@ -287,8 +366,7 @@ void swim_poll(app_t *app, uint64_t now_us) {
     }
     trial_run_collect(&app->run, now_us, hal_battery_mv(app->hal));
     settle_beats(app);
-    const bool settled = app->supervisor.state != STATE_RUNNING && now_us >= app->settle_until_us;
-    if (settled && end_log(app, now_us)) {
+    if (has_settled(app, now_us) && end_run(app, now_us)) {
         (void)swim_finish(app, now_us);
     }
 }

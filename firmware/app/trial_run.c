@@ -9,10 +9,16 @@
 #define PENDING_PATH "/pending.bin"
 #define BATTERY_LOG_US 1000000u
 
-void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory) {
+/* A gliding fish seems still, and so does one that a hand brakes gently: what it takes until it is
+ * held does not count. */
+#define CATCH_S 3.0f
+
+void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory,
+                    estimate_t *estimate) {
     memset(run, 0, sizeof *run);
     run->reference = reference;
     run->memory = memory;
+    run->estimate = estimate;
 }
 
 void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
@@ -24,23 +30,38 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
     trial->reference_crc = run->reference->crc;
     trial->iteration = run->memory->iteration;
     trial->beats = beats;
-    trial->source = (uint16_t)plan->source;
+    trial->source = (uint16_t)plan->estimate.source;
     memcpy(trial->amplitude_rad, plan->applied_rad, beats * sizeof(float));
     for (uint16_t k = 0; k < beats; k++) {
         trial->speed_m_s[k] = NAN;
         trial->sigma_m_s[k] = NAN;
     }
     speed_init(&run->speed);
-    run->speed_config = plan->speed;
+    memset(&run->motion, 0, sizeof run->motion);
+    run->estimate->config = plan->estimate;
     run->late_s = plan->late_s;
     run->start_us = 0;
-    run->next_beat = 0;
-    run->log_ended = false;
+    run->told = 0;
+    run->stage = TRIAL_RUN_COLLECTING;
     run->open = true;
 }
 
-void trial_run_started(trial_run_t *run, uint64_t start_us, store_t *store, const params_t *params,
-                       const trial_log_header_t *header) {
+static void begin_estimate(trial_run_t *run, const trial_run_imu_t *imu) {
+    const bool still = imu->alive && imu->rest.still_s > 0.0f;
+    const estimate_rest_t before = {
+        .begin_s = still ? -imu->rest.still_s : 0.0f,
+        .still_s = still ? imu->rest.still_s : 0.0f,
+    };
+    if (imu->alive) {
+        motion_begin(&run->motion, still ? &imu->rest : NULL, &imu->last);
+    }
+    const estimate_config_t config = run->estimate->config;
+    estimate_begin(run->estimate, &config, &before, run->trial.speed_m_s, run->trial.sigma_m_s);
+    trial_log_rest(&run->log, run->start_us, &before);
+}
+
+void trial_run_started(trial_run_t *run, uint64_t start_us, const trial_run_imu_t *imu,
+                       store_t *store, const params_t *params, const trial_log_header_t *header) {
     trial_log_header_t complete = *header;
     complete.trial = run->trial.number;
     complete.iteration = run->trial.iteration;
@@ -51,23 +72,37 @@ void trial_run_started(trial_run_t *run, uint64_t start_us, store_t *store, cons
     run->start_us = start_us;
     run->next_battery_us = start_us;
     (void)trial_log_begin(&run->log, store, &complete, params);
+    begin_estimate(run, imu);
 }
 
 static bool collecting(const trial_run_t *run) {
-    return run->open && run->start_us != 0 && !run->log_ended;
+    return run->open && run->start_us != 0 && run->stage == TRIAL_RUN_COLLECTING;
+}
+
+static float since_start_s(const trial_run_t *run, uint64_t time_us) {
+    return (float)(int64_t)(time_us - run->start_us) * 1e-6f;
 }
 
 void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float sigma_m_s) {
     if (!collecting(run) || run->trial.source != SPEED_SOURCE_VISION) {
         return;
     }
-    const int64_t since_us = (int64_t)(time_us - run->start_us);
     const speed_sample_t sample = {
-        .time_s = (float)since_us * 1e-6f,
+        .time_s = since_start_s(run, time_us),
         .speed_m_s = speed_m_s,
         .sigma_m_s = sigma_m_s,
     };
-    (void)speed_add(&run->speed, &run->speed_config, sample);
+    (void)speed_add(&run->speed, &run->estimate->config.vision, sample);
+}
+
+void trial_run_motion(trial_run_t *run, const imu_sample_t *sample) {
+    if (!collecting(run)) {
+        return;
+    }
+    if (!run->motion.begun) { /* plugged in, or back, after the start */
+        motion_begin(&run->motion, NULL, &sample->frame);
+    }
+    motion_push(&run->motion, &sample->frame, since_start_s(run, sample->time_us), sample->dt_s);
 }
 
 static uint64_t board_time_us(const trial_run_t *run, float time_s) {
@@ -75,12 +110,21 @@ static uint64_t board_time_us(const trial_run_t *run, float time_s) {
 }
 
 static void close_until(trial_run_t *run, float until_s) {
-    speed_slot_t slot;
-    while (speed_close_slot(&run->speed, until_s, &slot)) {
-        if (slot.samples != 0) {
-            trial_log_slot(&run->log, board_time_us(run, slot.time_s), &slot);
-        }
+    uint16_t index = 0;
+    while (speed_slot_due(&run->speed, until_s, &index)) {
+        speed_motion_t motion;
+        const bool moved = motion_forward(&run->motion, index, run->reference->beat_s,
+                                          &motion.gain_m_s, &motion.way_m);
+        const speed_slot_t slot = speed_close_slot(&run->speed, moved ? &motion : NULL);
+        trial_log_slot(&run->log, board_time_us(run, (float)index * SPEED_SLOT_S), &slot);
     }
+}
+
+/* Camera samples may still come, and a slot's heading is averaged over the beats around it. */
+static float open_s(const trial_run_t *run) {
+    const float heading_s = run->reference->beat_s + 2.0f * SPEED_SLOT_S;
+    const bool vision = run->trial.source == SPEED_SOURCE_VISION;
+    return vision && run->late_s > heading_s ? run->late_s : heading_s;
 }
 
 void trial_run_collect(trial_run_t *run, uint64_t now_us, uint16_t battery_mv) {
@@ -92,39 +136,76 @@ void trial_run_collect(trial_run_t *run, uint64_t now_us, uint16_t battery_mv) {
         run->next_battery_us += BATTERY_LOG_US;
         trial_log_battery(&run->log, now_us, battery_mv);
     }
-    const float now_s = (float)(now_us - run->start_us) * 1e-6f;
-    close_until(run, now_s - run->late_s);
+    close_until(run, since_start_s(run, now_us) - open_s(run));
 }
 
-/* A beat may look at slots this far: until then its speed is not settled. */
-static float settled_at_s(const trial_run_t *run, uint16_t beat) {
-    return (float)(beat + 1u) * run->reference->beat_s + run->speed_config.gap_max_s;
+static trial_run_beat_t known_beat(const trial_run_t *run, uint16_t beat) {
+    return (trial_run_beat_t){
+        .beat = beat,
+        .amplitude_rad = run->memory->amplitude_rad[beat],
+        .applied_rad = run->trial.amplitude_rad[beat],
+        .reference_m_s = run->reference->speed_m_s[beat],
+    };
 }
 
-void trial_run_close_slots(trial_run_t *run, uint16_t executed) {
-    if (collecting(run) && executed > 0) {
-        close_until(run, settled_at_s(run, (uint16_t)(executed - 1u)) + SPEED_SLOT_S);
+static bool next_is_closed(const trial_run_t *run) {
+    return (float)run->speed.next_close * SPEED_SLOT_S >= estimate_needs_s(run->estimate);
+}
+
+bool trial_run_settle(trial_run_t *run, uint16_t executed, bool stopped, trial_run_beat_t *beat) {
+    const uint16_t steps = (uint16_t)(executed + (stopped ? SMOOTHER_AFTER : 0u));
+    while (collecting(run) && run->estimate->next < steps && next_is_closed(run)) {
+        const uint16_t k = run->estimate->next;
+        if (k < executed) {
+            *beat = known_beat(run, k);
+            beat->provisional = true;
+            beat->speed = estimate_beat(run->estimate, &run->speed, beat->applied_rad);
+            return true;
+        }
+        (void)estimate_beat(run->estimate, &run->speed, 0.0f);
+    }
+    return false;
+}
+
+estimate_rest_t trial_run_rest_after(const trial_run_t *run, uint16_t executed, uint64_t now_us,
+                                     float still_s) {
+    const float swum_s = (float)executed * run->reference->beat_s;
+    const float since_s = since_start_s(run, now_us) - still_s;
+    const float closed_s = (float)run->speed.next_close * SPEED_SLOT_S;
+    const float begin_s = (since_s > swum_s ? since_s : swum_s) + CATCH_S;
+    return (estimate_rest_t){
+        .begin_s = begin_s,
+        .still_s = still_s > 0.0f && closed_s > begin_s ? closed_s - begin_s : 0.0f,
+    };
+}
+
+/* All that the last beats need, whether or not samples may still come. */
+static void close_swum(trial_run_t *run, uint16_t executed) {
+    trial_run_beat_t beat;
+    while (run->estimate->next < executed) {
+        close_until(run, estimate_needs_s(run->estimate) + SPEED_SLOT_S);
+        if (!trial_run_settle(run, executed, true, &beat)) {
+            return;
+        }
     }
 }
 
-static bool beat_is_settled(const trial_run_t *run, uint16_t beat) {
-    return (float)run->speed.next_close * SPEED_SLOT_S >= settled_at_s(run, beat);
+static void conclude(trial_run_t *run, uint64_t now_us, uint16_t executed,
+                     const estimate_rest_t *after) {
+    if (run->start_us == 0) {
+        run->stage = TRIAL_RUN_ENDED;
+        return;
+    }
+    close_swum(run, executed);
+    trial_log_rest(&run->log, now_us, after);
+    estimate_after(run->estimate, executed, after);
+    run->stage = TRIAL_RUN_SMOOTHING;
 }
 
-bool trial_run_settle(trial_run_t *run, uint16_t executed, trial_run_beat_t *beat) {
-    const uint16_t k = run->next_beat;
-    if (!collecting(run) || k >= executed || !beat_is_settled(run, k)) {
-        return false;
-    }
-    const float beat_s = run->reference->beat_s;
-    beat->beat = k;
-    beat->amplitude_rad = run->memory->amplitude_rad[k];
-    beat->applied_rad = run->trial.amplitude_rad[k];
-    beat->reference_m_s = run->reference->speed_m_s[k];
-    beat->speed = speed_beat(&run->speed, &run->speed_config, (float)k * beat_s, beat_s);
-    run->trial.speed_m_s[k] = beat->speed.speed_m_s;
-    run->trial.sigma_m_s[k] = beat->speed.sigma_m_s;
-    run->next_beat = (uint16_t)(k + 1u);
+static void tell(trial_run_t *run, trial_run_beat_t *beat) {
+    const uint16_t k = run->told++;
+    *beat = known_beat(run, k);
+    beat->speed = estimate_result(run->estimate, k);
     const trial_log_beat_t logged = {
         .beat = k,
         .amplitude_rad = beat->amplitude_rad,
@@ -132,24 +213,33 @@ bool trial_run_settle(trial_run_t *run, uint16_t executed, trial_run_beat_t *bea
         .reference_m_s = beat->reference_m_s,
         .speed = beat->speed,
     };
-    trial_log_beat(&run->log, board_time_us(run, (float)k * beat_s), &logged);
-    return true;
+    trial_log_beat(&run->log, board_time_us(run, (float)k * run->reference->beat_s), &logged);
 }
 
-static store_result_t save_pending(const trial_run_t *run, store_t *store, uint8_t *record) {
-    return store_replace(store, PENDING_PATH, record, record_encode_trial(&run->trial, record));
-}
-
-bool trial_run_end_log(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t executed) {
-    if (!run->log_ended) {
-        run->log_ended = true;
-        run->trial.executed = executed;
-        run->trial.end = (uint16_t)end;
-        if (run->start_us != 0) {
-            trial_log_end(&run->log, now_us, end, executed);
-            trial_log_write(&run->log);
+bool trial_run_end(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t executed,
+                   const estimate_rest_t *after, trial_run_beat_t *beat, bool *got) {
+    *got = false;
+    run->trial.executed = executed;
+    run->trial.end = (uint16_t)end;
+    switch (run->stage) {
+    case TRIAL_RUN_COLLECTING:
+        conclude(run, now_us, executed, after);
+        return run->stage == TRIAL_RUN_ENDED;
+    case TRIAL_RUN_SMOOTHING:
+        run->stage = estimate_finish(run->estimate) ? TRIAL_RUN_TELLING : TRIAL_RUN_SMOOTHING;
+        return false;
+    case TRIAL_RUN_TELLING:
+        *got = run->told < executed;
+        if (*got) {
+            tell(run, beat);
+            return false;
         }
-        return run->start_us == 0;
+        trial_log_end(&run->log, now_us, end, executed);
+        trial_log_write(&run->log);
+        run->stage = TRIAL_RUN_ENDED;
+        return false;
+    case TRIAL_RUN_ENDED:
+        break;
     }
     if (run->start_us != 0 && run->log.file.open) {
         (void)trial_log_close(&run->log);
@@ -158,8 +248,12 @@ bool trial_run_end_log(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t 
     return true;
 }
 
+static store_result_t save_pending(const trial_run_t *run, store_t *store, uint8_t *record) {
+    return store_replace(store, PENDING_PATH, record, record_encode_trial(&run->trial, record));
+}
+
 store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record) {
-    REQUIRE(run->open && run->log_ended);
+    REQUIRE(run->open && run->stage == TRIAL_RUN_ENDED);
     run->open = false;
     const store_result_t logged = run->start_us != 0 ? trial_log_close(&run->log) : STORE_OK;
     if (run->trial.executed == 0) {

@@ -1,129 +1,156 @@
 #include "imu/imu.h"
 
-#include "base/crc.h"
-#include "base/real.h"
-
 #include <string.h>
 
-enum {
-    OFFSET_TIME = 6,
-    OFFSET_YPR = 14,
-    OFFSET_RATE = 26,
-    OFFSET_ACCEL = 38,
-    OFFSET_LINEAR_ACCEL = 50,
-};
+/* Longer than any gap within a message: a sensor's task may interrupt its sending, and so may the
+ * pass of the main loop in which we look. */
+#define SILENCE_US 20000u
+/* 1 us in so many: the offset rises by 100 ppm, faster than crystal (50) and sensor (20) drift
+ * apart. */
+#define RISE_DIVISOR 10000u
+/* No pause of the main loop explains a frame that is so late: the clocks have parted. */
+#define LATE_MAX_US 500000
 
-static const uint8_t HEADER[] = {0xFA, 0x11, 0x29, 0x01, 0x40, 0x00};
-
-static size_t smaller(size_t a, size_t b) { return a < b ? a : b; }
-
-static uint32_t load_u32(const uint8_t *bytes) {
-    return (uint32_t)bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 |
-           (uint32_t)bytes[3] << 24;
+/* By halves, so that no division is longer than 32 bits. */
+static uint64_t thousandth(uint64_t value) {
+    const uint32_t high = (uint32_t)(value >> 32);
+    const uint32_t middle = high % 1000u << 16 | (uint32_t)(value >> 16 & 0xFFFFu);
+    const uint32_t low = middle % 1000u << 16 | (uint32_t)(value & 0xFFFFu);
+    return ((uint64_t)(high / 1000u) << 32) + ((uint64_t)(middle / 1000u) << 16) + low / 1000u;
 }
 
-static void load_vector(float out[3], const uint8_t *bytes) {
-    for (size_t axis = 0; axis < 3; axis++) {
-        const uint32_t bits = load_u32(bytes + 4 * axis);
-        memcpy(&out[axis], &bits, sizeof bits);
+static void follow_clock(imu_t *imu, uint64_t sensor_us, uint64_t now_us, bool anew) {
+    const int64_t late_us = (int64_t)(now_us - sensor_us) - imu->offset_us;
+    const uint32_t rise_us = (uint32_t)(now_us - imu->offset_at_us) / RISE_DIVISOR;
+    if (anew || late_us < (int64_t)rise_us || late_us > LATE_MAX_US) {
+        imu->offset_us += late_us;
+        imu->offset_at_us = now_us;
+    } else {
+        imu->offset_us += rise_us;
+        imu->offset_at_us += rise_us * RISE_DIVISOR;
     }
 }
 
-static imu_frame_t parse(const uint8_t *window) {
-    imu_frame_t frame;
-    frame.time_startup_ns = (uint64_t)load_u32(window + OFFSET_TIME) |
-                            (uint64_t)load_u32(window + OFFSET_TIME + 4) << 32;
-    load_vector(frame.ypr_deg, window + OFFSET_YPR);
-    load_vector(frame.rate_rad_s, window + OFFSET_RATE);
-    load_vector(frame.accel_m_s2, window + OFFSET_ACCEL);
-    load_vector(frame.linear_accel_m_s2, window + OFFSET_LINEAR_ACCEL);
-    return frame;
-}
-
-/* False for NaN too. */
-static bool all_within(const float v[3], float limit) {
-    return real_abs(v[0]) <= limit && real_abs(v[1]) <= limit && real_abs(v[2]) <= limit;
-}
-
-static bool values_plausible(const imu_frame_t *frame) {
-    return real_is_finite(frame->ypr_deg[0]) && real_abs(frame->ypr_deg[1]) <= IMU_PITCH_MAX_DEG &&
-           real_is_finite(frame->ypr_deg[2]) && all_within(frame->rate_rad_s, IMU_RATE_MAX_RAD_S) &&
-           all_within(frame->accel_m_s2, IMU_ACCEL_MAX_M_S2) &&
-           all_within(frame->linear_accel_m_s2, IMU_LINEAR_ACCEL_MAX_M_S2);
-}
-
-/* Takes over the frame's time whatever it is, so that a restarted sensor costs one frame. */
-static bool time_rises(imu_t *imu, uint64_t time_ns) {
-    const bool first = imu->counters.frames == 0 && imu->counters.implausible == 0;
-    const bool rises = first || time_ns > imu->last_time_ns;
-    imu->last_time_ns = time_ns;
-    return rises;
-}
-
-static bool header_fits(const imu_t *imu) {
-    return memcmp(imu->window, HEADER, smaller(imu->held, sizeof HEADER)) == 0;
-}
-
-/* Drops the window's first byte and all up to the next place where a frame may begin. */
-static void search_on(imu_t *imu) {
-    do {
-        const uint8_t *rest = imu->window + 1;
-        const size_t length = imu->held - 1u;
-        const uint8_t *sync = memchr(rest, HEADER[0], length);
-        const size_t kept = sync == NULL ? 0 : length - (size_t)(sync - rest);
-        imu->counters.skipped_bytes += (uint32_t)(imu->held - kept);
-        if (kept != 0) {
-            memmove(imu->window, sync, kept);
-        }
-        imu->held = (uint8_t)kept;
-    } while (!header_fits(imu));
-}
-
-/* How many bytes come before the next sync byte. */
-static size_t skip_to_sync(imu_t *imu, const uint8_t *bytes, size_t length) {
-    const uint8_t *sync = memchr(bytes, HEADER[0], length);
-    const size_t skipped = sync == NULL ? length : (size_t)(sync - bytes);
-    imu->counters.skipped_bytes += (uint32_t)skipped;
-    return skipped;
-}
-
-/* Judges a full window. Returns whether it was a good frame. */
-static bool finish_frame(imu_t *imu, imu_frame_t *frame) {
-    if (crc16_update(0, imu->window + 1, IMU_FRAME_BYTES - 1u) != 0) {
-        imu->counters.crc_failed++;
-        search_on(imu);
-        return false;
-    }
-    imu->held = 0;
-    const imu_frame_t parsed = parse(imu->window);
-    const bool rises = time_rises(imu, parsed.time_startup_ns);
-    if (!rises || !values_plausible(&parsed)) {
+/* Whether it is good. */
+static bool take_frame(imu_t *imu, const uint8_t *bytes, uint64_t now_us, imu_sample_t *sample) {
+    if (!imu_frame_decode(bytes, &sample->frame)) {
         imu->counters.implausible++;
+        imu_driver_frame(&imu->driver, false, now_us);
         return false;
     }
+    /* Until it is set up it may send at another rate. */
+    const bool set_up = imu->driver.state == IMU_STREAMING;
+    imu->sequence.nominal_ns = set_up ? 1000000000u / imu->driver.config.rate_hz : 0;
+    const uint64_t sensor_ns = sample->frame.time_startup_ns;
+    sample->step = imu_sequence_next(&imu->sequence, sensor_ns, &sample->dt_s);
+    const bool restart = sample->step == IMU_STEP_RESTART;
+    const uint64_t sensor_us = thousandth(sensor_ns);
+    follow_clock(imu, sensor_us, now_us, restart || sample->step == IMU_STEP_FIRST);
+    sample->time_us = sensor_us + (uint64_t)imu->offset_us;
     imu->counters.frames++;
-    *frame = parsed;
+    imu->counters.lost = imu->sequence.lost;
+    imu->counters.restarts = imu->sequence.restarts;
+    imu->last = sample->frame;
+    imu->last_us = now_us;
+    imu_driver_frame(&imu->driver, restart, now_us);
     return true;
 }
 
-void imu_init(imu_t *imu) { memset(imu, 0, sizeof *imu); }
+static bool is_ours(const imu_message_t *message) {
+    return message->kind == IMU_BINARY &&
+           memcmp(message->bytes, imu_frame_header, IMU_FRAME_HEADER_BYTES) == 0;
+}
 
-size_t imu_push(imu_t *imu, const uint8_t *bytes, size_t length, imu_frame_t *frame, bool *got) {
-    size_t taken = 0;
-    *got = false;
-    while (taken < length && !*got) {
-        if (imu->held == 0) {
-            taken += skip_to_sync(imu, bytes + taken, length - taken);
-        }
-        const size_t chunk = smaller(IMU_FRAME_BYTES - imu->held, length - taken);
-        memcpy(imu->window + imu->held, bytes + taken, chunk);
-        imu->held = (uint8_t)(imu->held + chunk);
-        taken += chunk;
-        if (!header_fits(imu)) {
-            search_on(imu);
-        } else if (imu->held == IMU_FRAME_BYTES) {
-            *got = finish_frame(imu, frame);
+/* What a half message hid: no frame, for it could not be handed out; it will be counted as lost. */
+static void give_up_held(imu_t *imu, uint64_t now_us) {
+    imu_message_t message;
+    while (imu_reader_silence(&imu->reader, &message)) {
+        if (!is_ours(&message)) {
+            imu_driver_message(&imu->driver, &message, now_us);
         }
     }
+}
+
+/* Another layout tells that the sensor sends, which matters only as long as it is looked for. */
+static void expect_header(imu_t *imu) {
+    imu->reader.header_bytes = imu->driver.state == IMU_SEARCHING ? 0 : IMU_FRAME_HEADER_BYTES;
+}
+
+static void judge_span(imu_t *imu, uint32_t overruns) {
+    const imu_reader_counters_t *reader = &imu->reader.counters;
+    const uint32_t counts[] = {
+        reader->crc_failed + reader->checksum_failed,
+        reader->skipped_bytes,
+        imu->counters.lost,
+        overruns,
+        imu->counters.restarts,
+        imu->counters.implausible,
+    };
+    imu->health = 0;
+    for (unsigned bit = 0; bit < sizeof counts / sizeof counts[0]; bit++) {
+        imu->health = (uint16_t)(imu->health | (counts[bit] != imu->health_base[bit]) << bit);
+        imu->health_base[bit] = counts[bit];
+    }
+}
+
+static void judge(imu_t *imu, uint32_t overruns, uint64_t now_us) {
+    if (now_us - imu->health_at_us >= IMU_HEALTH_SPAN_US) {
+        imu->health_at_us = now_us;
+        judge_span(imu, overruns);
+    }
+    const uint64_t patience_us = imu_driver_patience_us(&imu->driver.config);
+    const bool silent = imu->last_us == 0 || now_us - imu->last_us > patience_us;
+    const bool set_up = imu->driver.state == IMU_STREAMING;
+    imu->health &= (uint16_t) ~(IMU_HEALTH_SILENT | IMU_HEALTH_NOT_SET_UP);
+    imu->health = (uint16_t)(imu->health | (silent ? IMU_HEALTH_SILENT : 0) |
+                             (set_up ? 0 : IMU_HEALTH_NOT_SET_UP));
+}
+
+void imu_init(imu_t *imu, const imu_driver_config_t *config, uint64_t now_us) {
+    memset(imu, 0, sizeof *imu);
+    imu->health_at_us = now_us;
+    imu->health = IMU_HEALTH_SILENT | IMU_HEALTH_NOT_SET_UP;
+    imu_reader_init(&imu->reader, imu_frame_header, IMU_FRAME_HEADER_BYTES);
+    imu_configure(imu, config, now_us);
+}
+
+void imu_configure(imu_t *imu, const imu_driver_config_t *config, uint64_t now_us) {
+    imu_driver_init(&imu->driver, config, now_us);
+    expect_header(imu);
+}
+
+size_t imu_push(imu_t *imu, const uint8_t *bytes, size_t length, uint64_t now_us,
+                imu_sample_t *sample, bool *got) {
+    size_t taken = 0;
+    bool message_got = true;
+    *got = false;
+    while (!*got && (taken < length || message_got)) {
+        imu_message_t message;
+        taken +=
+            imu_reader_push(&imu->reader, bytes + taken, length - taken, &message, &message_got);
+        if (message_got && is_ours(&message)) {
+            *got = take_frame(imu, message.bytes, now_us, sample);
+        } else if (message_got) {
+            imu_driver_message(&imu->driver, &message, now_us);
+        }
+    }
+    if (taken != 0) {
+        imu->last_byte_us = now_us;
+        imu_driver_bytes(&imu->driver, (uint32_t)taken);
+    }
+    expect_header(imu);
     return taken;
+}
+
+imu_action_t imu_poll(imu_t *imu, uint32_t overruns, uint64_t now_us) {
+    if (now_us - imu->last_byte_us > SILENCE_US) {
+        give_up_held(imu, now_us);
+    }
+    const imu_action_t action = imu_driver_poll(&imu->driver, now_us);
+    if (action.what == IMU_DO_SET_BAUD) {
+        give_up_held(imu, now_us);
+    }
+    expect_header(imu);
+    judge(imu, overruns, now_us);
+    return action;
 }

@@ -1,60 +1,72 @@
 /*
- * VN-100 reader: bytes in, frames out.
- *
- * Expects the one binary frame the driver configures (64 bytes: groups 0x11, Common 0x0129 =
- * TimeStartup, YawPitchRoll, AngularRate, Accel; Attitude 0x0040 = LinearAccelBody). Any chunking.
- * After a failed match or CRC it searches on from the byte after the failed sync, so one lost byte
- * costs one frame. Bounded memory (one frame), no heap. Not for interrupts.
- *
- * Layout, CRC and field order: VN-100 user manual UM001, binary output messages.
+ * The IMU as the fish uses it: bytes of the serial line in, frames with their time out, and the
+ * sensor kept set up. Reader, frame decoding, sequence and driver in one; main loop only.
  */
 #ifndef IMU_IMU_H
 #define IMU_IMU_H
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#include "imu/driver.h"
+#include "imu/frame.h"
+#include "imu/reader.h"
 
-#define IMU_FRAME_BYTES 64u
-
-/* A good CRC is not enough: values beyond what the sensor can measure drop the frame, as does a
- * time that does not rise. A time that falls is the sensor's restart: that one frame is dropped,
- * the clock is followed from there, and the next frame is good again. Per axis; half a per mille is
- * left for rounding. Linear acceleration may exceed the range by the gravity taken off. */
-#define IMU_ACCEL_MAX_M_S2 157.0f
-#define IMU_LINEAR_ACCEL_MAX_M_S2 167.0f
-#define IMU_RATE_MAX_RAD_S 34.92f
-#define IMU_PITCH_MAX_DEG 90.0f
-
+/* Monotonic since imu_init(). */
 typedef struct {
-    uint64_t time_startup_ns; /* sensor clock since its start-up */
-    float ypr_deg[3];         /* yaw, pitch, roll */
-    float rate_rad_s[3];
-    float accel_m_s2[3];        /* with gravity */
-    float linear_accel_m_s2[3]; /* body frame, gravity removed by the sensor */
-} imu_frame_t;
-
-/* Monotonic counters. Every byte pushed is in exactly one of: a frame, an implausible frame (64
- * bytes each), skipped_bytes, or still held. */
-typedef struct {
-    uint32_t frames;
-    uint32_t crc_failed;    /* candidates with the right header; their bytes are searched again */
-    uint32_t implausible;   /* CRC right, values impossible or time not increasing */
-    uint32_t skipped_bytes; /* bytes that belonged to no frame */
+    uint32_t frames;      /* good ones */
+    uint32_t implausible; /* CRC right, values impossible */
+    uint32_t lost;        /* missing by the sensor's clock */
+    uint32_t restarts;    /* of the sensor */
 } imu_counters_t;
 
+/* Health word: 0 = all is well. Bits 0..7 hold for the last IMU_HEALTH_SPAN_US. */
+#define IMU_HEALTH_DAMAGED 0x01u   /* frames or lines with a wrong check */
+#define IMU_HEALTH_REJECTS 0x02u   /* bytes that belong to no message */
+#define IMU_HEALTH_LOST 0x04u      /* frames missing */
+#define IMU_HEALTH_OVERRUN 0x08u   /* bytes lost in our own port */
+#define IMU_HEALTH_RESTARTED 0x10u /* the sensor restarted */
+#define IMU_HEALTH_IMPLAUSIBLE 0x20u
+#define IMU_HEALTH_SILENT 0x100u     /* no frame now */
+#define IMU_HEALTH_NOT_SET_UP 0x200u /* the driver is not done */
+#define IMU_HEALTH_SPAN_US 5000000u
+
+/* A frame and when it was made, by the board's clock: the sensor's clock, whose offset follows the
+ * quickest arrivals, so that what waits in the line or in our ring does not shift it. */
 typedef struct {
-    uint8_t window[IMU_FRAME_BYTES]; /* bytes of a candidate frame, from its sync byte on */
-    uint8_t held;
-    uint64_t last_time_ns; /* of the last frame with a good CRC */
+    imu_frame_t frame;
+    uint64_t time_us;
+    float dt_s; /* since the frame before, by the sensor's clock; 0 = first or restarted */
+    imu_step_t step;
+} imu_sample_t;
+
+typedef struct {
+    imu_reader_t reader;
+    imu_sequence_t sequence;
+    imu_driver_t driver;
     imu_counters_t counters;
+    imu_frame_t last;      /* zero when none */
+    uint64_t last_us;      /* board time at which it came in; 0 = none yet */
+    uint64_t last_byte_us; /* 0 = none yet */
+    int64_t offset_us;     /* board clock minus sensor clock */
+    uint64_t offset_at_us; /* up to when it has been let rise */
+    uint16_t health;
+    uint64_t health_at_us; /* when the span began */
+    uint32_t health_base[6];
 } imu_t;
 
-void imu_init(imu_t *imu);
+/* |config| must be valid. */
+void imu_init(imu_t *imu, const imu_driver_config_t *config, uint64_t now_us);
 
-/* Consumes bytes up to and including the end of the next good frame. Returns how many of |length|
- * were taken; *got says whether |frame| was filled. Call again with the rest until all are taken.
- */
-size_t imu_push(imu_t *imu, const uint8_t *bytes, size_t length, imu_frame_t *frame, bool *got);
+/* Consumes received bytes up to and including the end of the next good frame of our layout. Returns
+ * how many of |length| were taken; *got says whether |sample| was filled. Call again with the rest
+ * until all are taken and nothing more is got. */
+size_t imu_push(imu_t *imu, const uint8_t *bytes, size_t length, uint64_t now_us,
+                imu_sample_t *sample, bool *got);
+
+/* What the line needs now; call it until it answers IMU_DO_NOTHING, once all bytes that have
+ * arrived are pushed: what came since then is silence. |overruns|: bytes lost in our own port since
+ * boot. */
+imu_action_t imu_poll(imu_t *imu, uint32_t overruns, uint64_t now_us);
+
+/* Another configuration: the sensor is set up anew. */
+void imu_configure(imu_t *imu, const imu_driver_config_t *config, uint64_t now_us);
 
 #endif

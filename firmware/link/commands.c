@@ -107,6 +107,7 @@ static const row_t rows[] = {
     {TAILBEAT_CMD_RESTORE_BEST, LINK_COMMAND_RESTORE_BEST, read_nothing},
     {TAILBEAT_CMD_CLEAR, LINK_COMMAND_CLEAR, read_nothing},
     {TAILBEAT_CMD_COMMIT, LINK_COMMAND_COMMIT, read_commit},
+    {TAILBEAT_CMD_IMU_SAVE, LINK_COMMAND_IMU_SAVE, read_nothing},
 };
 
 static const row_t *find_row(uint16_t command) {
@@ -188,6 +189,7 @@ static link_send_t find_sender(uint32_t message) {
         {MAVLINK_MSG_ID_TAILBEAT_STATUS, link_send_status},
         {MAVLINK_MSG_ID_TAILBEAT_LEARN_REPORT, link_send_learn_report},
         {MAVLINK_MSG_ID_TAILBEAT_HEALTH, link_send_health},
+        {MAVLINK_MSG_ID_TAILBEAT_IMU_INFO, link_send_imu_info},
     };
     for (uint32_t i = 0; i < sizeof senders / sizeof senders[0]; i++) {
         if (senders[i].message == message) {
@@ -228,6 +230,14 @@ static void request_message(link_t *link, const link_received_t *in, const reque
     }
 }
 
+/* Only the raw IMU frames come at a rate of the host's choice. */
+static answer_t set_interval(link_t *link, const link_received_t *in, const request_t *request) {
+    if (request->param1 != (float)MAVLINK_MSG_ID_TAILBEAT_IMU) {
+        return unsupported;
+    }
+    return link_imu_interval(link, in->channel->port, request->param2) ? accepted : bad_values;
+}
+
 /* Commands move the tail: one addressed to everybody is not for us. */
 static void handle(link_t *link, const link_received_t *in, uint8_t system, uint8_t component,
                    const request_t *request) {
@@ -236,6 +246,8 @@ static void handle(link_t *link, const link_received_t *in, uint8_t system, uint
     }
     if (request->command == MAV_CMD_REQUEST_MESSAGE) {
         request_message(link, in, request);
+    } else if (request->command == MAV_CMD_SET_MESSAGE_INTERVAL) {
+        send_answer(in, request->command, set_interval(link, in, request));
     } else {
         send_answer(in, request->command, run(link, in, request));
     }

@@ -43,6 +43,7 @@ typedef enum {
     LINK_COMMAND_PARAMS_LOAD,
     LINK_COMMAND_PARAMS_SAVE,
     LINK_COMMAND_PARAMS_RESET,
+    LINK_COMMAND_IMU_SAVE,
     LINK_COMMAND_REBOOT /* take note and return; reset once the ACK has left (200 ms later) */
 } link_command_id_t;
 
@@ -96,9 +97,8 @@ typedef struct {
     /* live view */
     float angle_rad, amplitude_rad, speed_m_s; /* speed NaN = none */
     uint16_t pulse_ticks;
-    imu_frame_t imu; /* last frame, zero when none */
+    const imu_t *imu;
     /* counters */
-    imu_counters_t imu_counters;
     speed_counters_t speed_counters;
     uint32_t late_ticks, longest_pause_us;
 } link_status_t;
@@ -115,8 +115,22 @@ typedef struct {
     uint16_t beat;
     float amplitude_rad, reference_m_s;
     speed_beat_t speed;
-    bool saturated;
+    bool saturated, provisional;
 } link_beat_t;
+
+#define LINK_IMU_FRAMES 4u /* in one message */
+
+/* Raw frames on their way to the host that asked for them. */
+typedef struct {
+    uint8_t port;
+    uint32_t interval_us; /* 0 = nobody asked */
+    uint64_t next_us;
+    uint32_t frames; /* since boot */
+    uint32_t first;  /* number of the first one held */
+    uint8_t held;
+    uint32_t time_us[LINK_IMU_FRAMES];
+    imu_frame_t frame[LINK_IMU_FRAMES];
+} link_imu_stream_t;
 
 typedef struct {
     hal_t *hal;
@@ -126,7 +140,9 @@ typedef struct {
     const link_status_t *status;
     channel_t channel[LINK_PORTS];
     ftp_server_t ftp;
-    link_learn_report_t last_learned;    /* trial 0 = none */
+    link_learn_report_t last_learned; /* trial 0 = none */
+    link_imu_stream_t imu_stream;
+    uint32_t imu_digest;
     uint64_t heard_until_us[LINK_PORTS]; /* telemetry goes there until then */
     uint64_t next_heartbeat_us, next_slow_us, next_live_us, next_health_us;
     uint32_t status_digest;
@@ -144,6 +160,8 @@ void link_poll(link_t *link, const link_status_t *status);
 void link_text(link_t *link, uint8_t severity, const char *text);
 void link_beat(link_t *link, const link_beat_t *beat);
 void link_learned(link_t *link, const link_learn_report_t *report);
+/* A frame of the IMU, for the host that asked for all of them. */
+void link_imu(link_t *link, const imu_sample_t *sample);
 
 /* git describe of the firmware, zero-terminated, at most 8 + 1 + 40 characters. */
 const char *link_build_id(void);

@@ -29,6 +29,7 @@ void link_send_battery(link_t *link, channel_t *channel);
 void link_send_attitude(link_t *link, channel_t *channel);
 void link_send_live(link_t *link, channel_t *channel);
 void link_send_health(link_t *link, channel_t *channel);
+void link_send_imu_info(link_t *link, channel_t *channel);
 void link_send_learn_report(link_t *link, channel_t *channel);
 void link_send_version(link_t *link, channel_t *channel);
 void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first);
@@ -37,6 +38,9 @@ mavlink_tailbeat_status_t link_status_message(const link_t *link);
 
 /* telemetry.c: what is due. */
 void link_telemetry(link_t *link);
+
+/* imu_stream.c: MAV_CMD_SET_MESSAGE_INTERVAL of TAILBEAT_IMU; |interval_us| as there. */
+bool link_imu_interval(link_t *link, hal_port_t port, float interval_us);
 
 /* commands.c */
 void link_on_command_long(link_t *link, const link_received_t *in);

@@ -104,7 +104,7 @@ void link_send_battery(link_t *link, channel_t *channel) {
 }
 
 void link_send_attitude(link_t *link, channel_t *channel) {
-    const imu_frame_t *imu = &link->status->imu;
+    const imu_frame_t *imu = &link->status->imu->last;
     const mavlink_attitude_t attitude = {
         .time_boot_ms = boot_ms(link),
         .roll = imu->ypr_deg[2] * REAL_RAD_PER_DEG,
@@ -119,14 +119,15 @@ void link_send_attitude(link_t *link, channel_t *channel) {
 
 void link_send_live(link_t *link, channel_t *channel) {
     const link_status_t *status = link->status;
+    const float *ypr_deg = status->imu->last.ypr_deg;
     const mavlink_tailbeat_live_t live = {
         .time_boot_ms = boot_ms(link),
         .angle_rad = status->angle_rad,
         .amplitude_rad = status->amplitude_rad,
         .speed_m_s = status->speed_m_s,
-        .yaw_rad = status->imu.ypr_deg[0] * REAL_RAD_PER_DEG,
-        .pitch_rad = status->imu.ypr_deg[1] * REAL_RAD_PER_DEG,
-        .roll_rad = status->imu.ypr_deg[2] * REAL_RAD_PER_DEG,
+        .yaw_rad = ypr_deg[0] * REAL_RAD_PER_DEG,
+        .pitch_rad = ypr_deg[1] * REAL_RAD_PER_DEG,
+        .roll_rad = ypr_deg[2] * REAL_RAD_PER_DEG,
         .beat = status->beat,
         .pulse_ticks = status->pulse_ticks,
     };
@@ -144,11 +145,17 @@ static uint32_t overruns(const link_t *link) {
 void link_send_health(link_t *link, channel_t *channel) {
     const link_status_t *status = link->status;
     const speed_counters_t *speed = &status->speed_counters;
+    const imu_t *imu = status->imu;
+    const imu_reader_counters_t *reader = &imu->reader.counters;
     const mavlink_tailbeat_health_t health = {
-        .imu_frames = status->imu_counters.frames,
-        .imu_crc_failed = status->imu_counters.crc_failed,
-        .imu_implausible = status->imu_counters.implausible,
-        .imu_skipped_bytes = status->imu_counters.skipped_bytes,
+        .imu_frames = imu->counters.frames,
+        .imu_crc_failed = reader->crc_failed,
+        .imu_implausible = imu->counters.implausible,
+        .imu_skipped_bytes = reader->skipped_bytes,
+        .imu_header_rejects = reader->header_rejects,
+        .imu_checksum_failed = reader->checksum_failed,
+        .imu_lost = imu->counters.lost,
+        .imu_restarts = imu->counters.restarts,
         .serial_overruns = overruns(link),
         .link_bad_frames = link->channel[0].bad_frames + link->channel[1].bad_frames,
         .link_dropped = link->channel[0].dropped + link->channel[1].dropped,
@@ -158,9 +165,26 @@ void link_send_health(link_t *link, channel_t *channel) {
         .store_failures = link->store->failures,
         .store_free_bytes = store_free_bytes(link->store),
         .longest_pause_us = status->longest_pause_us,
+        .imu_health = imu->health,
         .reset_cause = (uint8_t)hal_reset_cause(link->hal),
+        .imu_problem = (uint8_t)imu->driver.problem,
     };
     SEND(channel, tailbeat_health, &health);
+}
+
+void link_send_imu_info(link_t *link, channel_t *channel) {
+    const imu_driver_t *driver = &link->status->imu->driver;
+    mavlink_tailbeat_imu_info_t info = {
+        .baud = driver->found_baud != 0 ? driver->line_baud : 0,
+        .rate_hz = driver->config.rate_hz,
+        .port = driver->found_port,
+        .state = (uint8_t)driver->state,
+        .problem = (uint8_t)driver->problem,
+        .error = driver->error_code,
+    };
+    memcpy(info.model, driver->model, sizeof info.model);
+    memcpy(info.firmware, driver->firmware, sizeof info.firmware);
+    SEND(channel, tailbeat_imu_info, &info);
 }
 
 void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first) {
@@ -264,7 +288,8 @@ void link_beat(link_t *link, const link_beat_t *beat) {
         .beat = beat->beat,
         .samples = beat->speed.samples,
         .flags = (uint8_t)((beat->speed.measured ? TAILBEAT_BEAT_MEASURED : 0) |
-                           (beat->saturated ? TAILBEAT_BEAT_SATURATED : 0)),
+                           (beat->saturated ? TAILBEAT_BEAT_SATURATED : 0) |
+                           (beat->provisional ? TAILBEAT_BEAT_PROVISIONAL : 0)),
     };
     for (uint32_t i = 0; i < LINK_PORTS; i++) {
         if (link_heard(link, &link->channel[i])) {

@@ -24,7 +24,7 @@ static void send_heartbeats(link_t *link) {
 static void send_slow(link_t *link) {
     link_send_to_heard(link, link_send_status);
     link_send_to_heard(link, link_send_battery);
-    if (link->status->imu_counters.frames != 0) {
+    if (link->status->imu->counters.frames != 0) {
         link_send_to_heard(link, link_send_attitude);
     }
 }
@@ -40,6 +40,15 @@ static bool status_changed(link_t *link) {
     return changed;
 }
 
+static bool imu_changed(link_t *link) {
+    const imu_driver_t *driver = &link->status->imu->driver;
+    const uint32_t digest = (uint32_t)driver->state | (uint32_t)driver->problem << 8 |
+                            (uint32_t)driver->found_port << 16 | (uint32_t)driver->error_code << 24;
+    const bool changed = digest != link->imu_digest;
+    link->imu_digest = digest;
+    return changed;
+}
+
 void link_telemetry(link_t *link) {
     const uint64_t now_us = hal_time_us(link->hal);
     const bool changed = status_changed(link);
@@ -50,6 +59,9 @@ void link_telemetry(link_t *link) {
         send_slow(link);
     } else if (changed) {
         link_send_to_heard(link, link_send_status);
+    }
+    if (imu_changed(link)) {
+        link_send_to_heard(link, link_send_imu_info);
     }
     const int32_t rate_hz = params_whole(link->params, PARAM_TLM_RATE_HZ);
     if (rate_hz > 0 && is_due(&link->next_live_us, now_us, SECOND_US / (uint32_t)rate_hz)) {

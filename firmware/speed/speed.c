@@ -1,11 +1,17 @@
 #include "speed/speed.h"
 
+#include "base/panic.h"
 #include "base/real.h"
 
 #include <math.h>
 #include <string.h>
 
 #define INDEX_END 65000u
+#define FRAMES_PER_SLOT 5u
+#define SIGMA_STEPS_PER_M_S 1e5f /* of 10 um/s */
+#define GAIN_STEPS_PER_M_S 1e5f
+#define WAY_STEPS_PER_M 1e6f
+#define STEPS_MAX 32767.0f
 
 void speed_init(speed_t *speed) { memset(speed, 0, sizeof *speed); }
 
@@ -17,13 +23,10 @@ static float usable_sigma(float sigma_m_s) {
     return real_is_finite(sigma_m_s) && sigma_m_s > 0.0f ? sigma_m_s : SPEED_SIGMA_DEFAULT_M_S;
 }
 
-static void merge(speed_slot_t *slot, uint16_t index, const speed_sample_t *sample) {
-    if (slot->index != index) {
-        *slot = (speed_slot_t){.index = index};
-    }
+static void merge(speed_open_t *slot, float at_s, const speed_sample_t *sample) {
     slot->samples++;
     const float n = (float)slot->samples;
-    slot->time_s += (sample->time_s - slot->time_s) / n;
+    slot->at_s += (at_s - slot->at_s) / n;
     slot->speed_m_s += (sample->speed_m_s - slot->speed_m_s) / n;
     slot->sigma_m_s += (usable_sigma(sample->sigma_m_s) - slot->sigma_m_s) / n;
 }
@@ -44,28 +47,76 @@ bool speed_add(speed_t *speed, const speed_config_t *config, speed_sample_t samp
         return false;
     }
     const uint16_t index = (uint16_t)position;
-    speed_slot_t *slot = &speed->slots[index % SPEED_SLOTS];
-    if (slot->index == index && slot->samples == UINT16_MAX) {
+    speed_open_t *slot = &speed->open[index % SPEED_OPEN_SLOTS];
+    if (slot->samples == UINT8_MAX) {
         counters->implausible++;
         return false;
     }
-    merge(slot, index, &sample);
+    merge(slot, sample.time_s - (float)index * SPEED_SLOT_S, &sample);
     counters->accepted++;
     return true;
 }
 
-bool speed_close_slot(speed_t *speed, float closed_until_s, speed_slot_t *closed) {
-    const uint16_t index = speed->next_close;
-    if (index >= INDEX_END || !((float)(index + 1u) * SPEED_SLOT_S <= closed_until_s)) {
+bool speed_slot_due(const speed_t *speed, float closed_until_s, uint16_t *index) {
+    *index = speed->next_close;
+    return *index < INDEX_END && (float)(*index + 1u) * SPEED_SLOT_S <= closed_until_s;
+}
+
+/* To the nearest whole number; |x| must be small enough for one. */
+static int32_t rounded(float x) { return (int32_t)(x < 0.0f ? x - 0.5f : x + 0.5f); }
+
+static void put(speed_t *speed, const speed_slot_t *slot) {
+    speed->slots[slot->index % SPEED_SLOTS] = *slot;
+    memset(&speed->open[slot->index % SPEED_OPEN_SLOTS], 0, sizeof speed->open[0]);
+    speed->next_close = (uint16_t)(slot->index + 1u);
+}
+
+static void round_samples(speed_slot_t *slot, const speed_open_t *open) {
+    const float sigma_steps = real_clip(open->sigma_m_s * SIGMA_STEPS_PER_M_S, 1.0f, 65535.0f);
+    slot->samples = open->samples;
+    slot->speed_m_s = open->speed_m_s;
+    slot->sigma_10um_s = (uint16_t)rounded(sigma_steps);
+    slot->at_ms = (uint8_t)rounded(real_clip(open->at_s * 1000.0f, 0.0f, 99.0f));
+}
+
+static void round_motion(speed_slot_t *slot, const speed_motion_t *motion) {
+    const float gain_steps = motion->gain_m_s * GAIN_STEPS_PER_M_S;
+    const float way_steps = motion->way_m * WAY_STEPS_PER_M;
+    if (real_abs(gain_steps) <= STEPS_MAX && real_abs(way_steps) <= STEPS_MAX) {
+        slot->gain_10um_s = (int16_t)rounded(gain_steps);
+        slot->way_um = (int16_t)rounded(way_steps);
+    }
+}
+
+speed_slot_t speed_close_slot(speed_t *speed, const speed_motion_t *motion) {
+    speed_slot_t slot = {.index = speed->next_close, .gain_10um_s = SPEED_NO_MOTION};
+    REQUIRE(slot.index < INDEX_END);
+    const speed_open_t *open = &speed->open[slot.index % SPEED_OPEN_SLOTS];
+    if (open->samples != 0) {
+        round_samples(&slot, open);
+    }
+    if (motion != NULL) {
+        round_motion(&slot, motion);
+    }
+    put(speed, &slot);
+    return slot;
+}
+
+bool speed_restore_slot(speed_t *speed, const speed_slot_t *slot) {
+    if (slot->index < speed->next_close || slot->index >= INDEX_END) {
         return false;
     }
-    speed_slot_t *slot = &speed->slots[index % SPEED_SLOTS];
-    if (slot->index != index) {
-        *slot = (speed_slot_t){.index = index};
+    while (speed->next_close < slot->index) {
+        put(speed, &(speed_slot_t){.index = speed->next_close, .gain_10um_s = SPEED_NO_MOTION});
     }
-    *closed = *slot;
-    speed->next_close = (uint16_t)(index + 1u);
+    put(speed, slot);
     return true;
+}
+
+/* NULL when it is not closed or no longer in the ring. */
+static const speed_slot_t *closed_slot(const speed_t *speed, uint32_t index) {
+    const speed_slot_t *slot = &speed->slots[index % SPEED_SLOTS];
+    return index < speed->next_close && slot->index == index ? slot : NULL;
 }
 
 /* A place on the signal. Times count from the begin of the beat: that keeps the digits. */
@@ -143,9 +194,10 @@ static void hold_last(mean_t *mean) {
 }
 
 static void add_slot(mean_t *mean, const speed_slot_t *slot, float begin_s) {
-    const point_t here = {slot->time_s - begin_s, slot->speed_m_s, slot->sigma_m_s};
-    if (slot->samples == 0 || !real_is_finite(slot->time_s) ||
-        (float)(slot->index + 1u) * SPEED_SLOT_S > mean->horizon_s ||
+    const float time_s = (float)slot->index * SPEED_SLOT_S + (float)slot->at_ms * 1e-3f;
+    const point_t here = {time_s - begin_s, slot->speed_m_s,
+                          (float)slot->sigma_10um_s / SIGMA_STEPS_PER_M_S};
+    if (slot->samples == 0 || (float)(slot->index + 1u) * SPEED_SLOT_S > mean->horizon_s ||
         (mean->any && !(here.time_s > mean->last.time_s))) {
         return;
     }
@@ -191,25 +243,71 @@ static speed_beat_t mean_end(mean_t *mean, const speed_config_t *config, float b
     };
 }
 
-speed_beat_t speed_beat_mean(const speed_slot_t *slots, uint16_t count,
-                             const speed_config_t *config, float begin_s, float beat_s) {
-    mean_t mean = mean_begin(config, begin_s, beat_s);
-    for (uint16_t i = 0; i < count && !mean.done; i++) {
-        add_slot(&mean, &slots[i], begin_s);
-    }
-    return mean_end(&mean, config, beat_s);
-}
-
 speed_beat_t speed_beat(const speed_t *speed, const speed_config_t *config, float begin_s,
                         float beat_s) {
     mean_t mean = mean_begin(config, begin_s, beat_s);
-    const uint16_t end = speed->next_close;
-    const uint16_t first = (uint16_t)(end > SPEED_SLOTS ? end - SPEED_SLOTS : 0u);
-    for (uint16_t index = first; index < end && !mean.done; index++) {
-        const speed_slot_t *slot = &speed->slots[index % SPEED_SLOTS];
-        if (slot->index == index) {
+    const uint32_t end = speed->next_close;
+    const uint32_t first = end > SPEED_SLOTS ? end - SPEED_SLOTS : 0u;
+    for (uint32_t index = first; index < end && !mean.done; index++) {
+        const speed_slot_t *slot = closed_slot(speed, index);
+        if (slot != NULL) {
             add_slot(&mean, slot, begin_s);
         }
     }
     return mean_end(&mean, config, beat_s);
+}
+
+/* Along the slots. In whole numbers nothing is lost: a gain of one step is a way of 1 um a slot. */
+typedef struct {
+    const speed_t *speed;
+    uint32_t index;
+    int32_t gained_um; /* per slot: speed at the slot's begin, beyond that at the start */
+    int32_t way_um;    /* at the slot's begin, beyond that of the speed at the start */
+} walk_t;
+
+/* Way within the slot of a speed that is 0 at its begin, up to its |share|. */
+static float way_within_um(const speed_slot_t *slot, float share) {
+    const float half_gain = 0.5f * (float)slot->gain_10um_s;
+    const float bend = (float)slot->way_um - half_gain;
+    return share * share * (half_gain + bend * (3.0f - 2.0f * share));
+}
+
+/* Goes on to |frame|; the way from the start to there. NaN where motion is not known. */
+static float walk_to(walk_t *walk, uint32_t frame) {
+    for (;;) {
+        const uint32_t beyond = frame - walk->index * FRAMES_PER_SLOT;
+        if (beyond == 0) {
+            return (float)walk->way_um;
+        }
+        const speed_slot_t *slot = closed_slot(walk->speed, walk->index);
+        if (slot == NULL || slot->gain_10um_s == SPEED_NO_MOTION) {
+            return NAN;
+        }
+        if (beyond < FRAMES_PER_SLOT) {
+            const float share = (float)beyond / (float)FRAMES_PER_SLOT;
+            return (float)walk->way_um + share * (float)walk->gained_um +
+                   way_within_um(slot, share);
+        }
+        walk->way_um += walk->gained_um + slot->way_um;
+        walk->gained_um += slot->gain_10um_s;
+        walk->index++;
+    }
+}
+
+float speed_rise(const speed_t *speed, float begin_s, float beat_s) {
+    const float end_s = (float)INDEX_END * SPEED_SLOT_S;
+    if (!(begin_s >= 0.0f && begin_s < end_s && beat_s > 0.0f && beat_s < end_s)) {
+        return NAN;
+    }
+    const uint32_t begin = (uint32_t)rounded(begin_s / FRAME_S);
+    const uint32_t beat = (uint32_t)rounded(beat_s / FRAME_S);
+    if (beat == 0) {
+        return NAN;
+    }
+    const uint32_t from = begin == 0 ? 0 : begin - beat; /* before time 0: in no ring */
+    walk_t walk = {.speed = speed, .index = from / FRAMES_PER_SLOT};
+    const float from_um = walk_to(&walk, from);
+    const float begin_um = walk_to(&walk, begin);
+    const float end_um = walk_to(&walk, begin + beat);
+    return ((end_um - begin_um) - (begin_um - from_um)) / (WAY_STEPS_PER_M * FRAME_S * (float)beat);
 }

@@ -1,13 +1,14 @@
 /*
- * From speed samples to one mean speed per beat, with its standard deviation.
+ * Slots: what cameras and the IMU say of each 100 ms, and what follows from them about a beat.
  *
- * Samples (a camera's, later also the IMU's) are merged into slots of 100 ms; the slots are what
- * the estimator runs on and what the trial file records, so that a host can recompute every beat
- * from the file, bit for bit.
+ * Camera samples are merged and the IMU's forward motion summed up in slots. Slots hold rounded
+ * numbers, and a closed slot never changes: the slots are what the estimate (estimate.h) runs on
+ * and what the trial file records, so that a host can recompute every beat from the file, bit for
+ * bit.
  *
- * The speed signal is piecewise linear between the slots. Across a hole (slots further apart than
- * gap_max_s) and beyond the first and last slot there is no line; there a slot's value is held for
- * at most gap_max_s/2.
+ * The camera's speed signal is piecewise linear between the slots. Across a hole (slots further
+ * apart than gap_max_s) and beyond the first and last slot there is no line; there a slot's value
+ * is held for at most gap_max_s/2.
  *
  * A sample may itself be a mean over a window (a camera fits a line over one beat): the mean over a
  * beat is then the exact mean of the signal over the interval that is left when half a window is
@@ -29,7 +30,7 @@
 #include <stdint.h>
 
 #define SPEED_SLOT_S 0.1f
-#define SPEED_SLOTS 128u     /* half for open slots, so at least 6.4 s of closed ones are kept */
+#define SPEED_SLOTS 112u     /* closed ones kept: two of the longest beats (4 s) and 3 s to spare */
 #define SPEED_OPEN_SLOTS 64u /* how far ahead of the closed ones a sample may lie */
 
 /* Taken for a sample that comes without a usable sigma (NaN, infinite, <= 0): about what a line
@@ -39,6 +40,8 @@
 typedef enum {
     SPEED_SOURCE_VISION = 0,
     SPEED_SOURCE_UPLOAD = 1,
+    SPEED_SOURCE_IMU = 2,
+    SPEED_SOURCE_MODEL = 3,
     SPEED_SOURCE_COUNT
 } speed_source_t;
 
@@ -49,15 +52,19 @@ typedef struct {
     float sigma_m_s; /* > 0; anything else = unknown */
 } speed_sample_t;
 
-/* Merged samples of [index*0.1 s, (index+1)*0.1 s). */
+/* What is known of [index*0.1 s, (index+1)*0.1 s). 14 bytes as logged. */
 typedef struct {
+    float speed_m_s; /* mean of the camera samples */
     uint16_t index;
-    uint16_t samples; /* 0 = empty */
-    float time_s;     /* mean time of the samples */
-    float speed_m_s;  /* mean */
-    float sigma_m_s;  /* mean sigma: neighbouring windows overlap, so their noise does not average
-                         out */
+    uint16_t sigma_10um_s; /* their mean sigma, at least 1: neighbouring windows overlap, so their
+                            * noise does not average out */
+    int16_t gain_10um_s;   /* IMU: forward speed gained; SPEED_NO_MOTION = not known */
+    int16_t way_um;        /* IMU: way beyond that of the speed at the slot's begin */
+    uint8_t samples;       /* of the camera; 0 = none, then speed and sigma are 0 */
+    uint8_t at_ms;         /* their mean time, since the slot's begin, 0..99 */
 } speed_slot_t;
+
+#define SPEED_NO_MOTION (-32768) /* the least int16_t */
 
 typedef struct {
     float window_s;      /* window of one sample, 0..beat_s; 0 = point samples */
@@ -75,39 +82,57 @@ typedef struct {
 /* What became of the samples. */
 typedef struct {
     uint32_t accepted;
-    uint32_t implausible; /* not finite or beyond plausible_m_s, or more than a slot can count */
+    uint32_t implausible; /* not finite, beyond plausible_m_s, or more than a slot counts (255) */
     uint32_t late;        /* its slot was closed, or before the trial */
     uint32_t early;       /* beyond the open slots */
 } speed_counters_t;
 
+/* A slot in the making, unrounded. */
 typedef struct {
-    speed_slot_t slots[SPEED_SLOTS]; /* ring: slot i lives at i % SPEED_SLOTS */
-    uint16_t next_close;             /* first slot that is still open */
+    float at_s, speed_m_s, sigma_m_s; /* means; time since the slot's begin */
+    uint8_t samples;
+} speed_open_t;
+
+typedef struct {
+    speed_slot_t slots[SPEED_SLOTS];     /* ring of closed slots: slot i lives at i % SPEED_SLOTS */
+    speed_open_t open[SPEED_OPEN_SLOTS]; /* ring of open ones, empty ones all zero */
+    uint16_t next_close;                 /* first slot that is still open */
     speed_counters_t counters;
 } speed_t;
 
 void speed_init(speed_t *speed);
 
-/* Merges one sample. Implausible, non-finite, too late (slot closed) and too early (beyond the open
- * slots) samples are counted and dropped; returns whether it was used. */
+/* Merges one camera sample. Implausible, non-finite, too late (slot closed) and too early (beyond
+ * the open slots) samples are counted and dropped; returns whether it was used. */
 bool speed_add(speed_t *speed, const speed_config_t *config, speed_sample_t sample);
 
-/* Closes the next slot if all of it lies before |closed_until_s|. A closed slot takes no more
- * samples. Returns true and the slot (possibly empty) when one was closed; call until false. Ends
- * at slot 65000 (6500 s), beyond the longest trial. */
-bool speed_close_slot(speed_t *speed, float closed_until_s, speed_slot_t *closed);
+/* Number of the slot to be closed next, if all of it lies before |closed_until_s|. Ends at slot
+ * 65000 (6500 s), beyond the longest trial. */
+bool speed_slot_due(const speed_t *speed, float closed_until_s, uint16_t *index);
 
-/* Mean over the beat [begin_s, begin_s + beat_s) from slots in rising order of time; empty slots
- * and slots that do not rise in time are skipped. Slots that end later than begin + beat +
- * gap_max_s are not looked at: the result does not depend on how many more there are. This is the
- * one estimator: board, host and recompute call it. Non-finite arguments give a beat that is not
- * measured. */
-speed_beat_t speed_beat_mean(const speed_slot_t *slots, uint16_t count,
-                             const speed_config_t *config, float begin_s, float beat_s);
+/* Closes that slot: it takes no more samples. |motion|: forward motion of the IMU in it, NULL = not
+ * known; what does not fit the rounded numbers (0.328 m/s, 32.8 mm) counts as not known. Returns
+ * it, possibly empty. Never beyond slot 65000. */
+typedef struct {
+    float gain_m_s, way_m;
+} speed_motion_t;
+speed_slot_t speed_close_slot(speed_t *speed, const speed_motion_t *motion);
 
-/* The same over the closed slots in the ring of |speed|. All slots up to begin + beat + gap_max_s
- * should be closed, and begin - gap_max_s no further back than the ring reaches. */
+/* Puts back a closed slot, as the host does with those of a trial file: in rising order; slots left
+ * out are empty. False when its number does not rise. */
+bool speed_restore_slot(speed_t *speed, const speed_slot_t *slot);
+
+/* The camera's mean speed over the beat [begin_s, begin_s + beat_s), from the closed slots; slots
+ * that end later than begin + beat + gap_max_s are not looked at: the result does not depend on how
+ * many more there are. All slots up to there should be closed, and begin - gap_max_s no further
+ * back than the ring reaches. Non-finite arguments give a beat that is not measured. */
 speed_beat_t speed_beat(const speed_t *speed, const speed_config_t *config, float begin_s,
                         float beat_s);
+
+/* By the IMU: mean speed over the beat [begin_s, begin_s + beat_s) minus that over the beat before
+ * it; for begin_s = 0 minus the speed at time 0. Both are taken in whole frames of 20 ms; where a
+ * beat ends within a slot, acceleration there is the straight line that fits the slot's gain and
+ * way. NaN when a slot's motion is not known or no longer in the ring. */
+float speed_rise(const speed_t *speed, float begin_s, float beat_s);
 
 #endif

@@ -10,25 +10,38 @@
 #define MILLIVOLT 0.001f
 
 /* The same in every file, so that records can be appended to a closed one. */
-typedef enum { ID_SLOT = 0, ID_BEAT = 1, ID_BATTERY = 2, ID_TRIAL_END = 3, ID_COUNT } message_id_t;
+typedef enum {
+    ID_SLOT = 0,
+    ID_BEAT = 1,
+    ID_BATTERY = 2,
+    ID_TRIAL_END = 3,
+    ID_REST = 4,
+    ID_COUNT
+} message_id_t;
 
-static const char *const topics[ID_COUNT] = {
-    [ID_SLOT] = "slot", [ID_BEAT] = "beat", [ID_BATTERY] = "battery", [ID_TRIAL_END] = "trial_end"};
+static const char *const topics[ID_COUNT] = {[ID_SLOT] = "slot",
+                                             [ID_BEAT] = "beat",
+                                             [ID_BATTERY] = "battery",
+                                             [ID_TRIAL_END] = "trial_end",
+                                             [ID_REST] = "rest"};
 
 static const char *const formats[ID_COUNT] = {
-    [ID_SLOT] = "slot:uint64_t timestamp;float time_s;float speed_m_s;float sigma_m_s;"
-                "uint16_t index;uint16_t samples;",
+    [ID_SLOT] = "slot:uint64_t timestamp;float speed_m_s;uint16_t index;uint16_t sigma_10um_s;"
+                "int16_t gain_10um_s;int16_t way_um;uint8_t samples;uint8_t at_ms;",
     [ID_BEAT] = "beat:uint64_t timestamp;float amplitude_rad;float applied_rad;"
                 "float reference_m_s;float speed_m_s;float sigma_m_s;uint16_t beat;"
                 "uint16_t samples;",
     [ID_BATTERY] = "battery:uint64_t timestamp;float voltage_v;",
-    [ID_TRIAL_END] = "trial_end:uint64_t timestamp;uint16_t end;uint16_t executed;"};
+    [ID_TRIAL_END] = "trial_end:uint64_t timestamp;uint16_t end;uint16_t executed;",
+    [ID_REST] = "rest:uint64_t timestamp;float begin_s;float still_s;"};
 
 /* Field bytes after the timestamp, and what a whole data message adds to them. */
-#define SLOT_BYTES 16u
+#define SLOT_BYTES 14u
 #define BEAT_BYTES 24u
 #define BATTERY_BYTES 4u
 #define TRIAL_END_BYTES 4u
+#define REST_BYTES 8u
+#define RESTS 2u
 #define DATA_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 2u + 8u)
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
 #define SLOTS_PER_S 10u
@@ -60,6 +73,7 @@ uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s) {
     const uint32_t per_beat = 2u * (DATA_OVERHEAD_BYTES + BEAT_BYTES);
     return DEFINITIONS_BYTES + PARAM_COUNT * PARAMETER_BYTES + beats * per_beat +
            (duration_s + 1u) * per_second + DATA_OVERHEAD_BYTES + TRIAL_END_BYTES +
+           RESTS * (DATA_OVERHEAD_BYTES + REST_BYTES) +
            TRIAL_LOG_TEXTS * (TEXT_OVERHEAD_BYTES + TRIAL_LOG_TEXT_BYTES);
 }
 
@@ -238,15 +252,17 @@ store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log
 }
 
 void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot) {
-    if (slot->samples == 0u) {
+    if (slot->samples == 0u && slot->gain_10um_s == SPEED_NO_MOTION) {
         return;
     }
     uint8_t fields[SLOT_BYTES];
-    uint8_t *at = bytes_put_f32(fields, slot->time_s);
-    at = bytes_put_f32(at, slot->speed_m_s);
-    at = bytes_put_f32(at, slot->sigma_m_s);
+    uint8_t *at = bytes_put_f32(fields, slot->speed_m_s);
     at = bytes_put_u16(at, slot->index);
-    (void)bytes_put_u16(at, slot->samples);
+    at = bytes_put_u16(at, slot->sigma_10um_s);
+    at = bytes_put_u16(at, (uint16_t)slot->gain_10um_s);
+    at = bytes_put_u16(at, (uint16_t)slot->way_um);
+    at[0] = slot->samples;
+    at[1] = slot->at_ms;
     put_data(log, ID_SLOT, time_us, fields, sizeof fields);
 }
 
@@ -260,6 +276,15 @@ void trial_log_beat(trial_log_t *log, uint64_t time_us, const trial_log_beat_t *
     at = bytes_put_u16(at, beat->beat);
     (void)bytes_put_u16(at, beat->speed.samples);
     put_data(log, ID_BEAT, time_us, fields, sizeof fields);
+}
+
+void trial_log_rest(trial_log_t *log, uint64_t time_us, const estimate_rest_t *rest) {
+    if (!(rest->still_s > 0.0f)) {
+        return;
+    }
+    uint8_t fields[REST_BYTES];
+    (void)bytes_put_f32(bytes_put_f32(fields, rest->begin_s), rest->still_s);
+    put_data(log, ID_REST, time_us, fields, sizeof fields);
 }
 
 void trial_log_battery(trial_log_t *log, uint64_t time_us, uint16_t battery_mv) {

@@ -13,7 +13,7 @@
 #define STORE_TRIAL_LOG_H
 
 #include "params/params.h"
-#include "speed/speed.h"
+#include "speed/estimate.h"
 #include "store/store.h"
 #include "supervisor/faults.h"
 
@@ -60,8 +60,8 @@ typedef struct {
 void trial_log_path(uint32_t trial, char *out);
 
 /* Upper bound of the file's size: |beats| beats, logged for |duration_s| (swim and settling) with
- * ten slots and one battery record a second, and all beats once more for an upload; below 20 KB for
- * 40 beats of 1 s and 3 s of settling. */
+ * ten slots and one battery record a second, two rests, and all beats once more for an upload;
+ * below 20 KB for 40 beats of 1 s and 6 s of settling. */
 uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 
 /* Makes the file (over an older one of that number) and writes the header and the first
@@ -70,9 +70,11 @@ uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log_header_t *header,
                                const params_t *params);
 
-/* Empty slots are not written. */
+/* Slots without samples and without motion are not written. */
 void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot);
 void trial_log_beat(trial_log_t *log, uint64_t time_us, const trial_log_beat_t *beat);
+/* How still the fish was before the swim and after it; nothing is written for none. */
+void trial_log_rest(trial_log_t *log, uint64_t time_us, const estimate_rest_t *rest);
 void trial_log_battery(trial_log_t *log, uint64_t time_us, uint16_t battery_mv);
 void trial_log_text(trial_log_t *log, uint64_t time_us, const char *text);
 

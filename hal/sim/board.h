@@ -20,12 +20,22 @@ typedef struct {
     hal_serial_errors_t errors;
 } board_ring_t;
 
+/* Bytes on their way to the IMU. They arrive together when the last one is through. */
+typedef struct {
+    uint8_t bytes[BOARD_RING_BYTES];
+    size_t length;
+    size_t early; /* so many were through at |early_baud| when the speed was changed */
+    uint32_t early_baud, baud;
+    uint64_t begin_ns; /* of the first byte that is not early */
+} board_wire_t;
+
 struct hal {
     uint64_t now_us;  /* simulated time */
     uint64_t boot_us; /* simulated time at which the clock started */
     line_t to_board[BOARD_LINKS], to_host[BOARD_LINKS];
     board_ring_t received[HAL_PORT_COUNT];
     bool connected[BOARD_LINKS];
+    board_wire_t to_imu;
     uint16_t pulse_ticks;
     uint16_t battery_mv;
     hal_reset_cause_t reset_cause;
@@ -43,5 +53,11 @@ void board_restart(hal_t *hal, hal_reset_cause_t cause);
 
 /* What does not fit is lost and counted. */
 void board_receive(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_t length);
+
+/* A message of the IMU, all of it: garbage when the two ends are not set to the same speed. */
+void board_receive_imu(hal_t *hal, uint8_t *bytes, size_t length, uint32_t baud);
+
+/* When what the board has sent will have reached the IMU; UINT64_MAX = nothing on the way. */
+uint64_t board_wire_due_us(const board_wire_t *wire);
 
 #endif

@@ -4,8 +4,6 @@
 
 /* Of a picture period, so that no picture is ever in step with the board's 20 ms frames. */
 #define EXPOSURE_PHASE 0.33
-#define YAW_PER_TAIL (-10.0 / 45.0)
-#define SWAY_M_PER_RAD 0.02
 #define HEADING_NOISE_RAD 0.01
 
 void camera_init(camera_t *camera, const sim_config_t *config) {

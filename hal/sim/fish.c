@@ -12,6 +12,7 @@ void fish_init(fish_t *fish, const sim_config_t *config) {
     fish->flow_sigma_m_s = config->flow_sigma_m_s;
     fish->start_sigma_m_s = config->start_sigma_m_s;
     fish->beat_s = config->beat_s;
+    fish->caught_after_us = (uint64_t)(config->caught_after_s * 1e6 + 0.5);
     fish->seed = config->seed;
     tail_init(&fish->tail, config, tail_frames(config->beat_s));
     plant_init(&fish->plant, config);
@@ -31,9 +32,11 @@ static void begin_swim(fish_t *fish) {
     fish->beat_start_m = 0;
     fish->tail_from_rad = fish->tail_to_rad = 0;
     tail_begin(&fish->tail);
+    const double before_m_s = fish->plant.water_v_m_s + fish->plant.flow_m_s;
     plant_begin(&fish->plant, fabs(disturbance(fish, NOISE_START, fish->start_sigma_m_s)),
                 fmax(0, 1 + disturbance(fish, NOISE_GAIN, fish->gain_sigma)),
                 disturbance(fish, NOISE_FLOW, fish->flow_sigma_m_s));
+    felt_carried(&fish->felt, fish->plant.water_v_m_s + fish->plant.flow_m_s - before_m_s);
 }
 
 static void record_speed(fish_t *fish) {
@@ -53,11 +56,21 @@ static void record_beat(fish_t *fish) {
     fish->beat_start_m = fish->plant.x_m;
 }
 
+static void be_caught(fish_t *fish) {
+    if (fish->swims > 0 && fish->caught_after_us > 0 &&
+        fish->time_us - fish->last_pulse_us >= fish->caught_after_us) {
+        plant_catch(&fish->plant);
+    }
+}
+
 bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     const bool swimming = fish->pulse != 0;
     const double frame_s = (double)(now_us - fish->time_us) * 1e-6;
     if (swimming) {
         record_speed(fish);
+        fish->last_pulse_us = now_us;
+    } else {
+        be_caught(fish);
     }
     fish->tail_from_rad = fish->tail.servo_rad;
     tail_frame(&fish->tail, fish->pulse, next_pulse, frame_s, &fish->drive);
@@ -66,6 +79,8 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     if (swimming) {
         record_beat(fish);
     }
+    felt_frame(&fish->felt, &fish->plant, fish->tail_from_rad, fish->tail_to_rad, fish->time_us,
+               now_us);
     fish->frame_us = now_us - fish->time_us;
     fish->time_us = now_us;
     fish->pulse = next_pulse;
@@ -101,16 +116,11 @@ fish_moment_t fish_at(const fish_t *fish, uint64_t time_us) {
     unsigned i = (unsigned)(part * SUBSTEPS);
     i = i < SUBSTEPS ? i : SUBSTEPS - 1;
     const double u = part * SUBSTEPS - i;
-    const double frame_s = (double)fish->frame_us * 1e-6;
-    const double dt = frame_s / SUBSTEPS;
+    const double dt = (double)fish->frame_us * 1e-6 / SUBSTEPS;
     const double v0 = plant->trace_v_m_s[i];
     const double v1 = plant->trace_v_m_s[i + 1];
-    const double swing = fish->tail_to_rad - fish->tail_from_rad;
     return (fish_moment_t){
         .x_m = hermite(plant->trace_x_m[i], plant->trace_x_m[i + 1], v0 * dt, v1 * dt, u),
-        .v_m_s = v0 + u * (v1 - v0),
-        .accel_m_s2 = (v1 - v0) / dt,
-        .tail_rad = fish->tail_from_rad + part * swing,
-        .tail_rate_rad_s = swing / frame_s,
+        .tail_rad = fish->tail_from_rad + part * (fish->tail_to_rad - fish->tail_from_rad),
     };
 }

@@ -1,10 +1,12 @@
 /*
  * The fish in its tank: tail, plant and the swims. A pulse train that begins after 0.2 s of silence
- * means that somebody has put the fish at the start: a new swim.
+ * means that somebody has put the fish at the start: a new swim. Some time after its last pulse
+ * somebody catches it and holds it until then.
  */
 #ifndef SIM_FISH_H
 #define SIM_FISH_H
 
+#include "felt.h"
 #include "plant.h"
 #include "tail.h"
 
@@ -17,6 +19,7 @@
 
 typedef struct {
     double gain_sigma, flow_sigma_m_s, start_sigma_m_s, beat_s;
+    uint64_t caught_after_us; /* 0 = never */
     uint64_t seed;
     tail_t tail;
     plant_t plant;
@@ -24,20 +27,22 @@ typedef struct {
     uint64_t frame_us; /* length of the last frame */
     uint16_t pulse;    /* of the present frame, 0 = none */
     uint32_t silent_frames;
-    uint32_t swims;    /* begun */
-    uint32_t swim_key; /* of the present swim's noise; 0 = no swim yet */
+    uint64_t last_pulse_us; /* end of the last frame with one */
+    uint32_t swims;         /* begun */
+    uint32_t swim_key;      /* of the present swim's noise; 0 = no swim yet */
     uint32_t next_swim_key;
     uint32_t swim_frame; /* frames with pulses in this swim */
     double beat_start_m;
     double tail_from_rad, tail_to_rad; /* real angle at the ends of the last frame */
     drive_t drive;
+    felt_t felt;
     size_t beats, speeds;
     double beat_m_s[FISH_BEATS_MAX];
     double speed_m_s[FISH_SPEEDS_MAX]; /* over ground at 0.04*i s */
 } fish_t;
 
 typedef struct {
-    double x_m, v_m_s, accel_m_s2, tail_rad, tail_rate_rad_s;
+    double x_m, tail_rad;
 } fish_moment_t;
 
 void fish_init(fish_t *fish, const sim_config_t *config);

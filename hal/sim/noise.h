@@ -15,7 +15,10 @@ typedef enum {
     NOISE_LOST,
     NOISE_HEADING,
     NOISE_IMU_BIAS,
-    NOISE_IMU
+    NOISE_IMU,
+    NOISE_IMU_DRIFT,
+    NOISE_IMU_WIRE_IN,
+    NOISE_IMU_WIRE_OUT
 } noise_stream_t;
 
 /* Names one sequence of samples. */

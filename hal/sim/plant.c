@@ -4,6 +4,8 @@
 
 #include <math.h>
 
+#define CATCH_S 0.3
+
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
 bool plant_config_valid(const sim_config_t *config) {
@@ -29,13 +31,47 @@ void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s)
     plant->flow_m_s = flow_m_s;
     plant->water_v_m_s = start_m_s;
     plant->x_m = 0;
+    plant->held = false;
     for (unsigned i = 0; i <= SUBSTEPS; i++) {
         plant->trace_x_m[i] = 0;
         plant->trace_v_m_s[i] = start_m_s + flow_m_s;
     }
 }
 
+void plant_catch(plant_t *plant) {
+    if (!plant->held) {
+        plant->held = true;
+        plant->held_s = 0;
+        plant->held_from_m_s = plant->water_v_m_s + plant->flow_m_s;
+    }
+}
+
+/* Speed and way since the catch, as parts of the speed before and of that times CATCH_S. */
+static void hold(double part, double *speed, double *way) {
+    const double u = part < 1 ? part : 1;
+    *speed = 1 - u * u * (3 - 2 * u);
+    *way = u - u * u * u * (1 - 0.5 * u);
+}
+
+static void held_frame(plant_t *plant, double frame_s) {
+    const double from = plant->held_from_m_s;
+    double speed, way, way_begin;
+    for (unsigned i = 0; i <= SUBSTEPS; i++) {
+        hold((plant->held_s + frame_s * i / SUBSTEPS) / CATCH_S, &speed, &way);
+        way_begin = i == 0 ? way : way_begin;
+        plant->trace_v_m_s[i] = from * speed;
+        plant->trace_x_m[i] = plant->x_m + from * CATCH_S * (way - way_begin);
+    }
+    plant->held_s += frame_s;
+    plant->water_v_m_s = plant->trace_v_m_s[SUBSTEPS] - plant->flow_m_s;
+    plant->x_m = plant->trace_x_m[SUBSTEPS];
+}
+
 void plant_frame(plant_t *plant, const drive_t *drive, double frame_s) {
+    if (plant->held) {
+        held_frame(plant, frame_s);
+        return;
+    }
     const double dt = frame_s / SUBSTEPS;
     double v = plant->water_v_m_s;
     double x = plant->x_m;

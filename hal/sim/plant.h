@@ -1,4 +1,7 @@
-/* The two models of the fish in the water. Speeds are over water, >= 0: the tail cannot brake. */
+/*
+ * The two models of the fish in the water. Speeds are over water, >= 0: the tail cannot brake. Only
+ * a hand can: a held fish stands still over ground.
+ */
 #ifndef SIM_PLANT_H
 #define SIM_PLANT_H
 
@@ -34,7 +37,9 @@ typedef struct {
     double gain; /* on the speed that thrust settles at */
     double flow_m_s;
     double water_v_m_s;
-    double x_m; /* over ground */
+    double x_m;                   /* over ground */
+    bool held;                    /* somebody has caught it ... */
+    double held_s, held_from_m_s; /* ... so long ago, at that speed over ground */
     /* over ground at the ends of the substeps of the last frame */
     double trace_x_m[SUBSTEPS + 1], trace_v_m_s[SUBSTEPS + 1];
 } plant_t;
@@ -44,6 +49,9 @@ void plant_init(plant_t *plant, const sim_config_t *config);
 
 /* At x = 0 with |start_m_s| over water, thrust forgotten. */
 void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s);
+/* From the next frame on somebody holds the fish, until plant_begin; its speed over ground falls
+ * smoothly to 0. */
+void plant_catch(plant_t *plant);
 void plant_frame(plant_t *plant, const drive_t *drive, double frame_s);
 
 void thesis_init(thesis_t *thesis, const sim_config_t *config, double beat_s);

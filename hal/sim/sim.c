@@ -8,12 +8,18 @@
 #define POLL_US 10000u /* the main loop wakes at least this often */
 /* A message waits at most this long for the next one, so that the host wakes once for both. */
 #define COALESCE_US 4000u
+#define BITS_PER_BYTE 10u
 
 struct sim {
     hal_t board;
     world_t *world;
     bool booted;
     uint64_t next_boot_us, next_frame_us, next_poll_us;
+    /* A message of the IMU on its way; |imu_arrival_us| UINT64_MAX = none. */
+    uint64_t imu_arrival_us;
+    uint32_t imu_baud;
+    size_t imu_length;
+    uint8_t imu_message[WORLD_IMU_MESSAGE_MAX];
     app_t app;
 };
 
@@ -28,6 +34,7 @@ sim_t *sim_new(const sim_config_t *config) {
     sim->next_boot_us = (uint64_t)(config->boot_s * 1e6 + 0.5);
     sim->next_frame_us = WORLD_FRAME_US;
     sim->next_poll_us = UINT64_MAX;
+    sim->imu_arrival_us = UINT64_MAX;
     board_init(&sim->board, config);
     return sim;
 }
@@ -62,6 +69,7 @@ static void boot(sim_t *sim, hal_reset_cause_t cause) {
     sim->next_poll_us = now + POLL_US;
     if (cause != HAL_RESET_SOFTWARE) {
         world_imu_power_on(sim->world, now);
+        sim->imu_arrival_us = UINT64_MAX;
     }
     app_init(&sim->app, &sim->board);
 }
@@ -76,10 +84,47 @@ static void frame_event(sim_t *sim) {
     sim->next_frame_us += WORLD_FRAME_US;
 }
 
-static void imu_event(sim_t *sim) {
-    uint8_t frame[WORLD_IMU_FRAME_BYTES];
-    world_imu_frame(sim->world, frame);
-    board_receive(&sim->board, HAL_PORT_IMU, frame, sizeof frame);
+/* The next message sets out only when the one before has arrived. */
+static void imu_leaves(sim_t *sim) {
+    const uint64_t begin_us = world_imu_due_us(sim->world);
+    sim->imu_baud = world_imu_baud(sim->world);
+    sim->imu_length = world_imu_read(sim->world, sim->imu_message);
+    if (sim->imu_length > 0) {
+        const uint64_t bits = sim->imu_length * BITS_PER_BYTE;
+        sim->imu_arrival_us = begin_us + (bits * 1000000u + sim->imu_baud - 1) / sim->imu_baud;
+    }
+}
+
+static void imu_arrives(sim_t *sim) {
+    sim->imu_arrival_us = UINT64_MAX;
+    board_receive_imu(&sim->board, sim->imu_message, sim->imu_length, sim->imu_baud);
+}
+
+static void imu_hears(sim_t *sim) {
+    board_wire_t *wire = &sim->board.to_imu;
+    const uint64_t now = sim->board.now_us;
+    if (wire->early > 0) {
+        world_imu_write(sim->world, now, wire->bytes, wire->early, wire->early_baud);
+    }
+    world_imu_write(sim->world, now, wire->bytes + wire->early, wire->length - wire->early,
+                    wire->baud);
+    wire->length = wire->early = 0;
+}
+
+/* Whether something has come from it. */
+static bool take_imu_events(sim_t *sim) {
+    const uint64_t now = sim->board.now_us;
+    const bool arrived = sim->imu_arrival_us <= now;
+    if (arrived) {
+        imu_arrives(sim);
+    }
+    if (board_wire_due_us(&sim->board.to_imu) <= now) {
+        imu_hears(sim);
+    }
+    if (sim->imu_arrival_us == UINT64_MAX && world_imu_due_us(sim->world) <= now) {
+        imu_leaves(sim);
+    }
+    return arrived;
 }
 
 static bool take_link_events(sim_t *sim) {
@@ -103,8 +148,7 @@ static void handle_events(sim_t *sim) {
         frame_event(sim);
     }
     bool work = sim->next_poll_us <= now;
-    if (world_imu_due_us(sim->world) <= now) {
-        imu_event(sim);
+    if (take_imu_events(sim)) {
         work = true;
     }
     if (take_link_events(sim)) {
@@ -124,7 +168,9 @@ static uint64_t least(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static uint64_t next_event_us(const sim_t *sim) {
     uint64_t next = least(sim->next_boot_us, sim->next_frame_us);
     next = least(next, sim->next_poll_us);
-    next = least(next, world_imu_due_us(sim->world));
+    next = least(next, sim->imu_arrival_us != UINT64_MAX ? sim->imu_arrival_us
+                                                         : world_imu_due_us(sim->world));
+    next = least(next, board_wire_due_us(&sim->board.to_imu));
     for (unsigned port = 0; port < BOARD_LINKS; port++) {
         next = least(next, line_message_us(&sim->board.to_board[port]));
     }
@@ -213,6 +259,10 @@ void sim_set_battery_v(sim_t *sim, double volts) {
 void sim_set_imu(sim_t *sim, bool plugged) {
     world_set_imu(sim->world, sim->board.now_us, plugged);
 }
+
+void sim_imu_reboot(sim_t *sim) { world_imu_reboot(sim->world, sim->board.now_us); }
+
+void sim_imu_wedge(sim_t *sim) { world_imu_wedge(sim->world); }
 
 void sim_set_camera(sim_t *sim, bool on) { world_set_camera(sim->world, on); }
 

@@ -56,6 +56,8 @@ void sim_set_swim(sim_t *sim, uint32_t next_swim);
 void sim_power_cycle(sim_t *sim); /* flash stays; all else starts anew, now */
 void sim_set_battery_v(sim_t *sim, double volts);
 void sim_set_imu(sim_t *sim, bool plugged);
+void sim_imu_reboot(sim_t *sim); /* it restarts with its saved settings */
+void sim_imu_wedge(sim_t *sim);  /* it is silent until the next power cycle */
 void sim_set_camera(sim_t *sim, bool on);
 void sim_set_radio(sim_t *sim, bool connected);
 void sim_set_tilt_rad(sim_t *sim, double roll_rad);

@@ -2,11 +2,18 @@
 
 #include "base/panic.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #define UNLIMITED_CHUNK 256u
+#define BOOT_BAUD 115200u
+#define BAUD_MIN 1200u
+#define BAUD_MAX 1000000u
+#define BAUD_TOLERANCE 0.03
+#define GARBLED 0xA5         /* as on the emulated board's wires */
+#define BITS_NS 10000000000u /* of a byte, at one baud */
 
 _Noreturn void panic(const char *where) {
     fprintf(stderr, "tailbeat: panic at %s\n", where);
@@ -32,6 +39,8 @@ void board_restart(hal_t *hal, hal_reset_cause_t cause) {
         hal->received[port].head = hal->received[port].tail = 0;
         hal->received[port].errors = (hal_serial_errors_t){0};
     }
+    hal->to_imu.length = hal->to_imu.early = 0;
+    hal->to_imu.baud = BOOT_BAUD;
     hal->boot_us = hal->now_us;
     hal->pulse_ticks = 0;
     hal->reset_cause = cause;
@@ -62,6 +71,50 @@ void board_receive(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_t len
     memcpy(ring->bytes, bytes + first, fits - first);
     ring->tail += fits;
     ring->errors.overruns += (uint32_t)(length - fits);
+}
+
+void board_receive_imu(hal_t *hal, uint8_t *bytes, size_t length, uint32_t baud) {
+    if (fabs((double)baud / hal->to_imu.baud - 1) > BAUD_TOLERANCE) {
+        for (size_t i = 0; i < length; i++) {
+            bytes[i] ^= GARBLED;
+        }
+        hal->received[HAL_PORT_IMU].errors.framing += (uint32_t)length;
+    }
+    board_receive(hal, HAL_PORT_IMU, bytes, length);
+}
+
+/* Bytes that are through, of those that are not early. */
+static size_t wire_passed(const board_wire_t *wire, uint64_t now_us) {
+    const uint64_t now_ns = now_us * 1000u;
+    const uint64_t byte_ns = BITS_NS / wire->baud;
+    const uint64_t passed = now_ns > wire->begin_ns ? (now_ns - wire->begin_ns) / byte_ns : 0;
+    const size_t left = wire->length - wire->early;
+    return passed < left ? (size_t)passed : left;
+}
+
+static void wire_write(board_wire_t *wire, uint64_t now_us, const uint8_t *bytes, size_t length) {
+    if (wire->length == 0) {
+        wire->begin_ns = now_us * 1000u;
+    }
+    memcpy(wire->bytes + wire->length, bytes, length);
+    wire->length += length;
+}
+
+static void wire_set_baud(board_wire_t *wire, uint64_t now_us, uint32_t baud) {
+    if (wire->length > 0 && baud != wire->baud) {
+        wire->early += wire_passed(wire, now_us);
+        wire->early_baud = wire->baud;
+        wire->begin_ns = now_us * 1000u;
+    }
+    wire->baud = baud;
+}
+
+uint64_t board_wire_due_us(const board_wire_t *wire) {
+    if (wire->length == 0) {
+        return UINT64_MAX;
+    }
+    const uint64_t byte_ns = BITS_NS / wire->baud;
+    return (wire->begin_ns + (wire->length - wire->early) * byte_ns + 999u) / 1000u;
 }
 
 /* Moves what has come along the line into the ring. An unlimited line waits for room instead of
@@ -95,7 +148,7 @@ size_t hal_serial_read(hal_t *hal, hal_port_t port, uint8_t *out, size_t max) {
 
 size_t hal_serial_write_space(const hal_t *hal, hal_port_t port) {
     if (port >= BOARD_LINKS) {
-        return BOARD_RING_BYTES;
+        return BOARD_RING_BYTES - hal->to_imu.length;
     }
     const uint64_t queued = line_queued(&hal->to_host[port], hal->now_us);
     return queued < BOARD_RING_BYTES ? BOARD_RING_BYTES - (size_t)queued : 0;
@@ -105,18 +158,23 @@ size_t hal_serial_write(hal_t *hal, hal_port_t port, const uint8_t *bytes, size_
     if (length > hal_serial_write_space(hal, port)) {
         return 0;
     }
-    /* The IMU takes its commands without a word; a cut radio swallows everything. */
-    if (length > 0 && port < BOARD_LINKS && hal->connected[port]) {
+    if (port >= BOARD_LINKS) {
+        wire_write(&hal->to_imu, hal->now_us, bytes, length);
+    } else if (length > 0 && hal->connected[port]) {
+        /* A cut radio swallows everything. */
         line_write(&hal->to_host[port], hal->now_us, bytes, length);
     }
     return length;
 }
 
-/* Bytes of the simulated IMU arrive at once, frame by frame. */
+/* The links run at the speed of the configuration. */
 bool hal_serial_set_baud(hal_t *hal, hal_port_t port, uint32_t baud) {
-    (void)hal;
-    (void)port;
-    (void)baud;
+    if (baud < BAUD_MIN || baud > BAUD_MAX) {
+        return false;
+    }
+    if (port >= BOARD_LINKS) {
+        wire_set_baud(&hal->to_imu, hal->now_us, baud);
+    }
     return true;
 }
 

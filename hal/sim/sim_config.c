@@ -2,6 +2,7 @@
 
 #include "plant.h"
 #include "tail.h"
+#include "vn100.h"
 
 void sim_config_default(sim_config_t *config, sim_plant_t plant) {
     *config = (sim_config_t){
@@ -21,7 +22,10 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         .beat_s = 1,
         .camera_fps = 25,
         .camera_latency_s = 0.08,
-        .imu_rate_hz = 100,
+        .caught_after_s = 1,
+        .imu_firmware = 3,
+        .imu_baud = 115200,
+        .imu_port = 2,
         .battery_v = 8.2,
         .link_bytes_per_s = 11520,
         .boot_s = 1.7,
@@ -37,15 +41,23 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
 
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
+/* A fish is not caught before its swim is over. */
 static bool water_valid(const sim_config_t *c) {
     return plant_config_valid(c) && tail_frames(c->beat_s) != 0 && within(c->gain_sigma, 0, 1) &&
-           within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10);
+           within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10) &&
+           (within(c->caught_after_s, 0.2, 1e5) || within(c->caught_after_s, 0, 0));
 }
 
-static bool sensors_valid(const sim_config_t *c) {
+static bool camera_valid(const sim_config_t *c) {
     return within(c->camera_noise_m, 0, 10) && within(c->camera_lost, 0, 1) &&
-           within(c->camera_fps, 0, 1000) && within(c->camera_latency_s, 0.02, 10) &&
-           within(c->imu_noise, 0, 1e3) && within(c->imu_rate_hz, 0, 800);
+           within(c->camera_fps, 0, 1000) && within(c->camera_latency_s, 0.02, 10);
+}
+
+static bool imu_valid(const sim_config_t *c) {
+    const bool firmware = c->imu_firmware == 0 || c->imu_firmware == 2 || c->imu_firmware == 3;
+    return within(c->imu_noise, 0, 1e3) && firmware && (c->imu_port == 1 || c->imu_port == 2) &&
+           vn100_baud_valid(c->imu_baud) && within(c->imu_bit_errors, 0, 1) &&
+           within(c->imu_lost_bytes, 0, 1);
 }
 
 /* A link of 0 bytes per second is not limited. */
@@ -56,5 +68,5 @@ static bool electronics_valid(const sim_config_t *c) {
 }
 
 bool sim_config_valid(const sim_config_t *c) {
-    return water_valid(c) && sensors_valid(c) && electronics_valid(c);
+    return water_valid(c) && camera_valid(c) && imu_valid(c) && electronics_valid(c);
 }

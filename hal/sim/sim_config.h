@@ -29,9 +29,14 @@ typedef struct {
     double camera_lost;     /* probability that a frame is lost */
     double camera_fps;
     double camera_latency_s; /* from exposure to delivery; at least one 20 ms frame */
-    double imu_noise;        /* scale of the VN-100's specified noise; 0 = none */
-    double imu_rate_hz;      /* frames per second, 0 = IMU unplugged */
-    double battery_v;        /* fresh pack */
+    double caught_after_s; /* after the last pulse somebody catches and holds the fish; 0 = never */
+    double imu_noise;      /* scale of the VN-100's specified noise; 0 = none */
+    double imu_firmware;   /* its major version: 2, 3; 0 = there is no IMU */
+    double imu_baud;       /* that its port on the fish's wires has saved */
+    double imu_port;       /* of the sensor that the fish's wires are on: 1, 2 */
+    double imu_bit_errors; /* probability per bit on its wires, either direction */
+    double imu_lost_bytes; /* probability per byte */
+    double battery_v;      /* fresh pack */
     double battery_sag_v_per_trial;
     double link_bytes_per_s; /* of each direction; 0 = unlimited */
     double boot_s;           /* simulated time at which the board boots (its clock starts) */

@@ -3,13 +3,13 @@
 #include "base/panic.h"
 #include "camera.h"
 #include "fish.h"
-#include "vn100_stream.h"
+#include "vn100.h"
 
 #include <stdlib.h>
 
 #define IMU_POWER_LATER_US 61000u
 
-_Static_assert(WORLD_IMU_FRAME_BYTES == VN100_FRAME_BYTES, "one frame of the IMU");
+_Static_assert(WORLD_IMU_MESSAGE_MAX == VN100_MESSAGE_MAX, "one message of the IMU");
 
 struct world {
     fish_t fish;
@@ -25,7 +25,7 @@ world_t *world_new(const sim_config_t *config) {
     }
     fish_init(&world->fish, config);
     camera_init(&world->camera, config);
-    vn100_init(&world->vn100, config);
+    vn100_init(&world->vn100, config, &world->fish.felt);
     world->battery_v = config->battery_v;
     world->battery_sag_v_per_trial = config->battery_sag_v_per_trial;
     return world;
@@ -49,9 +49,20 @@ void world_imu_power_off(world_t *world) { vn100_power_off(&world->vn100); }
 
 uint64_t world_imu_due_us(const world_t *world) { return vn100_due_us(&world->vn100); }
 
-void world_imu_frame(world_t *world, uint8_t out[WORLD_IMU_FRAME_BYTES]) {
-    vn100_frame(&world->vn100, &world->fish, out);
+uint32_t world_imu_baud(const world_t *world) { return vn100_baud(&world->vn100); }
+
+size_t world_imu_read(world_t *world, uint8_t out[WORLD_IMU_MESSAGE_MAX]) {
+    return vn100_read(&world->vn100, out);
 }
+
+void world_imu_write(world_t *world, uint64_t now_us, const uint8_t *bytes, size_t length,
+                     uint32_t baud) {
+    vn100_write(&world->vn100, now_us, bytes, length, baud);
+}
+
+void world_imu_reboot(world_t *world, uint64_t now_us) { vn100_reboot(&world->vn100, now_us); }
+
+void world_imu_wedge(world_t *world) { vn100_wedge(&world->vn100); }
 
 double world_battery_v(const world_t *world) {
     const double v = world->battery_v - world->battery_sag_v_per_trial * world->fish.swims;
@@ -108,4 +119,6 @@ void world_set_imu(world_t *world, uint64_t now_us, bool plugged) {
 
 void world_set_camera(world_t *world, bool on) { world->camera.on = on; }
 
-void world_set_tilt_rad(world_t *world, double roll_rad) { world->vn100.tilt_rad = roll_rad; }
+void world_set_tilt_rad(world_t *world, double roll_rad) {
+    world->fish.felt.tilt_wanted_rad = roll_rad;
+}

@@ -14,7 +14,7 @@
 #include <stdint.h>
 
 #define WORLD_FRAME_US 20000u
-#define WORLD_IMU_FRAME_BYTES 64u
+#define WORLD_IMU_MESSAGE_MAX 640u
 
 typedef struct world world_t;
 
@@ -52,10 +52,24 @@ uint64_t world_time_us(const world_t *world);
 void world_imu_power_on(world_t *world, uint64_t board_power_us);
 void world_imu_power_off(world_t *world);
 
-/* When the next frame of the IMU begins to come down its line; UINT64_MAX = none. */
+/* The IMU is a VN-100 with its wires; what it does is in vn100.h. It is told and asked in order of
+ * time, and its messages follow each other on the line without overlapping.
+ *
+ * When its next message begins to leave it; UINT64_MAX = none. */
 uint64_t world_imu_due_us(const world_t *world);
-/* Takes that frame. The fish must have been advanced to the last frame before its time. */
-void world_imu_frame(world_t *world, uint8_t out[WORLD_IMU_FRAME_BYTES]);
+/* The rate that message is sent at; without one, the rate it would be. */
+uint32_t world_imu_baud(const world_t *world);
+/* Takes that message as the wire delivers it and returns its length, 0 when nothing of it is left.
+ * The fish must have been advanced to the last frame before its time. */
+size_t world_imu_read(world_t *world, uint8_t out[WORLD_IMU_MESSAGE_MAX]);
+/* Bytes from the board, sent at |baud|, whose last bit arrives now. The fish as above. */
+void world_imu_write(world_t *world, uint64_t now_us, const uint8_t *bytes, size_t length,
+                     uint32_t baud);
+
+/* It restarts with its saved settings, as by its own watchdog. */
+void world_imu_reboot(world_t *world, uint64_t now_us);
+/* It is silent and deaf until its supply has been off. */
+void world_imu_wedge(world_t *world);
 
 double world_battery_v(const world_t *world);
 

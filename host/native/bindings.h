@@ -5,6 +5,7 @@
 #ifndef NATIVE_BINDINGS_H
 #define NATIVE_BINDINGS_H
 
+#include "app/settings.h"
 #include "base/crc.h"
 #include "base/units.h"
 #include "gait/gait.h"
@@ -13,8 +14,12 @@
 #include "ilc/law.h"
 #include "ilc/memory.h"
 #include "imu/imu.h"
+#include "imu/line.h"
 #include "params/params.h"
 #include "sim.h"
+#include "speed/estimate.h"
+#include "speed/motion.h"
+#include "speed/rest.h"
 #include "speed/speed.h"
 #include "store/records.h"
 #include "supervisor/faults.h"
@@ -34,6 +39,9 @@ enum {
     NATIVE_IMU_FRAME_BYTES = IMU_FRAME_BYTES,
     NATIVE_PARAM_NAME_BYTES = PARAM_NAME_BYTES,
     NATIVE_SPEED_SLOTS = SPEED_SLOTS,
+    NATIVE_SPEED_NO_MOTION = SPEED_NO_MOTION,
+    NATIVE_SMOOTHER_AFTER = SMOOTHER_AFTER,
+    NATIVE_IMU_BINARY_MAX_BYTES = IMU_BINARY_MAX_BYTES,
     NATIVE_RECORD_MAX_BYTES = RECORD_MAX_BYTES,
     NATIVE_RECORD_TRIAL_MAX_BYTES = RECORD_TRIAL_MAX_BYTES
 };

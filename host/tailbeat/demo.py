@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from tailbeat import laws, reference
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment
+from tailbeat.recompute import recompute_beats
 from tailbeat.report import Series, Swim, render_png, write_html
 from tailbeat.transport.find import is_simulated
-from tailbeat.trial_log import Trial, read_trial, recompute_beats
+from tailbeat.trial_log import Trial, read_trial
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish

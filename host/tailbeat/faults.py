@@ -16,6 +16,7 @@ NO_REFERENCE = 41
 NO_TRIAL = 46
 BAD_PARAM = 54
 UNKNOWN_COMMAND = 57
+NOT_STILL = 60
 
 _KINDS = ("none", "abort", "fault", "refusal")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
@@ -20,6 +20,7 @@ from tailbeat.crash import CrashReport
 from tailbeat.errors import ConnectError, TransferError
 from tailbeat.faults import NO_REFERENCE, NO_TRIAL, refusal
 from tailbeat.ftp import FtpClient, FtpError, Progress
+from tailbeat.imu_stream import imu_frames
 from tailbeat.link import Link, Message, text_of
 from tailbeat.parameters import Parameters
 from tailbeat.results import (
@@ -27,6 +28,8 @@ from tailbeat.results import (
     BeatEvent,
     BoardInfo,
     BoardStatus,
+    ImuFrame,
+    ImuInfo,
     LearnReport,
     TrialFile,
     TrialOutcome,
@@ -35,9 +38,12 @@ from tailbeat.transport.base import Transport
 from tailbeat.transport.find import hear_board, open_transport
 from tailbeat.transport.inprocess import SimTransport, SimulatedBoard
 from tailbeat.transport.tcp import TcpTransport
+from tailbeat.vn100.problems import STARTING
 
 TRIALS = "/trials"
 LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
+_IMU_VERDICT_S = 6.0  # of board time, after which it knows
+_IMU_LOOK_S = 0.25
 _AMPLITUDES_PER_PIECE = 32
 _FTP_NOT_FOUND = 10
 _STEADY_TRIES = 5
@@ -125,6 +131,27 @@ class Fish:
     def health(self) -> dict[str, int | str]:
         """Counters of what went wrong since boot."""
         return results.health_dict(self.link.request("TAILBEAT_HEALTH"))
+
+    def imu_info(self) -> ImuInfo:
+        """Which IMU the board has, and why it does not stream if it does not."""
+        return ImuInfo.of(self.link.request("TAILBEAT_IMU_INFO"))
+
+    def imu_verdict(self) -> ImuInfo:
+        """The same once the board knows: a few seconds after its start, the IMU's, or a change of
+        the IMU's parameters."""
+        end_s = self.clock.now_s() + _IMU_VERDICT_S
+        while (info := self.imu_info()).problem.number == STARTING and self.clock.now_s() < end_s:
+            self.link.run(_IMU_LOOK_S / self.clock.rate)
+        return info
+
+    def imu_save(self) -> None:
+        """Writes the IMU's settings into its own flash and restarts it; IDLE only."""
+        self.link.command(mavlink.TAILBEAT_CMD_IMU_SAVE)
+
+    def imu_frames(self, duration_s: float = math.inf) -> Generator[ImuFrame, None, None]:
+        """The IMU's raw frames as they come, for so long of board time. Close the generator, or
+        use it up, to end the stream."""
+        return imu_frames(self.link, self.clock, duration_s)
 
     def upload_reference(
         self, reference: bytes | HasRecord, progress: Progress | None = None

@@ -9,14 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.faults import FaultInfo, fault_info
-from tailbeat.link import Message
+from tailbeat.link import Message, text_of
+from tailbeat.vn100.fields import error_words
+from tailbeat.vn100.problems import Problem, problem_info
 
 STATES = ("BOOT", "IDLE", "ARMED", "RUNNING", "SETTLING", "LEARNING", "ABORTED", "FAULT")
 BOARD_KINDS = {1: "fish", 2: "simulated", 3: "emulated"}
 SIMULATED_FISH = ("simulated", "emulated")  # kinds of boards with no real fish around them
+IMU_STATES = ("searching", "configuring", "waiting", "streaming")
+# Bits of imu_health, with what to do.
+IMU_HEALTH = {
+    0x001: ("damaged frames or lines", "Shorten or shield the line to the IMU; lower IMU_BAUD."),
+    0x002: ("bytes that belong to no message", "Shorten or shield the line to the IMU."),
+    0x004: ("missing frames", "Look whether bytes are damaged or lost, too."),
+    0x008: ("bytes lost in the board's port", "Lower IMU_RATE_HZ."),
+    0x010: ("a restart of the IMU", "Check its supply and plug."),
+    0x020: ("frames with impossible values", "Switch it off and on; if it stays, it is broken."),
+    0x100: ("no frames", ""),
+    0x200: ("not set up", ""),
+}
 RESET_CAUSES = ("power", "backup", "watchdog", "software", "reset pin")
 
-_MEASURED, _SATURATED = 1, 2
+_MEASURED, _SATURATED, _PROVISIONAL = 1, 2, 4
 _IMPROVED, _ROLLED_BACK = 1, 2
 
 
@@ -77,7 +91,7 @@ class BoardInfo:
 
 @dataclass(frozen=True)
 class BeatEvent:
-    """One beat of a trial, once its speed has settled."""
+    """One beat of a trial. ``provisional``: the trial still runs, the final speed comes later."""
 
     trial: int
     beat: int
@@ -87,6 +101,7 @@ class BeatEvent:
     sigma_m_s: float | None
     samples: int
     saturated: bool
+    provisional: bool
 
     @classmethod
     def of(cls, m: Message) -> BeatEvent:
@@ -101,6 +116,7 @@ class BeatEvent:
             sigma_m_s=_number(m.sigma_m_s) if measured else None,
             samples=m.samples,
             saturated=bool(m.flags & _SATURATED),
+            provisional=bool(m.flags & _PROVISIONAL),
         )
 
 
@@ -167,6 +183,51 @@ class TrialOutcome:
     executed_beats: int
     beats: list[BeatEvent] = field(default_factory=list)
     interrupted: bool = False
+
+
+@dataclass(frozen=True)
+class ImuInfo:
+    """TAILBEAT_IMU_INFO. ``error``: what the sensor complained of last, in words."""
+
+    state: str
+    problem: Problem
+    error: str | None
+    model: str | None
+    firmware: str | None
+    baud: int | None
+    rate_hz: int
+    port: int | None
+
+    @classmethod
+    def of(cls, m: Message) -> ImuInfo:
+        """From the message."""
+        return cls(
+            state=_name(IMU_STATES, m.state),
+            problem=problem_info(m.problem),
+            error=error_words(m.error) if m.error else None,
+            model=text_of(m.model) or None,
+            firmware=text_of(m.firmware) or None,
+            baud=m.baud or None,
+            rate_hz=m.rate_hz,
+            port=m.port or None,
+        )
+
+
+@dataclass(frozen=True)
+class ImuFrame:
+    """One frame of the fish's IMU, body axes; ``time_s`` by the board's clock. ``sequence`` counts
+    all frames the board got since its boot."""
+
+    sequence: int
+    time_s: float
+    accel_m_s2: tuple[float, ...]
+    rate_rad_s: tuple[float, ...]
+    ypr_deg: tuple[float, ...]
+
+
+def imu_health(bits: int) -> list[tuple[str, str]]:
+    """What is not as it should be, and what to do about it."""
+    return [words for bit, words in IMU_HEALTH.items() if bits & bit]
 
 
 def health_dict(m: Message) -> dict[str, int | str]:

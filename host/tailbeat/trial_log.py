@@ -19,18 +19,56 @@ Floats = NDArray[np.float32]
 
 _HEADER_BYTES = 16
 _RECORD_TYPES = b"FIMPQARDSOLCB"
-_SLOT_COLUMNS = ("time_s", "speed_m_s", "sigma_m_s", "index", "samples")
+SLOT_S = 0.1
+NO_MOTION = -32768
+_SLOT_COLUMNS = {
+    "index": np.uint16,
+    "samples": np.uint8,
+    "at_ms": np.uint8,
+    "speed_m_s": np.float32,
+    "sigma_10um_s": np.uint16,
+    "gain_10um_s": np.int16,
+    "way_um": np.int16,
+}
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Merged speed samples of 0.1 s each; all arrays have shape (slots,). Times from the start."""
+    """What the board knew of each 0.1 s, as rounded as it used it; all arrays have shape (slots,).
+
+    ``samples`` counts the camera's; without any, speed and sigma mean nothing. ``gain_10um_s`` is
+    the forward speed gained by the IMU, ``way_um`` the way beyond that of the speed at the slot's
+    begin; NO_MOTION = not known.
+    """
 
     index: NDArray[np.uint16]
-    samples: NDArray[np.uint16]
-    time_s: Floats
+    samples: NDArray[np.uint8]
+    at_ms: NDArray[np.uint8]
     speed_m_s: Floats
-    sigma_m_s: Floats
+    sigma_10um_s: NDArray[np.uint16]
+    gain_10um_s: NDArray[np.int16]
+    way_um: NDArray[np.int16]
+
+    def table(self) -> dict[str, NDArray[Any]]:
+        """In SI units: ``t_s`` (mean time of the camera's samples, or the slot's middle), ``v_m_s``
+        and ``sigma_m_s`` of the camera, ``samples``, ``gain_m_s`` of the IMU; NaN = not known."""
+        seen = self.samples > 0
+        since_s = np.where(seen, self.at_ms * 1e-3, SLOT_S / 2)
+        return {
+            "t_s": self.index * SLOT_S + since_s,
+            "v_m_s": np.where(seen, self.speed_m_s, np.nan),
+            "sigma_m_s": np.where(seen, self.sigma_10um_s * 1e-5, np.nan),
+            "samples": self.samples,
+            "gain_m_s": np.where(self.gain_10um_s == NO_MOTION, np.nan, self.gain_10um_s * 1e-5),
+        }
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The fish was still, by its IMU; time from the start of the swim."""
+
+    begin_s: float
+    still_s: float
 
 
 @dataclass(frozen=True)
@@ -67,6 +105,8 @@ class Trial:
     end: str  # ``complete``, ``aborted:REASON``, ``fault:NAME`` or ``unfinished``
     params: dict[str, float]
     slots: Slots
+    rest_before: Rest | None
+    rest_after: Rest | None
     beats: Beats
     battery_v: list[tuple[float, float]]  # (t_s, V)
     problems: list[str] = field(default_factory=list)
@@ -162,6 +202,7 @@ def _trial(
     beats = _beats(tables.get("beat"), count)
     start_us = int(info.get("start_us", 0))
     measured = int(np.count_nonzero(np.isfinite(beats.applied_rad)))
+    rests = _rests(tables.get("rest"))
     return Trial(
         number=int(info["trial"]),
         iteration=int(info.get("iteration", 0)),
@@ -176,6 +217,8 @@ def _trial(
         end="unfinished" if fault is None else fault_text(fault),
         params={name: float(value) for name, value in log.initial_parameters.items()},
         slots=_slots(tables.get("slot")),
+        rest_before=next((rest for rest in rests if rest.begin_s < 0), None),
+        rest_after=next((rest for rest in rests if rest.begin_s >= 0), None),
         beats=beats,
         battery_v=_battery(tables.get("battery"), start_us),
         problems=problems,
@@ -183,14 +226,20 @@ def _trial(
 
 
 def _slots(table: dict[str, Any] | None) -> Slots:
-    columns = {name: (table[name] if table else []) for name in _SLOT_COLUMNS}
-    return Slots(
-        index=np.asarray(columns["index"], dtype=np.uint16),
-        samples=np.asarray(columns["samples"], dtype=np.uint16),
-        time_s=np.asarray(columns["time_s"], dtype=np.float32),
-        speed_m_s=np.asarray(columns["speed_m_s"], dtype=np.float32),
-        sigma_m_s=np.asarray(columns["sigma_m_s"], dtype=np.float32),
-    )
+    columns = {
+        name: np.asarray(table[name] if table else [], dtype=kind)
+        for name, kind in _SLOT_COLUMNS.items()
+    }
+    return Slots(**columns)
+
+
+def _rests(table: dict[str, Any] | None) -> list[Rest]:
+    if not table:
+        return []
+    return [
+        Rest(float(begin), float(still))
+        for begin, still in zip(table["begin_s"], table["still_s"], strict=True)
+    ]
 
 
 def _beats(table: dict[str, Any] | None, beats: int) -> Beats:
@@ -216,41 +265,6 @@ def _battery(table: dict[str, Any] | None, start_us: int) -> list[tuple[float, f
     return [(float(t), float(v)) for t, v in zip(time, table["voltage_v"], strict=True)]
 
 
-def recompute_beats(trial: Trial) -> tuple[Floats, Floats]:
-    """(speed_m_s, sigma_m_s) per beat from the logged slots, by the estimator the board runs.
-
-    For trials measured by streamed vision they equal the logged ones bit for bit.
-    """
-    from tailbeat._native import ffi, lib
-
-    count = len(trial.slots.index)
-    slots = ffi.new("speed_slot_t[]", max(count, 1))
-    for i in range(count):
-        slots[i] = {
-            "index": int(trial.slots.index[i]),
-            "samples": int(trial.slots.samples[i]),
-            "time_s": float(trial.slots.time_s[i]),
-            "speed_m_s": float(trial.slots.speed_m_s[i]),
-            "sigma_m_s": float(trial.slots.sigma_m_s[i]),
-        }
-    config = ffi.new(
-        "speed_config_t *",
-        {
-            "window_s": trial.params["SPD_WINDOW_S"],
-            "gap_max_s": trial.params["SPD_GAP_S"],
-            "plausible_m_s": trial.params["SPD_PLAUS_M_S"],
-        },
-    )
-    beats = len(trial.beats.speed_m_s)
-    speed = np.full(beats, np.nan, dtype=np.float32)
-    sigma = np.full(beats, np.nan, dtype=np.float32)
-    for beat in range(min(beats, trial.executed_beats)):
-        begin = float(np.float32(beat) * np.float32(trial.beat_s))
-        mean = lib.speed_beat_mean(slots, count, config, begin, trial.beat_s)
-        speed[beat], sigma[beat] = mean.speed_m_s, mean.sigma_m_s
-    return speed, sigma
-
-
 def beats_csv(trial: Trial, path: Path) -> None:
     """Writes one row per beat, units in the header; empty cells where nothing is known."""
     header = ["beat", "t_s", "amplitude_rad", "applied_rad", "reference_m_s", "speed_m_s"]
@@ -263,16 +277,6 @@ def beats_csv(trial: Trial, path: Path) -> None:
         for k in range(len(b.samples)):
             row = [_cell(column[k]) for column in (*columns, b.error_m_s)]
             out.writerow([k, _cell((k + 0.5) * trial.beat_s), *row, int(b.samples[k])])
-
-
-def slots_csv(trial: Trial, path: Path) -> None:
-    """Writes the speed signal the estimator ran on, at 10 Hz: ``t_s,v_m_s,sigma_m_s,samples``."""
-    s = trial.slots
-    with path.open("w", newline="") as file:
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(["t_s", "v_m_s", "sigma_m_s", "samples"])
-        for row in zip(s.time_s, s.speed_m_s, s.sigma_m_s, s.samples, strict=True):
-            out.writerow([_cell(row[0]), _cell(row[1]), _cell(row[2]), int(row[3])])
 
 
 def _cell(value: Any) -> str:

@@ -10,20 +10,23 @@ from typing import TYPE_CHECKING, NoReturn
 from tailbeat import _dialect as mavlink
 from tailbeat.camera.base import Camera
 from tailbeat.camera.beatfit import BeatFit, SpeedSample
-from tailbeat.errors import ConnectError, LinkLostError, TailbeatError
-from tailbeat.faults import ABORT_COMMAND, REBOOT, FaultInfo, fault_info
+from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError
+from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, FaultInfo, fault_info
 from tailbeat.link import Message
 from tailbeat.results import BeatEvent, BoardStatus, TrialOutcome
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish, Guard, OnEvent
 
-SOURCE_VISION = 0
+SOURCE_VISION, SOURCE_IMU = 0, 2
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SILENCE_S = 3.0  # of board time, after which the link counts as lost
 _SETTLE_MARGIN_S = 2.0
+_STILL_LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
+_REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
+_STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
 _BLIND_S = 1.0  # of board time without a picture, after which somebody should look
 _NAN = math.nan
 
@@ -38,6 +41,8 @@ class _Run:
     guard: Guard | None
     reconnect_s: float
     settle_s: float = 3.0
+    source: int = SOURCE_VISION
+    asked: set[str] = field(default_factory=set)
     number: int = 0
     iteration: int = 0
     beats: dict[int, BeatEvent] = field(default_factory=dict)
@@ -93,8 +98,10 @@ def _prepare(run: _Run) -> None:
     fish = run.fish
     run.settle_s = fish.params.get("SETTLE_S").value
     window_s = fish.params.get("SPD_WINDOW_S").value
-    source = round(fish.params.get("SPD_SOURCE").value)
-    if run.camera is None and source == SOURCE_VISION:
+    run.source = round(fish.params.get("SPD_SOURCE").value)
+    if run.source == SOURCE_IMU:
+        run.settle_s += _REST_WAIT_S
+    if run.camera is None and run.source == SOURCE_VISION:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
         run.emit({"event": "warning", "text": text})
     if run.camera is not None:
@@ -119,10 +126,7 @@ def _command_start(run: _Run) -> None:
     status = fish.status()
     run.number = status.next_trial
     run.iteration = status.iteration
-    # The board keeps single precision: rounding up could make the command come from the future,
-    # which is harmless, rounding by more than milliseconds needs a board up for days.
-    issued_s = fish.clock.now_s()
-    fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, float(run.number), issued_s)
+    _send_start(run)
     run.status = None
     run.progress_at_s = fish.transport.now_s()
     if run.camera is not None:  # until now the fish may have been carried or adrift
@@ -132,15 +136,43 @@ def _command_start(run: _Run) -> None:
     run.emit({"event": "started", "trial": run.number, "iteration": run.iteration})
 
 
+def _send_start(run: _Run) -> None:
+    """Starts; a fish that is not still yet is waited for."""
+    fish = run.fish
+    begin_s = fish.transport.now_s()
+    while True:
+        try:
+            # The board keeps single precision: rounding up could make the command come from the
+            # future, which is harmless, rounding by more than milliseconds needs a board up for
+            # days.
+            issued_s = fish.clock.now_s()
+            fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, float(run.number), issued_s)
+            return
+        except Refused as refused:
+            waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
+            if refused.number != NOT_STILL or waited_s > _STILL_WAIT_S:
+                raise
+        _ask_to_hold(run, "hold the fish still; the trial starts by itself once it is")
+        fish.link.run(_STILL_LOOK_S / max(fish.clock.rate, 1.0))
+
+
+def _ask_to_hold(run: _Run, text: str) -> None:
+    if text not in run.asked:
+        run.asked.add(text)
+        run.emit({"event": "hold", "text": text})
+
+
 def _hear(run: _Run, message: Message) -> None:
     kind = message.get_type()
     if kind == "TAILBEAT_STATUS":
         _take_status(run, BoardStatus.of(message))
     elif kind == "TAILBEAT_BEAT" and message.trial == run.number:
         beat = BeatEvent.of(message)
-        if beat.beat not in run.beats:
+        known = run.beats.get(beat.beat)
+        if known is None or (known.provisional and not beat.provisional):
             run.beats[beat.beat] = beat
             run.emit({"event": "beat", **vars(beat)})
+        if known is None:
             _consult(run, beat)
     elif kind == "STATUSTEXT" and run.number:
         from tailbeat.fish import text_event
@@ -155,6 +187,8 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
     if run.progress != (status.state, status.beat):
         run.progress = (status.state, status.beat)
         run.progress_at_s = run.fish.link.transport.now_s()
+    if run.source == SOURCE_IMU and status.state == "SETTLING":
+        _ask_to_hold(run, "swum; hold the fish still again until the result is there")
 
 
 def _consult(run: _Run, what: object) -> None:

@@ -31,12 +31,15 @@ class Port:
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.line: Any = None
-        self._char = round(BYTE_US * TICKS_PER_US)
+        self.set_baud(115200)
         self._said: list[tuple[int, bytes]] = []
 
     def connect(self, line: SerialLine) -> None:
         self.line = line
         line.connect(self)
+
+    def set_baud(self, baud: int) -> None:
+        self._char = round(10 * TICKS_PER_S / baud)
 
     def say(self, data: bytes) -> None:
         begin = self._said[-1][0] if self._said else self.clock.now
@@ -205,23 +208,83 @@ def test_a_pulse_that_does_not_reach_the_pin_is_none(emulated: EmulatedBoard) ->
     assert emulated.truth().swims == 0
 
 
-def test_imu_bytes_come_at_the_speed_of_their_line(emulated: EmulatedBoard) -> None:
+def arrived(emulated: EmulatedBoard) -> list[Any]:
+    """What has reached the IMU's port of the chip since the last time."""
     port = emulated.board.periph["USART0"]
+    return list(port.line.fetch(emulated.board.clock.now))
+
+
+def answer(emulated: EmulatedBoard, command: bytes) -> bytes:
+    """The line that comes back within 30 ms, measurements left out."""
+    port = emulated.board.periph["USART0"]
+    arrived(emulated)
+    port.say(command + b"*XX\r\n")
+    emulated.run(0.03)
+    lines = b"".join(piece.data for piece in arrived(emulated)).split(b"\r\n")
+    return b"".join(line for line in lines if line[:6] not in (b"$VNYMR", b""))
+
+
+def test_imu_bytes_come_at_the_speed_of_their_line(emulated: EmulatedBoard) -> None:
     emulated.run(0.5)
-    pieces = list(port.line.fetch(emulated.board.clock.now))
+    pieces = arrived(emulated)
     first = pieces[0]
-    assert (first.data[:2], len(first.data)) == (b"\xfa\x11", 64)
-    assert first.first / TICKS_PER_US == pytest.approx(261_000 + BYTE_US, abs=0.1)
-    assert first.last / TICKS_PER_US == pytest.approx(261_000 + 64 * BYTE_US, abs=0.1)
-    assert pieces[1].first - first.first == 10_000 * TICKS_PER_US
+    assert (first.data[:7], len(first.data)) == (b"$VNYMR,", 122)
+    assert first.baud == 115200
+    assert first.first / TICKS_PER_US == pytest.approx(260_998 + BYTE_US, abs=0.1)
+    assert first.last / TICKS_PER_US == pytest.approx(260_998 + 122 * BYTE_US, abs=0.1)
+    assert pieces[1].first - first.first == pytest.approx(25_000 * TICKS_PER_US, abs=100)
     emulated.set_imu(False)
     emulated.run(1.0)
-    list(port.line.fetch(emulated.board.clock.now))
+    arrived(emulated)
     emulated.run(1.0)
-    assert list(port.line.fetch(emulated.board.clock.now)) == []
+    assert arrived(emulated) == []
     emulated.set_imu(True)
     emulated.run(0.25)
-    assert len(list(port.line.fetch(emulated.board.clock.now))) == 5
+    assert len(arrived(emulated)) == 2
+
+
+def test_the_board_talks_to_the_imu(emulated: EmulatedBoard) -> None:
+    emulated.run(0.5)
+    assert answer(emulated, b"$VNRRG,07") == b"$VNRRG,07,40*5C"
+    answer(emulated, b"$VNWRG,06,0")
+    arrived(emulated)
+    port = emulated.board.periph["USART0"]
+    begin = emulated.board.clock.now
+    port.say(b"$VNRRG,07*74\r\n")
+    emulated.run(0.02)
+    (reply,) = arrived(emulated)
+    after_us = (reply.first - begin) / TICKS_PER_US
+    assert after_us == pytest.approx((14 + 1) * BYTE_US + 1000, abs=20)
+    assert answer(emulated, b"$VNWRG,75,2,8,11,0129,0040").startswith(b"$VNWRG,75")
+    emulated.run(1.0)
+    frames = arrived(emulated)
+    assert len(frames) in (99, 100, 101)
+    assert {piece.data[:6] for piece in frames} == {bytes.fromhex("FA1129014000")}
+
+
+def test_both_ends_must_have_the_same_speed(emulated: EmulatedBoard) -> None:
+    emulated.run(0.5)
+    port = emulated.board.periph["USART0"]
+    answer(emulated, b"$VNWRG,06,0")
+    assert answer(emulated, b"$VNWRG,05,460800").startswith(b"$VNWRG,05,460800")
+    assert answer(emulated, b"$VNRRG,07") == b""
+    port.set_baud(460800)
+    assert answer(emulated, b"$VNRRG,07") == b"$VNRRG,07,40*5C"
+    port.say(b"$VNRRG,07*74\r\n")
+    emulated.run(0.02)
+    assert [piece.baud for piece in arrived(emulated)] == [460800]
+    emulated.reboot_imu()
+    assert answer(emulated, b"$VNRRG,07") == b""
+    emulated.run(0.5)
+    assert {piece.baud for piece in arrived(emulated)} == {115200}
+    emulated.wedge_imu()
+    emulated.run(0.1)
+    arrived(emulated)
+    emulated.run(1.0)
+    assert arrived(emulated) == []
+    emulated.power_cycle()
+    emulated.run(0.5)
+    assert len(arrived(emulated)) == 10
 
 
 def test_a_message_ends_the_wait_with_what_follows_it(emulated: EmulatedBoard) -> None:
@@ -307,7 +370,7 @@ def test_power_cycle_starts_everything_anew_but_the_flash(emulated: EmulatedBoar
     list(old.line.fetch(begin))
     emulated.run(0.5)
     arrivals = list(emulated.board.periph["USART0"].line.fetch(emulated.board.clock.now))
-    assert (arrivals[0].first - begin) / TICKS_PER_US == pytest.approx(261_000 + BYTE_US, abs=2)
+    assert (arrivals[0].first - begin) / TICKS_PER_US == pytest.approx(260_998 + BYTE_US, abs=2)
     assert emulated.flash[:1001] == bytes(1000) + b"\xff"
 
 
@@ -324,21 +387,22 @@ def test_battery_is_on_its_divider(image: Path) -> None:
 
 
 def test_address_with_values(image: Path) -> None:
-    url = f"vboard:{image}?plant=thesis&seed=9&mass=0.5&imu_baud=460800&imu_rate_hz=400"
+    url = f"vboard:{image}?plant=thesis&seed=9&mass=0.5&imu_baud=460800&imu_port=1"
     emulated = find.open_transport(url, camera_fps=50.0).board
     assert (emulated.plant, emulated.seed) == ("thesis", 9)
     assert (emulated.config["mass_kg"], emulated.config["camera_fps"]) == (0.5, 50.0)
+    assert (emulated.config["imu_baud"], emulated.config["imu_port"]) == (460800, 1)
     assert emulated.board.seed == 9
-    port = emulated.board.periph["USART0"]
     emulated.run(1.261)
-    data = b"".join(piece.data for piece in port.line.fetch(emulated.board.clock.now))
-    assert len(data) == 400 * 64
+    pieces = arrived(emulated)
+    assert {piece.baud for piece in pieces} == {460800}
+    assert len(b"".join(piece.data for piece in pieces)) == 40 * 122
 
 
 @pytest.mark.parametrize(
     "query",
     ["plant=pond", "seed=x", "nonsense=1", "imu_rate_hz=200", "kappa=-1", "seed=-1", "image=1",
-     "self=1", "imu_baud=nan", "imu_rate_hz=0&imu_baud=0"],
+     "self=1", "imu_baud=nan", "imu_baud=100000", "imu_port=3", "imu_firmware=1"],
 )  # fmt: skip
 def test_senseless_values(image: Path, query: str) -> None:
     with pytest.raises(InputError) as bad:

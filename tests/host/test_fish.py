@@ -138,7 +138,7 @@ def test_ctrl_c_stops_the_tail(ready: Fish) -> None:
     assert ready.sim is not None
 
     def press(event: dict) -> None:
-        if event["event"] == "beat" and event["beat"] == 1:
+        if event["event"] == "beat" and event["beat"] == 1 and event["provisional"]:
             raise KeyboardInterrupt
 
     outcome = ready.run_trial(on_event=press)

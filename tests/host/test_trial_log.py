@@ -19,8 +19,6 @@ from tailbeat.trial_log import (
     fault_text,
     parse_trial,
     read_trial,
-    recompute_beats,
-    slots_csv,
 )
 
 BEATS = 12
@@ -31,6 +29,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A complete trial, the same with uploaded speeds behind it, and an aborted one."""
     folder = tmp_path_factory.mktemp("trials")
     with Fish.connect("sim:tank", seed=3, camera_lost=0.05) as fish:
+        fish.link.run(9.0)  # until the IMU is set up
         fish.params.set("AMP_MAX_RAD", 0.785)
         fish.upload_reference(reference.trapezoid(0.06, 3, BEATS - 6))
         fish.run_trial()
@@ -69,20 +68,6 @@ def test_what_a_file_tells(trial: Trial) -> None:
     wanted = reference.trapezoid(0.06, 3, BEATS - 6).speed_m_s
     assert same_bits(trial.beats.reference_m_s, wanted)
     assert same_bits(trial.beats.amplitude_rad, laws.first(Law(), wanted))
-
-
-def test_beats_recompute_bit_for_bit_from_the_slots(trial: Trial) -> None:
-    speed, sigma = recompute_beats(trial)
-    assert np.count_nonzero(np.isfinite(speed)) == BEATS
-    assert same_bits(speed, trial.beats.speed_m_s)
-    assert same_bits(sigma, trial.beats.sigma_m_s)
-
-
-def test_a_changed_slot_shows(trial: Trial) -> None:
-    middle = int(np.argmin(np.abs(trial.slots.time_s - 5.5)))
-    trial.slots.speed_m_s[middle] += np.float32(1e-3)
-    assert not same_bits(recompute_beats(trial)[0], trial.beats.speed_m_s)
-    trial.slots.speed_m_s[middle] -= np.float32(1e-3)
 
 
 def test_the_last_record_of_a_beat_counts(files: dict[str, Path]) -> None:
@@ -157,11 +142,16 @@ def test_beats_csv(trial: Trial, tmp_path: Path) -> None:
     assert float(rows[5]["t_s"]) == 5.5
 
 
-def test_slots_csv(trial: Trial, tmp_path: Path) -> None:
-    slots_csv(trial, tmp_path / "s.csv")
-    lines = (tmp_path / "s.csv").read_text().splitlines()
-    assert lines[0] == "t_s,v_m_s,sigma_m_s,samples"
-    assert len(lines) == 1 + len(trial.slots.index)
+def test_slots_in_si_units(trial: Trial) -> None:
+    table = trial.slots.table()
+    assert list(table) == ["t_s", "v_m_s", "sigma_m_s", "samples", "gain_m_s"]
+    assert {len(column) for column in table.values()} == {len(trial.slots.index)}
+    assert np.all(np.diff(table["t_s"]) > 0)
+    seen = trial.slots.samples > 0
+    assert np.array_equal(np.isfinite(table["v_m_s"]), seen)
+    assert 0.0005 < np.nanmean(table["sigma_m_s"]) < 0.001
+    swum = (table["t_s"] > 0) & (table["t_s"] < BEATS)
+    assert np.all(np.isfinite(table["gain_m_s"][swum]))
 
 
 def test_fault_text() -> None:

@@ -15,6 +15,7 @@ static params_t params;
 static link_t board;
 static link_status_t status;
 static memory_t memory;
+static imu_t imu;
 
 /* What the application's side was asked. */
 static link_command_t last_command;
@@ -79,10 +80,12 @@ void setUp(void) {
     memset(&store, 0, sizeof store);
     memset(&status, 0, sizeof status);
     memset(&memory, 0, sizeof memory);
+    memset(&imu, 0, sizeof imu);
     TEST_ASSERT_EQUAL(STORE_OK, store_mount(&store, &hal));
     params_reset(&params);
     status.state = STATE_IDLE;
     status.memory = &memory;
+    status.imu = &imu;
     status.speed_m_s = NAN;
     link_init(&board, &hal, &store, &params, &handlers);
     verdict = FAULT_NONE;

@@ -47,7 +47,7 @@ static uint32_t sent_in_a_minute(hal_port_t port, uint32_t message) {
 }
 
 static void test_rates_where_a_host_is_heard(void) {
-    status.imu_counters.frames = 1;
+    imu.counters.frames = 1;
     TEST_ASSERT_EQUAL(60, sent_in_a_minute(HAL_PORT_RADIO, MAVLINK_MSG_ID_HEARTBEAT));
     TEST_ASSERT_EQUAL(60, sent_in_a_minute(HAL_PORT_RADIO, MAVLINK_MSG_ID_TAILBEAT_STATUS));
     TEST_ASSERT_EQUAL(60, sent_in_a_minute(HAL_PORT_RADIO, MAVLINK_MSG_ID_BATTERY_STATUS));
@@ -101,11 +101,11 @@ static void test_battery_and_attitude_for_other_programs(void) {
     uint16_t voltages[10];
     mavlink_attitude_t attitude;
     status.battery_mv = 7654;
-    status.imu_counters.frames = 1;
-    status.imu.ypr_deg[0] = 180.0f;
-    status.imu.ypr_deg[1] = 45.0f;
-    status.imu.ypr_deg[2] = -90.0f;
-    status.imu.rate_rad_s[2] = 0.25f;
+    imu.counters.frames = 1;
+    imu.last.ypr_deg[0] = 180.0f;
+    imu.last.ypr_deg[1] = 45.0f;
+    imu.last.ypr_deg[2] = -90.0f;
+    imu.last.rate_rad_s[2] = 0.25f;
     poll_at(hal.now_us + 1000000);
     peer_collect(HAL_PORT_RADIO);
     mavlink_msg_battery_status_get_voltages(peer_find(MAVLINK_MSG_ID_BATTERY_STATUS), voltages);

@@ -169,7 +169,7 @@ static void swim_once(store_t *s) {
     (void)trial_log_begin(&log_, s, &header, &params);
     for (uint32_t step = 0; step <= 60; step++) {
         const uint64_t now_us = 1000000u + step * 100000u;
-        const speed_slot_t slot = {.index = (uint16_t)step, .samples = 2, .time_s = 0.1f};
+        const speed_slot_t slot = {.index = (uint16_t)step, .samples = 2, .at_ms = 50};
         const trial_log_beat_t beat = {.beat = (uint16_t)(step / 10u)};
         trial_log_slot(&log_, now_us, &slot);
         if (step % 10u == 0u && step < 50u) {

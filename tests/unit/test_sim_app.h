@@ -35,6 +35,9 @@ static struct {
     unsigned imu_frames;
 } script;
 
+static const imu_driver_config_t script_imu = {
+    .baud = 115200, .rate_hz = 100, .port = 0, .heading = -1, .mount = 0};
+
 static inline void script_reset(const double *amplitude_rad, unsigned beats, unsigned start_tick) {
     memset(&script, 0, sizeof script);
     script.amplitude_rad = amplitude_rad;
@@ -48,7 +51,7 @@ void app_init(app_t *app, hal_t *hal) {
     script.inits++;
     script.ticks = 0;
     script.last_poll_us = 0;
-    imu_init(&script.imu);
+    imu_init(&script.imu, &script_imu, 0);
 }
 
 static void digest(const uint8_t *bytes, size_t length) {
@@ -63,8 +66,30 @@ static void take_imu(void) {
     digest(bytes, length);
     for (size_t at = 0; at < length;) {
         bool got = false;
-        at += imu_push(&script.imu, bytes + at, length - at, &script.imu_frame, &got);
+        imu_sample_t sample;
+        at +=
+            imu_push(&script.imu, bytes + at, length - at, hal_time_us(script.hal), &sample, &got);
         script.imu_frames += got;
+        script.imu_frame = got ? sample.frame : script.imu_frame;
+    }
+}
+
+static void serve_imu(void) {
+    const uint32_t overruns = hal_serial_errors(script.hal, HAL_PORT_IMU).overruns;
+    for (;;) {
+        const imu_action_t action = imu_poll(&script.imu, overruns, hal_time_us(script.hal));
+        if (action.what == IMU_DO_NOTHING) {
+            return;
+        }
+        if (action.what == IMU_DO_SET_BAUD) {
+            uint8_t old[512];
+            hal_serial_set_baud(script.hal, HAL_PORT_IMU, action.baud);
+            while (hal_serial_read(script.hal, HAL_PORT_IMU, old, sizeof old) > 0) {
+            }
+        } else {
+            hal_serial_write(script.hal, HAL_PORT_IMU, (const uint8_t *)action.bytes,
+                             action.length);
+        }
     }
 }
 
@@ -75,6 +100,7 @@ void app_poll(app_t *app) {
     script.longest_gap_us = gap > script.longest_gap_us ? gap : script.longest_gap_us;
     script.last_poll_us = now;
     take_imu();
+    serve_imu();
     uint8_t *at = script.radio + script.radio_length;
     script.radio_length +=
         hal_serial_read(script.hal, HAL_PORT_RADIO, at, sizeof script.radio - script.radio_length);

@@ -105,7 +105,7 @@ static void test_seed_decides(void) {
 
 static void test_main_loop_runs_at_least_every_10_ms(void) {
     sim_config_t c = tank();
-    c.imu_rate_hz = 0;
+    c.imu_firmware = 0;
     script_reset(NULL, 0, 0);
     sim_t *sim = sim_new(&c);
     sim_run(sim, 5700000, -1, false);
@@ -117,7 +117,7 @@ static void test_main_loop_runs_at_least_every_10_ms(void) {
 
 static void test_host_bytes_travel_at_line_speed(void) {
     sim_config_t c = tank();
-    c.imu_rate_hz = 0;
+    c.imu_firmware = 0;
     script_reset(NULL, 0, 0);
     script.quiet = true;
     sim_t *sim = sim_new(&c);
@@ -348,6 +348,99 @@ static void test_battery(void) {
     sim_free(sim);
 }
 
+/* Frames that came in within a second from now. */
+static unsigned imu_frames_in_1_s(sim_t *sim) {
+    const unsigned before = script.imu_frames;
+    sim_run(sim, 1000000, -1, false);
+    return script.imu_frames - before;
+}
+
+/* Whatever sensor there is, the firmware's driver finds it over the wires and sets it up. */
+static void test_imu_is_set_up_over_its_wires(void) {
+    static const double bauds[3] = {115200, 9600, 921600};
+    for (unsigned firmware = 2; firmware <= 3; firmware++) {
+        for (unsigned port = 1; port <= 2; port++) {
+            for (unsigned i = 0; i < 3; i++) {
+                sim_config_t c = tank();
+                c.imu_firmware = firmware;
+                c.imu_port = port;
+                c.imu_baud = bauds[i];
+                script_reset(NULL, 0, 0);
+                sim_t *sim = sim_new(&c);
+                sim_run(sim, 1700000 + IMU_DRIVER_VERDICT_US, -1, false);
+                TEST_ASSERT_EQUAL(IMU_STREAMING, script.imu.driver.state);
+                TEST_ASSERT_EQUAL(port, script.imu.driver.found_port);
+                TEST_ASSERT_UINT_WITHIN(1, 100, imu_frames_in_1_s(sim));
+                TEST_ASSERT_EQUAL(0, script.imu.counters.lost);
+                sim_free(sim);
+            }
+        }
+    }
+}
+
+/* 64 bytes at 115200 baud are all there 5.56 ms after the first bit left. */
+static void test_imu_bytes_take_their_time(void) {
+    sim_config_t c = tank();
+    c.boot_s = 0;
+    script_reset(NULL, 0, 0);
+    sim_t *sim = sim_new(&c);
+    sim_run(sim, 4000000, -1, false);
+    const unsigned before = script.imu_frames;
+    while (script.imu_frames == before) {
+        sim_run(sim, 1, -1, false);
+    }
+    const double stamp_us = (double)script.imu_frame.time_startup_ns * 1e-3 / 1.000012;
+    const double late_us = (double)sim_time_us(sim) - 61000 - stamp_us;
+    TEST_ASSERT_FLOAT_WITHIN(12, 64 * 1e7 / 115200, late_us);
+    sim_free(sim);
+}
+
+static void test_imu_restarts_and_wedges(void) {
+    sim_config_t c = tank();
+    script_reset(NULL, 0, 0);
+    sim_t *sim = sim_new(&c);
+    sim_run(sim, 6000000, -1, false);
+    sim_imu_reboot(sim);
+    sim_run(sim, 4000000, -1, false);
+    TEST_ASSERT_UINT_WITHIN(1, 100, imu_frames_in_1_s(sim));
+    sim_imu_wedge(sim);
+    sim_run(sim, 1000000, -1, false);
+    TEST_ASSERT_EQUAL(0, imu_frames_in_1_s(sim));
+    sim_run(sim, 10000000, -1, false);
+    TEST_ASSERT_EQUAL(0, imu_frames_in_1_s(sim));
+    sim_power_cycle(sim);
+    sim_run(sim, 5000000, -1, false);
+    TEST_ASSERT_UINT_WITHIN(1, 100, imu_frames_in_1_s(sim));
+    sim_free(sim);
+}
+
+/* Two ends of different speed: every byte is there, wrong, and its stop bit counted. */
+static void test_imu_at_another_speed_is_garbage(void) {
+    sim_config_t c = tank();
+    script_reset(NULL, 0, 0);
+    sim_t *sim = sim_new(&c);
+    sim_run(sim, 6000000, -1, false);
+    const uint32_t framing = hal_serial_errors(script.hal, HAL_PORT_IMU).framing;
+    TEST_ASSERT_TRUE(hal_serial_set_baud(script.hal, HAL_PORT_IMU, 230400));
+    TEST_ASSERT_FALSE(hal_serial_set_baud(script.hal, HAL_PORT_IMU, 0));
+    const unsigned frames = script.imu_frames;
+    sim_run(sim, 80000, -1, false);
+    TEST_ASSERT_UINT_WITHIN(1, frames, script.imu_frames);
+    TEST_ASSERT_TRUE(hal_serial_errors(script.hal, HAL_PORT_IMU).framing >= framing + 7 * 64);
+    /* Half a command at each speed is none. */
+    static const uint8_t reset[] = "$VNRST*4D\r\n";
+    hal_serial_set_baud(script.hal, HAL_PORT_IMU, 115200);
+    TEST_ASSERT_EQUAL(11, hal_serial_write(script.hal, HAL_PORT_IMU, reset, 11));
+    sim_run(sim, 400, -1, false);
+    hal_serial_set_baud(script.hal, HAL_PORT_IMU, 230400);
+    sim_run(sim, 2000, -1, false);
+    hal_serial_set_baud(script.hal, HAL_PORT_IMU, 115200);
+    const uint64_t before_ns = script.imu_frame.time_startup_ns;
+    sim_run(sim, 100000, -1, false);
+    TEST_ASSERT_TRUE(script.imu_frame.time_startup_ns > before_ns);
+    sim_free(sim);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_slicing_changes_nothing);
@@ -362,5 +455,9 @@ int main(void) {
     RUN_TEST(test_camera);
     RUN_TEST(test_camera_sees_the_swim);
     RUN_TEST(test_battery);
+    RUN_TEST(test_imu_is_set_up_over_its_wires);
+    RUN_TEST(test_imu_bytes_take_their_time);
+    RUN_TEST(test_imu_restarts_and_wedges);
+    RUN_TEST(test_imu_at_another_speed_is_garbage);
     return UNITY_END();
 }

@@ -271,6 +271,7 @@ static void test_coasts_after_a_sudden_stop(void) {
     const double u[5] = {0.7, 0.7, 0.7, 0.7, 0.7};
     for (int servo = 0; servo < 2; servo++) {
         sim_config_t c = quiet_config(SIM_PLANT_TANK, servo != 0);
+        c.caught_after_s = 0;
         script_reset(u, 5, 10);
         script.stop_tick = 10 + 4 * 50 + 12;
         sim_t *sim = sim_new(&c);

@@ -2,6 +2,7 @@
 #include "unity.h"
 #include "world.h"
 
+#include <stddef.h>
 #include <stdlib.h>
 
 #define BEATS 6u
@@ -97,18 +98,19 @@ static void test_swim_number_keys_the_noise(void) {
     world_free(world);
 }
 
+/* By its own clock, which is 12 ppm fast, it starts 0.2 s after its supply is up. */
 static void test_imu_has_the_power_of_the_board(void) {
     const sim_config_t c = tank();
-    uint8_t frame[WORLD_IMU_FRAME_BYTES];
+    uint8_t message[WORLD_IMU_MESSAGE_MAX];
     world_t *world = world_new(&c);
     TEST_ASSERT_TRUE(world_imu_due_us(world) == UINT64_MAX);
     rest(world, 1000000);
     world_imu_power_on(world, 1000000);
-    TEST_ASSERT_EQUAL_UINT64(1261000, world_imu_due_us(world));
+    TEST_ASSERT_EQUAL_UINT64(1260998, world_imu_due_us(world));
     rest(world, 1260000);
-    world_imu_frame(world, frame);
-    TEST_ASSERT_EQUAL_HEX8(0xFA, frame[0]);
-    TEST_ASSERT_EQUAL_UINT64(1271000, world_imu_due_us(world));
+    TEST_ASSERT_EQUAL(122, world_imu_read(world, message));
+    TEST_ASSERT_EQUAL_STRING_LEN("$VNYMR,", message, 7);
+    TEST_ASSERT_EQUAL_UINT64(1285998, world_imu_due_us(world));
     world_imu_power_off(world);
     TEST_ASSERT_TRUE(world_imu_due_us(world) == UINT64_MAX);
     world_set_imu(world, 1260000, false);
@@ -118,7 +120,45 @@ static void test_imu_has_the_power_of_the_board(void) {
     world_set_imu(world, 2100000, false);
     TEST_ASSERT_TRUE(world_imu_due_us(world) == UINT64_MAX);
     world_set_imu(world, 2500000, true);
-    TEST_ASSERT_EQUAL_UINT64(2700000, world_imu_due_us(world));
+    TEST_ASSERT_EQUAL_UINT64(2699998, world_imu_due_us(world));
+    world_free(world);
+}
+
+/* 1 s after the last pulse the fish stands still within 0.3 s, where it is, until the next swim. */
+static void test_somebody_catches_the_fish(void) {
+    sim_config_t c = tank();
+    world_t *world = world_new(&c);
+    rest(world, 1000000);
+    swim(world, FRAMES);
+    const double end_s = world_truth(world).time_s;
+    sim_truth_t before = world_truth(world);
+    double fastest_change = 0;
+    while (world_truth(world).time_s < end_s + 3) {
+        rest(world, world_time_us(world) + WORLD_FRAME_US);
+        const sim_truth_t now = world_truth(world);
+        const double since = now.time_s - end_s;
+        TEST_ASSERT_TRUE(now.x_m >= before.x_m && now.x_m - before.x_m < 0.003);
+        TEST_ASSERT_TRUE(since > 0.999 || now.v_m_s > 0.03);
+        TEST_ASSERT_TRUE(since < 1.301 || now.v_m_s == 0);
+        fastest_change = fmax(fastest_change, before.v_m_s - now.v_m_s);
+        before = now;
+    }
+    TEST_ASSERT_TRUE(fastest_change < 0.2 * 0.08);
+    sim_camera_frame_t picture[64];
+    size_t pictures = 0;
+    for (size_t n; (n = world_camera_read(world, world_time_us(world), picture, 64)) > 0;) {
+        pictures = n;
+    }
+    TEST_ASSERT_FLOAT_WITHIN(0.005, before.x_m, picture[pictures - 1].x_m);
+    swim(world, 100);
+    TEST_ASSERT_TRUE(world_truth(world).v_m_s > 0.02);
+    world_free(world);
+    c.caught_after_s = 0;
+    world = world_new(&c);
+    rest(world, 1000000);
+    swim(world, FRAMES);
+    rest(world, world_time_us(world) + 3000000);
+    TEST_ASSERT_TRUE(world_truth(world).v_m_s > 0.01);
     world_free(world);
 }
 
@@ -156,6 +196,22 @@ static void test_values_that_make_no_sense(void) {
     c.kappa_per_m = -1;
     TEST_ASSERT_FALSE(sim_config_valid(&c));
     TEST_ASSERT_NULL(world_new(&c));
+    static const struct {
+        size_t place;
+        double value;
+    } senseless[] = {
+        {offsetof(sim_config_t, imu_firmware), 1},    {offsetof(sim_config_t, imu_port), 0},
+        {offsetof(sim_config_t, imu_port), 3},        {offsetof(sim_config_t, imu_baud), 100000},
+        {offsetof(sim_config_t, imu_baud), NAN},      {offsetof(sim_config_t, imu_baud), 0},
+        {offsetof(sim_config_t, imu_bit_errors), 2},  {offsetof(sim_config_t, imu_lost_bytes), -1},
+        {offsetof(sim_config_t, caught_after_s), -1}, {offsetof(sim_config_t, caught_after_s), 0.1},
+    };
+    for (size_t i = 0; i < sizeof senseless / sizeof senseless[0]; i++) {
+        c = tank();
+        TEST_ASSERT_TRUE(sim_config_valid(&c));
+        memcpy((char *)&c + senseless[i].place, &senseless[i].value, sizeof(double));
+        TEST_ASSERT_FALSE(sim_config_valid(&c));
+    }
 }
 
 int main(void) {
@@ -164,6 +220,7 @@ int main(void) {
     RUN_TEST(test_a_pulse_lasts_for_the_frame_it_begins);
     RUN_TEST(test_swim_number_keys_the_noise);
     RUN_TEST(test_imu_has_the_power_of_the_board);
+    RUN_TEST(test_somebody_catches_the_fish);
     RUN_TEST(test_pictures_come_when_their_latency_is_over);
     RUN_TEST(test_battery_sags_with_every_swim);
     RUN_TEST(test_values_that_make_no_sense);

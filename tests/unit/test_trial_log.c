@@ -47,9 +47,11 @@ static void log_slot_and_beat(uint64_t now_us, uint32_t step_in_swim) {
     if (in_swim_us % SLOT_US == 0) {
         const speed_slot_t slot = {.index = (uint16_t)(in_swim_us / SLOT_US),
                                    .samples = 2,
-                                   .time_s = (float)in_swim_us * 1e-6f + 0.05f,
+                                   .at_ms = 50,
                                    .speed_m_s = 0.0791f,
-                                   .sigma_m_s = 0.0007f};
+                                   .sigma_10um_s = 70,
+                                   .gain_10um_s = -3,
+                                   .way_um = 40};
         trial_log_slot(&log_, now_us, &slot);
     }
     if (in_swim_us % BEAT_US == 0) {
@@ -127,18 +129,23 @@ static void test_header_and_definitions(void) {
     const uint8_t flags[43] = {40, 0, 'B'};
     TEST_ASSERT_EQUAL_MEMORY(flags, content + 16, sizeof flags);
     uint32_t at = 0;
-    TEST_ASSERT_EQUAL_UINT32(4, count_messages('F', -1, &at));
+    TEST_ASSERT_EQUAL_UINT32(5, count_messages('F', -1, &at));
     TEST_ASSERT_EQUAL_UINT32(10, count_messages('I', -1, &at));
     TEST_ASSERT_EQUAL_UINT32(PARAM_COUNT, count_messages('P', -1, &at));
-    TEST_ASSERT_EQUAL_UINT32(4, count_messages('A', -1, &at));
+    TEST_ASSERT_EQUAL_UINT32(5, count_messages('A', -1, &at));
     TEST_ASSERT_EQUAL_UINT32(0, count_messages('D', -1, &at));
 }
 
 static void test_data_bytes(void) {
     TEST_ASSERT_EQUAL_INT(STORE_OK, trial_log_begin(&log_, &store, &header, &params));
-    const speed_slot_t slot = {
-        .index = 0x0102, .samples = 3, .time_s = 1.0f, .speed_m_s = 0.5f, .sigma_m_s = 0.25f};
-    const speed_slot_t empty = {.index = 0x0103};
+    const speed_slot_t slot = {.index = 0x0102,
+                               .samples = 3,
+                               .at_ms = 99,
+                               .speed_m_s = 0.5f,
+                               .sigma_10um_s = 0x0405,
+                               .gain_10um_s = -2,
+                               .way_um = 0x0607};
+    const speed_slot_t empty = {.index = 0x0103, .gain_10um_s = SPEED_NO_MOTION};
     trial_log_slot(&log_, 0x0807060504030201u, &slot);
     trial_log_slot(&log_, 0x0807060504030201u, &empty);
     trial_log_end(&log_, 9, FAULT_TILT, 17);
@@ -150,8 +157,8 @@ static void test_data_bytes(void) {
     load();
     uint32_t at = 0;
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 0, &at));
-    const uint8_t wanted[] = {0,    0, 1, 2, 3,    4, 5, 6,    7,    8, 0, 0, 0x80,
-                              0x3F, 0, 0, 0, 0x3F, 0, 0, 0x80, 0x3E, 2, 1, 3, 0};
+    const uint8_t wanted[] = {0,    0, 1, 2, 3, 4, 5,    6,    7, 8, 0, 0, 0,
+                              0x3F, 2, 1, 5, 4, 0xFE, 0xFF, 7, 6, 3, 99};
     TEST_ASSERT_EQUAL_MEMORY(wanted, content + at, sizeof wanted);
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 3, &at));
     const uint8_t end[] = {3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 4, 0, 17, 0};
@@ -182,7 +189,7 @@ static void test_a_whole_trial_and_its_upload(void) {
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 3, &at));
     printf("40 beats: %u bytes, %u page writes, at most %u in one pass, bound %u\n",
            (unsigned)content_bytes, (unsigned)(hal.flash_writes - writes), (unsigned)worst_pages,
-           (unsigned)trial_log_size_bound(40, 43));
+           (unsigned)trial_log_size_bound(40, 46));
     /* The longest pause is 100 ms, and a page may take 10. */
     TEST_ASSERT_LESS_OR_EQUAL_UINT32(10, worst_pages);
 
@@ -202,8 +209,8 @@ static void test_a_whole_trial_and_its_upload(void) {
     load();
     TEST_ASSERT_EQUAL_UINT32(80, count_messages('D', 1, &at));
     TEST_ASSERT_EQUAL_UINT16(39, bytes_get_u16(content + at + 30));
-    TEST_ASSERT_LESS_OR_EQUAL_UINT32(trial_log_size_bound(40, 43), content_bytes);
-    TEST_ASSERT_LESS_OR_EQUAL_UINT32(20480, trial_log_size_bound(40, 43));
+    TEST_ASSERT_LESS_OR_EQUAL_UINT32(trial_log_size_bound(40, 46), content_bytes);
+    TEST_ASSERT_LESS_OR_EQUAL_UINT32(20480, trial_log_size_bound(40, 46));
     TEST_ASSERT_EQUAL_UINT32(0, store.failures);
     export_log();
 }

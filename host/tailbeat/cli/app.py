@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from tailbeat.cli import board, experiment, flash, learn, params, reference, simulate, trial
+from tailbeat.cli import (
+    board,
+    experiment,
+    flash,
+    imu,
+    learn,
+    params,
+    reference,
+    simulate,
+    trial,
+    vn100,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -51,6 +62,8 @@ app.command()(learn.learn)
 app.command()(learn.law)
 app.command()(board.watch)
 app.command()(board.crash)
+app.add_typer(imu.app, name="imu")
+app.command()(vn100.vn100)
 app.command()(flash.flash)
 app.command()(simulate.selftest)
 app.add_typer(experiment.app, name="experiment")

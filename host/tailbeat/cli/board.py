@@ -19,7 +19,7 @@ from tailbeat.cli.common import (
 
 if TYPE_CHECKING:
     from tailbeat.crash import CrashReport
-    from tailbeat.results import BoardInfo, BoardStatus
+    from tailbeat.results import BoardInfo, BoardStatus, ImuInfo
 
 
 def info(connect: Connect = None, json: Json = False) -> None:
@@ -29,19 +29,30 @@ def info(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         found = fish.info()
+        imu = fish.imu_info()
         health = fish.health()
     document = plain(found)
+    document["imu"] = imu
     document["health"] = health
-    say(json, document, lambda: _info_text(found, health))
+    say(json, document, lambda: _info_text(found, imu, health))
 
 
-def _info_text(found: BoardInfo, health: dict[str, int | str]) -> str:
+def imu_line(imu: ImuInfo) -> str:
+    """The IMU in one line: what it is when all is well, otherwise what is wrong."""
+    if not imu.problem.well:
+        return f"{imu.problem.meaning}. {imu.problem.remedy}"
+    where = f"{imu.baud} baud, port {imu.port or '?'}"
+    return f"{imu.model}, firmware {imu.firmware}, {imu.rate_hz} Hz at {where}"
+
+
+def _info_text(found: BoardInfo, imu: ImuInfo, health: dict[str, int | str]) -> str:
     status = found.status
     lines = [
         f"{found.board} board on {found.connection}, firmware {found.build_id}",
         f"state      {status.state}, battery {status.battery_v:.2f} V",
         f"reference  {_reference(status)}",
         f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
+        f"imu        {imu_line(imu)}",
     ]
     if status.fault.number:
         lines.insert(2, f"stopped    {status.fault.meaning}. {status.fault.remedy}")

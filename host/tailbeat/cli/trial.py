@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Swim, and get the logs.")
 
+SPEED_SOURCES = ("vision", "upload", "imu", "model")
+
 _LINK_NEWS = {
     "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
     "link_back": "the link is back",
@@ -57,7 +59,7 @@ def run(
             if event["event"] == "beat":
                 speed = mm(event.get("speed_m_s"))
                 show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-            elif event["event"] == "warning":
+            elif event["event"] in ("warning", "hold"):
                 typer.echo(f"tailbeat: {event['text']}", err=True)
             elif event["event"] in _LINK_NEWS:
                 typer.echo(f"tailbeat: {_LINK_NEWS[event['event']]}", err=True)
@@ -178,6 +180,10 @@ def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
 def show(
     what: Annotated[str | None, typer.Argument(metavar="[TRIAL|FILE]")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
+    recompute: Annotated[
+        bool,
+        typer.Option("--recompute", help="Compute the speeds again, by the board's own code."),
+    ] = False,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
@@ -194,7 +200,39 @@ def show(
         trial = _from_board(int(what) if what else None, connect, json)
     if csv is not None:
         beats_csv(trial, csv)
-    say(json, _document(trial), lambda: _trial_text(trial))
+    document = _document(trial)
+    again = _recomputed(trial) if recompute else None
+    if again is not None:
+        document["recomputed"] = again
+    say(json, document, lambda: _trial_text(trial) + ("\n" + _same_text(again) if again else ""))
+    if again is not None and not again["identical"]:
+        raise typer.Exit(1)
+
+
+def _recomputed(trial: Trial) -> dict[str, Any]:
+    import numpy as np
+
+    from tailbeat.cli.common import plain
+    from tailbeat.errors import InputError
+    from tailbeat.recompute import recompute_beats
+
+    if SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))] == "upload":
+        raise InputError(
+            f"the speeds of trial {trial.number} were uploaded: there is nothing to compute",
+            "They are what the file says.",
+        )
+    speed, sigma = recompute_beats(trial)
+    pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
+    # float32 numbers that are equal have equal bits, but for a zero's sign; NaN = not measured
+    identical = all(np.array_equal(again, was, equal_nan=True) for again, was in pairs)
+    found: dict[str, Any] = plain({"speed_m_s": speed, "sigma_m_s": sigma})
+    return found | {"identical": identical}
+
+
+def _same_text(again: dict[str, Any]) -> str:
+    if again["identical"]:
+        return "recomputed: the same speeds and sigmas, bit for bit"
+    return "recomputed: NOT the same; the file was written by a firmware that computes otherwise"
 
 
 def _from_board(number: int | None, connect: str | None, quiet: bool) -> Trial:
@@ -211,6 +249,9 @@ def _document(trial: Trial) -> dict[str, Any]:
 
     document: dict[str, Any] = plain(trial)
     document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
+    document["slots"] = plain(trial.slots.table())
+    source = round(trial.params.get("SPD_SOURCE", 0))
+    document["speed_source"] = SPEED_SOURCES[source]
     document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
     document["rms_error_m_s"] = trial.rms_error_m_s()
     return document
@@ -226,6 +267,7 @@ def _trial_text(trial: Trial) -> str:
             "-" if np.isnan(b.applied_rad[k]) else f"{np.degrees(b.applied_rad[k]):.1f}",
             mm(float(b.reference_m_s[k])),
             mm(float(b.speed_m_s[k])),
+            mm(float(b.sigma_m_s[k])),
             mm(float(b.error_m_s[k])),
         ]
         for k in range(len(b.samples))
@@ -233,9 +275,10 @@ def _trial_text(trial: Trial) -> str:
     lines = [
         f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
         f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
-        f"RMS {mm(trial.rms_error_m_s())}",
+        f"RMS {mm(trial.rms_error_m_s())}; speed by "
+        f"{SPEED_SOURCES[round(trial.params.get('SPD_SOURCE', 0))]}",
         *(f"note: {problem}" for problem in trial.problems),
-        table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "error mm/s"], rows),
+        table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),
     ]
     return "\n".join(lines)
 

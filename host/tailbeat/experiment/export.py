@@ -72,12 +72,10 @@ def _beat_table(trials: Sequence[Trial]) -> dict[str, Any]:
 def _slot_table(trials: Sequence[Trial]) -> dict[str, Any]:
     """One row per trial and 0.1 s of measured speed."""
     counts = [len(trial.slots.index) for trial in trials]
+    tables = [trial.slots.table() for trial in trials]
     return {
         "trial": np.repeat([trial.number for trial in trials], counts),
-        "t_s": np.concatenate([trial.slots.time_s for trial in trials]),
-        "v_m_s": np.concatenate([trial.slots.speed_m_s for trial in trials]),
-        "sigma_m_s": np.concatenate([trial.slots.sigma_m_s for trial in trials]),
-        "samples": np.concatenate([trial.slots.samples for trial in trials]),
+        **{name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
     }
 
 

@@ -1,9 +1,9 @@
 """The flash image on an emulated board, with the simulated fish around it.
 
 The board is tools/vboard: its processor executes the very image that is flashed. Its wires end in
-the simulator's world: servo pulses move the fish, the IMU's bytes come down their line at its
-speed, the battery is on its divider. Camera, noise and swims are those of the simulated board: the
-same pulses give the same true speeds, bit for bit.
+the simulator's world: servo pulses move the fish, the battery is on its divider, and board and IMU
+understand each other when both ends of their line run at the same speed. Camera, noise and swims
+are those of the simulated board: the same pulses give the same true speeds, bit for bit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.transport.inprocess import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
-from tailbeat.transport.world import FRAME_US, IMU_FRAME_BYTES, World
+from tailbeat.transport.world import FRAME_US, World
 
 if TYPE_CHECKING:
     from vboard.board import Board
@@ -39,14 +39,17 @@ _SERVO_CHANNEL = 4
 _SERVO_PIN = ("PIOC", 21, "B")
 _BATTERY_CHANNEL = 7
 _BATTERY_DIVIDER = 3
-_IMU_BAUD_MIN, _IMU_BAUD_MAX = 9600, 921600  # of a VN-100
 _TIME_BASE = "TC0_0"  # counts half the master clock from the start of the firmware's time on
 _TIME_BASE_DIVIDER = 2
 _COUNTER_WRAP = 1 << 32
 
 _TICKS_PER_US = 84
+_BITS_PER_BYTE = 10
 _MIN_STEP_US = 1000
 _LOOK_US = 4000  # the host looks at its end of a line this often, and waits this long for more
+_IMU_LOOK_US = 2000  # while the board talks to the IMU; else once in a frame of the servo
+_IMU_SYNC = 0xFA
+_IMU_TALK_US = 500_000  # it goes on for so long after the last word
 _IDLE_FRAME_LATE_US = 1  # a frame of the servo that is due at the same time comes first
 _PICTURES_MAX = 4096
 
@@ -60,7 +63,7 @@ class EmulatedBoard:
     firmware` built in the clone that holds the present folder.
 
     Keyword overrides are the fields of sim_config_t; the links run at 115200 baud, whatever it
-    says. ``imu_baud``: speed of the IMU's line (115200).
+    says. ``imu_frames_sent``: binary frames that the IMU has put on its line so far.
     """
 
     def __init__(
@@ -69,7 +72,6 @@ class EmulatedBoard:
         plant: str = "tank",
         /,
         seed: float = 1,
-        imu_baud: float = BAUD,
         **overrides: float,
     ) -> None:
         self.image = find_image(image)
@@ -84,11 +86,14 @@ class EmulatedBoard:
         self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)
         self._time_base_start: int | None = None
         self._idle_frame: Event | None = None
-        self._imu_frame: Event | None = None
+        self._imu_message: Event | None = None
+        self._imu_look: Event | None = None
+        self._imu_talk_end = 0
+        self.imu_frames_sent = 0
         self._board = self._new_board()
         self._clock = self._board.clock
         self._lines = {port: self._new_line(name, BAUD) for name, port in _LINES.items()}
-        self._imu = self._new_line(_IMU_PORT, self._imu_baud(imu_baud))
+        self._imu = self._new_line(_IMU_PORT, self._world.imu_baud())
         self._received = {port: bytearray() for port in self._lines}
         self._board.wire(self._connect)
         self._plan_idle_frame()
@@ -229,7 +234,17 @@ class EmulatedBoard:
     def set_imu(self, plugged: bool) -> None:
         """Plugs the IMU in or out."""
         self._world.set_imu(self._now_us(), plugged)
-        self._plan_imu_frame()
+        self._plan_imu_message()
+
+    def reboot_imu(self) -> None:
+        """The IMU restarts with its saved settings."""
+        self._world.imu_reboot(self._now_us())
+        self._plan_imu_message()
+
+    def wedge_imu(self) -> None:
+        """The IMU is silent until the next power cycle."""
+        self._world.imu_wedge()
+        self._plan_imu_message()
 
     def set_camera(self, on: bool) -> None:
         """Switches the camera."""
@@ -283,15 +298,6 @@ class EmulatedBoard:
 
         return SerialLine(self._clock, baud, name)
 
-    def _imu_baud(self, baud: float) -> int:
-        needed = self.config["imu_rate_hz"] * IMU_FRAME_BYTES * 10
-        if not max(needed, _IMU_BAUD_MIN) <= baud <= _IMU_BAUD_MAX:
-            raise InputError(
-                f"the IMU's line cannot carry {needed:.0f} bit/s at {baud:.0f} baud",
-                "Give it another speed (and set IMU_BAUD on the board): imu_baud=460800",
-            )
-        return round(baud)
-
     def _connect(self) -> None:
         """Solders the wires to the chip; it is new after each power-on."""
         periph = self._board.periph
@@ -314,6 +320,7 @@ class EmulatedBoard:
         wired = self._board.periph[name].owner(bit) == owner
         self._world.frame(self._us(start), high if wired else 0)
         self._plan_idle_frame()
+        self._look_at_imu()
 
     def _plan_idle_frame(self) -> None:
         """Without a PWM that runs the fish goes on all the same."""
@@ -324,21 +331,41 @@ class EmulatedBoard:
     def _rest(self) -> None:
         self._world.frame(self._world.time_us + FRAME_US, 0)
         self._plan_idle_frame()
+        self._look_at_imu()
 
     def _power_imu(self) -> None:
         self._world.imu_power(on=True, now_us=self._now_us())
-        self._plan_imu_frame()
+        self._plan_imu_message()
 
-    def _plan_imu_frame(self) -> None:
-        self._clock.cancel(self._imu_frame)
+    def _plan_imu_message(self) -> None:
+        """What the IMU says next, at its own speed; the line's end is set to that."""
+        self._imu.set_baud(self._world.imu_baud())
+        self._clock.cancel(self._imu_message)
         due_us = self._world.imu_due_us()
         if due_us is not None:
-            self._imu_frame = self._clock.at(self._ticks(due_us), self._send_imu_frame)
+            self._imu_message = self._clock.at(self._ticks(due_us), self._send_imu_message)
 
-    def _send_imu_frame(self) -> None:
-        self._imu.send(self._world.imu_frame())
-        self._imu.take()  # the sensor takes its commands without a word
-        self._plan_imu_frame()
+    def _send_imu_message(self) -> None:
+        if data := self._world.imu_read():
+            self._imu.send(data)
+            self.imu_frames_sent += data[0] == _IMU_SYNC
+        self._plan_imu_message()
+
+    def _look_at_imu(self) -> None:
+        """Hands over what the board has said to the IMU, and looks again when it has said all."""
+        self._clock.cancel(self._imu_look)
+        now = self._clock.now
+        if chunks := self._imu.take_timed():
+            for chunk in chunks:
+                baud = round(_BITS_PER_BYTE * _TICKS_PER_US * 1_000_000 / chunk.char_ticks)
+                self._world.imu_write(self._now_us(), chunk.data, baud)
+            self._imu_talk_end = now + _IMU_TALK_US * _TICKS_PER_US
+            self._plan_imu_message()
+        due = self._imu.message_due()
+        if due is None and now < self._imu_talk_end:
+            due = now + _IMU_LOOK_US * _TICKS_PER_US
+        if due is not None:
+            self._imu_look = self._clock.at(max(due, now + 1), self._look_at_imu)
 
     # The board's ticks count from its power-on, the world's microseconds from before that.
 

@@ -92,6 +92,12 @@ class SimulatedBoard(Protocol):
     def set_imu(self, plugged: bool) -> None:
         """Plugs the IMU in or out."""
 
+    def reboot_imu(self) -> None:
+        """The IMU restarts with its saved settings, as by its own watchdog."""
+
+    def wedge_imu(self) -> None:
+        """The IMU is silent and deaf until the next power cycle."""
+
     def set_camera(self, on: bool) -> None:
         """Switches the camera."""
 

@@ -124,6 +124,14 @@ class SimBoard:
         """Plugs the IMU in or out."""
         lib.sim_set_imu(self._sim, plugged)
 
+    def reboot_imu(self) -> None:
+        """The IMU restarts with its saved settings."""
+        lib.sim_imu_reboot(self._sim)
+
+    def wedge_imu(self) -> None:
+        """The IMU is silent until the next power cycle."""
+        lib.sim_imu_wedge(self._sim)
+
     def set_camera(self, on: bool) -> None:
         """Switches the camera."""
         lib.sim_set_camera(self._sim, on)

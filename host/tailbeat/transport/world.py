@@ -13,9 +13,9 @@ from tailbeat.transport.inprocess import CameraFrame, Truth
 
 PLANTS = {"thesis": 0, "tank": 1}
 FRAME_US = 20_000  # of the servo
-IMU_FRAME_BYTES = 64
 
 _PICTURES_AT_ONCE = 256
+_IMU_MESSAGE_MAX = 640
 _NEVER = (1 << 64) - 1
 
 
@@ -33,7 +33,7 @@ class World:
         self.config = config_values(config)
         self._world: Any = ffi.gc(world, lib.world_free)
         self._pictures = ffi.new("sim_camera_frame_t[]", _PICTURES_AT_ONCE)
-        self._imu_frame = ffi.new("uint8_t[]", IMU_FRAME_BYTES)
+        self._imu_message = ffi.new("uint8_t[]", _IMU_MESSAGE_MAX)
 
     @property
     def time_us(self) -> int:
@@ -57,13 +57,29 @@ class World:
             lib.world_imu_power_off(self._world)
 
     def imu_due_us(self) -> int | None:
-        """When the IMU begins to send its next frame."""
+        """When the IMU begins to send its next message."""
         return _time(lib.world_imu_due_us(self._world))
 
-    def imu_frame(self) -> bytes:
-        """Takes that frame."""
-        lib.world_imu_frame(self._world, self._imu_frame)
-        return bytes(ffi.buffer(self._imu_frame))
+    def imu_baud(self) -> int:
+        """The rate it sends that message at."""
+        return int(lib.world_imu_baud(self._world))
+
+    def imu_read(self) -> bytes:
+        """Takes that message; empty when the wire lost all of it."""
+        length = lib.world_imu_read(self._world, self._imu_message)
+        return bytes(ffi.buffer(self._imu_message, length))
+
+    def imu_write(self, now_us: int, data: bytes, baud: int) -> None:
+        """Bytes to the IMU, sent at ``baud``, whose last bit arrives now."""
+        lib.world_imu_write(self._world, now_us, ffi.from_buffer(data), len(data), baud)
+
+    def imu_reboot(self, now_us: int) -> None:
+        """The IMU restarts with its saved settings."""
+        lib.world_imu_reboot(self._world, now_us)
+
+    def imu_wedge(self) -> None:
+        """The IMU is silent and deaf until its supply has been off."""
+        lib.world_imu_wedge(self._world)
 
     def battery_v(self) -> float:
         """Voltage of the pack now."""

@@ -9,6 +9,8 @@
 #include "gait/gait.h"
 #include "ilc/law.h"
 #include "ilc/memory.h"
+#include "speed/motion.h"
+#include "speed/rest.h"
 #include "speed/speed.h"
 
 #include <stdio.h>
@@ -21,6 +23,8 @@
 #define GAIT_CASES 200u
 #define GAIT_FRAMES 400u
 #define SPEED_CASES 300u
+#define MOTION_CASES 60u
+#define MOTION_FRAMES 500u
 #define REAL_CASES 60000u
 #define SHOWN 4u
 
@@ -231,10 +235,17 @@ static void gait_cases(void) {
     end("gait");
 }
 
+static void note_slot(const speed_slot_t *slot) {
+    note(slot->speed_m_s);
+    note_word((uint32_t)slot->index << 16 | slot->sigma_10um_s);
+    note_word((uint32_t)(uint16_t)slot->gain_10um_s << 16 | (uint16_t)slot->way_um);
+    note_word((uint32_t)slot->samples << 8 | slot->at_ms);
+}
+
 static void speed_case(const speed_config_t *config, uint32_t number) {
     static speed_t speed;
-    speed_slot_t slot;
-    const float beat_s = between(0.3f, 2.0f);
+    uint16_t index;
+    const float beat_s = FRAME_S * (float)(15u + below(85u));
     float time_s = 0.0f;
     speed_init(&speed);
     for (uint32_t i = 0; i < 200u; i++) {
@@ -243,19 +254,24 @@ static void speed_case(const speed_config_t *config, uint32_t number) {
         const float value = below(50) != 0 ? between(-0.1f, 0.4f) : any_float();
         const speed_sample_t sample = {time_s, value, between(-0.001f, 0.01f)};
         note_word(speed_add(&speed, config, sample));
-        while (speed_close_slot(&speed, time_s - 1.0f, &slot)) {
-            note(slot.time_s);
-            note(slot.speed_m_s);
-            note(slot.sigma_m_s);
+        while (speed_slot_due(&speed, time_s - 1.0f, &index)) {
+            speed_motion_t motion;
+            motion.gain_m_s = between(-0.03f, 0.03f);
+            motion.way_m = below(300) != 0 ? between(-0.002f, 0.002f) : any_float();
+            const speed_slot_t slot = speed_close_slot(&speed, &motion);
+            note_slot(&slot);
         }
     }
-    for (float begin_s = time_s - 6.0f; begin_s < time_s; begin_s += beat_s) {
+    for (float begin_s = 0.0f; begin_s < time_s; begin_s += beat_s) {
         const speed_beat_t beat = speed_beat(&speed, config, begin_s, beat_s);
+        const float rise_m_s = speed_rise(&speed, begin_s, beat_s);
         note(beat.speed_m_s);
         note(beat.sigma_m_s);
         note_word(beat.samples);
+        note(rise_m_s);
         if (number % 100u == 0) {
             show("speed_beat", &beat.speed_m_s, 1);
+            show("speed_rise", &rise_m_s, 1);
         }
     }
 }
@@ -272,6 +288,76 @@ static void speed_cases(void) {
         speed_case(&config, i);
     }
     end("speed");
+}
+
+/* Noise about a fish that is held or, with |swing|, swims. */
+static imu_frame_t random_frame(uint32_t number, float swing) {
+    imu_frame_t frame = {0};
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        const float swung = swing * real_sin_turn(number + 17u * axis, 100u);
+        frame.rate_rad_s[axis] = swung + between(-0.02f, 0.02f);
+        frame.accel_m_s2[axis] = 0.4f * swung + between(-0.05f, 0.05f);
+    }
+    frame.accel_m_s2[2] -= 9.81f;
+    return frame;
+}
+
+static float random_step(float nominal_s) {
+    if (below(100) != 0) {
+        return nominal_s;
+    }
+    return below(10) != 0 ? nominal_s * (float)below(12u) : any_float();
+}
+
+static void note_rest(const rest_t *rest) {
+    rest_mean_t mean = {0};
+    note_word(rest_get(rest, &mean));
+    note(mean.still_s);
+    note_all(mean.accel_m_s2, 3);
+    note_all(mean.rate_rad_s, 3);
+}
+
+static void motion_case(uint32_t number) {
+    static rest_t rest;
+    static motion_t motion;
+    rest_mean_t mean = {0};
+    const float nominal_s = between(0.0025f, 0.02f);
+    float time_s = between(0.0f, 100.0f);
+    rest_init(&rest);
+    for (uint32_t i = 0; i < 600u; i++) {
+        const imu_frame_t frame = random_frame(i, below(300) != 0 ? 0.0f : 5.0f);
+        rest_push(&rest, &frame, nominal_s);
+        if (i % 50u == 0) {
+            note_rest(&rest);
+        }
+    }
+    const imu_frame_t last = random_frame(0, any_float());
+    const bool rested = rest_get(&rest, &mean);
+    motion_begin(&motion, rested ? &mean : NULL, &last);
+    for (uint32_t i = 0; i < MOTION_FRAMES; i++) {
+        const imu_frame_t frame = random_frame(i, 1.0f);
+        const float dt_s = random_step(nominal_s);
+        time_s += dt_s > 0.0f && dt_s < 1.0f ? dt_s : nominal_s;
+        motion_push(&motion, &frame, time_s, dt_s);
+    }
+    note_all(motion.q, 4);
+    for (uint32_t back = 0; back < 30u; back++) {
+        float moved[2] = {0};
+        const uint16_t index = (uint16_t)(motion.index - back);
+        note_word(motion_forward(&motion, index, between(0.1f, 4.0f), &moved[0], &moved[1]));
+        note_all(moved, 2);
+        if (number % 20u == 0 && back == 10u) {
+            show("motion", moved, 2);
+        }
+    }
+}
+
+static void motion_cases(void) {
+    begin();
+    for (uint32_t i = 0; i < MOTION_CASES; i++) {
+        motion_case(i);
+    }
+    end("motion");
 }
 
 static void real_cases(void) {
@@ -307,6 +393,7 @@ int main(void) {
     memory_cases();
     gait_cases();
     speed_cases();
+    motion_cases();
     real_cases();
     arithmetic_cases();
     return 0;

@@ -1,0 +1,207 @@
+#include "speed/estimate.h"
+
+#include "base/panic.h"
+#include "base/real.h"
+
+#include <math.h>
+#include <string.h>
+
+#define G_M_S2 9.80665f
+
+/* White noise of a VN-100's accelerometers: specified 0.14 mg per root Hz of a one-sided spectrum,
+ * 0.10 mg root s, and measured so (0.2 mg at 1 s with a window that leaves four samples of five
+ * out); a tenth more for what the averaging over a whole frame aliases. */
+#define ACCEL_NOISE_M_S15 (0.11e-3f * G_M_S2)
+/* Random walk of the acceleration's error: gyroscopes 0.0035 deg/s per root Hz, one-sided, times g
+ * = 4.2e-4; random walk of the accelerometers' bias, measured 0.16 mg at 100 s = 2.7e-4. */
+#define TILT_WALK_M_S25 5.0e-4f
+/* After a rest of 5 s: what averaging leaves of this noise, and bias instability, measured 0.06 mg
+ * and 5 deg/h. A longer rest is little better. */
+#define ERROR_AFTER_REST_M_S2 7.6e-4f
+#define DRIFT_AFTER_REST_M_S3 3.3e-4f
+/* Without a rest before: the tilt of a swimming fish is known to 0.5 deg, its gyroscopes' bias to
+ * 0.02 deg/s; its speed is anything a fish swims. */
+#define TILT_UNKNOWN_M_S2 0.1f
+#define DRIFT_UNKNOWN_M_S3 3.5e-3f
+#define START_UNKNOWN_M_S 0.1f
+/* Change of speed within a beat that nothing is known of. So wide that a hole in the samples gets
+ * no speed by guessing. */
+#define JUMP_M_S 0.1f
+/* Times are rounded. */
+#define WHOLE_BEAT 0.99f
+/* 5 sigma: with that at its end, the IMU has felt something else than this swim. */
+#define SURPRISE_MAX 25.0f
+/* Mean speed of a beat in which the fish is held still. */
+#define HELD_M_S 0.001f
+/* The model about its scaled self: what it gets wrong is wrong for several beats on end. */
+#define MODEL_SCATTER_M_S 0.004f
+#define MODEL_SCATTER_PART 0.07f
+
+static bool counts(const estimate_t *estimate, const estimate_rest_t *rest) {
+    return rest->still_s > 0.0f && rest->still_s >= estimate->config.rest_min_s;
+}
+
+/* What the IMU alone cannot do without; otherwise no sigma is good enough. */
+static void imu_needs(estimate_t *estimate, bool fulfilled) {
+    if (estimate->config.source == SPEED_SOURCE_IMU && !fulfilled) {
+        estimate->config.sigma_max_m_s = -1.0f;
+    }
+}
+
+static smoother_config_t smoother_config(const estimate_t *estimate, bool rested) {
+    return (smoother_config_t){
+        .beat_s = estimate->config.beat_s,
+        .start_sigma_m_s = rested ? estimate->config.rest_sigma_m_s : START_UNKNOWN_M_S,
+        .error_sigma_m_s2 = rested ? ERROR_AFTER_REST_M_S2 : TILT_UNKNOWN_M_S2,
+        .drift_sigma_m_s3 = rested ? DRIFT_AFTER_REST_M_S3 : DRIFT_UNKNOWN_M_S3,
+        .model_sigma = estimate->config.model_sigma,
+        .accel_noise_m_s15 = ACCEL_NOISE_M_S15,
+        .tilt_walk_m_s25 = TILT_WALK_M_S25,
+        .jump_m_s = JUMP_M_S,
+    };
+}
+
+void estimate_begin(estimate_t *estimate, const estimate_config_t *config,
+                    const estimate_rest_t *before, float *speed_m_s, float *sigma_m_s) {
+    REQUIRE(config->beats <= BEATS_MAX);
+    memset(estimate, 0, sizeof *estimate);
+    estimate->config = *config;
+    estimate->speed_m_s = speed_m_s;
+    estimate->sigma_m_s = sigma_m_s;
+    estimate->swum = config->beats;
+    thrust_init(&estimate->thrust, &config->thrust, config->beat_s);
+    const bool rested = counts(estimate, before);
+    const smoother_config_t smoother = smoother_config(estimate, rested);
+    imu_needs(estimate, rested);
+    smoother_init(&estimate->smoother, &smoother);
+    for (uint16_t k = 0; k < BEATS_MAX && config->source != SPEED_SOURCE_UPLOAD; k++) {
+        speed_m_s[k] = NAN;
+        sigma_m_s[k] = NAN;
+    }
+}
+
+float estimate_needs_s(const estimate_t *estimate) {
+    const float later_s =
+        estimate->config.source == SPEED_SOURCE_VISION ? estimate->config.vision.gap_max_s : 0.0f;
+    return (float)(estimate->next + 1u) * estimate->config.beat_s + later_s;
+}
+
+/* The first half of the rest does not count: a fish that glides until it is caught feels still,
+ * too. How it lost the rest of its speed is in the rises. */
+static bool rests(const estimate_t *estimate, uint16_t step) {
+    const estimate_rest_t *after = &estimate->after;
+    const float beat_s = estimate->config.beat_s;
+    const float since_s = (float)step * beat_s - after->begin_s;
+    return counts(estimate, after) && since_s >= 0.5f * after->still_s &&
+           since_s + WHOLE_BEAT * beat_s <= after->still_s;
+}
+
+static smoother_evidence_t evidence_of(const void *context, uint16_t step) {
+    const estimate_t *estimate = context;
+    smoother_evidence_t evidence = {.rise_m_s = estimate->rise_m_s[step], .speed_m_s = NAN};
+    if (step < estimate->swum) {
+        evidence.speed_m_s = estimate->speed_m_s[step];
+        evidence.sigma_m_s = estimate->sigma_m_s[step];
+        evidence.scaled = estimate->config.source == SPEED_SOURCE_MODEL;
+    } else if (rests(estimate, step)) {
+        evidence.speed_m_s = 0.0f;
+        evidence.sigma_m_s = HELD_M_S;
+    }
+    return evidence;
+}
+
+/* What the source says of the beat by itself. */
+static void look(estimate_t *estimate, const speed_t *speed, float begin_s, float applied_rad) {
+    const estimate_config_t *config = &estimate->config;
+    const uint16_t k = estimate->next;
+    const bool moved = real_is_finite(estimate->rise_m_s[k]);
+    estimate->samples[k] = moved ? (uint16_t)(config->beat_s / SPEED_SLOT_S) : 1u;
+    if (config->source == SPEED_SOURCE_VISION) {
+        const speed_beat_t beat = speed_beat(speed, &config->vision, begin_s, config->beat_s);
+        estimate->speed_m_s[k] = beat.speed_m_s;
+        estimate->sigma_m_s[k] = beat.sigma_m_s;
+        if (beat.measured) {
+            estimate->samples[k] = beat.samples;
+        }
+    } else if (config->source == SPEED_SOURCE_MODEL) {
+        const float model_m_s = thrust_beat(&estimate->thrust, applied_rad);
+        estimate->speed_m_s[k] = model_m_s;
+        estimate->sigma_m_s[k] = MODEL_SCATTER_M_S + MODEL_SCATTER_PART * model_m_s;
+    }
+}
+
+/* NaN where it is not good enough. */
+static speed_beat_t judged(const estimate_t *estimate, uint16_t beat, float speed_m_s,
+                           float sigma_m_s) {
+    if (beat >= estimate->swum || !(sigma_m_s <= estimate->config.sigma_max_m_s) ||
+        !real_is_finite(speed_m_s)) {
+        return (speed_beat_t){.speed_m_s = NAN, .sigma_m_s = NAN};
+    }
+    return (speed_beat_t){speed_m_s, sigma_m_s, estimate->samples[beat], true};
+}
+
+speed_beat_t estimate_beat(estimate_t *estimate, const speed_t *speed, float applied_rad) {
+    const estimate_config_t *config = &estimate->config;
+    const uint16_t step = estimate->next;
+    REQUIRE(step < config->beats + SMOOTHER_AFTER);
+    const float begin_s = (float)step * config->beat_s;
+    float speed_m_s = NAN;
+    float sigma_m_s = NAN;
+    if (config->source != SPEED_SOURCE_UPLOAD) {
+        estimate->rise_m_s[step] = speed_rise(speed, begin_s, config->beat_s);
+        if (step < config->beats) {
+            look(estimate, speed, begin_s, applied_rad);
+            const smoother_evidence_t evidence = evidence_of(estimate, step);
+            smoother_forward(&estimate->smoother, &evidence, &speed_m_s, &sigma_m_s);
+        }
+    }
+    estimate->next++;
+    return judged(estimate, step, speed_m_s, sigma_m_s);
+}
+
+void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *after) {
+    estimate->swum = swum < estimate->next ? swum : estimate->next;
+    if (estimate->swum > estimate->config.beats) {
+        estimate->swum = estimate->config.beats;
+    }
+    estimate->after = *after;
+    imu_needs(estimate, estimate->next > 0 && rests(estimate, (uint16_t)(estimate->next - 1u)));
+    smoother_rewind(&estimate->smoother, estimate->swum);
+}
+
+static void keep_result(void *context, uint16_t step, float speed_m_s, float sigma_m_s) {
+    estimate_t *estimate = context;
+    if (step < estimate->config.beats) {
+        const speed_beat_t beat = judged(estimate, step, speed_m_s, sigma_m_s);
+        estimate->speed_m_s[step] = beat.speed_m_s;
+        estimate->sigma_m_s[step] = beat.sigma_m_s;
+    }
+}
+
+static bool forward(estimate_t *estimate) {
+    smoother_t *smoother = &estimate->smoother;
+    if (smoother->steps >= estimate->next) {
+        return false;
+    }
+    for (uint16_t i = 0; i < SMOOTHER_BLOCK && smoother->steps < estimate->next; i++) {
+        float speed_m_s, sigma_m_s;
+        const smoother_evidence_t evidence = evidence_of(estimate, smoother->steps);
+        smoother_forward(smoother, &evidence, &speed_m_s, &sigma_m_s);
+    }
+    return true;
+}
+
+bool estimate_finish(estimate_t *estimate) {
+    if (estimate->config.source == SPEED_SOURCE_UPLOAD) {
+        return true;
+    }
+    if (forward(estimate)) {
+        return false;
+    }
+    imu_needs(estimate, estimate->smoother.surprise <= SURPRISE_MAX);
+    return !smoother_back(&estimate->smoother, evidence_of, keep_result, estimate);
+}
+
+speed_beat_t estimate_result(const estimate_t *estimate, uint16_t beat) {
+    return judged(estimate, beat, estimate->speed_m_s[beat], estimate->sigma_m_s[beat]);
+}

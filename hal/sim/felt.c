@@ -1,0 +1,94 @@
+#include "felt.h"
+
+#include <math.h>
+
+#define ROLL_PER_TAIL 0.03
+#define PITCH_PER_TAIL2 0.02
+/* Faster than any servo: a limp tail of the thesis plant falls back within a frame. */
+#define SLOPE_MAX_RAD_S 40.0
+/* Somebody who rolls the fish is this quick. */
+#define TILT_RAD_S 20.0
+
+static double limited(double x, double most) { return x > most ? most : x < -most ? -most : x; }
+
+/* Rate at the end of the newest frame: the parabola through the slopes of the last three, which
+ * stand for the middles of their frames. */
+static double end_rate(const double slope[3]) {
+    return (11 * slope[0] - 7 * slope[1] + 2 * slope[2]) / 6;
+}
+
+static double tilt_next(const felt_t *felt, double length_s) {
+    return felt->tilt_rad + limited(felt->tilt_wanted_rad - felt->tilt_rad, TILT_RAD_S * length_s);
+}
+
+void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double tail_to_rad,
+                uint64_t begin_us, uint64_t end_us) {
+    if (end_us <= begin_us) {
+        return;
+    }
+    const double length_s = (double)(end_us - begin_us) * 1e-6;
+    const double rate_before = felt->frames > 0 ? end_rate(felt->slope_rad_s) : 0;
+    felt_frame_t *frame = &felt->frame[felt->frames++ % FELT_FRAMES];
+    felt->slope_rad_s[2] = felt->slope_rad_s[1];
+    felt->slope_rad_s[1] = felt->slope_rad_s[0];
+    felt->slope_rad_s[0] = limited((tail_to_rad - tail_from_rad) / length_s, SLOPE_MAX_RAD_S);
+    frame->begin_us = begin_us;
+    frame->end_us = end_us;
+    for (unsigned i = 0; i <= SUBSTEPS; i++) {
+        frame->v_m_s[i] = plant->trace_v_m_s[i] + felt->carried_m_s;
+    }
+    frame->tail_rad[0] = tail_from_rad;
+    frame->tail_rad[1] = tail_to_rad;
+    frame->tail_rate_rad_s[0] = rate_before;
+    frame->tail_rate_rad_s[1] = end_rate(felt->slope_rad_s);
+    frame->tilt_rad[0] = felt->tilt_rad;
+    frame->tilt_rad[1] = felt->tilt_rad = tilt_next(felt, length_s);
+}
+
+void felt_carried(felt_t *felt, double by_m_s) { felt->carried_m_s -= by_m_s; }
+
+/* The newest frame that begins before |time_us|, or the oldest one held. */
+static const felt_frame_t *frame_at(const felt_t *felt, uint64_t time_us) {
+    const uint32_t held = felt->frames < FELT_FRAMES ? felt->frames : FELT_FRAMES;
+    uint32_t back = 1;
+    while (back < held && felt->frame[(felt->frames - back) % FELT_FRAMES].begin_us > time_us) {
+        back++;
+    }
+    return &felt->frame[(felt->frames - back) % FELT_FRAMES];
+}
+
+/* |part| 0...1 of the frame. */
+static felt_moment_t moment(const felt_frame_t *frame, double part) {
+    const double length_s = (double)(frame->end_us - frame->begin_us) * 1e-6;
+    const double steps = part * SUBSTEPS;
+    const unsigned i = steps < SUBSTEPS - 1 ? (unsigned)steps : SUBSTEPS - 1;
+    const double *v = frame->v_m_s + i;
+    const double u = part;
+    const double w = 1 - u;
+    const double swing = frame->tail_rad[1] - frame->tail_rad[0];
+    const double r0 = frame->tail_rate_rad_s[0];
+    const double r1 = frame->tail_rate_rad_s[1];
+    const double tail =
+        frame->tail_rad[0] + swing * u * u * (3 - 2 * u) + length_s * u * w * (r0 * w - r1 * u);
+    const double rate = 6 * swing / length_s * u * w + r0 * w * (1 - 3 * u) + r1 * u * (3 * u - 2);
+    return (felt_moment_t){
+        .forward_m_s = v[0] + (steps - i) * (v[1] - v[0]),
+        .side_m_s = SWAY_M_PER_RAD * rate,
+        .yaw_rad = YAW_PER_TAIL * tail,
+        .pitch_rad = PITCH_PER_TAIL2 * tail * tail,
+        .roll_rad = frame->tilt_rad[0] + u * (frame->tilt_rad[1] - frame->tilt_rad[0]) +
+                    ROLL_PER_TAIL * tail,
+    };
+}
+
+felt_moment_t felt_at(const felt_t *felt, uint64_t time_us) {
+    if (felt->frames == 0) {
+        return (felt_moment_t){.roll_rad = felt->tilt_rad};
+    }
+    const felt_frame_t *frame = frame_at(felt, time_us);
+    if (time_us <= frame->begin_us || time_us >= frame->end_us) {
+        return moment(frame, time_us <= frame->begin_us ? 0 : 1);
+    }
+    return moment(frame,
+                  (double)(time_us - frame->begin_us) / (double)(frame->end_us - frame->begin_us));
+}

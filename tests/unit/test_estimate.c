@@ -1,0 +1,225 @@
+#include "speed_swims.h"
+
+void setUp(void) { set_up_swims(); }
+
+void tearDown(void) {}
+
+static void test_vision_alone_gives_what_the_camera_says(void) {
+    swim(3, 1.0);
+    make_imu_errors();
+    before = none;
+    live_through((senses_t){.camera = true});
+    float seen[BEATS], seen_sigma[BEATS];
+    memcpy(seen, speed_m_s, sizeof seen);
+    memcpy(seen_sigma, sigma_m_s, sizeof seen_sigma);
+    (void)finish(BEATS, &none);
+    for (uint16_t k = 0; k < BEATS; k++) {
+        const speed_beat_t beat = estimate_result(&estimate, k);
+        TEST_ASSERT_TRUE(beat.measured && beat.samples >= 1);
+        TEST_ASSERT_FLOAT_WITHIN(2e-5f, seen[k], beat.speed_m_s);
+        TEST_ASSERT_FLOAT_WITHIN(1e-6f, seen_sigma[k], beat.sigma_m_s);
+    }
+}
+
+static void test_a_hole_in_vision_alone_is_unmeasured(void) {
+    swim(4, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.camera = true, .dark_from_s = 20.0, .dark_to_s = 22.0});
+    (void)finish(BEATS, &none);
+    for (uint16_t k = 0; k < BEATS; k++) {
+        TEST_ASSERT_EQUAL(k < 20 || k > 21, estimate_result(&estimate, k).measured);
+        TEST_ASSERT_EQUAL(k < 20 || k > 21, !isnan(speed_m_s[k]));
+    }
+}
+
+/* The same from the recorded slots, as a host does it. */
+static void replay(uint16_t steps) {
+    speed_init(&speed);
+    estimate_begin(&estimate, &config, &before, speed_m_s, sigma_m_s);
+    for (unsigned i = 0; 0.1 * (i + 1) <= caught_s + REST_S; i++) {
+        TEST_ASSERT_TRUE(speed_restore_slot(&speed, &recorded[i]));
+        while (estimate.next < steps &&
+               (float)speed.next_close * SPEED_SLOT_S >= estimate_needs_s(&estimate)) {
+            const uint16_t k = estimate.next;
+            (void)estimate_beat(&estimate, &speed, k < BEATS ? applied_rad[k] : 0.0f);
+        }
+    }
+}
+
+static void expect_nothing(void) {
+    for (uint16_t k = 0; k < BEATS; k++) {
+        TEST_ASSERT_FALSE(estimate_result(&estimate, k).measured);
+        TEST_ASSERT_TRUE(isnan(speed_m_s[k]) && isnan(sigma_m_s[k]));
+    }
+}
+
+static void test_imu_refuses_without_rests(void) {
+    config.source = SPEED_SOURCE_IMU;
+    swim(5, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.imu = true});
+    (void)finish(BEATS, &none);
+    expect_nothing();
+    live_through((senses_t){.imu = true});
+    (void)finish(BEATS, &(estimate_rest_t){.begin_s = 43.0f, .still_s = 4.9f});
+    expect_nothing();
+    before.still_s = 4.9f;
+    live_through((senses_t){.imu = true});
+    (void)finish(BEATS, &after);
+    expect_nothing();
+    before = none;
+    live_through((senses_t){.imu = true});
+    (void)finish(BEATS, &after);
+    expect_nothing();
+}
+
+/* Whenever it begins: the last beat of the rest is not lost to rounding. */
+static void test_rest_that_ends_with_a_beat(void) {
+    config.source = SPEED_SOURCE_IMU;
+    swim(5, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.imu = true});
+    const uint16_t steps = estimate.next;
+    for (unsigned i = 0; i < 100; i++) {
+        const float begin_s = 42.0f + 0.02f * (float)i;
+        replay(steps);
+        (void)finish(BEATS,
+                     &(estimate_rest_t){.begin_s = begin_s, .still_s = (float)steps - begin_s});
+        TEST_ASSERT_FALSE(isnan(speed_m_s[0]));
+    }
+}
+
+static void test_imu_that_was_silent_for_a_while_gives_nothing(void) {
+    config.source = SPEED_SOURCE_IMU;
+    swim(6, 1.0);
+    make_imu_errors();
+    live_through((senses_t){0});
+    (void)finish(BEATS, &after);
+    expect_nothing();
+}
+
+static void test_beats_known_too_badly_are_unmeasured(void) {
+    config.source = SPEED_SOURCE_MODEL;
+    swim(8, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.imu = true});
+    (void)finish(BEATS, &after);
+    const float worst = sigma_m_s[30];
+    config.sigma_max_m_s = worst * 0.99f;
+    live_through((senses_t){.imu = true});
+    (void)finish(BEATS, &after);
+    for (uint16_t k = 0; k < BEATS; k++) {
+        TEST_ASSERT_EQUAL(!(sigma_m_s[k] <= config.sigma_max_m_s), isnan(speed_m_s[k]));
+    }
+}
+
+static const speed_source_t sources[] = {SPEED_SOURCE_VISION, SPEED_SOURCE_IMU, SPEED_SOURCE_MODEL};
+static float first_m_s[BEATS_MAX], first_sigma[BEATS_MAX];
+
+static void keep_results(void) {
+    memcpy(first_m_s, speed_m_s, sizeof first_m_s);
+    memcpy(first_sigma, sigma_m_s, sizeof first_sigma);
+}
+
+static void expect_the_same(void) {
+    TEST_ASSERT_EQUAL_MEMORY(first_m_s, speed_m_s, sizeof first_m_s);
+    TEST_ASSERT_EQUAL_MEMORY(first_sigma, sigma_m_s, sizeof first_sigma);
+}
+
+static void test_recorded_slots_give_the_same_bits(void) {
+    for (unsigned i = 0; i < 3; i++) {
+        config.source = sources[i];
+        swim(10 + i, 1.0);
+        make_imu_errors();
+        live_through((senses_t){.imu = true, .camera = true, .dark_from_s = 7, .dark_to_s = 9});
+        const uint16_t steps = estimate.next;
+        TEST_ASSERT_TRUE(steps > BEATS + 5u);
+        const unsigned calls = finish(BEATS, &after);
+        TEST_ASSERT_EQUAL_UINT(6, calls); /* forward over the rest, 4 blocks back, done */
+        keep_results();
+        TEST_ASSERT_FALSE(isnan(first_m_s[0]));
+        replay(steps);
+        (void)finish(BEATS, &after);
+        expect_the_same();
+    }
+}
+
+/* What came after the abort is time after the swim: as if it had been planned that short. */
+static void test_aborted_swim(void) {
+    const uint16_t lengths[] = {0, 1, 16, 17, 25};
+    swim(9, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.imu = true, .camera = true});
+    after.begin_s = 34.5f;
+    for (unsigned i = 0; i < 15; i++) {
+        const uint16_t swum = lengths[i / 3u];
+        config.source = sources[i % 3u];
+        config.beats = BEATS;
+        replay(41);
+        (void)finish(swum, &after);
+        keep_results();
+        TEST_ASSERT_EQUAL(swum > 0, !isnan(first_m_s[0]));
+        TEST_ASSERT_EQUAL(swum > 0, !isnan(first_m_s[swum > 0 ? swum - 1 : 0]));
+        for (uint16_t k = swum; k < BEATS; k++) {
+            TEST_ASSERT_TRUE(isnan(first_m_s[k]));
+        }
+        config.beats = swum > 0 ? swum : 1;
+        replay(41);
+        (void)finish(swum, &after);
+        expect_the_same();
+    }
+}
+
+static void test_provisional_beats(void) {
+    swim(11, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.imu = true, .camera = true});
+    replay(0);
+    const speed_beat_t seen = estimate_beat(&estimate, &speed, 0.0f);
+    TEST_ASSERT_FALSE(seen.measured); /* its slots have left the ring */
+    replay(5);
+    TEST_ASSERT_EQUAL_UINT16(5, estimate.next);
+    config.source = SPEED_SOURCE_IMU;
+    before = none;
+    estimate_begin(&estimate, &config, &before, speed_m_s, sigma_m_s);
+    TEST_ASSERT_FALSE(estimate_beat(&estimate, &speed, 0.3f).measured);
+}
+
+static void test_upload_is_left_alone(void) {
+    config.source = SPEED_SOURCE_UPLOAD;
+    for (uint16_t k = 0; k < BEATS_MAX; k++) {
+        speed_m_s[k] = (float)k;
+        sigma_m_s[k] = 0.5f;
+    }
+    swim(12, 1.0);
+    make_imu_errors();
+    live_through((senses_t){.imu = true, .camera = true});
+    TEST_ASSERT_EQUAL_UINT(1, finish(BEATS, &after));
+    for (uint16_t k = 0; k < BEATS_MAX; k++) {
+        TEST_ASSERT_EQUAL_FLOAT((float)k, speed_m_s[k]);
+    }
+}
+
+static void test_needs_what_the_camera_may_still_say(void) {
+    estimate_begin(&estimate, &config, &before, speed_m_s, sigma_m_s);
+    TEST_ASSERT_EQUAL_FLOAT(1.5f, estimate_needs_s(&estimate));
+    config.source = SPEED_SOURCE_IMU;
+    estimate_begin(&estimate, &config, &before, speed_m_s, sigma_m_s);
+    TEST_ASSERT_EQUAL_FLOAT(1.0f, estimate_needs_s(&estimate));
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_vision_alone_gives_what_the_camera_says);
+    RUN_TEST(test_a_hole_in_vision_alone_is_unmeasured);
+    RUN_TEST(test_imu_refuses_without_rests);
+    RUN_TEST(test_rest_that_ends_with_a_beat);
+    RUN_TEST(test_imu_that_was_silent_for_a_while_gives_nothing);
+    RUN_TEST(test_beats_known_too_badly_are_unmeasured);
+    RUN_TEST(test_recorded_slots_give_the_same_bits);
+    RUN_TEST(test_aborted_swim);
+    RUN_TEST(test_provisional_beats);
+    RUN_TEST(test_upload_is_left_alone);
+    RUN_TEST(test_needs_what_the_camera_may_still_say);
+    return UNITY_END();
+}
