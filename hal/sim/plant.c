@@ -56,9 +56,9 @@ static void hold(double part, double *speed, double *way) {
 static void held_frame(plant_t *plant, double frame_s) {
     const double from = plant->held_from_m_s;
     double speed, way, way_begin;
+    hold(plant->held_s / CATCH_S, &speed, &way_begin);
     for (unsigned i = 0; i <= SUBSTEPS; i++) {
         hold((plant->held_s + frame_s * i / SUBSTEPS) / CATCH_S, &speed, &way);
-        way_begin = i == 0 ? way : way_begin;
         plant->trace_v_m_s[i] = from * speed;
         plant->trace_x_m[i] = plant->x_m + from * CATCH_S * (way - way_begin);
     }

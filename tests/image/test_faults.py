@@ -19,6 +19,7 @@ LONGEST_PULSE_US = 2100
 WATCHDOG_S = 1.01  # 256 ticks of the slow clock at its nominal 32 kHz
 HANGS_US = 1e9
 BATTERY_CHANNEL = 7
+IMU_BACK_S = 5.0
 FREE_STACK = 2048  # bytes above its end that no path of the firmware reaches
 
 NewBoard = Callable[..., EmulatedBoard]
@@ -157,16 +158,22 @@ def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect)
     fish = connect(board)
     fish.params.set("IMU_TIMEOUT_S", 0.5)
     trace = swimming(board, fish)
-    frames = fish.health()["imu_frames"]
     board.set_imu(False)
     board.run(1.5)
     status = fish.status()
     assert (status.state, status.fault.name) == ("ABORTED", "IMU_STALE")
     assert not board.truth().swimming
     assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
+    assert fish.imu_info().problem.name == "SILENT"
     board.set_imu(True)
+    plugged_s = board.time_s
+    while fish.imu_info().state != "streaming":
+        fish.link.run(0.1)
+        assert board.time_s - plugged_s < IMU_BACK_S
+    print(f"set up again {board.time_s - plugged_s:.1f} s after it was plugged in")
+    frames = fish.health()["imu_frames"]
     board.run(1.0)
-    assert fish.health()["imu_frames"] > frames + 50
+    assert fish.health()["imu_frames"] >= frames + 99
     assert fish.health()["imu_crc_failed"] <= 1
 
 

@@ -86,10 +86,11 @@ def test_power_cycle_keeps_what_is_stored(image: Path) -> None:
 
 
 def test_imu_may_be_unplugged_and_may_be_fast(image: Path) -> None:
-    url = f"vboard:{image}?imu_rate_hz=400&imu_baud=460800"
-    with Fish.connect(url) as fish:
+    with Fish.connect(f"vboard:{image}") as fish:
         fish.params.set("IMU_BAUD", 460800)
-        fish.link.run(1.0)
+        fish.params.set("IMU_RATE_HZ", 400)
+        imu = fish.imu_verdict()
+        assert (imu.state, imu.problem.name, imu.rate_hz) == ("streaming", "NONE", 400)
         before = fish.health()
         fish.link.run(2.0)
         after = fish.health()

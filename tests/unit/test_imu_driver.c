@@ -72,9 +72,9 @@ static uint32_t crc16(const char *text, size_t length) {
 
 static void seal(char *line, size_t room, const char *body) {
     if (sensor.check16) {
-        (void)snprintf(line, room, "$%s*%04X\r\n", body, crc16(body, strlen(body)));
+        (void)snprintf(line, room, "$%s*%04X\r\n", body, (unsigned)crc16(body, strlen(body)));
     } else {
-        (void)snprintf(line, room, "$%s*%02X\r\n", body, xor8(body, strlen(body)));
+        (void)snprintf(line, room, "$%s*%02X\r\n", body, (unsigned)xor8(body, strlen(body)));
     }
 }
 

@@ -157,8 +157,8 @@ static void test_data_bytes(void) {
     load();
     uint32_t at = 0;
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 0, &at));
-    const uint8_t wanted[] = {0,    0, 1, 2, 3, 4, 5,    6,    7, 8, 0, 0, 0,
-                              0x3F, 2, 1, 5, 4, 0xFE, 0xFF, 7, 6, 3, 99};
+    const uint8_t wanted[] = {0, 0,    1, 2, 3, 4, 5,    6,    7, 8, 0, 0,
+                              0, 0x3F, 2, 1, 5, 4, 0xFE, 0xFF, 7, 6, 3, 99};
     TEST_ASSERT_EQUAL_MEMORY(wanted, content + at, sizeof wanted);
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 3, &at));
     const uint8_t end[] = {3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 4, 0, 17, 0};
