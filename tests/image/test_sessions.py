@@ -1,4 +1,5 @@
-"""Whole learning sessions on the flash image, through the serial ports, bit for bit."""
+"""Whole learning sessions on the flash image, through the serial ports, bit for bit. One along the
+thesis's profile is in tests/system/test_vboard.py."""
 
 from __future__ import annotations
 
@@ -6,37 +7,47 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from tailbeat import laws, reference
+from tailbeat import laws, records
 from tailbeat.demo import compare, same_bits
+from tailbeat.errors import Refused
 from tailbeat.fish import Fish
+from tailbeat.recompute import recompute_beats
 from tailbeat.trial_log import read_trial
 
-TRIALS = 6
+TRIALS = 5
+BEATS, BEAT_S = 10, 1.0
+SPEED_M_S = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS)).astype(np.float32)
 SEED = 3
 SIGMA_M_S = 0.001
+VISION, UPLOAD, IMU, MODEL = range(4)
+REST_S = 3.0
 
 
-def prepare(fish: Fish, source: int) -> None:
+def prepare(fish: Fish, source: int, beats: int = BEATS) -> None:
     wanted = {
         "AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0.0, "LAW_GAIN": 4.0, "LAW_LEAD": 1.0,
-        "SPD_SOURCE": float(source),
+        "SPD_SOURCE": float(source), "REST_MIN_S": REST_S, "SETTLE_S": 2.0,
     }  # fmt: skip
     for name, value in wanted.items():
         fish.params.set(name, value)
-    fish.upload_reference(reference.thesis().record())
+    fish.upload_reference(records.encode_reference(BEAT_S, SPEED_M_S[:beats]))
+
+
+def law_of(fish: Fish) -> laws.Law:
+    return laws.Law.from_params({n: p.value for n, p in fish.params.list().items()}, BEAT_S)
 
 
 def learn_from_true_speeds(fish: Fish) -> list[np.ndarray]:
     """Amplitudes after each trial, learned from the speeds the fish really had."""
-    prepare(fish, source=1)
+    prepare(fish, UPLOAD)
     learned = []
     for _ in range(TRIALS):
         outcome = fish.run_trial()
         assert outcome.end == "complete"
         assert fish.sim is not None
-        beats = fish.sim.true_beats()[: reference.thesis().beats]
-        fish.upload_speeds(outcome.number, beats, SIGMA_M_S)
+        fish.upload_speeds(outcome.number, fish.sim.true_beats()[:BEATS], SIGMA_M_S)
         fish.learn(outcome.number)
         learned.append(fish.amplitudes().values)
     return learned
@@ -55,11 +66,9 @@ def test_uploaded_speeds_teach_the_image_what_they_teach_the_simulated_board() -
 
 
 def test_seen_speeds_teach_it_what_the_host_computes_from_the_log(tmp_path: Path) -> None:
-    wanted = reference.thesis()
     with Fish.connect("vboard", seed=SEED) as fish:
-        prepare(fish, source=0)
-        params = {name: p.value for name, p in fish.params.list().items()}
-        law = laws.Law.from_params(params, wanted.beat_s)
+        prepare(fish, VISION)
+        law = law_of(fish)
         errors = []
         for _ in range(TRIALS):
             outcome = fish.run_trial()
@@ -72,3 +81,54 @@ def test_seen_speeds_teach_it_what_the_host_computes_from_the_log(tmp_path: Path
         assert fish.health()["late_ticks"] == 0
     print("max|e| mm/s:", " ".join(f"{e * 1000:.1f}" for e in errors))
     assert errors[-1] < 0.25 * errors[0] < 0.1
+
+
+def refused_without_imu(fish: Fish) -> None:
+    """Nothing is counted or stored either."""
+    assert fish.sim is not None
+    number = fish.status().next_trial
+    fish.sim.set_imu(False)
+    while fish.imu_info().state == "streaming":
+        fish.link.run(0.1)
+    with pytest.raises(Refused) as refused:
+        fish.run_trial()
+    assert (refused.value.number, refused.value.name) == (59, "NO_IMU")
+    fish.disarm()
+    assert (fish.status().next_trial, fish.trials()) == (number, [])
+    fish.sim.set_imu(True)
+    while fish.imu_info().state != "streaming":
+        fish.link.run(0.1)
+
+
+@pytest.mark.parametrize("source", [IMU, MODEL], ids=["imu", "model"])
+def test_felt_speeds_teach_it_what_the_host_computes_from_the_log(
+    source: int, tmp_path: Path
+) -> None:
+    beats = 6
+    with Fish.connect("vboard", seed=SEED) as fish:
+        assert fish.sim is not None
+        assert fish.imu_verdict().state == "streaming"
+        prepare(fish, source, beats)
+        refused_without_imu(fish)
+        begin_s = fish.sim.time_s
+        outcome = fish.run_trial()
+        took_s = fish.sim.time_s - begin_s
+        assert outcome.end == "complete"
+        trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
+        assert not trial.problems
+        true = fish.sim.true_beats()[:beats]
+        report = fish.learn(outcome.number)
+        compare(trial, law_of(fish), fish.amplitudes().values, report.rolled_back)
+        health = fish.health()
+    speed, sigma = recompute_beats(trial)
+    assert same_bits(sigma, trial.beats.sigma_m_s)
+    told = np.array([beat.speed_m_s for beat in outcome.beats], dtype=np.float32)
+    assert same_bits(told, trial.beats.speed_m_s)
+    error = speed - true
+    print(f"took {took_s:.0f} s; error mm/s: {error * 1e3}, sigma {sigma * 1e3}")
+    print(f"longest pause {int(health['longest_pause_us']) / 1000:.0f} ms")
+    assert report.measured_beats == beats
+    assert np.all(np.abs(error) < 4 * sigma)
+    assert (trial.rest_after is not None and trial.rest_after.still_s > 0) == (source == IMU)
+    assert int(health["longest_pause_us"]) <= 100_000
+    assert health["late_ticks"] == health["serial_overruns"] == health["store_failures"] == 0

@@ -4,6 +4,7 @@
  */
 #include "speed/motion.h"
 
+#include "target.h"
 #include "unity.h"
 
 #include <math.h>
@@ -625,16 +626,16 @@ static void the_attitude_stays_a_rotation(void) {
 
 int main(void) {
     UNITY_BEGIN();
-    RUN_TEST(the_speed_of_a_swim_is_found);
-    RUN_TEST(any_phase_and_rate_will_do);
-    RUN_TEST(any_beat_will_do);
-    RUN_TEST(along_the_nose_it_would_be_metres_per_second);
+    RUN_ON_HOST(the_speed_of_a_swim_is_found);
+    RUN_ON_HOST(any_phase_and_rate_will_do);
+    RUN_ON_HOST(any_beat_will_do);
+    RUN_ON_HOST(along_the_nose_it_would_be_metres_per_second);
     RUN_TEST(a_wrong_tilt_shows_as_its_share_of_gravity);
     RUN_TEST(a_rest_takes_the_gyroscopes_bias_away);
     RUN_TEST(without_a_rest_the_last_frame_stands_in);
-    RUN_TEST(a_turn_does_not_change_the_speed);
+    RUN_ON_HOST(a_turn_does_not_change_the_speed);
     RUN_TEST(times_may_waver);
-    RUN_TEST(lost_frames_are_bridged);
+    RUN_ON_HOST(lost_frames_are_bridged);
     RUN_TEST(a_long_gap_leaves_slots_unknown_and_attitude_goes_on);
     RUN_TEST(a_gap_of_50_ms_is_bridged_and_one_of_60_is_not);
     RUN_TEST(a_restart_keeps_the_attitude);

@@ -9,6 +9,7 @@
 #include "gait/gait.h"
 #include "ilc/law.h"
 #include "ilc/memory.h"
+#include "speed/estimate.h"
 #include "speed/motion.h"
 #include "speed/rest.h"
 #include "speed/speed.h"
@@ -24,6 +25,8 @@
 #define GAIT_FRAMES 400u
 #define SPEED_CASES 300u
 #define MOTION_CASES 60u
+#define ESTIMATE_CASES 30u
+#define ESTIMATE_BEATS 40u
 #define MOTION_FRAMES 500u
 #define REAL_CASES 60000u
 #define SHOWN 4u
@@ -360,6 +363,69 @@ static void motion_cases(void) {
     end("motion");
 }
 
+static estimate_config_t random_estimate(void) {
+    static const speed_source_t sources[] = {SPEED_SOURCE_VISION, SPEED_SOURCE_IMU,
+                                             SPEED_SOURCE_MODEL};
+    estimate_config_t config = {.beats = ESTIMATE_BEATS, .rest_min_s = 5.0f, .sigma_max_m_s = 1.0f};
+    config.source = sources[below(3)];
+    config.beat_s = 0.02f * (float)(30u + below(50));
+    config.vision = (speed_config_t){.window_s = config.beat_s, .gap_max_s = 0.5f};
+    config.vision.plausible_m_s = 1.0f;
+    config.thrust.kappa_per_m = between(1.0f, 100.0f);
+    config.thrust.slope_m_s_rad = between(0.1f, 0.4f);
+    config.thrust.dead_zone_rad = between(0.0f, 0.3f);
+    config.thrust.delay_s = between(0.0f, 1.5f);
+    config.model_sigma = between(0.05f, 0.5f);
+    config.rest_sigma_m_s = between(0.001f, 0.01f);
+    return config;
+}
+
+static void random_slot(speed_t *speed, const estimate_config_t *config) {
+    const float begin_s = SPEED_SLOT_S * (float)speed->next_close;
+    speed_sample_t sample = {.time_s = begin_s + 0.05f, .sigma_m_s = 0.0007f};
+    sample.speed_m_s = between(0.02f, 0.1f);
+    if (below(5) != 0) {
+        (void)speed_add(speed, &config->vision, sample);
+    }
+    speed_motion_t motion;
+    motion.gain_m_s = between(-0.02f, 0.02f);
+    motion.way_m = between(-0.001f, 0.001f);
+    (void)speed_close_slot(speed, below(100) != 0 ? &motion : NULL);
+}
+
+static void estimate_case(void) {
+    static speed_t speed;
+    static estimate_t estimate;
+    static float speed_m_s[BEATS_MAX], sigma_m_s[BEATS_MAX];
+    const estimate_config_t config = random_estimate();
+    const estimate_rest_t before = {.begin_s = -10.0f, .still_s = 10.0f};
+    speed_init(&speed);
+    estimate_begin(&estimate, &config, &before, speed_m_s, sigma_m_s);
+    while (estimate.next < ESTIMATE_BEATS + 10u) {
+        while ((float)speed.next_close * SPEED_SLOT_S < estimate_needs_s(&estimate)) {
+            random_slot(&speed, &config);
+        }
+        const speed_beat_t beat = estimate_beat(&estimate, &speed, between(0.0f, 0.8f));
+        note(beat.speed_m_s);
+        note(beat.sigma_m_s);
+    }
+    const estimate_rest_t after = {.begin_s = (float)ESTIMATE_BEATS * config.beat_s,
+                                   .still_s = 10.0f * config.beat_s};
+    estimate_after(&estimate, ESTIMATE_BEATS, &after);
+    while (!estimate_finish(&estimate)) {
+    }
+    note_all(speed_m_s, ESTIMATE_BEATS);
+    note_all(sigma_m_s, ESTIMATE_BEATS);
+}
+
+static void estimate_cases(void) {
+    begin();
+    for (uint32_t i = 0; i < ESTIMATE_CASES; i++) {
+        estimate_case();
+    }
+    end("estimate");
+}
+
 static void real_cases(void) {
     begin();
     for (uint32_t i = 0; i < REAL_CASES; i++) {
@@ -394,6 +460,7 @@ int main(void) {
     gait_cases();
     speed_cases();
     motion_cases();
+    estimate_cases();
     real_cases();
     arithmetic_cases();
     return 0;
