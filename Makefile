@@ -36,7 +36,11 @@ qemu: bootstrap ## the unit tests as Cortex-M3 code
 	@cmake --build build/qemu --target unit_tests -- --quiet
 	@ctest --test-dir build/qemu -j2 --output-on-failure
 
-soak: package firmware ## what takes long: a thousand power cuts
+soak: package firmware ## what takes long: a thousand power cuts, 10^8 bytes into the IMU reader
+	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
+		-DTAILBEAT_NATIVE=OFF >/dev/null
+	@cmake --build build/unit --target test_imu_fuzz -- --quiet
+	IMU_FUZZ_BYTES=100000000 build/unit/tests/test_imu_fuzz
 	@$(BIN)/pytest -s -m soak tests/image
 
 bench: package firmware ## speed of the simulation, load of the fish's processor, cost of an IMU byte

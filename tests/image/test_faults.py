@@ -33,7 +33,7 @@ CRASHES = {
     "division by zero": ("002090fbf0f0", "division by zero"),  # sdiv r0, r0, r0
     # r0 = sp, its lowest 6 bits cleared, - 24; sp = r0; push {r0-r12, lr}; push {r0, r1}; b .-6
     # so that what an exception stores still has room where the big push has none
-    "endless push": ("68466ff3050018388546" "2de9ff5f03b4fbe7", "stack guard"),
+    "endless push": ("68466ff30500183885462de9ff5f03b4fbe7", "stack guard"),
     "huge frame": ("adf5005d0090", "stack guard"),  # sub sp, #8192; str r0, [sp]
 }
 KINDS = {
