@@ -8,10 +8,12 @@
  *   ascii  $VNYMR lines, as the sensor sends them out of the box
  *   mixed  all of it
  *   FILE   a recording instead; any header, or the fish's own with "exact"
+ * 0 REPEATS write the stream itself.
  */
 #include "base/crc.h"
 #include "imu/line.h"
 #include "imu/reader.h"
+#include "push_all.h"
 
 #include <inttypes.h>
 #include <stdbool.h>
@@ -19,7 +21,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define CHUNK_BYTES 64u
 #define STREAM_MAX_BYTES (1u << 20)
 #define ROUNDS 100u
 #define LOST_BYTES 23u
@@ -107,20 +108,6 @@ static bool read_stream(stream_t *stream, const char *path) {
     return true;
 }
 
-static void push_all(imu_reader_t *reader, const stream_t *stream) {
-    for (size_t begin = 0; begin < stream->length; begin += CHUNK_BYTES) {
-        const size_t left = stream->length - begin;
-        const size_t chunk = left < CHUNK_BYTES ? left : CHUNK_BYTES;
-        size_t taken = 0;
-        bool got = true;
-        while (taken < chunk || got) {
-            imu_message_t message;
-            taken += imu_reader_push(reader, stream->bytes + begin + taken, chunk - taken, &message,
-                                     &got);
-        }
-    }
-}
-
 int main(int count, char **arguments) {
     static stream_t stream;
     static imu_reader_t reader;
@@ -135,9 +122,12 @@ int main(int count, char **arguments) {
     } else if (!read_stream(&stream, arguments[3])) {
         return 1;
     }
+    if (repeats == 0) {
+        return fwrite(stream.bytes, 1, stream.length, stdout) == stream.length ? 0 : 1;
+    }
     imu_reader_init(&reader, exact ? OWN_HEADER : NULL, exact ? sizeof OWN_HEADER : 0);
     for (unsigned long i = 0; i < repeats; i++) {
-        push_all(&reader, &stream);
+        push_all(&reader, stream.bytes, stream.length);
     }
     printf("bytes %zu binary %" PRIu32 " lines %" PRIu32 " crc %" PRIu32 " checksum %" PRIu32
            " rejects %" PRIu32 " skipped %" PRIu32 "\n",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 from vboard.board import Board
@@ -120,16 +121,23 @@ def only_probe(soc: Soc) -> dict[str, Peripheral]:
     return {"PROBE": Probe(soc, "PROBE", PROBE)}
 
 
-def compile_program(code: str, folder: Path) -> Path:
+def compile_program(
+    code: str, folder: Path, library: Path | None = None, includes: Iterable[Path] = ()
+) -> Path:
     """Compiles C that defines program() and handlers (on_bus, on_irq, ...) with the names of
-    PRELUDE; RAM is not cleared. Raises CalledProcessError."""
+    PRELUDE; RAM is not cleared. ``library``: an archive of objects it uses, compiled as they are
+    for a board; ``includes``: folders of their headers. Raises CalledProcessError."""
     image = folder / "program.elf"
     sources = {"start.c": START, "program.c": PRELUDE + code, "program.ld": LINKER_SCRIPT}
     for name, text in sources.items():
         (folder / name).write_text(text)
     command = [COMPILER, "-mcpu=cortex-m3", "-mthumb", "-Os", "-ffreestanding", "-nostdlib"]
     command += ["-Wno-array-bounds", "-Wl,--entry=start", "-T", "program.ld", "-o", str(image)]
-    subprocess.run([*command, "start.c", "program.c"], check=True, cwd=folder)
+    command += [f"-I{include.resolve()}" for include in includes] + ["start.c", "program.c"]
+    if library is not None:
+        command += ["-Wl,--gc-sections", str(library.resolve()), "--specs=nano.specs"]
+        command += ["-lc", "-lgcc"]
+    subprocess.run(command, check=True, cwd=folder)
     return image
 
 
