@@ -28,6 +28,7 @@ from vboard.core.clock import TICKS_PER_S
 MEASURED_S = 4.0
 TICKS_MEASURED = 25
 BEATS = 12
+IMU_RATES = ((100, 115200), (200, 230400), (400, 460800))  # Hz, baud
 TICK_EXCEPTION = 16 + 36  # of the PWM
 LAST_TRIAL = "/trials/0001.ulg"
 
@@ -44,13 +45,17 @@ class Load:
 
 
 def new_fish(imu_rate_hz: int, imu_baud: int) -> Fish:
-    """A board whose IMU is heard, with a reference."""
-    board = EmulatedBoard(imu_rate_hz=imu_rate_hz, imu_baud=imu_baud)
+    """A board whose IMU streams, with a reference."""
+    board = EmulatedBoard()
     transport = SimTransport(board)
     hear_board(transport)
     fish = Fish(transport)
     fish.clock.sync()
     fish.params.set("IMU_BAUD", imu_baud)
+    fish.params.set("IMU_RATE_HZ", imu_rate_hz)
+    imu = fish.imu_verdict()
+    if not imu.problem.well:
+        raise TailbeatError(imu.problem.meaning, imu.problem.remedy)
     fish.upload_reference(records.encode_reference(1.0, [0.04] * BEATS))
     return fish
 
@@ -137,18 +142,16 @@ def finish(fish: Fish) -> None:
 
 def measure_all() -> dict[str, Load]:
     loads = {}
-    with new_fish(100, 115200) as fish:
-        loads["idle, IMU 100 Hz"] = measure(fish, rest)
-        send_speeds(fish)
-        start(fish)
-        loads["swimming, IMU 100 Hz"] = measure(fish, rest)
-    with new_fish(400, 460800) as fish:
-        send_speeds(fish)
-        start(fish)
-        loads["swimming, IMU 400 Hz"] = measure(fish, rest)
-        finish(fish)
-        start(fish)
-        loads["... and a trial is pulled"] = measure(fish, pull)
+    for imu_rate_hz, imu_baud in IMU_RATES:
+        with new_fish(imu_rate_hz, imu_baud) as fish:
+            loads[f"idle, IMU {imu_rate_hz} Hz"] = measure(fish, rest)
+            send_speeds(fish)
+            start(fish)
+            loads[f"swimming, IMU {imu_rate_hz} Hz"] = measure(fish, rest)
+            if imu_rate_hz == IMU_RATES[-1][0]:
+                finish(fish)
+                start(fish)
+                loads["... and a trial is pulled"] = measure(fish, pull)
     return loads
 
 

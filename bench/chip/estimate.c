@@ -70,7 +70,7 @@ static void feel(void) {
     const imu_driver_config_t config = {.baud = 115200, .rate_hz = RATE_HZ, .heading = -1};
     imu_sample_t sample;
     imu_init(&imu, &config, 0);
-    imu.reader.header_bytes = IMU_FRAME_HEADER_BYTES;
+    imu.driver.state = IMU_STREAMING;
     rest_init(&rest);
     memset(&motion, 0, sizeof motion);
     for (uint32_t i = 1; i <= FRAMES; i++) {

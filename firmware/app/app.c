@@ -191,6 +191,7 @@ void app_refresh_status(app_t *app) {
         .speed_m_s = speed_known ? app->live_speed_m_s : NAN,
         .pulse_ticks = report.gait.pulse_ticks,
         .imu = &app->imu,
+        .still_s = swim_still_s(app),
         .speed_counters = app->run.speed.counters,
         .late_ticks = report.late_ticks,
         .longest_pause_us = app->longest_pause_us,

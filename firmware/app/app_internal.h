@@ -41,6 +41,8 @@ fault_t swim_arm(app_t *app, const link_command_t *command);
 fault_t swim_start(app_t *app, const link_command_t *command);
 void swim_stop(app_t *app, fault_t reason);
 void swim_poll(app_t *app, uint64_t now_us);
+/* How long the fish has been still, by the IMU. */
+float swim_still_s(const app_t *app);
 /* Ends the collecting of a stopped run at once. False when the trial could not be stored. */
 bool swim_finish(app_t *app, uint64_t now_us);
 

@@ -139,7 +139,7 @@ static fault_t prepare_store(app_t *app) {
     return save_first_guess(app);
 }
 
-static float still_s(const app_t *app) {
+float swim_still_s(const app_t *app) {
     rest_mean_t rest;
     return rest_get(&app->rest, &rest) ? rest.still_s : 0.0f;
 }
@@ -149,7 +149,7 @@ static fault_t ready_to_measure(const app_t *app) {
     if (settings_need_imu(&app->params) && app->imu.driver.state != IMU_STREAMING) {
         return FAULT_NO_IMU;
     }
-    if (needs_rest(app) && still_s(app) < app->params.value[PARAM_REST_MIN_S]) {
+    if (needs_rest(app) && swim_still_s(app) < app->params.value[PARAM_REST_MIN_S]) {
         return FAULT_NOT_STILL;
     }
     return FAULT_NONE;
@@ -237,9 +237,25 @@ static void settle_beats(app_t *app) {
     }
 }
 
+/* The estimate believes only the second half of the rest after the swim: the first may have been a
+ * glide. */
+static float rest_after_min_s(const app_t *app) {
+    return 2.0f * app->params.value[PARAM_REST_MIN_S];
+}
+
 static estimate_rest_t rest_after(const app_t *app, uint64_t now_us) {
-    return needs_rest(app) ? trial_run_rest_after(&app->run, app->executed, now_us, still_s(app))
-                           : (estimate_rest_t){0};
+    return needs_rest(app)
+               ? trial_run_rest_after(&app->run, app->executed, now_us, swim_still_s(app))
+               : (estimate_rest_t){0};
+}
+
+/* A trial may end complete and yet have told no speed at all. */
+static void tell_refusal(app_t *app, const estimate_rest_t *after) {
+    const bool rested = after->still_s >= app->params.value[PARAM_REST_MIN_S];
+    if (needs_rest(app) && app->run.told > 0 && app->run.measured == 0) {
+        const fault_t why = rested ? FAULT_RESTS_DIFFER : FAULT_NOT_STILL;
+        link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
+    }
 }
 
 static bool end_run(app_t *app, uint64_t now_us) {
@@ -249,6 +265,7 @@ static bool end_run(app_t *app, uint64_t now_us) {
         bool got = false;
         if (trial_run_end(&app->run, now_us, app->supervisor.reason, app->executed, &after, &beat,
                           &got)) {
+            tell_refusal(app, &after);
             return true;
         }
         if (!got) {
@@ -334,7 +351,8 @@ static bool has_settled(app_t *app, uint64_t now_us) {
     if (!collects || !needs_rest(app) || app->executed == 0) {
         return true;
     }
-    if (rest_after(app, now_us).still_s >= app->params.value[PARAM_REST_MIN_S]) {
+    if (rest_after(app, now_us).still_s >= rest_after_min_s(app) ||
+        app->imu.driver.problem > IMU_PROBLEM_STARTING) { /* which has been told */
         return true;
     }
     const float steps_s = (float)(SMOOTHER_AFTER - 2u) * app->reference.beat_s;
@@ -342,7 +360,6 @@ static bool has_settled(app_t *app, uint64_t now_us) {
     if (now_us < app->settle_until_us + real_whole_u64(wait_s * 1e6f)) {
         return false;
     }
-    link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(FAULT_NOT_STILL)->meaning);
     trial_log_text(&app->run.log, now_us, fault_info(FAULT_NOT_STILL)->name);
     return true;
 }

@@ -9,10 +9,6 @@
 #define PENDING_PATH "/pending.bin"
 #define BATTERY_LOG_US 1000000u
 
-/* A gliding fish seems still, and so does one that a hand brakes gently: what it takes until it is
- * held does not count. */
-#define CATCH_S 3.0f
-
 void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory,
                     estimate_t *estimate) {
     memset(run, 0, sizeof *run);
@@ -41,7 +37,7 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
     run->estimate->config = plan->estimate;
     run->late_s = plan->late_s;
     run->start_us = 0;
-    run->told = 0;
+    run->told = run->measured = 0;
     run->stage = TRIAL_RUN_COLLECTING;
     run->open = true;
 }
@@ -172,7 +168,7 @@ estimate_rest_t trial_run_rest_after(const trial_run_t *run, uint16_t executed, 
     const float swum_s = (float)executed * run->reference->beat_s;
     const float since_s = since_start_s(run, now_us) - still_s;
     const float closed_s = (float)run->speed.next_close * SPEED_SLOT_S;
-    const float begin_s = (since_s > swum_s ? since_s : swum_s) + CATCH_S;
+    const float begin_s = since_s > swum_s ? since_s : swum_s;
     return (estimate_rest_t){
         .begin_s = begin_s,
         .still_s = still_s > 0.0f && closed_s > begin_s ? closed_s - begin_s : 0.0f,
@@ -206,6 +202,7 @@ static void tell(trial_run_t *run, trial_run_beat_t *beat) {
     const uint16_t k = run->told++;
     *beat = known_beat(run, k);
     beat->speed = estimate_result(run->estimate, k);
+    run->measured = (uint16_t)(run->measured + beat->speed.measured);
     const trial_log_beat_t logged = {
         .beat = k,
         .amplitude_rad = beat->amplitude_rad,

@@ -30,8 +30,8 @@ typedef struct {
     motion_t motion;
     estimate_t *estimate;
     trial_run_stage_t stage;
-    uint16_t told; /* results given */
-    float late_s;  /* how long after its slot a sample may come */
+    uint16_t told, measured; /* results given, of these with a speed */
+    float late_s;            /* how long after its slot a sample may come */
     const reference_t *reference;
     const memory_t *memory; /* stored amplitudes, for the log */
     trial_log_t log;

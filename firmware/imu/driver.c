@@ -182,8 +182,9 @@ static uint16_t wanted(const imu_driver_t *driver, char *out) {
     return (uint16_t)(at - out);
 }
 
-/* Leaves of a number what counts: no leading zeros, no fraction of zeros, no plus. */
-static void trim(imu_text_t *text) {
+/* Leaves of a number what counts: no leading zeros, no fraction of zeros, no sign. True = it is
+ * below zero. */
+static bool trim(imu_text_t *text) {
     const char *begin = text->chars, *end = begin + text->length;
     if (memchr(begin, '.', text->length) != NULL) {
         while (end[-1] == '0') {
@@ -191,10 +192,12 @@ static void trim(imu_text_t *text) {
         }
         end -= end[-1] == '.';
     }
-    while (begin != end && (*begin == '0' || *begin == '+')) {
+    const bool minus = begin != end && *begin == '-';
+    while (begin != end && (*begin == '0' || *begin == '+' || *begin == '-')) {
         begin++;
     }
     *text = (imu_text_t){begin, (uint16_t)(end - begin)};
+    return minus && begin != end;
 }
 
 /* Whether that field is the same number, in any notation of the sensor's, decimal or hexadecimal.
@@ -204,9 +207,10 @@ static bool same_field(const imu_text_t *body, const imu_text_t *want, unsigned 
     if (given.length == 0) {
         return false;
     }
-    trim(&given);
-    trim(&right);
-    return given.length == right.length && memcmp(given.chars, right.chars, given.length) == 0;
+    const bool given_minus = trim(&given);
+    const bool right_minus = trim(&right);
+    return given_minus == right_minus && given.length == right.length &&
+           memcmp(given.chars, right.chars, given.length) == 0;
 }
 
 /* As many values as |want| has; the sensor may append more. */
@@ -356,9 +360,10 @@ static void fail(imu_driver_t *driver, imu_problem_t why) {
         next_baud(driver);
     } else if (why == IMU_PROBLEM_NOISY) {
         search(driver);
-    } else if (driver->step != STEP_OUTPUT || why != IMU_PROBLEM_BAUD_TOO_LOW ||
-               !try_other_port(driver)) { /* a port nobody uses may still be slow */
+    } else if (driver->step != STEP_OUTPUT || why != IMU_PROBLEM_BAUD_TOO_LOW) {
         conclude(driver, why);
+    } else if (!try_other_port(driver)) { /* ours is fast enough: it is another that is too slow */
+        conclude(driver, IMU_PROBLEM_WRONG_PORT);
     }
 }
 
@@ -504,6 +509,7 @@ static imu_problem_t problem_of(unsigned code) {
 
 static void take_error(imu_driver_t *driver, unsigned code) {
     driver->errors++;
+    driver->answered = true;
     driver->error_code = (uint8_t)code;
     /* While searching it complains of what stood in its buffer, too; the answer follows. */
     if (driver->sent && driver->step != STEP_FIND) {

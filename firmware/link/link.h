@@ -98,6 +98,7 @@ typedef struct {
     float angle_rad, amplitude_rad, speed_m_s; /* speed NaN = none */
     uint16_t pulse_ticks;
     const imu_t *imu;
+    float still_s; /* how long the fish has been, by the IMU */
     /* counters */
     speed_counters_t speed_counters;
     uint32_t late_ticks, longest_pause_us;

@@ -176,6 +176,7 @@ void link_send_imu_info(link_t *link, channel_t *channel) {
     const imu_driver_t *driver = &link->status->imu->driver;
     mavlink_tailbeat_imu_info_t info = {
         .baud = driver->found_baud != 0 ? driver->line_baud : 0,
+        .still_s = link->status->still_s,
         .rate_hz = driver->config.rate_hz,
         .port = driver->found_port,
         .state = (uint8_t)driver->state,

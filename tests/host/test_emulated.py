@@ -256,9 +256,11 @@ def test_the_board_talks_to_the_imu(emulated: EmulatedBoard) -> None:
     after_us = (reply.first - begin) / TICKS_PER_US
     assert after_us == pytest.approx((14 + 1) * BYTE_US + 1000, abs=20)
     assert answer(emulated, b"$VNWRG,75,2,8,11,0129,0040").startswith(b"$VNWRG,75")
+    before = emulated.imu_frames_sent
     emulated.run(1.0)
     frames = arrived(emulated)
     assert len(frames) in (99, 100, 101)
+    assert abs(emulated.imu_frames_sent - before - len(frames)) <= 1
     assert {piece.data[:6] for piece in frames} == {bytes.fromhex("FA1129014000")}
 
 

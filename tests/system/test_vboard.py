@@ -16,7 +16,7 @@ from tailbeat.fish import Fish
 
 IMAGE = Path(__file__).parents[2] / "build" / "firmware" / "tailbeat.elf"
 START = "from tailbeat.cli import main; main()"
-BEATS = 8
+BEATS = 5
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
@@ -36,16 +38,20 @@ class Image:
 
 
 def load(path: Path) -> Image:
-    """Reads .elf or a raw .bin that starts at FLASH_START. Raises ImageError."""
-    data = path.read_bytes()
+    """Reads .elf or a raw .bin that starts at FLASH_START; the same object while the file stays as
+    it is. Raises ImageError."""
+    return _decoded(path, path.read_bytes())
+
+
+@lru_cache(maxsize=4)  # the names of a large image take longer than to boot it
+def _decoded(path: Path, data: bytes) -> Image:
     if not data.startswith(b"\x7fELF"):
         return Image(_fitting(path, data))
-    with path.open("rb") as stream:
-        elf = ELFFile(stream)
-        if elf["e_machine"] != "EM_ARM":
-            raise ImageError(f"{path}: an ELF file for {elf['e_machine']}, not for Arm")
-        image = Image(_fitting(path, _flash_of(path, elf)))
-        _read_symbols(elf, image)
+    elf = ELFFile(BytesIO(data))
+    if elf["e_machine"] != "EM_ARM":
+        raise ImageError(f"{path}: an ELF file for {elf['e_machine']}, not for Arm")
+    image = Image(_fitting(path, _flash_of(path, elf)))
+    _read_symbols(elf, image)
     return image
 
 
