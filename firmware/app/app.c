@@ -61,7 +61,7 @@ void app_init(app_t *app, hal_t *hal) {
     const imu_driver_config_t imu = settings_imu(&app->params);
     imu_init(&app->imu, &imu, hal_time_us(hal));
     rest_init(&app->rest);
-    trial_run_init(&app->run, &app->reference, &app->memory, &app->upload.estimate);
+    trial_run_init(&app->run, &app->reference, &app->memory, &app->shared.estimate);
     const link_handlers_t handlers = {
         .context = app,
         .command = commands_run,
@@ -222,14 +222,15 @@ void app_poll(app_t *app) {
     const uint64_t now_us = hal_time_us(app->hal);
     mind_the_clock(app, now_us);
     swim_poll(app, now_us); /* first: frames that come in after the start belong to the swim */
-    read_imu(app, now_us);
-    drive_imu(app, now_us);
+    const uint64_t read_us = hal_time_us(app->hal); /* storing may have taken long */
+    read_imu(app, read_us);
+    drive_imu(app, read_us);
     app_refresh_status(app);
     if (hal_time_us(app->hal) - now_us < STORING_US) {
         app->last_link_us = now_us;
         link_poll(&app->link, &app->status);
     }
-    give_orders(app, now_us);
+    give_orders(app, read_us);
     hal_led(app->hal, state_is_armed(app->supervisor.state));
     app_feed_watchdog(app);
 }

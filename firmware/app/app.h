@@ -22,14 +22,15 @@
 #define APP_REBOOT_DELAY_US 200000u
 
 /* One small file at a time passes through |record|; decoding one of the uploads goes through
- * |upload|. Both belong to whoever the main loop is running. */
+ * |shared|, where the estimate of an open run lives otherwise. Both belong to whoever the main loop
+ * is running. */
 typedef union {
     reference_t reference;
     amplitudes_upload_t amplitudes;
     speed_upload_t speeds;
     memory_t memory;
     estimate_t estimate; /* of the open run: uploads are taken in IDLE only, when none is open */
-} app_upload_t;
+} app_shared_t;
 
 typedef struct {
     hal_t *hal;
@@ -68,7 +69,7 @@ typedef struct {
     uint8_t measured[BEATS_MAX];
     float scratch[BEATS_MAX];
     uint8_t record[RECORD_TRIAL_MAX_BYTES];
-    app_upload_t upload;
+    app_shared_t shared;
 } app_t;
 
 /* Mounts the store, loads what is there, leaves BOOT. */

@@ -39,6 +39,12 @@ gait_config_t settings_gait(const params_t *params, float beat_s) {
     };
 }
 
+/* A camera fits its line over a whole beat at least: part of one would be another speed. */
+static float vision_window_s(const params_t *params, float beat_s) {
+    const float window_s = params->value[PARAM_SPD_WINDOW_S];
+    return window_s > 0.0f && window_s < beat_s ? beat_s : window_s;
+}
+
 estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats) {
     return (estimate_config_t){
         .source = (speed_source_t)params_whole(params, PARAM_SPD_SOURCE),
@@ -46,7 +52,7 @@ estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16
         .beats = beats,
         .vision =
             {
-                .window_s = params->value[PARAM_SPD_WINDOW_S],
+                .window_s = vision_window_s(params, beat_s),
                 .gap_max_s = params->value[PARAM_SPD_GAP_S],
                 .plausible_m_s = params->value[PARAM_SPD_PLAUS_M_S],
             },

@@ -240,7 +240,11 @@ static void settle_beats(app_t *app) {
 /* The estimate believes only the second half of the rest after the swim: the first may have been a
  * glide. */
 static float rest_after_min_s(const app_t *app) {
-    return 2.0f * app->params.value[PARAM_REST_MIN_S];
+    const float beat_s = app->reference.beat_s;
+    const float twice_s = 2.0f * app->params.value[PARAM_REST_MIN_S];
+    const float least_s = 4.0f * beat_s; /* a whole beat in its second half, wherever they begin */
+    const float most_s = (float)(SMOOTHER_AFTER - 4u) * beat_s;
+    return real_clip(twice_s, least_s, most_s);
 }
 
 static estimate_rest_t rest_after(const app_t *app, uint64_t now_us) {

@@ -92,11 +92,8 @@ void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float
 }
 
 void trial_run_motion(trial_run_t *run, const imu_sample_t *sample) {
-    if (!collecting(run)) {
+    if (!collecting(run) || !run->motion.begun) {
         return;
-    }
-    if (!run->motion.begun) { /* plugged in, or back, after the start */
-        motion_begin(&run->motion, NULL, &sample->frame);
     }
     motion_push(&run->motion, &sample->frame, since_start_s(run, sample->time_us), sample->dt_s);
 }
@@ -167,7 +164,9 @@ estimate_rest_t trial_run_rest_after(const trial_run_t *run, uint16_t executed, 
                                      float still_s) {
     const float swum_s = (float)executed * run->reference->beat_s;
     const float since_s = since_start_s(run, now_us) - still_s;
-    const float closed_s = (float)run->speed.next_close * SPEED_SLOT_S;
+    const float reach_s = (float)(executed + SMOOTHER_AFTER) * run->reference->beat_s;
+    const float end_s = (float)run->speed.next_close * SPEED_SLOT_S;
+    const float closed_s = end_s < reach_s ? end_s : reach_s;
     const float begin_s = since_s > swum_s ? since_s : swum_s;
     return (estimate_rest_t){
         .begin_s = begin_s,

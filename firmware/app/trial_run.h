@@ -39,7 +39,7 @@ typedef struct {
 } trial_run_t;
 
 /* Calls of trial_run_end until it is true, at most. */
-#define TRIAL_RUN_END_STEPS (SMOOTHER_STEPS / SMOOTHER_BLOCK + BEATS_MAX + 8u)
+#define TRIAL_RUN_END_STEPS (SMOOTHER_STEPS / SMOOTHER_BLOCK + BEATS_MAX + 10u)
 
 typedef struct {
     uint32_t number;
@@ -81,7 +81,8 @@ void trial_run_started(trial_run_t *run, uint64_t start_us, const trial_run_imu_
 /* A speed sample, its middle at |time_us| board time. Dropped when no run collects. */
 void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float sigma_m_s);
 
-/* A frame of the IMU. Dropped when no run collects. */
+/* A frame of the IMU. Dropped when no run collects, and when the IMU was not alive at its start:
+ * which way is down cannot be told from a swimming fish. */
 void trial_run_motion(trial_run_t *run, const imu_sample_t *sample);
 
 /* Closes slots that can get no more samples and logs them, and the battery once a second. */

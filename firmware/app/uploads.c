@@ -50,7 +50,7 @@ fault_t uploads_judge_reference(const app_t *app, const reference_t *reference) 
 }
 
 static fault_t commit_reference(app_t *app, const link_command_t *command) {
-    reference_t *next = &app->upload.reference;
+    reference_t *next = &app->shared.reference;
     fault_t fault = load_upload(app, IN_REFERENCE, command);
     if (fault == FAULT_NONE) {
         fault = record_decode_reference(app->record, command->length_bytes, next);
@@ -75,7 +75,7 @@ static fault_t commit_reference(app_t *app, const link_command_t *command) {
 }
 
 static fault_t commit_amplitudes(app_t *app, const link_command_t *command) {
-    amplitudes_upload_t *next = &app->upload.amplitudes;
+    amplitudes_upload_t *next = &app->shared.amplitudes;
     fault_t fault = load_upload(app, IN_AMPLITUDES, command);
     if (fault == FAULT_NONE) {
         fault = record_decode_amplitudes(app->record, command->length_bytes, next);
@@ -98,7 +98,7 @@ static fault_t commit_amplitudes(app_t *app, const link_command_t *command) {
 
 /* All that was learned, from a backup: the next trial goes on where the last of it left off. */
 static fault_t commit_learned(app_t *app, const link_command_t *command) {
-    memory_t *next = &app->upload.memory;
+    memory_t *next = &app->shared.memory;
     fault_t fault = load_upload(app, IN_LEARNED, command);
     if (fault == FAULT_NONE) {
         fault = record_decode_memory(app->record, command->length_bytes, next);
@@ -121,7 +121,7 @@ static fault_t commit_learned(app_t *app, const link_command_t *command) {
 }
 
 static fault_t commit_speeds(app_t *app, const link_command_t *command) {
-    speed_upload_t *speeds = &app->upload.speeds;
+    speed_upload_t *speeds = &app->shared.speeds;
     fault_t fault = load_upload(app, IN_SPEEDS, command);
     if (fault == FAULT_NONE) {
         fault = record_decode_speeds(app->record, command->length_bytes, speeds);

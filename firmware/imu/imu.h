@@ -17,7 +17,7 @@ typedef struct {
     uint32_t restarts;    /* of the sensor */
 } imu_counters_t;
 
-/* Health word: 0 = all is well. Bits 0..7 hold for the last IMU_HEALTH_SPAN_US. */
+/* Health word: 0 = all is well. Bits 0..7 tell of the last whole span of IMU_HEALTH_SPAN_US. */
 #define IMU_HEALTH_DAMAGED 0x01u   /* frames or lines with a wrong check */
 #define IMU_HEALTH_REJECTS 0x02u   /* bytes that belong to no message */
 #define IMU_HEALTH_LOST 0x04u      /* frames missing */
@@ -29,7 +29,8 @@ typedef struct {
 #define IMU_HEALTH_SPAN_US 5000000u
 
 /* A frame and when it was made, by the board's clock: the sensor's clock, whose offset follows the
- * quickest arrivals, so that what waits in the line or in our ring does not shift it. */
+ * quickest arrivals, so that what waits in our ring does not shift it. What a frame always takes on
+ * the line (5.6 ms at 115200 baud) is in it. */
 typedef struct {
     imu_frame_t frame;
     uint64_t time_us;

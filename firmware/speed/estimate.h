@@ -7,7 +7,7 @@
  *   upload  nothing here: speeds come as a file
  *   imu     the IMU alone between two rests; refused (beats unmeasured) without both, or when the
  *           second contradicts it by more than 5 sigma (the fish's attitude was not followed)
- *   model   the IMU, held by the thrust model; rests, where there are any, help
+ *   model   the IMU, held by the thrust model; a rest before, if there was one, helps
  *
  * Pure, float32, no libm. Not for interrupts.
  */

@@ -163,20 +163,18 @@ static void mean_force(const float felt[FELT], const float change[FELT], const f
 
 /* One frame, or what stands for missing ones. The turn has a term for a rate whose direction
  * changes (coning): without it the attitude would tilt by 3e-5 rad/s, 0.2 m/s in 40 s. */
-static void step(motion_t *motion, const float felt[FELT], float time_s, float dt_s, bool summed) {
+static void step(motion_t *motion, const float felt[FELT], float time_s, float dt_s) {
     float change[FELT], angle[3] = {0}, coning[3];
     for (uint32_t i = 0; i < FELT; i++) {
         change[i] = felt[i] - motion->last[i];
         motion->last[i] = felt[i];
     }
     add(angle, dt_s, felt);
-    if (summed) {
-        float force[3], nose[3];
-        mean_force(felt, change, angle, dt_s, force);
-        level(motion->q, force);
-        nose_of(motion->q, nose);
-        sum_up(motion, force, nose, time_s, dt_s);
-    }
+    float force[3], nose[3];
+    mean_force(felt, change, angle, dt_s, force);
+    level(motion->q, force);
+    nose_of(motion->q, nose);
+    sum_up(motion, force, nose, time_s, dt_s);
     cross(angle, change, coning);
     add(angle, TWELFTH * dt_s, coning);
     turn(motion, angle);
@@ -184,29 +182,34 @@ static void step(motion_t *motion, const float felt[FELT], float time_s, float d
 
 void motion_push(motion_t *motion, const imu_frame_t *frame, float time_s, float dt_s) {
     REQUIRE(motion->begun);
-    float felt[FELT], lost[FELT];
+    if (motion->lost) {
+        return;
+    }
+    float felt[FELT], between[FELT];
     memcpy(felt, frame->rate_rad_s, sizeof frame->rate_rad_s);
     memcpy(felt + FORCE, frame->accel_m_s2, sizeof frame->accel_m_s2);
     add(felt, -1.0f, motion->rate_bias_rad_s);
-    if (!motion->follows) {
+    const bool first = !motion->follows;
+    if (first) {
         memcpy(motion->last, felt, sizeof felt);
         motion->period_s = PERIOD_MAX_S;
+        motion->follows = true;
     }
-    motion->follows = dt_s > 0.0f && dt_s <= MOTION_TURN_MAX_S;
-    if (!motion->follows) {
-        return;
-    }
-    if (dt_s <= 1.5f * motion->period_s) {
+    if (dt_s > 0.0f && dt_s <= 1.5f * motion->period_s) {
         motion->period_s = dt_s;
     }
     const float missing_s = dt_s - motion->period_s;
+    if (!(dt_s > 0.0f && missing_s <= MOTION_GAP_MAX_S)) {
+        motion->lost = !first;
+        return;
+    }
     if (missing_s > 0.0f) {
         for (uint32_t i = 0; i < FELT; i++) {
-            lost[i] = 0.5f * (motion->last[i] + felt[i]);
+            between[i] = 0.5f * (motion->last[i] + felt[i]);
         }
-        step(motion, lost, time_s - motion->period_s, missing_s, missing_s <= MOTION_GAP_MAX_S);
+        step(motion, between, time_s - motion->period_s, missing_s);
     }
-    step(motion, felt, time_s, motion->period_s, true);
+    step(motion, felt, time_s, motion->period_s);
 }
 
 /* NULL when it is not in the ring. */

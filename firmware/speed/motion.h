@@ -19,8 +19,8 @@
 
 #include "speed/rest.h"
 
-#define MOTION_SLOT_S 0.1f
-#define MOTION_SLOTS 88u /* two of the longest beats (4 s) and 0.8 s to spare */
+#define MOTION_SLOT_S 0.1f /* as in speed.h */
+#define MOTION_SLOTS 88u   /* two of the longest beats (4 s) and 0.8 s to spare */
 
 typedef struct {
     uint16_t index;    /* from the start of the swim */
@@ -33,6 +33,7 @@ typedef struct {
 typedef struct {
     bool begun;
     bool follows; /* |last| and |period_s| are known */
+    bool lost;    /* for the rest of the swim */
     float q[4];   /* body to level frame, scalar first */
     float rate_bias_rad_s[3];
     float first_nose[3]; /* unit vector along the nose at the start, level frame */
@@ -49,11 +50,10 @@ void motion_begin(motion_t *motion, const rest_mean_t *rest, const imu_frame_t *
 
 /* One frame, the means over the frame period that ends at |time_s| after the start (may be before
  * it); |dt_s| since the frame before. Frames are recognised as missing when dt_s is more than 1.5
- * frame periods. Up to MOTION_GAP_MAX_S of them are replaced by the mean of their neighbours; a
- * longer gap leaves slots uncovered, while the attitude turns on through at most MOTION_TURN_MAX_S.
- * dt_s = 0: the sensor restarted; attitude goes on from what it was. */
+ * frame periods. Up to MOTION_GAP_MAX_S of them are replaced by the mean of their neighbours. After
+ * a longer gap, or a restart of the sensor (dt_s = 0), nobody knows how the body turned meanwhile,
+ * and a degree would be 0.17 m/s^2: the motion is lost, and what follows is not looked at. */
 #define MOTION_GAP_MAX_S 0.05f
-#define MOTION_TURN_MAX_S 1.0f
 void motion_push(motion_t *motion, const imu_frame_t *frame, float time_s, float dt_s);
 
 /* Forward motion in slot |index|. False when frames do not cover it whole or it is no longer (or

@@ -8,8 +8,7 @@
 enum { U, A, R, S };
 #define N SMOOTHER_STATES
 
-/* A noise that was added to one of the states. Given all that is known later, it was gain (x after
- * it - filtered x after it) on average, with variance |left|. */
+/* Where u[row][column] lies in the packed triangle. */
 static unsigned upper(unsigned row, unsigned column) { return row * (5u - row) / 2u + column - 1u; }
 
 static float squared(float x) { return x * x; }

@@ -12,8 +12,8 @@
  * a rise (no IMU) u may jump as far as a fish can in a beat.
  *
  * The covariance is kept as U D U' (Bierman): it stays positive whatever float32 rounds away.
- * Memory: one state per SMOOTHER_BLOCK beats is kept, the others are computed again on the way back
- * (2 KB of stack). Pure, float32, no libm; the caller owns all arrays. Not for interrupts.
+ * Memory: one state per SMOOTHER_BLOCK beats is kept, the others are computed again on the way
+ * back. Pure, float32, no libm; the caller owns all arrays. Not for interrupts.
  * Cost on the board: see docs/testing.md (make bench).
  */
 #ifndef SPEED_SMOOTHER_H
@@ -54,6 +54,8 @@ typedef struct {
     bool scaled;                /* it is the model's */
 } smoother_evidence_t;
 
+/* A noise that was added to one of the states. Given all that is known later, it was gain (x after
+ * it - filtered x after it) on average, with variance |left|. */
 typedef struct {
     float gain[SMOOTHER_STATES];
     float left;

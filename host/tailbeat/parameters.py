@@ -10,7 +10,7 @@ from functools import cache
 
 from tailbeat import _dialect as mavlink
 from tailbeat._native import ffi, lib
-from tailbeat.errors import InputError
+from tailbeat.errors import InputError, Refused
 from tailbeat.faults import BAD_PARAM, WRONG_STATE, refusal
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 
@@ -43,6 +43,12 @@ class _Known:
     unit: str
     text: str
 
+
+_IMU_LINE = ("IMU_BAUD", "IMU_RATE_HZ")
+_IMU_LINE_REMEDY = (
+    "IMU_BAUD is a rate the VN-100 has and at least 640 x IMU_RATE_HZ, 800 / IMU_RATE_HZ is whole."
+    " For 400 Hz set IMU_BAUD 460800 first; on the way back IMU_RATE_HZ first."
+)
 
 _UNKNOWN = _Known(math.nan, math.nan, math.nan, False, "", "")
 
@@ -86,7 +92,14 @@ class Parameters:
         message = mavlink.MAVLink_param_set_message(
             BOARD_SYSTEM, BOARD_COMPONENT, _encode(name), value, mavlink.MAV_PARAM_TYPE_REAL32
         )
-        held = _parameter(self._exchange(message, name))
+        try:
+            held = _parameter(self._exchange(message, name))
+        except Refused as refused:
+            if refused.number == BAD_PARAM and name in _IMU_LINE:
+                raise InputError(
+                    f"{name} = {value:g} does not go with the rest", _IMU_LINE_REMEDY
+                ) from refused
+            raise
         if _bits(held.value) != _bits(value):
             raise refusal(WRONG_STATE)  # its word on why was lost; the range was right
         return held

@@ -103,6 +103,7 @@ class Trial:
     end_fault: int | None  # None: the file has no end record
     executed_beats: int
     end: str  # ``complete``, ``aborted:REASON``, ``fault:NAME`` or ``unfinished``
+    uploaded: bool  # the beats' speeds were given after the swim
     params: dict[str, float]
     slots: Slots
     rest_before: Rest | None
@@ -215,6 +216,7 @@ def _trial(
         end_fault=fault,
         executed_beats=int(end["executed"][-1]) if end else measured,
         end="unfinished" if fault is None else fault_text(fault),
+        uploaded=_uploaded(tables.get("beat"), end),
         params={name: float(value) for name, value in log.initial_parameters.items()},
         slots=_slots(tables.get("slot")),
         rest_before=next((rest for rest in rests if rest.begin_s < 0), None),
@@ -256,6 +258,11 @@ def _beats(table: dict[str, Any] | None, beats: int) -> Beats:
             column[beat] = table[name][row]
         samples[beat] = table["samples"][row]
     return Beats(**columns, samples=samples)
+
+
+def _uploaded(beats: dict[str, Any] | None, end: dict[str, Any] | None) -> bool:
+    """Beats are written when the trial is over; what comes later than its end was uploaded."""
+    return bool(beats and end and max(beats["timestamp"]) > end["timestamp"][-1])
 
 
 def _battery(table: dict[str, Any] | None, start_us: int) -> list[tuple[float, float]]:

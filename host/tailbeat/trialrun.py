@@ -8,17 +8,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NoReturn
 
 from tailbeat import _dialect as mavlink
+from tailbeat import records
 from tailbeat.camera.base import Camera
 from tailbeat.camera.beatfit import BeatFit, SpeedSample
 from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, FaultInfo, fault_info
 from tailbeat.link import Message
-from tailbeat.results import BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.results import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish, Guard, OnEvent
 
-SOURCE_VISION, SOURCE_IMU = 0, 2
+SOURCE_VISION, SOURCE_IMU = SPEED_SOURCES.index("vision"), SPEED_SOURCES.index("imu")
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SILENCE_S = 3.0  # of board time, after which the link counts as lost
 _SETTLE_MARGIN_S = 2.0
@@ -99,17 +100,21 @@ def _prepare(run: _Run) -> None:
     run.settle_s = fish.params.get("SETTLE_S").value
     window_s = fish.params.get("SPD_WINDOW_S").value
     run.source = round(fish.params.get("SPD_SOURCE").value)
-    if run.source == SOURCE_IMU:
-        run.settle_s += _REST_WAIT_S
     if run.camera is None and run.source == SOURCE_VISION:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
         run.emit({"event": "warning", "text": text})
     if run.camera is not None:
-        run.fit = BeatFit(window_s if window_s > 0 else 1.0, run.camera.fps)
+        run.fit = BeatFit(max(window_s, _beat_s(fish)) if window_s > 0 else 1.0, run.camera.fps)
         run.camera.frames()
     fish.clock.sync()
     if fish.status().state != "ARMED":
         fish.arm()
+
+
+def _beat_s(fish: Fish) -> float:
+    """Of the board's reference; a line over less than a beat would see part of the tail's swing."""
+    record = fish.reference_record()
+    return records.decode_reference(record).beat_s if record is not None else 1.0
 
 
 def _start(run: _Run) -> None:
@@ -140,6 +145,7 @@ def _send_start(run: _Run) -> None:
     """Starts; a fish that is not still yet is waited for."""
     fish = run.fish
     begin_s = fish.transport.now_s()
+    _wait_until_still(run)
     while True:
         try:
             # The board keeps single precision: rounding up could make the command come from the
@@ -152,6 +158,19 @@ def _send_start(run: _Run) -> None:
             waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
             if refused.number != NOT_STILL or waited_s > _STILL_WAIT_S:
                 raise
+        _wait_until_still(run)
+
+
+def _wait_until_still(run: _Run) -> None:
+    """As long as the board would refuse for it; somebody may have to come and hold the fish."""
+    fish = run.fish
+    if run.source != SOURCE_IMU:
+        return
+    rest_min_s = fish.params.get("REST_MIN_S").value
+    end_s = fish.transport.now_s() + _STILL_WAIT_S / max(fish.clock.rate, 1.0)
+    while fish.transport.now_s() < end_s:
+        if fish.link.request("TAILBEAT_IMU_INFO").still_s >= rest_min_s:
+            return
         _ask_to_hold(run, "hold the fish still; the trial starts by itself once it is")
         fish.link.run(_STILL_LOOK_S / max(fish.clock.rate, 1.0))
 
@@ -188,7 +207,7 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
         run.progress = (status.state, status.beat)
         run.progress_at_s = run.fish.link.transport.now_s()
     if run.source == SOURCE_IMU and status.state == "SETTLING":
-        _ask_to_hold(run, "swum; hold the fish still again until the result is there")
+        _ask_to_hold(run, "swum; catch the fish and hold it still until the result is there")
 
 
 def _consult(run: _Run, what: object) -> None:
@@ -277,7 +296,8 @@ def _is_over(run: _Run) -> bool:
         return True
     if run.stopped_at_s is None:  # late speeds of a cut trial are still being collected
         run.stopped_at_s = status.time_s
-    return status.time_s - run.stopped_at_s > run.settle_s + _SETTLE_MARGIN_S
+    rest_s = _REST_WAIT_S if run.source == SOURCE_IMU and status.beat > 0 else 0.0
+    return status.time_s - run.stopped_at_s > run.settle_s + rest_s + _SETTLE_MARGIN_S
 
 
 def _interrupt(run: _Run) -> None:

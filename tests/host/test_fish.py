@@ -236,7 +236,7 @@ def test_a_camera_that_dies_in_the_middle_is_told_once(ready: Fish) -> None:
     assert outcome.beats[-1].speed_m_s is None
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1, 4))
 def test_a_trial_over_a_bad_radio(ready: Fish, spoil, seed: int, tmp_path: Path) -> None:
     radio = spoil(ready, seed, lose=0.1, damage=0.02, twice=0.05)
     outcome = ready.run_trial()

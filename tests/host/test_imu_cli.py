@@ -31,6 +31,7 @@ class ScriptedBoard:
     def __init__(self) -> None:
         self.info: dict[str, Any] = {
             "baud": 115200,
+            "still_s": 12.0,
             "rate_hz": 100,
             "model": b"VN-100S-CR",
             "firmware": b"3.1.0.0",

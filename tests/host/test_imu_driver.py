@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.link import Message
 from tailbeat.transport.inprocess import SimTransport
@@ -15,7 +16,7 @@ from tailbeat.transport.simulated import SimBoard
 VERDICT_S = 5.0
 STREAMING = 3
 NONE, STARTING, SILENT, UNREADABLE, NO_REPLY = 0, 1, 2, 3, 4
-BAUD_TOO_LOW, WRONG_PORT, NOISY = 7, 8, 9
+WRONG_PORT, NOISY, NEEDS_SAVE = 8, 9, 10
 
 
 @contextmanager
@@ -111,6 +112,48 @@ def test_nothing_there() -> None:
         info, after_s = verdict(fish)
         assert info.problem == SILENT
         assert after_s <= VERDICT_S
+
+
+@pytest.mark.parametrize("port", [1, 2])
+def test_the_wrong_port_is_named_at_speed_too(port: int) -> None:
+    """The other port still runs at 115200, which is too slow: that is not the line's fault."""
+    with fish_with(imu_port=port) as fish:
+        verdict(fish)
+        assert fish.sim is not None
+        fish.params.set("IMU_BAUD", 460800)
+        fish.params.set("IMU_RATE_HZ", 400)
+        fish.params.set("IMU_PORT", 3 - port)
+        info, after_s = verdict(fish, fish.sim.board_time_s)
+        assert info.problem == WRONG_PORT
+        assert after_s <= VERDICT_S
+
+
+def test_rate_and_baud_must_fit() -> None:
+    with fish_with() as fish:
+        for name, value in (("IMU_RATE_HZ", 400), ("IMU_RATE_HZ", 300), ("IMU_BAUD", 100000)):
+            with pytest.raises(InputError, match="does not go with"):
+                fish.params.set(name, value)
+        assert fish.params.get("IMU_RATE_HZ").value == 100
+
+
+@pytest.mark.parametrize("firmware", [2, 3])
+@pytest.mark.parametrize("mount", [1, 2, 3, 4, 5])
+def test_the_mounting_takes_effect_after_a_save(mount: int, firmware: int) -> None:
+    """Firmware 3 writes -1 as -01.000000."""
+    with fish_with(imu_firmware=firmware) as fish:
+        verdict(fish)
+        assert fish.sim is not None
+        fish.params.set("IMU_MOUNT", mount)
+        info, _ = verdict(fish, fish.sim.board_time_s)
+        assert info.problem == (NONE if mount == 1 else NEEDS_SAVE)
+        fish.imu_save()
+        fish.link.run(1.0)
+        info, after_s = verdict(fish, fish.sim.board_time_s)
+        assert (info.problem, info.state) == (NONE, STREAMING)
+        assert after_s <= VERDICT_S
+        fish.sim.power_cycle()
+        info, _ = verdict(fish)
+        assert (info.problem, info.state) == (NONE, STREAMING)
 
 
 @pytest.mark.parametrize("bit_errors", [1e-4, 1e-3])

@@ -1,5 +1,5 @@
-/* Whether the test runs as Cortex-M3 code in QEMU. What proves arithmetic over many cases runs on the
- * host only: double is slow there, and float_bits shows that the results are the same bits. */
+/* Whether the test runs as Cortex-M3 code in QEMU. What proves arithmetic over many cases runs on
+ * the host only: double is slow there, and float_bits shows that the results are the same bits. */
 #ifndef TARGET_H
 #define TARGET_H
 

@@ -18,6 +18,7 @@ from tailbeat.cli.common import (
     say,
     table,
 )
+from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Swim, and get the logs.")
 
-SPEED_SOURCES = ("vision", "upload", "imu", "model")
+SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
+_SAME = "recomputed: the same speeds and sigmas, bit for bit"
 
 _LINK_NEWS = {
     "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
@@ -59,7 +61,7 @@ def run(
             if event["event"] == "beat":
                 speed = mm(event.get("speed_m_s"))
                 show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-            elif event["event"] in ("warning", "hold"):
+            elif event["event"] in ("warning", "hold") or _is_warning(event):
                 typer.echo(f"tailbeat: {event['text']}", err=True)
             elif event["event"] in _LINK_NEWS:
                 typer.echo(f"tailbeat: {_LINK_NEWS[event['event']]}", err=True)
@@ -70,6 +72,10 @@ def run(
         raise typer.Exit(130)
     if outcome.end != "complete":
         raise typer.Exit(1)
+
+
+def _is_warning(event: dict[str, Any]) -> bool:
+    return bool(event["event"] == "text" and event["severity"] <= SEVERITY_WARNING)
 
 
 def _camera(address: str | None) -> Any:
@@ -89,7 +95,9 @@ def _outcome_text(outcome: TrialOutcome) -> str:
     ]
     worst = f", max|e| {mm(max(errors))} mm/s" if errors else ", no speeds measured"
     line = f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
-    line += f"{outcome.executed_beats} beats{worst}"
+    unmeasured = outcome.executed_beats - len(errors)
+    missing = f" ({unmeasured} without a speed)" if errors and unmeasured > 0 else ""
+    line += f"{outcome.executed_beats} beats{missing}{worst}"
     return line + ("" if outcome.end == "complete" else "\nnext: tailbeat clear")
 
 
@@ -204,9 +212,12 @@ def show(
     again = _recomputed(trial) if recompute else None
     if again is not None:
         document["recomputed"] = again
-    say(json, document, lambda: _trial_text(trial) + ("\n" + _same_text(again) if again else ""))
+    say(json, document, lambda: _trial_text(trial) + ("\n" + _SAME if again else ""))
     if again is not None and not again["identical"]:
-        raise typer.Exit(1)
+        raise TailbeatError(
+            f"the speeds of trial {trial.number} cannot be computed again from its file",
+            "It was written by a firmware that computes otherwise, or is damaged; see the JSON.",
+        )
 
 
 def _recomputed(trial: Trial) -> dict[str, Any]:
@@ -216,10 +227,15 @@ def _recomputed(trial: Trial) -> dict[str, Any]:
     from tailbeat.errors import InputError
     from tailbeat.recompute import recompute_beats
 
-    if SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))] == "upload":
+    if trial.uploaded or _source(trial) == "upload":
         raise InputError(
             f"the speeds of trial {trial.number} were uploaded: there is nothing to compute",
             "They are what the file says.",
+        )
+    if trial.executed_beats == 0 or trial.end_fault is None:
+        raise InputError(
+            f"trial {trial.number} was not written to its end: there is nothing to compare with",
+            "Pull it again.",
         )
     speed, sigma = recompute_beats(trial)
     pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
@@ -227,12 +243,6 @@ def _recomputed(trial: Trial) -> dict[str, Any]:
     identical = all(np.array_equal(again, was, equal_nan=True) for again, was in pairs)
     found: dict[str, Any] = plain({"speed_m_s": speed, "sigma_m_s": sigma})
     return found | {"identical": identical}
-
-
-def _same_text(again: dict[str, Any]) -> str:
-    if again["identical"]:
-        return "recomputed: the same speeds and sigmas, bit for bit"
-    return "recomputed: NOT the same; the file was written by a firmware that computes otherwise"
 
 
 def _from_board(number: int | None, connect: str | None, quiet: bool) -> Trial:
@@ -244,14 +254,19 @@ def _from_board(number: int | None, connect: str | None, quiet: bool) -> Trial:
         return read_trial(_pull(fish, _which(fish, number), Path(folder), quiet))
 
 
+def _source(trial: Trial) -> str:
+    from tailbeat.results import SPEED_SOURCES
+
+    return SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))]
+
+
 def _document(trial: Trial) -> dict[str, Any]:
     from tailbeat.cli.common import plain
 
     document: dict[str, Any] = plain(trial)
     document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
     document["slots"] = plain(trial.slots.table())
-    source = round(trial.params.get("SPD_SOURCE", 0))
-    document["speed_source"] = SPEED_SOURCES[source]
+    document["speed_source"] = _source(trial)
     document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
     document["rms_error_m_s"] = trial.rms_error_m_s()
     return document
@@ -276,7 +291,7 @@ def _trial_text(trial: Trial) -> str:
         f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
         f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
         f"RMS {mm(trial.rms_error_m_s())}; speed by "
-        f"{SPEED_SOURCES[round(trial.params.get('SPD_SOURCE', 0))]}",
+        f"{_source(trial)}",
         *(f"note: {problem}" for problem in trial.problems),
         table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),
     ]
