@@ -22,12 +22,15 @@ pytestmark = pytest.mark.skipif(
 TOPICS = {
     "slot": (
         "uint64_t timestamp",
-        "float time_s",
         "float speed_m_s",
-        "float sigma_m_s",
         "uint16_t index",
-        "uint16_t samples",
+        "uint16_t sigma_10um_s",
+        "int16_t gain_10um_s",
+        "int16_t way_um",
+        "uint8_t samples",
+        "uint8_t at_ms",
     ),
+    "rest": ("uint64_t timestamp", "float begin_s", "float still_s"),
     "beat": (
         "uint64_t timestamp",
         "float amplitude_rad",

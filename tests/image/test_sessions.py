@@ -16,7 +16,7 @@ from tailbeat.fish import Fish
 from tailbeat.recompute import recompute_beats
 from tailbeat.trial_log import read_trial
 
-TRIALS = 4
+TRIALS = 3
 BEATS, BEAT_S = 10, 1.0
 SPEED_M_S = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS)).astype(np.float32)
 SEED = 3

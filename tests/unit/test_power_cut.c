@@ -5,6 +5,7 @@
  */
 #include "mock_hal.h"
 #include "store/trial_log.h"
+#include "target.h"
 #include "unity.h"
 
 #include <stdio.h>
@@ -264,7 +265,7 @@ static void test_make_space(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_replace);
-    RUN_TEST(test_trial_log);
+    RUN_ON_HOST(test_trial_log);
     RUN_TEST(test_mount_and_format);
     RUN_TEST(test_make_space);
     return UNITY_END();
