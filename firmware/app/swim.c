@@ -254,8 +254,9 @@ static estimate_rest_t rest_after(const app_t *app, uint64_t now_us) {
 }
 
 /* A trial may end complete and yet have told no speed at all. */
-static void tell_refusal(app_t *app, const estimate_rest_t *after) {
-    const bool rested = after->still_s >= app->params.value[PARAM_REST_MIN_S];
+static void tell_refusal(app_t *app, uint64_t now_us) {
+    const float rested_s = rest_after(app, now_us).still_s;
+    const bool rested = rested_s >= app->params.value[PARAM_REST_MIN_S];
     if (needs_rest(app) && app->run.told > 0 && app->run.measured == 0) {
         const fault_t why = rested ? FAULT_RESTS_DIFFER : FAULT_NOT_STILL;
         link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
@@ -269,7 +270,6 @@ static bool end_run(app_t *app, uint64_t now_us) {
         bool got = false;
         if (trial_run_end(&app->run, now_us, app->supervisor.reason, app->executed, &after, &beat,
                           &got)) {
-            tell_refusal(app, &after);
             return true;
         }
         if (!got) {
@@ -289,6 +289,7 @@ bool swim_finish(app_t *app, uint64_t now_us) {
         ended = end_run(app, now_us);
         app_feed_watchdog(app);
     }
+    tell_refusal(app, now_us);
     const bool stored = trial_run_finish(&app->run, &app->store, app->record) == STORE_OK;
     if (!stored) {
         swim_stop(app, FAULT_STORAGE);
@@ -355,9 +356,10 @@ static bool has_settled(app_t *app, uint64_t now_us) {
     if (!collects || !needs_rest(app) || app->executed == 0) {
         return true;
     }
-    if (rest_after(app, now_us).still_s >= rest_after_min_s(app) ||
-        app->imu.driver.problem > IMU_PROBLEM_STARTING) { /* which has been told */
-        return true;
+    const imu_driver_t *imu = &app->imu.driver;
+    const bool imu_gone = imu->state != IMU_STREAMING && imu->problem != IMU_PROBLEM_STARTING;
+    if (rest_after(app, now_us).still_s >= rest_after_min_s(app) || imu_gone) {
+        return true; /* what is wrong with the IMU has been told */
     }
     const float steps_s = (float)(SMOOTHER_AFTER - 2u) * app->reference.beat_s;
     const float wait_s = steps_s < REST_WAIT_S ? steps_s : REST_WAIT_S;
