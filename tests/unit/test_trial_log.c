@@ -70,6 +70,11 @@ static void swim(uint16_t beats) {
     trial_log_header_t mine = header;
     mine.beats = beats;
     TEST_ASSERT_EQUAL_INT(STORE_OK, trial_log_begin(&log_, &store, &mine, &params));
+    const estimate_rest_t before = {.begin_s = -10.0f, .still_s = 10.0f};
+    const estimate_rest_t after = {.begin_s = (float)beats, .still_s = 10.0f};
+    const estimate_rest_t none = {0};
+    trial_log_rest(&log_, START_US, &before);
+    trial_log_rest(&log_, START_US, &none);
     worst_pages = 0;
     const uint32_t steps = (uint32_t)beats * BEAT_US / LOOP_US;
     for (uint32_t step = 0; step < steps; step++) {
@@ -80,6 +85,7 @@ static void swim(uint16_t beats) {
         const uint32_t pages = hal.flash_writes - before;
         worst_pages = pages > worst_pages ? pages : worst_pages;
     }
+    trial_log_rest(&log_, START_US + (uint64_t)beats * BEAT_US, &after);
     trial_log_text(&log_, START_US + (uint64_t)beats * BEAT_US, "settled");
     trial_log_end(&log_, START_US + (uint64_t)beats * BEAT_US, FAULT_NONE, beats);
 }
@@ -187,6 +193,7 @@ static void test_a_whole_trial_and_its_upload(void) {
     TEST_ASSERT_EQUAL_UINT32(400, count_messages('D', 0, &at));
     TEST_ASSERT_EQUAL_UINT32(40, count_messages('D', 1, &at));
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 3, &at));
+    TEST_ASSERT_EQUAL_UINT32(2, count_messages('D', 4, &at));
     printf("40 beats: %u bytes, %u page writes, at most %u in one pass, bound %u\n",
            (unsigned)content_bytes, (unsigned)(hal.flash_writes - writes), (unsigned)worst_pages,
            (unsigned)trial_log_size_bound(40, 46));
