@@ -48,8 +48,8 @@ void link_imu(link_t *link, const imu_sample_t *sample) {
         stream->interval_us = 0;
         return;
     }
-    /* Half an interval of grace: neither clock's jitter may halve the rate. */
-    if (sample->time_us + stream->interval_us / 2u < stream->next_us) {
+    /* A quarter of an interval of grace: neither clock's jitter may halve the rate. */
+    if (sample->time_us + stream->interval_us / 4u < stream->next_us) {
         return;
     }
     stream->next_us = sample->time_us + stream->interval_us;
