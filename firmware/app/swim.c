@@ -72,7 +72,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
 }
 
 static bool is_stale(const app_t *app, float issued_s) {
-    const float now_s = (float)units_ms(hal_time_us(app->hal)) * 1e-3f;
+    const float now_s = (float)units_thousandth(hal_time_us(app->hal)) * 1e-3f;
     /* A time to come is one of an earlier boot. Written so that NaN (no time given) is stale. */
     return !(real_abs(now_s - issued_s) <= START_STALE_S);
 }

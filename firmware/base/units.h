@@ -8,7 +8,8 @@
 #define FRAME_S 0.02f
 #define BEATS_MAX 512u /* longest trial, in beats */
 
-/* Whole milliseconds in |time_us|, rounded down. Pure, callable from interrupts. */
-uint64_t units_ms(uint64_t time_us);
+/* |value| / 1000, rounded down: microseconds to milliseconds, nanoseconds to microseconds. Pure,
+ * callable from interrupts. */
+uint64_t units_thousandth(uint64_t value);
 
 #endif

@@ -1,5 +1,7 @@
 #include "imu/imu.h"
 
+#include "base/units.h"
+
 #include <string.h>
 
 /* Longer than any gap within a message: a sensor's task may interrupt its sending, and so may the
@@ -10,14 +12,6 @@
 #define RISE_DIVISOR 10000u
 /* No pause of the main loop explains a frame that is so late: the clocks have parted. */
 #define LATE_MAX_US 500000
-
-/* By halves, so that no division is longer than 32 bits. */
-static uint64_t thousandth(uint64_t value) {
-    const uint32_t high = (uint32_t)(value >> 32);
-    const uint32_t middle = high % 1000u << 16 | (uint32_t)(value >> 16 & 0xFFFFu);
-    const uint32_t low = middle % 1000u << 16 | (uint32_t)(value & 0xFFFFu);
-    return ((uint64_t)(high / 1000u) << 32) + ((uint64_t)(middle / 1000u) << 16) + low / 1000u;
-}
 
 static void follow_clock(imu_t *imu, uint64_t sensor_us, uint64_t now_us, bool anew) {
     const int64_t late_us = (int64_t)(now_us - sensor_us) - imu->offset_us;
@@ -44,7 +38,7 @@ static bool take_frame(imu_t *imu, const uint8_t *bytes, uint64_t now_us, imu_sa
     const uint64_t sensor_ns = sample->frame.time_startup_ns;
     sample->step = imu_sequence_next(&imu->sequence, sensor_ns, &sample->dt_s);
     const bool restart = sample->step == IMU_STEP_RESTART;
-    const uint64_t sensor_us = thousandth(sensor_ns);
+    const uint64_t sensor_us = units_thousandth(sensor_ns);
     follow_clock(imu, sensor_us, now_us, restart || sample->step == IMU_STEP_FIRST);
     sample->time_us = sensor_us + (uint64_t)imu->offset_us;
     imu->counters.frames++;

@@ -23,7 +23,9 @@
         (void)channel_send((channel), &message_);                                                  \
     } while (0)
 
-static uint32_t boot_ms(const link_t *link) { return (uint32_t)units_ms(hal_time_us(link->hal)); }
+static uint32_t boot_ms(const link_t *link) {
+    return (uint32_t)units_thousandth(hal_time_us(link->hal));
+}
 
 static uint8_t system_status(state_t state) {
     switch (state) {
