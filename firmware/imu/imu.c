@@ -42,8 +42,6 @@ static bool take_frame(imu_t *imu, const uint8_t *bytes, uint64_t now_us, imu_sa
     follow_clock(imu, sensor_us, now_us, restart || sample->step == IMU_STEP_FIRST);
     sample->time_us = sensor_us + (uint64_t)imu->offset_us;
     imu->counters.frames++;
-    imu->counters.lost = imu->sequence.lost;
-    imu->counters.restarts = imu->sequence.restarts;
     imu->last = sample->frame;
     imu->last_us = now_us;
     imu_driver_frame(&imu->driver, restart, now_us);
@@ -75,9 +73,9 @@ static void judge_span(imu_t *imu, uint32_t overruns) {
     const uint32_t counts[] = {
         reader->crc_failed + reader->checksum_failed,
         reader->skipped_bytes,
-        imu->counters.lost,
+        imu->sequence.lost,
         overruns,
-        imu->counters.restarts,
+        imu->sequence.restarts,
         imu->counters.implausible,
     };
     imu->health = 0;

@@ -13,8 +13,6 @@
 typedef struct {
     uint32_t frames;      /* good ones */
     uint32_t implausible; /* CRC right, values impossible */
-    uint32_t lost;        /* missing by the sensor's clock */
-    uint32_t restarts;    /* of the sensor */
 } imu_counters_t;
 
 /* Health word: 0 = all is well. Bits 0..7 tell of the last whole span of IMU_HEALTH_SPAN_US. */

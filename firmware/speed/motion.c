@@ -12,7 +12,7 @@
 #define TIME_MAX_S 6500.0f
 #define BEAT_SLOTS_MAX ((float)(MOTION_SLOTS / 2u - 2u))
 /* Rounding of times apart, a slot is either covered or lacks more than a gap. */
-#define COVERED_S (0.98f * MOTION_SLOT_S)
+#define COVERED_S (0.98f * SPEED_SLOT_S)
 
 static float dot(const float a[3], const float b[3]) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -133,7 +133,7 @@ static void sum_up(motion_t *motion, const float accel_m_s2[2], const float nose
         from_s = motion->until_s;
     }
     while (from_s < time_s) {
-        const float slot_end_s = (float)(motion->index + 1u) * MOTION_SLOT_S;
+        const float slot_end_s = (float)(motion->index + 1u) * SPEED_SLOT_S;
         if (from_s >= slot_end_s) {
             motion->index++;
             continue;
@@ -222,7 +222,7 @@ static void add_nose(const motion_t *motion, int32_t index, float weight, float 
     const motion_slot_t *slot = slot_in(motion, (uint32_t)index);
     const float *nose = motion->first_nose;
     if (index < 0) {
-        weight *= MOTION_SLOT_S;
+        weight *= SPEED_SLOT_S;
     } else if (slot != NULL) {
         nose = slot->nose_s;
     } else {
@@ -236,7 +236,7 @@ static void add_nose(const motion_t *motion, int32_t index, float weight, float 
  * once more: weights fall off linearly from the middle. Unless a beat is an odd number of slots,
  * the slots at the ends of the rows count in part, |part|; that rounds the peak and the feet. */
 static void mean_nose(const motion_t *motion, int32_t index, float beat_s, float nose[2]) {
-    const float slots = real_clip(beat_s * (1.0f / MOTION_SLOT_S), 1.0f, BEAT_SLOTS_MAX);
+    const float slots = real_clip(beat_s * (1.0f / SPEED_SLOT_S), 1.0f, BEAT_SLOTS_MAX);
     const int32_t row = ((int32_t)slots - 1) | 1;
     const float part = 0.5f * (slots - (float)row);
     nose[0] = 0.0f;

@@ -18,9 +18,9 @@
 #define SPEED_MOTION_H
 
 #include "speed/rest.h"
+#include "speed/speed.h"
 
-#define MOTION_SLOT_S 0.1f /* as in speed.h */
-#define MOTION_SLOTS 88u   /* two of the longest beats (4 s) and 0.8 s to spare */
+#define MOTION_SLOTS 88u /* two of the longest beats (4 s) and 0.8 s to spare */
 
 typedef struct {
     uint16_t index;    /* from the start of the swim */

@@ -196,7 +196,7 @@ static void a_half_frame_is_given_up_after_a_silence(void) {
     push_frame(30000001);
     TEST_ASSERT_EQUAL_size_t(2, sample_count);
     TEST_ASSERT_EQUAL_INT(IMU_STEP_GAP, samples[1].step);
-    TEST_ASSERT_EQUAL_UINT32(2, imu.counters.lost);
+    TEST_ASSERT_EQUAL_UINT32(2, imu.sequence.lost);
 }
 
 static void what_came_at_another_speed_is_dropped(void) {
@@ -250,13 +250,13 @@ static void impossible_values_are_counted_and_not_handed_out(void) {
 static void lost_frames_are_counted_once_it_is_set_up(void) {
     push_frame(1);
     push_frame(50000001);
-    TEST_ASSERT_EQUAL_UINT32(0, imu.counters.lost);
+    TEST_ASSERT_EQUAL_UINT32(0, imu.sequence.lost);
     sample_count = 0;
     set_up(900000001);
-    TEST_ASSERT_EQUAL_UINT32(0, imu.counters.lost);
+    TEST_ASSERT_EQUAL_UINT32(0, imu.sequence.lost);
     push_frame(910000001);
     push_frame(950000001);
-    TEST_ASSERT_EQUAL_UINT32(3, imu.counters.lost);
+    TEST_ASSERT_EQUAL_UINT32(3, imu.sequence.lost);
     TEST_ASSERT_EQUAL_INT(IMU_STEP_GAP, samples[2].step);
     TEST_ASSERT_EQUAL_FLOAT(0.04f, samples[2].dt_s);
 }
@@ -267,7 +267,7 @@ static void a_restarted_sensor_is_set_up_again(void) {
     TEST_ASSERT_EQUAL_INT(IMU_STEP_RESTART, samples[1].step);
     TEST_ASSERT_EQUAL_FLOAT(0.0f, samples[1].dt_s);
     TEST_ASSERT_TRUE(samples[1].time_us == now_us);
-    TEST_ASSERT_EQUAL_UINT32(1, imu.counters.restarts);
+    TEST_ASSERT_EQUAL_UINT32(1, imu.sequence.restarts);
     TEST_ASSERT_EQUAL_INT(IMU_SEARCHING, imu.driver.state);
     sample_count = 0;
     set_up(2000);
@@ -282,7 +282,7 @@ static void another_configuration_sets_it_up_again(void) {
     set_up(500000001);
     TEST_ASSERT_EQUAL_STRING("2,16,11,0129,0040", registers[75]);
     push_frame(520000001);
-    TEST_ASSERT_EQUAL_UINT32(0, imu.counters.lost);
+    TEST_ASSERT_EQUAL_UINT32(0, imu.sequence.lost);
     TEST_ASSERT_EQUAL_UINT32(3, imu.counters.frames);
 }
 
@@ -312,7 +312,7 @@ static void assert_times_followed(int32_t ppm, uint32_t frames) {
         }
     }
     TEST_ASSERT_EQUAL_INT(IMU_STREAMING, imu.driver.state);
-    TEST_ASSERT_EQUAL_UINT32(0, imu.counters.lost);
+    TEST_ASSERT_EQUAL_UINT32(0, imu.sequence.lost);
 }
 
 static void times_follow_the_sensors_clock_not_the_arrivals(void) {

@@ -371,7 +371,7 @@ static void test_imu_is_set_up_over_its_wires(void) {
                 TEST_ASSERT_EQUAL(IMU_STREAMING, script.imu.driver.state);
                 TEST_ASSERT_EQUAL(port, script.imu.driver.found_port);
                 TEST_ASSERT_UINT_WITHIN(1, 100, imu_frames_in_1_s(sim));
-                TEST_ASSERT_EQUAL(0, script.imu.counters.lost);
+                TEST_ASSERT_EQUAL(0, script.imu.sequence.lost);
                 sim_free(sim);
             }
         }
