@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Writes the tables of docs/protocol.md from the sources that define them.
+"""Writes the tables of docs/protocol.md, faults.md and vn100.md from the sources that define them.
 
-Messages and commands come from wire/tailbeat.xml, parameters and faults from the firmware's own
-tables. ``--check`` changes nothing and fails when the page is not up to date.
+Messages and commands come from wire/tailbeat.xml; parameters, faults and problems of the IMU from
+the firmware's own tables. ``--check`` changes nothing and fails when a page is not up to date.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from pymavlink.generator import mavparse
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "protocol.md"
+DOCS = ROOT / "docs"
 DIALECT = ROOT / "wire" / "tailbeat.xml"
 
 
@@ -110,39 +110,55 @@ def fault_table() -> str:
     return table(("number", "name", "kind", "meaning", "what to do"), rows)
 
 
-SECTIONS: dict[str, Callable[[], str]] = {
-    "messages": message_tables,
-    "enums": enum_tables,
-    "commands": command_table,
-    "parameters": parameter_table,
-    "faults": fault_table,
+def imu_problem_table() -> str:
+    """Every reason why the IMU does not stream as wanted."""
+    rows = [
+        (code, name, meaning, remedy)
+        for name, code, meaning, remedy in macro_rows(
+            ROOT / "firmware/imu/problems.def", "IMU_PROBLEM"
+        )
+    ]
+    return table(("number", "name", "meaning", "what to do"), rows)
+
+
+PAGES: dict[str, dict[str, Callable[[], str]]] = {
+    "protocol.md": {
+        "messages": message_tables,
+        "enums": enum_tables,
+        "commands": command_table,
+        "parameters": parameter_table,
+    },
+    "faults.md": {"faults": fault_table},
+    "vn100.md": {"problems": imu_problem_table},
 }
 
 
-def filled(page: str) -> str:
+def filled(name: str, page: str) -> str:
     """The page with every section between its markers written anew."""
-    for name, make in SECTIONS.items():
-        begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+    for section, make in PAGES[name].items():
+        begin, end = f"<!-- {section} -->", f"<!-- end of {section} -->"
         if begin not in page or end not in page:
-            raise SystemExit(f"docs/protocol.md has no section {name}: put {begin} and {end} in it")
+            raise SystemExit(f"docs/{name} has no section {section}: put {begin} and {end} in it")
         before, rest = page.split(begin, 1)
         page = f"{before}{begin}\n{make()}\n{end}{rest.split(end, 1)[1]}"
     return page
 
 
 def main() -> int:
-    """Writes or checks the page."""
+    """Writes or checks the pages."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="fail when the page is out of date")
+    parser.add_argument("--check", action="store_true", help="fail when a page is out of date")
     arguments = parser.parse_args()
-    page = PAGE.read_text()
-    fresh = filled(page)
-    if arguments.check and fresh != page:
-        print("docs/protocol.md is out of date. Run tools/protocol_tables.py.", file=sys.stderr)
-        return 1
-    if not arguments.check:
-        PAGE.write_text(fresh)
-    return 0
+    stale = 0
+    for name in PAGES:
+        page = (DOCS / name).read_text()
+        fresh = filled(name, page)
+        if not arguments.check:
+            (DOCS / name).write_text(fresh)
+        elif fresh != page:
+            stale = 1
+            print(f"docs/{name} is out of date. Run tools/protocol_tables.py.", file=sys.stderr)
+    return stale
 
 
 if __name__ == "__main__":

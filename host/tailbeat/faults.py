@@ -11,12 +11,20 @@ from tailbeat.errors import Refused
 NONE = 0
 ABORT_COMMAND = 1
 REBOOT = 5
+STORAGE = 22
+WATCHDOG = 24
+CRASH = 25
 WRONG_STATE = 40
 NO_REFERENCE = 41
+STALE_COMMAND = 44
 NO_TRIAL = 46
+BAD_FILE = 50
 BAD_PARAM = 54
 UNKNOWN_COMMAND = 57
 NOT_STILL = 60
+NOT_SIGNED = 62
+NOT_FRESH = 63
+NOT_WIRED = 64
 
 _KINDS = ("none", "abort", "fault", "refusal")
 
