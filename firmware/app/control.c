@@ -39,11 +39,19 @@ static fault_t check_rules(const control_t *control, uint64_t now_us) {
         .last_tick_us = last_swum_us(control, now_us),
         .last_heartbeat_us = orders->last_heartbeat_us,
         .last_imu_us = orders->last_imu_us,
+        .battery_ok_us = control->battery_ok_us,
         .battery_mv = orders->battery_mv,
         .pitch_rad = orders->pitch_rad,
         .roll_rad = orders->roll_rad,
     };
     return stop_rules_check(&orders->limits, &inputs);
+}
+
+static void watch_battery(control_t *control, uint64_t now_us) {
+    const control_orders_t *orders = &control->orders;
+    if (orders->battery_mv >= orders->limits.battery_critical_mv) {
+        control->battery_ok_us = now_us;
+    }
 }
 
 static void count_late_tick(control_t *control, uint64_t now_us) {
@@ -87,6 +95,7 @@ static float next_amplitude(const control_t *control) {
 void control_tick_isr(control_t *control, hal_t *hal) {
     const uint64_t now_us = hal_time_us(hal);
     control_report_t *report = &control->report;
+    watch_battery(control, now_us);
     const bool swim = decide(control, now_us);
     if (control->gait.mode == GAIT_OFF) {
         control->config = control->orders.gait;

@@ -47,7 +47,8 @@ typedef struct {
     gait_t gait;
     gait_config_t config; /* of the swim that is on */
     control_orders_t orders;
-    bool stop_ordered; /* |swim| was false at some time since the last tick */
+    uint64_t battery_ok_us; /* last tick that found it not critical, swimming or not */
+    bool stop_ordered;      /* |swim| was false at some time since the last tick */
     control_report_t report;
 } control_t;
 

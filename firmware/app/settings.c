@@ -95,7 +95,12 @@ stop_limits_t settings_stop_limits(const params_t *params) {
         .link_timeout_us = microseconds(params->value[PARAM_LINK_TIMEOUT_S]),
         .imu_timeout_us = microseconds(imu_timeout_s(params)),
         .tick_late_us = TICK_LATE_US,
+        .battery_sag_us = microseconds(params->value[PARAM_BATT_SAG_S]),
         .battery_critical_mv = millivolts(params->value[PARAM_BATT_CRIT_V]),
         .tilt_max_rad = params->value[PARAM_TILT_MAX_RAD],
     };
+}
+
+uint16_t settings_battery_low_mv(const params_t *params) {
+    return millivolts(params->value[PARAM_BATT_LOW_V]);
 }

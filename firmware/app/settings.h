@@ -17,6 +17,8 @@ law_t settings_law(const params_t *params, float beat_s);
 gait_config_t settings_gait(const params_t *params, float beat_s);
 estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats);
 stop_limits_t settings_stop_limits(const params_t *params);
+/* No arming and no start below this; 0 = always. */
+uint16_t settings_battery_low_mv(const params_t *params);
 imu_driver_config_t settings_imu(const params_t *params);
 /* Whether the speed source is nothing without the IMU. */
 bool settings_need_imu(const params_t *params);

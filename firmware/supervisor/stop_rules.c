@@ -8,6 +8,12 @@ static bool silent(uint64_t now_us, uint64_t last_us, uint32_t timeout_us) {
     return timeout_us != 0 && now_us > last_us && now_us - last_us > timeout_us;
 }
 
+/* A servo's current pulls a healthy pack down for moments. */
+static bool exhausted(const stop_limits_t *limits, const stop_inputs_t *inputs) {
+    return inputs->battery_mv < limits->battery_critical_mv &&
+           inputs->now_us - inputs->battery_ok_us >= limits->battery_sag_us;
+}
+
 /* An angle that is not a number counts as tilted. */
 static bool tilted(const stop_limits_t *limits, const stop_inputs_t *inputs) {
     const float max_rad = limits->tilt_max_rad;
@@ -16,7 +22,7 @@ static bool tilted(const stop_limits_t *limits, const stop_inputs_t *inputs) {
 }
 
 fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs) {
-    if (inputs->battery_mv < limits->battery_critical_mv) {
+    if (exhausted(limits, inputs)) {
         return FAULT_BATTERY_CRITICAL;
     }
     if (tilted(limits, inputs)) {

@@ -13,8 +13,9 @@
 typedef struct {
     uint32_t link_timeout_us; /* 0 = not checked */
     uint32_t imu_timeout_us;  /* 0 = not checked */
-    uint32_t tick_late_us; /* a tick more than this after the last one is late; 0 = not checked */
-    uint16_t battery_critical_mv; /* below this; 0 = not checked */
+    uint32_t tick_late_us;   /* a tick more than this after the last one is late; 0 = not checked */
+    uint32_t battery_sag_us; /* below its limit for so long; 0 = at once */
+    uint16_t battery_critical_mv; /* 0 = not checked */
     float tilt_max_rad;           /* 0 = not checked */
 } stop_limits_t;
 
@@ -23,7 +24,8 @@ typedef struct {
     uint64_t last_tick_us;
     uint64_t last_heartbeat_us; /* of the host that armed. Times later than now are not silence */
     uint64_t last_imu_us;
-    uint16_t battery_mv;
+    uint64_t battery_ok_us;    /* when it was last not below its limit; not later than now */
+    uint16_t battery_mv;       /* 0, a dead converter, is as critical as any */
     float pitch_rad, roll_rad; /* not a number = tilted */
 } stop_inputs_t;
 

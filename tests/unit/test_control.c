@@ -257,6 +257,41 @@ static void a_broken_rule_at_the_start_gives_no_pulse(void) {
     TEST_ASSERT_EQUAL_UINT32(0, count_from(0));
 }
 
+static void see_battery(uint16_t battery_mv) {
+    orders.battery_mv = battery_mv;
+    order();
+}
+
+/* Ten frames of sag in every eleven never last a second; 50 in a row do. */
+static void sags_stop_the_tail_only_when_they_last(void) {
+    orders.limits.battery_sag_us = 1000000;
+    order();
+    tick();
+    for (uint32_t i = 0; i < 100; i++) {
+        see_battery(5000);
+        TEST_ASSERT_EQUAL_INT(FAULT_NONE, ticks(10).stop);
+        see_battery(6000);
+        TEST_ASSERT_EQUAL_INT(FAULT_NONE, tick().stop);
+    }
+    see_battery(5999);
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, ticks(49).stop);
+    TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_CRITICAL, tick().stop);
+    assert_glides_off();
+}
+
+/* With the tail off nothing pulls at the pack: then it is no sag. */
+static void a_battery_that_was_critical_before_the_swim_gives_no_pulse(void) {
+    orders.limits.battery_sag_us = 1000000;
+    orders.swim = false;
+    see_battery(5999);
+    ticks(60);
+    orders.swim = true;
+    order();
+    const uint32_t frame = (uint32_t)hal.pulse_count;
+    TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_CRITICAL, ticks(10).stop);
+    TEST_ASSERT_EQUAL_UINT32(0, count_from(frame));
+}
+
 static void no_beats_are_no_swim(void) {
     orders.beats = 0;
     orders.amplitude_rad = NULL;
@@ -342,6 +377,8 @@ int main(void) {
     RUN_TEST(a_finished_trial_does_not_begin_again);
     RUN_TEST(a_stop_shorter_than_a_tick_is_seen);
     RUN_TEST(a_broken_rule_at_the_start_gives_no_pulse);
+    RUN_TEST(sags_stop_the_tail_only_when_they_last);
+    RUN_TEST(a_battery_that_was_critical_before_the_swim_gives_no_pulse);
     RUN_TEST(no_beats_are_no_swim);
     RUN_TEST(a_late_tick_stops_the_swim);
     RUN_TEST(before_and_after_the_swim_no_tick_is_late);

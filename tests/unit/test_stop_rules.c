@@ -44,6 +44,24 @@ static void battery_stops_below_its_limit(void) {
     assert_verdict(FAULT_NONE);
 }
 
+/* Zero, what a dead converter reads, is no exception either way. */
+static void a_battery_that_sags_for_a_moment_is_not_critical(void) {
+    const uint16_t sagged_mv[] = {0, 1, 5999};
+    for (int i = 0; i < 3; i++) {
+        setUp();
+        limits.battery_sag_us = 1000000;
+        inputs.battery_mv = sagged_mv[i];
+        inputs.battery_ok_us = NOW_US;
+        assert_verdict(FAULT_NONE);
+        inputs.battery_ok_us = NOW_US - 999999;
+        assert_verdict(FAULT_NONE);
+        inputs.battery_ok_us = NOW_US - 1000000;
+        assert_verdict(FAULT_BATTERY_CRITICAL);
+        inputs.battery_mv = 6000;
+        assert_verdict(FAULT_NONE);
+    }
+}
+
 static void tilt_stops_either_way_round(void) {
     float *const angles[] = {&inputs.pitch_rad, &inputs.roll_rad};
     for (int i = 0; i < 2; i++) {
@@ -124,6 +142,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(nothing_is_wrong);
     RUN_TEST(battery_stops_below_its_limit);
+    RUN_TEST(a_battery_that_sags_for_a_moment_is_not_critical);
     RUN_TEST(tilt_stops_either_way_round);
     RUN_TEST(imu_stops_when_silent);
     RUN_TEST(link_stops_when_silent);

@@ -1,0 +1,81 @@
+#include "supervisor/battery.h"
+
+#include "unity.h"
+
+#define LOW_MV 6600u
+#define SECOND_US 1000000ull
+
+static battery_t battery;
+
+void setUp(void) { battery = (battery_t){0}; }
+void tearDown(void) {}
+
+static void allowed_from_the_limit_on(void) {
+    TEST_ASSERT_TRUE(battery_allows(&battery, LOW_MV, LOW_MV));
+    TEST_ASSERT_FALSE(battery_allows(&battery, LOW_MV - 1u, LOW_MV));
+}
+
+static void once_too_low_it_has_to_rise(void) {
+    TEST_ASSERT_FALSE(battery_allows(&battery, 0, LOW_MV));
+    TEST_ASSERT_FALSE(battery_allows(&battery, LOW_MV, LOW_MV));
+    TEST_ASSERT_FALSE(battery_allows(&battery, LOW_MV + BATTERY_RISE_MV - 1u, LOW_MV));
+    TEST_ASSERT_TRUE(battery_allows(&battery, LOW_MV + BATTERY_RISE_MV, LOW_MV));
+    TEST_ASSERT_TRUE(battery_allows(&battery, LOW_MV, LOW_MV));
+}
+
+static void one_that_ended_a_swim_has_to_rise_too(void) {
+    TEST_ASSERT_TRUE(battery_allows(&battery, LOW_MV, LOW_MV));
+    battery_exhausted(&battery);
+    TEST_ASSERT_FALSE(battery_allows(&battery, LOW_MV + BATTERY_RISE_MV - 1u, LOW_MV));
+    TEST_ASSERT_TRUE(battery_allows(&battery, LOW_MV + BATTERY_RISE_MV, LOW_MV));
+}
+
+static void without_a_limit_all_is_allowed(void) {
+    battery_exhausted(&battery);
+    TEST_ASSERT_TRUE(battery_allows(&battery, 0, 0));
+    TEST_ASSERT_TRUE(battery_allows(&battery, LOW_MV, LOW_MV));
+}
+
+static void the_highest_limit_does_not_wrap(void) {
+    battery_exhausted(&battery);
+    TEST_ASSERT_FALSE(battery_allows(&battery, UINT16_MAX, UINT16_MAX));
+}
+
+static uint32_t warnings(uint64_t from_us, uint64_t to_us, uint16_t battery_mv) {
+    uint32_t count = 0;
+    for (uint64_t us = from_us; us < to_us; us += 10000u) {
+        count += battery_warns(&battery, us, battery_mv, LOW_MV) ? 1u : 0u;
+    }
+    return count;
+}
+
+static void warns_once_per_swim_after_five_seconds(void) {
+    for (uint64_t swim = 1; swim < 4; swim++) {
+        const uint64_t begin_us = swim * 100u * SECOND_US;
+        battery_begin_swim(&battery, begin_us);
+        TEST_ASSERT_EQUAL_UINT32(0, warnings(begin_us, begin_us + 5u * SECOND_US, LOW_MV - 1u));
+        TEST_ASSERT_EQUAL_UINT32(
+            1, warnings(begin_us + 5u * SECOND_US, begin_us + 60u * SECOND_US, LOW_MV - 1u));
+    }
+}
+
+static void moments_below_the_limit_are_no_warning(void) {
+    battery_begin_swim(&battery, 0);
+    for (uint64_t second = 0; second < 60; second += 5) {
+        const uint64_t us = second * SECOND_US;
+        TEST_ASSERT_EQUAL_UINT32(0, warnings(us, us + 4u * SECOND_US, 5000));
+        TEST_ASSERT_EQUAL_UINT32(0, warnings(us + 4u * SECOND_US, us + 5u * SECOND_US, LOW_MV));
+    }
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(allowed_from_the_limit_on);
+    RUN_TEST(once_too_low_it_has_to_rise);
+    RUN_TEST(one_that_ended_a_swim_has_to_rise_too);
+    RUN_TEST(without_a_limit_all_is_allowed);
+    RUN_TEST(the_highest_limit_does_not_wrap);
+    RUN_TEST(warns_once_per_swim_after_five_seconds);
+    RUN_TEST(moments_below_the_limit_are_no_warning);
+    return UNITY_END();
+}
