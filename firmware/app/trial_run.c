@@ -6,8 +6,10 @@
 #include <math.h>
 #include <string.h>
 
-#define PENDING_PATH "/pending.bin"
 #define BATTERY_LOG_US 1000000u
+/* Nobody measures the time to come; but slots are closed up to a pause of the main loop late, and
+ * the host's clock may be a little ahead. */
+#define EARLY_S 0.5f
 
 void trial_run_init(trial_run_t *run, const reference_t *reference, const memory_t *memory,
                     estimate_t *estimate) {
@@ -79,6 +81,13 @@ static float since_start_s(const trial_run_t *run, uint64_t time_us) {
     return (float)(int64_t)(time_us - run->start_us) * 1e-6f;
 }
 
+/* Camera samples may still come, and a slot's heading is averaged over the beats around it. */
+static float open_s(const trial_run_t *run) {
+    const float heading_s = run->reference->beat_s + 2.0f * SPEED_SLOT_S;
+    const bool vision = run->trial.source == SPEED_SOURCE_VISION;
+    return vision && run->late_s > heading_s ? run->late_s : heading_s;
+}
+
 void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float sigma_m_s) {
     if (!collecting(run) || run->trial.source != SPEED_SOURCE_VISION) {
         return;
@@ -88,6 +97,10 @@ void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float
         .speed_m_s = speed_m_s,
         .sigma_m_s = sigma_m_s,
     };
+    if (sample.time_s > (float)run->speed.next_close * SPEED_SLOT_S + open_s(run) + EARLY_S) {
+        run->speed.counters.early++;
+        return;
+    }
     (void)speed_add(&run->speed, &run->estimate->config.vision, sample);
 }
 
@@ -111,13 +124,6 @@ static void close_until(trial_run_t *run, float until_s) {
         const speed_slot_t slot = speed_close_slot(&run->speed, moved ? &motion : NULL);
         trial_log_slot(&run->log, board_time_us(run, (float)index * SPEED_SLOT_S), &slot);
     }
-}
-
-/* Camera samples may still come, and a slot's heading is averaged over the beats around it. */
-static float open_s(const trial_run_t *run) {
-    const float heading_s = run->reference->beat_s + 2.0f * SPEED_SLOT_S;
-    const bool vision = run->trial.source == SPEED_SOURCE_VISION;
-    return vision && run->late_s > heading_s ? run->late_s : heading_s;
 }
 
 void trial_run_collect(trial_run_t *run, uint64_t now_us, uint16_t battery_mv) {

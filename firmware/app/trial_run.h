@@ -13,6 +13,8 @@
 
 #include <stdbool.h>
 
+#define PENDING_PATH "/pending.bin"
+
 /* What is left to do once a run collects no more, in this order. */
 typedef enum {
     TRIAL_RUN_COLLECTING,
@@ -39,7 +41,7 @@ typedef struct {
 } trial_run_t;
 
 /* Calls of trial_run_end until it is true, at most. */
-#define TRIAL_RUN_END_STEPS (SMOOTHER_STEPS / SMOOTHER_BLOCK + BEATS_MAX + 10u)
+#define TRIAL_RUN_END_STEPS (3u * (SMOOTHER_STEPS / SMOOTHER_BLOCK + 1u) + BEATS_MAX + 10u)
 
 typedef struct {
     uint32_t number;
@@ -78,7 +80,8 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan);
 void trial_run_started(trial_run_t *run, uint64_t start_us, const trial_run_imu_t *imu,
                        store_t *store, const params_t *params, const trial_log_header_t *header);
 
-/* A speed sample, its middle at |time_us| board time. Dropped when no run collects. */
+/* A speed sample, its middle at |time_us| board time. Dropped when no run collects, and when it is
+ * of a time to come. */
 void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float sigma_m_s);
 
 /* A frame of the IMU. Dropped when no run collects, and when the IMU was not alive at its start:

@@ -31,6 +31,8 @@
 #define WHOLE_BEAT 0.99f
 /* 5 sigma: with that at its end, the IMU has felt something else than this swim. */
 #define SURPRISE_MAX 25.0f
+/* The IMU is believed as long as it contradicts less than one camera beat in so many. */
+#define CONTRADICTED_PART 3u
 /* Mean speed of a beat in which the fish is held still. */
 #define HELD_M_S 0.001f
 /* The model about its scaled self: what it gets wrong is wrong for several beats on end. */
@@ -48,16 +50,20 @@ static void imu_needs(estimate_t *estimate, bool fulfilled) {
     }
 }
 
+/* A camera sees for itself how fast the fish was when it started, and needs no rest for that; nor
+ * does a trial that no camera saw get speeds from its rest. */
 static smoother_config_t smoother_config(const estimate_t *estimate, bool rested) {
+    const bool sees = estimate->config.source == SPEED_SOURCE_VISION;
     return (smoother_config_t){
         .beat_s = estimate->config.beat_s,
-        .start_sigma_m_s = rested ? estimate->config.rest_sigma_m_s : START_UNKNOWN_M_S,
+        .start_sigma_m_s = rested && !sees ? estimate->config.rest_sigma_m_s : START_UNKNOWN_M_S,
         .error_sigma_m_s2 = rested ? ERROR_AFTER_REST_M_S2 : TILT_UNKNOWN_M_S2,
         .drift_sigma_m_s3 = rested ? DRIFT_AFTER_REST_M_S3 : DRIFT_UNKNOWN_M_S3,
         .model_sigma = estimate->config.model_sigma,
         .accel_noise_m_s15 = ACCEL_NOISE_M_S15,
         .tilt_walk_m_s25 = TILT_WALK_M_S25,
         .jump_m_s = JUMP_M_S,
+        .gate = sees ? SURPRISE_MAX : 0.0f,
     };
 }
 
@@ -96,18 +102,49 @@ static bool rests(const estimate_t *estimate, uint16_t step) {
            since_s + WHOLE_BEAT * beat_s <= after->still_s;
 }
 
+static bool is_doubted(const estimate_t *estimate, uint16_t beat) {
+    return (estimate->doubted[beat / 8u] & 1u << beat % 8u) != 0;
+}
+
 static smoother_evidence_t evidence_of(const void *context, uint16_t step) {
     const estimate_t *estimate = context;
     smoother_evidence_t evidence = {.rise_m_s = estimate->rise_m_s[step], .speed_m_s = NAN};
-    if (step < estimate->swum) {
+    if (step < estimate->swum && !is_doubted(estimate, step)) {
         evidence.speed_m_s = estimate->speed_m_s[step];
         evidence.sigma_m_s = estimate->sigma_m_s[step];
         evidence.scaled = estimate->config.source == SPEED_SOURCE_MODEL;
-    } else if (rests(estimate, step)) {
+    } else if (step >= estimate->swum && rests(estimate, step)) {
         evidence.speed_m_s = 0.0f;
         evidence.sigma_m_s = HELD_M_S;
     }
     return evidence;
+}
+
+/* Beats whose mean takes anything from between the two times. */
+static void doubt_beats(estimate_t *estimate, float from_s, float to_s) {
+    const float beat_s = estimate->config.beat_s;
+    const float half_s = 0.5f * real_clip(estimate->config.vision.window_s, 0.0f, beat_s);
+    const float last = (float)(BEATS_MAX - 1u);
+    const float first_s = from_s + half_s - beat_s;
+    const uint16_t end = (uint16_t)real_clip((to_s - half_s) / beat_s + 1.0f, 0.0f, last + 1.0f);
+    for (uint16_t k = (uint16_t)real_clip(first_s / beat_s, 0.0f, last); k < end; k++) {
+        if ((float)k * beat_s >= first_s) {
+            estimate->doubted[k / 8u] |= (uint8_t)(1u << k % 8u);
+        }
+    }
+}
+
+/* As far as the beat's slots reach, whatever else is closed already. */
+static void doubt_slots(estimate_t *estimate, const speed_t *speed, float until_s) {
+    while ((float)(estimate->next_slot + 1u) * SPEED_SLOT_S <= until_s &&
+           estimate->next_slot < speed->next_close) {
+        const speed_slot_t *slot = speed_slot_at(speed, estimate->next_slot++);
+        float from_s, to_s;
+        if (slot != NULL && slot->samples != 0 &&
+            doubt_slot(&estimate->doubt, &estimate->config.vision, slot, &from_s, &to_s)) {
+            doubt_beats(estimate, from_s, to_s);
+        }
+    }
 }
 
 /* What the source says of the beat by itself. */
@@ -148,6 +185,9 @@ speed_beat_t estimate_beat(estimate_t *estimate, const speed_t *speed, float app
     float speed_m_s = NAN;
     float sigma_m_s = NAN;
     if (config->source != SPEED_SOURCE_UPLOAD) {
+        if (config->source == SPEED_SOURCE_VISION) {
+            doubt_slots(estimate, speed, estimate_needs_s(estimate));
+        }
         estimate->rise_m_s[step] = speed_rise(speed, begin_s, config->beat_s);
         if (step < config->beats) {
             look(estimate, speed, begin_s, applied_rad);
@@ -166,7 +206,8 @@ void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *
     }
     estimate->after = *after;
     imu_needs(estimate, estimate->next > 0 && rests(estimate, (uint16_t)(estimate->next - 1u)));
-    smoother_rewind(&estimate->smoother, estimate->swum);
+    smoother_rewind(&estimate->smoother,
+                    estimate->config.source == SPEED_SOURCE_VISION ? 0 : estimate->swum);
 }
 
 static void keep_result(void *context, uint16_t step, float speed_m_s, float sigma_m_s) {
@@ -191,11 +232,26 @@ static bool forward(estimate_t *estimate) {
     return true;
 }
 
+/* Whether the IMU had a part up to now and has lost it: all is to be done again. */
+static bool drop_imu(estimate_t *estimate) {
+    const smoother_t *smoother = &estimate->smoother;
+    const uint32_t beats = (uint32_t)smoother->refused + smoother->believed;
+    if (smoother->turned || smoother->refused == 0 ||
+        CONTRADICTED_PART * smoother->refused < beats) {
+        return false;
+    }
+    for (uint16_t k = 0; k < estimate->next; k++) {
+        estimate->rise_m_s[k] = NAN;
+    }
+    smoother_rewind(&estimate->smoother, 0);
+    return true;
+}
+
 bool estimate_finish(estimate_t *estimate) {
     if (estimate->config.source == SPEED_SOURCE_UPLOAD) {
         return true;
     }
-    if (forward(estimate)) {
+    if (forward(estimate) || drop_imu(estimate)) {
         return false;
     }
     imu_needs(estimate, estimate->smoother.surprise <= SURPRISE_MAX);

@@ -3,17 +3,20 @@
  * beat out. The board runs it while the trial swims, the host over the slots of the trial file,
  * with the same bits.
  *
- *   vision  camera samples; the IMU, if there is one, carries over holes and steadies
- *   upload  nothing here: speeds come as a file
- *   imu     the IMU alone between two rests; refused (beats unmeasured) without both, or when the
- *           second contradicts it by more than 5 sigma (the fish's attitude was not followed)
- *   model   the IMU, held by the thrust model; a rest before, if there was one, helps
+ *   vision  camera samples; the IMU, if there is one, carries over holes and steadies. What cannot
+ *           be a fish's speed (doubt.h) is a hole. A beat whose camera and IMU contradict each
+ * other by more than 5 sigma is unmeasured; when they do so in one beat of three, the IMU is taken
+ * to be the one that is wrong, and has no part in the trial upload  nothing here: speeds come as a
+ * file imu     the IMU alone between two rests; refused (beats unmeasured) without both, or when
+ * the second contradicts it by more than 5 sigma (the fish's attitude was not followed) model   the
+ * IMU, held by the thrust model; a rest before, if there was one, helps
  *
  * Pure, float32, no libm. Not for interrupts.
  */
 #ifndef SPEED_ESTIMATE_H
 #define SPEED_ESTIMATE_H
 
+#include "speed/doubt.h"
 #include "speed/smoother.h"
 #include "speed/speed.h"
 #include "speed/thrust.h"
@@ -48,6 +51,9 @@ typedef struct {
     uint16_t next;    /* step to be taken */
     float rise_m_s[SMOOTHER_STEPS];
     uint16_t samples[BEATS_MAX];
+    doubt_t doubt;
+    uint16_t next_slot;              /* to be looked at by |doubt| */
+    uint8_t doubted[BEATS_MAX / 8u]; /* a bit per beat, lowest first */
 } estimate_t;
 
 /* |speed_m_s|, |sigma_m_s|: BEATS_MAX floats each, used until the estimate is finished; with the
@@ -68,7 +74,9 @@ speed_beat_t estimate_beat(estimate_t *estimate, const speed_t *speed, float app
  * afterwards. */
 void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *after);
 
-/* One piece of what is left: first forward over what came after the swim, then back. True when the
+/* One piece of what is left: first forward over what came after the swim (with vision over all of
+ * it again: later slots may have brought earlier beats into doubt; twice when the IMU drops out),
+ * then back. True when the
  * results stand in speed_m_s and sigma_m_s (NaN where a beat is unmeasured). Bounded work per call:
  * SMOOTHER_BLOCK steps. */
 bool estimate_finish(estimate_t *estimate);

@@ -3,6 +3,7 @@
 #include "base/panic.h"
 #include "base/real.h"
 
+#include <math.h>
 #include <string.h>
 
 enum { U, A, R, S };
@@ -73,9 +74,19 @@ static void add_jolt(smoother_state_t *state, smoother_noise_t *noise, float var
     spread(state->u, noise->gain);
 }
 
-/* Bierman's update by |speed_m_s| = u - scale s + noise. Returns (speed - expected)^2 / variance.
- */
-static float measure(smoother_state_t *state, float speed_m_s, float scale, float variance) {
+/* (speed - expected)^2 / variance for |speed_m_s| = u - scale s + noise. */
+static float surprise_of(const smoother_state_t *state, float speed_m_s, float scale,
+                         float variance) {
+    const float f[N] = {1.0f, state->u[0], state->u[1], state->u[2] - scale};
+    const float innovation = speed_m_s - (state->x[U] - scale * state->x[S]);
+    for (unsigned j = 0; j < N; j++) {
+        variance += state->d[j] * squared(f[j]);
+    }
+    return squared(innovation) / variance;
+}
+
+/* Bierman's update by it. */
+static void measure(smoother_state_t *state, float speed_m_s, float scale, float variance) {
     float *x = state->x;
     const float f[N] = {1.0f, state->u[0], state->u[1], state->u[2] - scale};
     float k[N];
@@ -99,10 +110,9 @@ static float measure(smoother_state_t *state, float speed_m_s, float scale, floa
     for (unsigned j = 0; j < N; j++) {
         x[j] += k[j] * part;
     }
-    return innovation * part;
 }
 
-/* One step of |state|. Returns how far off its evidence was, see measure(). */
+/* One step of |state|. Returns how far off its evidence was, see surprise_of(). */
 static float take(const smoother_config_t *config, smoother_state_t *state, smoother_step_t *step,
                   const smoother_evidence_t *evidence, bool first) {
     const bool known = real_is_finite(evidence->rise_m_s);
@@ -115,11 +125,18 @@ static float take(const smoother_config_t *config, smoother_state_t *state, smoo
     add_jolt(state, &step->jolt,
              known ? squared(config->accel_noise_m_s15) * tau : squared(config->jump_m_s));
     memcpy(step->x, state->x, sizeof step->x);
+    step->refused = false;
     if (!real_is_finite(evidence->speed_m_s)) {
         return 0.0f;
     }
-    return measure(state, evidence->speed_m_s, evidence->scaled ? evidence->speed_m_s : 0.0f,
-                   squared(evidence->sigma_m_s));
+    const float scale = evidence->scaled ? evidence->speed_m_s : 0.0f;
+    const float variance = squared(evidence->sigma_m_s);
+    const float surprise = surprise_of(state, evidence->speed_m_s, scale, variance);
+    step->refused = config->gate > 0.0f && surprise > config->gate;
+    if (!step->refused) {
+        measure(state, evidence->speed_m_s, scale, variance);
+    }
+    return surprise;
 }
 
 void smoother_forward(smoother_t *smoother, const smoother_evidence_t *evidence, float *speed_m_s,
@@ -133,6 +150,9 @@ void smoother_forward(smoother_t *smoother, const smoother_evidence_t *evidence,
     const float surprise = take(&smoother->config, state, &step, evidence, smoother->steps == 0);
     smoother->surprise = surprise > smoother->surprise ? surprise : smoother->surprise;
     smoother->steps++;
+    smoother->refused = (uint16_t)(smoother->refused + step.refused);
+    smoother->believed =
+        (uint16_t)(smoother->believed + (!step.refused && real_is_finite(evidence->speed_m_s)));
     float variance = state->d[U];
     for (unsigned j = 1; j < N; j++) {
         variance += squared(state->u[j - 1u]) * state->d[j];
@@ -144,6 +164,7 @@ void smoother_forward(smoother_t *smoother, const smoother_evidence_t *evidence,
 void smoother_rewind(smoother_t *smoother, uint16_t step) {
     REQUIRE(!smoother->turned);
     smoother->surprise = 0.0f;
+    smoother->refused = smoother->believed = 0;
     if (step < smoother->steps) {
         const uint16_t block = (uint16_t)(step / SMOOTHER_BLOCK);
         smoother->steps = (uint16_t)(block * SMOOTHER_BLOCK);
@@ -230,8 +251,10 @@ bool smoother_back(smoother_t *smoother, smoother_recall_t recall, smoother_resu
     }
     while (smoother->left > first) {
         smoother->left--;
-        result(context, smoother->left, smoother->x[U], real_sqrt(smoother->p[U]));
-        step_back(smoother, &smoother->step[smoother->left - first]);
+        const smoother_step_t *step = &smoother->step[smoother->left - first];
+        result(context, smoother->left, smoother->x[U],
+               step->refused ? INFINITY : real_sqrt(smoother->p[U]));
+        step_back(smoother, step);
     }
     return true;
 }

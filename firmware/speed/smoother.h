@@ -10,6 +10,7 @@
  * The first step leads from the start of beat 0 to its middle and is half as long (T/2 for T).
  * Evidence: a speed, u = speed +- sigma, or that of the model, u = (1 + s) speed +- sigma. Without
  * a rise (no IMU) u may jump as far as a fish can in a beat.
+ * Evidence that contradicts a rise by more than |gate| is left out: one of the two is wrong.
  *
  * The covariance is kept as U D U' (Bierman): it stays positive whatever float32 rounds away.
  * Memory: one state per SMOOTHER_BLOCK beats is kept, the others are computed again on the way
@@ -39,6 +40,7 @@ typedef struct {
     float accel_noise_m_s15; /* white noise of acceleration, per root Hz: m/s^1.5 */
     float tilt_walk_m_s25;   /* random walk of a, per root s: m/s^2.5 */
     float jump_m_s;          /* change of u from beat to beat when there is no rise */
+    float gate;              /* most (evidence - expected)^2 / variance; 0 = all is believed */
 } smoother_config_t;
 
 typedef struct {
@@ -66,6 +68,7 @@ typedef struct {
     float tau;  /* a grew by r for so long ... */
     float from; /* ... and this times a was taken off u */
     float rise;
+    bool refused; /* its evidence was */
     smoother_noise_t walk, jolt;
     float x[SMOOTHER_STATES]; /* filtered, all of this done, before the evidence */
 } smoother_step_t;
@@ -74,6 +77,7 @@ typedef struct {
     smoother_config_t config;
     uint16_t steps; /* taken so far */
     float surprise; /* largest (evidence - expected)^2 / variance since the begin or a rewind */
+    uint16_t refused, believed; /* steps with evidence, since the begin or a rewind */
     smoother_state_t now;
     smoother_state_t kept[(SMOOTHER_STEPS + SMOOTHER_BLOCK - 1u) / SMOOTHER_BLOCK];
     /* on the way back: the smoothed state after the last step that is left, and its covariance */
@@ -92,7 +96,8 @@ void smoother_forward(smoother_t *smoother, const smoother_evidence_t *evidence,
 
 /* The evidence of step |step| again, exactly as it was given to smoother_forward(). */
 typedef smoother_evidence_t (*smoother_recall_t)(const void *context, uint16_t step);
-/* Takes the result of step |step|. */
+/* Takes the result of step |step|; the sigma is INFINITY where evidence was refused: then nobody
+ * knows whether the evidence was wrong or the rise. */
 typedef void (*smoother_result_t)(void *context, uint16_t step, float speed_m_s, float sigma_m_s);
 
 /* Forgets step |step| and all later ones, and those before it in the same block: the next one to be

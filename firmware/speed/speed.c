@@ -113,8 +113,7 @@ bool speed_restore_slot(speed_t *speed, const speed_slot_t *slot) {
     return true;
 }
 
-/* NULL when it is not closed or no longer in the ring. */
-static const speed_slot_t *closed_slot(const speed_t *speed, uint32_t index) {
+const speed_slot_t *speed_slot_at(const speed_t *speed, uint32_t index) {
     const speed_slot_t *slot = &speed->slots[index % SPEED_SLOTS];
     return index < speed->next_close && slot->index == index ? slot : NULL;
 }
@@ -249,7 +248,7 @@ speed_beat_t speed_beat(const speed_t *speed, const speed_config_t *config, floa
     const uint32_t end = speed->next_close;
     const uint32_t first = end > SPEED_SLOTS ? end - SPEED_SLOTS : 0u;
     for (uint32_t index = first; index < end && !mean.done; index++) {
-        const speed_slot_t *slot = closed_slot(speed, index);
+        const speed_slot_t *slot = speed_slot_at(speed, index);
         if (slot != NULL) {
             add_slot(&mean, slot, begin_s);
         }
@@ -279,7 +278,7 @@ static float walk_to(walk_t *walk, uint32_t frame) {
         if (beyond == 0) {
             return (float)walk->way_um;
         }
-        const speed_slot_t *slot = closed_slot(walk->speed, walk->index);
+        const speed_slot_t *slot = speed_slot_at(walk->speed, walk->index);
         if (slot == NULL || slot->gain_10um_s == SPEED_NO_MOTION) {
             return NAN;
         }

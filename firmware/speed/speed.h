@@ -122,6 +122,9 @@ speed_slot_t speed_close_slot(speed_t *speed, const speed_motion_t *motion);
  * out are empty. False when its number does not rise. */
 bool speed_restore_slot(speed_t *speed, const speed_slot_t *slot);
 
+/* A closed slot that is still in the ring; NULL = there is none of that number. */
+const speed_slot_t *speed_slot_at(const speed_t *speed, uint32_t index);
+
 /* The camera's mean speed over the beat [begin_s, begin_s + beat_s), from the closed slots; slots
  * that end later than begin + beat + gap_max_s are not looked at: the result does not depend on how
  * many more there are. All slots up to there should be closed, and begin - gap_max_s no further

@@ -1,5 +1,5 @@
-/* One time step of dv/dt = K*(h - v*v), v >= 0, with thrust h held: exact, hence stable for any
- * step. */
+/* One time step of dv/dt = K*(h - v*|v|) with thrust h held: exact, hence stable for any step;
+ * while it drifts backwards (v < 0) exact without thrust and stable with it. */
 #ifndef SIM_DRAG_STEP_H
 #define SIM_DRAG_STEP_H
 
@@ -10,6 +10,11 @@
 static inline double drag_step(double *v_m_s, double h, double k_per_m, double dt_s) {
     const double v = *v_m_s;
     const double kt = k_per_m * dt_s;
+    if (v < 0) {
+        const double next = (v + h * kt) / (1.0 - v * kt);
+        *v_m_s = next;
+        return dt_s * 0.5 * (v + next);
+    }
     const double z2 = h * kt * kt;
     if (z2 < 0.0025 && v * kt < 0.05) {
         /* tanh(z)/z as a series (relative error 1e-10), the distance by Hermite's rule from the

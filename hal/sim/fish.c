@@ -33,9 +33,11 @@ static void begin_swim(fish_t *fish) {
     fish->tail_from_rad = fish->tail_to_rad = 0;
     tail_begin(&fish->tail);
     const double before_m_s = fish->plant.water_v_m_s + fish->plant.flow_m_s;
-    plant_begin(&fish->plant, fabs(disturbance(fish, NOISE_START, fish->start_sigma_m_s)),
+    const double drawn_m_s = fabs(disturbance(fish, NOISE_START, fish->start_sigma_m_s));
+    plant_begin(&fish->plant, fish->start_known ? fish->start_m_s : drawn_m_s,
                 fmax(0, 1 + disturbance(fish, NOISE_GAIN, fish->gain_sigma)),
                 disturbance(fish, NOISE_FLOW, fish->flow_sigma_m_s));
+    fish->start_known = false;
     felt_carried(&fish->felt, fish->plant.water_v_m_s + fish->plant.flow_m_s - before_m_s);
 }
 
@@ -59,7 +61,7 @@ static void record_beat(fish_t *fish) {
 static void be_caught(fish_t *fish) {
     if (fish->swims > 0 && fish->caught_after_us > 0 &&
         fish->time_us - fish->last_pulse_us >= fish->caught_after_us) {
-        plant_catch(&fish->plant);
+        plant_catch(&fish->plant, INFINITY);
     }
 }
 

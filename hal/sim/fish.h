@@ -31,6 +31,8 @@ typedef struct {
     uint32_t swims;         /* begun */
     uint32_t swim_key;      /* of the present swim's noise; 0 = no swim yet */
     uint32_t next_swim_key;
+    bool start_known; /* the next swim starts at |start_m_s| over water, whatever is drawn */
+    double start_m_s;
     uint32_t swim_frame; /* frames with pulses in this swim */
     double beat_start_m;
     double tail_from_rad, tail_to_rad; /* real angle at the ends of the last frame */

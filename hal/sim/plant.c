@@ -5,6 +5,7 @@
 #include <math.h>
 
 #define CATCH_S 0.3
+#define PUSH_S 0.3
 
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
@@ -32,18 +33,25 @@ void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s)
     plant->water_v_m_s = start_m_s;
     plant->x_m = 0;
     plant->held = false;
+    plant->push_left_s = 0;
     for (unsigned i = 0; i <= SUBSTEPS; i++) {
         plant->trace_x_m[i] = 0;
         plant->trace_v_m_s[i] = start_m_s + flow_m_s;
     }
 }
 
-void plant_catch(plant_t *plant) {
+void plant_catch(plant_t *plant, double hold_s) {
+    plant->held_for_s = hold_s;
     if (!plant->held) {
         plant->held = true;
         plant->held_s = 0;
         plant->held_from_m_s = plant->water_v_m_s + plant->flow_m_s;
     }
+}
+
+void plant_push(plant_t *plant, double by_m_s) {
+    plant->push_left_s = PUSH_S;
+    plant->push_m_s2 = by_m_s / PUSH_S;
 }
 
 /* Speed and way since the catch, as parts of the speed before and of that times CATCH_S. */
@@ -65,6 +73,17 @@ static void held_frame(plant_t *plant, double frame_s) {
     plant->held_s += frame_s;
     plant->water_v_m_s = plant->trace_v_m_s[SUBSTEPS] - plant->flow_m_s;
     plant->x_m = plant->trace_x_m[SUBSTEPS];
+    plant->held = plant->held_s < plant->held_for_s;
+}
+
+/* What the hand adds to the speed in one substep. */
+static double pushed(plant_t *plant, double dt) {
+    if (plant->push_left_s <= 0) {
+        return 0;
+    }
+    const double part = dt < plant->push_left_s ? dt : plant->push_left_s;
+    plant->push_left_s -= part;
+    return plant->push_m_s2 * part;
 }
 
 void plant_frame(plant_t *plant, const drive_t *drive, double frame_s) {
@@ -84,6 +103,7 @@ void plant_frame(plant_t *plant, const drive_t *drive, double frame_s) {
         } else {
             x += thesis_step(&plant->thesis, &v, drive->amplitude_rad[i], plant->gain, dt);
         }
+        v += pushed(plant, dt);
         x += plant->flow_m_s * dt;
         plant->trace_x_m[i + 1] = x;
         plant->trace_v_m_s[i + 1] = v + plant->flow_m_s;

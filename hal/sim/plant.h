@@ -1,6 +1,6 @@
 /*
- * The two models of the fish in the water. Speeds are over water, >= 0: the tail cannot brake. Only
- * a hand can: a held fish stands still over ground.
+ * The two models of the fish in the water. Speeds are over water; the tail cannot brake. Only a
+ * hand can: a held fish stands still over ground, a pushed one gets faster, or drifts backwards.
  */
 #ifndef SIM_PLANT_H
 #define SIM_PLANT_H
@@ -21,7 +21,7 @@ typedef struct {
     double known_rad, known_h1, known_h2;      /* last amplitude asked for */
 } thesis_t;
 
-/* dv/dt = kappa*((g*vss(amplitude(t - delay)))^2 * ripple - v*v). */
+/* dv/dt = kappa*((g*vss(amplitude(t - delay)))^2 * ripple - v*|v|). */
 typedef struct {
     double kappa_per_m, slope_m_s_rad, dead_zone_rad;
     uint32_t delay_steps;  /* whole substeps */
@@ -39,7 +39,9 @@ typedef struct {
     double water_v_m_s;
     double x_m;                   /* over ground */
     bool held;                    /* somebody has caught it ... */
-    double held_s, held_from_m_s; /* ... so long ago, at that speed over ground */
+    double held_s, held_from_m_s; /* ... so long ago, at that speed over ground, ... */
+    double held_for_s;            /* ... and lets go after so long */
+    double push_left_s, push_m_s2;
     /* over ground at the ends of the substeps of the last frame */
     double trace_x_m[SUBSTEPS + 1], trace_v_m_s[SUBSTEPS + 1];
 } plant_t;
@@ -49,9 +51,12 @@ void plant_init(plant_t *plant, const sim_config_t *config);
 
 /* At x = 0 with |start_m_s| over water, thrust forgotten. */
 void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s);
-/* From the next frame on somebody holds the fish, until plant_begin; its speed over ground falls
- * smoothly to 0. */
-void plant_catch(plant_t *plant);
+/* From the next frame on somebody, or something in its way, holds the fish for |hold_s| (INFINITY:
+ * until plant_begin); its speed over ground falls smoothly to 0. One that is held already stays so
+ * for that time from its catch. */
+void plant_catch(plant_t *plant, double hold_s);
+/* From the next frame on a hand changes its speed by |by_m_s|, within 0.3 s. */
+void plant_push(plant_t *plant, double by_m_s);
 void plant_frame(plant_t *plant, const drive_t *drive, double frame_s);
 
 void thesis_init(thesis_t *thesis, const sim_config_t *config, double beat_s);

@@ -276,4 +276,10 @@ void sim_set_radio(sim_t *sim, bool connected) {
 
 void sim_set_tilt_rad(sim_t *sim, double roll_rad) { world_set_tilt_rad(sim->world, roll_rad); }
 
+void sim_set_start(sim_t *sim, double start_m_s) { world_set_start(sim->world, start_m_s); }
+
+void sim_push(sim_t *sim, double by_m_s) { world_push(sim->world, by_m_s); }
+
+void sim_hold(sim_t *sim, double hold_s) { world_hold(sim->world, hold_s); }
+
 uint8_t *sim_flash(sim_t *sim) { return sim->board.flash; }

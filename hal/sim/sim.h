@@ -61,6 +61,13 @@ void sim_imu_wedge(sim_t *sim);  /* it is silent until the next power cycle */
 void sim_set_camera(sim_t *sim, bool on);
 void sim_set_radio(sim_t *sim, bool connected);
 void sim_set_tilt_rad(sim_t *sim, double roll_rad);
+/* The next swim starts at |start_m_s| over water instead of what is drawn: somebody let go of a
+ * fish that moved. */
+void sim_set_start(sim_t *sim, double start_m_s);
+/* In mid-swim: a hand changes the speed by |by_m_s| within 0.3 s; something holds the fish for
+ * |hold_s| and lets it go. The IMU feels both. */
+void sim_push(sim_t *sim, double by_m_s);
+void sim_hold(sim_t *sim, double hold_s);
 uint8_t *sim_flash(sim_t *sim); /* HAL_FLASH_SIZE_BYTES, owned by the board */
 
 #endif

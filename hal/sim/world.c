@@ -106,6 +106,15 @@ size_t world_true_speeds_25hz(const world_t *world, double *out, size_t max) {
 
 void world_set_swim(world_t *world, uint32_t next_swim) { world->fish.next_swim_key = next_swim; }
 
+void world_set_start(world_t *world, double start_m_s) {
+    world->fish.start_known = true;
+    world->fish.start_m_s = start_m_s;
+}
+
+void world_push(world_t *world, double by_m_s) { plant_push(&world->fish.plant, by_m_s); }
+
+void world_hold(world_t *world, double hold_s) { plant_catch(&world->fish.plant, hold_s); }
+
 void world_set_battery_v(world_t *world, double volts) {
     world->battery_v = volts >= 0 && volts <= 60 ? volts : 0;
 }

@@ -92,6 +92,14 @@ size_t world_true_speeds_25hz(const world_t *world, double *out, size_t max);
  * Sets the number the next swim's noise is keyed by (1 = first). */
 void world_set_swim(world_t *world, uint32_t next_swim);
 
+/* The next swim starts at |start_m_s| over water instead of what is drawn: somebody let go of a
+ * fish that moved. */
+void world_set_start(world_t *world, double start_m_s);
+/* In mid-swim: a hand changes the speed by |by_m_s| within 0.3 s; something holds the fish for
+ * |hold_s| and lets it go. The IMU feels both. */
+void world_push(world_t *world, double by_m_s);
+void world_hold(world_t *world, double hold_s);
+
 void world_set_battery_v(world_t *world, double volts);
 /* Plugged in while the board has power, the IMU starts at |now_us|. */
 void world_set_imu(world_t *world, uint64_t now_us, bool plugged);

@@ -423,6 +423,43 @@ static void test_sigma_is_what_it_says(void) {
     TEST_ASSERT_DOUBLE_WITHIN(0.2, 1.0, inconsistency((problem_t){1.0, 0.0, false, 8}));
 }
 
+/* One of the two is wrong: the evidence is left out, nobody's speed is told, all else is as if it
+ * had not been there. */
+static void test_evidence_that_contradicts_a_rise_is_refused(void) {
+    config.gate = 25.0f;
+    for (uint16_t k = 0; k < 40; k++) {
+        evidence[k] = (smoother_evidence_t){.rise_m_s = 0, .speed_m_s = 0, .sigma_m_s = 0.001f};
+    }
+    evidence[20].speed_m_s = 0.004f; /* 4 sigma */
+    evidence[25].speed_m_s = 0.08f;
+    smoother_init(&smoother, &config);
+    run_forward(0, 40);
+    TEST_ASSERT_EQUAL_UINT16(1, smoother.refused);
+    TEST_ASSERT_EQUAL_UINT16(39, smoother.believed);
+    run_back(40);
+    float with[40];
+    memcpy(with, smoothed, sizeof with);
+    for (uint16_t k = 0; k < 40; k++) {
+        TEST_ASSERT_EQUAL(k == 25, isinf(smoothed_sigma[k]));
+    }
+    evidence[25].speed_m_s = NAN;
+    smoother_init(&smoother, &config);
+    run_forward(0, 40);
+    run_back(40);
+    TEST_ASSERT_EQUAL_MEMORY(with, smoothed, sizeof with);
+    TEST_ASSERT_FALSE(isinf(smoothed_sigma[25]));
+}
+
+static void test_without_a_rise_nothing_is_contradicted(void) {
+    config.gate = 25.0f;
+    for (uint16_t k = 0; k < 40; k++) {
+        evidence[k] = (smoother_evidence_t){NAN, k % 2u ? 0.1f : -0.1f, 0.001f, false};
+    }
+    smoother_init(&smoother, &config);
+    run_forward(0, 40);
+    TEST_ASSERT_EQUAL_UINT16(0, smoother.refused);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_one_vision_beat_by_hand);
@@ -436,6 +473,8 @@ int main(void) {
     RUN_TEST(test_nothing_known_at_all);
     RUN_TEST(test_no_steps);
     RUN_TEST(test_variances_stay_positive);
+    RUN_TEST(test_evidence_that_contradicts_a_rise_is_refused);
+    RUN_TEST(test_without_a_rise_nothing_is_contradicted);
     RUN_ON_HOST(test_sigma_is_what_it_says);
     return UNITY_END();
 }

@@ -144,6 +144,18 @@ class SimBoard:
         """Rolls the fish."""
         lib.sim_set_tilt_rad(self._sim, roll_rad)
 
+    def set_start(self, start_m_s: float) -> None:
+        """Speed over water at which the next swim starts."""
+        lib.sim_set_start(self._sim, start_m_s)
+
+    def push(self, by_m_s: float) -> None:
+        """A hand changes the fish's speed, within 0.3 s."""
+        lib.sim_push(self._sim, by_m_s)
+
+    def hold(self, hold_s: float) -> None:
+        """Something stops the fish dead and lets it go after ``hold_s``."""
+        lib.sim_hold(self._sim, hold_s)
+
     @property
     def flash(self) -> bytes:
         """The storage flash as it is now."""
