@@ -1,5 +1,4 @@
-/* littlefs over the storage flash: geometry, callbacks, and the look at the superblock that decides
- * about formatting. Main loop only. */
+/* littlefs over the storage flash: geometry and callbacks. Main loop only. */
 #ifndef STORE_BLOCKDEV_H
 #define STORE_BLOCKDEV_H
 
@@ -7,8 +6,5 @@
 
 /* Fills |store|'s littlefs configuration; |store| must not move afterwards. */
 void blockdev_configure(store_t *store, hal_t *hal);
-
-/* Whether either superblock holds a first commit whose CRC is right: there was a filesystem. */
-bool blockdev_superblock_readable(hal_t *hal);
 
 #endif

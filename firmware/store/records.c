@@ -14,6 +14,8 @@
 #define COUNTER_BODY_BYTES 4u
 #define SPEEDS_FIXED_BYTES 4u
 #define AMPLITUDES_FIXED_BYTES 4u
+#define KEY_FIXED_BYTES 8u
+#define KEY_BYTES 32u
 #define CRASH_REGISTERS 16u
 #define CRASH_FIXED_BYTES (4u + 8u + BUILD_ID_BYTES + HAL_CRASH_WHERE_BYTES + 4u * CRASH_REGISTERS)
 #define PARAM_BYTES (PARAM_NAME_BYTES + F32_BYTES)
@@ -26,6 +28,8 @@ _Static_assert(RECORD_TRIAL_MAX_BYTES ==
                "the longest pending trial");
 _Static_assert(RECORD_HEADER_BYTES + PARAM_BYTES * PARAM_COUNT <= RECORD_MAX_BYTES,
                "the parameters fit the shared buffer");
+_Static_assert(RECORD_KEY_MAX_BYTES == RECORD_HEADER_BYTES + KEY_FIXED_BYTES + KEY_BYTES,
+               "the key");
 _Static_assert(sizeof(float) == F32_BYTES, "float is IEEE-754 single");
 
 static const char magic_reference[] = "TBRF";
@@ -36,6 +40,7 @@ static const char magic_speeds[] = "TBSP";
 static const char magic_amplitudes[] = "TBAM";
 static const char magic_counter[] = "TBCT";
 static const char magic_crash[] = "TBCR";
+static const char magic_key[] = "TBKY";
 
 static uint32_t record_sum(const uint8_t *bytes, size_t length) {
     const uint32_t front = crc32_update(0, bytes, CRC_OFFSET);
@@ -247,6 +252,30 @@ fault_t record_decode_counter(const uint8_t *bytes, size_t length, uint32_t *nex
         return FAULT_BAD_DATA;
     }
     *next_trial = number;
+    return FAULT_NONE;
+}
+
+size_t record_encode_key(const key_record_t *key, uint8_t *out) {
+    uint8_t *at = bytes_put_u64(begin_record(out, magic_key, key->set ? 1u : 0u), key->mark);
+    const size_t key_bytes = key->set ? KEY_BYTES : 0u;
+    memcpy(at, key->key, key_bytes);
+    return end_record(out, at + key_bytes);
+}
+
+fault_t record_decode_key(const uint8_t *bytes, size_t length, key_record_t *key) {
+    static const shape_t shape = {magic_key, KEY_FIXED_BYTES, KEY_BYTES, 0, 1};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const uint64_t mark = bytes_get_u64(body);
+    if (mark >> 48 != 0) {
+        return FAULT_BAD_DATA;
+    }
+    memset(key, 0, sizeof *key);
+    key->set = bytes_get_u16(bytes + 6) != 0;
+    key->mark = mark;
+    memcpy(key->key, body + KEY_FIXED_BYTES, key->set ? KEY_BYTES : 0u);
     return FAULT_NONE;
 }
 

@@ -1,5 +1,6 @@
 /*
- * The small binary files: reference, learned input, pending trial, parameters, counter, uploads.
+ * The small binary files: reference, learned input, pending trial, parameters, counter, key,
+ * uploads.
  *
  * All of one shape, little-endian: magic (4 characters), version u16, count u16, CRC-32 of all the
  * rest, body (docs/protocol.md has every offset). Encoding never fails: its input is ours. Decoding
@@ -25,6 +26,7 @@
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
 #define RECORD_MAX_BYTES (32u + 2u * 4u * BEATS_MAX)
+#define RECORD_KEY_MAX_BYTES 52u
 
 typedef struct {
     uint16_t beats; /* 0 = none */
@@ -62,6 +64,14 @@ typedef struct {
     float amplitude_rad[BEATS_MAX];
 } amplitudes_upload_t;
 
+/* The signing key and how far its clock was reserved (link/signing.h). Outlives the key itself, so
+ * that an old key set again does not bring old messages back to life. */
+typedef struct {
+    bool set;
+    uint8_t key[32];
+    uint64_t mark; /* ticks of 10 us */
+} key_record_t;
+
 #define BUILD_ID_BYTES 50u
 
 /* How a firmware died, and which one it was. */
@@ -82,6 +92,7 @@ size_t record_encode_params(const params_t *params, uint8_t *out);
 size_t record_encode_counter(uint32_t next_trial, uint8_t *out);
 size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out);
 size_t record_encode_amplitudes(const amplitudes_upload_t *amplitudes, uint8_t *out);
+size_t record_encode_key(const key_record_t *key, uint8_t *out);
 size_t record_encode_crash(const crash_report_t *report, uint8_t *out);
 
 /* The CRC a record states; |bytes| holds at least RECORD_HEADER_BYTES. */
@@ -110,6 +121,9 @@ fault_t record_decode_speeds(const uint8_t *bytes, size_t length, speed_upload_t
 /* Amplitudes finite, any sign, as the board's own. */
 fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
                                  amplitudes_upload_t *amplitudes);
+
+/* A mark of 48 bits. The record ends after it when no key is set; |key| is then all zeros. */
+fault_t record_decode_key(const uint8_t *bytes, size_t length, key_record_t *key);
 
 /* stack_words <= HAL_CRASH_STACK_WORDS; both texts end with a NUL. */
 fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report);

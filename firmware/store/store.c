@@ -14,6 +14,14 @@
 #define TRIAL_DIGITS_MIN 4u
 #define TRIAL_DIGITS_MAX 10u
 
+/* What is read wrong while the supply comes up must not cost a filesystem. */
+#define MOUNT_TRIES 3u
+
+bool store_begin(store_t *store) {
+    store->reads = 0;
+    return store->mounted;
+}
+
 store_result_t store_result(int code) {
     if (code >= 0) {
         return STORE_OK;
@@ -94,47 +102,64 @@ static store_result_t make_folder(store_t *store, const char *path) {
     return code == LFS_ERR_EXIST ? STORE_OK : store_written(store, code);
 }
 
-/* What every mount does: finish what a cut left half done, make the folders. A full or unwritable
- * flash stays mounted, so that the trials on it can be read. */
-static store_result_t settle(store_t *store) {
+store_result_t store_finish(store_t *store) {
     static const char *const folders[] = {"/", FOLDER_IN, FOLDER_TRIALS};
-    store->mounted = true;
     store_result_t result = store_written(store, lfs_fs_mkconsistent(&store->lfs));
-    if (result == STORE_OK) {
-        result = make_folder(store, FOLDER_TRIALS);
-    }
     if (result == STORE_OK) {
         result = make_folder(store, FOLDER_IN);
     }
+    if (result == STORE_OK) {
+        result = make_folder(store, FOLDER_TRIALS);
+    }
+    memset(store->keep, 0, sizeof store->keep);
     for (size_t f = 0; f < sizeof folders / sizeof folders[0]; f++) {
         for (uint32_t i = 0; i < STORE_BLOCKS && remove_leftover(store, folders[f]); i++) {
         }
     }
-    return result;
+    return store->mounted ? result : STORE_IO;
 }
 
-store_result_t store_format(store_t *store, hal_t *hal) {
+store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep) {
     memset(store, 0, sizeof *store);
     blockdev_configure(store, hal);
+    if (keep != NULL) {
+        memcpy(store->keep, keep, sizeof store->keep);
+    }
     int code = lfs_format(&store->lfs, &store->config);
     if (code == LFS_ERR_OK) {
         code = lfs_mount(&store->lfs, &store->config);
     }
-    store->formatted = code == LFS_ERR_OK;
-    return code == LFS_ERR_OK ? settle(store) : store_written(store, code);
+    store->mounted = store->formatted = code == LFS_ERR_OK;
+    return store_written(store, code);
+}
+
+store_result_t store_find(store_t *store, hal_t *hal) {
+    int code = LFS_ERR_CORRUPT;
+    for (uint32_t i = 0; i < MOUNT_TRIES && code == LFS_ERR_CORRUPT; i++) {
+        memset(store, 0, sizeof *store);
+        blockdev_configure(store, hal);
+        code = lfs_mount(&store->lfs, &store->config);
+    }
+    store->mounted = code == LFS_ERR_OK;
+    struct lfs_info info;
+    if (store->mounted && lfs_stat(&store->lfs, FOLDER_TRIALS, &info) == LFS_ERR_NOENT) {
+        store_unmount(store);
+        code = LFS_ERR_CORRUPT;
+    }
+    return store_result(code);
+}
+
+store_result_t store_format(store_t *store, hal_t *hal) {
+    const store_result_t renewed = store_renew(store, hal, NULL);
+    return renewed == STORE_OK ? store_finish(store) : renewed;
 }
 
 store_result_t store_mount(store_t *store, hal_t *hal) {
-    memset(store, 0, sizeof *store);
-    blockdev_configure(store, hal);
-    const int code = lfs_mount(&store->lfs, &store->config);
-    if (code == LFS_ERR_OK) {
-        return settle(store);
-    }
-    if (code == LFS_ERR_CORRUPT && !blockdev_superblock_readable(hal)) {
+    const store_result_t found = store_find(store, hal);
+    if (found == STORE_CORRUPT) {
         return store_format(store, hal);
     }
-    return store_result(code);
+    return found == STORE_OK ? store_finish(store) : found;
 }
 
 void store_unmount(store_t *store) {
@@ -164,7 +189,7 @@ static int write_whole(store_t *store, const char *path, const void *bytes, size
 }
 
 store_result_t store_replace(store_t *store, const char *path, const void *bytes, size_t length) {
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     if (!path_fits(path, STORE_PATH_BYTES - STORE_NEW_SUFFIX_BYTES)) {
@@ -184,7 +209,7 @@ store_result_t store_replace(store_t *store, const char *path, const void *bytes
 }
 
 store_result_t store_load(store_t *store, const char *path, void *out, size_t length) {
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     lfs_file_t file;
@@ -205,7 +230,7 @@ store_result_t store_load(store_t *store, const char *path, void *out, size_t le
 }
 
 store_result_t store_size(store_t *store, const char *path, uint32_t *size_bytes) {
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     struct lfs_info info;
@@ -221,11 +246,11 @@ store_result_t store_size(store_t *store, const char *path, uint32_t *size_bytes
 }
 
 store_result_t store_remove(store_t *store, const char *path) {
-    return store->mounted ? store_written(store, lfs_remove(&store->lfs, path)) : STORE_IO;
+    return store_begin(store) ? store_written(store, lfs_remove(&store->lfs, path)) : STORE_IO;
 }
 
 store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc) {
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     lfs_file_t file;
@@ -260,7 +285,7 @@ static void fill_entry(const struct lfs_info *info, store_entry_t *entry) {
 
 store_result_t store_walk(store_t *store, const char *folder, uint32_t first, store_visit_t visit,
                           void *context) {
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     if (first > HAL_FLASH_SIZE_BYTES) {
@@ -300,7 +325,7 @@ store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
 }
 
 uint32_t store_free_bytes(store_t *store) {
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return 0;
     }
     const lfs_ssize_t used = lfs_fs_size(&store->lfs);
@@ -366,7 +391,7 @@ uint32_t store_newest_trial(store_t *store) {
 store_result_t store_make_space_step(store_t *store, uint32_t bytes, uint32_t keep_trial,
                                      bool *done) {
     *done = false;
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     if (bytes > HAL_FLASH_SIZE_BYTES) {

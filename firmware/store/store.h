@@ -42,9 +42,11 @@ typedef struct {
     uint8_t program_cache[STORE_CACHE_BYTES];
     uint8_t lookahead[STORE_LOOKAHEAD_BYTES];
     uint8_t file_cache[STORE_CACHE_BYTES]; /* for the short-lived files of this module */
+    uint8_t keep[STORE_BLOCKS / 8u]; /* blocks not to be written, one bit each; see store_renew */
     bool mounted;
     bool formatted;    /* this boot found no filesystem and made one */
     uint32_t failures; /* writes that failed since boot */
+    uint32_t reads;    /* of the flash, in the call that is on */
 } store_t;
 
 /* An open file; the caller owns it and must not move it while open. */
@@ -63,10 +65,24 @@ typedef struct {
 
 typedef enum { STORE_READ = 0, STORE_WRITE_NEW = 1, STORE_APPEND = 2 } store_mode_t;
 
-/* Mounts; formats only when there is no filesystem: mounting found garbage and neither superblock
- * is readable. Makes /trials and /in, removes what a cut left behind: halves of a store_replace
- * and trial files without content. |store| must not move while mounted. Every other call answers
- * STORE_IO while not mounted. */
+/* Mounting, in steps, for a caller who wants to save what lies in the blocks before they are used
+ * anew. |store| must not move while mounted. Every other call answers STORE_IO while not mounted.
+ *
+ * store_find mounts the filesystem that is there. STORE_CORRUPT: there is none, one that lacks a
+ * folder (littlefs mounts only when every folder is readable), or one whose making a cut ended.
+ *
+ * store_renew makes an empty one and mounts it. Blocks whose bit (b % 8 of byte b / 8) is set in
+ * |keep| (NULL: none; 0 and 1 cannot be kept) are not written before store_finish: until then the
+ * filesystem counts as unfinished, and whoever finds it after a cut may save them again.
+ *
+ * store_finish makes /trials and /in and removes what a cut left behind: halves of a store_replace
+ * and trial files without content. A flash that is full or cannot be written stays mounted, so that
+ * the trials on it can be read. */
+store_result_t store_find(store_t *store, hal_t *hal);
+store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep);
+store_result_t store_finish(store_t *store);
+
+/* All of it; saves nothing. */
 store_result_t store_mount(store_t *store, hal_t *hal);
 
 /* Erases all files and mounts the empty filesystem. */

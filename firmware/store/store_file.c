@@ -10,7 +10,7 @@ store_result_t store_open(store_t *store, store_file_t *file, const char *path, 
                                 [STORE_WRITE_NEW] = LFS_O_RDWR | LFS_O_CREAT | LFS_O_TRUNC,
                                 [STORE_APPEND] = LFS_O_RDWR};
     memset(file, 0, sizeof *file);
-    if (!store->mounted) {
+    if (!store_begin(store)) {
         return STORE_IO;
     }
     if (memchr(path, '\0', STORE_PATH_BYTES) == NULL) {
@@ -25,6 +25,7 @@ store_result_t store_open(store_t *store, store_file_t *file, const char *path, 
 store_result_t store_read_at(store_t *store, store_file_t *file, uint32_t offset, void *out,
                              size_t max, size_t *got) {
     REQUIRE(file->open);
+    (void)store_begin(store);
     *got = 0;
     if (offset >= store_file_size(store, file)) {
         return STORE_OK;
@@ -55,6 +56,7 @@ static store_result_t write_from(store_t *store, store_file_t *file, lfs_soff_t 
 store_result_t store_write_at(store_t *store, store_file_t *file, uint32_t offset,
                               const void *bytes, size_t length) {
     REQUIRE(file->open);
+    (void)store_begin(store);
     if (offset > HAL_FLASH_SIZE_BYTES || length > HAL_FLASH_SIZE_BYTES) {
         return STORE_BAD_ARGUMENT;
     }
@@ -63,22 +65,26 @@ store_result_t store_write_at(store_t *store, store_file_t *file, uint32_t offse
 
 store_result_t store_append(store_t *store, store_file_t *file, const void *bytes, size_t length) {
     REQUIRE(file->open);
+    (void)store_begin(store);
     return write_from(store, file, 0, LFS_SEEK_END, bytes, length);
 }
 
 store_result_t store_sync(store_t *store, store_file_t *file) {
     REQUIRE(file->open);
+    (void)store_begin(store);
     return store_written(store, lfs_file_sync(&store->lfs, &file->file));
 }
 
 uint32_t store_file_size(store_t *store, store_file_t *file) {
     REQUIRE(file->open);
+    (void)store_begin(store);
     const lfs_soff_t size = lfs_file_size(&store->lfs, &file->file);
     return size < 0 ? 0 : (uint32_t)size;
 }
 
 store_result_t store_close(store_t *store, store_file_t *file) {
     REQUIRE(file->open);
+    (void)store_begin(store);
     file->open = false;
     return store_written(store, lfs_file_close(&store->lfs, &file->file));
 }

@@ -7,6 +7,9 @@
 #define STORE_NEW_SUFFIX ".new"
 #define STORE_NEW_SUFFIX_BYTES 4u
 
+/* Begins a call: counts its reads from 0. Whether the store is mounted. */
+bool store_begin(store_t *store);
+
 /* littlefs's code as ours. */
 store_result_t store_result(int code);
 

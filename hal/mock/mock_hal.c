@@ -97,6 +97,9 @@ bool hal_flash_read(hal_t *hal, uint32_t offset, void *out, uint32_t length) {
         return false;
     }
     memcpy(out, hal->flash + offset, length);
+    if (hal->flash_read != NULL) {
+        hal->flash_read(hal, offset, out, length);
+    }
     return true;
 }
 
@@ -108,6 +111,9 @@ bool hal_flash_write_page(hal_t *hal, uint32_t offset, const void *page) {
         return false;
     }
     hal->flash_writes++;
+    if (hal->flash_write != NULL) {
+        return hal->flash_write(hal, offset, page);
+    }
     memcpy(hal->flash + offset, page, HAL_FLASH_PAGE_BYTES);
     return true;
 }
@@ -143,5 +149,8 @@ void hal_irq_lock(hal_t *hal) {
 void hal_irq_unlock(hal_t *hal) {
     if (--hal->irq_locked != 0) {
         abort();
+    }
+    if (hal->on_unlock != NULL) {
+        hal->on_unlock(hal);
     }
 }

@@ -34,6 +34,11 @@ struct hal {
     uint8_t flash[HAL_FLASH_SIZE_BYTES];
     uint32_t flash_writes;
     uint32_t flash_fail_after; /* writes that succeed before all fail; 0 = never fail */
+    /* A flash with a life of its own, as tests/unit/flash_model.h; NULL: none fails or wears. The
+     * first writes a page, the second changes what was read. */
+    bool (*flash_write)(hal_t *hal, uint32_t offset, const uint8_t *page);
+    void (*flash_read)(hal_t *hal, uint32_t offset, uint8_t *read, uint32_t length);
+    void *flash_context;
     uint16_t battery_mv;
     hal_board_kind_t kind;
     hal_reset_cause_t reset_cause;
@@ -45,7 +50,8 @@ struct hal {
     bool led;
     uint32_t watchdog_feeds;
     uint32_t resets;
-    int irq_locked; /* must be 0 or 1 */
+    int irq_locked;                     /* must be 0 or 1 */
+    void (*on_unlock)(struct hal *hal); /* an interrupt that waited for it; NULL = none */
 };
 
 /* Flash all 0xFF, 8 V battery, time 0. */

@@ -16,6 +16,7 @@ static trial_t trial;
 static speed_upload_t speeds;
 static amplitudes_upload_t amplitudes;
 static params_t params;
+static key_record_t key;
 
 /* Room for any decoded record, to see whether a refused one left it alone. */
 typedef union {
@@ -26,6 +27,7 @@ typedef union {
     amplitudes_upload_t amplitudes;
     params_t params;
     uint32_t next_trial;
+    key_record_t key;
 } any_t;
 
 static any_t out, before;
@@ -46,6 +48,7 @@ static void fill(uint16_t beats) {
                       .executed = (uint16_t)(beats - 1u),
                       .source = SPEED_SOURCE_UPLOAD,
                       .end = FAULT_LINK_LOST};
+    key = (key_record_t){.set = true, .key = {1, 2, 3, 4}, .mark = 0x0123456789ABu};
     speeds = (speed_upload_t){.trial = 70001u, .beats = beats};
     amplitudes = (amplitudes_upload_t){.reference_crc = 0x13572468u, .beats = beats};
     for (uint16_t i = 0; i < beats; i++) {
@@ -79,6 +82,7 @@ static size_t encode_speeds(void) { return record_encode_speeds(&speeds, bytes);
 static size_t encode_amplitudes(void) { return record_encode_amplitudes(&amplitudes, bytes); }
 static size_t encode_params(void) { return record_encode_params(&params, bytes); }
 static size_t encode_counter(void) { return record_encode_counter(70002u, bytes); }
+static size_t encode_key(void) { return record_encode_key(&key, bytes); }
 
 static fault_t decode_reference(const uint8_t *at, size_t length) {
     return record_decode_reference(at, length, &out.reference);
@@ -103,6 +107,10 @@ static fault_t decode_counter(const uint8_t *at, size_t length) {
     return record_decode_counter(at, length, &out.next_trial);
 }
 
+static fault_t decode_key(const uint8_t *at, size_t length) {
+    return record_decode_key(at, length, &out.key);
+}
+
 typedef struct {
     const char *magic;
     size_t (*encode)(void);
@@ -118,6 +126,7 @@ static const kind_t kinds[] = {
     {"TBSP", encode_speeds, decode_speeds, 12 + 4 + 8 * BEATS},
     {"TBAM", encode_amplitudes, decode_amplitudes, 12 + 4 + 4 * BEATS},
     {"TBCT", encode_counter, decode_counter, 12 + 4},
+    {"TBKY", encode_key, decode_key, 12 + 8 + 32},
 };
 #define KINDS (sizeof kinds / sizeof kinds[0])
 
@@ -209,6 +218,23 @@ static void test_sizes_are_the_longest_records(void) {
 static void test_counter_round_trip(void) {
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_counter(bytes, encode_counter()));
     TEST_ASSERT_EQUAL_UINT32(70002u, out.next_trial);
+}
+
+static void test_key_round_trip(void) {
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_key(bytes, encode_key()));
+    TEST_ASSERT_TRUE(out.key.set);
+    TEST_ASSERT_EQUAL_MEMORY(key.key, out.key.key, sizeof key.key);
+    TEST_ASSERT_EQUAL_UINT64(key.mark, out.key.mark);
+    static const uint8_t mark[] = {0xAB, 0x89, 0x67, 0x45, 0x23, 0x01, 0, 0, 1, 2};
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(mark, bytes + 12, sizeof mark);
+    key.set = false; /* only the mark is left */
+    TEST_ASSERT_EQUAL_size_t(20, encode_key());
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_key(bytes, 20));
+    TEST_ASSERT_FALSE(out.key.set);
+    TEST_ASSERT_EACH_EQUAL_HEX8(0, out.key.key, sizeof out.key.key);
+    TEST_ASSERT_EQUAL_UINT64(key.mark, out.key.mark);
+    key.mark = 1ull << 48;
+    TEST_ASSERT_EQUAL_INT(FAULT_BAD_DATA, decode_key(bytes, encode_key()));
 }
 
 static void test_every_truncation_is_refused(void) {
@@ -357,6 +383,7 @@ int main(void) {
     RUN_TEST(test_round_trips);
     RUN_TEST(test_sizes_are_the_longest_records);
     RUN_TEST(test_counter_round_trip);
+    RUN_TEST(test_key_round_trip);
     RUN_TEST(test_every_truncation_is_refused);
     RUN_TEST(test_every_bit_flip_is_refused);
     RUN_TEST(test_right_crc_does_not_save_a_wrong_header);

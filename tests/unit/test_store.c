@@ -2,7 +2,8 @@
 
 #include "base/crc.h"
 #include "mock_hal.h"
-#include "store/blockdev.h"
+#include "store_ledger.h"
+#include "target.h"
 #include "unity.h"
 
 #include <stdlib.h>
@@ -13,6 +14,7 @@
 #define OPERATIONS 1500u
 #define TRIAL_FILE_BYTES 15000u
 #define TRIAL_FILES 300u
+#define FULL_ROUNDS (ON_TARGET ? 1u : 6u)
 
 static hal_t hal;
 static store_t store;
@@ -352,6 +354,87 @@ static void test_full_flash_refuses_and_keeps_the_old(void) {
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes + 1, 4128));
 }
 
+/* Filled by logs of all sizes and by uploads that nobody removes: what the next trial needs still
+ * finds room, the oldest trials go first, and what cannot be made room for is refused. */
+static void fill_with_uploads(uint32_t leave_blocks) {
+    char path[] = "/in/a";
+    while (store_free_bytes(&store) > leave_blocks * STORE_BLOCK_BYTES) {
+        const uint32_t free_bytes = store_free_bytes(&store) - leave_blocks * STORE_BLOCK_BYTES;
+        uint32_t length = 1u + random_below(TRIAL_FILE_BYTES - 1u);
+        length = length < free_bytes ? length : free_bytes / 2u + 1u;
+        if (store_replace(&store, path, bytes, length) != STORE_OK) {
+            return;
+        }
+        path[4] = (char)(path[4] == 'z' ? 'A' : path[4] + 1);
+    }
+}
+
+static void expect_room_for_what_must_be_kept(void) {
+    static const size_t lengths[] = {16, 53, 4128, 6172, 900, 16, 4128};
+    static const char *const paths[] = {"/counter.bin", "/key.bin",    "/learned.bin",
+                                        "/pending.bin", "/params.bin", "/counter.bin",
+                                        "/learned.bin"};
+    for (size_t i = 0; i < sizeof paths / sizeof paths[0]; i++) {
+        TEST_ASSERT_EQUAL_INT_MESSAGE(STORE_OK, store_replace(&store, paths[i], bytes, lengths[i]),
+                                      paths[i]);
+        expect_content(paths[i], bytes, lengths[i]);
+    }
+}
+
+static bool is_there(uint32_t trial) {
+    char path[STORE_PATH_BYTES];
+    uint32_t size = 0;
+    trial_path(trial, path);
+    return store_size(&store, path, &size) == STORE_OK;
+}
+
+static void write_trial(uint32_t trial, uint32_t length) {
+    char path[STORE_PATH_BYTES];
+    trial_path(trial, path);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_open(&store, &file, path, STORE_WRITE_NEW));
+    for (uint32_t done = 0; done < length; done += 500u) {
+        const uint32_t piece = length - done < 500u ? length - done : 500u;
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_append(&store, &file, bytes + done, piece));
+        if (random_below(4) == 0) {
+            TEST_ASSERT_EQUAL_INT(STORE_OK, store_sync(&store, &file));
+        }
+    }
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_close(&store, &file));
+}
+
+static void test_a_store_filled_to_the_last_block(void) {
+    for (uint32_t round = 0; round < FULL_ROUNDS; round++) {
+        random_state = 77u + round;
+        mock_hal_init(&hal);
+        remount();
+        fill_random(bytes, sizeof bytes);
+        expect_room_for_what_must_be_kept();
+        fill_with_uploads(30u + random_below(60));
+        uint32_t oldest = 1;
+        for (uint32_t trial = 1; trial <= 40; trial++) {
+            const uint32_t length = 1u + random_below(TRIAL_FILE_BYTES - 1u);
+            TEST_ASSERT_EQUAL_INT(STORE_OK, store_make_space(&store, length, 0));
+            write_trial(trial, length);
+            expect_room_for_what_must_be_kept();
+            while (!is_there(oldest)) {
+                oldest++;
+            }
+            for (uint32_t kept = oldest; kept <= trial; kept++) {
+                TEST_ASSERT_TRUE_MESSAGE(is_there(kept), "not the oldest went");
+            }
+        }
+        TEST_ASSERT_GREATER_THAN_UINT32(1, oldest);
+        TEST_ASSERT_EQUAL_UINT32(0, store.failures);
+        TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&store));
+        /* Uploads alone: no trial is left to go, so it is said. */
+        fill_with_uploads(0);
+        TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE,
+                              store_make_space(&store, HAL_FLASH_SIZE_BYTES / 2u, 0));
+        TEST_ASSERT_FALSE(is_there(40));
+        expect_content("/learned.bin", bytes, 4128);
+    }
+}
+
 static void test_dead_flash_is_reported(void) {
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "old", 3));
     hal.flash_fail_after = hal.flash_writes;
@@ -360,58 +443,78 @@ static void test_dead_flash_is_reported(void) {
     expect_content("/a", "old", 3);
 }
 
-/* Damage behind a readable superblock is for people to look at: formatting would throw away what
- * may still be saved. */
-static void test_damage_behind_the_superblock_is_not_formatted_away(void) {
-    store_unmount(&store);
-    memset(hal.flash + 2u * STORE_BLOCK_BYTES, 0xA5, sizeof hal.flash - 2u * STORE_BLOCK_BYTES);
-    const uint32_t writes = hal.flash_writes;
-    TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_mount(&store, &hal));
-    TEST_ASSERT_FALSE(store.mounted);
-    TEST_ASSERT_FALSE(store.formatted);
-    TEST_ASSERT_EQUAL_UINT32(writes, hal.flash_writes);
-    TEST_ASSERT_EQUAL_INT(STORE_OK, store_format(&store, &hal));
-    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "x", 1));
-}
-
 static void test_garbage_is_formatted(void) {
     store_unmount(&store);
     const uint8_t patterns[] = {0x00, 0xFF, 0x5A};
     for (size_t i = 0; i < sizeof patterns; i++) {
         memset(hal.flash, patterns[i], sizeof hal.flash);
+        TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_find(&store, &hal));
         TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
         TEST_ASSERT_TRUE(store.formatted);
         store_unmount(&store);
     }
     fill_random(hal.flash, sizeof hal.flash);
-    TEST_ASSERT_FALSE(blockdev_superblock_readable(&hal));
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
-    TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
+    TEST_ASSERT_TRUE(store.formatted);
 }
 
-/* Any bit of the name, version or geometry wrong in both superblocks: there is no filesystem. */
-static void test_damaged_superblocks_are_not_readable(void) {
-    for (uint32_t bit = 8u * 8u; bit < 8u * 44u; bit++) {
+/* Any bit of the name, version or geometry wrong in one superblock: the other one serves. In both:
+ * there is no filesystem. */
+static void test_one_superblock_is_enough(void) {
+    for (uint32_t n = 0; n < 20; n++) { /* both blocks know the folders */
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "old", 3));
+    }
+    store_unmount(&store);
+    static uint8_t whole[2u * STORE_BLOCK_BYTES];
+    memcpy(whole, hal.flash, sizeof whole);
+    for (uint32_t bit = 8u * 8u; bit < 8u * 44u; bit += 3u) {
         const uint8_t mask = (uint8_t)(1u << (bit % 8u));
+        for (uint32_t block = 0; block < 2u; block++) {
+            memcpy(hal.flash, whole, sizeof whole);
+            hal.flash[block * STORE_BLOCK_BYTES + bit / 8u] ^= mask;
+            TEST_ASSERT_EQUAL_INT(STORE_OK, store_find(&store, &hal));
+            store_unmount(&store);
+        }
         hal.flash[bit / 8u] ^= mask;
-        TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
-        hal.flash[STORE_BLOCK_BYTES + bit / 8u] ^= mask;
-        TEST_ASSERT_FALSE(blockdev_superblock_readable(&hal));
-        hal.flash[bit / 8u] ^= mask;
-        TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
-        hal.flash[STORE_BLOCK_BYTES + bit / 8u] ^= mask;
+        TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_find(&store, &hal));
+        TEST_ASSERT_FALSE(store.mounted);
     }
+    memcpy(hal.flash, whole, sizeof whole);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_mount(&store, &hal));
+    TEST_ASSERT_FALSE(store.formatted);
 }
 
-/* The first commit holds the whole root folder, files of up to 256 bytes with it. */
-static void test_superblock_with_a_full_root_is_readable(void) {
-    fill_random(bytes, sizeof bytes);
-    char path[] = "/a";
-    for (uint32_t n = 0; n < 60; n++) {
-        path[1] = (char)('a' + n % 4u);
-        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, path, bytes + n, 250));
-        TEST_ASSERT_TRUE(blockdev_superblock_readable(&hal));
+/* What a cut leaves of making a filesystem is not taken for one. */
+static void test_a_filesystem_without_its_folders_is_unfinished(void) {
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_renew(&store, &hal, NULL));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "x", 1));
+    store_unmount(&store);
+    TEST_ASSERT_EQUAL_INT(STORE_CORRUPT, store_find(&store, &hal));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_renew(&store, &hal, NULL));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_finish(&store));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_find(&store, &hal));
+}
+
+static void test_kept_blocks_are_not_written_until_the_filesystem_is_finished(void) {
+    store_unmount(&store);
+    static uint8_t before[HAL_FLASH_SIZE_BYTES];
+    uint8_t keep[STORE_BLOCKS / 8u];
+    fill_random(keep, sizeof keep);
+    keep[0] &= 0xFCu;
+    fill_random(hal.flash, sizeof hal.flash);
+    memcpy(before, hal.flash, sizeof before);
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_renew(&store, &hal, keep));
+    for (uint32_t n = 0; n < 30; n++) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", bytes, 6000));
     }
+    for (uint32_t block = 0; block < STORE_BLOCKS; block++) {
+        const uint32_t at = block * STORE_BLOCK_BYTES;
+        if ((keep[block / 8u] & 1u << block % 8u) != 0u) {
+            TEST_ASSERT_EQUAL_MEMORY(before + at, hal.flash + at, STORE_BLOCK_BYTES);
+        }
+    }
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_finish(&store));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", bytes, sizeof bytes));
 }
 
 int main(void) {
@@ -427,10 +530,11 @@ int main(void) {
     RUN_TEST(test_space_does_not_leak_over_many_trials);
     RUN_TEST(test_oldest_trials_go_first_and_the_kept_one_stays);
     RUN_TEST(test_full_flash_refuses_and_keeps_the_old);
+    RUN_TEST(test_a_store_filled_to_the_last_block);
     RUN_TEST(test_dead_flash_is_reported);
-    RUN_TEST(test_damage_behind_the_superblock_is_not_formatted_away);
     RUN_TEST(test_garbage_is_formatted);
-    RUN_TEST(test_damaged_superblocks_are_not_readable);
-    RUN_TEST(test_superblock_with_a_full_root_is_readable);
+    RUN_TEST(test_one_superblock_is_enough);
+    RUN_TEST(test_a_filesystem_without_its_folders_is_unfinished);
+    RUN_TEST(test_kept_blocks_are_not_written_until_the_filesystem_is_finished);
     return UNITY_END();
 }

@@ -1,0 +1,363 @@
+/* What comes back from a flash whose filesystem or files are damaged. */
+#include "app_fixture.h"
+#include "flash_model.h"
+#include "store_ledger.h"
+#include "target.h"
+
+#include <stdio.h>
+
+#define BEATS 5u
+#define SPEED 0.05f
+#define MAGIC_BYTES 4u
+
+static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[HAL_FLASH_SIZE_BYTES];
+static flash_model_t model;
+static memory_t learned;
+
+void setUp(void) { fixture_reset(); }
+void tearDown(void) {}
+
+/* Two trials learned from, a third pending, parameters saved once. */
+static void live(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 3.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    for (uint32_t trial = 1; trial <= 3; trial++) {
+        swim_whole_trial(BEATS, SPEED);
+        if (trial < 3) {
+            TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
+        }
+    }
+    learned = app.memory;
+}
+
+static void wipe_block(uint32_t block, uint8_t with) {
+    memset(hal.flash + block * STORE_BLOCK_BYTES, with, STORE_BLOCK_BYTES);
+}
+
+static void wipe_superblocks(uint8_t with) {
+    wipe_block(0, with);
+    wipe_block(1, with);
+}
+
+static void wipe_folder(const char *path) {
+    lfs_dir_t dir;
+    TEST_ASSERT_EQUAL_INT(0, lfs_dir_open(&app.store.lfs, &dir, path));
+    wipe_block(dir.m.pair[0], 0xA5);
+    wipe_block(dir.m.pair[1], 0xA5);
+    (void)lfs_dir_close(&app.store.lfs, &dir);
+}
+
+static bool said(const char *text) {
+    const mock_queue_t *queue = &hal.tx[HAL_PORT_CONSOLE];
+    for (size_t at = 0; at + strlen(text) <= queue->tail; at++) {
+        if (memcmp(queue->bytes + at, text, strlen(text)) == 0) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void expect_all_back(void) {
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+    TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.reference.crc);
+    TEST_ASSERT_EQUAL_FLOAT(3.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL_UINT32(3, app.run.trial.number);
+    TEST_ASSERT_EQUAL_UINT32(4, app.next_trial);
+    TEST_ASSERT_EQUAL_INT32(0, ledger_lost_blocks(&app.store));
+}
+
+static void expect_renewed(void) {
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    expect_all_back();
+    TEST_ASSERT_TRUE(said("saved /learned.bin"));
+    TEST_ASSERT_TRUE(said("saved /params.bin"));
+    TEST_ASSERT_FALSE(said("lost"));
+}
+
+static void expect_goes_on(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    expect_all_back();
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 3));
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL_UINT32(4, app.run.trial.number);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 4));
+}
+
+static void test_blank_flash_is_no_fault(void) {
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_TRUE(app.store.formatted);
+    TEST_ASSERT_FALSE(said("saved"));
+    memset(hal.flash, 0x5A, sizeof hal.flash); /* of no use to anybody */
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL_UINT32(1, app.next_trial);
+}
+
+static void test_lost_superblocks_cost_the_trials_only(void) {
+    const uint8_t patterns[] = {0xFF, 0x00, 0xA5};
+    live();
+    memcpy(whole, hal.flash, sizeof whole);
+    for (size_t i = 0; i < sizeof patterns; i++) {
+        memcpy(hal.flash, whole, sizeof whole);
+        wipe_superblocks(patterns[i]);
+        reboot();
+        expect_renewed();
+        expect_goes_on();
+    }
+}
+
+static void test_one_lost_superblock_costs_nothing(void) {
+    live();
+    memcpy(whole, hal.flash, sizeof whole);
+    for (uint32_t block = 0; block < 2; block++) {
+        memcpy(hal.flash, whole, sizeof whole);
+        reboot();
+        /* Both blocks know all: the last change of the root folder compacted it. */
+        for (uint32_t i = 0; i < 2; i++) {
+            TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+            TEST_ASSERT_EQUAL_INT(0, lfs_fs_gc(&app.store.lfs));
+        }
+        wipe_block(block, 0xA5);
+        reboot();
+        TEST_ASSERT_NOT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+        TEST_ASSERT_FALSE(app.store.formatted);
+        TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.reference.crc);
+    }
+}
+
+static void test_an_unreadable_folder_costs_the_trials_only(void) {
+    live();
+    memcpy(whole, hal.flash, sizeof whole);
+    const char *const folders[] = {"/trials", "/in"};
+    for (size_t i = 0; i < 2; i++) {
+        memcpy(hal.flash, whole, sizeof whole);
+        reboot();
+        wipe_folder(folders[i]);
+        reboot();
+        expect_renewed();
+        expect_goes_on();
+    }
+}
+
+/* Flips a bit in the newest copy of what |path| holds. */
+static void damage_file(const char *path) {
+    uint32_t length = 0;
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, path, &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, path, record, length));
+    lfs_file_t file;
+    static uint8_t cache[STORE_CACHE_BYTES];
+    const struct lfs_file_config config = {.buffer = cache};
+    TEST_ASSERT_EQUAL_INT(0, lfs_file_opencfg(&app.store.lfs, &file, path, LFS_O_RDONLY, &config));
+    const uint32_t head = file.ctz.head;
+    (void)lfs_file_close(&app.store.lfs, &file);
+    hal.flash[head * STORE_BLOCK_BYTES + length / 2u] ^= 0x10u;
+}
+
+static void test_a_damaged_file_costs_itself_only(void) {
+    live();
+    memcpy(whole, hal.flash, sizeof whole);
+    damage_file("/learned.bin");
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
+    TEST_ASSERT_TRUE(said("saved /learned.bin"));
+    TEST_ASSERT_EQUAL_UINT32(1, app.memory.last_trial); /* the version before */
+    TEST_ASSERT_TRUE(app.run.pending);
+    uint32_t size = 0;
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, "/trials/0001.ulg", &size));
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+
+    memcpy(hal.flash, whole, sizeof whole);
+    reboot();
+    damage_file("/params.bin");
+    hal.tx[HAL_PORT_CONSOLE].tail = 0;
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
+    TEST_ASSERT_TRUE(said("lost /params.bin"));
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
+}
+
+static void test_parameters_come_back_only_when_there_is_no_doubt(void) {
+    live();
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 3));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 2.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    TEST_ASSERT_TRUE(said("lost /params.bin"));
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_UINT32(3, app.memory.last_trial);
+}
+
+static void test_the_newest_reference_comes_back_with_what_was_learned_for_it(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS + 1u, SPEED));
+    const uint32_t crc = app.reference.crc;
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
+    TEST_ASSERT_EQUAL_UINT16(0, app.memory.iteration);
+    TEST_ASSERT_EQUAL_UINT32(1, app.memory.last_trial);
+    TEST_ASSERT_FALSE(app.run.pending);
+}
+
+static void test_numbers_go_on_when_only_the_trials_tell_them(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
+    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+        if (memcmp(hal.flash + at, "TB", 2) == 0) {
+            memset(hal.flash + at, 0xFF, STORE_BLOCK_BYTES);
+        }
+    }
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    TEST_ASSERT_EQUAL_UINT32(2, app.next_trial);
+}
+
+/* Records longer than a block, among older ones that share some of their blocks' numbers. */
+static void test_long_records_come_back(void) {
+    static memory_t memory;
+    static trial_t trial;
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_TANK_LEN_M, 0.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS_MAX, SPEED));
+    for (uint32_t n = 1; n <= 40; n++) {
+        memory = (memory_t){.reference_crc = app.reference.crc,
+                            .beats = BEATS_MAX,
+                            .last_trial = n,
+                            .iteration = (uint16_t)(n + 1u)};
+        trial = (trial_t){.number = n + 1u,
+                          .reference_crc = app.reference.crc,
+                          .beats = BEATS_MAX,
+                          .executed = BEATS_MAX};
+        for (uint32_t k = 0; k < BEATS_MAX; k++) {
+            memory.amplitude_rad[k] = 0.001f * (float)(k * n % 301u);
+            trial.amplitude_rad[k] = memory.amplitude_rad[k];
+        }
+        size_t length = record_encode_memory(&memory, record);
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, LEARNED_PATH, record, length));
+        length = record_encode_trial(&trial, record);
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, PENDING_PATH, record, length));
+    }
+    const uint32_t crc = app.reference.crc;
+    wipe_superblocks(0x00);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    TEST_ASSERT_EQUAL_HEX32(crc, app.reference.crc);
+    TEST_ASSERT_EQUAL_MEMORY(&memory, &app.memory, sizeof memory);
+    TEST_ASSERT_EQUAL_MEMORY(&trial, &app.run.trial, sizeof trial);
+    TEST_ASSERT_EQUAL_UINT32(42, app.next_trial);
+}
+
+static void store_key(bool set, uint8_t fill, uint64_t mark) {
+    key_record_t key = {.set = set, .mark = mark};
+    memset(key.key, set ? fill : 0, sizeof key.key);
+    TEST_ASSERT_EQUAL(STORE_OK,
+                      store_replace(&app.store, KEY_PATH, record, record_encode_key(&key, record)));
+}
+
+static key_record_t stored_key(void) {
+    key_record_t key = {0};
+    uint32_t length = 0;
+    TEST_ASSERT_EQUAL(STORE_OK, store_size(&app.store, KEY_PATH, &length));
+    TEST_ASSERT_EQUAL(STORE_OK, store_load(&app.store, KEY_PATH, record, length));
+    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_key(record, length, &key));
+    return key;
+}
+
+static void test_the_newest_key_comes_back_and_old_messages_do_not(void) {
+    store_key(true, 1, 1000);
+    store_key(true, 2, 5000);
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    const key_record_t key = stored_key();
+    TEST_ASSERT_TRUE(key.set);
+    TEST_ASSERT_EQUAL_UINT8(2, key.key[31]);
+    TEST_ASSERT_GREATER_THAN_UINT32(86400u, (uint32_t)(key.mark / SIGNING_TICKS_PER_S));
+    TEST_ASSERT_TRUE(app.link.signing.locked);
+}
+
+static void test_an_erased_key_does_not_come_back(void) {
+    store_key(true, 1, 1000);
+    store_key(false, 0, 2000);
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_FALSE(stored_key().set);
+    TEST_ASSERT_FALSE(app.link.signing.locked);
+}
+
+static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
+    store_key(true, 1, 1000);
+    uint8_t magic[MAGIC_BYTES];
+    memcpy(magic, record, sizeof magic);
+    for (uint32_t at = 0; at < sizeof hal.flash; at += STORE_BLOCK_BYTES) {
+        if (memcmp(hal.flash + at, magic, sizeof magic) == 0) {
+            hal.flash[at + 20u] ^= 1u;
+        }
+    }
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    TEST_ASSERT_TRUE(said("lost /key.bin"));
+    TEST_ASSERT_TRUE(app.link.signing.locked);
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_KEY_UNREADABLE, app.supervisor.reason);
+    TEST_ASSERT_TRUE(app.link.signing.locked);
+}
+
+/* The board that was renewing its store when the power went: the next boot finds the same. */
+static void test_a_cut_at_every_write_of_the_salvage(void) {
+    live();
+    wipe_superblocks(0xA5);
+    memcpy(whole, hal.flash, sizeof whole);
+    uint32_t cuts = 0;
+    bool cut = true;
+    for (uint32_t n = 1; cut; n++) {
+        for (unsigned kind = 0; kind < CUT_KINDS; kind++) {
+            memcpy(hal.flash, whole, sizeof whole);
+            flash_model_attach(&model, &hal, n * CUT_KINDS + kind);
+            model.cut_in = n;
+            model.cut_kind = (cut_kind_t)kind;
+            cut = true;
+            if (setjmp(flash_model_off) == 0) {
+                reboot();
+                cut = false;
+            }
+            model.cut_in = 0;
+            cuts += cut;
+            reboot();
+            TEST_ASSERT_TRUE(app.supervisor.state == STATE_IDLE ||
+                             app.supervisor.reason == FAULT_STORE_RENEWED);
+            expect_all_back();
+        }
+    }
+    printf("salvage: %u cuts\n", (unsigned)cuts);
+    TEST_ASSERT_GREATER_THAN_UINT32(100, cuts);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_blank_flash_is_no_fault);
+    RUN_TEST(test_lost_superblocks_cost_the_trials_only);
+    RUN_TEST(test_one_lost_superblock_costs_nothing);
+    RUN_TEST(test_an_unreadable_folder_costs_the_trials_only);
+    RUN_TEST(test_a_damaged_file_costs_itself_only);
+    RUN_TEST(test_parameters_come_back_only_when_there_is_no_doubt);
+    RUN_TEST(test_the_newest_reference_comes_back_with_what_was_learned_for_it);
+    RUN_TEST(test_numbers_go_on_when_only_the_trials_tell_them);
+    RUN_TEST(test_long_records_come_back);
+    RUN_TEST(test_the_newest_key_comes_back_and_old_messages_do_not);
+    RUN_TEST(test_an_erased_key_does_not_come_back);
+    RUN_TEST(test_a_key_that_cannot_be_saved_leaves_a_locked_board);
+    RUN_ON_HOST(test_a_cut_at_every_write_of_the_salvage);
+    return UNITY_END();
+}
