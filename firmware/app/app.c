@@ -38,9 +38,13 @@ static void on_heartbeat(void *context, hal_port_t port, uint8_t system, uint8_t
     }
 }
 
-static fault_t boot_fault(const app_t *app, store_result_t mounted, bool crashed) {
+static fault_t boot_fault(const app_t *app, store_result_t mounted, bool key_readable,
+                          bool crashed) {
     if (mounted != STORE_OK) {
         return FAULT_STORAGE;
+    }
+    if (!key_readable) {
+        return FAULT_KEY_UNREADABLE;
     }
     if (crashed) {
         return FAULT_CRASH;
@@ -67,14 +71,18 @@ void app_init(app_t *app, hal_t *hal) {
         .command = commands_run,
         .param_set = commands_param_set,
         .vision = on_vision,
+        .set_key = key_set,
         .heartbeat = on_heartbeat,
     };
-    const store_result_t mounted = store_mount(&app->store, hal);
     link_init(&app->link, hal, &app->store, &app->params, &handlers);
+    fault_t lost = FAULT_NONE;
+    const store_result_t mounted = salvage_mount(app, &lost);
+    const bool key_readable = key_load(app); /* first: the crash must not tell it */
     const bool crashed = boot_keep_crash(app);
     boot_load(app);
     (void)supervisor_event(&app->supervisor, EVENT_BOOTED, FAULT_NONE);
-    const fault_t fault = boot_fault(app, mounted, crashed);
+    const fault_t fault =
+        lost != FAULT_NONE ? lost : boot_fault(app, mounted, key_readable, crashed);
     if (fault != FAULT_NONE) {
         (void)supervisor_event(&app->supervisor, EVENT_STOP, fault);
     }
@@ -229,6 +237,7 @@ void app_poll(app_t *app) {
     if (hal_time_us(app->hal) - now_us < STORING_US) {
         app->last_link_us = now_us;
         link_poll(&app->link, &app->status);
+        key_poll(app);
     }
     give_orders(app, read_us);
     hal_led(app->hal, state_is_armed(app->supervisor.state));

@@ -16,6 +16,7 @@
 #include "speed/rest.h"
 #include "store/records.h"
 #include "store/store.h"
+#include "supervisor/battery.h"
 #include "supervisor/supervisor.h"
 
 /* A reboot waits this long, so that its acknowledgement still goes out. */
@@ -51,6 +52,7 @@ typedef struct {
     float live_speed_m_s;
     uint64_t live_speed_us;
 
+    battery_t battery;
     uint64_t last_heartbeat_us; /* of the host that armed */
     hal_port_t armed_port;
     uint8_t armed_system;
@@ -59,6 +61,7 @@ typedef struct {
     uint64_t last_link_us; /* when the hosts were last listened to */
     uint32_t longest_pause_us;
     uint64_t reboot_at_us; /* 0 = not asked for */
+    uint64_t key_retry_us; /* no writing of the signing mark before */
 
     control_t control;
     link_t link;

@@ -9,6 +9,13 @@
 #define PARAMS_PATH "/params.bin"
 #define COUNTER_PATH "/counter.bin"
 #define CRASH_PATH "/crash.bin"
+#define KEY_PATH "/key.bin" /* not in the FTP tree */
+
+/* salvage.c: mounts the store. When the filesystem or single files are unreadable, what can be
+ * saved of parameters, key, reference, learned input and pending trial is brought back and told,
+ * and
+ * |*fault| says so; the trials' numbers go on. */
+store_result_t salvage_mount(app_t *app, fault_t *fault);
 
 /* app.c: what the link tells follows the board's state of this moment. */
 void app_refresh_status(app_t *app);
@@ -31,12 +38,29 @@ void boot_load_memory(app_t *app);
 fault_t commands_run(void *context, const link_command_t *command);
 fault_t commands_param_set(void *context, param_t param, float value);
 
+/* key.c: the signing key and its mark, kept in KEY_PATH. Loading reserves the next ten minutes; it
+ * is false when there is a key that cannot be read, or a store that does not tell. */
+bool key_load(app_t *app);
+/* The link's handler. Refused unless the tail is off, disarmed and no trial is open. */
+fault_t key_set(void *context, const uint8_t *key, uint64_t time);
+/* Reserves at least |ahead_s| beyond the clock, for a swim that must not write. */
+fault_t key_reserve(app_t *app, float ahead_s);
+/* What signing_wants_mark() asks for, while no trial is open. */
+void key_poll(app_t *app);
+/* Zeroes whatever in |bytes| is a piece of the key: they are going where everybody may read. */
+void key_hide(const app_t *app, uint8_t *bytes, size_t length);
+
 /* uploads.c: an uploaded file becomes what it is meant to be. */
 fault_t uploads_commit(app_t *app, const link_command_t *command);
 /* Whether the board's limits of the moment allow |reference|. */
 fault_t uploads_judge_reference(const app_t *app, const reference_t *reference);
 
-/* swim.c: a trial from arming to the pending record. */
+/* swim.c: a trial from arming to the pending record.
+ *
+ * Hosts are told apart by port and system. Only the one that armed starts, and only its heartbeats
+ * keep the board armed and the tail swimming; anybody may abort and disarm. Arming again while
+ * ARMED hands the fish over to the host that asks, which is told on both ports; RUNNING refuses it.
+ */
 fault_t swim_arm(app_t *app, const link_command_t *command);
 fault_t swim_start(app_t *app, const link_command_t *command);
 void swim_stop(app_t *app, fault_t reason);

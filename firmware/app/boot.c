@@ -21,6 +21,7 @@ bool boot_keep_crash(app_t *app) {
     if (!hal_crash_read(app->hal, &report.crash)) {
         return false;
     }
+    key_hide(app, (uint8_t *)&report.crash, sizeof report.crash);
     (void)strncpy(report.build_id, link_build_id(), BUILD_ID_BYTES - 1u);
     const size_t length = record_encode_crash(&report, app->record);
     if (store_replace(&app->store, CRASH_PATH, app->record, length) == STORE_OK) {

@@ -14,6 +14,13 @@
 #define REST_WAIT_S 30.0f /* for the fish to come to rest after the swim, when that is needed */
 #define RESULTS_PER_PASS 4u
 
+/* Asked with the tail off, when nothing pulls the voltage down. */
+static fault_t judge_battery(app_t *app) {
+    const uint16_t low_mv = settings_battery_low_mv(&app->params);
+    const bool allowed = battery_allows(&app->battery, hal_battery_mv(app->hal), low_mv);
+    return allowed ? FAULT_NONE : FAULT_BATTERY_LOW;
+}
+
 static fault_t ready_to_arm(const app_t *app) {
     const law_t law = settings_law(&app->params, app->reference.beat_s);
     const gait_config_t gait = settings_gait(&app->params, app->reference.beat_s);
@@ -35,10 +42,6 @@ static fault_t ready_to_arm(const app_t *app) {
     if (law_check(&law, app->reference.beats) != LAW_OK) {
         return FAULT_BAD_LAW;
     }
-    const float battery_v = (float)hal_battery_mv(app->hal) * 1e-3f;
-    if (battery_v < app->params.value[PARAM_BATT_LOW_V]) {
-        return FAULT_BATTERY_LOW;
-    }
     return uploads_judge_reference(app, &app->reference);
 }
 
@@ -53,9 +56,31 @@ static fault_t guess_first(app_t *app) {
                : FAULT_BAD_LAW;
 }
 
+static bool needs_rest(const app_t *app) {
+    return params_whole(&app->params, PARAM_SPD_SOURCE) == SPEED_SOURCE_IMU;
+}
+
+static float trial_s(const app_t *app) {
+    const float swim_s = (float)app->reference.beats * app->reference.beat_s;
+    const float settle_s =
+        app->params.value[PARAM_SETTLE_S] + (needs_rest(app) ? REST_WAIT_S : 0.0f);
+    return swim_s + settle_s;
+}
+
+/* Hosts are told apart by port and system. */
+static bool is_by_armer(const app_t *app, const link_command_t *command) {
+    return command->port == app->armed_port && command->system == app->armed_system;
+}
+
 fault_t swim_arm(app_t *app, const link_command_t *command) {
     if (app->supervisor.state != STATE_ARMED) {
         fault_t fault = ready_to_arm(app);
+        if (fault == FAULT_NONE) {
+            fault = judge_battery(app);
+        }
+        if (fault == FAULT_NONE) {
+            fault = key_reserve(app, trial_s(app));
+        }
         if (fault == FAULT_NONE) {
             fault = guess_first(app);
         }
@@ -64,6 +89,8 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
         }
         app->room_made = false;
         (void)supervisor_event(&app->supervisor, EVENT_ARM, FAULT_NONE);
+    } else if (!is_by_armer(app, command)) {
+        link_text(&app->link, MAV_SEVERITY_NOTICE, "another host has taken the fish over");
     }
     app->armed_port = command->port;
     app->armed_system = command->system;
@@ -84,15 +111,8 @@ static fault_t save_counter(app_t *app) {
                : FAULT_WRITE_FAILED;
 }
 
-static bool needs_rest(const app_t *app) {
-    return params_whole(&app->params, PARAM_SPD_SOURCE) == SPEED_SOURCE_IMU;
-}
-
 static uint32_t log_bytes(const app_t *app) {
-    const float swim_s = (float)app->reference.beats * app->reference.beat_s;
-    const float settle_s =
-        app->params.value[PARAM_SETTLE_S] + (needs_rest(app) ? REST_WAIT_S : 0.0f);
-    return trial_log_size_bound(app->reference.beats, (uint32_t)(swim_s + settle_s) + 1u);
+    return trial_log_size_bound(app->reference.beats, (uint32_t)trial_s(app) + 1u);
 }
 
 /* What fails here fails at the start too, and is told then. */
@@ -130,6 +150,11 @@ static fault_t prepare_store(app_t *app) {
     if (store_make_space(&app->store, log_bytes(app), 0) != STORE_OK) {
         return FAULT_WRITE_FAILED;
     }
+    /* Armed long ago, perhaps. */
+    const fault_t reserved = key_reserve(app, trial_s(app));
+    if (reserved != FAULT_NONE) {
+        return reserved;
+    }
     app->next_trial++;
     const fault_t counted = save_counter(app);
     if (counted != FAULT_NONE) {
@@ -162,6 +187,9 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     if (!supervisor_allows(&app->supervisor, EVENT_START)) {
         return FAULT_WRONG_STATE;
     }
+    if (!is_by_armer(app, command)) {
+        return FAULT_OTHER_HOST;
+    }
     if (command->trial != app->next_trial) {
         return FAULT_TRIAL_NUMBER;
     }
@@ -171,6 +199,10 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     const fault_t measurable = ready_to_measure(app);
     if (measurable != FAULT_NONE) {
         return measurable;
+    }
+    const fault_t powered = judge_battery(app);
+    if (powered != FAULT_NONE) {
+        return powered;
     }
     const fault_t prepared = prepare_store(app);
     if (prepared != FAULT_NONE) {
@@ -190,6 +222,7 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     app->executed = 0;
     /* Making space may have taken longer than the host may be silent. */
     app->last_heartbeat_us = hal_time_us(app->hal);
+    battery_begin_swim(&app->battery, app->last_heartbeat_us);
     (void)supervisor_event(&app->supervisor, EVENT_START, FAULT_NONE);
     return FAULT_NONE;
 }
@@ -199,16 +232,22 @@ static void settle_from(app_t *app, uint64_t now_us) {
     app->settle_until_us = now_us + real_whole_u64(settle_s * 1e6f);
 }
 
-void swim_stop(app_t *app, fault_t reason) {
+void swim_stop(app_t *app, fault_t asked) {
     const bool cut = app->supervisor.state == STATE_RUNNING;
+    const control_report_t report = control_report(&app->control, app->hal);
+    /* What stopped the tail came first, though the main loop had not seen it yet. */
+    const fault_t reason = cut && report.stop != FAULT_NONE ? report.stop : asked;
     if (!supervisor_event(&app->supervisor, EVENT_STOP, reason)) {
         return;
     }
     const uint64_t now_us = hal_time_us(app->hal);
     if (cut) {
-        app->executed = control_report(&app->control, app->hal).beats_done;
+        app->executed = report.beats_done;
         control_stop(&app->control, app->hal);
         settle_from(app, now_us);
+    }
+    if (reason == FAULT_BATTERY_CRITICAL) {
+        battery_exhausted(&app->battery);
     }
     if (app->run.open && app->run.start_us != 0 && app->run.stage != TRIAL_RUN_ENDED) {
         trial_log_text(&app->run.log, now_us, fault_info(reason)->name);
@@ -336,6 +375,13 @@ static void follow_tail(app_t *app, const control_report_t *report, uint64_t now
     }
 }
 
+static void warn_of_battery(app_t *app, uint64_t now_us) {
+    const uint16_t low_mv = settings_battery_low_mv(&app->params);
+    if (battery_warns(&app->battery, now_us, hal_battery_mv(app->hal), low_mv)) {
+        link_text(&app->link, MAV_SEVERITY_WARNING, "battery low: charge it after this trial");
+    }
+}
+
 static void watch_host(app_t *app, uint64_t now_us) {
     const stop_limits_t limits = {.link_timeout_us =
                                       settings_stop_limits(&app->params).link_timeout_us};
@@ -383,6 +429,7 @@ void swim_poll(app_t *app, uint64_t now_us) {
             begin_log(app, report.swim_start_us);
         }
         follow_tail(app, &report, now_us);
+        warn_of_battery(app, now_us);
     }
     if (!app->run.open || begun) { /* the rest of the log's beginning is for the next pass */
         return;

@@ -13,6 +13,18 @@ void channel_init(channel_t *channel, hal_t *hal, hal_port_t port) {
     channel->port = port;
 }
 
+void channel_sign(channel_t *channel, signing_t *signing) {
+    channel->signing = signing;
+    channel->tx_status.signing = &signing->out;
+}
+
+mavlink_status_t *channel_packing(channel_t *channel) {
+    if (channel->signing != NULL) {
+        signing_before_send(channel->signing, hal_time_us(channel->hal));
+    }
+    return &channel->tx_status;
+}
+
 static void drop(channel_t *channel, size_t count) {
     channel->held = (uint16_t)(channel->held - count);
     memmove(channel->window, channel->window + count, channel->held);

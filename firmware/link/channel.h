@@ -5,6 +5,7 @@
 
 #include "hal/serial.h"
 #include "link/mavlink.h"
+#include "link/signing.h"
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -21,12 +22,19 @@ typedef struct {
     uint8_t window[MAVLINK_MAX_PACKET_LEN]; /* bytes in which a frame is being looked for */
     uint16_t held;
     uint64_t last_byte_us;
-    mavlink_status_t tx_status; /* sequence number; later the signing state */
+    mavlink_status_t tx_status; /* sequence number */
+    signing_t *signing;         /* of what is sent; NULL = nobody signs */
     uint32_t bad_frames;        /* known message, wrong CRC */
     uint32_t dropped;           /* messages not sent because the line was full */
 } channel_t;
 
 void channel_init(channel_t *channel, hal_t *hal, hal_port_t port);
+
+/* From now on what is sent is signed as |signing| says, which must outlive the channel. */
+void channel_sign(channel_t *channel, signing_t *signing);
+
+/* What the next frame is to be packed with: sequence number, and signature at the time of now. */
+mavlink_status_t *channel_packing(channel_t *channel);
 
 /* Takes bytes until one message is complete. False when the port has no more, or when
  * CHANNEL_CALL_BYTES held none. Takes MAVLink 1 and 2. Behind a start byte that began no good frame

@@ -157,6 +157,9 @@ static answer_t run(link_t *link, const link_received_t *in, const request_t *re
     if (!row->read(request, &command)) {
         return bad_values;
     }
+    if (command.id == LINK_COMMAND_START) {
+        ftp_server_end_upload(&link->ftp);
+    }
     return from_fault(link->handlers.command(link->handlers.context, &command));
 }
 
@@ -169,9 +172,13 @@ static void send_answer(const link_received_t *in, uint16_t command, answer_t an
         .target_system = in->message->sysid,
         .target_component = in->message->compid,
     };
-    mavlink_msg_command_ack_encode_status(LINK_SYSTEM, LINK_COMPONENT, &in->channel->tx_status,
+    mavlink_msg_command_ack_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(in->channel),
                                           &message, &ack);
     (void)channel_send(in->channel, &message);
+}
+
+static void answer_command(const link_received_t *in, uint16_t command, answer_t answer) {
+    send_answer(in, command, answer);
     /* Ground stations try out many commands at connect: no text for those we do not know. */
     if (answer.fault != FAULT_NONE && answer.result != MAV_RESULT_UNSUPPORTED) {
         link_send_text(in->channel, MAV_SEVERITY_WARNING, fault_info(answer.fault)->meaning);
@@ -206,7 +213,7 @@ static void request_amplitudes(link_t *link, const link_received_t *in, const re
     if (!read_whole(request->param2, 0.0f, last, &first) ||
         !read_whole(request->param3, TAILBEAT_AMPLITUDE_SET_NEXT, TAILBEAT_AMPLITUDE_SET_BEST,
                     &set)) {
-        send_answer(in, request->command, bad_values);
+        answer_command(in, request->command, bad_values);
         return;
     }
     send_answer(in, request->command, accepted);
@@ -216,7 +223,7 @@ static void request_amplitudes(link_t *link, const link_received_t *in, const re
 static void request_message(link_t *link, const link_received_t *in, const request_t *request) {
     uint32_t message = 0;
     if (!read_whole(request->param1, 0.0f, WHOLE_MAX, &message)) {
-        send_answer(in, request->command, bad_values);
+        answer_command(in, request->command, bad_values);
         return;
     }
     if (message == MAVLINK_MSG_ID_TAILBEAT_AMPLITUDES) {
@@ -238,18 +245,27 @@ static answer_t set_interval(link_t *link, const link_received_t *in, const requ
     return link_imu_interval(link, in->channel->port, request->param2) ? accepted : bad_values;
 }
 
+/* With the right key and the board's time the next one is believed; otherwise none ever is. */
+static answer_t untrusted(const link_received_t *in, fault_t refusal) {
+    const bool has_key = in->verdict != SIGNING_UNSIGNED && in->verdict != SIGNING_WRONG;
+    return (answer_t){has_key ? MAV_RESULT_TEMPORARILY_REJECTED : MAV_RESULT_DENIED, refusal};
+}
+
 /* Commands move the tail: one addressed to everybody is not for us. */
 static void handle(link_t *link, const link_received_t *in, uint8_t system, uint8_t component,
                    const request_t *request) {
     if (system != LINK_SYSTEM || !link_addressed(system, component)) {
         return;
     }
-    if (request->command == MAV_CMD_REQUEST_MESSAGE) {
+    const fault_t refusal = link_refusal(link, in);
+    if (refusal != FAULT_NONE) {
+        send_answer(in, request->command, untrusted(in, refusal));
+    } else if (request->command == MAV_CMD_REQUEST_MESSAGE) {
         request_message(link, in, request);
     } else if (request->command == MAV_CMD_SET_MESSAGE_INTERVAL) {
-        send_answer(in, request->command, set_interval(link, in, request));
+        answer_command(in, request->command, set_interval(link, in, request));
     } else {
-        send_answer(in, request->command, run(link, in, request));
+        answer_command(in, request->command, run(link, in, request));
     }
 }
 

@@ -14,7 +14,8 @@ void ftp_server_init(ftp_server_t *ftp, store_t *store) {
 }
 
 static bool same_host(ftp_host_t a, ftp_host_t b) {
-    return a.system == b.system && a.component == b.component && a.port == b.port;
+    return a.system == b.system && a.component == b.component && a.port == b.port &&
+           a.trusted == b.trusted;
 }
 
 static ftp_error_t from_store(store_result_t result) {
@@ -55,9 +56,15 @@ static bool is_silent(const ftp_server_t *ftp) {
     return !ftp->bursting && ftp->conditions.now_us - ftp->last_used_us >= FTP_SESSION_SILENT_US;
 }
 
+/* An upload's end is written; it waits for a time at which requests may write. */
+static bool must_stay(const ftp_server_t *ftp) {
+    return ftp->open && ftp->writing && ftp->conditions.read_only;
+}
+
 /* Whether the sender may close or take the session. */
 static bool may_take(const ftp_server_t *ftp, ftp_host_t host) {
-    return !ftp->open || same_host(ftp->owner, host) || is_silent(ftp);
+    return !must_stay(ftp) && (!ftp->open || same_host(ftp->owner, host) || is_silent(ftp) ||
+                               (host.trusted && !ftp->owner.trusted));
 }
 
 static bool owns_session(const ftp_server_t *ftp, const ftp_request_t *request) {
@@ -187,20 +194,35 @@ static ftp_error_t checksum(ftp_server_t *ftp, const ftp_request_t *request, uin
     return error;
 }
 
+static ftp_error_t terminate(ftp_server_t *ftp, const ftp_request_t *request) {
+    if (!owns_session(ftp, request)) {
+        return FTP_INVALID_SESSION;
+    }
+    return must_stay(ftp) ? FTP_PROTECTED : close_session(ftp);
+}
+
 static ftp_error_t reset_sessions(ftp_server_t *ftp, const ftp_request_t *request) {
-    ftp->have_last = false;
     if (may_take(ftp, request->host)) {
+        ftp->have_last = false;
         (void)close_session(ftp);
     }
     return FTP_OK;
 }
 
+static bool writes(uint8_t opcode) {
+    return opcode == FTP_OP_CREATE || opcode == FTP_OP_OPEN_WO || opcode == FTP_OP_WRITE ||
+           opcode == FTP_OP_REMOVE;
+}
+
 static ftp_error_t execute(ftp_server_t *ftp, const ftp_request_t *request, uint8_t *reply) {
+    if (writes(request->opcode) && !request->host.trusted) {
+        return FTP_PROTECTED;
+    }
     switch (request->opcode) {
     case FTP_OP_NONE:
         return FTP_OK;
     case FTP_OP_TERMINATE:
-        return owns_session(ftp, request) ? close_session(ftp) : FTP_INVALID_SESSION;
+        return terminate(ftp, request);
     case FTP_OP_RESET:
         return reset_sessions(ftp, request);
     case FTP_OP_LIST:
@@ -227,8 +249,7 @@ static ftp_error_t execute(ftp_server_t *ftp, const ftp_request_t *request, uint
 
 /* Requests whose second execution would differ from the first. */
 static bool changes_something(uint8_t opcode) {
-    return opcode == FTP_OP_TERMINATE || opcode == FTP_OP_OPEN_RO || opcode == FTP_OP_CREATE ||
-           opcode == FTP_OP_OPEN_WO || opcode == FTP_OP_WRITE || opcode == FTP_OP_REMOVE;
+    return opcode == FTP_OP_TERMINATE || opcode == FTP_OP_OPEN_RO || writes(opcode);
 }
 
 static bool is_repeated(const ftp_server_t *ftp, ftp_host_t host, uint32_t crc) {
@@ -244,10 +265,25 @@ static void remember(ftp_server_t *ftp, ftp_host_t host, uint32_t crc, const uin
     memcpy(ftp->last_reply, reply, FTP_SHORT_REPLY_BYTES);
 }
 
+static bool is_answer(const ftp_request_t *request) {
+    return request->opcode == FTP_OP_ACK || request->opcode == FTP_OP_NAK;
+}
+
+bool ftp_server_needs_trust(const uint8_t *payload) {
+    return writes(ftp_decode(payload, (ftp_host_t){0}).opcode);
+}
+
+bool ftp_server_refuse(const uint8_t *payload, uint8_t *reply) {
+    const ftp_request_t request = ftp_decode(payload, (ftp_host_t){0});
+    ftp_ack(&request, reply);
+    ftp_nak(reply, FTP_PROTECTED);
+    return !is_answer(&request);
+}
+
 bool ftp_server_request(ftp_server_t *ftp, ftp_host_t host, const uint8_t *payload,
                         uint8_t *reply) {
     const ftp_request_t request = ftp_decode(payload, host);
-    if (request.opcode == FTP_OP_ACK || request.opcode == FTP_OP_NAK) {
+    if (is_answer(&request)) {
         return false;
     }
     ftp_ack(&request, reply);
@@ -272,6 +308,12 @@ bool ftp_server_request(ftp_server_t *ftp, ftp_host_t host, const uint8_t *paylo
         remember(ftp, host, crc, reply);
     }
     return error != FTP_OK || request.opcode != FTP_OP_BURST;
+}
+
+void ftp_server_end_upload(ftp_server_t *ftp) {
+    if (ftp->writing && !must_stay(ftp)) {
+        (void)close_session(ftp);
+    }
 }
 
 bool ftp_server_burst(ftp_server_t *ftp, uint8_t *reply) {

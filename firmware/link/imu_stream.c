@@ -35,7 +35,7 @@ static void send_held(link_t *link, channel_t *channel) {
     }
     stream->held = 0;
     mavlink_message_t message;
-    mavlink_msg_tailbeat_imu_encode_status(LINK_SYSTEM, LINK_COMPONENT, &channel->tx_status,
+    mavlink_msg_tailbeat_imu_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(channel),
                                            &message, &fields);
     (void)channel_send(channel, &message);
 }

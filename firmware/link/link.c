@@ -19,6 +19,7 @@ void link_init(link_t *link, hal_t *hal, store_t *store, params_t *params,
     ftp_server_init(&link->ftp, store);
     for (uint32_t i = 0; i < LINK_PORTS; i++) {
         channel_init(&link->channel[i], hal, (hal_port_t)i);
+        channel_sign(&link->channel[i], &link->signing);
         link->param_stream_next[i] = PARAM_COUNT;
     }
 }
@@ -41,7 +42,8 @@ void link_send_to_heard(link_t *link, link_send_t send) {
 }
 
 static void on_heartbeat(link_t *link, const link_received_t *in) {
-    if (mavlink_msg_heartbeat_get_type(in->message) != MAV_TYPE_SUBMARINE) {
+    if (in->verdict == SIGNING_TRUSTED &&
+        mavlink_msg_heartbeat_get_type(in->message) != MAV_TYPE_SUBMARINE) {
         link->handlers.heartbeat(link->handlers.context, in->channel->port, in->message->sysid,
                                  in->message->compid);
     }
@@ -56,7 +58,7 @@ static void on_timesync(link_t *link, const link_received_t *in) {
         return;
     }
     sync.tc1 = (int64_t)(hal_time_us(link->hal) * 1000u);
-    mavlink_msg_timesync_encode_status(LINK_SYSTEM, LINK_COMPONENT, &in->channel->tx_status,
+    mavlink_msg_timesync_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(in->channel),
                                        &message, &sync);
     (void)channel_send(in->channel, &message);
 }
@@ -67,6 +69,9 @@ static float sigma_of(float variance) {
 }
 
 static void on_vision(link_t *link, const link_received_t *in) {
+    if (link_refusal(link, in) != FAULT_NONE) {
+        return;
+    }
     mavlink_vision_speed_estimate_t estimate;
     mavlink_msg_vision_speed_estimate_decode(in->message, &estimate);
     const link_vision_t sample = {
@@ -79,9 +84,9 @@ static void on_vision(link_t *link, const link_received_t *in) {
 
 static void send_ftp(channel_t *channel, ftp_host_t host, const uint8_t *payload) {
     mavlink_message_t message;
-    mavlink_msg_file_transfer_protocol_pack_status(LINK_SYSTEM, LINK_COMPONENT, &channel->tx_status,
-                                                   &message, 0, host.system, host.component,
-                                                   payload);
+    mavlink_msg_file_transfer_protocol_pack_status(LINK_SYSTEM, LINK_COMPONENT,
+                                                   channel_packing(channel), &message, 0,
+                                                   host.system, host.component, payload);
     (void)channel_send(channel, &message);
 }
 
@@ -92,8 +97,15 @@ static void on_ftp(link_t *link, const link_received_t *in) {
     if (!link_addressed(request.target_system, request.target_component)) {
         return;
     }
-    const ftp_host_t host = {in->message->sysid, in->message->compid, (uint8_t)in->channel->port};
-    if (ftp_server_request(&link->ftp, host, request.payload, reply)) {
+    const ftp_host_t host = {in->message->sysid, in->message->compid, (uint8_t)in->channel->port,
+                             in->verdict == SIGNING_TRUSTED};
+    const bool wrong = in->verdict == SIGNING_WRONG;
+    if (wrong || ftp_server_needs_trust(request.payload)) {
+        (void)link_refusal(link, in);
+    }
+    const bool answered = wrong ? ftp_server_refuse(request.payload, reply)
+                                : ftp_server_request(&link->ftp, host, request.payload, reply);
+    if (answered) {
         send_ftp(in->channel, host, reply);
     }
 }
@@ -122,44 +134,66 @@ static void stream_burst(link_t *link) {
 
 typedef struct {
     uint32_t message;
+    bool refuses; /* has an answer for a wrong signature */
     void (*handle)(link_t *link, const link_received_t *in);
 } route_t;
 
 static const route_t routes[] = {
-    {MAVLINK_MSG_ID_HEARTBEAT, on_heartbeat},
-    {MAVLINK_MSG_ID_TIMESYNC, on_timesync},
-    {MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE, on_vision},
-    {MAVLINK_MSG_ID_COMMAND_LONG, link_on_command_long},
-    {MAVLINK_MSG_ID_COMMAND_INT, link_on_command_int},
-    {MAVLINK_MSG_ID_PARAM_REQUEST_LIST, link_on_param_request_list},
-    {MAVLINK_MSG_ID_PARAM_REQUEST_READ, link_on_param_request_read},
-    {MAVLINK_MSG_ID_PARAM_SET, link_on_param_set},
-    {MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL, on_ftp},
+    {MAVLINK_MSG_ID_HEARTBEAT, false, on_heartbeat},
+    {MAVLINK_MSG_ID_TIMESYNC, false, on_timesync},
+    {MAVLINK_MSG_ID_VISION_SPEED_ESTIMATE, true, on_vision},
+    {MAVLINK_MSG_ID_COMMAND_LONG, true, link_on_command_long},
+    {MAVLINK_MSG_ID_COMMAND_INT, true, link_on_command_int},
+    {MAVLINK_MSG_ID_PARAM_REQUEST_LIST, false, link_on_param_request_list},
+    {MAVLINK_MSG_ID_PARAM_REQUEST_READ, false, link_on_param_request_read},
+    {MAVLINK_MSG_ID_PARAM_SET, true, link_on_param_set},
+    {MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL, true, on_ftp},
+    {MAVLINK_MSG_ID_SETUP_SIGNING, true, link_on_setup_signing},
 };
 
-static void dispatch(link_t *link, const link_received_t *in) {
+static const route_t *find_route(uint32_t message) {
+    for (uint32_t i = 0; i < sizeof routes / sizeof routes[0]; i++) {
+        if (routes[i].message == message) {
+            return &routes[i];
+        }
+    }
+    return NULL;
+}
+
+static void dispatch(link_t *link, channel_t *channel, const mavlink_message_t *message) {
     /* Our own words come back from a modem that echoes. */
-    if (in->message->sysid == LINK_SYSTEM && in->message->compid == LINK_COMPONENT) {
+    if (message->sysid == LINK_SYSTEM && message->compid == LINK_COMPONENT) {
         return;
     }
-    link->heard_until_us[in->channel->port] = hal_time_us(link->hal) + LINK_HEARD_US;
-    for (uint32_t i = 0; i < sizeof routes / sizeof routes[0]; i++) {
-        if (routes[i].message == in->message->msgid) {
-            set_ftp_conditions(link);
-            routes[i].handle(link, in);
+    const uint64_t now_us = hal_time_us(link->hal);
+    const link_received_t in = {channel, message, signing_check(&link->signing, message, now_us)};
+    const bool wrong = in.verdict == SIGNING_WRONG;
+    if (!wrong) {
+        link->heard_until_us[channel->port] = now_us + LINK_HEARD_US;
+    }
+    const route_t *route = find_route(message->msgid);
+    if (route != NULL && (!wrong || route->refuses)) {
+        set_ftp_conditions(link);
+        route->handle(link, &in);
+    }
+}
+
+/* A list of files takes long to make, and a host may ask for many: the board has more to do. */
+static void take_in(link_t *link, channel_t *channel, uint64_t until_us) {
+    mavlink_message_t message;
+    for (uint32_t i = 0; i < MESSAGES_PER_POLL && channel_receive(channel, &message); i++) {
+        dispatch(link, channel, &message);
+        if (hal_time_us(link->hal) >= until_us) {
             return;
         }
     }
 }
 
 void link_poll(link_t *link, const link_status_t *status) {
+    const uint64_t until_us = hal_time_us(link->hal) + LINK_POLL_US;
     link->status = status;
     for (uint32_t port = 0; port < LINK_PORTS; port++) {
-        mavlink_message_t message;
-        const link_received_t in = {&link->channel[port], &message};
-        for (uint32_t i = 0; i < MESSAGES_PER_POLL && channel_receive(in.channel, &message); i++) {
-            dispatch(link, &in);
-        }
+        take_in(link, &link->channel[port], until_us);
     }
     set_ftp_conditions(link);
     link_telemetry(link);

@@ -7,6 +7,14 @@
  * beyond what the port holds. A port's line must hold at least LINK_LINE_MIN_BYTES, or file bursts
  * never start.
  *
+ * With a key (signing.h) every command, parameter write, file write and speed sample must be signed
+ * and fresh, else it is refused, answered with the reason and counted. COMMAND_ACK tells whether
+ * another try is worth while: TEMPORARILY_REJECTED = the right key at a wrong time (adopt the
+ * board's), DENIED = no key or another one. Reading is free: parameters, lists and files, TIMESYNC,
+ * HEARTBEAT. An unsigned HEARTBEAT brings telemetry to its port, but does not reach the
+ * application. A frame with a wrong signature is good for nothing but a refusal. All that is sent
+ * is signed.
+ *
  * HEARTBEATs and texts go out on both ports always, all other telemetry only on ports where a host
  * was heard in the last LINK_HEARD_US. What the application gets through the handlers is finite
  * where a number has to be, and addressed to this board.
@@ -19,6 +27,7 @@
 #include "imu/imu.h"
 #include "link/channel.h"
 #include "link/ftp_server.h"
+#include "link/signing.h"
 #include "params/params.h"
 #include "speed/speed.h"
 #include "store/records.h"
@@ -26,8 +35,9 @@
 #include "supervisor/supervisor.h"
 
 #define LINK_PORTS 2u /* HAL_PORT_RADIO, HAL_PORT_CONSOLE */
-#define LINK_LINE_MIN_BYTES 384u
+#define LINK_LINE_MIN_BYTES 559u
 #define LINK_HEARD_US 10000000u
+#define LINK_POLL_US 20000u
 
 /* Commands the application decides on. */
 typedef enum {
@@ -81,7 +91,11 @@ typedef struct {
     fault_t (*param_set)(void *context, param_t param, float value);
     /* |speed_m_s| as it came in, possibly not finite; |sigma_m_s| > 0 or NaN. */
     void (*vision)(void *context, const link_vision_t *sample);
-    /* Of any system that is not a fish. */
+    /* SETUP_SIGNING that came over the wired port, from somebody trusted or while the stored key
+     * cannot be read; |key| NULL = no key any more. The answer is told as text: "key set", "key
+     * erased", or the reason for the refusal. */
+    fault_t (*set_key)(void *context, const uint8_t *key, uint64_t time);
+    /* Of any system that is not a fish, when it is trusted. */
     void (*heartbeat)(void *context, hal_port_t port, uint8_t system, uint8_t component);
 } link_handlers_t;
 
@@ -139,6 +153,7 @@ typedef struct {
     params_t *params;
     link_handlers_t handlers;
     const link_status_t *status;
+    signing_t signing; /* the application sets key and mark */
     channel_t channel[LINK_PORTS];
     ftp_server_t ftp;
     link_learn_report_t last_learned; /* trial 0 = none */
@@ -146,6 +161,7 @@ typedef struct {
     uint32_t imu_digest;
     uint64_t heard_until_us[LINK_PORTS]; /* telemetry goes there until then */
     uint64_t next_heartbeat_us, next_slow_us, next_live_us, next_health_us;
+    uint64_t next_refusal_us; /* when the next one is told as text */
     uint32_t status_digest;
     uint16_t param_stream_next[LINK_PORTS]; /* of a PARAM_REQUEST_LIST; PARAM_COUNT = none */
 } link_t;
@@ -153,8 +169,8 @@ typedef struct {
 void link_init(link_t *link, hal_t *hal, store_t *store, params_t *params,
                const link_handlers_t *handlers);
 
-/* Takes in what has arrived (bounded: what the rings held), answers it, sends what is due.
- * |status| is read until the next poll. */
+/* Takes in what has arrived (bounded: what the rings held, and LINK_POLL_US beyond one message of
+ * each port), answers it, sends what is due. |status| is read until the next poll. */
 void link_poll(link_t *link, const link_status_t *status);
 
 /* Sent on both ports. |severity| is a MAV_SEVERITY; text beyond 49 characters is cut. */

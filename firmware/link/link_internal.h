@@ -4,19 +4,20 @@
 
 #include "link/link.h"
 
-/* A message taken in, and where. */
+/* A message taken in, where, and whether its sender is believed. */
 typedef struct {
     channel_t *channel;
     const mavlink_message_t *message;
+    signing_verdict_t verdict;
 } link_received_t;
 
 typedef void (*link_send_t)(link_t *link, channel_t *channel);
 
-/* Bytes left free for answers when something is streamed. */
-#define LINK_RESERVE_BYTES 100u
+/* Bytes left free for an answer when something is streamed: the longest one. */
+#define LINK_RESERVE_BYTES (MAVLINK_MAX_PACKET_LEN)
 
-/* MAVLink 2: longest header, checksum. */
-#define LINK_FRAME_BYTES (MAVLINK_NUM_NON_PAYLOAD_BYTES)
+/* MAVLink 2: header, checksum, signature. */
+#define LINK_FRAME_BYTES (MAVLINK_NUM_NON_PAYLOAD_BYTES + MAVLINK_SIGNATURE_BLOCK_LEN)
 
 bool link_addressed(uint8_t system, uint8_t component);
 bool link_heard(const link_t *link, const channel_t *channel);
@@ -35,6 +36,11 @@ void link_send_version(link_t *link, channel_t *channel);
 void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first);
 void link_send_text(channel_t *channel, uint8_t severity, const char *text);
 mavlink_tailbeat_status_t link_status_message(const link_t *link);
+
+/* trust.c: FAULT_NONE when the sender is believed; else why not, counted and told as text (once a
+ * second at most). */
+fault_t link_refusal(link_t *link, const link_received_t *in);
+void link_on_setup_signing(link_t *link, const link_received_t *in);
 
 /* telemetry.c: what is due. */
 void link_telemetry(link_t *link);

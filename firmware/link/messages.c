@@ -18,7 +18,7 @@
 #define SEND(channel, name, fields)                                                                \
     do {                                                                                           \
         mavlink_message_t message_;                                                                \
-        mavlink_msg_##name##_encode_status(LINK_SYSTEM, LINK_COMPONENT, &(channel)->tx_status,     \
+        mavlink_msg_##name##_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(channel),  \
                                            &message_, (fields));                                   \
         (void)channel_send((channel), &message_);                                                  \
     } while (0)
@@ -149,6 +149,7 @@ void link_send_health(link_t *link, channel_t *channel) {
     const speed_counters_t *speed = &status->speed_counters;
     const imu_t *imu = status->imu;
     const imu_reader_counters_t *reader = &imu->reader.counters;
+    const signing_counters_t *refused = &link->signing.counters;
     const mavlink_tailbeat_health_t health = {
         .imu_frames = imu->counters.frames,
         .imu_crc_failed = reader->crc_failed,
@@ -167,6 +168,10 @@ void link_send_health(link_t *link, channel_t *channel) {
         .store_failures = link->store->failures,
         .store_free_bytes = store_free_bytes(link->store),
         .longest_pause_us = status->longest_pause_us,
+        .refused_unsigned = refused->unsigned_,
+        .refused_wrong = refused->wrong,
+        .refused_stale = refused->stale,
+        .radio_framing = hal_serial_errors(link->hal, HAL_PORT_RADIO).framing,
         .imu_health = imu->health,
         .reset_cause = (uint8_t)hal_reset_cause(link->hal),
         .imu_problem = (uint8_t)imu->driver.problem,

@@ -22,7 +22,7 @@ static void send_value(const link_t *link, channel_t *channel, param_t param) {
         .param_type = MAV_PARAM_TYPE_REAL32,
     };
     put_name(param, fields.param_id);
-    mavlink_msg_param_value_encode_status(LINK_SYSTEM, LINK_COMPONENT, &channel->tx_status,
+    mavlink_msg_param_value_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(channel),
                                           &message, &fields);
     (void)channel_send(channel, &message);
 }
@@ -42,7 +42,7 @@ static void send_error(const link_received_t *in, const named_t *named, uint8_t 
         .error = error,
     };
     memcpy(fields.param_id, named->name, sizeof fields.param_id);
-    mavlink_msg_param_error_encode_status(LINK_SYSTEM, LINK_COMPONENT, &in->channel->tx_status,
+    mavlink_msg_param_error_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(in->channel),
                                           &message, &fields);
     (void)channel_send(in->channel, &message);
 }
@@ -113,6 +113,10 @@ void link_on_param_set(link_t *link, const link_received_t *in) {
     }
     named_t named = {.index = -1};
     memcpy(named.name, request.param_id, sizeof named.name);
+    if (link_refusal(link, in) != FAULT_NONE) {
+        send_error(in, &named, MAV_PARAM_ERROR_PERMISSION_DENIED);
+        return;
+    }
     const param_t param = param_find(request.param_id);
     if (param == PARAM_COUNT) {
         send_error(in, &named, MAV_PARAM_ERROR_DOES_NOT_EXIST);

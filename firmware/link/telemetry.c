@@ -21,11 +21,26 @@ static void send_heartbeats(link_t *link) {
     }
 }
 
+/* A file that is being pulled gets the line to itself; what changes is told all the same. */
+static bool is_filled(const link_t *link, const channel_t *channel) {
+    return link->ftp.bursting && link->ftp.owner.port == (uint8_t)channel->port &&
+           link->status->open_trial == 0;
+}
+
+static void send_regularly(link_t *link, link_send_t send) {
+    for (uint32_t i = 0; i < LINK_PORTS; i++) {
+        channel_t *channel = &link->channel[i];
+        if (link_heard(link, channel) && !is_filled(link, channel)) {
+            send(link, channel);
+        }
+    }
+}
+
 static void send_slow(link_t *link) {
-    link_send_to_heard(link, link_send_status);
-    link_send_to_heard(link, link_send_battery);
+    send_regularly(link, link_send_status);
+    send_regularly(link, link_send_battery);
     if (link->status->imu->counters.frames != 0) {
-        link_send_to_heard(link, link_send_attitude);
+        send_regularly(link, link_send_attitude);
     }
 }
 
@@ -65,9 +80,9 @@ void link_telemetry(link_t *link) {
     }
     const int32_t rate_hz = params_whole(link->params, PARAM_TLM_RATE_HZ);
     if (rate_hz > 0 && is_due(&link->next_live_us, now_us, SECOND_US / (uint32_t)rate_hz)) {
-        link_send_to_heard(link, link_send_live);
+        send_regularly(link, link_send_live);
     }
     if (is_due(&link->next_health_us, now_us, HEALTH_PERIOD_US)) {
-        link_send_to_heard(link, link_send_health);
+        send_regularly(link, link_send_health);
     }
 }

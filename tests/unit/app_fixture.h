@@ -19,7 +19,7 @@ static bool host_alive;      /* heartbeats of the host that armed keep coming */
 static bool camera_on;       /* a vision sample every 40 ms */
 static float swim_speed_m_s; /* what the camera sees */
 
-static void fixture_reset(void) {
+static inline void fixture_reset(void) {
     mock_hal_init(&hal);
     host_alive = true;
     camera_on = true;

@@ -17,8 +17,8 @@ static uint8_t reply[FTP_PAYLOAD_BYTES];
 static uint16_t seq;
 static ftp_host_t host;
 
-static const ftp_host_t laptop = {255, 190, HAL_PORT_RADIO};
-static const ftp_host_t stranger = {250, 190, HAL_PORT_CONSOLE};
+static const ftp_host_t laptop = {255, 190, HAL_PORT_RADIO, true};
+static const ftp_host_t stranger = {250, 190, HAL_PORT_CONSOLE, true};
 
 static inline void put_file(const char *path, size_t length) {
     static uint8_t bytes[20000];

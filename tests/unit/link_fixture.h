@@ -19,7 +19,7 @@ static imu_t imu;
 
 /* What the application's side was asked. */
 static link_command_t last_command;
-static uint32_t commands, visions, heartbeats;
+static uint32_t commands, visions, heartbeats, key_settings;
 static fault_t verdict; /* on the next command or parameter */
 static link_vision_t last_vision;
 static uint8_t last_heartbeat_system;
@@ -44,6 +44,14 @@ static inline void on_vision(void *context, const link_vision_t *sample) {
     (void)context;
     last_vision = *sample;
     visions++;
+}
+
+static inline fault_t on_set_key(void *context, const uint8_t *key, uint64_t time) {
+    (void)context;
+    (void)key;
+    (void)time;
+    key_settings++;
+    return verdict;
 }
 
 static inline void on_heartbeat(void *context, hal_port_t port, uint8_t system, uint8_t component) {
@@ -75,7 +83,14 @@ static inline void send_heartbeat(hal_port_t port, uint8_t type, uint8_t system)
 
 /* Starts with a host heard on the radio, nothing due, nothing in the inbox. */
 void setUp(void) {
-    const link_handlers_t handlers = {&board, on_command, on_param_set, on_vision, on_heartbeat};
+    const link_handlers_t handlers = {
+        .context = &board,
+        .command = on_command,
+        .param_set = on_param_set,
+        .vision = on_vision,
+        .set_key = on_set_key,
+        .heartbeat = on_heartbeat,
+    };
     peer_reset();
     memset(&store, 0, sizeof store);
     memset(&status, 0, sizeof status);
@@ -89,7 +104,7 @@ void setUp(void) {
     status.speed_m_s = NAN;
     link_init(&board, &hal, &store, &params, &handlers);
     verdict = FAULT_NONE;
-    commands = visions = heartbeats = 0;
+    commands = visions = heartbeats = key_settings = 0;
     send_heartbeat(HAL_PORT_RADIO, MAV_TYPE_GCS, PEER_SYSTEM);
     poll_at(1000000);
     drain();

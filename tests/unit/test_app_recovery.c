@@ -107,8 +107,11 @@ static void test_an_unattended_board_stays_armed(void) {
 
 static void test_a_start_from_an_earlier_boot_is_stale(void) {
     arm();
-    const link_command_t request = {
-        .id = LINK_COMMAND_START, .trial = app.next_trial, .issued_s = 500.0f};
+    const link_command_t request = {.id = LINK_COMMAND_START,
+                                    .trial = app.next_trial,
+                                    .issued_s = 500.0f,
+                                    .port = HAL_PORT_RADIO,
+                                    .system = HOST_SYSTEM};
     TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
     TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
 }

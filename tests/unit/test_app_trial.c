@@ -95,7 +95,11 @@ static void test_a_start_must_be_fresh_and_for_the_next_trial(void) {
     TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, command(LINK_COMMAND_START, app.next_trial));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL(FAULT_TRIAL_NUMBER, command(LINK_COMMAND_START, app.next_trial + 1u));
-    link_command_t request = {.id = LINK_COMMAND_START, .trial = app.next_trial, .issued_s = 2.9f};
+    link_command_t request = {.id = LINK_COMMAND_START,
+                              .trial = app.next_trial,
+                              .issued_s = 2.9f,
+                              .port = HAL_PORT_RADIO,
+                              .system = HOST_SYSTEM};
     TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
     request.issued_s = NAN;
     TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
@@ -210,7 +214,9 @@ static void test_a_low_battery_does_not_arm_and_a_critical_one_stops(void) {
     start_trial(BEATS, SPEED);
     run_ms(1500);
     hal.battery_mv = 5900;
-    run_ms(40);
+    run_ms(960);
+    TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
+    run_ms(80);
     TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
     TEST_ASSERT_EQUAL(FAULT_BATTERY_CRITICAL, app.supervisor.reason);
 }
@@ -222,6 +228,23 @@ static void test_a_second_trial_of_the_same_board_starts_afresh(void) {
     TEST_ASSERT_EQUAL(2, app.run.trial.number);
     TEST_ASSERT_EQUAL(2, app.run.trial.iteration);
     TEST_ASSERT_EQUAL(BEATS, app.run.trial.executed);
+}
+
+/* They would lie in open slots; nobody measures the time to come. */
+static void test_speeds_of_a_time_to_come_are_dropped(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(3000);
+    const uint32_t early = app.run.speed.counters.early;
+    const uint32_t accepted = app.run.speed.counters.accepted;
+    link_vision_t sample = {.speed_m_s = 0.3f, .sigma_m_s = 0.001f};
+    sample.time_us = hal.now_us + 1000000u;
+    app.link.handlers.vision(app.link.handlers.context, &sample);
+    sample.time_us = hal.now_us + 4000000u;
+    app.link.handlers.vision(app.link.handlers.context, &sample);
+    TEST_ASSERT_EQUAL_UINT32(early + 2u, app.run.speed.counters.early);
+    sample.time_us = hal.now_us + 300000u; /* a clock that is a little ahead */
+    app.link.handlers.vision(app.link.handlers.context, &sample);
+    TEST_ASSERT_EQUAL_UINT32(accepted + 1u, app.run.speed.counters.accepted);
 }
 
 int main(void) {
@@ -244,5 +267,6 @@ int main(void) {
     RUN_TEST(test_an_unattended_trial_swims_to_its_end);
     RUN_TEST(test_a_low_battery_does_not_arm_and_a_critical_one_stops);
     RUN_TEST(test_a_second_trial_of_the_same_board_starts_afresh);
+    RUN_TEST(test_speeds_of_a_time_to_come_are_dropped);
     return UNITY_END();
 }

@@ -180,6 +180,68 @@ static void test_a_second_host_waits_for_the_first(void) {
     expect_nak(FTP_INVALID_SESSION);
 }
 
+/* Who has the key need not wait for who has not; the other way round he does. */
+static void test_a_trusted_host_goes_first(void) {
+    put_file("/trials/0001.ulg", 1000);
+    host.trusted = false;
+    uint8_t session = open_ro("/trials/0001.ulg");
+    TEST_ASSERT_FALSE(ask(FTP_OP_BURST, session, 0, NULL, 239));
+    host = stranger;
+    session = open_ro("/trials/0001.ulg");
+    TEST_ASSERT_FALSE(ftp_server_burst(&ftp, reply));
+    host = laptop;
+    host.trusted = false;
+    ask_path(FTP_OP_OPEN_RO, "/trials/0001.ulg");
+    expect_nak(FTP_NO_SESSIONS);
+    TEST_ASSERT_TRUE(ask(FTP_OP_TERMINATE, session, 0, NULL, 0));
+    expect_nak(FTP_INVALID_SESSION);
+    host = stranger;
+    TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
+    expect_ack();
+    host.trusted = false; /* the same address, but nobody knows by whom */
+    TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
+    expect_nak(FTP_INVALID_SESSION);
+}
+
+static void test_who_is_not_trusted_only_reads(void) {
+    static const uint8_t writing[] = {FTP_OP_CREATE, FTP_OP_OPEN_WO, FTP_OP_WRITE, FTP_OP_REMOVE};
+    put_file("/in/speeds.bin", 10);
+    host.trusted = false;
+    const uint8_t session = open_ro("/in/speeds.bin");
+    const uint32_t writes = hal.flash_writes;
+    for (uint32_t opcode = 0; opcode < 32; opcode++) {
+        fill((uint8_t)opcode, session, 0, "/in/speeds.bin", 14);
+        TEST_ASSERT_EQUAL(memchr(writing, (int)opcode, sizeof writing) != NULL,
+                          ftp_server_needs_trust(request));
+    }
+    for (uint32_t i = 0; i < sizeof writing; i++) {
+        TEST_ASSERT_TRUE(ask(writing[i], session, 0, "/in/speeds.bin", 14));
+        expect_nak(FTP_PROTECTED);
+    }
+    TEST_ASSERT_EQUAL_UINT32(writes, hal.flash_writes);
+    TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
+    expect_ack();
+}
+
+/* His reset does not make the board forget what it did for the one it trusts. */
+static void test_a_strangers_reset(void) {
+    const uint8_t session = create("/in/speeds.bin");
+    TEST_ASSERT_TRUE(ask(FTP_OP_WRITE, session, 0, "abc", 3));
+    uint8_t last[FTP_PAYLOAD_BYTES];
+    memcpy(last, request, sizeof last);
+    const uint32_t writes = hal.flash_writes;
+    host = stranger;
+    host.trusted = false;
+    TEST_ASSERT_TRUE(ask(FTP_OP_RESET, 0, 0, NULL, 0));
+    expect_ack();
+    TEST_ASSERT_TRUE(ftp.open && ftp.have_last);
+    host = laptop;
+    memcpy(request, last, sizeof last);
+    TEST_ASSERT_TRUE(send());
+    expect_ack();
+    TEST_ASSERT_EQUAL_UINT32(writes, hal.flash_writes);
+}
+
 static void test_a_running_burst_is_not_silence(void) {
     put_file("/trials/0001.ulg", 1000);
     const uint8_t session = open_ro("/trials/0001.ulg");
@@ -207,8 +269,24 @@ static void test_while_swimming_nothing_is_written(void) {
     expect_nak(FTP_PROTECTED);
     ask_path(FTP_OP_CRC32, "/trials/0002.ulg");
     expect_nak(FTP_PROTECTED);
+    TEST_ASSERT_TRUE(ask(FTP_OP_TERMINATE, session, 0, NULL, 0));
+    expect_nak(FTP_PROTECTED);
+    ask_path(FTP_OP_OPEN_RO, "/trials/0001.ulg");
+    expect_nak(FTP_NO_SESSIONS);
     TEST_ASSERT_EQUAL(writes, hal.flash_writes);
-    open_ro("/trials/0001.ulg");
+}
+
+static void test_an_upload_ends_where_a_trial_begins(void) {
+    put_file("/trials/0001.ulg", 10);
+    (void)create("/in/speeds.bin");
+    ftp_server_end_upload(&ftp);
+    const uint32_t writes = hal.flash_writes;
+    ftp.conditions.read_only = true;
+    const uint8_t session = open_ro("/trials/0001.ulg");
+    ftp_server_end_upload(&ftp);
+    TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 10));
+    expect_ack();
+    TEST_ASSERT_EQUAL(writes, hal.flash_writes);
 }
 
 static const uint8_t block[200];
@@ -331,8 +409,12 @@ int main(void) {
     RUN_TEST(test_what_looks_alike_is_not_repeated);
     RUN_TEST(test_reset_forgets_the_last_answer);
     RUN_TEST(test_a_second_host_waits_for_the_first);
+    RUN_TEST(test_a_trusted_host_goes_first);
+    RUN_TEST(test_who_is_not_trusted_only_reads);
+    RUN_TEST(test_a_strangers_reset);
     RUN_TEST(test_a_running_burst_is_not_silence);
     RUN_TEST(test_while_swimming_nothing_is_written);
+    RUN_TEST(test_an_upload_ends_where_a_trial_begins);
     RUN_TEST(test_a_full_board_says_so);
     RUN_TEST(test_flash_that_fails);
     RUN_TEST(test_a_store_that_is_not_there);

@@ -259,6 +259,10 @@ static void test_ftp_bursts_as_the_line_allows(void) {
     poll();
     peer_collect(HAL_PORT_RADIO);
     TEST_ASSERT_EQUAL(0, peer_count(MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL));
+    hal.tx_limit = LINK_LINE_MIN_BYTES - 1u; /* room for a whole block asked for meanwhile */
+    send_ftp(5, 3, session, NULL);
+    TEST_ASSERT_EQUAL(1, peer_count(MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL));
+    TEST_ASSERT_TRUE(board.ftp.bursting);
     hal.tx_limit = LINK_LINE_MIN_BYTES;
     uint32_t packets = 0;
     for (uint32_t i = 0; i < 30; i++) {
