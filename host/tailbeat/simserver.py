@@ -1,5 +1,5 @@
-"""A simulated or emulated board as a process: the radio on a TCP port, the camera on another, the
-console on a pty, in real time times a factor.
+"""A simulated or emulated board as a process: the radio on a TCP port, the camera on the next, the
+wired console on the one after and on a pty, in real time times a factor.
 
 The board goes on swimming when a client drops, as a real one would, and takes the next client
 without a restart.
@@ -31,6 +31,8 @@ _STEP_MAX_S = 0.05  # wall time spent on the board before the ports are looked a
 _PIECE_S = 0.02  # simulated time run at once
 _PACE_SPAN_S = 5.0  # wall time over which the pace is judged
 _PACE_MIN = 0.95  # of the wanted one
+_PORTS = 3  # in a row
+_PORT_MAX = 65536 - _PORTS
 
 
 class _Client:
@@ -170,11 +172,17 @@ class Addresses:
 
     listen: str
     camera: str
+    console: str
     pty: str | None
 
     def as_dict(self) -> dict[str, str | None]:
         """For ``--json``."""
-        return {"listen": self.listen, "camera": self.camera, "pty": self.pty}
+        return {
+            "listen": self.listen,
+            "camera": self.camera,
+            "console": self.console,
+            "pty": self.pty,
+        }
 
 
 class SimServer:
@@ -196,7 +204,7 @@ class SimServer:
         self._board = board
         self._speed = speed
         self._selector = selectors.DefaultSelector()
-        self._radio, self._camera = _two_ports(self._selector, host, port)
+        self._radio, self._camera, self._console = _ports(self._selector, host, port)
         self._pty = _Pty(self._selector) if pty else None
         self._wall_s = wall_s
         self._on_slow: Callable[[float], None] | None = on_slow
@@ -210,6 +218,7 @@ class SimServer:
         return Addresses(
             f"tcp:{self._radio.host}:{self._radio.number}",
             f"tcp:{self._camera.host}:{self._camera.number}",
+            f"tcp:{self._console.host}:{self._console.number}",
             self._pty.path if self._pty else None,
         )
 
@@ -223,6 +232,7 @@ class SimServer:
         for key, _ in self._selector.select(_STEP_S):
             key.data()
         self._board.write(self._radio.read(), RADIO)
+        self._board.write(self._console.read(), CONSOLE)
         if self._pty is not None:
             self._board.write(self._pty.read(), CONSOLE)
         self._advance()
@@ -256,9 +266,10 @@ class SimServer:
     def _deliver(self) -> None:
         if data := self._board.read(RADIO):
             self._radio.write(data)
-        console = self._board.read(CONSOLE)
-        if console and self._pty is not None:
-            self._pty.write(console)
+        if console := self._board.read(CONSOLE):
+            self._console.write(console)
+            if self._pty is not None:
+                self._pty.write(console)
         frames = self._board.camera_frames()
         board_s = self._board.board_time_s
         if board_s > 0:  # before that its clock does not run
@@ -277,8 +288,8 @@ class SimServer:
 
     def close(self) -> None:
         """Gives the ports up."""
-        self._radio.close()
-        self._camera.close()
+        for port in (self._radio, self._camera, self._console):
+            port.close()
         if self._pty is not None:
             self._pty.close()
         self._selector.close()
@@ -288,22 +299,26 @@ def parse_listen(listen: str) -> tuple[str, int]:
     """``tcp:HOST:PORT`` to (host, port); port 0 = any that is free."""
     kind, _, rest = listen.partition(":")
     host, _, port = rest.rpartition(":")
-    if kind != "tcp" or not host or not port.isdigit() or int(port) > 65534:
+    if kind != "tcp" or not host or not port.isdigit() or int(port) > _PORT_MAX:
         raise InputError(f"'{listen}' is no place to listen.", f"Write it like {DEFAULT_LISTEN}.")
     return host.strip("[]"), int(port)
 
 
-def _two_ports(selector: selectors.BaseSelector, host: str, port: int) -> tuple[_Port, _Port]:
-    """Radio on ``port``, camera on the next one; with port 0 any free pair of neighbours."""
+def _ports(selector: selectors.BaseSelector, host: str, port: int) -> list[_Port]:
+    """Radio on ``port``, camera and console on the next ones; with port 0 any free neighbours."""
     for _ in range(50):
-        radio = _Port(selector, host, port)
+        ports: list[_Port] = []
         try:
-            return radio, _Port(selector, host, radio.number + 1)
+            for number in range(_PORTS):
+                ports.append(_Port(selector, host, ports[0].number + number if ports else port))
         except (ConnectError, OverflowError):
-            radio.close()
+            for opened in ports:
+                opened.close()
             if port != 0:
                 raise
-    raise ConnectError("no two free ports in a row.", "Name one: --listen tcp:127.0.0.1:5760")
+        else:
+            return ports
+    raise ConnectError("no free ports in a row.", "Name one: --listen tcp:127.0.0.1:5760")
 
 
 def _listener(host: str, port: int) -> socket.socket:

@@ -20,11 +20,16 @@ from tailbeat.errors import ConnectError, InputError, TailbeatError
 from tailbeat.experiment import Experiment
 from tailbeat.fish import Fish
 from tailbeat.flashing import Backup, FlashError, FlashPlan, FlashReport, Surroundings, flash
+from tailbeat.flashing.keep import key_warning
 from tailbeat.flashing.ports import BoardPort, PortKind
 from tailbeat.flashing.programs import Outcome, run_program
-from tailbeat.transport.simulated import FLASH_BYTES, SimBoard, SimTransport
+from tailbeat.keys import KeyStore
+from tailbeat.provision import HELD, OPEN, set_key, trust_of
+from tailbeat.transport.simulated import CONSOLE, FLASH_BYTES, RADIO, SimBoard, SimTransport
 
 ACM, USB = "/dev/ttyACM0", "/dev/ttyACM1"
+
+Command = Callable[..., tuple[int, str, str]]
 
 # Both fakes read and change the chip's state in a file beside them. What they model of the chip:
 # whatever opens the programming port resets it, and a reset that comes with the setting of the boot
@@ -194,7 +199,7 @@ class Due:
             self.board.flash = b"\xff" * FLASH_BYTES
             self.state(stored=True)
         self.board.power_cycle()
-        return SimTransport(self.board)
+        return SimTransport(self.board, CONSOLE if url == ACM else RADIO)
 
     def around(self, **changes: Any) -> Surroundings:
         values: dict[str, Any] = {
@@ -206,12 +211,19 @@ class Due:
         }
         return Surroundings(**(values | changes))
 
-    def flash(self, image: Path, around: Surroundings | None = None, **plan: Any) -> FlashReport:
+    def flash(
+        self,
+        image: Path,
+        around: Surroundings | None = None,
+        tell: Callable[[str], None] = lambda line: None,
+        **plan: Any,
+    ) -> FlashReport:
         plan = {"out": self.folder / "backups"} | plan
         return flash(
             FlashPlan(image, **plan),
             lambda at, text: self.steps.append((at, text)),
             around or self.around(),
+            tell,
         )
 
 
@@ -312,6 +324,63 @@ def test_what_comes_back_lasts(due: Due, taught: Content, image: Path) -> None:
     due.board.power_cycle()
     now = on_board(due)
     assert (now.params, now.learned) == (taught.params, taught.learned)
+
+
+@pytest.fixture
+def keyed(due: Due, taught: Content) -> KeyStore:
+    """The board has a key, and so has this computer."""
+    with Fish(SimTransport(due.board, CONSOLE)) as fish:
+        set_key(fish)
+    return KeyStore()
+
+
+@pytest.mark.usefixtures("keyed")
+def test_the_key_comes_back(due: Due, taught: Content, image: Path) -> None:
+    told: list[str] = []
+    report = due.flash(image, tell=told.append)
+    assert (report.verified, report.not_restored, told) == (True, [], [])
+    assert report.restored[-1] == "its key"
+    assert report.backup is not None
+    assert Backup.read(report.backup).signed
+    assert not list(report.backup.rglob("*key*"))
+    now = on_board(due)
+    assert (now.params, now.learned) == (taught.params, taught.learned)
+    with Fish(SimTransport(due.board)) as fish:
+        fish.clock.sync()
+        assert trust_of(fish) == HELD
+
+
+def test_the_key_does_not_come_back_by_radio(
+    due: Due, keyed: KeyStore, image: Path, command: Command
+) -> None:
+    del keyed
+    backup = due.flash(image).backup
+    due.board.flash = b"\xff" * FLASH_BYTES
+    due.board.power_cycle()
+    _, out, _ = command("--restore", str(backup), "--connect", "radio")
+    assert "not restored: the key (the key can only be set over the wired port)" in out
+    status, out, err = command("--restore", str(backup), "--connect", ACM)
+    assert (status, err.count("\n")) == (0, 1)
+    assert "this computer has its key" in err
+    assert out.rstrip().endswith("its key")
+
+
+def test_a_key_that_went_missing_meanwhile_is_told(due: Due, keyed: KeyStore, image: Path) -> None:
+    due.on_touch = lambda: keyed.forget(keyed.find(None))
+    report = due.flash(image)
+    assert report.not_restored == [
+        "the key (this computer has not got it); set one: tailbeat key set"
+    ]
+    with Fish(SimTransport(due.board)) as fish:
+        fish.clock.sync()
+        assert trust_of(fish) == OPEN
+
+
+def test_a_stranger_is_warned_before_the_key_goes(due: Due, keyed: KeyStore) -> None:
+    keyed.forget(keyed.find(None))
+    with Fish(SimTransport(due.board)) as fish:
+        fish.clock.sync()
+        assert "after flashing it has none" in (key_warning(fish) or "")
 
 
 def test_learning_goes_on_where_it_was(due: Due, taught: Content, image: Path) -> None:
@@ -478,7 +547,7 @@ def test_a_silent_board(due: Due, image: Path) -> None:
     due.state(broken=["boot"])
     error = untouched(due, image)
     assert "does not answer, so what it holds cannot be saved" in error.message
-    assert error.remedy.startswith("Check that it is switched on")
+    assert error.remedy.startswith("Nothing was heard. Check that it is switched on")
     assert "--no-keep" in error.remedy
 
 
@@ -680,7 +749,7 @@ def test_the_link_breaks_while_restoring(
 
     monkeypatch.setattr(Fish, "upload_reference", cut)
     error = broken(due, image)
-    assert "but has not all of its content back (the board does not answer" in error.message
+    assert "but has not all of its content back (the board on sim:tank" in error.message
     assert error.remedy.startswith("What the board held goes back with: tailbeat flash --restore")
 
 
@@ -698,9 +767,6 @@ def command(
         return (status, *capsys.readouterr())
 
     return call
-
-
-Command = Callable[..., tuple[int, str, str]]
 
 
 def test_quiet_when_all_is_well(due: Due, image: Path, command: Command) -> None:

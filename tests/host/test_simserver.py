@@ -12,8 +12,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from tailbeat.errors import ConnectError, InputError
+from tailbeat.errors import ConnectError, InputError, Refused
 from tailbeat.fish import Fish
+from tailbeat.provision import connect_notice, set_key
 from tailbeat.simserver import SimServer, parse_listen
 from tailbeat.transport.simulated import SimBoard
 
@@ -22,8 +23,8 @@ PATIENCE_S = 30.0
 
 
 @contextmanager
-def running(pty: bool = False) -> Iterator[SimServer]:
-    server = SimServer(SimBoard("tank"), "tcp:127.0.0.1:0", pty, SPEED)
+def running(pty: bool = False, speed: float = SPEED) -> Iterator[SimServer]:
+    server = SimServer(SimBoard("tank"), "tcp:127.0.0.1:0", pty, speed)
     stop = threading.Event()
     thread = threading.Thread(target=server.serve, args=(stop.is_set,))
     thread.start()
@@ -87,6 +88,33 @@ def test_camera_is_on_the_next_port() -> None:
         assert parse_listen(server.addresses.camera)[1] == radio + 1
 
 
+def test_console_is_on_the_port_after_that() -> None:
+    with running() as server:
+        radio = parse_listen(server.addresses.listen)[1]
+        assert parse_listen(server.addresses.console)[1] == radio + 2
+        with (
+            Fish.connect(server.addresses.console) as wire,
+            Fish.connect(server.addresses.listen) as fish,
+        ):
+            wire.params.set("LAW_GAIN", 5.0)
+            assert fish.params.get("LAW_GAIN").value == 5.0
+
+
+def test_a_key_by_the_console_and_a_signed_session() -> None:
+    with running(speed=4.0) as server:  # a frame older than 10 s of the board's time is refused
+        with Fish.connect(server.addresses.console) as wire:
+            with pytest.raises(Refused), Fish.connect(server.addresses.listen) as fish:
+                set_key(fish)
+            set_key(wire)
+        for number in range(3):
+            with Fish.connect(server.addresses.listen) as fish:
+                fish.params.set("LAW_LEAD", number)
+                fish.link.run(0.2)
+                assert fish.params.get("LAW_LEAD").value == number
+                assert connect_notice(fish) is None
+                assert fish.health()["refused_unsigned"] == 0  # connecting asks nothing unsigned
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
 def test_console_on_a_pty() -> None:
     with running(pty=True) as server:
@@ -147,7 +175,9 @@ def test_a_board_that_falls_behind_is_told_once(cost: float, slow: list[float]) 
     assert board.time_s == pytest.approx(11.0 * min(10.0, 1 / cost), rel=0.1)
 
 
-@pytest.mark.parametrize("text", ["", "udp:1.2.3.4:5", "tcp:5760", "tcp:h:x", "tcp:h:99999"])
+@pytest.mark.parametrize(
+    "text", ["", "udp:1.2.3.4:5", "tcp:5760", "tcp:h:x", "tcp:h:99999", "tcp:h:65534"]
+)
 def test_places_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match="no place to listen"):
         parse_listen(text)

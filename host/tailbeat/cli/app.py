@@ -7,10 +7,13 @@ from typing import Annotated
 import typer
 
 from tailbeat.cli import (
+    bluetooth,
     board,
+    doctor,
     experiment,
     flash,
     imu,
+    key,
     learn,
     params,
     reference,
@@ -51,6 +54,7 @@ app.command()(simulate.demo)
 app.command()(simulate.sim)
 app.command()(simulate.vboard)
 app.command()(board.info)
+app.command()(doctor.doctor)
 app.add_typer(params.app, name="params")
 app.add_typer(reference.app, name="reference")
 app.command()(board.arm)
@@ -64,6 +68,8 @@ app.command()(board.watch)
 app.command()(board.crash)
 app.add_typer(imu.app, name="imu")
 app.command()(vn100.vn100)
+app.add_typer(key.app, name="key")
+app.add_typer(bluetooth.app, name="bluetooth")
 app.command()(flash.flash)
 app.command()(simulate.selftest)
 app.add_typer(experiment.app, name="experiment")

@@ -33,11 +33,14 @@ Connect = Annotated[
 
 
 @contextmanager
-def connected(url: str | None) -> Iterator[Fish]:
-    """A fish for the length of a command."""
+def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
+    """A fish for the length of a command. ``notice``: tell on stderr when its key is missing."""
     from tailbeat.fish import Fish
+    from tailbeat.provision import connect_notice
 
     with Fish.connect(url) as fish:
+        if notice and (line := connect_notice(fish)):
+            typer.echo(f"tailbeat: {line}", err=True)
         yield fish
 
 

@@ -68,7 +68,9 @@ def flash(
 
     plan = FlashPlan(image, port or None, tool.value, keep, out, connect, adapter)
     with progress_bar(json, "flash") as show:
-        report = write_image(plan, show)
+        report = write_image(
+            plan, show, tell=lambda line: typer.echo(f"tailbeat: {line}", err=True)
+        )
     say(json, report, lambda: _flash_text(report))
 
 

@@ -115,7 +115,8 @@ def sim(
     settings: Set = None,
     json: Json = False,
 ) -> None:
-    """A simulated fish for other programs, until Ctrl-C; its camera is on the next port.
+    """A simulated fish for other programs, until Ctrl-C; its camera and its wired console are on
+    the next two ports.
 
     Example: tailbeat sim --plant tank --speed 10 --set kappa_per_m=5
     """
@@ -177,7 +178,8 @@ def _serve(
 def _serve_text(what: str, speed: float, at: Addresses) -> str:
     pace = "" if speed == 1 else f" at {speed:g} x real time"
     line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
-    return line + (f"\nconsole on {at.pty}" if at.pty else "") + f"\ncamera on {at.camera}"
+    console = at.console + (f" and {at.pty}" if at.pty else "")
+    return f"{line}\nconsole on {console}\ncamera on {at.camera}"
 
 
 def selftest(

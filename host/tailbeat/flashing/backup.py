@@ -23,7 +23,9 @@ _RECORDS = ("reference", "learned", "crash")
 
 @dataclass(frozen=True)
 class Backup:
-    """The content of a board. Records are bytes as in docs/protocol.md; None = it had none."""
+    """The content of a board. Records are bytes as in docs/protocol.md; None = it had none.
+
+    ``signed``: it had a key. The key itself is not in it: no board gives it away."""
 
     unique_id: str
     build_id: str
@@ -32,6 +34,7 @@ class Backup:
     reference: bytes | None = None
     learned: bytes | None = None
     crash: bytes | None = None
+    signed: bool = False
     made: str = field(default="", compare=False)
 
     def write(self, folder: Path) -> None:
@@ -57,6 +60,7 @@ class Backup:
             "build_id": self.build_id,
             "next_trial": self.next_trial,
             "params": self.params,
+            "signed": self.signed,
             "records": [name for name in _RECORDS if getattr(self, name) is not None],
         }
 
@@ -77,6 +81,7 @@ class Backup:
                 build_id=str(document["build_id"]),
                 params={str(name): float(v) for name, v in document["params"].items()},
                 next_trial=int(document["next_trial"]),
+                signed=bool(document.get("signed", False)),
                 made=str(document["made"]),
                 **records,
             )

@@ -11,6 +11,7 @@ from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment, list_experiments
 from tailbeat.fish import Fish
 from tailbeat.flashing.backup import Backup, new_folder
+from tailbeat.provision import MISSING, trust_of
 from tailbeat.results import TrialFile
 
 OnStep = Callable[[float, str], None]
@@ -44,6 +45,7 @@ def keep(fish: Fish, out: Path, on_step: OnStep, experiments: Path = EXPERIMENTS
         reference=fish.reference_record(),
         learned=fish.learned_record(),
         crash=fish.crash_record(),
+        signed=bool(fish.link.signing.signs),
     )
     backup.write(folder)
     trials = _pull_trials(fish, out, folder / "trials", experiments, on_step)
@@ -71,6 +73,16 @@ def require_quiet(fish: Fish, wipes: bool) -> None:
             " back onto the board",
             "Finish it first: tailbeat learn, or tailbeat trial discard",
         )
+
+
+def key_warning(fish: Fish) -> str | None:
+    """What to know before the board's key is erased; None when it comes back, or there is none."""
+    if trust_of(fish) != MISSING:
+        return None
+    return (
+        "the board has a key that this computer has not: after flashing it has none, and anyone in"
+        " radio range can move its tail"
+    )
 
 
 def _root(out: Path) -> Path:

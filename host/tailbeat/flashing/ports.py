@@ -7,12 +7,12 @@ import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 from typing import Protocol
 
 import serial
 
 from tailbeat.errors import ConnectError, reason
+from tailbeat.transport.portaccess import holders
 from tailbeat.transport.serialport import BAUD, ERASE_BAUD
 
 
@@ -104,29 +104,6 @@ def require_free(device: str) -> None:
             f"{device} is in use by {', '.join(users)}",
             "Close that program: bytes it takes from the port are missing here.",
         )
-
-
-def holders(device: str, proc: Path = Path("/proc")) -> list[str]:
-    """Other programs that have ``device`` open, as "name (pid)". Linux; empty elsewhere."""
-    target = os.path.realpath(device)
-    found = []
-    for process in sorted(proc.glob("[0-9]*"), key=lambda path: int(path.name)):
-        if int(process.name) == os.getpid() or not _has_open(process, target):
-            continue
-        name = process.name
-        with contextlib.suppress(OSError):
-            name = (process / "comm").read_text(errors="replace").strip()
-        found.append(f"{name} ({process.name})")
-    return found
-
-
-def _has_open(process: Path, target: str) -> bool:
-    with contextlib.suppress(OSError):  # it ended, or belongs to somebody else
-        for descriptor in (process / "fd").iterdir():
-            with contextlib.suppress(OSError):
-                if str(descriptor.readlink()) == target:
-                    return True
-    return False
 
 
 def touch(port: BoardPort) -> None:

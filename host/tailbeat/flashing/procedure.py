@@ -16,7 +16,7 @@ from tailbeat.errors import ConnectError, LinkLostError, TailbeatError, reason
 from tailbeat.fish import Fish
 from tailbeat.flashing import bossac, openocd, ports
 from tailbeat.flashing.image import Image
-from tailbeat.flashing.keep import Kept, OnStep, keep, require_quiet
+from tailbeat.flashing.keep import Kept, OnStep, keep, key_warning, require_quiet
 from tailbeat.flashing.ports import BoardPort, Enumerate, PortKind
 from tailbeat.flashing.programs import Run, require_program, run_program
 from tailbeat.flashing.putback import put_back
@@ -93,16 +93,25 @@ def flash(
     plan: FlashPlan,
     on_step: OnStep = lambda fraction, text: None,
     around: Surroundings | None = None,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> FlashReport:
-    """Flashes as planned. Raises TailbeatError while nothing has been changed, then FlashError."""
-    return _Flashing(plan, on_step, around or Surroundings()).run()
+    """Flashes as planned. ``tell``: what a person should know before the erase. Raises
+    TailbeatError while nothing has been changed, then FlashError."""
+    return _Flashing(plan, on_step, around or Surroundings(), tell).run()
 
 
 class _Flashing:
     """One run of the procedure."""
 
-    def __init__(self, plan: FlashPlan, on_step: OnStep, around: Surroundings) -> None:
+    def __init__(
+        self,
+        plan: FlashPlan,
+        on_step: OnStep,
+        around: Surroundings,
+        tell: Callable[[str], None],
+    ) -> None:
         self._plan = plan
+        self._tell = tell
         self._on_step = on_step
         self._around = around
         self._image = Image.load(plan.image)
@@ -171,7 +180,10 @@ class _Flashing:
             self._accept_silence(address, error)
             return
         with fish:
-            require_quiet(fish, wipes=self._plan.tool == BOSSAC)
+            wipes = self._plan.tool == BOSSAC
+            require_quiet(fish, wipes)
+            if wipes and (warning := key_warning(fish)):
+                self._tell(warning)
             self._kept = keep(
                 fish, self._plan.out, lambda at, text: self._on_step(0.1 + 0.4 * at, text)
             )

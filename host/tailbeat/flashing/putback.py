@@ -10,6 +10,7 @@ from functools import partial
 from tailbeat.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.fish import Fish
 from tailbeat.flashing.backup import Backup
+from tailbeat.provision import OPEN, give_back, key_for, trust_of
 from tailbeat.results import BoardStatus
 
 
@@ -36,6 +37,8 @@ def put_back(fish: Fish, backup: Backup) -> Restored:
     _reference(fish, backup, result)
     _learned(fish, backup, result)
     _trial_numbers(backup.next_trial, fish.status().next_trial, result)
+    if backup.signed and trust_of(fish) == OPEN:
+        _key(fish, backup.unique_id, result)
     return result
 
 
@@ -89,6 +92,14 @@ def _trial_numbers(was: int, now: int, result: Restored) -> None:
         result.missing.append(
             f"the trial numbers: the next is {now}, not {was}; begin a new experiment folder"
         )
+
+
+def _key(fish: Fish, board: str, result: Restored) -> None:
+    """The one that this computer has for the board the backup is of."""
+    if fish.unique_id() != board or key_for(fish.link.signing.store, board) is None:
+        result.missing.append("the key (this computer has not got it); set one: tailbeat key set")
+    elif _try(result, "the key", partial(give_back, fish, board)):
+        result.back.append("its key")
 
 
 def _try(result: Restored, what: str, action: Callable[[], object]) -> bool:
