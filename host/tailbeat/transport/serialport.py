@@ -11,7 +11,8 @@ from collections.abc import Iterator
 import serial
 from serial.tools import list_ports
 
-from tailbeat.errors import ConnectError, InputError, LinkLostError, reason
+from tailbeat.errors import InputError, LinkLostError
+from tailbeat.transport.portaccess import cannot_open
 
 BAUD = 115200
 ERASE_BAUD = 1200
@@ -25,8 +26,7 @@ class SerialTransport:
     programming port erases the board."""
 
     def __init__(self, path: str, baud: int = BAUD) -> None:
-        if baud == ERASE_BAUD:
-            raise InputError("1200 baud would erase the board", f"Use {BAUD}.")
+        _refuse_erasing(baud)
         self.name = path
         self._path = path
         self._baud = baud
@@ -45,12 +45,18 @@ class SerialTransport:
         try:
             port.open()
         except (OSError, serial.SerialException) as error:
-            raise ConnectError(
-                f"cannot open {self._path} ({reason(error)})",
-                "Check the cable, that no other program holds the port, and that you may use it"
-                " (on Linux: group dialout).",
-            ) from error
+            raise cannot_open(self._path, error) from error
         self._port = port
+
+    def set_baud(self, baud: int) -> None:
+        """Another speed from now on; what has come in is dropped. 1200 baud is refused."""
+        _refuse_erasing(baud)
+        self._baud = baud
+        try:
+            self._open_port().baudrate = baud
+            self._open_port().reset_input_buffer()
+        except (OSError, ValueError, serial.SerialException) as error:
+            raise self._lost() from error
 
     def read(self) -> bytes:
         """All that has arrived."""
@@ -115,13 +121,23 @@ class SerialTransport:
         )
 
 
+def _refuse_erasing(baud: int) -> None:
+    if baud == ERASE_BAUD:
+        raise InputError("1200 baud would erase the board", f"Use {BAUD}.")
+
+
 def likely_ports() -> Iterator[str]:
     """Serial ports that look like a fish: the board's own USB ids, or its radio."""
     for port in list_ports.comports():
-        text = f"{port.device} {port.description} {port.name}".lower()
+        text = f"{port.device} {port.description} {port.name}"
         due = port.vid == _DUE_VENDOR and port.pid in _DUE_PRODUCTS
-        if due or "rfcomm" in text or "hc-05" in text:
+        if due or is_radio(text):
             yield port.device
+
+
+def is_radio(text: str) -> bool:
+    """Whether a port's name or description is that of a Bluetooth radio."""
+    return any(word in text.lower() for word in ("rfcomm", "hc-05", "hc-06"))
 
 
 def _poll(port: serial.Serial, timeout_s: float) -> None:

@@ -1,0 +1,28 @@
+"""Looks a fish over, from the port to the battery, and says what to do. Changes nothing on it."""
+
+from __future__ import annotations
+
+import contextlib
+
+from tailbeat.doctor import board, reach
+from tailbeat.doctor.finding import OK, PROBLEM, WARNING, Finding, worst
+from tailbeat.doctor.patient import gather
+from tailbeat.errors import TailbeatError
+
+__all__ = ["OK", "PROBLEM", "WARNING", "Finding", "examine", "worst"]
+
+MEASURE_S = 3.0
+
+
+def examine(url: str | None = None, measure_s: float = MEASURE_S) -> list[Finding]:
+    """Every check in turn; None finds the fish. Ends early when no board is heard. ``measure_s``:
+    how long the link is watched. Raises InputError for an address that makes no sense."""
+    findings, transport = reach.reach(url)
+    if transport is None:
+        return findings
+    with contextlib.closing(transport):
+        try:
+            patient = gather(transport, measure_s)
+        except TailbeatError as error:
+            return [*findings, Finding("link", PROBLEM, error.message, error.remedy)]
+        return findings + [check(patient) for check in board.CHECKS]
