@@ -17,8 +17,8 @@ from tailbeat.boardclock import BoardClock
 from tailbeat.camera.base import Camera, Frame
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.crash import CrashReport
-from tailbeat.errors import ConnectError, TransferError
-from tailbeat.faults import NO_REFERENCE, NO_TRIAL, refusal
+from tailbeat.errors import ConnectError, Refused, TransferError
+from tailbeat.faults import BAD_FILE, NO_REFERENCE, NO_TRIAL, refusal
 from tailbeat.ftp import FtpClient, FtpError, Progress
 from tailbeat.imu_stream import imu_frames
 from tailbeat.link import Link, Message, text_of
@@ -34,8 +34,9 @@ from tailbeat.results import (
     TrialFile,
     TrialOutcome,
 )
+from tailbeat.transport.badline import BadLine
 from tailbeat.transport.base import Transport
-from tailbeat.transport.find import hear_board, open_transport
+from tailbeat.transport.find import open_transport, require_board
 from tailbeat.transport.inprocess import SimTransport, SimulatedBoard
 from tailbeat.transport.tcp import TcpTransport
 from tailbeat.vn100.problems import STARTING
@@ -76,11 +77,8 @@ class Fish:
         """Opens ``url`` (None: find the fish) and greets the board. Raises ConnectError."""
         transport = open_transport(url, **sim_overrides)
         try:
-            if url is not None and hear_board(transport) is None:
-                raise ConnectError(
-                    f"there is no tailbeat board on {transport.name}",
-                    "Check that it is switched on and that this is the right address.",
-                )
+            if url is not None:
+                require_board(transport)
             fish = cls(transport)
             fish.clock.sync()
         except BaseException:
@@ -107,7 +105,10 @@ class Fish:
     def sim(self) -> SimulatedBoard | None:
         """The board when it lives in this process: the simulator's or an emulated one, either with
         a simulated fish around it."""
-        return self.transport.board if isinstance(self.transport, SimTransport) else None
+        transport = self.transport
+        while isinstance(transport, BadLine):
+            transport = transport.inner
+        return transport.board if isinstance(transport, SimTransport) else None
 
     def info(self) -> BoardInfo:
         """Who the board is and where it stands."""
@@ -119,10 +120,14 @@ class Fish:
             version=f"{version >> 24 & 255}.{version >> 16 & 255}.{version >> 8 & 255}",
             board=kind,
             simulated=kind in results.SIMULATED_FISH,
-            unique_id=bytes(m.uid2)[:16].hex(),
+            unique_id=_unique_id(m),
             connection=self.transport.name,
             status=self.status(),
         )
+
+    def unique_id(self) -> str:
+        """The number its chip was made with, in hexadecimal digits."""
+        return _unique_id(self.link.request("AUTOPILOT_VERSION"))
 
     def status(self) -> BoardStatus:
         """Where the board stands now."""
@@ -222,7 +227,7 @@ class Fish:
 
     def abort(self) -> None:
         """Stops the tail now."""
-        self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, timeout_s=0.3, tries=10)
+        self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, timeout_s=0.3)
 
     def learn(self, trial: int | None = None) -> LearnReport:
         """Learns from the pending trial (or ``trial``)."""
@@ -242,7 +247,11 @@ class Fish:
     def discard(self, trial: int | None = None) -> None:
         """Drops the pending trial without learning; its log stays."""
         number = trial if trial is not None else self._pending()
-        self.link.command(mavlink.TAILBEAT_CMD_DISCARD, float(number))
+        try:
+            self.link.command(mavlink.TAILBEAT_CMD_DISCARD, float(number))
+        except Refused as refused:  # a repeated one finds it dropped already
+            if refused.number != NO_TRIAL or self.link.said == 1:
+                raise
 
     def restore_best(self) -> None:
         """Makes the best amplitudes so far the next ones."""
@@ -303,8 +312,7 @@ class Fish:
 
     def default_camera(self) -> Camera | None:
         """The camera that belongs to a simulated board; None for a real one."""
-        if isinstance(self.transport, SimTransport):
-            board = self.transport.board
+        if (board := self.sim) is not None:
             return SimulatedCamera(board) if board.config["camera_fps"] > 0 else None
         if isinstance(self.transport, TcpTransport) and self._kind() != "fish":
             try:
@@ -333,7 +341,20 @@ class Fish:
         self.ftp.write(records.PATHS[file], record, progress)
         crc = records.crc32(record)
         signed = crc - (1 << 32) if crc & 0x80000000 else crc
-        self.link.command_int(mavlink.TAILBEAT_CMD_COMMIT, float(file), len(record), signed)
+        try:
+            self.link.command_int(mavlink.TAILBEAT_CMD_COMMIT, float(file), len(record), signed)
+        except Refused as refused:
+            if refused.number != BAD_FILE or self.link.said == 1 or self._is_there(file):
+                raise  # a repeated one finds the file gone: it was taken over at the first
+
+    def _is_there(self, file: int) -> bool:
+        try:
+            self.ftp.crc32(records.PATHS[file])
+        except FtpError as error:
+            if error.code == _FTP_NOT_FOUND:
+                return False
+            raise
+        return True
 
     def _amplitudes_piece(self, first: int, best: bool) -> Message:
         return self.link.request(
@@ -342,6 +363,10 @@ class Fish:
             int(best),
             where=lambda m: m.first == first and m.set == best and m.count <= _AMPLITUDES_PER_PIECE,
         )
+
+
+def _unique_id(version: Message) -> str:
+    return bytes(version.uid2)[:16].hex()
 
 
 def _same_series(piece: Message, first: Message) -> bool:

@@ -2,58 +2,43 @@
 
 from __future__ import annotations
 
-import contextlib
 import secrets
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tailbeat import _dialect as mavlink
-from tailbeat.errors import LinkLostError, TailbeatError, TransferError
-from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, HOST_COMPONENT, HOST_SYSTEM, Link, Message
+from tailbeat.errors import TransferError
+from tailbeat.ftpread import Download, FileChangedError
+from tailbeat.ftpwindow import RoundTrip
+from tailbeat.ftpwire import (
+    CRC32,
+    END_OF_FILE,
+    INVALID_SESSION,
+    LIST,
+    NO_SESSION,
+    NOT_FOUND,
+    REMOVE,
+    RESET,
+    TERMINATE,
+    FtpError,
+    Reply,
+    Request,
+    is_for_us,
+    parse,
+)
+from tailbeat.ftpwrite import Upload
+from tailbeat.link import Link, Message
 from tailbeat.partfile import PartFile
 from tailbeat.records import crc32
 
+__all__ = ["FtpClient", "FtpError", "Progress", "RemoteFile"]
+
 Progress = Callable[[int, int], None]
 
-DATA_BYTES = 239
-_HEADER = struct.Struct("<HBBBBBBI")
-_PAYLOAD_BYTES = 251
-_TERMINATE, _RESET = 1, 2
-_LIST, _OPEN_READ, _READ, _CREATE, _WRITE, _REMOVE = 3, 4, 5, 6, 7, 8
-_CRC32, _BURST = 14, 15
-_ACK, _NACK = 128, 129
-_EOF, _NO_SESSION, _INVALID_SESSION = 6, 5, 4
-_BURST_SEQ_SPAN = 1024  # more than any burst has packets
 _ENTRIES_MAX = 10_000  # far more than fit on any board
-_TRIES = 10
-_READ_MIN_BYTES = 30
-_STALLS_MAX = 8  # rounds without a new byte before a transfer is given up
-_ERRORS = {
-    1: "it failed",
-    2: "its file system failed",
-    3: "the request had a bad size",
-    4: "the transfer session ended",
-    5: "another client holds the only transfer session",
-    6: "end of file",
-    7: "it does not know the request",
-    8: "the file exists already",
-    9: "the file is protected",
-    10: "there is no such file",
-}
-
-
-class FtpError(TransferError):
-    """The board's own refusal; ``code`` is that of MAVLink FTP."""
-
-    def __init__(self, code: int, path: str) -> None:
-        meaning = _ERRORS.get(code, f"error {code}")
-        remedy = "Try again."
-        if code in (9, 10):
-            remedy = "See what is there: tailbeat trial list."
-        super().__init__(f"the board refused {path}: {meaning}", remedy)
-        self.code = code
+_TRIES = 16
+_LEAST_S = 0.25  # the CRC of a long file takes the board a while
+_ROUNDS = 3  # of a whole transfer: a board that restarts, a file that changes
 
 
 @dataclass(frozen=True)
@@ -65,22 +50,15 @@ class RemoteFile:
     is_dir: bool
 
 
-@dataclass(frozen=True)
-class _Reply:
-    opcode: int
-    request: int
-    session: int
-    complete: bool
-    offset: int
-    data: bytes
-
-
 class FtpClient:
     """One transfer at a time. Every request is repeated until answered or given up."""
 
     def __init__(self, link: Link) -> None:
-        self._link = link
+        self.link = link
+        self.round_trip = RoundTrip()
         self._seq = secrets.randbelow(0x10000)
+        self._session = self._seq & 0xFF
+        self._repeated = False
 
     def list(self, path: str) -> list[RemoteFile]:
         """Entries of a folder, as the board orders them."""
@@ -88,9 +66,9 @@ class FtpClient:
         entries = 0
         while entries < _ENTRIES_MAX:
             try:
-                reply = self._request(_LIST, path, offset=entries, data=path.encode())
+                reply = self._request(LIST, path, offset=entries, data=path.encode())
             except FtpError as error:
-                if error.code == _EOF:
+                if error.code == END_OF_FILE:
                     return found
                 raise
             rows = [row for row in reply.data.split(b"\0") if row]
@@ -102,12 +80,12 @@ class FtpClient:
 
     def crc32(self, path: str) -> int:
         """CRC-32 of a whole file, computed by the board."""
-        reply = self._request(_CRC32, path, data=path.encode())
+        reply = self._request(CRC32, path, data=path.encode())
         return int.from_bytes(reply.data[:4], "little")
 
     def read(self, path: str, offset: int = 0, progress: Progress | None = None) -> bytes:
         """The file's bytes from ``offset`` on, CRC not compared."""
-        with _Download(self, path) as download:
+        with Download(self, path) as download:
             taken = bytearray()
             download.fetch(taken, offset, progress, lambda _: None)
             return bytes(taken)
@@ -118,244 +96,114 @@ class FtpClient:
         While it runs, ``local`` + ``.part`` holds the beginning; ``local`` appears, whole and with
         its CRC verified, in one step at the end.
         """
-        expected = self.crc32(path)
-        for last in (False, True):
-            part = PartFile(local, expected)
-            with _Download(self, path) as download:
-                part.begin(download.size)
-                try:
-                    download.fetch(part.data, 0, progress, part.append)
-                finally:
-                    part.close()
-            if crc32(bytes(part.data)) == expected:
+        for _ in range(_ROUNDS):
+            expected = self.crc32(path)
+            part = PartFile(local, path, expected)
+            if self._fetch(path, part, progress) and crc32(bytes(part.data)) == expected:
                 part.finish()
                 return
             part.drop()
-            if not last:
-                expected = self.crc32(path)
         raise TransferError(
-            f"{path} arrived damaged twice", "Try again; a trial that is running still changes it."
+            f"{path} arrived damaged {_ROUNDS} times",
+            "Try again; a trial that is running still changes it.",
         )
+
+    def _fetch(self, path: str, part: PartFile, progress: Progress | None) -> bool:
+        """Whether all of it came; not when the file became another one meanwhile."""
+        with Download(self, path) as download:
+            part.begin(download.size)
+            try:
+                download.fetch(part.data, 0, progress, part.append)
+            except FileChangedError:
+                return False
+            finally:
+                part.close()
+        return True
 
     def write(self, path: str, data: bytes, progress: Progress | None = None) -> None:
         """Makes a file below /in hold exactly ``data``; its CRC is compared at the end."""
-        for last in (False, True):
+        for last in (False,) * (_ROUNDS - 1) + (True,):
             try:
-                self._write_once(path, data, progress)
-            except FtpError as error:
-                if last or error.code != _INVALID_SESSION:
+                Upload(self, path, data).send(progress)
+                if self.crc32(path) == crc32(data):
+                    return
+            except FtpError as error:  # the board has restarted
+                if last or error.code not in (INVALID_SESSION, NOT_FOUND):
                     raise
-                continue  # the board ended the session, for instance by a restart
-            if self.crc32(path) == crc32(data):
-                return
-        raise TransferError(f"{path} reached the board damaged", "Upload it again.")
-
-    def _write_once(self, path: str, data: bytes, progress: Progress | None) -> None:
-        session = self._open(_CREATE, path).session
-        for offset in range(0, len(data), DATA_BYTES):
-            piece = data[offset : offset + DATA_BYTES]
-            self._request(_WRITE, path, session, offset, piece)
-            if progress:
-                progress(offset + len(piece), len(data))
-        self._request(_TERMINATE, path, session)
+        raise TransferError(f"{path} reached the board damaged {_ROUNDS} times", "Upload it again.")
 
     def remove(self, path: str) -> None:
         """Deletes a file. A repeated request may find it gone already; that counts as done."""
         try:
-            self._request(_REMOVE, path, data=path.encode())
+            self._request(REMOVE, path, data=path.encode())
         except FtpError as error:
-            if error.code != 10 or not self._repeated:
+            if error.code != NOT_FOUND or not self._repeated:
                 raise
 
     def reset(self) -> None:
         """Ends all transfer sessions on the board, whoever began them."""
-        self._request(_RESET, "/")
+        self._request(RESET, "/")
 
-    _repeated = False
-
-    def _open(self, opcode: int, path: str) -> _Reply:
+    def open(self, opcode: int, path: str) -> Reply:
+        """A session of a number of its own, so that answers to an earlier one are known by it."""
+        self._session = self._session % 255 + 1
         try:
-            return self._request(opcode, path, data=path.encode())
+            return self._request(opcode, path, self._session, data=path.encode())
         except FtpError as error:
-            if error.code != _NO_SESSION:
+            if error.code != NO_SESSION:
                 raise
         self.reset()
-        return self._request(opcode, path, data=path.encode())
+        return self._request(opcode, path, self._session, data=path.encode())
 
-    def _request(
-        self,
-        opcode: int,
-        path: str,
-        session: int = 0,
-        offset: int = 0,
-        data: bytes = b"",
-        size: int | None = None,
-    ) -> _Reply:
-        self._seq = (self._seq + 1) & 0xFFFF
-        expected = (self._seq + 1) & 0xFFFF
-        self._repeated = False
-        self._link.flush()
+    def end(self, session: int, path: str) -> None:
+        """Closes a session. One that is not there any more counts as closed."""
+        try:
+            self._request(TERMINATE, path, session)
+        except FtpError as error:
+            if error.code != INVALID_SESSION:
+                raise
 
-        def fits(answer: Message) -> bool:
-            payload = bytes(answer.payload)
-            seq, _, _, _, request = struct.unpack_from("<HBBBB", payload)
-            return _for_us(answer) and seq == expected and request == opcode
-
-        for attempt, patience_s in enumerate(self._link.attempts(_TRIES)):
-            length = size if size is None else _shorter(size, attempt)
-            self._link.send(self._packet(opcode, session, offset, data, length))
-            answer = self._link.recv("FILE_TRANSFER_PROTOCOL", patience_s, fits)
-            if answer is not None:
-                self._seq = expected
-                return _checked(_parse(answer), path)
-            self._repeated = True
-        raise AssertionError("attempts always raises at its end")
-
-    def _packet(
+    def send(
         self,
         opcode: int,
         session: int,
-        offset: int,
-        data: bytes,
+        offset: int = 0,
         size: int | None = None,
-        seq: int | None = None,
-    ) -> Message:
-        length = len(data) if size is None else size
-        number = self._seq if seq is None else seq
-        payload = _HEADER.pack(number, session, opcode, length, 0, 0, 0, offset) + data
-        return mavlink.MAVLink_file_transfer_protocol_message(
-            0, BOARD_SYSTEM, BOARD_COMPONENT, payload.ljust(_PAYLOAD_BYTES, b"\0")
-        )
-
-
-class _Download:
-    """An open file on the board. Keeps bytes that came ahead of a hole until it is filled."""
-
-    def __init__(self, client: FtpClient, path: str) -> None:
-        self._client = client
-        self._link = client._link
-        self._path = path
-        reply = client._open(_OPEN_READ, path)
-        self._session = reply.session
-        self.size = int.from_bytes(reply.data[:4], "little")
-
-    def __enter__(self) -> _Download:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        with contextlib.suppress(TailbeatError):
-            if kind is None:
-                self._client._request(_TERMINATE, self._path, self._session)
-            else:
-                self._link.send(self._client._packet(_TERMINATE, self._session, 0, b""))
-
-    def fetch(
-        self,
-        taken: bytearray,
-        origin: int,
-        progress: Progress | None,
-        append: Callable[[bytes], None],
+        data: bytes = b"",
     ) -> None:
-        """Extends ``taken``, whose first byte is the file's ``origin``, to the end of the file."""
-        ahead: dict[int, bytes] = {}
-        stalls = 0
-        while (have := origin + len(taken)) < self.size:
-            for offset, data in self._read_hole(have, ahead) if ahead else self._burst(have):
-                ahead[offset] = data
-                joined = _join(ahead, origin + len(taken))
-                if joined:
-                    taken += joined
-                    append(joined)
-                    if progress:
-                        progress(origin + len(taken), self.size)
-            stalls = 0 if origin + len(taken) > have else stalls + 1
-            if stalls > _STALLS_MAX:
-                raise LinkLostError(
-                    f"{self._path} stopped coming after {have} of {self.size} bytes",
-                    "Run the same command again; it goes on where it stopped.",
-                )
-        if progress and self.size == origin + len(taken):
-            progress(self.size, self.size)
+        """Sends a request once, and waits for nothing."""
+        self._seq = (self._seq + 1) & 0xFFFF
+        self.link.send(Request(self._seq, session, opcode, offset, data, size).message())
 
-    def _read_hole(self, have: int, ahead: dict[int, bytes]) -> Iterator[tuple[int, bytes]]:
-        size = min(DATA_BYTES, min(ahead) - have)
-        try:
-            reply = self._client._request(_READ, self._path, self._session, have, b"", size)
-        except FtpError as error:
-            self._reopen_after(error)
-            return
-        yield have, reply.data
+    def _request(
+        self, opcode: int, path: str, session: int = 0, offset: int = 0, data: bytes = b""
+    ) -> Reply:
+        self._seq = (self._seq + 1) & 0xFFFF
+        request = Request(self._seq, session, opcode, offset, data)
+        expected = (self._seq + 1) & 0xFFFF
 
-    def _burst(self, have: int) -> Iterator[tuple[int, bytes]]:
-        """One burst, as far as it comes through; pieces as they come."""
-        client = self._client
-        client._seq = (client._seq + 1) & 0xFFFF
-        first = client._seq
-        client._seq = (first + _BURST_SEQ_SPAN) & 0xFFFF
-        self._link.flush()
-        self._link.send(client._packet(_BURST, self._session, have, b"", DATA_BYTES, seq=first))
+        def fits(message: Message) -> bool:
+            answer = parse(message)
+            return is_for_us(message) and (answer.seq, answer.request) == (expected, opcode)
 
-        def fits(answer: Message) -> bool:
-            payload = bytes(answer.payload)
-            seq, _, _, _, request = struct.unpack_from("<HBBBB", payload)
-            behind = (seq - first) & 0xFFFF
-            return _for_us(answer) and request == _BURST and 1 <= behind <= _BURST_SEQ_SPAN
-
-        silence_s = self._link.patient(0.7)
-        end = have
-        while end < self.size:
-            answer = self._link.recv("FILE_TRANSFER_PROTOCOL", silence_s, fits)
-            if answer is None:
-                break
-            reply = _parse(answer)
-            if reply.opcode == _NACK:
-                self._reopen_after(FtpError(reply.data[0] if reply.data else 1, self._path))
-                break
-            yield reply.offset, reply.data
-            end = max(end, reply.offset + len(reply.data))
-            if reply.complete:
-                break
-
-    def _reopen_after(self, error: FtpError) -> None:
-        if error.code == _EOF:
-            return
-        if error.code not in (_INVALID_SESSION, _NO_SESSION):
-            raise error
-        self._session = self._client._open(_OPEN_READ, self._path).session
+        self.link.flush()
+        first_s = max(self.round_trip.patience_s(1), _LEAST_S)
+        for attempt, patience_s in enumerate(self.link.attempts(_TRIES, first_s)):
+            self._repeated = attempt > 0
+            sent_s = self.link.transport.now_s()
+            self.link.send(request.message())
+            answer = self.link.recv("FILE_TRANSFER_PROTOCOL", patience_s, fits)
+            if answer is not None:
+                self.round_trip.heard(self.link.transport.now_s() - sent_s, attempt + 1)
+                self._seq = expected
+                return _checked(parse(answer), path)
+        raise AssertionError("attempts always raises at its end")
 
 
-def _shorter(size: int, attempt: int) -> int:
-    """Bytes to ask for: a frame of full length is the likeliest to be hit, so every second try that
-    fails halves it."""
-    return min(size, max(size >> attempt // 2, _READ_MIN_BYTES))
-
-
-def _join(ahead: dict[int, bytes], have: int) -> bytes:
-    """Takes from ``ahead`` all that joins on to the first ``have`` bytes."""
-    joined = bytearray()
-    for offset in sorted(ahead):
-        if offset > have + len(joined):
-            break
-        joined += ahead.pop(offset)[have + len(joined) - offset :]
-    return bytes(joined)
-
-
-def _for_us(message: Message) -> bool:
-    system_ok = message.target_system in (0, HOST_SYSTEM)
-    return system_ok and message.target_component in (0, HOST_COMPONENT)
-
-
-def _parse(message: Message) -> _Reply:
-    payload = bytes(message.payload)
-    _, session, opcode, size, request, complete, _, offset = _HEADER.unpack_from(payload)
-    data = payload[_HEADER.size : _HEADER.size + min(size, DATA_BYTES)]
-    return _Reply(opcode, request, session, bool(complete), offset, data)
-
-
-def _checked(reply: _Reply, path: str) -> _Reply:
-    if reply.opcode == _ACK:
-        return reply
-    raise FtpError(reply.data[0] if reply.data else 1, path)
+def _checked(reply: Reply, path: str) -> Reply:
+    if reply.error:
+        raise FtpError(reply.error, path)
+    return reply
 
 
 def _remote_file(row: bytes) -> RemoteFile | None:

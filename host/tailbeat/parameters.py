@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 
 from tailbeat import _dialect as mavlink
 from tailbeat._native import ffi, lib
@@ -16,8 +17,10 @@ from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 
 _NAME_BYTES = 16
 _LIST_SILENCE_S = 0.5
-_BARREN_ROUNDS_MAX = 8
-_FAULTS = {mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED: WRONG_STATE}
+_BARREN_ROUNDS_MAX = 16
+_ASK_MAX = 16  # at once: their answers fit into what the board's sender holds
+_DENIED = mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED
+_FAULTS = {_DENIED: WRONG_STATE}
 _LOAD, _SAVE, _RESET = 0.0, 1.0, 2.0
 
 
@@ -93,7 +96,7 @@ class Parameters:
             BOARD_SYSTEM, BOARD_COMPONENT, _encode(name), value, mavlink.MAV_PARAM_TYPE_REAL32
         )
         try:
-            held = _parameter(self._exchange(message, name))
+            held = _parameter(self._exchange(message, name, _bits(value)))
         except Refused as refused:
             if refused.number == BAD_PARAM and name in _IMU_LINE:
                 raise InputError(
@@ -120,7 +123,7 @@ class Parameters:
         self._link.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, what)
 
     def _ask_for(self, indices: Iterable[int]) -> None:
-        for index in indices:
+        for index in islice(indices, _ASK_MAX):
             self._link.send(
                 mavlink.MAVLink_param_request_read_message(
                     BOARD_SYSTEM, BOARD_COMPONENT, b"", index
@@ -138,17 +141,30 @@ class Parameters:
                 found[message.param_index] = message
         return count
 
-    def _exchange(self, message: Message, name: str) -> Message:
-        def fits(answer: Message) -> bool:
-            return text_of(answer.param_id) == name
+    def _exchange(self, message: Message, name: str, wanted: bytes | None = None) -> Message:
+        """The answer about ``name``. A value that is not ``wanted`` may be the late answer to
+        something earlier, so that it counts only when the board says it again."""
+        others = 0
 
-        self._link.flush()
+        def fits(answer: Message) -> bool:
+            nonlocal others
+            if text_of(answer.param_id) != name:
+                return False
+            if wanted is None or answer.get_type() != "PARAM_VALUE":
+                return True
+            as_wanted = _bits(answer.param_value) == wanted
+            others += not as_wanted
+            return as_wanted or others > 2
+
+        self._link.begin()
         for patience_s in self._link.attempts():
             self._link.send(message)
             answer = self._link.recv(("PARAM_VALUE", "PARAM_ERROR"), patience_s, fits)
             if answer is None:
                 continue
             if answer.get_type() == "PARAM_ERROR":
+                if answer.error == _DENIED and self._link.once_more():
+                    continue
                 raise refusal(_FAULTS.get(answer.error, BAD_PARAM))
             return answer
         raise AssertionError("attempts always raises at its end")

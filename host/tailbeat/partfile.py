@@ -1,4 +1,9 @@
-"""A local file that is still coming: its beginning on disk, and its name only when whole."""
+"""A local file that is still coming: its beginning on disk, and its name only when whole.
+
+Beside the beginning lies a note: of which file of the board it is, what that must become, and the
+length and CRC of what is held. The note is replaced in one step and never says more than is on the
+disk, so that whatever ends the program leaves a beginning that can be trusted as far as it says.
+"""
 
 from __future__ import annotations
 
@@ -6,52 +11,78 @@ import contextlib
 import json
 import os
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+from tailbeat.records import crc32
+
+_NOTE_BYTES = 16384  # a note at least so often
 
 
 class PartFile:
-    """The beginning of a file that is still coming, and what it must become."""
+    """The beginning of ``local``, a copy of the board's file ``path`` that has ``crc``."""
 
-    def __init__(self, local: Path, crc: int) -> None:
+    def __init__(self, local: Path, path: str, crc: int) -> None:
         self.data = bytearray()
         self._local = local
         self._part = local.with_name(local.name + ".part")
         self._note = local.with_name(local.name + ".part.json")
-        self._crc = crc
+        self._whole: dict[str, Any] = {"path": path, "crc32": crc}
+        self._noted = 0
         self._file: BinaryIO | None = None
 
     def begin(self, size: int) -> None:
-        """Takes over what is there if it is of the same file; else starts empty."""
+        """Takes over what is there if it is of the same file and undamaged; else starts empty."""
         self._local.parent.mkdir(parents=True, exist_ok=True)
-        note = {"size_bytes": size, "crc32": self._crc}
-        with contextlib.suppress(OSError, ValueError):
-            if json.loads(self._note.read_text()) == note:
-                self.data += self._part.read_bytes()[:size]
-        if not self.data:
-            self._note.write_text(json.dumps(note))
+        self._whole["size_bytes"] = size
+        self.data += self._held()
         self._file = self._part.open("ab")
         self._file.truncate(len(self.data))
+        self._write_note()
+
+    def _held(self) -> bytes:
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+            note = json.loads(self._note.read_text())
+            held = self._part.read_bytes()[: note["held_bytes"]]
+            same_file = all(note[name] == value for name, value in self._whole.items())
+            intact = (len(held), crc32(held)) == (note["held_bytes"], note["held_crc32"])
+            if same_file and intact and len(held) <= self._whole["size_bytes"]:
+                return held
+        return b""
 
     def append(self, data: bytes) -> None:
-        """Keeps bytes that extend the beginning."""
+        """Keeps ``data``, which ``self.data`` ends with already."""
         assert self._file is not None
         self._file.write(data)
+        if len(self.data) - self._noted >= _NOTE_BYTES:
+            self._write_note()
 
     def close(self) -> None:
         """Leaves the beginning on disk."""
         if self._file is None:
             return
-        with self._file as file:
-            self._file = None
-            file.flush()
-            os.fsync(file.fileno())
+        self._write_note()
+        self._file.close()
+        self._file = None
+
+    def _write_note(self) -> None:
+        assert self._file is not None
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        held = self._part.read_bytes() if self.data else b""
+        note = {**self._whole, "held_bytes": len(held), "held_crc32": crc32(held)}
+        fresh = self._note.with_name(self._note.name + ".new")
+        fresh.write_text(json.dumps(note))
+        fresh.replace(self._note)
+        self._noted = len(self.data)
 
     def finish(self) -> None:
         """The file is whole: gives it its name."""
+        self.close()
         self._part.replace(self._local)
         self._note.unlink(missing_ok=True)
 
     def drop(self) -> None:
         """What came is of no use."""
+        self.close()
         self._part.unlink(missing_ok=True)
         self._note.unlink(missing_ok=True)

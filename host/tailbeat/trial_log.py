@@ -19,6 +19,16 @@ Floats = NDArray[np.float32]
 
 _HEADER_BYTES = 16
 _RECORD_TYPES = b"FIMPQARDSOLCB"
+# A board's formats are flat lists of numbers and it subscribes to each once. What is beyond that
+# pyulog would unfold: a format of formats, of some bytes in the file, to more than memory holds.
+_FIELD_TYPES = frozenset(f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)) | {
+    "float",
+    "double",
+    "bool",
+    "char",
+}
+_FORMAT_BYTES_MAX = 1024
+_SUBSCRIPTIONS_MAX = 64
 SLOT_S = 0.1
 NO_MOTION = -32768
 _SLOT_COLUMNS = {
@@ -177,15 +187,28 @@ def _sound_part(raw: bytes) -> tuple[bytes, list[str]]:
     """The file up to the first record that is none, and what is wrong there. (Left to itself pyulog
     may search a damaged file for ever.)"""
     at = _HEADER_BYTES
+    subscriptions = 0
     while at + 3 <= len(raw):
         size = int.from_bytes(raw[at : at + 2], "little")
-        if size == 0 or raw[at + 2] not in _RECORD_TYPES:
+        kind = raw[at + 2 : at + 3]
+        subscriptions += kind == b"A"
+        bomb = subscriptions > _SUBSCRIPTIONS_MAX or (
+            kind == b"F" and not _is_flat(raw[at + 3 : at + 3 + size])
+        )
+        if size == 0 or kind not in _RECORD_TYPES or bomb:
             return raw[:at], ["the file is damaged; what comes after the damage is left out"]
         if at + 3 + size > len(raw):
             break
         at += 3 + size
     cut = at < len(raw)
     return raw[:at], ["the file is cut off in the middle of a record"] if cut else []
+
+
+def _is_flat(description: bytes) -> bool:
+    """Whether a format is a short list of single numbers."""
+    _, _, fields = description.partition(b":")
+    types = (field.partition(b" ")[0].decode("latin-1") for field in fields.split(b";") if field)
+    return len(description) <= _FORMAT_BYTES_MAX and all(kind in _FIELD_TYPES for kind in types)
 
 
 def _trial(

@@ -12,8 +12,8 @@ from tailbeat import records
 from tailbeat.camera.base import Camera
 from tailbeat.camera.beatfit import BeatFit, SpeedSample
 from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError
-from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, FaultInfo, fault_info
-from tailbeat.link import Message
+from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, STALE_COMMAND, FaultInfo, fault_info
+from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Message
 from tailbeat.results import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ _SETTLE_MARGIN_S = 2.0
 _STILL_LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
+_HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
 _REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
 _BLIND_S = 1.0  # of board time without a picture, after which somebody should look
@@ -80,6 +81,8 @@ def run_trial(
         camera = own_camera = fish.default_camera()
     run = _Run(fish, camera, on_event or (lambda _: None), guard, reconnect_s)
     stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
+    heartbeat_period_s = fish.link.heartbeat_period_s
+    fish.link.heartbeat_period_s = _HEARTBEAT_S
     try:
         _prepare(run)
         _start(run)
@@ -91,6 +94,7 @@ def run_trial(
         return _outcome(run)
     finally:
         stop_listening()
+        fish.link.heartbeat_period_s = heartbeat_period_s
         if own_camera is not None:
             own_camera.close()
 
@@ -120,7 +124,7 @@ def _beat_s(fish: Fish) -> float:
 def _start(run: _Run) -> None:
     try:
         _command_start(run)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, LinkLostError):
         with contextlib.suppress(TailbeatError):
             run.fish.abort()  # the board may have got the command already
         raise
@@ -132,12 +136,7 @@ def _command_start(run: _Run) -> None:
     run.number = status.next_trial
     run.iteration = status.iteration
     _send_start(run)
-    run.status = None
     run.progress_at_s = fish.transport.now_s()
-    if run.camera is not None:  # until now the fish may have been carried or adrift
-        run.camera.frames()
-        run.fit.reset()
-        run.seen_at_s = fish.transport.now_s()
     run.emit({"event": "started", "trial": run.number, "iteration": run.iteration})
 
 
@@ -148,17 +147,67 @@ def _send_start(run: _Run) -> None:
     _wait_until_still(run)
     while True:
         try:
-            # The board keeps single precision: rounding up could make the command come from the
-            # future, which is harmless, rounding by more than milliseconds needs a board up for
-            # days.
-            issued_s = fish.clock.now_s()
-            fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, float(run.number), issued_s)
+            _say_start(run)
             return
         except Refused as refused:
             waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
             if refused.number != NOT_STILL or waited_s > _STILL_WAIT_S:
                 raise
         _wait_until_still(run)
+
+
+def _say_start(run: _Run) -> None:
+    """Until the board says yes, or is seen to swim: its yes may be lost. Speeds flow meanwhile."""
+    fish = run.fish
+    _look_afresh(run)
+    for attempt, patience_s in enumerate(fish.link.attempts()):
+        if run.status is not None:
+            _look_afresh(run)  # it has spoken, and does not swim: it has not heard of the start yet
+        # The board keeps single precision: rounding up could make the command come from the
+        # future, which is harmless, rounding by more than milliseconds needs a board up for days.
+        fish.link.send(
+            mavlink.MAVLink_command_long_message(
+                BOARD_SYSTEM, BOARD_COMPONENT, mavlink.TAILBEAT_CMD_TRIAL_START,
+                attempt, float(run.number), fish.clock.now_s(), 0, 0, 0, 0, 0
+            )
+        )  # fmt: skip
+        if _started(run, patience_s):
+            return
+
+
+def _look_afresh(run: _Run) -> None:
+    """Forgets what was: until now the fish may have been carried or adrift."""
+    run.status = None
+    if run.camera is not None:
+        run.camera.frames()
+        run.fit.reset()
+        run.seen_at_s = run.fish.link.transport.now_s()
+
+
+def _started(run: _Run, patience_s: float) -> bool:
+    """Whether the board is known to swim this trial before the patience ends. Raises Refused."""
+    link = run.fish.link
+    end_s = link.transport.now_s() + patience_s
+    while (left_s := end_s - link.transport.now_s()) > 0:
+        poll_s = min(_POLL_S / max(run.fish.clock.rate, 1.0), left_s)
+        ack = link.recv("COMMAND_ACK", poll_s, _answers_start)
+        if _swims(run):
+            return True
+        if ack is not None and ack.result_param2 != STALE_COMMAND and link.accepted(ack):
+            return True
+        _send_speeds(run)
+    return False
+
+
+def _answers_start(message: Message) -> bool:
+    return bool(message.command == mavlink.TAILBEAT_CMD_TRIAL_START)
+
+
+def _swims(run: _Run) -> bool:
+    """Or has swum: whatever ended it is for later."""
+    status = run.status
+    begun = ("RUNNING", "SETTLING", "ABORTED", "FAULT")
+    return status is not None and status.trial == run.number and status.state in begun
 
 
 def _wait_until_still(run: _Run) -> None:

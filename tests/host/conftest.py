@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import random
+import secrets
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ import pytest
 from tailbeat import records
 from tailbeat.fish import Fish
 from tailbeat.transport import Transport
+from tailbeat.transport.badline import BadLine, Corrupt, Drop, Duplicate, Fault
+
+FRAME_BYTES = 60  # of a usual one, for odds given per frame
 
 
-class BadRadio:
-    """A transport that loses, damages and repeats whole writes and reads, from a seed."""
+class BadRadio(BadLine):
+    """A line that loses, damages and repeats frames both ways, and shows what was sent."""
 
     def __init__(
         self,
@@ -24,49 +28,31 @@ class BadRadio:
         damage: float = 0.0,
         twice: float = 0.0,
     ) -> None:
-        self.inner = inner
-        self.name = f"bad {inner.name}"
-        self.lose, self.damage, self.twice = lose, damage, twice
+        def faults() -> list[Fault]:
+            return [Drop(lose), Corrupt(damage / FRAME_BYTES), Duplicate(twice)]
+
+        super().__init__(inner, faults(), faults(), seed)
         self.sent: list[bytes] = []
         self.on_write: Callable[[bytes], bool] | None = None
-        self._random = random.Random(seed)
-
-    def _spoil(self, data: bytes) -> bytes:
-        draw = self._random.random()
-        if not data or draw < self.lose:
-            return b""
-        if draw < self.lose + self.damage:
-            at = self._random.randrange(len(data))
-            return data[:at] + bytes([data[at] ^ 0x41]) + data[at + 1 :]
-        return data * 2 if draw < self.lose + self.damage + self.twice else data
-
-    def read(self) -> bytes:
-        data = self.inner.read()
-        pieces = (data[i : i + 120] for i in range(0, len(data), 120))
-        return b"".join(self._spoil(piece) for piece in pieces)
 
     def write(self, data: bytes) -> None:
         self.sent.append(data)
         if self.on_write is None or self.on_write(data):
-            self.inner.write(self._spoil(data))
-
-    def wait(self, timeout_s: float) -> None:
-        self.inner.wait(timeout_s)
-
-    def now_s(self) -> float:
-        return self.inner.now_s()
-
-    def reopen(self) -> None:
-        self.inner.reopen()
-
-    def close(self) -> None:
-        self.inner.close()
+            super().write(data)
 
 
 @pytest.fixture(autouse=True)
 def _same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """A transfer begins at a random sequence number; here every run begins at the same."""
     monkeypatch.setattr("tailbeat.ftp.secrets.randbelow", lambda _: 4711)
+
+
+@pytest.fixture(autouse=True)
+def keys_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """No test sees, or touches, the keys of whoever runs it."""
+    folder = tmp_path_factory.getbasetemp() / "keys" / secrets.token_hex(4)
+    monkeypatch.setenv("TAILBEAT_KEYS", str(folder))
+    return folder
 
 
 @pytest.fixture

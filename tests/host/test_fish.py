@@ -291,15 +291,14 @@ def test_ctrl_c_before_the_start_is_acknowledged_stops_the_tail(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert ready.sim is not None
-    command = ready.link.command
+    send = ready.link.send
 
-    def press(number: int, *params: float, **more: float) -> object:
-        ack = command(number, *params, **more)
-        if number == mavlink.TAILBEAT_CMD_TRIAL_START:
+    def press(message: mavlink.MAVLink_message) -> None:
+        send(message)
+        if getattr(message, "command", 0) == mavlink.TAILBEAT_CMD_TRIAL_START:
             raise KeyboardInterrupt
-        return ack
 
-    monkeypatch.setattr(ready.link, "command", press)
+    monkeypatch.setattr(ready.link, "send", press)
     with pytest.raises(KeyboardInterrupt):
         ready.run_trial()
     assert not ready.sim.truth().swimming

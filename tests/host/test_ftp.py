@@ -9,7 +9,8 @@ import pytest
 
 from tailbeat.errors import LinkLostError, TransferError
 from tailbeat.fish import Fish
-from tailbeat.ftp import FtpError, _join
+from tailbeat.ftp import FtpError
+from tailbeat.ftpread import join
 from tailbeat.records import crc32
 
 PATH = "/in/speeds.bin"
@@ -151,10 +152,10 @@ def test_a_restart_of_the_board_in_the_middle(fish: Fish, tmp_path: Path) -> Non
 def test_pieces_that_overlap_or_come_twice_join_once() -> None:
     data = content(1000)
     ahead = {offset: data[offset : offset + 239] for offset in (0, 100, 200, 239, 700)}
-    assert _join(ahead, 0) == data[:478]
+    assert join(ahead, 0) == data[:478]
     assert list(ahead) == [700]
-    assert _join(ahead, 478) == b""
-    assert _join(ahead, 800) == data[800:939]
+    assert join(ahead, 478) == b""
+    assert join(ahead, 800) == data[800:939]
 
 
 def test_progress_ends_at_the_size(fish: Fish) -> None:

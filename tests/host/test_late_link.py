@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from tailbeat import reference
 from tailbeat.fish import Fish
 from tailbeat.recompute import recompute_beats
+from tailbeat.transport.badline import BadLine, Delay
 from tailbeat.transport.inprocess import SimTransport
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.trial_log import read_trial
@@ -20,45 +20,11 @@ RMS_MAX_M_S = 1.5e-3
 Floats = NDArray[np.float64]
 
 
-class LateTransport(SimTransport):
-    """50 to 300 ms each way, another delay for each piece, order kept: a Bluetooth module's."""
-
-    def __init__(self, board: SimBoard, seed: int) -> None:
-        super().__init__(board)
-        self._random = np.random.default_rng(seed)
-        self._up: deque[tuple[float, bytes]] = deque()
-        self._down: deque[tuple[float, bytes]] = deque()
-
-    def _later(self, queue: deque[tuple[float, bytes]], data: bytes) -> None:
-        due_s = self.now_s() + self._random.uniform(0.05, 0.3)
-        queue.append((max(due_s, queue[-1][0] if queue else 0.0), data))
-
-    def _due(self, queue: deque[tuple[float, bytes]]) -> bytes:
-        taken = b""
-        while queue and queue[0][0] <= self.now_s():
-            taken += queue.popleft()[1]
-        return taken
-
-    def write(self, data: bytes) -> None:
-        self._later(self._up, data)
-
-    def read(self) -> bytes:
-        return self._due(self._down)
-
-    def wait(self, timeout_s: float) -> None:
-        end_s = self.now_s() + timeout_s
-        while self.now_s() < end_s and not (self._down and self._down[0][0] <= self.now_s()):
-            self.board.run(min(0.01, end_s - self.now_s()))
-            if data := self.board.read():
-                self._later(self._down, data)
-            if data := self._due(self._up):
-                self.board.write(data)
-
-
 def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:
     """(error, sigma) of each beat, m/s."""
     board = SimBoard("tank", seed=seed, camera_lost=0.1, link_bytes_per_s=0)
-    with Fish(LateTransport(board, seed)) as fish:
+    late = BadLine(SimTransport(board), [Delay(0.05, 0.3)], [Delay(0.05, 0.3)], seed)
+    with Fish(late) as fish:
         fish.link.run(9.0)
         for name, value in {"SPD_SOURCE": 0, "DU_MAX_RAD": 0, "AMP_MAX_RAD": 0.785}.items():
             fish.params.set(name, value)

@@ -161,7 +161,7 @@ def test_serial_missing() -> None:
     ["", "xyz", "tcp:", "tcp:host", "tcp:host:port", "tcp:h:99999", "udp:x", "sim:pond",
      "sim?seed=x", "sim?seed=nan", "sim?seed=-1", "sim?seed=1e30",
      "sim?nonsense=1", "sim?camera=1", "sim:tank?plant=thesis", "sim?plant=pond",
-     "sim?seed=1&seed=2"],
+     "sim?seed=1&seed=2", "sim?port=usb", "sim?port=1"],
 )  # fmt: skip
 def test_senseless_addresses(url: str) -> None:
     with pytest.raises(InputError) as bad:

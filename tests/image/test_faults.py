@@ -179,6 +179,18 @@ def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect)
     assert fish.health()["imu_crc_failed"] <= 1
 
 
+def test_a_silent_host_stops_the_trial(new_board: NewBoard, connect: Connect) -> None:
+    board = new_board()
+    fish = connect(board)
+    fish.params.set("LINK_TIMEOUT_S", 2.0)
+    trace = swimming(board, fish)
+    board.run(1.5)
+    status = fish.status()
+    assert (status.state, status.fault.name) == ("ABORTED", "LINK_LOST")
+    assert not board.truth().swimming
+    assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
+
+
 @pytest.mark.parametrize("at_boot", [True, False])
 def test_a_flash_that_never_finishes_is_told(
     new_board: NewBoard, connect: Connect, at_boot: bool

@@ -8,20 +8,28 @@ from urllib.parse import parse_qsl
 
 from tailbeat import _dialect as mavlink
 from tailbeat.errors import ConnectError, InputError, TailbeatError
+from tailbeat.keys import KeyStore
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
+from tailbeat.transport.badline import BadLine, faults_of
 from tailbeat.transport.base import Transport
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.hearing import Hearing
+from tailbeat.transport.inprocess import CONSOLE, RADIO, SimTransport
 from tailbeat.transport.serialport import SerialTransport, likely_ports
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.transport.tcp import TcpTransport
 from tailbeat.transport.udp import UdpTransport
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
+_HELLO_S = 0.4
 LISTEN_S = 3.0  # a board that was reset by opening its port is up again by then
 GRAMMAR = (
     "a serial path, tcp:HOST:PORT, udp:PORT, udp:HOST:PORT, sim, sim:tank, sim:thesis, vboard or"
-    " vboard:IMAGE (the last four with ?plant=tank&seed=1&kappa=5…)"
+    " vboard:IMAGE (the last four with ?plant=tank&seed=1&kappa=5&port=console"
+    "&line=drop=0.2,delay=hc05…)"
 )
+_HEARTBEAT_S = 1.0
+_PORTS = {"radio": RADIO, "console": CONSOLE}  # of a board in this process
+_WORDS = ("plant", "port", "line")
 DEFAULT_PLANT, DEFAULT_SEED = "tank", 1.0
 
 
@@ -49,32 +57,60 @@ def open_transport(url: str | None = None, /, **sim_overrides: float) -> Transpo
 def find_board(listen_s: float = LISTEN_S) -> Transport:
     """The first fish that is heard: on serial ports, then on the simulator's usual TCP port."""
     tried: list[str] = []
+    remedies: list[str] = []
+    garbled: Hearing | None = None
     for name, opener in _candidates():
         try:
             transport = opener()
         except ConnectError as error:
             tried.append(f"{name} ({error.message})")
+            if not name.startswith("tcp:"):
+                remedies.append(error.remedy)
             continue
+        hearing = Hearing(transport.name)
         try:
-            heard = hear_board(transport, listen_s)
+            heard = hear_board(transport, listen_s, hearing)
         except TailbeatError:
             heard = None
         if heard is not None:
             return transport
         transport.close()
-        tried.append(f"{name} (no tailbeat heartbeat)")
-    raise ConnectError(
-        f"no fish found; tried {', '.join(tried)}",
+        tried.append(f"{name} ({hearing.short()})")
+        if hearing.kind == "garbage":
+            garbled = garbled or hearing
+    if garbled is not None:
+        raise ConnectError(*garbled.words())
+    if len(tried) == 1:
+        tried.insert(0, "serial ports (none is called like a radio or has a Due's USB ids)")
+    remedies.append(
         "Switch the fish on and pair its radio, say where it is with --connect,"
-        " or start a simulated one: tailbeat sim",
+        " or start a simulated one: tailbeat sim"
+    )
+    raise ConnectError(
+        f"no fish found; tried {', '.join(tried)}", " ".join(dict.fromkeys(remedies))
     )
 
 
-def hear_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message | None:
-    """The first heartbeat of a tailbeat board; None when there is none in time.
+def require_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message:
+    """The same as hear_board; raises ConnectError, which says what was heard instead of a board."""
+    hearing = Hearing(transport.name)
+    heartbeat = hear_board(transport, timeout_s, hearing)
+    if heartbeat is None:
+        raise ConnectError(*hearing.words())
+    return heartbeat
+
+
+def hear_board(
+    transport: Transport, timeout_s: float = LISTEN_S, hearing: Hearing | None = None
+) -> Message | None:
+    """The first heartbeat of a tailbeat board; None when there is none in time, then ``hearing``
+    has what was heard instead.
 
     Asks for one instead of waiting for the next; behind UDP nobody speaks before being spoken to.
+    Whoever has keys waits for a second before: a board with a key counts such unsigned questions.
     """
+    if hearing is None:
+        hearing = Hearing(transport.name)
     mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     framer = Framer(mav)
     hello = mavlink.MAVLink_heartbeat_message(
@@ -83,15 +119,21 @@ def hear_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message | N
     ask = mavlink.MAVLink_command_long_message(
         BOARD_SYSTEM, BOARD_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 0, 0, 0, 0, 0, 0, 0
     )
-    deadline = transport.now_s() + timeout_s
-    next_hello_s = transport.now_s()
+    begin_s = transport.now_s()
+    deadline = begin_s + timeout_s
+    next_hello_s = begin_s
+    ask_s = begin_s + (_HEARTBEAT_S if KeyStore() else 0.0)
     while (now := transport.now_s()) < deadline:
         if now >= next_hello_s:
-            transport.write(hello.pack(mav) + ask.pack(mav))
-            next_hello_s = now + 1.0
-        for message in framer.push(transport.read()):
+            transport.write(hello.pack(mav) + (ask.pack(mav) if now >= ask_s else b""))
+            next_hello_s = now + _HELLO_S
+        data = transport.read()
+        hearing.add(data, now)
+        for message in framer.push(data):
             if is_board(message):
                 return message
+            if message.get_type() == "HEARTBEAT":
+                hearing.strangers += 1
         transport.wait(min(deadline, next_hello_s) - now)
     return None
 
@@ -125,20 +167,32 @@ def _kind(url: str) -> str:
     return url.partition("?")[0].partition(":")[0]
 
 
-def _open_simulated(url: str, overrides: dict[str, float]) -> SimTransport:
+def _open_simulated(url: str, overrides: dict[str, float]) -> Transport:
     head, _, query = url.partition("?")
     kind, _, what = head.partition(":")
     words, values = _settings(query)
     values = {"seed": DEFAULT_SEED} | values | overrides
+    port = _PORTS.get(words.get("port", "radio"))
+    if port is None:
+        raise InputError(f"a board has no port {words['port']}", f"It is {' or '.join(_PORTS)}.")
     if kind == "vboard":
         from tailbeat.transport.emulated import EmulatedBoard
 
         image = Path(what) if what else None
-        return SimTransport(EmulatedBoard(image, words.get("plant", DEFAULT_PLANT), **values))
+        board = EmulatedBoard(image, words.get("plant", DEFAULT_PLANT), **values)
+        return _behind(words, SimTransport(board, port), values)
     plant = words.get("plant", what or DEFAULT_PLANT)
     if what and what != plant:
         raise InputError(f"{url} names two plants", f"The address is {GRAMMAR}.")
-    return SimTransport(SimBoard(plant, **values))
+    return _behind(words, SimTransport(SimBoard(plant, **values), port), values)
+
+
+def _behind(words: dict[str, str], transport: Transport, values: dict[str, float]) -> Transport:
+    """``transport`` behind the bad line that the address asks for, if it does."""
+    if "line" not in words:
+        return transport
+    up, down = faults_of(words["line"])
+    return BadLine(transport, up, down, int(values["seed"]))
 
 
 def _settings(query: str) -> tuple[dict[str, str], dict[str, float]]:
@@ -153,10 +207,11 @@ def _settings(query: str) -> tuple[dict[str, str], dict[str, float]]:
         try:
             values[name] = int(text) if text.isdecimal() else float(text)
         except ValueError:
-            if name != "plant":
+            if name not in _WORDS:
                 what = f"{name}={text} is not a number"
                 raise InputError(what, f"The address is {GRAMMAR}.") from None
-    values.pop("plant", None)
+    for name in _WORDS:
+        values.pop(name, None)
     return words, values
 
 
