@@ -8,13 +8,13 @@ export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
-C_SOURCES = $(shell find firmware hal bench tests/unit tests/image host/native -name '*.[ch]' 2>/dev/null)
+C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native -name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
 PYTEST := $(BIN)/pytest -n auto --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware flash size check clean lock bootstrap package \
-	unit coverage toolchain
+	unit coverage toolchain fuzz
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -42,6 +42,18 @@ soak: package firmware ## what takes long: a thousand power cuts, 10^8 bytes int
 	@cmake --build build/unit --target test_imu_fuzz -- --quiet
 	IMU_FUZZ_BYTES=100000000 build/unit/tests/test_imu_fuzz
 	@$(BIN)/pytest -s -m soak tests/image
+	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest -s tests/host/test_ftp_model.py
+	@$(MAKE) fuzz
+
+fuzz: package ## bytes nobody sends: 10 minutes for each target, or FUZZ_SECONDS
+	@tools/bootstrap fuzz
+	@CC=clang $(CONFIGURE) -B build/fuzz -DTAILBEAT_SANITIZE=ON -DTAILBEAT_FUZZ=ON \
+		-DTAILBEAT_WERROR=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
+	@cmake --build build/fuzz --target fuzz_targets -- --quiet
+	@$(PYTHON) tests/fuzz/run.py
+	@mkdir -p build/fuzz/found
+	@FUZZ_SECONDS=$${FUZZ_SECONDS:-600} FUZZ_KEEP=build/fuzz/found \
+		$(PYTEST) -s tests/host/test_fuzz_files.py
 
 bench: package firmware ## speed of the simulation, load of the fish's processor, cost of an IMU byte
 	@tools/bootstrap bench
