@@ -42,9 +42,10 @@ typedef struct {
     memory_t memory;
     trial_run_t run;
     uint32_t next_trial;
-    bool room_made;           /* for the log of the trial that the board is armed for */
-    uint64_t settle_until_us; /* when the stopped run is finished */
-    uint16_t executed;        /* whole beats of the running or last trial */
+    bool room_made;                 /* for the log of the trial that the board is armed for */
+    bool guess_tried, guess_stored; /* its first amplitudes, if they are a guess */
+    uint64_t settle_until_us;       /* when the stopped run is finished */
+    uint16_t executed;              /* whole beats of the running or last trial */
 
     imu_t imu;
     rest_t rest;

@@ -88,6 +88,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
             return fault;
         }
         app->room_made = false;
+        app->guess_tried = app->guess_stored = app->memory.guessed == 0;
         (void)supervisor_event(&app->supervisor, EVENT_ARM, FAULT_NONE);
     } else if (!is_by_armer(app, command)) {
         link_text(&app->link, MAV_SEVERITY_NOTICE, "another host has taken the fish over");
@@ -124,21 +125,28 @@ static void make_room_step(app_t *app) {
     }
 }
 
-/* A step per pass while armed, so that the start finds room. The hosts wait meanwhile, but not so
- * long that they seem lost. */
-static void make_room(app_t *app, uint64_t now_us) {
-    if (now_us - app->last_link_us < ROOM_LINK_US) {
-        make_room_step(app);
-    }
-}
-
 /* A failed save went back to what is stored; the board stays armed and needs its guess. */
 static fault_t save_first_guess(app_t *app) {
-    if (app->memory.guessed == 0) {
+    if (app->guess_stored) {
         return FAULT_NONE;
     }
     const fault_t saved = learn_save(app);
+    app->guess_tried = true;
+    app->guess_stored = saved == FAULT_NONE;
     return saved == FAULT_NONE || guess_first(app) == FAULT_NONE ? saved : FAULT_BAD_LAW;
+}
+
+/* A step per pass while armed, so that the start has little to write. The hosts wait meanwhile, but
+ * not so long that they seem lost. */
+static void make_ready(app_t *app, uint64_t now_us) {
+    if (now_us - app->last_link_us >= ROOM_LINK_US) {
+        return;
+    }
+    if (!app->room_made) {
+        make_room_step(app);
+    } else if (!app->guess_tried) {
+        (void)save_first_guess(app);
+    }
 }
 
 /* Everything that writes flash and can be done before the tail moves. */
@@ -418,7 +426,7 @@ static bool has_settled(app_t *app, uint64_t now_us) {
 
 void swim_poll(app_t *app, uint64_t now_us) {
     if (app->supervisor.state == STATE_ARMED) {
-        make_room(app, now_us);
+        make_ready(app, now_us);
         watch_host(app, now_us);
     }
     bool begun = false;

@@ -159,6 +159,7 @@ def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect)
     board = new_board()
     fish = connect(board)
     fish.params.set("IMU_TIMEOUT_S", 0.5)
+    assert fish.imu_verdict().problem.number == 0
     trace = swimming(board, fish)
     board.set_imu(False)
     board.run(1.5)

@@ -310,15 +310,21 @@ static void test_a_mark_that_cannot_be_stored(void) {
     TEST_ASSERT_GREATER_THAN_UINT64(mark, app.link.signing.mark);
 }
 
-/* A store that cannot be mounted does not tell whether there is a key. */
-static void test_a_board_without_its_store_trusts_nobody(void) {
+/* A store that cannot be mounted does not tell whether there is a key; nor does it hold a reference,
+ * so whoever is obeyed, nothing swims. */
+static void test_without_its_store_nothing_swims(void) {
     (void)set_key(key_a, TODAY);
     hal.flash_fail_after = hal.flash_writes;
     memset(hal.flash, 0x55, sizeof hal.flash);
     boot();
-    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
-    say_clear(TODAY);
-    TEST_ASSERT_EQUAL_UINT32(0, obeyed);
+    TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    TEST_ASSERT_EQUAL(FAULT_NO_REFERENCE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_WRITE_FAILED, set_key(key_b, TODAY));
+    const size_t length = encode_flat_reference(5, 0.04f);
+    TEST_ASSERT_NOT_EQUAL(STORE_OK,
+                          store_replace(&app.store, "/in/reference.bin", upload_bytes, length));
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
 }
 
 static void test_files_and_crashes_do_not_tell_the_key(void) {
@@ -460,7 +466,7 @@ int main(void) {
     RUN_TEST(test_the_longest_swim_is_reserved_for);
     RUN_TEST(test_renewed_in_time_and_seldom);
     RUN_TEST(test_a_mark_that_cannot_be_stored);
-    RUN_TEST(test_a_board_without_its_store_trusts_nobody);
+    RUN_TEST(test_without_its_store_nothing_swims);
     RUN_TEST(test_files_and_crashes_do_not_tell_the_key);
     RUN_ON_HOST(test_power_cut_and_replay);
     return UNITY_END();
