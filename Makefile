@@ -36,12 +36,16 @@ qemu: bootstrap ## the unit tests as Cortex-M3 code
 	@cmake --build build/qemu --target unit_tests -- --quiet
 	@ctest --test-dir build/qemu -j2 --output-on-failure
 
-soak: package firmware ## what takes long: a thousand power cuts, 10^8 bytes into the IMU reader
+soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 random events, bad lines and bad trials
 	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
 		-DTAILBEAT_NATIVE=OFF >/dev/null
-	@cmake --build build/unit --target test_imu_fuzz -- --quiet
+	@cmake --build build/unit --target unit_tests -- --quiet
 	IMU_FUZZ_BYTES=100000000 build/unit/tests/test_imu_fuzz
-	@$(BIN)/pytest -s -m soak tests/image
+	STORE_CUT_AGES=8 STORE_CUT_PAIRS=10000 build/unit/tests/test_power_cut
+	APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts
+	WEAR_TRIALS=10000 build/unit/tests/test_wear
+	WALK_STEPS=10000000 WALK_SEED=2 build/unit/tests/test_supervisor_walk
+	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host
 	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest -s tests/host/test_ftp_model.py
 	@$(MAKE) fuzz
 
