@@ -12,9 +12,9 @@
 #define KEY_PATH "/key.bin" /* not in the FTP tree */
 
 /* salvage.c: mounts the store. When the filesystem or single files are unreadable, what can be
- * saved of parameters, key, reference, learned input and pending trial is brought back and told,
- * and
- * |*fault| says so; the trials' numbers go on. */
+ * saved of parameters, key, reference, learned input and pending trial is brought back and told;
+ * |*fault| says so, and the trials' numbers go on. A key that is seen but cannot be brought back
+ * locks the board. */
 store_result_t salvage_mount(app_t *app, fault_t *fault);
 
 /* app.c: what the link tells follows the board's state of this moment. */

@@ -44,7 +44,7 @@ static fault_t store_mark(app_t *app, uint64_t mark) {
 bool key_load(app_t *app) {
     key_record_t record;
     if (!app->store.mounted) {
-        return true; /* no reference either: without storage nobody can make the tail move */
+        return true; /* no reference either: without storage nothing swims */
     }
     if (!read_record(app, &record)) {
         signing_lock(&app->link.signing);
@@ -69,7 +69,8 @@ static bool may_change_key(const app_t *app) {
 }
 
 static fault_t erase(app_t *app, uint64_t mark) {
-    const key_record_t record = {.mark = mark};
+    const key_record_t record = {.mark =
+                                     signing_later(mark, 1)}; /* newer than any copy with a key */
     const fault_t fault = write_record(app, &record);
     if (fault == FAULT_NONE) {
         signing_clear_key(&app->link.signing);

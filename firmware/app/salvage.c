@@ -9,8 +9,10 @@
  *
  * Older versions lie around, too. Trial numbers and the mark of the key tell which is the newest;
  * the reference is the one that the newest trial belongs to. Parameters say nothing of their age:
- * they come back only when all copies are equal, for the defaults are safer than limits that
- * somebody has changed since.
+ * they come back only when the filesystem is lost and all copies are equal, for the defaults are
+ * safer than limits that somebody has changed since. The key comes back only when there is no other
+ * and no damaged one: one that was replaced must not. A trial that was discarded last may: that is
+ * told nowhere but in the file that is gone.
  */
 #include "app/app_internal.h"
 #include "base/crc.h"
@@ -66,9 +68,11 @@ typedef struct {
     origin_t origin, learned;
     bool origin_fixed; /* by a file that is whole */
     bool anything;     /* there were records or trials */
-    bool key_damaged, params_differ;
+    bool key_damaged, keys_differ;
+    bool params_differ;
     bool key_set;
     uint64_t mark;
+    uint32_t key_crc; /* of its bytes; 0 = none found yet */
     uint32_t params_crc, pending_trial, next_trial;
 } salvage_t;
 
@@ -207,21 +211,22 @@ static void note_log(const app_t *app, salvage_t *salvage) {
     }
 }
 
-static bool is_key(const uint8_t *record) {
-    static const key_record_t none = {0};
-    uint8_t like[RECORD_HEADER_BYTES + sizeof none];
-    (void)record_encode_key(&none, like);
-    return memcmp(record, like, MAGIC_BYTES) == 0;
-}
-
 /* What is no record may still tell something. */
 static void note_rest(const app_t *app, salvage_t *salvage) {
     if (memcmp(app->record, LOG_MAGIC, MAGIC_BYTES) == 0) {
         salvage->anything = true;
         note_log(app, salvage);
-    } else if (is_key(app->record)) {
+    } else if (record_is_key(app->record)) {
         salvage->anything = salvage->key_damaged = true;
     }
+}
+
+static void note_key(salvage_t *salvage, const key_record_t *key) {
+    const uint32_t crc = crc32_update(0, key->key, sizeof key->key);
+    if (key->set && salvage->key_crc != 0 && salvage->key_crc != crc) {
+        salvage->keys_differ = true;
+    }
+    salvage->key_crc = key->set ? crc : salvage->key_crc;
 }
 
 /* First look: what does not depend on the reference, and which one that is. */
@@ -230,6 +235,7 @@ static bool is_better(const app_t *app, salvage_t *salvage, kind_t kind, const k
     const uint32_t crc = record_crc(app->record);
     switch (kind) {
     case KIND_KEY:
+        note_key(salvage, key);
         if (!first && (key->mark < salvage->mark ||
                        (key->mark == salvage->mark && (salvage->key_set || !key->set)))) {
             return false;
@@ -315,7 +321,12 @@ static void look(app_t *app, salvage_t *salvage) {
     if (salvage->params_differ) {
         salvage->best[KIND_PARAMS] = 0;
     }
-    if (salvage->pending_trial <= salvage->learned.trial) {
+    salvage->key_damaged = salvage->key_damaged || (salvage->keys_differ && salvage->key_set);
+    if (salvage->key_damaged) {
+        salvage->best[KIND_KEY] = 0;
+    }
+    if (salvage->pending_trial <= salvage->learned.trial ||
+        salvage->pending_trial + 1u != salvage->next_trial) {
         salvage->best[KIND_PENDING] = 0;
     }
     keep_best(app, salvage);
@@ -339,7 +350,7 @@ static size_t collect(app_t *app, const salvage_t *salvage, kind_t kind) {
     if (kind != KIND_KEY || record_decode_key(app->record, length, &key) != FAULT_NONE) {
         return length;
     }
-    key.mark += MARK_MARGIN;
+    key.mark = signing_later(key.mark, MARK_MARGIN);
     return record_encode_key(&key, app->record);
 }
 
@@ -406,6 +417,8 @@ static bool find_damaged(app_t *app, salvage_t *salvage, bool wanted[KIND_COUNT]
         wanted[kind] = is_damaged(app, salvage, (kind_t)kind);
         any = any || wanted[kind];
     }
+    salvage->key_damaged = wanted[KIND_KEY];
+    salvage->params_differ = wanted[KIND_PARAMS];
     return any;
 }
 
@@ -444,6 +457,9 @@ store_result_t salvage_mount(app_t *app, fault_t *fault) {
     }
     forget_scratch(app);
     if (result != STORE_OK) {
+        if (salvage.key_set || salvage.key_damaged) {
+            signing_lock(&app->link.signing); /* there is a key, but nowhere to keep its mark */
+        }
         *fault = FAULT_NONE;
         return result;
     }

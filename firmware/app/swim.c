@@ -149,13 +149,20 @@ static void make_ready(app_t *app, uint64_t now_us) {
     }
 }
 
-/* Everything that writes flash and can be done before the tail moves. */
-static fault_t prepare_store(app_t *app) {
-    for (uint32_t i = 0; i < ROOM_STEPS_MAX && !app->room_made; i++) {
-        make_room_step(app);
+/* Once more: uploads may have taken the room that was made. */
+static bool has_room(app_t *app) {
+    bool made = false;
+    store_result_t result = STORE_OK;
+    for (uint32_t i = 0; i < ROOM_STEPS_MAX && result == STORE_OK && !made; i++) {
+        result = store_make_space_step(&app->store, log_bytes(app), 0, &made);
         app_feed_watchdog(app);
     }
-    if (store_make_space(&app->store, log_bytes(app), 0) != STORE_OK) {
+    return result == STORE_OK && made;
+}
+
+/* Everything that writes flash and can be done before the tail moves. */
+static fault_t prepare_store(app_t *app) {
+    if (!has_room(app)) {
         return FAULT_WRITE_FAILED;
     }
     /* Armed long ago, perhaps. */

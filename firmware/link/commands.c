@@ -2,9 +2,9 @@
 
 #include "base/real.h"
 
-/* Whole numbers that a float32 parameter holds exactly. */
 #include <math.h>
 
+/* Whole numbers that a float32 parameter holds exactly. */
 #define WHOLE_MAX 16777216.0f
 
 /* COMMAND_LONG and COMMAND_INT in one shape. */
@@ -157,10 +157,11 @@ static answer_t run(link_t *link, const link_received_t *in, const request_t *re
     if (!row->read(request, &command)) {
         return bad_values;
     }
-    if (command.id == LINK_COMMAND_START) {
+    const fault_t fault = link->handlers.command(link->handlers.context, &command);
+    if (fault == FAULT_NONE && command.id == LINK_COMMAND_START) {
         ftp_server_end_upload(&link->ftp);
     }
-    return from_fault(link->handlers.command(link->handlers.context, &command));
+    return from_fault(fault);
 }
 
 static void send_answer(const link_received_t *in, uint16_t command, answer_t answer) {

@@ -4,6 +4,7 @@
 #include "link/ftp_codec.h"
 #include "link/ftp_list.h"
 #include "link/ftp_paths.h"
+#include "store/records.h"
 #include "store/trial_log.h"
 
 #include <string.h>
@@ -149,6 +150,14 @@ static ftp_error_t begin_burst(ftp_server_t *ftp, const ftp_request_t *request) 
     return FTP_OK;
 }
 
+/* An upload must not look like a record that only the board writes: when the store is salvaged it
+ * would be believed. Records are told by their first four bytes. */
+static bool poses(const ftp_request_t *request) {
+    const bool split = request->offset > 0 && request->offset < RECORD_MAGIC_BYTES;
+    return split || (request->offset == 0 && request->size >= RECORD_MAGIC_BYTES &&
+                     record_is_internal(request->data));
+}
+
 static ftp_error_t write_file(ftp_server_t *ftp, const ftp_request_t *request) {
     if (!owns_session(ftp, request) || !ftp->writing) {
         return FTP_INVALID_SESSION;
@@ -158,6 +167,9 @@ static ftp_error_t write_file(ftp_server_t *ftp, const ftp_request_t *request) {
     }
     if (request->size == 0) {
         return FTP_INVALID_SIZE;
+    }
+    if (poses(request)) {
+        return FTP_FAIL;
     }
     if (request->offset > FTP_IN_FILE_MAX_BYTES - request->size) {
         return FTP_FAIL_ERRNO;

@@ -14,7 +14,9 @@
  * FTP_BURST_PACKETS or of the file's end, has burst_complete set; a request at or beyond the end is
  * answered by NAK EOF. OpenFileWO does what CreateFile does: the file starts anew. Blocks of an
  * upload may come in any order below FTP_IN_FILE_MAX_BYTES; a block that never comes leaves zeros,
- * which the CRC finds. Main loop only; writing may take as long as the store's writes do.
+ * which the CRC finds. What looks like one of the board's own records is refused (Fail), and so are
+ * writes at 1 to 3 bytes from the begin. Main loop only; writing may take as long as the store's
+ * writes do.
  */
 #ifndef LINK_FTP_SERVER_H
 #define LINK_FTP_SERVER_H

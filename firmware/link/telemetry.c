@@ -21,10 +21,11 @@ static void send_heartbeats(link_t *link) {
     }
 }
 
-/* A file that is being pulled gets the line to itself; what changes is told all the same. */
+/* A file that is being pulled gets the line to itself, if who pulls it is trusted; what changes is
+ * told all the same. */
 static bool is_filled(const link_t *link, const channel_t *channel) {
-    return link->ftp.bursting && link->ftp.owner.port == (uint8_t)channel->port &&
-           link->status->open_trial == 0;
+    return link->ftp.bursting && link->ftp.owner.trusted &&
+           link->ftp.owner.port == (uint8_t)channel->port && link->status->open_trial == 0;
 }
 
 static void send_regularly(link_t *link, link_send_t send) {

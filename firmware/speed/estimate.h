@@ -3,13 +3,14 @@
  * beat out. The board runs it while the trial swims, the host over the slots of the trial file,
  * with the same bits.
  *
- *   vision  camera samples; the IMU, if there is one, carries over holes and steadies. What cannot
- *           be a fish's speed (doubt.h) is a hole. A beat whose camera and IMU contradict each
- * other by more than 5 sigma is unmeasured; when they do so in one beat of three, the IMU is taken
- * to be the one that is wrong, and has no part in the trial upload  nothing here: speeds come as a
- * file imu     the IMU alone between two rests; refused (beats unmeasured) without both, or when
- * the second contradicts it by more than 5 sigma (the fish's attitude was not followed) model   the
- * IMU, held by the thrust model; a rest before, if there was one, helps
+ * - vision: camera samples; the IMU, if there is one, carries over holes and steadies. What cannot
+ *   be a fish's speed (doubt.h) is a hole. A beat whose camera and IMU contradict each other by
+ * more than 5 sigma is unmeasured; when they do so in one beat of three, the IMU is taken to be the
+ * one that is wrong and has no part in the trial.
+ * - upload: nothing here, speeds come as a file.
+ * - imu: the IMU alone between two rests; refused (beats unmeasured) without both, or when the
+ *   second contradicts it by more than 5 sigma (the fish's attitude was not followed).
+ * - model: the IMU, held by the thrust model; a rest before, if there was one, helps.
  *
  * Pure, float32, no libm. Not for interrupts.
  */
@@ -76,9 +77,8 @@ void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *
 
 /* One piece of what is left: first forward over what came after the swim (with vision over all of
  * it again: later slots may have brought earlier beats into doubt; twice when the IMU drops out),
- * then back. True when the
- * results stand in speed_m_s and sigma_m_s (NaN where a beat is unmeasured). Bounded work per call:
- * SMOOTHER_BLOCK steps. */
+ * then back. True when the results stand in speed_m_s and sigma_m_s (NaN where a beat is
+ * unmeasured). Bounded work per call: SMOOTHER_BLOCK steps. */
 bool estimate_finish(estimate_t *estimate);
 
 /* Result of a beat, after estimate_finish(). Its samples are the camera's, where there are any,

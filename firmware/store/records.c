@@ -5,7 +5,7 @@
 #include "base/real.h"
 #include "store/bytes.h"
 
-#define MAGIC_BYTES 4u
+#define MAGIC_BYTES RECORD_MAGIC_BYTES
 #define CRC_OFFSET 8u
 #define F32_BYTES 4u
 #define REFERENCE_FIXED_BYTES 4u
@@ -41,6 +41,17 @@ static const char magic_amplitudes[] = "TBAM";
 static const char magic_counter[] = "TBCT";
 static const char magic_crash[] = "TBCR";
 static const char magic_key[] = "TBKY";
+
+static bool begins(const uint8_t *bytes, const char *magic) {
+    return memcmp(bytes, magic, MAGIC_BYTES) == 0;
+}
+
+bool record_is_key(const uint8_t *bytes) { return begins(bytes, magic_key); }
+
+bool record_is_internal(const uint8_t *bytes) {
+    return record_is_key(bytes) || begins(bytes, magic_params) || begins(bytes, magic_trial) ||
+           begins(bytes, magic_counter) || begins(bytes, magic_crash);
+}
 
 static uint32_t record_sum(const uint8_t *bytes, size_t length) {
     const uint32_t front = crc32_update(0, bytes, CRC_OFFSET);

@@ -21,6 +21,7 @@
 #include <stdint.h>
 
 #define RECORD_HEADER_BYTES 12u
+#define RECORD_MAGIC_BYTES 4u
 #define RECORD_VERSION 1u
 
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
@@ -94,6 +95,10 @@ size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out);
 size_t record_encode_amplitudes(const amplitudes_upload_t *amplitudes, uint8_t *out);
 size_t record_encode_key(const key_record_t *key, uint8_t *out);
 size_t record_encode_crash(const crash_report_t *report, uint8_t *out);
+
+/* By its first four bytes alone: a key, or any record that only the board writes. */
+bool record_is_key(const uint8_t *bytes);
+bool record_is_internal(const uint8_t *bytes);
 
 /* The CRC a record states; |bytes| holds at least RECORD_HEADER_BYTES. */
 uint32_t record_crc(const uint8_t *bytes);

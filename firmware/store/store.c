@@ -51,6 +51,9 @@ store_result_t store_written(store_t *store, int code) {
     if (result == STORE_NO_SPACE || result == STORE_CORRUPT || result == STORE_IO) {
         store->failures++;
     }
+    if (result == STORE_NO_SPACE) { /* littlefs keeps the page it had begun and stumbles over it */
+        store->lfs.pcache.block = (lfs_block_t)-1;
+    }
     return result;
 }
 
@@ -200,6 +203,7 @@ store_result_t store_replace(store_t *store, const char *path, const void *bytes
     strcat(fresh, STORE_NEW_SUFFIX);
     int code = write_whole(store, fresh, bytes, length);
     if (code >= 0) {
+        store_lose_reader(store, path);
         code = lfs_rename(&store->lfs, fresh, path);
     }
     if (code < 0) {
@@ -246,7 +250,11 @@ store_result_t store_size(store_t *store, const char *path, uint32_t *size_bytes
 }
 
 store_result_t store_remove(store_t *store, const char *path) {
-    return store_begin(store) ? store_written(store, lfs_remove(&store->lfs, path)) : STORE_IO;
+    if (!store_begin(store)) {
+        return STORE_IO;
+    }
+    store_lose_reader(store, path);
+    return store_written(store, lfs_remove(&store->lfs, path));
 }
 
 store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc) {

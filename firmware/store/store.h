@@ -34,6 +34,16 @@ typedef enum {
     STORE_BAD_ARGUMENT = 5
 } store_result_t;
 
+/* An open file; the caller owns it and must not move it while open. */
+typedef struct {
+    lfs_file_t file;
+    struct lfs_file_config config;
+    uint8_t cache[STORE_CACHE_BYTES];
+    bool open;
+    bool gone; /* removed or replaced since it was opened for reading: its blocks hold other things
+                */
+} store_file_t;
+
 typedef struct {
     lfs_t lfs;
     struct lfs_config config;
@@ -44,18 +54,12 @@ typedef struct {
     uint8_t file_cache[STORE_CACHE_BYTES]; /* for the short-lived files of this module */
     uint8_t keep[STORE_BLOCKS / 8u]; /* blocks not to be written, one bit each; see store_renew */
     bool mounted;
+    store_file_t *reader; /* open for reading; NULL = none */
+    char reader_path[STORE_PATH_BYTES];
     bool formatted;    /* this boot found no filesystem and made one */
     uint32_t failures; /* writes that failed since boot */
     uint32_t reads;    /* of the flash, in the call that is on */
 } store_t;
-
-/* An open file; the caller owns it and must not move it while open. */
-typedef struct {
-    lfs_file_t file;
-    struct lfs_file_config config;
-    uint8_t cache[STORE_CACHE_BYTES];
-    bool open;
-} store_file_t;
 
 typedef struct {
     char name[STORE_PATH_BYTES];
@@ -105,7 +109,8 @@ store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc);
 
 /* STORE_READ and STORE_APPEND need the file to be there; STORE_WRITE_NEW empties it. What is
  * written counts from the next store_sync or store_close on. A file that was opened must be closed,
- * also after a failed write. */
+ * also after a failed write. One file at a time is open for reading; when it is removed or replaced
+ * meanwhile it has no bytes any more (STORE_NOT_FOUND). */
 store_result_t store_open(store_t *store, store_file_t *file, const char *path, store_mode_t mode);
 store_result_t store_read_at(store_t *store, store_file_t *file, uint32_t offset, void *out,
                              size_t max, size_t *got);

@@ -19,7 +19,18 @@ store_result_t store_open(store_t *store, store_file_t *file, const char *path, 
     file->config.buffer = file->cache;
     const int code = lfs_file_opencfg(&store->lfs, &file->file, path, flags[mode], &file->config);
     file->open = code == LFS_ERR_OK;
+    if (file->open && mode == STORE_READ) {
+        REQUIRE(store->reader == NULL);
+        store->reader = file;
+        strcpy(store->reader_path, path);
+    }
     return mode == STORE_READ ? store_result(code) : store_written(store, code);
+}
+
+void store_lose_reader(store_t *store, const char *path) {
+    if (store->reader != NULL && strcmp(store->reader_path, path) == 0) {
+        store->reader->gone = true;
+    }
 }
 
 store_result_t store_read_at(store_t *store, store_file_t *file, uint32_t offset, void *out,
@@ -27,6 +38,9 @@ store_result_t store_read_at(store_t *store, store_file_t *file, uint32_t offset
     REQUIRE(file->open);
     (void)store_begin(store);
     *got = 0;
+    if (file->gone) {
+        return STORE_NOT_FOUND;
+    }
     if (offset >= store_file_size(store, file)) {
         return STORE_OK;
     }
@@ -86,5 +100,8 @@ store_result_t store_close(store_t *store, store_file_t *file) {
     REQUIRE(file->open);
     (void)store_begin(store);
     file->open = false;
+    if (store->reader == file) {
+        store->reader = NULL;
+    }
     return store_written(store, lfs_file_close(&store->lfs, &file->file));
 }

@@ -10,6 +10,9 @@
 /* Begins a call: counts its reads from 0. Whether the store is mounted. */
 bool store_begin(store_t *store);
 
+/* |path| is removed or replaced: who reads it must not read what its blocks hold next. */
+void store_lose_reader(store_t *store, const char *path);
+
 /* littlefs's code as ours. */
 store_result_t store_result(int code);
 

@@ -276,6 +276,43 @@ static void test_while_swimming_nothing_is_written(void) {
     TEST_ASSERT_EQUAL(writes, hal.flash_writes);
 }
 
+static void test_a_file_that_is_gone_is_not_read_from_its_old_blocks(void) {
+    static uint8_t other[100];
+    memset(other, 0x5A, sizeof other);
+    put_file("/trials/0001.ulg", 100);
+    put_file("/reference.bin", 100);
+    for (uint32_t i = 0; i < 2; i++) {
+        const uint8_t session = open_ro(i == 0 ? "/trials/0001.ulg" : "/reference.bin");
+        if (i == 0) {
+            TEST_ASSERT_EQUAL(STORE_OK, store_remove(&store, "/trials/0001.ulg"));
+        } else {
+            put_file("/reference.bin", 50);
+        }
+        for (uint32_t n = 0; n < 2u * STORE_BLOCKS; n++) { /* until the block is used anew */
+            TEST_ASSERT_EQUAL(STORE_OK, store_replace(&store, "/key.bin", other, sizeof other));
+            TEST_ASSERT_TRUE(ask(FTP_OP_READ, session, 0, NULL, 50));
+            expect_nak(FTP_NOT_FOUND);
+        }
+        TEST_ASSERT_TRUE(ask(FTP_OP_TERMINATE, session, 0, NULL, 0));
+        expect_ack();
+    }
+}
+
+static void test_an_upload_does_not_pose_as_the_boards_own_record(void) {
+    static const char *const own[] = {"TBKY", "TBPA", "TBTR", "TBCT", "TBCR"};
+    const uint8_t session = create("/in/reference.bin");
+    for (uint32_t i = 0; i < 5; i++) {
+        TEST_ASSERT_TRUE(ask(FTP_OP_WRITE, session, 0, own[i], 4));
+        expect_nak(FTP_FAIL);
+    }
+    TEST_ASSERT_TRUE(ask(FTP_OP_WRITE, session, 0, "T", 1));
+    expect_ack();
+    TEST_ASSERT_TRUE(ask(FTP_OP_WRITE, session, 1, "BKY", 3));
+    expect_nak(FTP_FAIL);
+    TEST_ASSERT_TRUE(ask(FTP_OP_WRITE, session, 0, "TBRF", 4));
+    expect_ack();
+}
+
 static void test_an_upload_ends_where_a_trial_begins(void) {
     put_file("/trials/0001.ulg", 10);
     (void)create("/in/speeds.bin");
@@ -415,6 +452,8 @@ int main(void) {
     RUN_TEST(test_a_running_burst_is_not_silence);
     RUN_TEST(test_while_swimming_nothing_is_written);
     RUN_TEST(test_an_upload_ends_where_a_trial_begins);
+    RUN_TEST(test_a_file_that_is_gone_is_not_read_from_its_old_blocks);
+    RUN_TEST(test_an_upload_does_not_pose_as_the_boards_own_record);
     RUN_TEST(test_a_full_board_says_so);
     RUN_TEST(test_flash_that_fails);
     RUN_TEST(test_a_store_that_is_not_there);

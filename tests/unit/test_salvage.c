@@ -273,7 +273,7 @@ static key_record_t stored_key(void) {
 }
 
 static void test_the_newest_key_comes_back_and_old_messages_do_not(void) {
-    store_key(true, 1, 1000);
+    store_key(true, 2, 1000);
     store_key(true, 2, 5000);
     wipe_superblocks(0xFF);
     reboot();
@@ -285,13 +285,55 @@ static void test_the_newest_key_comes_back_and_old_messages_do_not(void) {
     TEST_ASSERT_TRUE(app.link.signing.locked);
 }
 
+static const uint8_t new_key[SIGNING_KEY_BYTES] = {1, 2, 3};
+
 static void test_an_erased_key_does_not_come_back(void) {
-    store_key(true, 1, 1000);
-    store_key(false, 0, 2000);
+    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, new_key, 1000));
+    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, NULL, 0));
     wipe_superblocks(0xFF);
     reboot();
     TEST_ASSERT_FALSE(stored_key().set);
     TEST_ASSERT_FALSE(app.link.signing.locked);
+}
+
+static void test_a_replaced_key_does_not_come_back(void) {
+    store_key(true, 1, 1000);
+    TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, new_key, 2000));
+    memcpy(whole, hal.flash, sizeof whole);
+    damage_file(KEY_PATH);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_KEY_UNREADABLE, app.supervisor.reason);
+    TEST_ASSERT_TRUE(app.link.signing.locked && !app.link.signing.keyed);
+
+    memcpy(hal.flash, whole, sizeof whole);
+    reboot();
+    wipe_superblocks(0xFF);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+    TEST_ASSERT_TRUE(app.link.signing.locked && !app.link.signing.keyed);
+}
+
+static void test_older_limits_do_not_come_back(void) {
+    static const float limits_rad[] = {1.0f, 0.2f};
+    for (size_t i = 0; i < 2; i++) {
+        TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, limits_rad[i]));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    }
+    damage_file(PARAMS_PATH);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
+    TEST_ASSERT_EQUAL_FLOAT(0.5f, app.params.value[PARAM_AMP_MAX_RAD]);
+}
+
+static void test_a_trial_that_was_dropped_does_not_take_the_place_of_a_damaged_one(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
+    swim_whole_trial(BEATS, SPEED);
+    damage_file(PENDING_PATH);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
+    TEST_ASSERT_FALSE(app.run.pending);
+    TEST_ASSERT_EQUAL_UINT32(3, app.next_trial);
 }
 
 static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
@@ -357,6 +399,9 @@ int main(void) {
     RUN_TEST(test_long_records_come_back);
     RUN_TEST(test_the_newest_key_comes_back_and_old_messages_do_not);
     RUN_TEST(test_an_erased_key_does_not_come_back);
+    RUN_TEST(test_a_replaced_key_does_not_come_back);
+    RUN_TEST(test_older_limits_do_not_come_back);
+    RUN_TEST(test_a_trial_that_was_dropped_does_not_take_the_place_of_a_damaged_one);
     RUN_TEST(test_a_key_that_cannot_be_saved_leaves_a_locked_board);
     RUN_ON_HOST(test_a_cut_at_every_write_of_the_salvage);
     return UNITY_END();
