@@ -139,7 +139,7 @@ static answer_t from_fault(fault_t fault) {
     }
 }
 
-static answer_t run(link_t *link, const link_received_t *in, const request_t *request) {
+static answer_t decide(link_t *link, const link_received_t *in, const request_t *request) {
     const row_t *row = find_row(request->command);
     if (row == NULL) {
         return unsupported;
@@ -266,7 +266,7 @@ static void handle(link_t *link, const link_received_t *in, uint8_t system, uint
     } else if (request->command == MAV_CMD_SET_MESSAGE_INTERVAL) {
         answer_command(in, request->command, set_interval(link, in, request));
     } else {
-        answer_command(in, request->command, run(link, in, request));
+        answer_command(in, request->command, decide(link, in, request));
     }
 }
 

@@ -329,14 +329,15 @@ def _nobody(asking: _Asking) -> ConnectError:
     """What to say when nothing answers to AT, by what came instead."""
     line = asking.line
     asking.line.set_baud(BAUD)
-    before = len(asking.heard)
+    before = bytes(asking.heard)
+    asking.heard.clear()  # it may be full of what came at other speeds
     asking.listen(_LISTEN_S)
-    heard = bytes(asking.heard)
-    if Framer(mavlink.MAVLink(None)).push(heard[before:]):
+    if Framer(mavlink.MAVLink(None)).push(bytes(asking.heard)):
         return ConnectError(
             f"what speaks on {line.name} is a board, not a Bluetooth module",
             "PORT is a USB-serial adapter with the module alone on it; see docs/wiring.md.",
         )
+    heard = before + bytes(asking.heard)
     if heard and heard in bytes(asking.sent):
         return ConnectError(
             f"what is sent on {line.name} comes back: there is no module, TX and RX are joined",

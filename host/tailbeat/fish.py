@@ -34,10 +34,9 @@ from tailbeat.results import (
     TrialFile,
     TrialOutcome,
 )
-from tailbeat.transport.badline import BadLine
 from tailbeat.transport.base import Transport
 from tailbeat.transport.find import open_transport, require_board
-from tailbeat.transport.inprocess import SimTransport, SimulatedBoard
+from tailbeat.transport.inprocess import SimulatedBoard, in_process
 from tailbeat.transport.tcp import TcpTransport
 from tailbeat.vn100.problems import STARTING
 
@@ -105,10 +104,8 @@ class Fish:
     def sim(self) -> SimulatedBoard | None:
         """The board when it lives in this process: the simulator's or an emulated one, either with
         a simulated fish around it."""
-        transport = self.transport
-        while isinstance(transport, BadLine):
-            transport = transport.inner
-        return transport.board if isinstance(transport, SimTransport) else None
+        transport = in_process(self.transport)
+        return None if transport is None else transport.board
 
     def info(self) -> BoardInfo:
         """Who the board is and where it stands."""

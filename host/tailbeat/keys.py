@@ -36,7 +36,8 @@ class StoredKey:
     """A key and what goes with it. Times are ticks of 10 us since 2015.
 
     ``board``: unique id of the board it was set on. ``link_id``: this computer among those that
-    hold the key. ``used``, ``heard``: the newest times this computer signed with, and heard.
+    hold the key. ``used``, ``heard``: the newest times this computer signed with, and heard; 0 =
+    never.
     """
 
     key: bytes = field(repr=False)
@@ -58,6 +59,12 @@ class StoredKey:
         """The newest time known to have been signed with the key."""
         return max(self.used, self.heard)
 
+    @property
+    def confirmed(self) -> bool:
+        """Whether a board was ever heard to sign with it. One that was not may have been sent and
+        never taken."""
+        return self.heard > 0
+
     def public(self) -> dict[str, str]:
         """All that may be shown."""
         return {
@@ -77,7 +84,9 @@ class StoredKey:
 
 
 def new_key(board: str, name: str = "") -> StoredKey:
-    """A key nobody can guess."""
+    """A key nobody can guess. Raises InputError when the name cannot be shown."""
+    if not name.isprintable():
+        raise InputError("the name of a key has signs that cannot be shown", "Choose another.")
     now = datetime.now(UTC).isoformat(timespec="seconds")
     return StoredKey(secrets.token_bytes(KEY_BYTES), board, name, now, _new_link_id())
 
@@ -101,7 +110,7 @@ def decode_key(content: bytes, where: str) -> StoredKey:
     """The key in a file. Raises InputError, which does not show the content."""
     try:
         return _checked(json.loads(content))
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise InputError(
             f"{where} holds no key", "Take a file that 'tailbeat key export' wrote."
         ) from None
@@ -120,8 +129,11 @@ def _checked(document: dict[str, Any]) -> StoredKey:
         int(document["heard"]),
     )
     times_ok = 0 <= key.used <= _TIME_MAX and 0 <= key.heard <= _TIME_MAX
-    name_ok = key.board.isalnum() and len(key.board) <= 64
-    if len(key.key) != KEY_BYTES or not any(key.key) or not times_ok or not name_ok:
+    board_ok = key.board.isalnum() and key.board.isascii() and len(key.board) <= 64
+    words_ok = key.name.isprintable() and key.created.isprintable()
+    if len(key.key) != KEY_BYTES or not any(key.key):
+        raise ValueError
+    if not (times_ok and board_ok and words_ok):
         raise ValueError
     if not 1 <= key.link_id <= _LINK_IDS:
         raise ValueError
@@ -136,10 +148,16 @@ def _new_link_id(other: int = 0) -> int:
 
 
 class KeyStore:
-    """The folder of keys. Nothing is created before a key is saved."""
+    """The folder of keys. Nothing is created before a key is saved. Raises InputError when a file
+    is in its place."""
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder if folder is not None else _default_folder()
+        if _is_file(self.folder):
+            raise InputError(
+                f"{self.folder} is no folder, so no keys can lie in it",
+                f"Name a folder in {_FOLDER}, or move the file away.",
+            )
 
     def load(self) -> tuple[list[StoredKey], list[str]]:
         """All keys, oldest first, and one line for each file that is not used and why."""
@@ -216,9 +234,26 @@ class KeyStore:
 
     def forget_others(self, key: StoredKey) -> None:
         """Removes all other keys of the same board: it has this one now."""
-        for other in self.usable():
-            if other.board == key.board and other.key != key.key:
-                self.forget(other)
+        if not self._path(key).exists():
+            self.save(key)  # another process took it for one that never arrived
+        for other in self._others(key):
+            self.forget(other)
+
+    def forget_unconfirmed(self, key: StoredKey) -> None:
+        """Removes the keys that the board never signed with: it signs with ``key``. A disk that
+        keeps them is no reason to stop."""
+        for other in self._others(key):
+            if not other.confirmed:
+                with contextlib.suppress(OSError):
+                    self.forget(other)
+
+    def newest_of(self, board: str) -> StoredKey | None:
+        """The key that a board was last heard to sign with."""
+        keys = [key for key in self.usable() if key.board == board and key.confirmed]
+        return max(keys, key=lambda key: key.heard, default=None)
+
+    def _others(self, key: StoredKey) -> list[StoredKey]:
+        return [k for k in self.usable() if k.board == key.board and k.key != key.key]
 
     def _paths(self) -> list[Path]:
         with contextlib.suppress(OSError):
@@ -234,6 +269,12 @@ def _default_folder() -> Path:
         return Path(named).expanduser()
     base = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     return Path(base) / "tailbeat" / "keys"
+
+
+def _is_file(path: Path) -> bool:
+    with contextlib.suppress(OSError):
+        return path.exists() and not path.is_dir()
+    return False
 
 
 def readable_by_others(path: Path) -> bool:

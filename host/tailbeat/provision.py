@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from tailbeat.faults import NOT_FRESH, NOT_SIGNED, all_faults, refusal
 from tailbeat.keys import KEY_BYTES, KeyStore, StoredKey, new_key
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Message, text_of
 from tailbeat.signing import TICKS_PER_S
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.inprocess import in_process
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -25,6 +25,8 @@ _NO_KEY = bytes(KEY_BYTES)
 _ERASED = "key erased"
 _TEXT_CHARS = 49  # of a board's line
 _LOOK_S = 0.05
+# How the unique ids of boards begin whose key ends with their process: simulated and emulated ones.
+_SHORT_LIVED = (b"sim-fish".hex(), b"tailbeat vboard ".hex())
 _COUNTERS = ("refused_unsigned", "refused_wrong", "refused_stale")
 
 OPEN, HELD, MISSING = "open", "held", "missing"
@@ -36,7 +38,8 @@ class KeyStatus:
 
     ``trust``: open (the board has no key and obeys anybody), held (it has one, and so have we) or
     missing (it has one, and we have not). ``held``: the key it signs with. ``lost``: a key of ours
-    that it does not sign with any more. ``refused``: frames the board turned away since its boot.
+    that it does not sign with any more; never of a simulated board, which forgets it at its end.
+    ``refused``: frames the board turned away since its boot.
     ``board``: its unique id; None when it does not tell a stranger.
     """
 
@@ -57,10 +60,12 @@ class KeyStatus:
         }
 
 
-def key_status(fish: Fish) -> KeyStatus:
-    """Asks the board. What it says is checked if we have its key."""
+def key_status(fish: Fish, health: Mapping[str, int | str] | None = None) -> KeyStatus:
+    """Asks the board. What it says is checked if we have its key. ``health``: what it said of that
+    already."""
     board = _board_of(fish)
-    health = fish.health()
+    if health is None:
+        health = fish.health()
     return KeyStatus(
         trust_of(fish),
         board,
@@ -104,7 +109,7 @@ def connect_notice(fish: Fish) -> str | None:
             " was erased, or somebody pretends to be this board. Set it again over the wired port:"
             " tailbeat key set"
         )
-    if isinstance(fish.transport, SimTransport):
+    if in_process(fish.transport) is not None:
         return None
     return (
         "no key: anyone in radio range can move this tail. Set one over the wired port:"
@@ -123,10 +128,12 @@ def _missing_words(store: KeyStore) -> str:
 
 
 def _lost_key(fish: Fish, board: str | None = None) -> StoredKey | None:
-    """Our key of a board that does not sign."""
+    """Our key of a board that does not sign, and should: by its unique id alone, so that nobody
+    gets out of it by saying that he is simulated."""
     if trust_of(fish) != OPEN:
         return None
-    return key_for(fish.link.signing.store, fish.unique_id() if board is None else board)
+    board = fish.unique_id() if board is None else board
+    return None if board.startswith(_SHORT_LIVED) else key_for(fish.link.signing.store, board)
 
 
 def set_key(fish: Fish, name: str = "", now_s: Callable[[], float] = time.time) -> StoredKey:
@@ -145,9 +152,8 @@ def give_back(fish: Fish, board: str, now_s: Callable[[], float] = time.time) ->
 
 
 def key_for(store: KeyStore, board: str) -> StoredKey | None:
-    """The newest key this computer has for a board."""
-    keys = [key for key in store.usable() if key.board == board]
-    return keys[-1] if keys else None
+    """The key of this computer that a board was last heard to sign with."""
+    return store.newest_of(board)
 
 
 def _give(fish: Fish, key: StoredKey, now_s: Callable[[], float], anew: bool = True) -> StoredKey:

@@ -134,13 +134,17 @@ class Signing:
         if time <= (self._heard if known else owner.heard):
             return False
         if not known:
-            self.save()
-            self.key = owner
-            self._used, self._saved = owner.used, 0
+            self._adopt(owner)
         self._heard, self._heard_s = time, now_s
-        if self._heard >= self._saved + _SAVE_TICKS:
+        if not known or self._heard >= self._saved + _SAVE_TICKS:
             self.save()
         return True
+
+    def _adopt(self, owner: StoredKey) -> None:
+        self.save()
+        self.key, self._used = owner, owner.used
+        if self._offered is None:  # else a key is on its way to the board
+            self.store.forget_unconfirmed(owner)
 
     def pack(self, message: Any, mav: Any, now_s: float, rate: float) -> bytes:
         """The bytes of a message from ``mav``, signed when the board has a key we know. ``rate``:
@@ -177,5 +181,8 @@ class Signing:
         if self.refused.wrong:
             return "what comes from it is signed with a key that this computer has not"
         if self.refused.stale:
-            return "what comes from it is old: somebody repeats what was recorded"
+            return (
+                "what comes from it is old: somebody repeats what was recorded, or this computer's"
+                " key has a wrong time (then: 'tailbeat key forget', and import it anew)"
+            )
         return ""

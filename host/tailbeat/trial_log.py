@@ -95,7 +95,8 @@ class Beats:
     @property
     def error_m_s(self) -> Floats:
         """Reference minus speed; NaN where not measured."""
-        return self.reference_m_s - self.speed_m_s
+        with np.errstate(invalid="ignore"):  # a damaged file may hold infinities
+            return self.reference_m_s - self.speed_m_s
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from typing import TYPE_CHECKING, NoReturn
 
 from tailbeat import _dialect as mavlink
@@ -26,6 +26,7 @@ _SETTLE_MARGIN_S = 2.0
 _STILL_LOOK_S = 0.5
 _STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
 _RETRY_S = 0.5
+_DOUBT_FRAMES = 6  # in one attempt; a board sends two a second, a stray one proves nothing
 _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
 _REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
@@ -364,11 +365,14 @@ def _reconnect(run: _Run) -> None:
     deadline = link.transport.now_s() + run.reconnect_s
     retry_s = _RETRY_S
     while link.transport.now_s() < deadline:
+        before = _disbelieved(run)
         try:
             link.reopen()
             status = BoardStatus.of(link.request("TAILBEAT_STATUS"))
             run.fish.clock.sync()
         except (ConnectError, LinkLostError):
+            if _disbelieved(run) - before >= _DOUBT_FRAMES:
+                raise _not_believed(run) from None
             _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
             retry_s = min(2 * retry_s, 5.0)
             continue
@@ -376,10 +380,25 @@ def _reconnect(run: _Run) -> None:
         run.progress_at_s = link.transport.now_s()
         run.emit({"event": "link_back", "state": status.state})
         return
+    why = link.signing.why_silent()
     raise LinkLostError(
         f"the link broke during trial {run.number} and did not come back in"
-        f" {run.reconnect_s:.0f} s",
+        f" {run.reconnect_s:.0f} s" + (f": {why}" if why else ""),
         "The board stops by itself; reconnect and look with 'tailbeat info'.",
+    )
+
+
+def _disbelieved(run: _Run) -> int:
+    """Frames since the last one of the board's that was believed."""
+    return sum(astuple(run.fish.link.signing.refused))
+
+
+def _not_believed(run: _Run) -> LinkLostError:
+    return LinkLostError(
+        f"trial {run.number} was left alone, because the board is not believed:"
+        f" {run.fish.link.signing.why_silent()}",
+        "The board stops by itself; look with 'tailbeat key status' what is there, and connect"
+        " again.",
     )
 
 

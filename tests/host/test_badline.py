@@ -213,7 +213,9 @@ def test_a_line_in_words() -> None:
     assert faults_of("") == ([], [])
 
 
-@pytest.mark.parametrize("text", ["drop", "drop=2", "drop=x", "delay=1", "noise=1", "stall=1:2"])
+@pytest.mark.parametrize(
+    "text", ["drop", "drop=2", "drop=x", "delay=1", "noise=1", "stall=1:2", "delay=5:1"]
+)
 def test_words_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match="line"):
         faults_of(text)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import random
+import select
 import sys
-import threading
 from collections.abc import Iterator
 
 import pytest
@@ -15,6 +15,7 @@ from tailbeat import bluetooth
 from tailbeat.bluetooth import Settings, SetupReport, setup
 from tailbeat.cli import run
 from tailbeat.errors import ConnectError, InputError, TailbeatError
+from tailbeat.transport.serialport import SerialTransport
 
 from .radio_model import FakeLine, Hc06, Module, heartbeat
 
@@ -143,6 +144,13 @@ def test_a_board_instead_of_a_module() -> None:
     assert "is a board, not a Bluetooth module" in told(FakeLine(None, noise=said))
 
 
+def test_a_board_that_says_much() -> None:
+    """More came at other speeds than is kept."""
+    draw = random.Random(1)
+    said = b"".join(heartbeat(draw, number, signed=False) for number in range(400))
+    assert "is a board, not a Bluetooth module" in told(FakeLine(None, noise=said))
+
+
 def test_an_adapter_that_hears_itself() -> None:
     assert "comes back" in told(FakeLine(None, loop=True))
 
@@ -159,43 +167,76 @@ def test_wishes_that_make_no_sense(wanted: dict[str, str]) -> None:
 # The command, on a pseudo terminal
 
 
+class PtyModule(Module):
+    """A module behind a pseudo terminal; it looks at the speed the port is set to. It is served in
+    the waits of who talks to it, and only those take (virtual) time."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.master, self.slave = os.openpty()
+        self.now_s = 0.0
+        self.due = 0
+
+    def wrote(self, data: bytes) -> None:
+        self.due += len(data)
+
+    def wait(self, timeout_s: float) -> None:
+        import termios
+
+        self.now_s += timeout_s
+        if not self.due:
+            return
+        speeds = {getattr(termios, f"B{baud}"): baud for baud in (9600, 38400, 57600, 115200)}
+        data = self._come()
+        out = self.hear(data, speeds[termios.tcgetattr(self.master)[5]])
+        if out:
+            os.write(self.master, out)
+            self.answered(len(out))
+
+    def _come(self) -> bytes:
+        data = b""
+        while len(data) < self.due:
+            data += os.read(self.master, self.due - len(data))
+        self.due = 0
+        return data
+
+    def answered(self, count: int) -> None:
+        """Until so many bytes have come through the terminal."""
+        import fcntl
+        import termios
+
+        waiting = 0
+        while waiting < count:
+            assert select.select([self.slave], [], [], 60.0)[0]
+            packed = fcntl.ioctl(self.slave, termios.FIONREAD, bytes(4))
+            waiting = int.from_bytes(packed, sys.byteorder)
+
+    def close(self) -> None:
+        os.close(self.slave)
+        os.close(self.master)
+
+
 @pytest.fixture
-def pty_module() -> Iterator[tuple[str, Module]]:
-    """A module that looks at the speed the port is set to."""
-    import termios
+def pty_module(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, Module]]:
     import tty
 
-    speeds = {getattr(termios, f"B{baud}"): baud for baud in (9600, 38400, 57600, 115200)}
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    os.set_blocking(master, False)
-    module = Module(2)
-    over = threading.Event()
+    module = PtyModule()
+    tty.setraw(module.slave)
+    write = SerialTransport.write
 
-    def serve() -> None:
-        while not over.wait(0.005):
-            try:
-                data = os.read(master, 4096)
-            except BlockingIOError:
-                continue
-            os.write(master, module.hear(data, speeds[termios.tcgetattr(master)[5]]))
+    def sent(line: SerialTransport, data: bytes) -> None:
+        write(line, data)
+        module.wrote(data)
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield os.ttyname(slave), module
-    over.set()
-    thread.join()
-    os.close(slave)
-    os.close(master)
+    monkeypatch.setattr(SerialTransport, "write", sent)
+    monkeypatch.setattr(SerialTransport, "wait", lambda _, timeout_s: module.wait(timeout_s))
+    monkeypatch.setattr(SerialTransport, "now_s", lambda _: module.now_s)
+    yield os.ttyname(module.slave), module
+    module.close()
 
 
 @needs_pty
-def test_the_command(
-    pty_module: tuple[str, Module],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(bluetooth, "_SETTLE_S", 0.02)
+def test_the_command(pty_module: tuple[str, Module], capsys: pytest.CaptureFixture[str]) -> None:
     path, module = pty_module
     module.at_baud = 9600
     assert run(["bluetooth", "setup", path, "--name", "fish"]) == 0

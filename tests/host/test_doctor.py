@@ -22,13 +22,15 @@ from tailbeat import _dialect as mavlink
 from tailbeat.cli import run
 from tailbeat.crash import CrashReport
 from tailbeat.doctor import OK, PROBLEM, WARNING, Finding, examine
+from tailbeat.doctor.patient import gather
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
-from tailbeat.keys import StoredKey
+from tailbeat.keys import KeyStore, StoredKey
 from tailbeat.link import Framer
-from tailbeat.provision import HELD, MISSING, OPEN, KeyStatus
+from tailbeat.provision import HELD, MISSING, OPEN, KeyStatus, set_key
 from tailbeat.transport import find, portaccess
 from tailbeat.transport.base import Transport
+from tailbeat.transport.inprocess import CONSOLE
 from tailbeat.transport.simulated import SimBoard, SimTransport
 
 NAMES = [
@@ -434,12 +436,52 @@ def test_key(
     forged: Forged,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("tailbeat.doctor.patient.key_status", lambda fish: key)
+    monkeypatch.setattr("tailbeat.doctor.patient.key_status", lambda fish, health: key)
     found = look(forged)["key"]
     assert found.status == status
     assert text in found.text
     assert remedy in found.remedy
     assert KEY.key.hex() not in found.line
+
+
+@pytest.fixture
+def keyed(board: SimBoard) -> SimBoard:
+    """With a key that this computer has."""
+    with Fish(SimTransport(board, CONSOLE)) as fish:
+        fish.clock.sync()
+        set_key(fish)
+    return board
+
+
+def test_a_board_whose_key_is_here(look: Look, keyed: SimBoard) -> None:
+    found = look(SimTransport(keyed))
+    assert {f.status for f in found.values()} == {OK}
+    assert "signs with" in found["key"].text
+
+
+@pytest.mark.parametrize("lose", [0.0, 0.1])
+def test_a_board_whose_key_is_elsewhere(
+    look: Look, keyed: SimBoard, spoil: Any, lose: float
+) -> None:
+    """What a stranger is refused is no sign of another version."""
+    for key in KeyStore().usable():
+        KeyStore().forget(key)
+    found = look(spoil(Fish(SimTransport(keyed)), seed=3, lose=lose))
+    assert (found["key"].status, "tailbeat key import" in found["key"].remedy) == (PROBLEM, True)
+    assert found["key"].text.startswith("the board has a key that this computer has not")
+    assert int(found["key"].measured["refused_unsigned"] or 0) > 0 or lose
+    for name in ("firmware", "imu"):
+        assert (found[name].status, found[name].text) == (WARNING, "not told to strangers")
+    assert others(found, "firmware", "imu", "link") == {OK}
+    patient = gather(SimTransport(keyed), QUICK_S)
+    assert patient.unanswered == []
+    assert patient.untold == ["TAILBEAT_IMU_INFO", "AUTOPILOT_VERSION"]
+
+
+def test_a_board_behind_a_bad_line_is_in_this_process() -> None:
+    found = {f.name: f for f in examine("sim?line=delay=0.01:0.02", QUICK_S)}
+    assert "a board in this process" in found["port"].text
+    assert found["key"].status == OK
 
 
 def test_clock_of_a_dead_crystal(look: Look, forged: Forged) -> None:

@@ -20,7 +20,7 @@ from tailbeat.link import Framer
 from tailbeat.results import IMU_HEALTH, imu_health
 
 BOOT_US = (1 << 32) - 500_000  # the board's clock; its low half wraps soon
-NO_IMU = 59
+NO_IMU, NOT_SIGNED = 59, 62
 
 
 class ScriptedBoard:
@@ -42,6 +42,7 @@ class ScriptedBoard:
         }
         self.health: dict[str, int] = {"imu_frames": 1234}
         self.refuse_save = False
+        self.refuse_stream = 0
         self.saved = 0
         self.intervals: list[float] = []
         self.lost_frames: set[int] = set()  # messages that begin with these are not sent
@@ -87,6 +88,7 @@ class ScriptedBoard:
         if m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             assert m.param1 == mavlink.MAVLINK_MSG_ID_TAILBEAT_IMU
             self.intervals.append(m.param2)
+            fault = self.refuse_stream
         elif m.command == mavlink.TAILBEAT_CMD_IMU_SAVE:
             fault = NO_IMU if self.refuse_save else 0
             self.saved += not fault
@@ -237,6 +239,26 @@ def test_record_of_an_imu_that_is_silent(
     assert board.intervals[0] == 0.0
     assert board.intervals.count(0.0) >= 2  # the board may have ended the stream: asked again
     assert board.intervals[-1] == -1.0
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_recording_that_never_begins_leaves_the_files_as_they_are(
+    silent: bool,
+    shell: Callable[..., str],
+    board: ScriptedBoard,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if silent:
+        monkeypatch.setattr(ScriptedBoard, "_send_frames", lambda self: None)
+    else:
+        board.refuse_stream = NOT_SIGNED
+    held = tmp_path / "held.csv"
+    held.write_text("yesterday's")
+    for out in (held, tmp_path / "new.csv"):
+        shell("record", str(out), "--seconds", "3", status=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["held.csv"]
+    assert held.read_text() == "yesterday's"
 
 
 def test_an_abandoned_stream_is_ended(board: ScriptedBoard) -> None:

@@ -19,7 +19,15 @@ from tailbeat.errors import LinkLostError, Refused
 from tailbeat.fish import Fish
 from tailbeat.keys import KeyStore, StoredKey
 from tailbeat.link import Framer
-from tailbeat.provision import connect_notice, give_back, key_status, set_key, signing_time
+from tailbeat.provision import (
+    _SHORT_LIVED,
+    connect_notice,
+    give_back,
+    key_status,
+    set_key,
+    signing_time,
+)
+from tailbeat.transport import emulated
 from tailbeat.transport.inprocess import CONSOLE, RADIO
 from tailbeat.transport.simulated import FLASH_BYTES, SimBoard, SimTransport
 
@@ -355,11 +363,15 @@ def test_a_laptop_whose_clock_is_wrong(
 
 
 CHANGES = [
-    ["arm"], ["disarm"], ["clear"], ["learn"], ["params", "set", "LAW_LEAD", "1"],
-    ["params", "save"], ["params", "reset"], ["reference", "upload", "thesis"],
-    ["trial", "run"], ["trial", "discard"], ["key", "set"], ["key", "erase"],
+    ["arm"], ["disarm"], ["clear"], ["learn"], ["learn", "--restore-best"],
+    ["params", "set", "LAW_LEAD", "1"], ["params", "save"], ["params", "reset"],
+    ["reference", "upload", "thesis"], ["trial", "run"], ["trial", "discard"],
+    ["key", "set"], ["key", "erase"],
 ]  # fmt: skip
-READS = [["params", "list"], ["trial", "list"], ["key", "status"], ["params", "get", "LAW_LEAD"]]
+READS = [
+    ["info"], ["params", "list"], ["trial", "list"], ["key", "status"],
+    ["params", "get", "LAW_LEAD"],
+]  # fmt: skip
 
 
 def test_a_stranger_changes_nothing(owner: Laptop, laptop: Callable[[str], Laptop]) -> None:
@@ -398,6 +410,36 @@ def test_a_stranger_reads(owner: Laptop, laptop: Callable[[str], Laptop], tmp_pa
         assert fish.reference_record() == record
         assert fish.pull_trial(number, tmp_path).read_bytes() == log
         assert key_status(fish).trust == "missing"
+
+
+def test_what_info_tells_a_stranger(owner: Laptop, laptop: Callable[[str], Laptop]) -> None:
+    """What the board tells by itself; the rest is named."""
+    ours = owner.json("info", "--connect", "radio")
+    stranger = laptop("stranger")
+    status, out, _ = stranger.call("info", "--connect", "radio", "--json")
+    theirs = json.loads(out)
+    assert status == 0
+    assert theirs.keys() == ours.keys()
+    untold = {"build_id", "version", "board", "simulated", "unique_id", "imu"}
+    assert {name for name, value in theirs.items() if value is None} == untold
+    assert theirs["status"]["state"] == "IDLE"
+    assert theirs["status"].keys() == ours["status"].keys()
+    assert theirs["health"].keys() == ours["health"].keys()
+    _, out, _ = stranger.call("info", "--connect", "radio")
+    assert "what it is, and its firmware: not told to strangers" in out
+    assert "imu        not told to strangers" in out
+
+
+def test_a_strangers_doctor_names_the_key(
+    owner: Laptop, laptop: Callable[[str], Laptop], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stranger = laptop("stranger")
+    monkeypatch.setattr("tailbeat.doctor.reach.open_transport", stranger.open_transport)
+    for laptop_, problems in ((owner, []), (stranger, ["key"])):
+        status, out, err = laptop_.call("doctor", "--connect", "radio", "--json")
+        checks = json.loads(out)["checks"]
+        assert (status, err) == (len(problems), "")
+        assert [check["name"] for check in checks if check["status"] == "problem"] == problems
 
 
 def test_raw_requests_of_a_stranger(owner: Laptop) -> None:
@@ -494,7 +536,8 @@ def test_a_spoofed_status_fools_nobody(owner: Laptop) -> None:
         assert "key status" in lost.value.remedy
 
 
-def test_a_board_that_lost_its_key_is_told(owner: Laptop) -> None:
+def test_a_board_that_lost_its_key_is_told(owner: Laptop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # this board stands for a real one
     key = owner.key()
     owner.board.flash = b"\xff" * FLASH_BYTES
     owner.board.power_cycle()
@@ -504,6 +547,26 @@ def test_a_board_that_lost_its_key_is_told(owner: Laptop) -> None:
     assert err.count("\n") == 1
     lost = owner.json("key", "status", "--connect", "radio")
     assert (lost["trust"], lost["lost"]["key"]) == ("open", key.fingerprint)
+
+
+def test_a_simulated_board_may_forget_its_key(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next simulator is not taken for a board that lost it; by TCP neither."""
+    with Fish.connect("sim?port=console") as fish:
+        set_key(fish)
+    assert KeyStore()
+    for words in (["info"], ["key", "status"], ["doctor"]):
+        status = run([*words, "--connect", "sim", "--json"])
+        out, err = capsys.readouterr()
+        assert (status, err, 'lost": {' in out) == (0, "", False), words
+    monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
+    with Fish.connect("sim") as fish:
+        assert str(connect_notice(fish)).startswith("no key: anyone")
+
+
+def test_the_emulated_boards_id_is_known() -> None:
+    assert emulated.UNIQUE_ID.hex().startswith(_SHORT_LIVED)
 
 
 def test_the_key_comes_back_after_flashing(owner: Laptop) -> None:
@@ -546,11 +609,16 @@ def test_notices_at_connect(
     owner = laptop("owner")
     with owner.fish() as fish:
         assert connect_notice(fish) is None
-        monkeypatch.setattr("tailbeat.provision.SimTransport", type(None))
+        monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
         notice = connect_notice(fish)
         assert notice is not None
         assert notice.startswith("no key: anyone in radio range can move this tail")
         assert "tailbeat key set" in notice
+
+
+def test_a_board_behind_a_bad_line_is_in_this_process() -> None:
+    with Fish.connect("sim?line=drop=0.02") as fish:
+        assert connect_notice(fish) is None
 
 
 def test_a_key_others_can_read_is_told(owner: Laptop, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -578,3 +646,52 @@ def test_a_signed_trial_is_learned_from(owner: Laptop) -> None:
         assert errors[2] < errors[0]
         counted = fish.health()
         assert [counted[f"refused_{why}"] for why in ("unsigned", "wrong", "stale")] == [0, 0, 0]
+
+
+def test_a_trial_whose_board_comes_back_without_its_key(owner: Laptop) -> None:
+    """It is not waited for: nothing that comes from it will be believed."""
+    with owner.fish() as fish:
+        upload_reference(fish)
+        cut_at_s: list[float] = []
+
+        def erase(event: dict[str, Any]) -> None:
+            if event["event"] == "beat" and not cut_at_s:
+                cut_at_s.append(owner.board.time_s)
+                owner.board.flash = b"\xff" * FLASH_BYTES
+                owner.board.power_cycle()
+
+        with pytest.raises(LinkLostError, match="not signed any more: its key was erased"):
+            fish.run_trial(on_event=erase)
+        assert owner.board.time_s - cut_at_s[0] < 20.0
+
+
+@pytest.mark.parametrize("hole_s", [20.0, 60.0])
+def test_frames_of_others_do_not_end_the_waiting(owner: Laptop, hole_s: float) -> None:
+    """Some forged frames in a hole of the radio; they are told if it was too long."""
+    with owner.fish() as fish:
+        radio = Tap(fish)
+        upload_reference(fish)
+        liar = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        forged = bytes(mavlink.MAVLink_heartbeat_message(1, 0, 0, 0, 0, 3).pack(liar))
+        due_s = [4.0, 6.0, 8.0, 12.0, 14.0]
+        hole: list[float] = []
+
+        def read(data: bytes) -> bytes:
+            if not hole or owner.board.time_s > hole[0] + hole_s:
+                return data
+            if not due_s or owner.board.time_s < hole[0] + due_s[0]:
+                return b""
+            del due_s[0]
+            return forged
+
+        def begin(event: dict[str, Any]) -> None:
+            if event["event"] == "beat" and not hole:
+                hole.append(owner.board.time_s)
+
+        radio.on_read = read
+        if hole_s > 30.0:
+            with pytest.raises(LinkLostError, match="come back in 30 s: what comes from it is not"):
+                fish.run_trial(on_event=begin, reconnect_s=30.0)
+        else:
+            assert fish.run_trial(on_event=begin, reconnect_s=30.0).end == "complete"
+        assert not due_s

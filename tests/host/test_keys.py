@@ -11,9 +11,14 @@ from pathlib import Path
 import pytest
 
 from tailbeat import _dialect as mavlink
+from tailbeat.cli import run
 from tailbeat.errors import InputError
+from tailbeat.fish import Fish
 from tailbeat.keys import KeyStore, StoredKey, decode_key, encode_key, new_key, write_private
+from tailbeat.provision import connect_notice, key_status, set_key
 from tailbeat.signing import Signing
+from tailbeat.transport.inprocess import CONSOLE, SimTransport
+from tailbeat.transport.simulated import SimBoard
 
 BOARD = "00112233445566778899aabbccddeeff"
 KEY = StoredKey(bytes(range(1, 33)), BOARD, "fish", "2026-01-01T00:00:00+00:00", link_id=9)
@@ -77,6 +82,12 @@ def test_a_key_is_never_shown() -> None:
         encode_key(KEY).replace(b'"link_id": 9', b'"link_id": 0'),
         encode_key(KEY).replace(b'"heard": 0', b'"heard": 281474976710656'),
         encode_key(KEY).replace(b'"used": 0', b'"used": -1'),
+        encode_key(KEY).replace(b'"link_id": 9', b'"link_id": 1e999'),
+        encode_key(KEY).replace(b'"used": 0', b'"used": NaN'),
+        encode_key(KEY).replace(b'"fish"', b'"fish\\u001b[2J"'),
+        encode_key(KEY).replace(b'"fish"', b'"\\ud800"'),
+        encode_key(KEY).replace(b'2026-01-01T', b'2026-01-01\\n'),
+        b"[" * 30_000,
     ],
 )  # fmt: skip
 def test_damaged_files_are_told_and_left(
@@ -152,6 +163,135 @@ def test_where_keys_lie(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
     assert KeyStore().folder == tmp_path / "tailbeat" / "keys"
     monkeypatch.delenv("XDG_CONFIG_HOME")
     assert KeyStore().folder == Path.home() / ".config" / "tailbeat" / "keys"
+
+
+def test_a_name_that_cannot_be_shown_is_refused_before_it_is_kept() -> None:
+    """A file with such a name would not be taken again."""
+    with pytest.raises(InputError, match="name"):
+        new_key(BOARD, "a\nb")
+
+
+@pytest.mark.parametrize("words", [["list"], ["export"], ["status", "--connect", "sim"]])
+def test_a_file_in_the_place_of_the_folder_is_told(
+    words: list[str], keys_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys_folder.parent.mkdir(exist_ok=True)
+    keys_folder.write_text("")
+    assert run(["key", *words]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert f"{keys_folder} is no folder" in err
+    assert "TAILBEAT_KEYS" in err
+
+
+def test_damaged_files_do_not_break_commands(
+    keys_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.key"
+    for content in (b"[" * 30_000, encode_key(KEY).replace(b'"link_id": 9', b'"link_id": 1e999')):
+        bad.write_bytes(content)
+        assert run(["key", "import", str(bad)]) == 1
+        assert "holds no key" in capsys.readouterr().err
+        keys_folder.mkdir(parents=True, exist_ok=True)
+        write_private(keys_folder / "bad.json", content)
+        assert run(["key", "list"]) == 0
+        assert "holds no key" in capsys.readouterr().err
+
+
+def test_where_an_export_cannot_go(
+    store: KeyStore, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store.save(KEY)
+    held = tmp_path / "fish.key"
+    held.write_text("mine")
+    assert run(["key", "export", str(held)]) == 1
+    assert capsys.readouterr().err == (
+        f"tailbeat: {held} exists already. Delete it or take another name.\n"
+    )
+    assert held.read_text() == "mine"
+    nowhere = tmp_path / "none" / "x"
+    assert run(["key", "export", str(nowhere)]) == 1
+    assert capsys.readouterr().err.startswith(
+        f"tailbeat: cannot write {nowhere} (No such file or directory). "
+    )
+
+
+def test_only_a_key_that_was_heard_counts_as_the_boards(store: KeyStore) -> None:
+    heard = replace(KEY, heard=5)
+    store.save(OTHER)  # newer, and never heard
+    assert store.newest_of(BOARD) is None
+    store.save(heard)
+    assert store.newest_of(BOARD) == heard
+    assert store.newest_of("0" * 32) is None
+    store.save(replace(KEY, key=bytes(31) + b"x", heard=4))
+    assert store.newest_of(BOARD) == heard
+
+
+def test_a_key_that_went_missing_while_it_was_given_is_kept(store: KeyStore) -> None:
+    store.save(OTHER)
+    store.forget_others(KEY)
+    assert store.usable() == [KEY]
+
+
+# A key set that is broken off
+
+
+class Interrupted(SimTransport):
+    """Ctrl-C when a key is about to go out, or after it went."""
+
+    def __init__(self, board: SimBoard, arrives: bool) -> None:
+        super().__init__(board, CONSOLE)
+        self.arrives = arrives
+
+    def write(self, data: bytes) -> None:
+        if data[7:10] == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING.to_bytes(3, "little"):
+            if self.arrives:
+                super().write(data)
+            raise KeyboardInterrupt
+        super().write(data)
+
+
+@pytest.mark.parametrize("had", [False, True])
+@pytest.mark.parametrize("arrives", [False, True])
+def test_ctrl_c_while_a_key_is_set(
+    had: bool,
+    arrives: bool,
+    store: KeyStore,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    board = SimBoard("tank")
+    if had:
+        with Fish(SimTransport(board, CONSOLE)) as fish:
+            fish.clock.sync()
+            set_key(fish)
+    before = store.usable()
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda _: Interrupted(board, arrives))
+    assert run(["key", "set", "--connect", "wire"]) == 130
+    assert capsys.readouterr().err == (
+        "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat key"
+        " status\n"
+    )
+    (new,) = (key for key in store.usable() if key not in before and not key.confirmed)
+    assert run(["key", "list"]) == 0
+    assert capsys.readouterr().out.count("not heard from its board") == 1
+    board.run(1.0)
+    with Fish(SimTransport(board)) as fish:
+        fish.clock.sync()
+        status = key_status(fish)
+        notice = connect_notice(fish)
+    if arrives:
+        assert status.held is not None
+        assert status.held.key == new.key
+        assert notice is None
+        newest = store.newest_of(new.board)
+        assert newest is not None
+        assert newest.key == new.key
+    else:
+        assert (status.trust, status.lost) == ("held" if had else "open", None)
+        assert "erased" not in (notice or "")
+        assert len(store.usable()) == 1
+        assert store.usable()[0].confirmed is had
 
 
 # Which frames are believed
@@ -304,6 +444,36 @@ def test_time_is_kept_while_it_runs(signing: Signing, store: KeyStore) -> None:
         assert signing.admit(Sender(time=T0 + second * 100_000).frame(), float(second))
     (kept,) = (key for key in store.usable() if key.key == KEY.key)
     assert T0 + 140 * 100_000 <= kept.heard <= T0 + 200 * 100_000
+
+
+def test_keys_the_board_never_took_go_when_it_signs_with_another(
+    signing: Signing, store: KeyStore
+) -> None:
+    elsewhere = replace(OTHER, key=bytes(31) + b"x", board="f" * 32)
+    heard = replace(OTHER, key=bytes(31) + b"y", heard=7)
+    store.save(elsewhere)
+    store.save(heard)
+    assert signing.admit(Sender().frame(), 0.0)
+    assert {key.key for key in store.usable()} == {KEY.key, elsewhere.key, heard.key}
+
+
+def test_a_key_on_its_way_to_the_board_is_kept(signing: Signing, store: KeyStore) -> None:
+    signing.offer(OTHER)
+    assert signing.admit(Sender().frame(), 0.0)
+    assert {key.key for key in store.usable()} == {KEY.key, OTHER.key}
+
+
+def test_a_key_is_confirmed_by_the_first_frame(store: KeyStore) -> None:
+    store.save(KEY)
+    assert Signing(store).admit(Sender(time=5).frame(), 0.0)  # a clock that has just begun
+    assert [key.confirmed for key in store.usable()] == [True]
+
+
+def test_a_key_from_the_far_future_has_a_way_out(store: KeyStore) -> None:
+    store.save(replace(KEY, heard=(1 << 48) - 2))
+    signing = Signing(store)
+    assert not signing.admit(Sender().frame(), 0.0)
+    assert "tailbeat key forget" in signing.why_silent()
 
 
 def test_a_key_on_offer_is_taken_when_it_shows(signing: Signing) -> None:

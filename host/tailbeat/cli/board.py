@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,7 +20,8 @@ from tailbeat.cli.common import (
 
 if TYPE_CHECKING:
     from tailbeat.crash import CrashReport
-    from tailbeat.results import BoardInfo, BoardStatus, ImuInfo
+    from tailbeat.fish import Fish
+    from tailbeat.results import BoardStatus, ImuInfo
 
 
 def info(connect: Connect = None, json: Json = False) -> None:
@@ -27,14 +29,32 @@ def info(connect: Connect = None, json: Json = False) -> None:
 
     Example: tailbeat info --connect tcp:127.0.0.1:5760
     """
+    from tailbeat.provision import MISSING, trust_of
+
     with connected(connect) as fish:
-        found = fish.info()
-        imu = fish.imu_info()
-        health = fish.health()
-    document = plain(found)
-    document["imu"] = imu
-    document["health"] = health
-    say(json, document, lambda: _info_text(found, imu, health))
+        if trust_of(fish) == MISSING:
+            document, text = _info_of_a_stranger(fish)
+        else:
+            document, text = _info(fish)
+    say(json, document, text)
+
+
+def _info(fish: Fish) -> tuple[dict[str, Any], str]:
+    found, imu, health = fish.info(), fish.imu_info(), fish.health()
+    who = f"{found.board} board on {found.connection}, firmware {found.build_id}"
+    document = plain(found) | {"imu": imu, "health": health}
+    return document, _info_text(who, found.status, imu_line(imu), health)
+
+
+def _info_of_a_stranger(fish: Fish) -> tuple[dict[str, Any], str]:
+    """A board whose key we have not tells no more than it tells by itself."""
+    from tailbeat.results import BoardInfo
+
+    status, health, name = fish.status(), fish.health(), fish.transport.name
+    document: dict[str, Any] = dict.fromkeys(field.name for field in fields(BoardInfo))
+    document |= {"connection": name, "status": status, "imu": None, "health": health}
+    who = f"board on {name}; what it is, and its firmware: not told to strangers"
+    return document, _info_text(who, status, "not told to strangers", health)
 
 
 def imu_line(imu: ImuInfo) -> str:
@@ -45,14 +65,13 @@ def imu_line(imu: ImuInfo) -> str:
     return f"{imu.model}, firmware {imu.firmware}, {imu.rate_hz} Hz at {where}"
 
 
-def _info_text(found: BoardInfo, imu: ImuInfo, health: dict[str, int | str]) -> str:
-    status = found.status
+def _info_text(who: str, status: BoardStatus, imu: str, health: dict[str, int | str]) -> str:
     lines = [
-        f"{found.board} board on {found.connection}, firmware {found.build_id}",
+        who,
         f"state      {status.state}, battery {status.battery_v:.2f} V",
         f"reference  {_reference(status)}",
         f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
-        f"imu        {imu_line(imu)}",
+        f"imu        {imu}",
     ]
     if status.fault.number:
         lines.insert(2, f"stopped    {status.fault.meaning}. {status.fault.remedy}")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import math
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -110,18 +112,33 @@ def record(
     """
     with connected(connect or context.obj) as fish, progress_bar(json, "recording") as show:
         tally = _Tally()
-        with out.open("w", newline="") as file, contextlib.suppress(KeyboardInterrupt):
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(_COLUMNS)
-            frames = fish.imu_frames(math.inf if seconds is None else seconds)
-            with contextlib.closing(frames):
-                for frame in frames:
-                    tally.add(frame)
-                    writer.writerow(_row(frame))
-                    show(tally.duration_s / (seconds or math.inf), f"{tally.frames} frames")
+        frames = fish.imu_frames(math.inf if seconds is None else seconds)
+        written = _rows_into(out, frames)
+        with (
+            contextlib.suppress(KeyboardInterrupt),
+            contextlib.closing(frames),
+            contextlib.closing(written),
+        ):
+            for frame in written:
+                tally.add(frame)
+                show(tally.duration_s / (seconds or math.inf), f"{tally.frames} frames")
         if not tally.frames:
             raise _silent(fish)
     say(json, {"file": out, **tally.document()}, lambda: tally.text(out))
+
+
+def _rows_into(out: Path, frames: Iterator[ImuFrame]) -> Generator[ImuFrame, None, None]:
+    """Writes each frame down before it hands it on. A file that is there is not touched before the
+    first one comes."""
+    first = next(frames, None)
+    if first is None:
+        return
+    with out.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        for frame in itertools.chain([first], frames):
+            writer.writerow(_row(frame))
+            yield frame
 
 
 class _Tally:

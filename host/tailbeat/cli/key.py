@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,7 +39,7 @@ def set_(
     """
     from tailbeat.provision import set_key
 
-    with connected(connect, notice=False) as fish:
+    with connected(connect, notice=False) as fish, _told_when_interrupted():
         key = set_key(fish, name)
     say(
         json,
@@ -45,6 +47,24 @@ def set_(
         f"the board signs with key {key.fingerprint} now, and so does this computer; a second one"
         " gets it with: tailbeat key export FILE",
     )
+
+
+@contextlib.contextmanager
+def _told_when_interrupted() -> Iterator[None]:
+    """A key that was kept here may have reached the board or not."""
+    from tailbeat.keys import KeyStore
+
+    before = KeyStore().usable()
+    try:
+        yield
+    except KeyboardInterrupt:
+        if KeyStore().usable() != before:
+            typer.echo(
+                "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat"
+                " key status",
+                err=True,
+            )
+        raise
 
 
 @app.command()
@@ -91,7 +111,11 @@ def list_(json: Json = False) -> None:
     keys, problems = store.load()
     for line in problems:
         typer.echo(f"tailbeat: {line}", err=True)
-    rows = [f"{key.fingerprint}  board {key.board}  {key.created}  {key.name}" for key in keys]
+    rows = [
+        f"{key.fingerprint}  board {key.board}  {key.created}  {key.name}"
+        + ("" if key.confirmed else "  (not heard from its board yet)")
+        for key in keys
+    ]
     document = {"folder": store.folder, "keys": [key.public() for key in keys]}
     say(json, document, "\n".join(row.rstrip() for row in rows) or "no keys on this computer")
 
@@ -125,6 +149,7 @@ def export(
 
     Example: tailbeat key export fish.key
     """
+    from tailbeat.errors import InputError, reason
     from tailbeat.keys import KeyStore, encode_key, write_private
 
     found = KeyStore().find(key)
@@ -133,7 +158,15 @@ def export(
         typer.echo(f"tailbeat: this is a secret: {secret}", err=True)
         sys.stdout.write(encode_key(found).decode())
         return
-    write_private(file, encode_key(found), anew=True)
+    try:
+        write_private(file, encode_key(found), anew=True)
+    except FileExistsError:
+        raise InputError(f"{file} exists already", "Delete it or take another name.") from None
+    except OSError as error:
+        raise InputError(
+            f"cannot write {file} ({reason(error)})",
+            "Check the path, your rights there and the free space.",
+        ) from error
     document = found.public() | {"file": str(file)}
     say(json, document, f"wrote key {found.fingerprint} to {file}: {secret}")
 

@@ -35,6 +35,8 @@ def _firmware(patient: Patient) -> Finding:
     """Whether board and tool are of one version."""
     ours, build = tool_version(), _text(lib.link_build_id())
     measured: Figures = {"tool": ours, "tool_build": build, "board_build": patient.build_id}
+    if "AUTOPILOT_VERSION" in patient.untold:
+        return _untold("firmware", measured)
     if patient.unanswered:
         what = ", ".join(patient.unanswered)
         return Finding(
@@ -106,6 +108,8 @@ def _judge_link(patient: Patient, rate: float | None) -> tuple[str, str]:
 def _imu(patient: Patient) -> Finding:
     """Whether the IMU streams, and whether that matters."""
     imu = patient.imu
+    if "TAILBEAT_IMU_INFO" in patient.untold:
+        return _untold("imu")
     if imu is None:
         return _unknown("imu")
     problem = imu.problem
@@ -312,6 +316,11 @@ def _same_build(ours: str, sent: str) -> bool:
 def _unknown(name: str) -> Finding:
     remedy = "See what 'firmware' and 'link' above say."
     return Finding(name, WARNING, "not known: the board did not say", remedy)
+
+
+def _untold(name: str, measured: Figures | None = None) -> Finding:
+    """The board has a key, and we have not."""
+    return Finding(name, WARNING, "not told to strangers", "See what 'key' says.", measured or {})
 
 
 def _text(pointer: object) -> str:

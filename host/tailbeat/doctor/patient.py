@@ -10,13 +10,13 @@ from tailbeat import results
 from tailbeat.crash import CrashReport
 from tailbeat.doctor.quality import Burst, Pings, burst, ping
 from tailbeat.doctor.reach import by_radio
-from tailbeat.errors import TailbeatError
+from tailbeat.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.fish import Fish
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
-from tailbeat.provision import KeyStatus, key_status
+from tailbeat.provision import MISSING, KeyStatus, key_status, trust_of
 from tailbeat.results import BoardStatus, ImuInfo
 from tailbeat.transport.base import Transport
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.inprocess import in_process
 
 # The version last: a line of text with the build follows it.
 ASKED = ("TAILBEAT_STATUS", "TAILBEAT_HEALTH", "TAILBEAT_IMU_INFO", "AUTOPILOT_VERSION")
@@ -31,7 +31,8 @@ Health = dict[str, int | str]
 
 @dataclass
 class Patient:
-    """``unanswered``: messages the board did not give though it answered others."""
+    """``unanswered``: messages the board did not give though it answered others. ``untold``: those
+    it refused us, because it has a key and we have not."""
 
     by_radio: bool
     in_process: bool
@@ -48,6 +49,7 @@ class Patient:
     key: KeyStatus | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     unanswered: list[str] = field(default_factory=list)
+    untold: list[str] = field(default_factory=list)
 
     @property
     def busy(self) -> bool:
@@ -66,9 +68,10 @@ def gather(transport: Transport, measure_s: float) -> Patient:
     fish = Fish(transport)
     fish.clock.sync()
     link = fish.link
-    before = _ask(link, "TAILBEAT_HEALTH")
+    # A stranger would have to wait for it twice.
+    before = None if link.signing.locked else _ask(link, "TAILBEAT_HEALTH")
     damaged = link.framer.bad_frames
-    patient = Patient(by_radio(transport), isinstance(transport, SimTransport), Pings(0, []))
+    patient = Patient(by_radio(transport), in_process(transport) is not None, Pings(0, []))
     patient.pings = ping(link, measure_s)
     _read(patient, link)
     if not patient.busy:
@@ -83,8 +86,14 @@ def gather(transport: Transport, measure_s: float) -> Patient:
 
 def _read(patient: Patient, link: Link) -> None:
     tries = _TRIES_LOSSY if patient.pings.lost else _TRIES
-    messages = {kind: _ask(link, kind, tries) for kind in ASKED}
-    patient.unanswered = [kind for kind, message in messages.items() if message is None]
+    messages: dict[str, Message | None] = dict.fromkeys(ASKED)
+    for kind in ASKED:
+        try:
+            messages[kind] = _ask(link, kind, tries)
+        except Refused:
+            patient.untold.append(kind)
+    silent = [kind for kind, message in messages.items() if message is None]
+    patient.unanswered = [kind for kind in silent if kind not in patient.untold]
     if len(patient.unanswered) == len(ASKED):
         raise link.lost(tries, tries * _REPLY_S)
     status, health, imu, version = (messages[kind] for kind in ASKED)
@@ -109,12 +118,16 @@ def _look_further(patient: Patient, fish: Fish) -> None:
     if not patient.busy:
         with contextlib.suppress(TailbeatError):
             patient.crash = fish.crash_report()
-    if patient.version is not None and patient.health is not None:
-        patient.key = key_status(fish)
+    told = patient.version is not None and patient.health is not None
+    if told or trust_of(fish) == MISSING:
+        patient.key = key_status(fish, patient.health or {})
 
 
 def _ask(link: Link, kind: str, tries: int = _TRIES) -> Message | None:
-    """A message, with less patience than link.request: it may be one that never comes."""
+    """A message, with less patience than link.request: it may be one that never comes. Raises
+    Refused when the board does not tell it to strangers, which we are."""
+    if link.signing.locked:
+        return _overhear(link, kind)
     number = next(n for n, message in mavlink.mavlink_map.items() if message.msgname == kind)
     request = mavlink.MAVLink_command_long_message(
         BOARD_SYSTEM, BOARD_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0
@@ -125,6 +138,13 @@ def _ask(link: Link, kind: str, tries: int = _TRIES) -> Message | None:
         message = link.recv(kind, link.patient(_REPLY_S))
         if message is not None:
             return message
+    return None
+
+
+def _overhear(link: Link, kind: str) -> Message | None:
+    """What a board tells by itself; the rest it refuses."""
+    with contextlib.suppress(LinkLostError):
+        return link.request(kind)
     return None
 
 

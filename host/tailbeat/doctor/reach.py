@@ -7,7 +7,7 @@ from tailbeat.errors import ConnectError, TailbeatError
 from tailbeat.transport.base import Transport
 from tailbeat.transport.find import LISTEN_S, find_board, hear_board, open_transport
 from tailbeat.transport.hearing import Hearing
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.inprocess import in_process
 from tailbeat.transport.portaccess import CLOSE_IT, holders
 from tailbeat.transport.serialport import SerialTransport, is_radio
 
@@ -42,7 +42,7 @@ def _port(transport: Transport) -> Finding:
 
 
 def _what(transport: Transport) -> str:
-    if isinstance(transport, SimTransport):
+    if in_process(transport) is not None:
         return f"{transport.name}, a board in this process"
     if isinstance(transport, SerialTransport):
         kind = "the radio" if by_radio(transport) else "a serial port"

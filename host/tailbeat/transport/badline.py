@@ -327,8 +327,9 @@ def _fault(word: str) -> Fault:
             return hc05()
         if name == "delay":
             low_s, high_s = _numbers(value, 2)
-            return Delay(low_s, high_s)
-        if name == "stall":
+            if low_s <= high_s:
+                return Delay(low_s, high_s)
+        elif name == "stall":
             every_s, length_s = _numbers(value, 2)
             if length_s < every_s:
                 return Stall(every_s, length_s)

@@ -9,6 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.transport.badline import BadLine
+from tailbeat.transport.base import Transport
+
 RADIO, CONSOLE = 0, 1
 FLASH_BYTES = 256 * 1024
 
@@ -144,3 +147,10 @@ class SimTransport:
 
     def close(self) -> None:
         """The board lives on with its owner."""
+
+
+def in_process(transport: Transport) -> SimTransport | None:
+    """The transport to a board in this process, behind whatever bad line; None for any other."""
+    while isinstance(transport, BadLine):
+        transport = transport.inner
+    return transport if isinstance(transport, SimTransport) else None
