@@ -403,9 +403,12 @@ static bool is_damaged(app_t *app, salvage_t *salvage, kind_t kind) {
         kind_of(app, length, &key, &counter) != kind) {
         return true;
     }
-    if (kind == KIND_REFERENCE || (kind == KIND_LEARNED && salvage->origin.crc == 0)) {
-        salvage->origin = kind == KIND_REFERENCE ? (origin_t){.crc = record_crc(app->record)}
-                                                 : origin_of(app, kind);
+    if (kind == KIND_REFERENCE) {
+        const origin_t origin = {.crc = record_crc(app->record)};
+        salvage->origin = origin;
+        salvage->origin_fixed = true;
+    } else if (kind == KIND_LEARNED && salvage->origin.crc == 0) {
+        salvage->origin = origin_of(app, kind);
         salvage->origin_fixed = true;
     }
     return false;
