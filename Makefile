@@ -124,7 +124,7 @@ unit: bootstrap
 		-DTAILBEAT_NATIVE=OFF >/dev/null
 	@cmake --build build/unit -- --quiet
 	@find build/unit -name '*.gcda' -delete
-	@ctest --test-dir build/unit --output-on-failure
+	@ctest --test-dir build/unit -j2 --output-on-failure
 
 coverage:
 	@echo "Line coverage of firmware/ by the unit tests:"
