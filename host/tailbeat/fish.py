@@ -246,8 +246,8 @@ class Fish:
         number = trial if trial is not None else self._pending()
         try:
             self.link.command(mavlink.TAILBEAT_CMD_DISCARD, float(number))
-        except Refused as refused:  # a repeated one finds it dropped already
-            if refused.number != NO_TRIAL or self.link.said == 1:
+        except Refused as refused:  # one that came twice finds it dropped already
+            if refused.number != NO_TRIAL or (self.link.said == 1 and trial is not None):
                 raise
 
     def restore_best(self) -> None:
@@ -341,8 +341,8 @@ class Fish:
         try:
             self.link.command_int(mavlink.TAILBEAT_CMD_COMMIT, float(file), len(record), signed)
         except Refused as refused:
-            if refused.number != BAD_FILE or self.link.said == 1 or self._is_there(file):
-                raise  # a repeated one finds the file gone: it was taken over at the first
+            if refused.number != BAD_FILE or self._is_there(file):
+                raise  # one that came twice finds the file gone: it was taken over at the first
 
     def _is_there(self, file: int) -> bool:
         try:

@@ -12,7 +12,7 @@ from tailbeat import records
 from tailbeat.errors import Refused
 from tailbeat.fish import Fish
 from tailbeat.link import Framer, Message
-from tailbeat.transport.badline import BadLine, Cut, Delay
+from tailbeat.transport.badline import BadLine, Cut, Delay, Duplicate
 
 
 def message_of(frame: bytes) -> Message | None:
@@ -99,6 +99,29 @@ def test_a_command_whose_acknowledgement_is_lost_is_done_once(
     do(ready)
     assert len(lost.lost) == count
     assert done(ready)
+
+
+@pytest.mark.parametrize(
+    ("command", "prepare", "do"),
+    [
+        (mavlink.TAILBEAT_CMD_DISCARD, Fish.run_trial, Fish.discard),
+        (
+            mavlink.TAILBEAT_CMD_COMMIT,
+            lambda f: None,
+            lambda f: f.upload_reference(records.encode_reference(1.0, [0.01] * 5)),
+        ),
+    ],
+)
+def test_a_command_that_the_line_brings_twice_is_done(
+    ready: Fish, command: int, prepare, do
+) -> None:  # type: ignore[no-untyped-def]
+    """The answer to the first is lost; the second finds it done."""
+    prepare(ready)
+    lost = deaf_to(ready, command, 1)
+    assert isinstance(ready.link.transport, BadLine)
+    ready.link.transport = BadLine(ready.transport, [Duplicate(1.0)], [lost])
+    do(ready)
+    assert len(lost.lost) == 1
 
 
 def test_what_is_refused_stays_refused(ready: Fish) -> None:
