@@ -118,11 +118,9 @@ static uint32_t log_bytes(const app_t *app) {
 
 /* What fails here fails at the start too, and is told then. */
 static void make_room_step(app_t *app) {
-    if (!app->room_made) {
-        const store_result_t result =
-            store_make_space_step(&app->store, log_bytes(app), 0, &app->room_made);
-        app->room_made = app->room_made || result != STORE_OK;
-    }
+    const store_result_t result =
+        store_make_space_step(&app->store, log_bytes(app), 0, &app->room_made);
+    app->room_made = app->room_made || result != STORE_OK;
 }
 
 /* A failed save went back to what is stored; the board stays armed and needs its guess. */

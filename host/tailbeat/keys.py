@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.errors import InputError, reason
+from tailbeat.lasting import sync_folder
 
 KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"
@@ -305,14 +306,4 @@ def write_private(path: Path, content: bytes, anew: bool = False) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
-    _sync_folder(path.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Makes the name last too; Windows neither needs nor allows it."""
-    if os.name != "nt":
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+    sync_folder(path.parent)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.errors import InputError, reason
+from tailbeat.lasting import sync_folder
 
 _BOARD = "board.json"
 _FORMAT = "tailbeat backup 1"
@@ -45,7 +46,7 @@ class Backup:
             if record is not None:
                 _write(folder / f"{name}.bin", record)
         _write(folder / _BOARD, json.dumps(self._document(), indent=2).encode() + b"\n")
-        _sync_folder(folder)
+        sync_folder(folder)
         if Backup.read(folder) != self:
             raise InputError(
                 f"the backup in {folder} differs from what was written",
@@ -114,13 +115,3 @@ def _write(path: Path, content: bytes) -> None:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    """Makes the names last too; Windows neither needs nor allows it."""
-    if os.name != "nt":
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
