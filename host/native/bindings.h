@@ -8,6 +8,7 @@
 #include "app/settings.h"
 #include "base/crc.h"
 #include "base/units.h"
+#include "drag_model.h"
 #include "gait/gait.h"
 #include "hal/flash.h"
 #include "hal/servo.h"

@@ -1,0 +1,137 @@
+#include "drag_model.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { BY_KAPPA, BY_DELAY, BY_START, BY_MODEL };
+
+/* Over a piece of time with w held: way and speed at its end, and what they owe to what. */
+typedef struct {
+    double way_m, v_m_s;
+    double way_by_v, v_by_v;
+    double way_by_w, v_by_w;
+    double way_by_kappa, v_by_kappa;
+} piece_t;
+
+/* The whole state: distance and speed, with their derivatives. */
+typedef struct {
+    const drag_model_t *model;
+    double x_m, v_m_s;
+    double *x_by_w, *v_by_w; /* the row that is being filled; NULL = not asked for */
+    double x_by[BY_MODEL], v_by[BY_MODEL];
+} swim_t;
+
+/* With c = cosh z, s = kt*sinh(z)/z, z = kt*sqrt(w), all scaled by exp(-z) so that nothing
+ * overflows: D = c + v*s, way = ln(D)/kappa, v' = (v*c + w*s)/D. c and s are smooth in w at 0. */
+static piece_t piece(double kappa, double w, double v, double time_s) {
+    const double kt = kappa * time_s;
+    const double root = sqrt(w);
+    const double z = kt * root;
+    const double decay = exp(-2 * z);
+    const double c = 0.5 * (1 + decay);
+    const double s = z > 1e-4 ? 0.5 * (1 - decay) / root : kt * exp(-z) * (1 + z * z / 6);
+    /* the derivative of s*exp(z) by w, times exp(-z); the series where the difference of
+     * nearly equal numbers would lose all digits */
+    const double ds = z > 0.02
+                          ? (kt * c - s) / (2 * w)
+                          : kt * kt * kt * exp(-z) * (1.0 / 6 + z * z / 60 + z * z * z * z / 1680);
+    const double dc = 0.5 * kt * s;
+    const double d = c + v * s;
+    const double next = (v * c + w * s) / d;
+    const double way = (z + log(d)) / kappa;
+    const double d_by_w = dc + v * ds;
+    return (piece_t){
+        .way_m = way,
+        .v_m_s = next,
+        .way_by_v = s / (kappa * d),
+        .v_by_v = exp(-2 * z) / (d * d),
+        .way_by_w = d_by_w / (kappa * d),
+        .v_by_w = (v * dc + s + w * ds - next * d_by_w) / d,
+        .way_by_kappa = (time_s * next - way) / kappa,
+        .v_by_kappa = time_s * (w - next * next),
+    };
+}
+
+/* Lets |beat|'s thrust act for |time_s|; one before the first is none. */
+static void advance(swim_t *swim, const double *w, ptrdiff_t beat, double time_s) {
+    const piece_t p = piece(swim->model->kappa_per_m, beat >= 0 ? w[beat] : 0, swim->v_m_s, time_s);
+    swim->x_m += p.way_m;
+    swim->v_m_s = p.v_m_s;
+    for (size_t i = 0; i < BY_MODEL; i++) {
+        swim->x_by[i] += p.way_by_v * swim->v_by[i];
+        swim->v_by[i] *= p.v_by_v;
+    }
+    swim->x_by[BY_KAPPA] += p.way_by_kappa;
+    swim->v_by[BY_KAPPA] += p.v_by_kappa;
+    if (swim->x_by_w == NULL) {
+        return;
+    }
+    for (ptrdiff_t j = 0; j <= beat; j++) {
+        swim->x_by_w[j] += p.way_by_v * swim->v_by_w[j];
+        swim->v_by_w[j] *= p.v_by_v;
+    }
+    if (beat >= 0) {
+        swim->x_by_w[beat] += p.way_by_w;
+        swim->v_by_w[beat] += p.v_by_w;
+    }
+}
+
+/* A later switch prolongs the old thrust: the speed has gained kappa*(old - new) more by then. */
+static void switched_later(swim_t *swim, double old_w, double new_w) {
+    swim->v_by[BY_DELAY] += swim->model->kappa_per_m * (old_w - new_w);
+}
+
+static bool valid(const drag_model_t *model, const double *w, size_t beats, size_t parts) {
+    bool fine = model->kappa_per_m > 0 && isfinite(model->kappa_per_m) && model->delay_s >= 0 &&
+                isfinite(model->delay_s) && model->start_m_s >= 0 && isfinite(model->start_m_s) &&
+                model->beat_s > 0 && isfinite(model->beat_s) && parts > 0;
+    for (size_t k = 0; k < beats; k++) {
+        fine = fine && w[k] >= 0 && isfinite(w[k]);
+    }
+    return fine;
+}
+
+static void note(const swim_t *swim, size_t row, double *distance_m, double *by_model) {
+    distance_m[row] = swim->x_m;
+    if (by_model != NULL) {
+        memcpy(by_model + row * BY_MODEL, swim->x_by, sizeof swim->x_by);
+    }
+}
+
+bool drag_model_distance(const drag_model_t *model, const double *w, size_t beats, size_t parts,
+                         double *distance_m, double *by_w, double *by_model) {
+    if (!valid(model, w, beats, parts) || beats > DRAG_MODEL_BEATS_MAX) {
+        return false;
+    }
+    double v_by_w[DRAG_MODEL_BEATS_MAX] = {0};
+    swim_t swim = {.model = model, .v_m_s = model->start_m_s};
+    swim.v_by[BY_START] = 1;
+    if (by_w != NULL) {
+        memset(by_w, 0, (beats * parts + 1) * beats * sizeof *by_w);
+        swim.x_by_w = by_w;
+        swim.v_by_w = v_by_w;
+    }
+    note(&swim, 0, distance_m, by_model);
+    const double part_s = model->beat_s / (double)parts;
+    const double whole = floor(model->delay_s / model->beat_s);
+    const double switch_s = model->delay_s - whole * model->beat_s;
+    const ptrdiff_t late = whole < (double)beats ? (ptrdiff_t)whole : (ptrdiff_t)beats;
+    for (size_t row = 1; row <= beats * parts; row++) {
+        const size_t part = (row - 1) % parts;
+        const ptrdiff_t now = (ptrdiff_t)((row - 1) / parts) - late;
+        const double begin_s = (double)part * part_s;
+        if (by_w != NULL) {
+            memcpy(by_w + row * beats, by_w + (row - 1) * beats, beats * sizeof *by_w);
+            swim.x_by_w = by_w + row * beats;
+        }
+        if (switch_s >= begin_s && switch_s < begin_s + part_s) {
+            advance(&swim, w, now - 1, switch_s - begin_s);
+            switched_later(&swim, now >= 1 ? w[now - 1] : 0, now >= 0 ? w[now] : 0);
+            advance(&swim, w, now, begin_s + part_s - switch_s);
+        } else {
+            advance(&swim, w, switch_s < begin_s ? now : now - 1, part_s);
+        }
+        note(&swim, row, distance_m, by_model);
+    }
+    return true;
+}

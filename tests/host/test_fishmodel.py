@@ -1,0 +1,124 @@
+"""The model against an ODE solver that knows nothing of its closed form, and its derivatives
+against differences."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tailbeat.errors import InputError
+from tailbeat.floor import plant_beats, plant_config
+from tailbeat.model.fishmodel import Conditions, FishModel
+
+CASES = [
+    # kappa, delay, start, beat, parts
+    (10.0, 0.3, 0.01, 1.0, 1),
+    (5.0, 1.3, 0.0, 1.0, 2),
+    (20.0, 0.75, 0.02, 0.8, 2),
+    (414.0, 0.0, 0.0, 1.0, 1),
+    (2.5, 0.5, 0.05, 1.0, 2),
+    (10.0, 30.0, 0.05, 1.0, 1),  # the thrust comes after the swim
+]
+
+
+def thrust(beats: int = 8) -> np.ndarray:
+    w = np.random.default_rng(1).uniform(0, 0.016, beats)
+    w[0], w[3] = 1e-9, 0.0
+    return w
+
+
+def solved(model: FishModel, w: np.ndarray, beat_s: float, start: float, parts: int) -> np.ndarray:
+    """Distances by DOP853 between the instants where the thrust changes."""
+    marks = np.arange(len(w) * parts + 1) * beat_s / parts
+    switches = model.delay_s + np.arange(len(w) + 1) * beat_s
+    corners = np.unique(np.r_[marks, switches[switches < marks[-1]]])
+    state, distance = [0.0, start], {0.0: 0.0}
+    for begin, end in itertools.pairwise(corners):
+        beat = int(np.floor(((begin + end) / 2 - model.delay_s) / beat_s))
+        h = w[beat] if 0 <= beat < len(w) else 0.0
+        found = solve_ivp(
+            lambda _t, y, h=h: [y[1], model.kappa_per_m * (h - y[1] * abs(y[1]))],
+            (begin, end),
+            state,
+            method="DOP853",
+            rtol=1e-10,
+            atol=1e-13,
+        )
+        state = list(found.y[:, -1])
+        distance[end] = state[0]
+    return np.array([distance[mark] for mark in marks])
+
+
+@pytest.mark.parametrize(("kappa", "delay", "start", "beat_s", "parts"), CASES)
+def test_distance_is_the_equation_s(
+    kappa: float, delay: float, start: float, beat_s: float, parts: int
+) -> None:
+    model = FishModel(kappa, 0.2, 0.2, delay)
+    distance, _, _ = model.distance(thrust(), beat_s, start, parts)
+    expected = solved(model, thrust(), beat_s, start, parts)
+    assert distance == pytest.approx(expected, abs=1e-9)
+    assert expected[-1] > 0
+
+
+@pytest.mark.parametrize(("kappa", "delay", "start", "beat_s", "parts"), CASES)
+def test_slopes_are_the_differences(
+    kappa: float, delay: float, start: float, beat_s: float, parts: int
+) -> None:
+    w, step = thrust(), 1e-6
+    at, by_w, by_model = FishModel(kappa, 0.2, 0.2, delay).distance(w, beat_s, start, parts, True)
+    assert by_w is not None and by_model is not None
+    for j in range(len(w)):
+        moved = w.copy()
+        moved[j] += step * 0.01
+        other, _, _ = FishModel(kappa, 0.2, 0.2, delay).distance(moved, beat_s, start, parts)
+        assert by_w[:, j] == pytest.approx((other - at) / (step * 0.01), abs=3e-4 * by_w.max())
+    faster, _, _ = FishModel(kappa * (1 + step), 0.2, 0.2, delay).distance(w, beat_s, start, parts)
+    later, _, _ = FishModel(kappa, 0.2, 0.2, delay + step).distance(w, beat_s, start, parts)
+    moving, _, _ = FishModel(kappa, 0.2, 0.2, delay).distance(w, beat_s, start + step, parts)
+    assert by_model[:, 0] == pytest.approx((faster - at) / (step * kappa), abs=1e-6)
+    assert by_model[:, 1] == pytest.approx((later - at) / step, abs=1e-6)
+    # a start from rest has a bend of 1/kappa metres in it
+    assert by_model[:, 2] == pytest.approx((moving - at) / step, abs=1e-3)
+
+
+def test_beats_are_the_simulator_s_where_it_is_simple() -> None:
+    """Without a servo, the ripple within a beat is the only difference, and beat means do not feel
+    it but at the switch."""
+    config = plant_config("tank", {"servo_lag_s": 0, "servo_rate_rad_s": 0, "delay_s": 0})
+    amplitude = np.array([0.3, 0.35, 0.45, 0.5, 0.55, 0.55, 0.5, 0.4, 0.3, 0.0, 0.0])
+    model = FishModel(10.0, 0.219, 0.197, 0.0)
+    assert model.beats(amplitude, 1.0) == pytest.approx(
+        plant_beats(config, amplitude, 1.0), abs=3e-4
+    )
+
+
+def test_conditions_act_as_named() -> None:
+    model = FishModel(10.0, 0.2, 0.2, 0.3)
+    amplitude = np.full(30, 0.6)
+    still = model.beats(amplitude, 1.0)
+    assert still[-1] == pytest.approx(0.08, abs=1e-6)
+    drifting = model.beats(amplitude, 1.0, Conditions(flow_m_s=0.01))
+    assert drifting == pytest.approx(still + 0.01)
+    strong = model.beats(amplitude, 1.0, Conditions(gain=1.1))
+    assert strong[-1] == pytest.approx(0.088, abs=1e-6)
+    thrown = model.beats(amplitude, 1.0, Conditions(start_m_s=0.05))
+    assert thrown[0] > still[0] + 0.02 and thrown[-1] == pytest.approx(still[-1], abs=1e-9)
+
+
+def test_map_and_its_inverse() -> None:
+    model = FishModel(10.0, 0.2, 0.2, 0.3)
+    assert model.steady_m_s([0.1, 0.2, 0.7]) == pytest.approx([0, 0, 0.1])
+    assert model.amplitude_rad([0.0, 0.1]) == pytest.approx([0.2, 0.7])
+
+
+@pytest.mark.parametrize("bad", [FishModel(0, 1, 0, 0), FishModel(1, 1, 0, -1)])
+def test_a_model_without_sense_is_refused(bad: FishModel) -> None:
+    with pytest.raises(InputError, match="no sense"):
+        bad.beats([0.5], 1.0)
+    with pytest.raises(InputError, match="no sense"):
+        FishModel(1, 1, 0, 0).beats([float("nan")], 1.0)
+    with pytest.raises(InputError, match="no sense"):
+        FishModel(1, 1, 0, 0).beats(np.zeros(513), 1.0)

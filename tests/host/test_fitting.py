@@ -1,0 +1,97 @@
+"""Fits of simulated swims: the numbers come back, and the error bars mean what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tailbeat.errors import InputError
+from tailbeat.floor import plant_beats, plant_config
+from tailbeat.model.fishmodel import FishModel
+from tailbeat.model.fitting import Prior, Scatter, bootstrap, fit, sample
+from tailbeat.model.swim import Swim
+
+SIGMA_M_S = 0.0007
+TRUE = FishModel(8.0, 0.22, 0.18, 0.4)
+GENTLE = [np.r_[np.linspace(0.2, top, 8), np.full(6, top), np.linspace(top, 0.1, 8), np.zeros(4)]
+          for top in (0.45, 0.6, 0.75)]  # fmt: skip
+
+
+def swim(amplitude: np.ndarray, speed: np.ndarray, rng: np.random.Generator | None) -> Swim:
+    noise = 0.0 if rng is None else rng.normal(0, SIGMA_M_S, len(speed))
+    return Swim(amplitude, speed + noise, np.full(len(speed), SIGMA_M_S))
+
+
+def of_the_model(rng: np.random.Generator | None) -> list[Swim]:
+    return [swim(u, TRUE.beats(u, 1.0), rng) for u in GENTLE]
+
+
+def of_the_tank(kappa: float, rng: np.random.Generator) -> list[Swim]:
+    swims = []
+    for amplitude in GENTLE:
+        config = plant_config("tank", {"kappa_per_m": kappa})
+        config.slope_m_s_rad *= 1 + 0.02 * rng.normal()
+        speed = plant_beats(config, amplitude, 1.0) + 0.0015 * rng.normal()
+        swims.append(swim(amplitude, speed, rng))
+    return swims
+
+
+def numbers(model: FishModel) -> list[float]:
+    return list(vars(model).values())
+
+
+def test_exact_data_give_the_exact_model() -> None:
+    nearly_nothing = Scatter(gain=1e-4, flow_m_s=1e-4, start_m_s=1e-4, model_m_s=1e-6, switch=0)
+    found = fit(of_the_model(None), Prior(kappa=9, slope=9, dead_zone_rad=9, delay_s=9),
+                nearly_nothing)  # fmt: skip
+    assert numbers(found.model) == pytest.approx(numbers(TRUE), rel=1e-3)
+    assert found.rms_m_s < 1e-6
+
+
+@pytest.mark.parametrize("kappa", [5.0, 10.0, 20.0])
+def test_error_bars_hold_on_the_tank(kappa: float) -> None:
+    """20 seeds: slope, dead zone and delay as the servo's lag of 40 ms lets them appear; the delay
+    is that of a fit to a noise-free swim at the floor, 0.314 to 0.316 s."""
+    lag = 1 / np.hypot(1, 2 * np.pi * 0.04)
+    expected = np.array([np.log(kappa), np.log(0.219 * lag), 0.197 / lag, 0.315])
+    inside = np.zeros(4)
+    for seed in range(20):
+        found = fit(of_the_tank(kappa, np.random.default_rng(seed)))
+        m = found.model
+        got = [np.log(m.kappa_per_m), np.log(m.slope_m_s_rad), m.dead_zone_rad, m.delay_s]
+        inside += np.abs(np.array(got) - expected) < 1.96 * np.sqrt(np.diag(found.covariance))
+    assert inside.min() >= 18, inside
+
+
+def test_priors_pull_and_data_win() -> None:
+    far = Prior(FishModel(20.0, 0.3, 0.1, 0.8))
+    certain = Prior(far.model, kappa=1e-4, slope=1e-4, dead_zone_rad=1e-5, delay_s=1e-4)
+    swims = of_the_model(np.random.default_rng(3))
+    assert numbers(fit(swims, certain).model) == pytest.approx(numbers(far.model), rel=1e-2)
+    assert fit(swims, far).model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
+
+
+def test_beats_without_a_speed_do_not_count() -> None:
+    swims = of_the_model(np.random.default_rng(4))
+    speed = swims[0].speed_m_s.copy()
+    speed[5:9] = np.nan
+    holed = Swim(swims[0].amplitude_rad, speed, swims[0].sigma_m_s)
+    found = fit([holed, *swims[1:]])
+    assert found.beats == sum(s.beats for s in swims) - 4
+    assert np.isnan(found.residual_m_s[0][5:9]).all()
+    assert found.model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
+    with pytest.raises(InputError, match="no beat"):
+        fit([Swim(GENTLE[0], np.full(26, np.nan), np.full(26, 1e-3))])
+
+
+def test_bootstrap_and_posterior_agree() -> None:
+    """Two ways to the same spread, and both come out the same again."""
+    swims = of_the_tank(10.0, np.random.default_rng(5))
+    found = fit(swims)
+    drawn, posterior = bootstrap(swims, found, 30, seed=2), sample(found, 400, seed=2)
+    for name in ("kappa_per_m", "slope_m_s_rad", "dead_zone_rad"):
+        spread = np.std([getattr(m, name) for m in drawn])
+        expected = np.std([getattr(m, name) for m in posterior])
+        assert 0.3 < spread / expected < 1.7, name
+    assert bootstrap(swims, found, 2, seed=2) == drawn[:2]
+    assert posterior[0] == found.model
