@@ -88,14 +88,17 @@ def number(text: str) -> str:
     return f"{float(text.rstrip('f')):g}"
 
 
+STEPS = {"PARAM_REAL": "", "PARAM_WHOLE": ", whole", "PARAM_HALF": ", multiples of 0.5"}
+
+
 def parameter_table() -> str:
     """Every board parameter; the row is its index."""
     rows = []
     for index, row in enumerate(macro_rows(ROOT / "firmware/params/params.def", "PARAM")):
         name, fallback, low, high, kind, unit, text = row
         bounds = f"{number(low)} … {number(high)}"
-        whole = ", whole" if kind == "PARAM_WHOLE" else ""
-        rows.append((str(index), f"`{name}`", number(fallback), bounds + whole, unit, text))
+        step = STEPS[kind]
+        rows.append((str(index), f"`{name}`", number(fallback), bounds + step, unit, text))
     return table(("index", "name", "default", "range", "unit", "meaning"), rows)
 
 

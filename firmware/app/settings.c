@@ -17,7 +17,9 @@ law_t settings_law(const params_t *params, float beat_s) {
         .amplitude_max_rad = params->value[PARAM_AMP_MAX_RAD],
         .step_max_rad = params->value[PARAM_DU_MAX_RAD],
         .beat_s = beat_s,
-        .lead_beats = (uint16_t)params_whole(params, PARAM_LAW_LEAD),
+        .lead_beats = params->value[PARAM_LAW_LEAD],
+        .fade = params->value[PARAM_LAW_FADE],
+        .fade_from = (uint16_t)params_whole(params, PARAM_LAW_FADE_FROM),
         .q_len = (uint16_t)params_whole(params, PARAM_LAW_Q_LEN),
         .tail = params_whole(params, PARAM_LAW_TAIL) == 1 ? LAW_TAIL_KEEP : LAW_TAIL_HOLD,
     };

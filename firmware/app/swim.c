@@ -47,7 +47,7 @@ static fault_t ready_to_arm(const app_t *app) {
 
 /* u_1 follows the gain of the moment until something has been learned. */
 static fault_t guess_first(app_t *app) {
-    if (app->memory.iteration != 0 && app->memory.guessed == 0) {
+    if (app->memory.iteration != 0 && app->memory.input != MEMORY_INPUT_FIRST) {
         return FAULT_NONE;
     }
     const law_t law = settings_law(&app->params, app->reference.beat_s);
@@ -88,7 +88,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
             return fault;
         }
         app->room_made = false;
-        app->guess_tried = app->guess_stored = app->memory.guessed == 0;
+        app->guess_tried = app->guess_stored = app->memory.input != MEMORY_INPUT_FIRST;
         (void)supervisor_event(&app->supervisor, EVENT_ARM, FAULT_NONE);
     } else if (!is_by_armer(app, command)) {
         link_text(&app->link, MAV_SEVERITY_NOTICE, "another host has taken the fish over");

@@ -58,6 +58,17 @@ static void begin_estimate(trial_run_t *run, const trial_run_imu_t *imu) {
     trial_log_rest(&run->log, run->start_us, &before);
 }
 
+static const char *input_name(uint16_t input) {
+    static const char names[MEMORY_INPUT_COUNT][9] = {
+        [MEMORY_INPUT_LAW] = "law",
+        [MEMORY_INPUT_FIRST] = "first",
+        [MEMORY_INPUT_UPLOADED] = "uploaded",
+        [MEMORY_INPUT_RESTORED] = "restored",
+    };
+    REQUIRE(input < MEMORY_INPUT_COUNT);
+    return names[input];
+}
+
 void trial_run_started(trial_run_t *run, uint64_t start_us, const trial_run_imu_t *imu,
                        store_t *store, const params_t *params, const trial_log_header_t *header) {
     trial_log_header_t complete = *header;
@@ -65,6 +76,7 @@ void trial_run_started(trial_run_t *run, uint64_t start_us, const trial_run_imu_
     complete.iteration = run->trial.iteration;
     complete.beats = run->trial.beats;
     complete.reference_crc = run->trial.reference_crc;
+    complete.input = input_name(run->memory->input);
     complete.beat_s = run->reference->beat_s;
     complete.start_us = start_us;
     run->start_us = start_us;

@@ -88,7 +88,7 @@ static fault_t commit_amplitudes(app_t *app, const link_command_t *command) {
     }
     memcpy(app->memory.amplitude_rad, next->amplitude_rad, next->beats * sizeof(float));
     app->memory.iteration = app->memory.iteration == 0 ? 1 : app->memory.iteration;
-    app->memory.guessed = 0;
+    app->memory.input = MEMORY_INPUT_UPLOADED;
     fault = learn_save(app);
     if (fault == FAULT_NONE) {
         (void)store_remove(&app->store, IN_AMPLITUDES);

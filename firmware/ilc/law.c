@@ -18,9 +18,18 @@ static bool limits_valid(const law_t *law) {
            law->step_max_rad >= 0.0f && real_is_finite(law->beat_s) && law->beat_s > 0.0f;
 }
 
+static uint32_t lead_halves(const law_t *law) { return (uint32_t)(2.0f * law->lead_beats); }
+
+/* Written so that NaN fails it, before anything is converted. */
+static bool lead_valid(const law_t *law, uint16_t beats) {
+    return law->lead_beats >= 0.0f && law->lead_beats < (float)beats &&
+           (float)lead_halves(law) == 2.0f * law->lead_beats;
+}
+
 law_result_t law_check(const law_t *law, uint16_t beats) {
-    const bool gains = real_is_finite(law->kp_rad_s_m) && real_is_finite(law->kd_rad_s2_m);
-    const bool lengths = beats >= 1u && beats <= BEATS_MAX && law->lead_beats < beats &&
+    const bool gains = real_is_finite(law->kp_rad_s_m) && real_is_finite(law->kd_rad_s2_m) &&
+                       real_is_finite(law->fade) && law->fade >= 0.0f;
+    const bool lengths = beats >= 1u && beats <= BEATS_MAX && lead_valid(law, beats) &&
                          law->q_len >= 1u && 2u * law->q_len - 1u <= beats;
     const bool tail = law->tail == LAW_TAIL_HOLD || law->tail == LAW_TAIL_KEEP;
     return gains && lengths && tail && limits_valid(law) ? LAW_OK : LAW_BAD_CONFIG;
@@ -99,20 +108,60 @@ static float difference_at(const law_trial_t *trial, uint32_t beat) {
     return error_at(trial, from + 1u) - error_at(trial, from);
 }
 
+/* The two beats whose mean corrects a beat; one and the same where no half is involved. */
+typedef struct {
+    uint32_t first, second;
+} pair_t;
+
+/* False when the tail leaves |beat| as it is. */
+static bool pair_ahead(const law_t *law, uint32_t beats, uint32_t beat, pair_t *pair) {
+    const uint32_t last = 2u * (beats - 1u);
+    const uint32_t ahead = 2u * beat + lead_halves(law);
+    const uint32_t at = ahead > last ? last : ahead;
+    *pair = (pair_t){at / 2u, (at + 1u) / 2u};
+    return ahead <= last || law->tail == LAW_TAIL_HOLD;
+}
+
+bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat) {
+    pair_t pair;
+    return pair_ahead(law, trial->beats, beat, &pair) &&
+           (is_measured(trial, pair.first) || is_measured(trial, pair.second));
+}
+
+static float error_of(const law_trial_t *trial, pair_t pair) {
+    if (pair.first == pair.second) {
+        return error_at(trial, pair.first);
+    }
+    const bool both = is_measured(trial, pair.first) && is_measured(trial, pair.second);
+    const float sum = error_at(trial, pair.first) + error_at(trial, pair.second);
+    return both ? 0.5f * sum : sum;
+}
+
+static float difference_of(const law_trial_t *trial, pair_t pair) {
+    const float first = difference_at(trial, pair.first);
+    return pair.first == pair.second ? first : 0.5f * (first + difference_at(trial, pair.second));
+}
+
+/* What the gain of |beat| is divided by. */
+static float fade_of(const law_t *law, const law_trial_t *trial, uint32_t beat) {
+    const uint32_t visits = trial->visits != NULL ? trial->visits[beat] : 0u;
+    const uint32_t beyond = visits > law->fade_from ? visits - law->fade_from : 0u;
+    return 1.0f + law->fade * (float)beyond;
+}
+
 static void correct(const law_t *law, const law_trial_t *trial, const float *amplitude_rad,
                     float *out) {
     const float kd_per_beat = law->kd_rad_s2_m / law->beat_s;
-    const uint32_t last = trial->beats - 1u;
     for (uint32_t k = 0; k < trial->beats; k++) {
         const float old = law_saturate(law, amplitude_rad[k]);
-        const uint32_t ahead = k + law->lead_beats;
-        if (ahead > last && law->tail == LAW_TAIL_KEEP) {
+        pair_t pair;
+        if (!pair_ahead(law, trial->beats, k, &pair)) {
             out[k] = old;
             continue;
         }
-        const uint32_t at = ahead > last ? last : ahead;
-        const float proportional = law->kp_rad_s_m * error_at(trial, at);
-        const float derivative = kd_per_beat * difference_at(trial, at);
+        const float fade = fade_of(law, trial, k);
+        const float proportional = law->kp_rad_s_m / fade * error_of(trial, pair);
+        const float derivative = kd_per_beat / fade * difference_of(trial, pair);
         out[k] = old + (proportional + derivative);
     }
 }

@@ -36,7 +36,7 @@ law_result_t memory_first(memory_t *memory, const law_t *law, const float *refer
     fill_zero(memory->amplitude_rad, memory->beats);
     REQUIRE(law_update(&first, &rest, memory->amplitude_rad, scratch, &report) == LAW_OK);
     memory->iteration = 1;
-    memory->guessed = 1;
+    memory->input = MEMORY_INPUT_FIRST;
     return LAW_OK;
 }
 
@@ -77,6 +77,23 @@ static void count_trial(memory_t *memory, uint32_t trial_number) {
     }
 }
 
+static void count_visits(memory_t *memory, const law_t *law, const law_trial_t *trial) {
+    for (uint32_t k = 0; k < memory->beats; k++) {
+        if (memory->visits[k] < UINT8_MAX && law_corrects(law, trial, k)) {
+            memory->visits[k]++;
+        }
+    }
+}
+
+static void correct(memory_t *memory, const law_t *law, const law_trial_t *trial, float *scratch,
+                    law_report_t *report) {
+    law_trial_t visited = *trial;
+    visited.visits = memory->visits;
+    REQUIRE(law_update(law, &visited, memory->amplitude_rad, scratch, report) == LAW_OK);
+    count_visits(memory, law, trial);
+    memory->input = MEMORY_INPUT_LAW;
+}
+
 law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,
                           uint32_t trial_number, bool complete, float rollback_ratio,
                           float *scratch, memory_report_t *report) {
@@ -96,10 +113,9 @@ law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t 
     found.rolled_back =
         memory->worse_streak >= WORSE_TRIALS_TO_ROLL_BACK && memory_restore_best(memory);
     if (!found.rolled_back) {
-        REQUIRE(law_update(law, trial, memory->amplitude_rad, scratch, &found.law) == LAW_OK);
+        correct(memory, law, trial, scratch, &found.law);
     }
     count_trial(memory, trial_number);
-    memory->guessed = 0;
     *report = found;
     return LAW_OK;
 }
@@ -110,5 +126,6 @@ bool memory_restore_best(memory_t *memory) {
     }
     memcpy(memory->amplitude_rad, memory->best_rad, memory->beats * sizeof memory->best_rad[0]);
     memory->worse_streak = 0;
+    memory->input = MEMORY_INPUT_RESTORED;
     return true;
 }

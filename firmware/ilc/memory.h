@@ -1,6 +1,11 @@
 /*
  * What is remembered between trials: the next amplitudes, and the best ones so far.
  *
+ * The visits of a beat are how often noise has been averaged into its amplitude, so that they only
+ * grow: neither the best amplitudes brought back nor uploaded ones make them fewer. A gain that
+ * came back with every roll-back would let noise roll back for ever. Only another reference begins
+ * anew.
+ *
  * Life of it: memory_begin() when a reference with another CRC arrives; memory_first() when the
  * first trial is armed; memory_learn() after each trial; memory_restore_best() on request or when a
  * trial was worse than ratio x best twice in a row. Pure; the caller owns and stores the struct.
@@ -10,6 +15,15 @@
 
 #include "ilc/law.h"
 
+/* What made the amplitudes; TAILBEAT_INPUT on the wire. */
+typedef enum {
+    MEMORY_INPUT_LAW = 0,      /* learned from a trial */
+    MEMORY_INPUT_FIRST = 1,    /* memory_first: nothing has been learned yet */
+    MEMORY_INPUT_UPLOADED = 2, /* the host computed them */
+    MEMORY_INPUT_RESTORED = 3, /* the best so far, brought back */
+    MEMORY_INPUT_COUNT
+} memory_input_t;
+
 typedef struct {
     uint32_t reference_crc; /* the reference these amplitudes belong to */
     uint32_t last_trial;    /* number of the last trial learned from; 0 = none */
@@ -17,11 +31,12 @@ typedef struct {
     uint16_t iteration;      /* of the amplitudes: iteration i swims u_i; 0 = none computed yet.
                                 Counts trials learned from, rolled back or not; stops at 65535 */
     uint16_t best_iteration; /* 0 = no best yet */
-    uint16_t guessed;      /* 1 = the amplitudes are memory_first's: nothing has been learned yet */
-    uint16_t worse_streak; /* trials in a row beyond ratio x best */
+    uint16_t input;          /* memory_input_t */
+    uint16_t worse_streak;   /* trials in a row beyond ratio x best */
     float best_max_abs_error_m_s;
     float amplitude_rad[BEATS_MAX]; /* unsaturated, next to swim */
     float best_rad[BEATS_MAX];      /* as swum (saturated) */
+    uint8_t visits[BEATS_MAX];      /* trials that have corrected each beat; stops at 255 */
 } memory_t;
 
 typedef struct {
@@ -45,7 +60,8 @@ law_result_t memory_first(memory_t *memory, const law_t *law, const float *refer
  * then, and with every beat measured, may it become the best. |rollback_ratio| 0 = never roll back.
  * A trial whose max |e| over the beats it has exceeds ratio x best lengthens the streak, cut short
  * or not; a trial with all beats that does not exceed it ends the streak; other trials prove
- * nothing and leave it. The second in a row brings the best back and ends the streak.
+ * nothing and leave it. The second in a row brings the best back and ends the streak; such a trial
+ * corrects nothing and visits nothing. |trial->visits| is not looked at: the memory has its own.
  * LAW_BAD_CONFIG when trial->beats is not the memory's, LAW_BAD_INPUT at iteration 0 (nothing was
  * swum); otherwise refusals as law_update. On refusal nothing changes. */
 law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,

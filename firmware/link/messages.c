@@ -195,6 +195,17 @@ void link_send_imu_info(link_t *link, channel_t *channel) {
     SEND(channel, tailbeat_imu_info, &info);
 }
 
+static float amplitude_of(const memory_t *memory, uint8_t set, uint32_t beat) {
+    switch (set) {
+    case TAILBEAT_AMPLITUDE_SET_BEST:
+        return memory->best_rad[beat];
+    case TAILBEAT_AMPLITUDE_SET_VISITS:
+        return (float)memory->visits[beat];
+    default:
+        return memory->amplitude_rad[beat];
+    }
+}
+
 void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_t first) {
     const bool best = set == TAILBEAT_AMPLITUDE_SET_BEST;
     const memory_t *memory = link->status->memory;
@@ -204,10 +215,10 @@ void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_
         .beats = memory->beats,
         .first = first,
         .set = set,
+        .input = (uint8_t)memory->input,
     };
-    const float *amplitude_rad = best ? memory->best_rad : memory->amplitude_rad;
     for (uint32_t i = 0; i < AMPLITUDES_PER_MESSAGE && first + i < memory->beats; i++) {
-        piece.amplitude_rad[i] = amplitude_rad[first + i];
+        piece.amplitude_rad[i] = amplitude_of(memory, set, first + i);
         piece.count++;
     }
     SEND(channel, tailbeat_amplitudes, &piece);

@@ -43,7 +43,8 @@ param_result_t params_set(params_t *params, param_t param, float value) {
     if (value < info->low || value > info->high) {
         return PARAM_OUT_OF_RANGE;
     }
-    if (info->kind == PARAM_WHOLE && (float)(int32_t)value != value) {
+    const float steps = info->kind == PARAM_HALF ? 2.0f * value : value;
+    if (info->kind != PARAM_REAL && (float)(int32_t)steps != steps) {
         return PARAM_NOT_WHOLE;
     }
     params->value[param] = value;

@@ -1,6 +1,7 @@
 /*
  * The parameters: one table (params.def), values in a plain array owned by the caller.
- * On the wire and in files every value is a float32; whole numbers are marked and checked.
+ * On the wire and in files every value is a float32; whole numbers, and whole numbers
+ * of halves, are marked and checked.
  */
 #ifndef PARAMS_PARAMS_H
 #define PARAMS_PARAMS_H
@@ -17,7 +18,7 @@ typedef enum {
     PARAM_COUNT
 } param_t;
 
-typedef enum { PARAM_REAL = 0, PARAM_WHOLE = 1 } param_kind_t;
+typedef enum { PARAM_REAL = 0, PARAM_WHOLE = 1, PARAM_HALF = 2 } param_kind_t;
 
 typedef struct {
     const char *name; /* at most 16 characters */
@@ -35,7 +36,7 @@ typedef enum {
     PARAM_UNKNOWN,
     PARAM_NOT_FINITE,
     PARAM_OUT_OF_RANGE,
-    PARAM_NOT_WHOLE
+    PARAM_NOT_WHOLE /* or no multiple of 0.5 */
 } param_result_t;
 
 const param_info_t *param_info(param_t param);

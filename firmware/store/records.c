@@ -10,6 +10,9 @@
 #define F32_BYTES 4u
 #define REFERENCE_FIXED_BYTES 4u
 #define MEMORY_FIXED_BYTES 20u
+#define MEMORY_UNVISITED_VERSION 1u
+#define MEMORY_UNVISITED_BEAT_BYTES (2u * F32_BYTES)
+#define MEMORY_BEAT_BYTES (MEMORY_UNVISITED_BEAT_BYTES + 1u)
 #define TRIAL_FIXED_BYTES 16u
 #define COUNTER_BODY_BYTES 4u
 #define SPEEDS_FIXED_BYTES 4u
@@ -21,7 +24,7 @@
 #define PARAM_BYTES (PARAM_NAME_BYTES + F32_BYTES)
 
 _Static_assert(RECORD_MAX_BYTES ==
-                   RECORD_HEADER_BYTES + MEMORY_FIXED_BYTES + 2u * F32_BYTES * BEATS_MAX,
+                   RECORD_HEADER_BYTES + MEMORY_FIXED_BYTES + MEMORY_BEAT_BYTES * BEATS_MAX,
                "the longest learned input");
 _Static_assert(RECORD_TRIAL_MAX_BYTES ==
                    RECORD_HEADER_BYTES + TRIAL_FIXED_BYTES + 3u * F32_BYTES * BEATS_MAX,
@@ -59,10 +62,14 @@ static uint32_t record_sum(const uint8_t *bytes, size_t length) {
 }
 
 /* Returns where the body begins. */
-static uint8_t *begin_record(uint8_t *out, const char *magic, uint16_t count) {
+static uint8_t *begin_version(uint8_t *out, const char *magic, uint16_t version, uint16_t count) {
     memcpy(out, magic, MAGIC_BYTES);
-    uint8_t *at = bytes_put_u16(out + MAGIC_BYTES, RECORD_VERSION);
+    uint8_t *at = bytes_put_u16(out + MAGIC_BYTES, version);
     return bytes_put_u32(bytes_put_u16(at, count), 0);
+}
+
+static uint8_t *begin_record(uint8_t *out, const char *magic, uint16_t count) {
+    return begin_version(out, magic, RECORD_VERSION, count);
 }
 
 static size_t end_record(uint8_t *out, const uint8_t *end) {
@@ -87,6 +94,7 @@ static void get_array(const uint8_t *at, float *values, uint16_t count) {
 /* What a record must look like before its values are looked at. */
 typedef struct {
     const char *magic;
+    uint16_t version;
     size_t fixed_bytes; /* body before the arrays */
     size_t bytes_each;  /* of the arrays, per count */
     uint16_t count_min, count_max;
@@ -94,7 +102,7 @@ typedef struct {
 
 static bool shape_fits(const shape_t *shape, const uint8_t *bytes, size_t length) {
     if (length < RECORD_HEADER_BYTES || memcmp(bytes, shape->magic, MAGIC_BYTES) != 0 ||
-        bytes_get_u16(bytes + MAGIC_BYTES) != RECORD_VERSION) {
+        bytes_get_u16(bytes + MAGIC_BYTES) != shape->version) {
         return false;
     }
     const uint16_t count = bytes_get_u16(bytes + 6);
@@ -146,7 +154,8 @@ size_t record_encode_reference(const reference_t *reference, uint8_t *out) {
 }
 
 fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t *reference) {
-    static const shape_t shape = {magic_reference, REFERENCE_FIXED_BYTES, F32_BYTES, 1, BEATS_MAX};
+    static const shape_t shape = {
+        magic_reference, RECORD_VERSION, REFERENCE_FIXED_BYTES, F32_BYTES, 1, BEATS_MAX};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -166,21 +175,28 @@ fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t
 
 size_t record_encode_memory(const memory_t *memory, uint8_t *out) {
     require_beats(memory->beats);
-    uint8_t *at = begin_record(out, magic_memory, memory->beats);
+    uint8_t *at = begin_version(out, magic_memory, RECORD_MEMORY_VERSION, memory->beats);
     at = bytes_put_u32(at, memory->reference_crc);
     at = bytes_put_u32(at, memory->last_trial);
     at = bytes_put_u16(at, memory->iteration);
     at = bytes_put_u16(at, memory->best_iteration);
     at = bytes_put_u16(at, memory->worse_streak);
-    at = bytes_put_u16(at, memory->guessed);
+    at = bytes_put_u16(at, memory->input);
     at = bytes_put_f32(at, memory->best_max_abs_error_m_s);
     at = put_array(at, memory->amplitude_rad, memory->beats);
-    return end_record(out, put_array(at, memory->best_rad, memory->beats));
+    at = put_array(at, memory->best_rad, memory->beats);
+    memcpy(at, memory->visits, memory->beats);
+    return end_record(out, at + memory->beats);
 }
 
 fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory) {
-    static const shape_t shape = {magic_memory, MEMORY_FIXED_BYTES, 2u * F32_BYTES, 1, BEATS_MAX};
-    if (!shape_fits(&shape, bytes, length)) {
+    static const shape_t shape = {
+        magic_memory, RECORD_MEMORY_VERSION, MEMORY_FIXED_BYTES, MEMORY_BEAT_BYTES, 1, BEATS_MAX};
+    static const shape_t unvisited = {
+        magic_memory, MEMORY_UNVISITED_VERSION, MEMORY_FIXED_BYTES, MEMORY_UNVISITED_BEAT_BYTES, 1,
+        BEATS_MAX};
+    const bool visited = shape_fits(&shape, bytes, length);
+    if (!visited && !shape_fits(&unvisited, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
     const uint16_t beats = bytes_get_u16(bytes + 6);
@@ -188,9 +204,10 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     const uint8_t *amplitudes = body + MEMORY_FIXED_BYTES;
     const uint8_t *best = amplitudes + F32_BYTES * beats;
     const uint16_t best_iteration = bytes_get_u16(body + 10);
+    const uint16_t input = bytes_get_u16(body + 14);
     const bool best_good =
         best_iteration == 0u || (not_negative(body + 16, 1) && not_negative(best, beats));
-    if (!all_finite(amplitudes, beats) || !best_good) {
+    if (input >= MEMORY_INPUT_COUNT || !all_finite(amplitudes, beats) || !best_good) {
         return FAULT_BAD_DATA;
     }
     memory->beats = beats;
@@ -199,10 +216,12 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     memory->iteration = bytes_get_u16(body + 8);
     memory->best_iteration = best_iteration;
     memory->worse_streak = bytes_get_u16(body + 12);
-    memory->guessed = bytes_get_u16(body + 14);
+    memory->input = input;
     memory->best_max_abs_error_m_s = bytes_get_f32(body + 16);
     get_array(amplitudes, memory->amplitude_rad, beats);
     get_array(best, memory->best_rad, beats);
+    memset(memory->visits, 0, beats);
+    memcpy(memory->visits, best + F32_BYTES * beats, visited ? beats : 0u);
     return FAULT_NONE;
 }
 
@@ -221,7 +240,8 @@ size_t record_encode_trial(const trial_t *trial, uint8_t *out) {
 }
 
 fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial) {
-    static const shape_t shape = {magic_trial, TRIAL_FIXED_BYTES, 3u * F32_BYTES, 1, BEATS_MAX};
+    static const shape_t shape = {magic_trial, RECORD_VERSION, TRIAL_FIXED_BYTES, 3u * F32_BYTES,
+                                  1,           BEATS_MAX};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -254,7 +274,7 @@ size_t record_encode_counter(uint32_t next_trial, uint8_t *out) {
 }
 
 fault_t record_decode_counter(const uint8_t *bytes, size_t length, uint32_t *next_trial) {
-    static const shape_t shape = {magic_counter, COUNTER_BODY_BYTES, 0, 0, 0};
+    static const shape_t shape = {magic_counter, RECORD_VERSION, COUNTER_BODY_BYTES, 0, 0, 0};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -274,7 +294,7 @@ size_t record_encode_key(const key_record_t *key, uint8_t *out) {
 }
 
 fault_t record_decode_key(const uint8_t *bytes, size_t length, key_record_t *key) {
-    static const shape_t shape = {magic_key, KEY_FIXED_BYTES, KEY_BYTES, 0, 1};
+    static const shape_t shape = {magic_key, RECORD_VERSION, KEY_FIXED_BYTES, KEY_BYTES, 0, 1};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -299,7 +319,8 @@ size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out) {
 }
 
 fault_t record_decode_speeds(const uint8_t *bytes, size_t length, speed_upload_t *speeds) {
-    static const shape_t shape = {magic_speeds, SPEEDS_FIXED_BYTES, 2u * F32_BYTES, 1, BEATS_MAX};
+    static const shape_t shape = {
+        magic_speeds, RECORD_VERSION, SPEEDS_FIXED_BYTES, 2u * F32_BYTES, 1, BEATS_MAX};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -325,8 +346,8 @@ size_t record_encode_amplitudes(const amplitudes_upload_t *amplitudes, uint8_t *
 
 fault_t record_decode_amplitudes(const uint8_t *bytes, size_t length,
                                  amplitudes_upload_t *amplitudes) {
-    static const shape_t shape = {magic_amplitudes, AMPLITUDES_FIXED_BYTES, F32_BYTES, 1,
-                                  BEATS_MAX};
+    static const shape_t shape = {
+        magic_amplitudes, RECORD_VERSION, AMPLITUDES_FIXED_BYTES, F32_BYTES, 1, BEATS_MAX};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -364,7 +385,8 @@ size_t record_encode_crash(const crash_report_t *report, uint8_t *out) {
 }
 
 fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report) {
-    static const shape_t shape = {magic_crash, CRASH_FIXED_BYTES, 4u, 0, HAL_CRASH_STACK_WORDS};
+    static const shape_t shape = {magic_crash, RECORD_VERSION,       CRASH_FIXED_BYTES, 4u,
+                                  0,           HAL_CRASH_STACK_WORDS};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
@@ -406,7 +428,7 @@ size_t record_encode_params(const params_t *params, uint8_t *out) {
 
 fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *params,
                              uint16_t *ignored) {
-    static const shape_t shape = {magic_params, 0, PARAM_BYTES, 0, UINT16_MAX};
+    static const shape_t shape = {magic_params, RECORD_VERSION, 0, PARAM_BYTES, 0, UINT16_MAX};
     if (!shape_fits(&shape, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }

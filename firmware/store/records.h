@@ -23,10 +23,11 @@
 #define RECORD_HEADER_BYTES 12u
 #define RECORD_MAGIC_BYTES 4u
 #define RECORD_VERSION 1u
+#define RECORD_MEMORY_VERSION 2u
 
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
-#define RECORD_MAX_BYTES (32u + 2u * 4u * BEATS_MAX)
+#define RECORD_MAX_BYTES (32u + (2u * 4u + 1u) * BEATS_MAX)
 #define RECORD_KEY_MAX_BYTES 52u
 
 typedef struct {
@@ -109,8 +110,9 @@ uint32_t record_crc(const uint8_t *bytes);
 /* Speeds finite and >= 0, beat_s > 0. Limits that depend on parameters are the application's. */
 fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t *reference);
 
-/* Amplitudes finite (stored unsaturated, so any sign); the best ones and their error finite and >=
- * 0 once there is a best. */
+/* Amplitudes finite (stored unsaturated, so any sign) and of a known origin; the best ones and
+ * their error finite and >= 0 once there is a best. Version 1 has no visits: they count from 0, so
+ * that no beat's gain fades for trials that nobody counted. */
 fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory);
 
 /* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */

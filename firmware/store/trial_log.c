@@ -46,7 +46,7 @@ static const char *const formats[ID_COUNT] = {
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
 #define SLOTS_PER_S 10u
 
-/* Header and definitions without the parameters: 936 bytes with texts of 40 characters. */
+/* Header and definitions without the parameters: 961 bytes with texts of 40 characters. */
 #define DEFINITIONS_BYTES 1024u
 #define PARAMETER_BYTES (ULOG_HEADER_BYTES + 1u + 6u + PARAM_NAME_BYTES + 4u)
 
@@ -191,6 +191,7 @@ static void put_infos(trial_log_t *log, const trial_log_header_t *header) {
     put_info_u32(log, "uint32_t iteration", header->iteration);
     put_info_u32(log, "uint32_t beats", header->beats);
     put_info_u32(log, "uint32_t reference_crc", header->reference_crc);
+    put_info_text(log, "input", header->input);
     put_beat(log, header->beat_s);
     put_start(log, header->start_us);
 }

@@ -28,6 +28,7 @@ typedef struct {
     uint16_t iteration;
     uint16_t beats;
     uint32_t reference_crc;
+    const char *input; /* what made the amplitudes: "law", "first", "uploaded", "restored" */
     float beat_s;
     uint64_t start_us;    /* board time of frame 0 */
     const char *build_id; /* zero-terminated, static */

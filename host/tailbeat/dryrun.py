@@ -87,6 +87,7 @@ def _memory(fish: Fish, status: BoardStatus) -> laws.Memory:
         best_rad=best.values,
         best_max_abs_error_m_s=status.best_max_abs_error_m_s or 0.0,
         worse_streak=status.worse_streak,
+        visits=fish.visits(),
     )
 
 

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tailbeat import _dialect as mavlink
 from tailbeat import crash, records, results
@@ -18,7 +18,7 @@ from tailbeat.camera.base import Camera, Frame
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.crash import CrashReport
 from tailbeat.errors import ConnectError, Refused, TransferError
-from tailbeat.faults import BAD_FILE, NO_REFERENCE, NO_TRIAL, refusal
+from tailbeat.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, refusal
 from tailbeat.ftp import FtpClient, FtpError, Progress
 from tailbeat.imu_stream import imu_frames
 from tailbeat.link import Link, Message, text_of
@@ -45,6 +45,9 @@ LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
 _IMU_VERDICT_S = 6.0  # of board time, after which it knows
 _IMU_LOOK_S = 0.25
 _AMPLITUDES_PER_PIECE = 32
+_NEXT = mavlink.TAILBEAT_AMPLITUDE_SET_NEXT
+_BEST = mavlink.TAILBEAT_AMPLITUDE_SET_BEST
+_VISITS = mavlink.TAILBEAT_AMPLITUDE_SET_VISITS
 _FTP_NOT_FOUND = 10
 _STEADY_TRIES = 5
 _NAME = "tailbeat "
@@ -199,7 +202,7 @@ class Fish:
         if status.iteration == 0:
             return None
         best = self.amplitudes(best=True) if status.best_iteration else None
-        return records.encode_learned(status, self.amplitudes(), best)
+        return records.encode_learned(status, self.amplitudes(), best, self.visits())
 
     def upload_learned(self, record: bytes) -> None:
         """Makes ``record`` all that the board has learned; it must be of the board's reference."""
@@ -256,17 +259,31 @@ class Fish:
 
     def amplitudes(self, best: bool = False) -> Amplitudes:
         """The amplitudes that swim next (unsaturated) or the best so far (as swum), bit for bit."""
+        return self._stored(_BEST if best else _NEXT)
+
+    def visits(self) -> NDArray[np.uint8] | None:
+        """How many trials have corrected each beat, 255 at most; None when the board does not
+        count them."""
+        try:
+            return self._stored(_VISITS).values.astype(np.uint8)
+        except Refused as refused:
+            if refused.number != BAD_DATA:
+                raise
+            return None
+
+    def _stored(self, kind: int) -> Amplitudes:
         for _ in range(_STEADY_TRIES):
-            first = self._amplitudes_piece(0, best)
+            first = self._amplitudes_piece(0, kind)
             values = list(first.amplitude_rad[: first.count])
             steady = True
             while steady and len(values) < first.beats:
-                piece = self._amplitudes_piece(len(values), best)
+                piece = self._amplitudes_piece(len(values), kind)
                 steady = piece.count > 0 and _same_series(piece, first)
                 values += piece.amplitude_rad[: piece.count]
             if steady:
                 array = np.array(values, dtype=np.float32)
-                return Amplitudes(first.iteration, first.beats, first.reference_crc, array)
+                made_by = first.input
+                return Amplitudes(first.iteration, first.beats, first.reference_crc, array, made_by)
         raise TransferError(
             "the board's amplitudes change while they are read", "Try again when it is idle."
         )
@@ -353,12 +370,12 @@ class Fish:
             raise
         return True
 
-    def _amplitudes_piece(self, first: int, best: bool) -> Message:
+    def _amplitudes_piece(self, first: int, kind: int) -> Message:
         return self.link.request(
             "TAILBEAT_AMPLITUDES",
             first,
-            int(best),
-            where=lambda m: m.first == first and m.set == best and m.count <= _AMPLITUDES_PER_PIECE,
+            kind,
+            where=lambda m: m.first == first and m.set == kind and m.count <= _AMPLITUDES_PER_PIECE,
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,12 @@ _PARAMS = {
     "AMP_MAX_RAD": "amplitude_max_rad",
     "DU_MAX_RAD": "step_max_rad",
     "LAW_LEAD": "lead_beats",
+    "LAW_FADE": "fade",
+    "LAW_FADE_FROM": "fade_from",
     "LAW_Q_LEN": "q_len",
     "LAW_TAIL": "tail",
 }
+_SINCE_FADE = {"LAW_FADE": 0.0, "LAW_FADE_FROM": 5.0}  # files of older firmware have neither
 _SHORT = {
     "gain": "kp_rad_s_m",
     "kp": "kp_rad_s_m",
@@ -34,10 +37,12 @@ _SHORT = {
     "step_max": "step_max_rad",
 }
 _TAILS = {"hold": 0, "keep": 1}
+_WHOLE = ("fade_from", "q_len", "tail")
+_VISITS_MAX = 255
 _REFUSALS = {
     1: (
-        "the law does not fit: a gain is not finite, a limit is not above 0, or lead_beats or "
-        "q_len is too long.",
+        "the law does not fit: a gain is not finite, a limit is not above 0, fade is below 0, "
+        "lead_beats is no multiple of 0.5, or lead_beats or q_len is too long.",
         "The lead must be shorter than the trial and 2*q_len-1 must fit into it.",
     ),
     2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
@@ -54,27 +59,31 @@ class Law:
     amplitude_max_rad: float = math.pi / 4
     step_max_rad: float = 0.0
     beat_s: float = 1.0
-    lead_beats: int = 0
+    lead_beats: float = 0  # a multiple of 0.5
+    fade: float = 0.0  # a beat's gain is divided by 1 + fade * (visits beyond fade_from)
+    fade_from: int = 5
     q_len: int = 1
     tail: int = 0
 
     @classmethod
     def from_params(cls, params: Mapping[str, float], beat_s: float = 1.0) -> Law:
         """The law the board runs with these parameters."""
-        values: dict[str, Any] = {field: params[name] for name, field in _PARAMS.items()}
-        for field in ("lead_beats", "q_len", "tail"):
+        known = _SINCE_FADE | dict(params)
+        values: dict[str, Any] = {field: known[name] for name, field in _PARAMS.items()}
+        for field in _WHOLE:
             values[field] = int(values[field])
         return cls(**values, beat_s=beat_s)
 
     def native(self, ffi: Any) -> Any:
         """A ``law_t *`` with these values."""
-        return ffi.new("law_t *", asdict(self))
+        return ffi.new("law_t *", vars(self))
 
     def label(self) -> str:
-        """Short text for a folder name, ``p4`` or ``p4-lead1``."""
+        """Short text for a folder name, ``p4`` or ``p4-lead0.5``."""
         text = f"p{self.kp_rad_s_m:g}"
         text += f"d{self.kd_rad_s2_m:g}" if self.kd_rad_s2_m else ""
-        text += f"-lead{self.lead_beats}" if self.lead_beats else ""
+        text += f"-lead{self.lead_beats:g}" if self.lead_beats else ""
+        text += f"-fade{self.fade:g}" if self.fade else ""
         return text + (f"-q{self.q_len}" if self.q_len > 1 else "")
 
 
@@ -115,11 +124,21 @@ def _law_value(path: Path, key: str, field: str, value: object) -> float | int:
         return _TAILS[str(value)]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{path.name}: {key} is not a number.", "Write it like 4 or 0.785.")
-    if field not in ("lead_beats", "q_len", "tail"):
+    if field == "lead_beats":
+        return _lead(path, key, value)
+    if field not in _WHOLE:
         return float(value)
     if not 0 <= value <= 65535 or value != int(value) or (field == "tail" and value > 1):
         raise InputError(f"{path.name}: {key} is not a whole number that fits.", "Use 0, 1, 2, …")
     return int(value)
+
+
+def _lead(path: Path, key: str, value: float) -> float:
+    if not 0 <= value <= 65535 or 2 * value != int(2 * value):
+        raise InputError(
+            f"{path.name}: {key} is no multiple of half a beat.", "Use 0, 0.5, 1, 1.5, …"
+        )
+    return float(value)
 
 
 def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
@@ -134,7 +153,14 @@ def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[Floats, N
 class _Call:
     """The C arguments of one law call, kept alive together."""
 
-    def __init__(self, law: Law, amplitudes: Floats, errors: Floats, measured: ArrayLike | None):
+    def __init__(
+        self,
+        law: Law,
+        amplitudes: Floats,
+        errors: Floats,
+        measured: ArrayLike | None,
+        visits: ArrayLike | None = None,
+    ):
         from tailbeat._native import ffi, lib
 
         beats = len(amplitudes)
@@ -149,8 +175,15 @@ class _Call:
         self.amplitudes = ffi.new("float[]", amplitudes.tolist())
         self.errors = ffi.new("float[]", errors.tolist())
         self.mask = ffi.new("uint8_t[]", mask.astype(int).tolist())
+        self.visits = ffi.new("uint8_t[]", _counts(visits, beats))
         self.trial = ffi.new(
-            "law_trial_t *", {"beats": beats, "error_m_s": self.errors, "measured": self.mask}
+            "law_trial_t *",
+            {
+                "beats": beats,
+                "error_m_s": self.errors,
+                "measured": self.mask,
+                "visits": self.visits,
+            },
         )
         self.report = ffi.new("law_report_t *")
         self.scratch = ffi.new("float[]", beats)
@@ -166,15 +199,29 @@ class _Call:
         return np.frombuffer(self.ffi.buffer(self.amplitudes), dtype=np.float32).copy()
 
 
+def _counts(visits: ArrayLike | None, beats: int) -> list[int]:
+    counts = np.zeros(beats, np.int64) if visits is None else np.asarray(visits, dtype=np.int64)
+    if counts.shape != (beats,) or np.any((counts < 0) | (counts > _VISITS_MAX)):
+        raise InputError(
+            "the visits are not one count per beat.", f"Give whole numbers from 0 to {_VISITS_MAX}."
+        )
+    return [int(count) for count in counts]
+
+
 def update(
-    law: Law, amplitudes: ArrayLike, errors: ArrayLike, measured: ArrayLike | None = None
+    law: Law,
+    amplitudes: ArrayLike,
+    errors: ArrayLike,
+    measured: ArrayLike | None = None,
+    visits: ArrayLike | None = None,
 ) -> tuple[Floats, LawReport]:
     """One step of the law: (next amplitudes in rad, unsaturated; report).
 
-    ``amplitudes`` rad and ``errors`` m/s have one value per beat; ``measured`` False = no speed.
+    ``amplitudes`` rad and ``errors`` m/s have one value per beat; ``measured`` False = no speed;
+    ``visits``: how many trials have corrected each beat before, 0 to 255 (default: none).
     """
     u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
-    call = _Call(law, u, e, measured)
+    call = _Call(law, u, e, measured, visits)
     call.check(
         call.lib.law_update(call.law, call.trial, call.amplitudes, call.scratch, call.report)
     )
@@ -201,6 +248,7 @@ class Memory:
     best_rad: Floats
     best_max_abs_error_m_s: float
     worse_streak: int
+    visits: NDArray[np.uint8] | None = None  # None: none
 
 
 def learn(
@@ -219,6 +267,7 @@ def learn(
         setattr(native, name, getattr(memory, name))
     native.best_max_abs_error_m_s = memory.best_max_abs_error_m_s
     native.amplitude_rad[0 : call.beats] = memory.amplitude_rad.tolist()
+    native.visits[0 : call.beats] = _counts(memory.visits, call.beats)
     if memory.best_iteration:
         native.best_rad[0 : call.beats] = memory.best_rad.tolist()
     report = call.ffi.new("memory_report_t *")

@@ -42,7 +42,7 @@ class _Known:
     default: float
     low: float
     high: float
-    whole: bool
+    step: float  # values are multiples of it; 0 = any
     unit: str
     text: str
 
@@ -53,7 +53,7 @@ _IMU_LINE_REMEDY = (
     " For 400 Hz set IMU_BAUD 460800 first; on the way back IMU_RATE_HZ first."
 )
 
-_UNKNOWN = _Known(math.nan, math.nan, math.nan, False, "", "")
+_UNKNOWN = _Known(math.nan, math.nan, math.nan, 0.0, "", "")
 
 
 class Parameters:
@@ -173,6 +173,7 @@ class Parameters:
 @cache
 def known_parameters() -> dict[str, _Known]:
     """The table this tool was built with (params/params.def)."""
+    steps = {lib.PARAM_REAL: 0.0, lib.PARAM_HALF: 0.5, lib.PARAM_WHOLE: 1.0}
     table: dict[str, _Known] = {}
     for index in range(int(lib.PARAM_COUNT)):
         info = lib.param_info(index)
@@ -180,7 +181,7 @@ def known_parameters() -> dict[str, _Known]:
             float(info.fallback),
             float(info.low),
             float(info.high),
-            info.kind == lib.PARAM_WHOLE,
+            steps[info.kind],
             _text(lib.param_unit(index)),
             _text(lib.param_text(index)),
         )
@@ -227,5 +228,6 @@ def _check_range(name: str, value: float, known: _Known | None) -> None:
             f"{name} cannot be {value:g}",
             f"Give a value from {known.low:g} to {known.high:g} {known.unit}".rstrip() + ".",
         )
-    if known.whole and rounded != round(rounded):
-        raise InputError(f"{name} cannot be {value:g}", "Give a whole number.")
+    if known.step and rounded / known.step != round(rounded / known.step):
+        wanted = "a whole number" if known.step == 1 else f"a multiple of {known.step:g}"
+        raise InputError(f"{name} cannot be {value:g}", f"Give {wanted}.")

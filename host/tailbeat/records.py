@@ -131,20 +131,36 @@ def decode_amplitudes(record: bytes) -> AmplitudesRecord:
     return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
 
 
-def encode_learned(status: BoardStatus, now: Amplitudes, best: Amplitudes | None) -> bytes:
-    """All that a board has learned, from what it tells of it."""
+def encode_learned(
+    status: BoardStatus,
+    now: Amplitudes,
+    best: Amplitudes | None,
+    visits: NDArray[np.uint8] | None,
+) -> bytes:
+    """All that a board has learned, from what it tells of it. ``visits`` None: it does not count
+    them, and gets the form of the record that has none."""
     struct = ffi.new("memory_t *")
     struct.reference_crc = now.reference_crc
     struct.last_trial = status.last_learned_trial or 0
     struct.beats = now.beats
     struct.iteration = now.iteration
     struct.worse_streak = status.worse_streak
+    struct.input = now.input
     _fill(struct.amplitude_rad, now.values)
     if best is not None:
         struct.best_iteration = status.best_iteration or 0
         struct.best_max_abs_error_m_s = status.best_max_abs_error_m_s or 0.0
         _fill(struct.best_rad, best.values)
-    return _encode(lib.record_encode_memory, struct, 2, now.beats)
+    if visits is not None:
+        ffi.memmove(struct.visits, visits.tobytes(), visits.size)
+    record = _encode(lib.record_encode_memory, struct, 3, now.beats)
+    return _unvisited(record, now.beats) if visits is None else record
+
+
+def _unvisited(record: bytes, beats: int) -> bytes:
+    """Version 1 of a learned record."""
+    head, body = record[:4] + b"\1\0" + record[6:8], record[_HEADER_BYTES:-beats]
+    return head + crc32(head + body).to_bytes(4, "little") + body
 
 
 def _beats(values: ArrayLike | Sequence[float], what: str) -> Float32:

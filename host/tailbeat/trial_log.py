@@ -122,6 +122,7 @@ class Trial:
     beats: Beats
     battery_v: list[tuple[float, float]]  # (t_s, V)
     problems: list[str] = field(default_factory=list)
+    input: str = ""  # what made its amplitudes: law, first, uploaded, restored; "" = not told
 
     def max_abs_error_m_s(self) -> float:
         """Over measured beats; NaN when there is none."""
@@ -248,6 +249,7 @@ def _trial(
         beats=beats,
         battery_v=_battery(tables.get("battery"), start_us),
         problems=problems,
+        input=str(info.get("input", "")),
     )
 
 

@@ -12,6 +12,9 @@ import hashlib
 import struct
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
 
 PACKS = Path(__file__).parent / "corpus"
 PACK_BYTES_MAX = 100_000
@@ -94,14 +97,26 @@ def link_seeds() -> list[bytes]:
 def record_seeds() -> list[bytes]:
     """Each kind that the tool can make."""
     from tailbeat import records
+    from tailbeat.results import Amplitudes
 
     speeds = [0.01, float("nan"), 0.03]
+    status = SimpleNamespace(
+        last_learned_trial=9, worse_streak=1, best_iteration=4, best_max_abs_error_m_s=0.01
+    )
+    held = Amplitudes(5, 3, 77, np.float32([0.1, -0.2, 0.9]))
+    best = Amplitudes(4, 3, 77, np.float32([0.3, 0.4, 0.5]))
     made = {
         0: records.encode_reference(1.0, [0.01, 0.02, 0.03]),
         5: records.encode_speeds(3, speeds, 0.001),
         6: records.encode_amplitudes(77, [0.1, -0.2, 0.3]),
     }
-    return [bytes([kind, 0]) + record for kind, record in made.items()]
+    learned = [
+        records.encode_learned(status, held, best, visits)
+        for visits in (None, np.array([0, 4, 255], dtype=np.uint8))
+    ]
+    return [bytes([kind, 0]) + record for kind, record in made.items()] + [
+        bytes([1, 0]) + record for record in learned
+    ]
 
 
 def imu_seeds() -> list[bytes]:

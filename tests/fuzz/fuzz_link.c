@@ -339,6 +339,8 @@ static void set_param(input_t *in) {
                                   .param_type = MAV_PARAM_TYPE_REAL32};
     if (info->kind == PARAM_WHOLE) {
         fields.param_value = (float)(int32_t)fields.param_value;
+    } else if (info->kind == PARAM_HALF) {
+        fields.param_value = 0.5f * (float)(int32_t)(2.0f * fields.param_value);
     }
     memcpy(fields.param_id, info->name, strlen(info->name));
     frame_begin(&frame, MAVLINK_MSG_ID_PARAM_SET, 255, &fields, sizeof fields);

@@ -1,7 +1,7 @@
 /*
  * A record file into its decoder. The first byte chooses the kind, the second how much of the frame
  * around the values is made right, so that the values are reached: bit 0 magic, version and CRC;
- * bit 1 the count.
+ * bit 1 the count, bit 2 takes the version before, if there is one.
  *
  * What is decoded is within its bounds, and encoded again it is decoded again to the same bytes;
  * what is refused leaves the output as it was.
@@ -36,8 +36,12 @@ typedef struct {
     size_t fixed_bytes, bytes_each;
 } shape_t;
 
+#define KIND_MEMORY 1u
+#define UNVISITED_VERSION 1u
+#define UNVISITED_BYTES_EACH 8u
+
 static const shape_t shapes[KIND_COUNT] = {
-    {"TBRF", 4, 4}, {"TBLI", 20, 8}, {"TBTR", 16, 12}, {"TBPA", 0, 20}, {"TBCT", 4, 0},
+    {"TBRF", 4, 4}, {"TBLI", 20, 9}, {"TBTR", 16, 12}, {"TBPA", 0, 20}, {"TBCT", 4, 0},
     {"TBSP", 4, 8}, {"TBAM", 4, 4},  {"TBCR", 174, 4}, {"TBKY", 8, 32},
 };
 
@@ -114,6 +118,7 @@ static void trial_in_bounds(const trial_t *trial) {
 
 static void memory_in_bounds(const memory_t *memory) {
     beats_in_bounds(memory->beats);
+    MUST(memory->input < MEMORY_INPUT_COUNT);
     finite(memory->amplitude_rad, memory->beats, -FLT_MAX);
     if (memory->best_iteration != 0) {
         finite(&memory->best_max_abs_error_m_s, 1, 0.0f);
@@ -127,6 +132,7 @@ static void params_in_bounds(const params_t *params) {
         const float value = params->value[i];
         MUST(value >= info->low && value <= info->high);
         MUST(info->kind != PARAM_WHOLE || value == (float)(int32_t)value);
+        MUST(info->kind != PARAM_HALF || 2.0f * value == (float)(int32_t)(2.0f * value));
     }
 }
 
@@ -182,12 +188,15 @@ static void mend(unsigned kind, unsigned how, uint8_t *bytes, size_t length) {
     if ((how & 1u) == 0 || length < RECORD_HEADER_BYTES) {
         return;
     }
+    const bool unvisited = kind == KIND_MEMORY && (how & 4u) != 0;
+    const size_t bytes_each = unvisited ? UNVISITED_BYTES_EACH : shape->bytes_each;
     memcpy(bytes, shape->magic, 4);
-    (void)bytes_put_u16(bytes + 4, RECORD_VERSION);
-    if ((how & 2u) != 0 && shape->bytes_each != 0 &&
-        length >= RECORD_HEADER_BYTES + shape->fixed_bytes) {
+    (void)bytes_put_u16(bytes + 4, kind != KIND_MEMORY ? RECORD_VERSION
+                                   : unvisited         ? UNVISITED_VERSION
+                                                       : RECORD_MEMORY_VERSION);
+    if ((how & 2u) != 0 && bytes_each != 0 && length >= RECORD_HEADER_BYTES + shape->fixed_bytes) {
         const size_t body = length - RECORD_HEADER_BYTES - shape->fixed_bytes;
-        (void)bytes_put_u16(bytes + 6, (uint16_t)(body / shape->bytes_each));
+        (void)bytes_put_u16(bytes + 6, (uint16_t)(body / bytes_each));
     }
     const uint32_t crc = crc32_update(0, bytes, 8);
     (void)bytes_put_u32(
@@ -213,8 +222,10 @@ static void check(unsigned kind, const uint8_t *bytes, size_t length) {
     in_bounds(kind, &again);
     MUST(encode(kind, &again, second) == length_first);
     MUST(memcmp(first, second, length_first) == 0);
-    /* All but the parameters, which are stored by name, have one form only. */
-    MUST(kind == 3 || (length_first == length && memcmp(first, bytes, length) == 0));
+    /* All but the parameters, which are stored by name, have one form only; older versions come out
+     * as the newest. */
+    const bool older = kind == KIND_MEMORY && bytes_get_u16(bytes + 4) != RECORD_MEMORY_VERSION;
+    MUST(kind == 3 || older || (length_first == length && memcmp(first, bytes, length) == 0));
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t length) {

@@ -26,6 +26,18 @@ def test_every_trial_of_a_session_is_foretold(fish: Fish) -> None:
     assert not any(swim_and_compare(fish) for _ in range(4))
 
 
+def test_a_session_with_half_a_beat_and_a_fading_gain_is_foretold(fish: Fish) -> None:
+    for name, value in {"LAW_LEAD": 0.5, "LAW_FADE": 0.7, "LAW_FADE_FROM": 1}.items():
+        fish.params.set(name, value)
+    fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
+    beats = fish.status().beats
+    for learned in range(4):
+        visits = fish.visits()
+        assert visits is not None
+        assert visits.tolist() == [learned] * beats
+        assert not swim_and_compare(fish)
+
+
 def test_a_rollback_is_foretold_and_brings_back_the_best_as_swum(fish: Fish) -> None:
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
     for _ in range(3):
@@ -42,6 +54,7 @@ def test_a_rollback_is_foretold_and_brings_back_the_best_as_swum(fish: Fish) -> 
 def test_an_aborted_trial_is_foretold(fish: Fish) -> None:
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
     swim_and_compare(fish)
+    visited = fish.visits()
     frames = iter(range(1000))
     outcome = fish.run_trial(guard=lambda _: "wall" if next(frames) > 200 else None)
     assert outcome.end == "aborted:ABORT_COMMAND"
@@ -49,3 +62,7 @@ def test_an_aborted_trial_is_foretold(fish: Fish) -> None:
     foretold = dry_run(fish)
     fish.learn()
     assert foretold.amplitude_rad.tobytes() == fish.amplitudes().values.tobytes()
+    visits = fish.visits()
+    assert visited is not None and visits is not None
+    more = visits - visited
+    assert more[0] == 1 and more[-1] == 0  # the beats that were not reached keep their gain

@@ -15,6 +15,7 @@ from tailbeat.camera.base import Frame
 from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError, TransferError
 from tailbeat.fish import Fish
 from tailbeat.results import BeatEvent
+from tailbeat.trial_log import Trial, read_trial
 
 
 def test_who_it_is(fish: Fish) -> None:
@@ -371,6 +372,42 @@ def test_a_simulator_without_camera(reference: bytes) -> None:
         assert fish.default_camera() is None
 
 
+def swum(fish: Fish, folder: Path) -> Trial:
+    return read_trial(fish.pull_trial(fish.run_trial().number, folder))
+
+
+def test_a_trial_tells_what_made_its_amplitudes(fish: Fish, tmp_path: Path) -> None:
+    fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
+    assert swum(fish, tmp_path).input == "first"
+    fish.learn()
+    assert swum(fish, tmp_path).input == "law"
+    fish.discard()
+    fish.upload_amplitudes(np.full(3, 0.3))
+    assert swum(fish, tmp_path).input == "uploaded"
+    fish.learn()
+    fish.restore_best()
+    assert swum(fish, tmp_path).input == "restored"
+
+
+def test_what_was_learned_on_a_board_that_counts_no_visits(
+    fish: Fish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
+    fish.learn(fish.run_trial().number)
+    counted = fish.learned_record()
+    assert counted is not None and counted[-3:] == b"\1\1\1"
+    with monkeypatch.context() as older:
+        older.setattr("tailbeat.fish._VISITS", 3)  # a set that this board does not know
+        assert fish.visits() is None
+        record = fish.learned_record()
+    assert record is not None and record[12:] == counted[12:-3]
+    fish.upload_learned(record)
+    again = fish.learned_record()
+    assert again is not None and again[12:] == record[12:] + bytes(3)
+    fish.upload_learned(counted)
+    assert fish.learned_record() == counted
+
+
 def test_the_learned_record_is_what_the_board_stores(fish: Fish) -> None:
     assert fish.learned_record() is None
     fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
@@ -381,4 +418,6 @@ def test_the_learned_record_is_what_the_board_stores(fish: Fish) -> None:
     disk.buffer[:] = sim.flash
     stored = LittleFS(context=disk, block_size=2048, block_count=128)
     with stored.open("/learned.bin", "rb") as file:
-        assert fish.learned_record() == file.read()
+        kept = file.read()
+    assert fish.learned_record() == kept
+    assert kept[-3:] == b"\1\1\1"  # each beat was corrected once

@@ -18,8 +18,8 @@ F = np.float32
 
 
 def plain_step(law: Law, u: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """(8.16) with a lead and a held tail, in float32."""
-    lead = law.lead_beats
+    """(8.16) with a whole lead and a held tail, in float32."""
+    lead = int(law.lead_beats)
     ahead = np.concatenate([e[lead:], np.full(lead, e[-1], dtype=F)])
     return np.clip(u, F(0), F(law.amplitude_max_rad)) + F(law.kp_rad_s_m) * ahead
 
@@ -34,6 +34,64 @@ def test_update_is_the_thesis_law_bit_for_bit(lead: int) -> None:
     assert following.tobytes() == plain_step(law, u, e).tobytes()
     assert report.max_abs_error_m_s == np.abs(e).max()
     assert report.saturated_beats == np.count_nonzero(u > F(math.pi / 4))
+
+
+def error_at(place: float, e: np.ndarray, measured: np.ndarray) -> np.float32:
+    """e at a place on the beats' own grid: between two beats their mean, or the measured one."""
+    near = sorted({math.floor(place), math.ceil(place)})
+    seen = [j for j in near if measured[j]]
+    if not seen:
+        return F(0)
+    return e[seen[0]] if len(seen) == 1 else F(0.5) * (e[seen[0]] + e[seen[1]])
+
+
+def contract_step(
+    law: Law, u: np.ndarray, e: np.ndarray, measured: np.ndarray, visits: np.ndarray
+) -> np.ndarray:
+    """The contract of firmware/ilc/law.h for a P law without filter and step limit, in float32."""
+    last = len(u) - 1
+    out = np.clip(u, F(0), F(law.amplitude_max_rad))
+    for k in range(len(u)):
+        place = k + law.lead_beats
+        if place > last and law.tail == 1:
+            continue
+        beyond = max(0, int(visits[k]) - law.fade_from)
+        fade = F(1) + F(law.fade) * F(beyond)
+        out[k] += F(law.kp_rad_s_m) / fade * error_at(min(place, last), e, measured)
+    return out
+
+
+@pytest.mark.parametrize("tail", [0, 1])
+@pytest.mark.parametrize("fade", [0.0, 0.37])
+@pytest.mark.parametrize("lead", [0, 0.5, 1, 1.5, 2.5, 15.5])
+def test_half_leads_and_fading_gains_bit_for_bit(lead: float, fade: float, tail: int) -> None:
+    random = np.random.default_rng(int(10 * lead) + tail)
+    law = Law(kp_rad_s_m=4.3, lead_beats=lead, fade=fade, fade_from=2, tail=tail)
+    for _ in range(20):
+        u = random.normal(0.4, 0.4, 40).astype(F)
+        e = random.normal(0, 0.02, 40).astype(F)
+        measured = random.random(40) > 0.3
+        visits = random.integers(0, 256, 40)
+        following, _ = laws.update(law, u, e, measured, visits)
+        assert following.tobytes() == contract_step(law, u, e, measured, visits).tobytes()
+
+
+def test_the_next_visits_follow_from_the_trials_of_a_memory() -> None:
+    """A gain that fades by 1/k makes the amplitude the mean of what each trial asked for."""
+    random = np.random.default_rng(7)
+    law = Law(kp_rad_s_m=1, fade=1, fade_from=0, amplitude_max_rad=9)
+    wanted = 1 + random.normal(0, 0.1, (20, 1)).astype(F)
+    held = np.ones(1, dtype=F)
+    for visits, asked in enumerate(wanted):
+        memory = laws.Memory(1, held, 0, held, 0.0, 0, np.array([visits], dtype=np.uint8))
+        held, _, _ = laws.learn(law, memory, asked - held, [True], True, 0.0)
+    assert held[0] == pytest.approx(wanted.mean(), abs=1e-6)
+
+
+@pytest.mark.parametrize("visits", [[1], [1, 2, 3], [-1, 0], [0, 256]])
+def test_visits_that_are_none(visits: list[int]) -> None:
+    with pytest.raises(InputError, match="one count per beat"):
+        laws.update(Law(), [0.1, 0.1], [0.1, 0.1], visits=visits)
 
 
 def test_old_input_is_saturated_before_the_correction() -> None:
@@ -70,6 +128,9 @@ def test_saturate() -> None:
     [
         (Law(kp_rad_s_m=math.nan), [0.1], [0.1]),
         (Law(lead_beats=1), [0.1], [0.1]),
+        (Law(lead_beats=0.25), [0.1], [0.1]),
+        (Law(lead_beats=math.nan), [0.1], [0.1]),
+        (Law(fade=-1), [0.1], [0.1]),
         (Law(q_len=2), [0.1], [0.1]),
         (Law(amplitude_max_rad=0), [0.1], [0.1]),
         (Law(), [math.nan], [0.1]),
@@ -101,6 +162,8 @@ def test_from_params_takes_the_boards_defaults() -> None:
     law = Law.from_params(params)
     assert (law.kp_rad_s_m, law.amplitude_max_rad, law.lead_beats) == (4, 0.5, 0)
     assert law.step_max_rad == pytest.approx(0.15)
+    assert (law.fade, law.fade_from) == (0, 5)
+    assert law == Law.from_params({k: v for k, v in params.items() if "FADE" not in k})
 
 
 def write(folder: Path, content: object) -> Path:
@@ -117,11 +180,21 @@ def test_load_knows_fields_parameters_and_short_names(tmp_path: Path) -> None:
     ):
         assert laws.load(write(tmp_path, content)) == Law(kp_rad_s_m=7, lead_beats=1)
     assert laws.load(write(tmp_path, {"tail": "keep"})).tail == 1
+    assert laws.load(write(tmp_path, {"lead": 1.5, "fade": 0.1})) == Law(lead_beats=1.5, fade=0.1)
 
 
 @pytest.mark.parametrize(
     "content",
-    [[], {"gamma": 4}, {"gain": "4"}, {"gain": True}, {"lead": 1.5}, {"lead": -1}, {"tail": 2}],
+    [
+        [],
+        {"gamma": 4},
+        {"gain": "4"},
+        {"gain": True},
+        {"lead": 1.25},
+        {"lead": -1},
+        {"fade_from": 0.5},
+        {"tail": 2},
+    ],
 )
 def test_load_refuses(tmp_path: Path, content: object) -> None:
     with pytest.raises(InputError) as caught:
@@ -138,3 +211,5 @@ def test_load_of_no_json(tmp_path: Path) -> None:
 def test_label() -> None:
     assert Law().label() == "p4"
     assert Law(kp_rad_s_m=4.6, kd_rad_s2_m=1, lead_beats=1, q_len=3).label() == "p4.6d1-lead1-q3"
+    assert Law(lead_beats=0.5).label() == "p4-lead0.5"
+    assert Law(lead_beats=2.0, fade=0.25).label() == "p4-lead2-fade0.25"

@@ -43,7 +43,13 @@ def test_a_double_is_rounded_once(fish: Fish) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("LAW_LEAD", 99), ("LAW_LEAD", 0.5), ("LAW_GAIN", float("nan")), ("LAW_GAIN", 1e39)],
+    [
+        ("LAW_LEAD", 99),
+        ("LAW_LEAD", 0.25),
+        ("LAW_Q_LEN", 1.5),
+        ("LAW_GAIN", float("nan")),
+        ("LAW_GAIN", 1e39),
+    ],
 )
 def test_bad_values_do_not_reach_the_board(fish: Fish, name: str, value: float) -> None:
     with pytest.raises(InputError):
@@ -79,3 +85,13 @@ def test_save_load_and_reset(fish: Fish) -> None:
     assert fish.params.get("LAW_GAIN").value == 7.5
     fish.params.reset()
     assert fish.params.get("LAW_GAIN").value == 4.0
+
+
+def test_the_lead_comes_in_half_beats(fish: Fish) -> None:
+    assert fish.params.set("LAW_LEAD", 1.5).value == 1.5
+    with pytest.raises(InputError) as caught:
+        fish.params.set("LAW_LEAD", 1.3)
+    assert "multiple of 0.5" in caught.value.remedy
+    with pytest.raises(InputError) as caught:
+        fish.params.set("LAW_TAIL", 0.5)
+    assert "whole number" in caught.value.remedy

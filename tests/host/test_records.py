@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +12,7 @@ from hypothesis import strategies as st
 
 from tailbeat import records
 from tailbeat.errors import InputError
+from tailbeat.results import Amplitudes
 
 speeds = st.lists(st.floats(0, 0.25, width=32), min_size=1, max_size=512)
 
@@ -43,6 +47,21 @@ def test_amplitudes_round_trip() -> None:
     decoded = records.decode_amplitudes(record)
     assert decoded.reference_crc == 0xDEADBEEF
     np.testing.assert_array_equal(decoded.amplitude_rad, np.float32([0.1, -0.2, 0.3]))
+
+
+@pytest.mark.parametrize("visits", [None, [0, 3, 255]])
+def test_learned_records_have_the_documented_bytes(visits: list[int] | None) -> None:
+    status = SimpleNamespace(
+        last_learned_trial=9, worse_streak=1, best_iteration=4, best_max_abs_error_m_s=0.5
+    )
+    now = Amplitudes(5, 3, 0xABCD, np.float32([0.1, -0.2, 0.9]), input=2)
+    best = Amplitudes(4, 3, 0xABCD, np.float32([0.3, 0.4, 0.5]))
+    counts = None if visits is None else np.array(visits, dtype=np.uint8)
+    record = records.encode_learned(status, now, best, counts)
+    head = struct.pack("<4sHH", b"TBLI", 1 if visits is None else 2, 3)
+    body = struct.pack("<IIHHHHf", 0xABCD, 9, 5, 4, 1, 2, 0.5)
+    body += struct.pack("<6f", 0.1, -0.2, 0.9, 0.3, 0.4, 0.5) + bytes(visits or [])
+    assert record == head + struct.pack("<I", records.crc32(head + body)) + body
 
 
 @pytest.mark.parametrize("at", range(0, 24))

@@ -112,11 +112,12 @@ void setUp(void) {
 
 void tearDown(void) {}
 
-static inline void send_command(uint16_t command, float param1, float param2) {
+static inline void send_command3(uint16_t command, float param1, float param2, float param3) {
     mavlink_message_t message;
     const mavlink_command_long_t fields = {.command = command,
                                            .param1 = param1,
                                            .param2 = param2,
+                                           .param3 = param3,
                                            .target_system = 1,
                                            .target_component = 1};
     mavlink_msg_command_long_encode_status(PEER_SYSTEM, PEER_COMPONENT, &peer_tx, &message,
@@ -124,6 +125,10 @@ static inline void send_command(uint16_t command, float param1, float param2) {
     peer_send(HAL_PORT_RADIO, &message);
     poll();
     peer_collect(HAL_PORT_RADIO);
+}
+
+static inline void send_command(uint16_t command, float param1, float param2) {
+    send_command3(command, param1, param2, 0.0f);
 }
 
 static inline void expect_answer(uint16_t command, uint8_t result, fault_t fault) {

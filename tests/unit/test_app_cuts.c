@@ -59,7 +59,7 @@ static bool same_memory(const memory_t *a, const memory_t *b) {
 
 /* The first guess is stored before the tail moves, in the midst of a step. */
 static bool is_first_guess(const memory_t *memory) {
-    return memory->guessed == 1u && memory->iteration == 1u;
+    return memory->input == MEMORY_INPUT_FIRST && memory->iteration == 1u;
 }
 
 static void expect_old_or_new(void) {

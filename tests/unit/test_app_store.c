@@ -1,5 +1,6 @@
 /* What the firmware keeps: uploads and their refusals, parameters, reboots, failing flash. */
 #include "app_fixture.h"
+#include "store/bytes.h"
 
 #define BEATS 5u
 #define SPEED 0.05f
@@ -159,6 +160,7 @@ static void test_uploaded_amplitudes_swim_next_and_stay_at_arming(void) {
                       commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_EQUAL_FLOAT(0.3f, app.memory.amplitude_rad[3]);
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_UPLOADED, app.memory.input);
     (void)command(LINK_COMMAND_DISARM, 0);
     upload.reference_crc ^= 1u;
     length = record_encode_amplitudes(&upload, upload_bytes);
@@ -186,6 +188,24 @@ static void test_what_was_learned_comes_back_from_a_backup(void) {
     backup[length - 1u] ^= 1u;
     TEST_ASSERT_EQUAL(FAULT_BAD_FORMAT,
                       commit(LINK_FILE_LEARNED, "/in/learned.bin", backup, length));
+}
+
+/* What another firmware stored: the record ends before the visits. */
+static void test_what_an_older_firmware_learned_stays(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL(1, app.memory.visits[BEATS - 1u]);
+    const memory_t learned = app.memory;
+    const size_t length = record_encode_memory(&app.memory, upload_bytes) - BEATS;
+    (void)bytes_put_u16(upload_bytes + 4, 1);
+    const uint32_t front = crc32_update(0, upload_bytes, 8);
+    (void)bytes_put_u32(upload_bytes + 8, crc32_update(front, upload_bytes + 12, length - 12u));
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, "/learned.bin", upload_bytes, length));
+    reboot();
+    TEST_ASSERT_EQUAL(2, app.memory.iteration);
+    TEST_ASSERT_EQUAL(0, app.memory.visits[BEATS - 1u]);
+    TEST_ASSERT_EQUAL_MEMORY(learned.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
+    TEST_ASSERT_EQUAL_MEMORY(learned.best_rad, app.memory.best_rad, BEATS * 4u);
 }
 
 static void test_the_first_input_follows_the_gain_of_the_moment(void) {
@@ -392,6 +412,7 @@ int main(void) {
     RUN_TEST(test_speeds_uploaded_after_the_swim_are_learned_from);
     RUN_TEST(test_uploaded_amplitudes_swim_next_and_stay_at_arming);
     RUN_TEST(test_what_was_learned_comes_back_from_a_backup);
+    RUN_TEST(test_what_an_older_firmware_learned_stays);
     RUN_TEST(test_the_first_input_follows_the_gain_of_the_moment);
     RUN_TEST(test_the_first_input_follows_the_gain_across_a_reboot);
     RUN_TEST(test_arming_checks_the_reference_against_the_limits_of_the_moment);

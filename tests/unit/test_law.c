@@ -14,6 +14,7 @@ static law_t law;
 static float u[BEATS_MAX];
 static float e[BEATS_MAX];
 static uint8_t measured[BEATS_MAX];
+static uint8_t visits[BEATS_MAX];
 static float scratch[BEATS_MAX];
 static law_report_t report;
 
@@ -22,12 +23,14 @@ void setUp(void) {
     memset(u, 0, sizeof u);
     memset(e, 0, sizeof e);
     memset(measured, 1, sizeof measured);
+    memset(visits, 0, sizeof visits);
     memset(&report, 0x55, sizeof report);
 }
 void tearDown(void) {}
 
 static law_result_t update(uint16_t beats) {
-    const law_trial_t trial = {.beats = beats, .error_m_s = e, .measured = measured};
+    const law_trial_t trial = {
+        .beats = beats, .error_m_s = e, .measured = measured, .visits = visits};
     return law_update(&law, &trial, u, scratch, &report);
 }
 
@@ -92,6 +95,137 @@ static void test_derivative_is_the_forward_difference(void) {
     memset(u, 0, sizeof u);
     TEST_ASSERT_EQUAL(LAW_OK, update(3));
     check((float[]){-0.06f, -0.06f, -0.06f}, 3);
+}
+
+static void test_half_a_beat_on_is_the_mean_of_two_beats(void) {
+    law.lead_beats = 0.5f;
+    set(e, (float[]){0.01f, 0.03f, 0.02f, -0.04f}, 4);
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.08f, 0.1f, -0.04f, -0.16f}, 4);
+
+    law.lead_beats = 1.5f;
+    memset(u, 0, sizeof u);
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.1f, -0.04f, -0.16f, -0.16f}, 4);
+
+    law.tail = LAW_TAIL_KEEP;
+    set(u, (float[]){0.0f, 0.0f, 0.3f, 2.0f}, 4);
+    TEST_ASSERT_EQUAL(LAW_OK, update(4));
+    check((float[]){0.1f, -0.04f, 0.3f, 0.7853982f}, 4);
+}
+
+static void test_half_a_beat_takes_the_neighbour_that_was_measured(void) {
+    law.lead_beats = 0.5f;
+    set(e, (float[]){0.01f, (float)NAN, 0.02f, -0.04f, 1e30f, (float)NAN, 0.05f}, 7);
+    measured[1] = measured[4] = measured[5] = 0;
+    TEST_ASSERT_EQUAL(LAW_OK, update(7));
+    check((float[]){0.04f, 0.08f, -0.04f, -0.16f, 0.0f, 0.2f, 0.2f}, 7);
+}
+
+/* The law is linear in e: away from the tail half a beat lies in the middle of its two neighbours.
+ */
+static void test_half_leads_lie_between_the_whole_ones(void) {
+    float low[BEATS], high[BEATS];
+    law.kd_rad_s2_m = -1.5f;
+    law.beat_s = 0.8f;
+    for (uint32_t k = 0; k < BEATS; k++) {
+        e[k] = 0.003f * (float)(k * 11u % 37u) - 0.05f;
+    }
+    for (uint32_t lead = 0; lead < 6u; lead++) {
+        law.lead_beats = (float)lead;
+        memset(u, 0, sizeof u);
+        TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+        memcpy(low, u, sizeof low);
+        law.lead_beats = (float)lead + 1.0f;
+        memset(u, 0, sizeof u);
+        TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+        memcpy(high, u, sizeof high);
+        law.lead_beats = (float)lead + 0.5f;
+        memset(u, 0, sizeof u);
+        TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+        for (uint32_t k = 0; k + lead + 1u < BEATS; k++) {
+            TEST_ASSERT_FLOAT_WITHIN(1e-6f, (low[k] + high[k]) / 2.0f, u[k]);
+        }
+    }
+}
+
+static void test_what_a_trial_corrects(void) {
+    const law_trial_t trial = {.beats = 4, .error_m_s = e, .measured = measured};
+    measured[1] = measured[2] = 0;
+    const uint8_t wanted[][2][4] = {
+        /* hold, keep */ {{1, 0, 0, 1}, {1, 0, 0, 1}},
+        {{1, 0, 1, 1}, {1, 0, 1, 0}},
+        {{0, 0, 1, 1}, {0, 0, 1, 0}},
+        {{0, 1, 1, 1}, {0, 1, 0, 0}},
+    };
+    for (uint32_t halves = 0; halves < 4u; halves++) {
+        for (uint32_t k = 0; k < 4u; k++) {
+            law.lead_beats = (float)halves / 2.0f;
+            law.tail = LAW_TAIL_HOLD;
+            TEST_ASSERT_EQUAL(wanted[halves][0][k], law_corrects(&law, &trial, k));
+            law.tail = LAW_TAIL_KEEP;
+            TEST_ASSERT_EQUAL(wanted[halves][1][k], law_corrects(&law, &trial, k));
+        }
+    }
+}
+
+static void random_series(void) {
+    for (uint32_t k = 0; k < BEATS; k++) {
+        u[k] = 0.02f * (float)(k * 7u % 41u);
+        e[k] = 0.003f * (float)(k * 11u % 37u) - 0.05f;
+        visits[k] = (uint8_t)(k * 37u);
+    }
+}
+
+/* Each beat as if the gain had been set to its share; both runs see the same errors. */
+static void test_the_gain_of_a_beat_fades_with_its_visits(void) {
+    float faded[BEATS];
+    law.lead_beats = 0.5f;
+    law.fade = 0.3f;
+    law.fade_from = 5;
+    random_series();
+    TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+    memcpy(faded, u, sizeof faded);
+    law.fade = 0.0f;
+    for (uint32_t k = 0; k < BEATS; k++) {
+        const float beyond = visits[k] > 5u ? (float)visits[k] - 5.0f : 0.0f;
+        random_series();
+        law.kp_rad_s_m = 4.0f / (1.0f + 0.3f * beyond);
+        TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+        TEST_ASSERT_EQUAL_MEMORY(&u[k], &faded[k], sizeof u[k]);
+    }
+}
+
+static void test_both_gains_fade(void) {
+    law.kp_rad_s_m = 0.0f;
+    law.kd_rad_s2_m = 3.0f;
+    law.fade = 1.0f;
+    set(e, (float[]){0.01f, 0.03f, 0.02f}, 3);
+    visits[0] = 2;
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){0.02f, -0.03f, -0.03f}, 3);
+}
+
+static void test_no_fade_changes_no_bit(void) {
+    float full[BEATS];
+    law.kd_rad_s2_m = 0.7f;
+    random_series();
+    memset(visits, 0, sizeof visits);
+    TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+    memcpy(full, u, sizeof full);
+    random_series();
+    TEST_ASSERT_EQUAL(LAW_OK, update(BEATS)); /* fade 0, many visits */
+    TEST_ASSERT_EQUAL_MEMORY(full, u, sizeof full);
+    random_series();
+    law.fade = 10.0f;
+    law.fade_from = 255; /* nobody gets there */
+    TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+    TEST_ASSERT_EQUAL_MEMORY(full, u, sizeof full);
+    random_series();
+    law.fade_from = 0;
+    const law_trial_t unvisited = {.beats = BEATS, .error_m_s = e};
+    TEST_ASSERT_EQUAL(LAW_OK, law_update(&law, &unvisited, u, scratch, &report));
+    TEST_ASSERT_EQUAL_MEMORY(full, u, sizeof full);
 }
 
 static void test_one_beat_has_no_derivative(void) {
@@ -232,10 +366,16 @@ static void test_bad_configurations(void) {
         check_bad_field(&law.amplitude_max_rad, bad[i]);
         check_bad_field(&law.step_max_rad, bad[i]);
         check_bad_field(&law.beat_s, bad[i]);
+        check_bad_field(&law.lead_beats, bad[i]);
+        check_bad_field(&law.fade, bad[i]);
     }
     check_bad_field(&law.amplitude_max_rad, 0.0f);
     check_bad_field(&law.amplitude_max_rad, -1.0f);
     check_bad_field(&law.step_max_rad, -0.1f);
+    check_bad_field(&law.lead_beats, -0.5f);
+    check_bad_field(&law.lead_beats, 0.25f);
+    check_bad_field(&law.lead_beats, 3e38f);
+    check_bad_field(&law.fade, -0.1f);
     check_bad_field(&law.beat_s, 0.0f);
     law.tail = (law_tail_t)2;
     check_refused(LAW_BAD_CONFIG, 5);
@@ -249,6 +389,10 @@ static void test_lengths(void) {
     law.lead_beats = 5;
     TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 5));
     TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 6));
+    law.lead_beats = 4.5f;
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 5));
+    law.lead_beats = 0.5f;
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 1));
     law.lead_beats = 0;
     law.q_len = 0;
     TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 5));
@@ -314,6 +458,23 @@ static void test_bits_are_the_same_on_every_target(void) {
     TEST_ASSERT_EQUAL_HEX32(0x859DDEFAu, crc);
 }
 
+static void test_bits_of_half_leads_and_faded_gains_too(void) {
+    random_series();
+    law = (law_t){.kp_rad_s_m = 4.1f,
+                  .kd_rad_s2_m = 0.3f,
+                  .amplitude_max_rad = 0.7f,
+                  .beat_s = 0.9f,
+                  .lead_beats = 2.5f,
+                  .fade = 0.17f,
+                  .fade_from = 3,
+                  .q_len = 5};
+    for (uint32_t k = 0; k < BEATS; k++) {
+        measured[k] = k % 9u != 4u;
+    }
+    TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+    TEST_ASSERT_EQUAL_HEX32(0x1731041Eu, crc32_update(0, u, BEATS * sizeof u[0]));
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_the_thesis_law);
@@ -321,6 +482,13 @@ int main(void) {
     RUN_TEST(test_an_unreachable_target_does_not_wind_up);
     RUN_TEST(test_lead_and_tails);
     RUN_TEST(test_derivative_is_the_forward_difference);
+    RUN_TEST(test_half_a_beat_on_is_the_mean_of_two_beats);
+    RUN_TEST(test_half_a_beat_takes_the_neighbour_that_was_measured);
+    RUN_TEST(test_half_leads_lie_between_the_whole_ones);
+    RUN_TEST(test_what_a_trial_corrects);
+    RUN_TEST(test_the_gain_of_a_beat_fades_with_its_visits);
+    RUN_TEST(test_both_gains_fade);
+    RUN_TEST(test_no_fade_changes_no_bit);
     RUN_TEST(test_one_beat_has_no_derivative);
     RUN_TEST(test_unmeasured_beats_count_as_no_error);
     RUN_TEST(test_no_flags_means_all_measured);
@@ -336,5 +504,6 @@ int main(void) {
     RUN_TEST(test_finite_numbers_that_would_overflow_are_refused);
     RUN_TEST(test_nothing_measured);
     RUN_TEST(test_bits_are_the_same_on_every_target);
+    RUN_TEST(test_bits_of_half_leads_and_faded_gains_too);
     return UNITY_END();
 }

@@ -193,11 +193,35 @@ static void test_health_counts(void) {
     TEST_ASSERT_EQUAL(HAL_RESET_WATCHDOG, fields.reset_cause);
 }
 
-static mavlink_tailbeat_amplitudes_t request_amplitudes(float first) {
+static mavlink_tailbeat_amplitudes_t request_set(float first, float set) {
     mavlink_tailbeat_amplitudes_t piece;
-    send_command(MAV_CMD_REQUEST_MESSAGE, MAVLINK_MSG_ID_TAILBEAT_AMPLITUDES, first);
+    send_command3(MAV_CMD_REQUEST_MESSAGE, MAVLINK_MSG_ID_TAILBEAT_AMPLITUDES, first, set);
     mavlink_msg_tailbeat_amplitudes_decode(peer_find(MAVLINK_MSG_ID_TAILBEAT_AMPLITUDES), &piece);
     return piece;
+}
+
+static mavlink_tailbeat_amplitudes_t request_amplitudes(float first) {
+    return request_set(first, TAILBEAT_AMPLITUDE_SET_NEXT);
+}
+
+static void test_the_sets_of_amplitudes(void) {
+    memory.beats = 40;
+    memory.iteration = 3;
+    memory.best_iteration = 2;
+    memory.amplitude_rad[33] = 0.1f;
+    memory.best_rad[33] = 0.2f;
+    memory.visits[33] = 255;
+    TEST_ASSERT_EQUAL_FLOAT(0.1f, request_set(32, TAILBEAT_AMPLITUDE_SET_NEXT).amplitude_rad[1]);
+    mavlink_tailbeat_amplitudes_t piece = request_set(32, TAILBEAT_AMPLITUDE_SET_BEST);
+    TEST_ASSERT_EQUAL_FLOAT(0.2f, piece.amplitude_rad[1]);
+    TEST_ASSERT_EQUAL(2, piece.iteration);
+    piece = request_set(32, TAILBEAT_AMPLITUDE_SET_VISITS);
+    TEST_ASSERT_EQUAL_FLOAT(255.0f, piece.amplitude_rad[1]);
+    TEST_ASSERT_EQUAL(TAILBEAT_AMPLITUDE_SET_VISITS, piece.set);
+    TEST_ASSERT_EQUAL(3, piece.iteration);
+    send_command3(MAV_CMD_REQUEST_MESSAGE, MAVLINK_MSG_ID_TAILBEAT_AMPLITUDES, 0,
+                  TAILBEAT_AMPLITUDE_SET_VISITS + 1);
+    expect_answer(MAV_CMD_REQUEST_MESSAGE, MAV_RESULT_DENIED, FAULT_BAD_DATA);
 }
 
 static void test_amplitudes_in_pieces(void) {
@@ -236,6 +260,7 @@ int main(void) {
     RUN_TEST(test_reports_its_version);
     RUN_TEST(test_messages_on_request);
     RUN_TEST(test_health_counts);
+    RUN_TEST(test_the_sets_of_amplitudes);
     RUN_TEST(test_amplitudes_in_pieces);
     return UNITY_END();
 }

@@ -172,6 +172,76 @@ static void test_a_short_trial_can_be_bad_but_not_fair(void) {
     TEST_ASSERT_TRUE(report.rolled_back);
 }
 
+static void expect_visits(uint8_t a, uint8_t b, uint8_t c) {
+    const uint8_t wanted[BEATS] = {a, b, c};
+    TEST_ASSERT_EQUAL_UINT8_ARRAY(wanted, memory.visits, BEATS);
+}
+
+static void test_visits_count_the_corrections_of_each_beat(void) {
+    first();
+    expect_visits(0, 0, 0);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, true, 1.3f));
+    expect_visits(1, 1, 1);
+    measured[2] = 0; /* cut short */
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, false, 1.3f));
+    expect_visits(2, 2, 1);
+    law.lead_beats = 1.0f; /* beat 1 waits for the speed of beat 2, and so does the held tail */
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, false, 1.3f));
+    expect_visits(3, 2, 1);
+    law.lead_beats = 0.5f;
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, false, 1.3f));
+    expect_visits(4, 3, 1);
+    memset(memory.visits, UINT8_MAX - 1, BEATS);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, false, 1.3f));
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, false, 1.3f));
+    expect_visits(UINT8_MAX, UINT8_MAX, UINT8_MAX - 1);
+}
+
+static void test_a_rollback_visits_nothing_and_forgets_no_visit(void) {
+    first();
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, true, 1.3f));
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.10f, true, 1.3f));
+    expect_visits(2, 2, 2);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.10f, true, 1.3f));
+    TEST_ASSERT_TRUE(report.rolled_back);
+    expect_visits(2, 2, 2);
+    TEST_ASSERT_TRUE(memory_restore_best(&memory));
+    expect_visits(2, 2, 2);
+    memory_begin(&memory, CRC + 1u, BEATS);
+    expect_visits(0, 0, 0);
+}
+
+static void test_what_was_rarely_reached_keeps_the_full_gain(void) {
+    law.fade = 0.5f;
+    law.fade_from = 1;
+    first();
+    measured[2] = 0;
+    for (int i = 0; i < 5; i++) {
+        TEST_ASSERT_EQUAL(LAW_OK, learn(0.0f, false, 1.3f));
+    }
+    expect_visits(5, 5, 0);
+    measured[2] = 1;
+    memory.amplitude_rad[1] = memory.amplitude_rad[2] = 0.5f;
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.03f, true, 1.3f));
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 0.5f - 4.0f * 0.03f / 3.0f, memory.amplitude_rad[1]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 0.5f + 4.0f * 0.03f, memory.amplitude_rad[2]);
+    expect_visits(6, 6, 1);
+}
+
+static void test_the_memory_tells_what_made_its_amplitudes(void) {
+    first();
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_FIRST, memory.input);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, true, 1.3f));
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_LAW, memory.input);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.10f, true, 1.3f));
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.10f, true, 1.3f));
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_RESTORED, memory.input);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, true, 1.3f));
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_LAW, memory.input);
+    TEST_ASSERT_TRUE(memory_restore_best(&memory));
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_RESTORED, memory.input);
+}
+
 static void test_ratio_zero_never_rolls_back(void) {
     first();
     TEST_ASSERT_EQUAL(LAW_OK, learn(0.01f, true, 0.0f));
@@ -257,6 +327,10 @@ int main(void) {
     RUN_TEST(test_two_bad_trials_in_a_row_bring_the_best_back);
     RUN_TEST(test_a_fair_trial_between_ends_the_streak);
     RUN_TEST(test_a_short_trial_can_be_bad_but_not_fair);
+    RUN_TEST(test_visits_count_the_corrections_of_each_beat);
+    RUN_TEST(test_a_rollback_visits_nothing_and_forgets_no_visit);
+    RUN_TEST(test_what_was_rarely_reached_keeps_the_full_gain);
+    RUN_TEST(test_the_memory_tells_what_made_its_amplitudes);
     RUN_TEST(test_ratio_zero_never_rolls_back);
     RUN_TEST(test_an_improvement_is_never_a_bad_trial);
     RUN_TEST(test_refusals_change_nothing);

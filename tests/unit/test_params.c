@@ -30,7 +30,8 @@ static void test_defaults_are_safe_on_an_unknown_fish(void) {
     TEST_ASSERT_EQUAL_FLOAT(0.15f, params.value[PARAM_DU_MAX_RAD]);
     TEST_ASSERT_EQUAL_FLOAT(5.0f, params.value[PARAM_LINK_TIMEOUT_S]);
     TEST_ASSERT_EQUAL_FLOAT(1.3f, params.value[PARAM_ROLLBACK_RATIO]);
-    TEST_ASSERT_EQUAL(0, params_whole(&params, PARAM_LAW_LEAD));
+    TEST_ASSERT_EQUAL_FLOAT(0.0f, params.value[PARAM_LAW_LEAD]);
+    TEST_ASSERT_EQUAL_FLOAT(0.0f, params.value[PARAM_LAW_FADE]);
 }
 
 static void test_sixteen_characters_need_no_terminator(void) {
@@ -63,10 +64,22 @@ static void test_refusals_change_nothing(void) {
     TEST_ASSERT_EQUAL(PARAM_NOT_FINITE, params_set(&params, PARAM_LAW_GAIN, (float)INFINITY));
     TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_GAIN, -1.0f));
     TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_LEAD, 3e38f));
-    TEST_ASSERT_EQUAL(PARAM_NOT_WHOLE, params_set(&params, PARAM_LAW_LEAD, 1.5f));
+    TEST_ASSERT_EQUAL(PARAM_NOT_WHOLE, params_set(&params, PARAM_LAW_Q_LEN, 1.5f));
+    TEST_ASSERT_EQUAL(PARAM_NOT_WHOLE, params_set(&params, PARAM_LAW_LEAD, 1.25f));
+    TEST_ASSERT_EQUAL(PARAM_NOT_WHOLE, params_set(&params, PARAM_LAW_LEAD, 0.5000001f));
     TEST_ASSERT_EQUAL(PARAM_UNKNOWN, params_set(&params, PARAM_COUNT, 1.0f));
     TEST_ASSERT_EQUAL(PARAM_UNKNOWN, params_set(&params, (param_t)60000, 1.0f));
     TEST_ASSERT_EQUAL_MEMORY(&before, &params, sizeof params);
+}
+
+static void test_the_lead_comes_in_half_beats(void) {
+    for (uint32_t halves = 0; halves <= 32u; halves++) {
+        const float lead = (float)halves / 2.0f;
+        TEST_ASSERT_EQUAL(PARAM_OK, params_set(&params, PARAM_LAW_LEAD, lead));
+        TEST_ASSERT_EQUAL_FLOAT(lead, params.value[PARAM_LAW_LEAD]);
+    }
+    TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_LEAD, 16.5f));
+    TEST_ASSERT_EQUAL(PARAM_OUT_OF_RANGE, params_set(&params, PARAM_LAW_LEAD, -0.5f));
 }
 
 static void test_a_value_goes_where_it_belongs(void) {
@@ -81,6 +94,8 @@ static void test_misuse_is_our_mistake(void) {
     static bool panicked;
     MOCK_EXPECT_PANIC(panicked, (void)params_whole(&params, PARAM_LAW_GAIN));
     TEST_ASSERT_TRUE(panicked);
+    MOCK_EXPECT_PANIC(panicked, (void)params_whole(&params, PARAM_LAW_LEAD));
+    TEST_ASSERT_TRUE(panicked);
     MOCK_EXPECT_PANIC(panicked, (void)param_info(PARAM_COUNT));
     TEST_ASSERT_TRUE(panicked);
 }
@@ -93,6 +108,7 @@ int main(void) {
     RUN_TEST(test_names_must_match_wholly);
     RUN_TEST(test_limits_are_inclusive);
     RUN_TEST(test_refusals_change_nothing);
+    RUN_TEST(test_the_lead_comes_in_half_beats);
     RUN_TEST(test_a_value_goes_where_it_belongs);
     RUN_TEST(test_misuse_is_our_mistake);
     return UNITY_END();

@@ -15,7 +15,7 @@
 #include <string.h>
 
 #define OLD_BYTES 700u
-#define NEW_BYTES 4128u
+#define NEW_BYTES 4640u
 #define LOG_PATH "/trials/0003.ulg"
 #define LOG_START_US 1000000u
 #define SYNCED_STEP 55u /* 5 s and some passes: what was logged before has been synced */
@@ -124,6 +124,7 @@ static void prepare_trials(ledger_t *ledger) {
 
 static void swim(store_t *store, ledger_t *ledger) {
     static const trial_log_header_t header = {.trial = 3,
+                                              .input = "law",
                                               .beats = 5,
                                               .start_us = LOG_START_US,
                                               .build_id = "1.0.0",

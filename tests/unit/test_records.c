@@ -40,6 +40,7 @@ static void fill(uint16_t beats) {
                         .iteration = 7,
                         .best_iteration = 5,
                         .worse_streak = 1,
+                        .input = MEMORY_INPUT_UPLOADED,
                         .best_max_abs_error_m_s = 0.0125f};
     trial = (trial_t){.number = 70001u,
                       .reference_crc = 0x9ABCDEF0u,
@@ -55,6 +56,7 @@ static void fill(uint16_t beats) {
         reference.speed_m_s[i] = 0.001f * (float)i;
         memory.amplitude_rad[i] = 0.01f * (float)i - 0.02f;
         memory.best_rad[i] = 0.003f * (float)i;
+        memory.visits[i] = (uint8_t)(251u + i);
         trial.amplitude_rad[i] = 0.02f * (float)i;
         trial.speed_m_s[i] = i == 2 ? NAN : 0.004f * (float)i - 0.003f;
         trial.sigma_m_s[i] = i == 2 ? NAN : 0.0007f;
@@ -120,7 +122,7 @@ typedef struct {
 
 static const kind_t kinds[] = {
     {"TBRF", encode_reference, decode_reference, 12 + 4 + 4 * BEATS},
-    {"TBLI", encode_memory, decode_memory, 12 + 20 + 8 * BEATS},
+    {"TBLI", encode_memory, decode_memory, 12 + 20 + 9 * BEATS},
     {"TBTR", encode_trial, decode_trial, 12 + 16 + 12 * BEATS},
     {"TBPA", encode_params, decode_params, 12 + 20 * PARAM_COUNT},
     {"TBSP", encode_speeds, decode_speeds, 12 + 4 + 8 * BEATS},
@@ -146,7 +148,8 @@ static void test_every_record_has_the_documented_shape(void) {
         const size_t length = kinds[k].encode();
         TEST_ASSERT_EQUAL_UINT(kinds[k].length, length);
         TEST_ASSERT_EQUAL_MEMORY(kinds[k].magic, bytes, 4);
-        TEST_ASSERT_EQUAL_UINT16(1, bytes_get_u16(bytes + 4));
+        const uint16_t version = kinds[k].encode == encode_memory ? 2 : 1;
+        TEST_ASSERT_EQUAL_UINT16(version, bytes_get_u16(bytes + 4));
         const uint32_t stated = record_crc(bytes);
         seal(length);
         TEST_ASSERT_EQUAL_HEX32(stated, record_crc(bytes));
@@ -262,7 +265,10 @@ static void test_every_bit_flip_is_refused(void) {
 static void test_right_crc_does_not_save_a_wrong_header(void) {
     for (size_t k = 0; k < KINDS; k++) {
         size_t length = kinds[k].encode();
-        (void)bytes_put_u16(bytes + 4, 2);
+        (void)bytes_put_u16(bytes + 4, 3);
+        seal(length);
+        refused(&kinds[k], length, FAULT_BAD_FORMAT);
+        (void)bytes_put_u16(bytes + 4, kinds[k].encode == encode_memory ? 1 : 2);
         seal(length);
         refused(&kinds[k], length, FAULT_BAD_FORMAT);
         length = kinds[k].encode();
@@ -326,7 +332,11 @@ static void test_bad_numbers_are_refused(void) {
         seal(length);
         refused(&kinds[2], length, FAULT_BAD_DATA);
     }
-    size_t length = encode_trial();
+    size_t length = encode_memory();
+    (void)bytes_put_u16(bytes + 26, MEMORY_INPUT_COUNT);
+    seal(length);
+    refused(&kinds[1], length, FAULT_BAD_DATA);
+    length = encode_trial();
     (void)bytes_put_u32(bytes + 12, 0);
     seal(length);
     refused(&kinds[2], length, FAULT_BAD_DATA);
@@ -339,6 +349,29 @@ static void test_best_is_not_looked_at_before_there_is_one(void) {
     memory.best_max_abs_error_m_s = INFINITY;
     memory.best_rad[0] = NAN;
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, encode_memory()));
+}
+
+/* Version 1 of the learned input ends where the visits begin now. */
+static void check_unvisited(uint16_t beats) {
+    fill(beats);
+    const size_t length = encode_memory() - beats;
+    (void)bytes_put_u16(bytes + 4, 1);
+    seal(length);
+    memset(&out, 0xFF, sizeof out);
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, length));
+    TEST_ASSERT_EACH_EQUAL_HEX8(0, out.memory.visits, beats);
+    TEST_ASSERT_EQUAL_HEX32(memory.reference_crc, out.memory.reference_crc);
+    TEST_ASSERT_EQUAL_UINT16(memory.iteration, out.memory.iteration);
+    TEST_ASSERT_EQUAL_UINT16(memory.input, out.memory.input);
+    TEST_ASSERT_EQUAL_MEMORY(memory.amplitude_rad, out.memory.amplitude_rad, 4u * beats);
+    TEST_ASSERT_EQUAL_MEMORY(memory.best_rad, out.memory.best_rad, 4u * beats);
+    TEST_ASSERT_EQUAL_INT(FAULT_BAD_FORMAT, decode_memory(bytes, length + beats));
+}
+
+static void test_what_was_learned_before_visits_were_counted_still_loads(void) {
+    check_unvisited(1);
+    check_unvisited(BEATS);
+    check_unvisited(BEATS_MAX);
 }
 
 static void test_params_come_back_by_name(void) {
@@ -391,6 +424,7 @@ int main(void) {
     RUN_TEST(test_bad_floats_are_refused);
     RUN_TEST(test_bad_numbers_are_refused);
     RUN_TEST(test_best_is_not_looked_at_before_there_is_one);
+    RUN_TEST(test_what_was_learned_before_visits_were_counted_still_loads);
     RUN_TEST(test_params_come_back_by_name);
     RUN_TEST(test_params_of_another_firmware);
     RUN_TEST(test_encoding_without_beats_is_our_mistake);

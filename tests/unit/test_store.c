@@ -337,7 +337,7 @@ static void test_oldest_trials_go_first_and_the_kept_one_stays(void) {
 
 static void test_full_flash_refuses_and_keeps_the_old(void) {
     fill_random(bytes, sizeof bytes);
-    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes, 4128));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes, 4640));
     store_result_t result = STORE_OK;
     char path[] = "/in/a";
     for (; result == STORE_OK; path[4]++) {
@@ -347,11 +347,11 @@ static void test_full_flash_refuses_and_keeps_the_old(void) {
     TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE,
                           store_replace(&store, "/learned.bin", bytes + 1, sizeof bytes - 1));
     TEST_ASSERT_EQUAL_UINT32(2, store.failures);
-    expect_content("/learned.bin", bytes, 4128);
+    expect_content("/learned.bin", bytes, 4640);
     remount();
-    expect_content("/learned.bin", bytes, 4128);
+    expect_content("/learned.bin", bytes, 4640);
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_remove(&store, "/in/a"));
-    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes + 1, 4128));
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/learned.bin", bytes + 1, 4640));
 }
 
 /* Filled by logs of all sizes and by uploads that nobody removes: what the next trial needs still
@@ -370,7 +370,7 @@ static void fill_with_uploads(uint32_t leave_blocks) {
 }
 
 static void expect_room_for_what_must_be_kept(void) {
-    static const size_t lengths[] = {16, 53, 4128, 6172, 900, 16, 4128};
+    static const size_t lengths[] = {16, 53, 4640, 6172, 900, 16, 4640};
     static const char *const paths[] = {"/counter.bin", "/key.bin",    "/learned.bin",
                                         "/pending.bin", "/params.bin", "/counter.bin",
                                         "/learned.bin"};
@@ -431,7 +431,7 @@ static void test_a_store_filled_to_the_last_block(void) {
         TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE,
                               store_make_space(&store, HAL_FLASH_SIZE_BYTES / 2u, 0));
         TEST_ASSERT_FALSE(is_there(40));
-        expect_content("/learned.bin", bytes, 4128);
+        expect_content("/learned.bin", bytes, 4640);
     }
 }
 

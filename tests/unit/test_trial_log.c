@@ -27,6 +27,7 @@ static const trial_log_header_t header = {.trial = TRIAL,
                                           .iteration = 3,
                                           .beats = 40,
                                           .reference_crc = 0xCAFEF00Du,
+                                          .input = "uploaded",
                                           .beat_s = 1.0f,
                                           .start_us = START_US,
                                           .build_id = "1.0.0-12-gabcdef0",
@@ -136,7 +137,7 @@ static void test_header_and_definitions(void) {
     TEST_ASSERT_EQUAL_MEMORY(flags, content + 16, sizeof flags);
     uint32_t at = 0;
     TEST_ASSERT_EQUAL_UINT32(5, count_messages('F', -1, &at));
-    TEST_ASSERT_EQUAL_UINT32(10, count_messages('I', -1, &at));
+    TEST_ASSERT_EQUAL_UINT32(11, count_messages('I', -1, &at));
     TEST_ASSERT_EQUAL_UINT32(PARAM_COUNT, count_messages('P', -1, &at));
     TEST_ASSERT_EQUAL_UINT32(5, count_messages('A', -1, &at));
     TEST_ASSERT_EQUAL_UINT32(0, count_messages('D', -1, &at));

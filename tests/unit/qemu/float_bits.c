@@ -110,7 +110,9 @@ static law_t random_law(uint16_t beats) {
     law.kp_rad_s_m = between(-1.0f, 20.0f);
     law.amplitude_max_rad = between(0.1f, 1.0f);
     law.beat_s = between(0.1f, 3.0f);
-    law.lead_beats = (uint16_t)below(beats < 5u ? beats : 5u);
+    law.lead_beats = 0.5f * (float)below(2u * (beats < 5u ? beats : 5u));
+    law.fade = below(2) != 0 ? between(0.0f, 2.0f) : 0.0f;
+    law.fade_from = (uint16_t)below(8u);
     law.q_len = (uint16_t)(1u + below((beats + 1u) / 2u));
     law.tail = below(2) != 0 ? LAW_TAIL_HOLD : LAW_TAIL_KEEP;
     if (below(2) != 0) {
@@ -126,14 +128,18 @@ static float error_m_s[BEATS_MAX];
 static float amplitude_rad[BEATS_MAX];
 static float scratch[BEATS_MAX];
 static uint8_t measured[BEATS_MAX];
+static uint8_t visits[BEATS_MAX];
 
 static void random_trial(uint16_t beats, law_trial_t *trial) {
     for (uint32_t k = 0; k < beats; k++) {
         error_m_s[k] = below(200) != 0 ? between(-0.3f, 0.3f) : any_float();
         measured[k] = below(8) != 0;
+        visits[k] = (uint8_t)below(30);
     }
-    *trial = (law_trial_t){
-        .beats = beats, .error_m_s = error_m_s, .measured = below(3) != 0 ? measured : NULL};
+    *trial = (law_trial_t){.beats = beats,
+                           .error_m_s = error_m_s,
+                           .measured = below(3) != 0 ? measured : NULL,
+                           .visits = below(3) != 0 ? visits : NULL};
 }
 
 static void note_report(const law_report_t *report) {
