@@ -16,7 +16,8 @@ bool plant_config_valid(const sim_config_t *config) {
            within(config->tail_area_m2, 1e-6, 1e3) && within(config->drag_kg_m, 1e-3, 1e9) &&
            within(config->kappa_per_m, 1e-3, 1e4) && within(config->delay_s, 0, DELAY_MAX_S) &&
            within(config->slope_m_s_rad, 0, 100) && within(config->dead_zone_rad, 0, 3) &&
-           within(config->servo_lag_s, 0, 10) && within(config->servo_rate_rad_s, 0, 1e4);
+           within(config->map_bend_m_s_rad2, -100, 100) && within(config->servo_lag_s, 0, 10) &&
+           within(config->servo_rate_rad_s, 0, 1e4);
 }
 
 void plant_init(plant_t *plant, const sim_config_t *config) {

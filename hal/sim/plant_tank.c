@@ -10,6 +10,7 @@ void tank_init(tank_t *tank, const sim_config_t *config) {
     tank->kappa_per_m = config->kappa_per_m;
     tank->slope_m_s_rad = config->slope_m_s_rad;
     tank->dead_zone_rad = config->dead_zone_rad;
+    tank->map_bend_m_s_rad2 = config->map_bend_m_s_rad2;
     tank->delay_steps = (uint32_t)(steps + 1e-6);
     const double rest = steps - tank->delay_steps;
     tank->delay_fraction = rest > 1e-6 ? rest : 0;
@@ -23,10 +24,10 @@ void tank_begin(tank_t *tank) {
 
 double tank_step(tank_t *tank, double *v_m_s, double amplitude_rad, double ripple, double gain,
                  double dt_s) {
-    const double beyond = amplitude_rad - tank->dead_zone_rad;
-    const double vss = beyond > 0 ? gain * tank->slope_m_s_rad * beyond : 0;
     const uint32_t now = tank->step++;
-    tank->thrust[now % DELAY_RING] = vss * vss;
+    tank->thrust[now % DELAY_RING] =
+        tank_thrust(amplitude_rad, tank->dead_zone_rad, gain * tank->slope_m_s_rad,
+                    gain * tank->map_bend_m_s_rad2);
     const double late = tank->thrust[(now - tank->delay_steps) % DELAY_RING];
     const double later = tank->thrust[(now - tank->delay_steps - 1u) % DELAY_RING];
     const double h = late + tank->delay_fraction * (later - late);

@@ -18,9 +18,10 @@ typedef struct {
     double delay_s;       /* from amplitude to thrust */
     double slope_m_s_rad; /* steady speed over amplitude beyond the dead zone */
     double dead_zone_rad;
-    double servo_lag_s;      /* first-order lag of the tail angle; 0 = none */
-    double servo_rate_rad_s; /* rate limit; 0 = none */
-    double beat_s;           /* tail period of both plants; a multiple of 20 ms */
+    double map_bend_m_s_rad2; /* times the square of the amplitude beyond it, in that speed */
+    double servo_lag_s;       /* first-order lag of the tail angle; 0 = none */
+    double servo_rate_rad_s;  /* rate limit; 0 = none */
+    double beat_s;            /* tail period of both plants; a multiple of 20 ms */
     /* disturbances */
     double gain_sigma;      /* relative thrust speed, per trial */
     double flow_sigma_m_s;  /* constant per trial */

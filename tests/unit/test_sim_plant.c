@@ -122,7 +122,8 @@ static void tank_fine(const sim_config_t *c, const double *u, int beats, double 
                 tail += rate * dt;
             }
             const double a = i >= late ? felt[i - late] : 0;
-            const double vss = fmax(0, c->slope_m_s_rad * (a - c->dead_zone_rad));
+            const double beyond = fmax(0, a - c->dead_zone_rad);
+            const double vss = fmax(0, beyond * (c->slope_m_s_rad + c->map_bend_m_s_rad2 * beyond));
             const double h = vss * vss * ripple;
             const double kappa = c->kappa_per_m;
             const double k1 = kappa * (h - v * v);
@@ -164,6 +165,10 @@ static void test_tank_against_fine_integration(void) {
     c.delay_s = 0.3124; /* between two substeps */
     compare_tank(c, 1e-5);
     c = quiet_config(SIM_PLANT_TANK, true);
+    compare_tank(c, 2.5e-5);
+    c.map_bend_m_s_rad2 = 0.15;
+    compare_tank(c, 4e-5);
+    c.map_bend_m_s_rad2 = -0.5; /* no thrust at all beyond 0.635 rad */
     compare_tank(c, 2.5e-5);
 }
 

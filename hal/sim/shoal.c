@@ -1,0 +1,385 @@
+#include "shoal.h"
+
+#include "drag_step.h"
+#include "noise.h"
+#include "shoal_lanes.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Of a picture period, as the camera's. */
+#define EXPOSURE_PHASE 0.33
+#define COVERAGE_MIN 0.6
+#define FRAME_US 20000u
+#define ALONE_MAX 2u /* so many fish are faster one after the other than in a block */
+
+static const double still[SUBSTEPS] = {1, 1, 1, 1};
+
+/* What the whole call shares. */
+typedef struct {
+    const shoal_lanes_t *lanes;
+    const sim_config_t *configs;
+    const uint32_t *swims;
+    const double *amplitude_rad;
+    size_t beats;
+    double beat_s;
+    double *true_m_s, *speed_m_s, *sigma_m_s;
+    tail_t tail;
+} task_t;
+
+/* Fish |first| and the |count| - 1 after it. Lanes without a fish swim as the first. */
+typedef struct {
+    const task_t *task;
+    size_t first, count;
+    double fps; /* 0 = no pictures are wanted */
+    uint64_t picture, frame, next_beat;
+    tail_t *tail; /* NULL = all lanes at once; otherwise one fish alone, by the plant's own code */
+    plant_t *plant;
+    shoal_block_t rows;
+} block_t;
+
+static size_t fish_of(const block_t *block, unsigned lane) {
+    return block->first + (lane < block->count ? lane : 0);
+}
+
+static bool has_servo(const sim_config_t *c) {
+    return c->servo_lag_s > 0 || c->servo_rate_rad_s > 0;
+}
+
+static double disturbance(const sim_config_t *c, noise_stream_t stream, uint32_t swim,
+                          double sigma) {
+    return sigma * noise_normal(noise_key(c->seed, stream, swim), 0);
+}
+
+static double gain_of(const sim_config_t *c, uint32_t swim) {
+    return fmax(0, 1 + disturbance(c, NOISE_GAIN, swim, c->gain_sigma));
+}
+
+static void set_water(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
+    tank_t tank;
+    tank_init(&tank, c);
+    const double gain = gain_of(c, swim);
+    const double h = rows->frame_s / SUBSTEPS;
+    rows->v_m_s[l] = fabs(disturbance(c, NOISE_START, swim, c->start_sigma_m_s));
+    rows->flow_m_s[l] = disturbance(c, NOISE_FLOW, swim, c->flow_sigma_m_s);
+    rows->kappa_per_m[l] = tank.kappa_per_m;
+    rows->slope[l] = gain * tank.slope_m_s_rad;
+    rows->bend[l] = gain * tank.map_bend_m_s_rad2;
+    rows->dead_zone_rad[l] = tank.dead_zone_rad;
+    rows->delay_steps[l] = tank.delay_steps;
+    rows->delay_fraction[l] = tank.delay_fraction;
+    rows->lag_s[l] = c->servo_lag_s;
+    rows->keep[l] = c->servo_lag_s > 0 ? exp(-h / c->servo_lag_s) : 0;
+    rows->most_rad[l] = c->servo_rate_rad_s > 0 ? c->servo_rate_rad_s * h : 1e9;
+    rows->servo_rad[l] = rows->late[l] = rows->way_m[l] = rows->base_m[l] = 0;
+    rows->z2_most[l] = rows->vkt_most[l] = 0;
+}
+
+static void set_camera(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
+    rows->noise_m[l] = c->camera_noise_m;
+    rows->noise_key[l] = noise_key(c->seed, NOISE_CAMERA, swim);
+    rows->lost_key[l] = noise_key(c->seed, NOISE_LOST, swim);
+    rows->lost_below[l] = (uint64_t)ceil(c->camera_lost * 0x1p53);
+    rows->lossy = rows->lossy || rows->lost_below[l] > 0;
+}
+
+static void set_windows(block_t *block) {
+    shoal_block_t *rows = &block->rows;
+    const double periods = floor(block->task->beat_s * block->fps + 0.5);
+    rows->pictures_per_window = (uint32_t)periods + 1;
+    rows->pictures_min = (uint32_t)fmax(3, ceil(COVERAGE_MIN * (periods + 1)));
+    rows->half_window_s = block->fps > 0 ? 0.5 * periods / block->fps : 0;
+    rows->window[0].open = rows->window[1].open = false;
+    block->picture = block->frame = block->next_beat = 0;
+    if (rows->pictures_per_window < 3) {
+        block->fps = 0;
+    }
+}
+
+static void clear_thrust(shoal_block_t *rows) {
+    uint64_t longest = 0;
+    rows->same_delay = true;
+    for (unsigned l = 0; l < SHOAL_LANES; l++) {
+        longest = rows->delay_steps[l] > longest ? rows->delay_steps[l] : longest;
+        rows->same_delay = rows->same_delay && rows->delay_steps[l] == rows->delay_steps[0];
+    }
+    rows->ring_mask = 7;
+    while (rows->ring_mask < longest + SUBSTEPS) {
+        rows->ring_mask = 2 * rows->ring_mask + 1;
+    }
+    memset(rows->thrust, 0, (size_t)(rows->ring_mask + 1) * sizeof *rows->thrust);
+}
+
+static void begin(block_t *block) {
+    const task_t *task = block->task;
+    shoal_block_t *rows = &block->rows;
+    rows->frame_s = task->beat_s / task->tail.frames_per_beat;
+    rows->omega_rad_s = task->tail.omega_rad_s;
+    rows->has_servo = has_servo(&task->configs[block->first]);
+    rows->lossy = false;
+    rows->step = 0;
+    for (unsigned l = 0; l < SHOAL_LANES; l++) {
+        const size_t fish = fish_of(block, l);
+        set_water(rows, l, &task->configs[fish], task->swims[fish]);
+        set_camera(rows, l, &task->configs[fish], task->swims[fish]);
+    }
+    clear_thrust(rows);
+    set_windows(block);
+}
+
+/* The frame of the fish that swims alone. */
+static void frame_alone(block_t *block, bool limp) {
+    shoal_block_t *rows = &block->rows;
+    plant_t *plant = block->plant;
+    const double dt = rows->frame_s / SUBSTEPS;
+    drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}};
+    if (!limp || block->tail->has_servo) {
+        tail_frame_sine(block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
+    }
+    rows->trace_v_m_s[0][0] = rows->v_m_s[0];
+    rows->trace_way_m[0][0] = rows->way_m[0];
+    for (unsigned i = 0; i < SUBSTEPS; i++) {
+        double *v = &rows->v_m_s[0];
+        rows->way_m[0] +=
+            plant->kind == SIM_PLANT_TANK
+                ? tank_step(&plant->tank, v, drive.amplitude_rad[i], drive.ripple[i], plant->gain,
+                            dt)
+                : thesis_step(&plant->thesis, v, drive.amplitude_rad[i], plant->gain, dt);
+        rows->trace_v_m_s[i + 1][0] = *v;
+        rows->trace_way_m[i + 1][0] = rows->way_m[0];
+    }
+}
+
+static void store_fit(block_t *block, shoal_window_t *window) {
+    const task_t *task = block->task;
+    task->lanes->fit(&block->rows, window);
+    for (unsigned l = 0; l < block->count; l++) {
+        const size_t at = (block->first + l) * task->beats + (size_t)window->beat;
+        task->speed_m_s[at] = block->rows.speed_m_s[l];
+        task->sigma_m_s[at] = block->rows.sigma_m_s[l];
+    }
+    window->open = false;
+}
+
+static void open_window(block_t *block, uint64_t beat, double time_s) {
+    shoal_window_t *window = &block->rows.window[beat & 1u];
+    memset(window, 0, sizeof *window);
+    window->open = true;
+    window->beat = beat;
+    window->begin_s = time_s;
+    memcpy(window->offset_m, block->rows.base_m, sizeof window->offset_m);
+}
+
+static void take_picture(block_t *block, uint64_t time_us) {
+    const uint64_t beat_us = (uint64_t)block->task->tail.frames_per_beat * FRAME_US;
+    const double part = (double)(time_us % FRAME_US) / FRAME_US * SUBSTEPS;
+    const shoal_picture_t picture = {
+        .sample = block->picture,
+        .time_s = (double)time_us * 1e-6,
+        .in_beat_s = (double)(time_us % beat_us) * 1e-6,
+        .substep = (unsigned)part,
+        .part = part - (unsigned)part,
+    };
+    const uint64_t beat = time_us / beat_us;
+    shoal_window_t *window = block->rows.window;
+    if (beat >= block->next_beat && beat < block->task->beats) {
+        open_window(block, beat, picture.time_s);
+        block->next_beat = beat + 1;
+    }
+    block->task->lanes->picture(&block->rows, &picture);
+    for (unsigned i = 0; i < 2; i++) {
+        if (window[i].open && ++window[i].taken == block->rows.pictures_per_window) {
+            store_fit(block, &window[i]);
+        }
+    }
+}
+
+/* The pictures out of the last frame. */
+static void look(block_t *block) {
+    const uint64_t end_us = ++block->frame * FRAME_US;
+    if (block->fps <= 0) {
+        return;
+    }
+    for (;;) {
+        const double periods = (double)block->picture + EXPOSURE_PHASE;
+        const uint64_t at_us = (uint64_t)(periods * 1e6 / block->fps);
+        if (at_us >= end_us) {
+            return;
+        }
+        take_picture(block, at_us);
+        block->picture++;
+    }
+}
+
+static void swim_frame(block_t *block, uint32_t frame, bool limp) {
+    const tail_t *tail = &block->task->tail;
+    const double *sine = tail->sine + frame;
+    if (block->tail != NULL) {
+        frame_alone(block, limp);
+    } else {
+        block->task->lanes->frame(&block->rows, sine[0], sine[1],
+                                  limp ? still : tail->ripple + frame * SUBSTEPS);
+    }
+    look(block);
+}
+
+static void begin_beat(block_t *block, size_t beat) {
+    shoal_block_t *rows = &block->rows;
+    const task_t *task = block->task;
+    for (unsigned l = 0; l < SHOAL_LANES; l++) {
+        rows->base_m[l] += rows->way_m[l] + (beat > 0 ? rows->flow_m_s[l] * task->beat_s : 0);
+        rows->way_m[l] = 0;
+        rows->amplitude_rad[l] =
+            beat < task->beats ? fabs(task->amplitude_rad[fish_of(block, l) * task->beats + beat])
+                               : 0;
+    }
+}
+
+static void swim_beats(block_t *block) {
+    const task_t *task = block->task;
+    const uint32_t frames = task->tail.frames_per_beat;
+    for (size_t k = 0; k < task->beats; k++) {
+        begin_beat(block, k);
+        for (uint32_t i = 0; i < frames; i++) {
+            swim_frame(block, i, false);
+        }
+        for (unsigned l = 0; l < block->count; l++) {
+            task->true_m_s[(block->first + l) * task->beats + k] =
+                block->rows.way_m[l] / task->beat_s + block->rows.flow_m_s[l];
+        }
+    }
+    /* The last beat's window closes a picture later, with the tail limp. */
+    begin_beat(block, task->beats);
+    for (uint32_t i = 0; i < frames && (block->rows.window[0].open || block->rows.window[1].open);
+         i++) {
+        swim_frame(block, i, true);
+    }
+}
+
+static void fill_unmeasured(const block_t *block) {
+    const task_t *task = block->task;
+    if (task->speed_m_s == NULL) {
+        return;
+    }
+    const size_t begin = block->first * task->beats;
+    for (size_t i = begin; i < begin + block->count * task->beats; i++) {
+        task->speed_m_s[i] = task->sigma_m_s[i] = (double)NAN;
+    }
+}
+
+static void swim_block(block_t *block) {
+    const task_t *task = block->task;
+    block->fps = task->speed_m_s != NULL ? task->configs[block->first].camera_fps : 0;
+    begin(block);
+    fill_unmeasured(block);
+    swim_beats(block);
+}
+
+/* By the simulator's own code, for what the lanes cannot do. */
+static void swim_alone(block_t *block, size_t fish) {
+    const task_t *task = block->task;
+    sim_config_t timed = task->configs[fish];
+    tail_t tail;
+    plant_t plant;
+    timed.beat_s = task->beat_s;
+    tail_init(&tail, &timed, task->tail.frames_per_beat);
+    plant_init(&plant, &timed);
+    plant.gain = gain_of(&timed, task->swims[fish]);
+    block->first = fish;
+    block->count = 1;
+    block->tail = &tail;
+    block->plant = &plant;
+    swim_block(block);
+    block->tail = NULL;
+    block->plant = NULL;
+}
+
+static bool alike(const sim_config_t *a, const sim_config_t *b) {
+    return a->plant == SIM_PLANT_TANK && b->plant == SIM_PLANT_TANK &&
+           has_servo(a) == has_servo(b) && a->camera_fps >= b->camera_fps &&
+           a->camera_fps <= b->camera_fps;
+}
+
+/* Returns how many fish it took. */
+static size_t swim_some(block_t *block, size_t first, size_t fish) {
+    const task_t *task = block->task;
+    size_t count = 0;
+    while (count < SHOAL_LANES && first + count < fish &&
+           alike(&task->configs[first], &task->configs[first + count])) {
+        count++;
+    }
+    if (count <= ALONE_MAX) {
+        swim_alone(block, first);
+        return 1;
+    }
+    block->first = first;
+    block->count = count;
+    swim_block(block);
+    uint64_t wrong = 0;
+    for (unsigned l = 0; l < count; l++) {
+        const bool right =
+            block->rows.z2_most[l] < DRAG_SERIES_Z2 && block->rows.vkt_most[l] < DRAG_SERIES_VKT;
+        wrong |= right ? 0 : (uint64_t)1 << l;
+    }
+    for (unsigned l = 0; l < count; l++) {
+        if ((wrong >> l & 1u) != 0) {
+            swim_alone(block, first + l);
+        }
+    }
+    return count;
+}
+
+static bool valid(const task_t *task, size_t fish) {
+    for (size_t i = 0; i < fish; i++) {
+        if (!sim_config_valid(&task->configs[i])) {
+            return false;
+        }
+    }
+    for (size_t i = 0; i < fish * task->beats; i++) {
+        if (!isfinite(task->amplitude_rad[i])) {
+            return false;
+        }
+    }
+    return (task->speed_m_s == NULL) == (task->sigma_m_s == NULL);
+}
+
+bool shoal_swim_on(const shoal_lanes_t *lanes, const sim_config_t *configs, size_t fish,
+                   const uint32_t *swims, const double *amplitude_rad, size_t beats, double beat_s,
+                   double *true_m_s, double *speed_m_s, double *sigma_m_s) {
+    const uint32_t frames = tail_frames(beat_s);
+    block_t block = {0};
+    task_t task = {.lanes = lanes,
+                   .configs = configs,
+                   .swims = swims,
+                   .amplitude_rad = amplitude_rad,
+                   .beats = beats,
+                   .beat_s = beat_s,
+                   .true_m_s = true_m_s,
+                   .speed_m_s = speed_m_s,
+                   .sigma_m_s = sigma_m_s};
+    if (frames == 0 || !valid(&task, fish)) {
+        return false;
+    }
+    if (fish == 0 || beats == 0) {
+        return true;
+    }
+    sim_config_t timed = configs[0];
+    timed.beat_s = beat_s;
+    tail_init(&task.tail, &timed, frames);
+    block.task = &task;
+    for (size_t first = 0; first < fish;) {
+        first += swim_some(&block, first, fish);
+    }
+    return true;
+}
+
+bool shoal_swim(const sim_config_t *configs, size_t fish, const uint32_t *swims,
+                const double *amplitude_rad, size_t beats, double beat_s, double *true_m_s,
+                double *speed_m_s, double *sigma_m_s) {
+    const shoal_lanes_t *best = shoal_lanes(0);
+    for (size_t i = 1; shoal_lanes(i) != NULL; i++) {
+        best = shoal_lanes(i);
+    }
+    return shoal_swim_on(best, configs, fish, swims, amplitude_rad, beats, beat_s, true_m_s,
+                         speed_m_s, sigma_m_s);
+}
