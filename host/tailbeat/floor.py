@@ -1,14 +1,11 @@
-"""The floor of a reference on a plant: the smallest max|e| any input can reach, noise-free.
+"""The floor of a reference on a fish: the smallest error any admissible input can reach.
 
-The mean speed over a beat is nearly linear in ``w = vss(u)**2``, the square of the steady speed,
-which is proportional to thrust and free of the dead zone. In w the minimax is found by a sequence
-of linear programs inside a trust region, each around a finite-difference Jacobian of the C plant
-(``sim_plant_beats``).
+Noise-free, from rest, in beat means. Admissible are amplitudes from 0 to a largest one; thrust is
+never negative, so only the drag slows the fish; neighbouring beats may be bound by a slew limit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,194 +13,177 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
+from tailbeat.floorplant import ModelPlant, Plant, SimulatedPlant, plant_beats, plant_config
+from tailbeat.floorsolve import Task, least_squares, minimax
+from tailbeat.model.fishmodel import FishModel
+from tailbeat.model.identified import Identified
 from tailbeat.reference import Reference
 
-Array = NDArray[np.float64]
-Plant = Callable[[Array], Array]
+__all__ = [
+    "Band",
+    "Floor",
+    "Spot",
+    "band",
+    "floor",
+    "lsq_max_abs_m_s",
+    "plant_beats",
+    "plant_config",
+]
 
-_STEPS_MAX = 60
-_TOLERANCE_M_S = 1e-6
-_LP_SCALE = 100.0  # speeds of mm/s come near 1, where the solver's tolerances fit
-_THETA_SAMPLES = 64
+Array = NDArray[np.float64]
+
+NEGLIGIBLE_M_S = 0.0005  # errors below are nobody's concern: a camera's sigma per beat is 0.7 mm/s
+_SPOT = 0.5  # of the largest error: beats above belong to a spot
+_AT_LIMIT = 1e-3  # of w_max: 3 % of the largest speed
+
+DRAG = "drag alone slows it"
+SATURATED = "saturated"
+SLEW = "slew"
+START = "delay at the start"
+COUPLED = "neighbouring beats cannot be had at once"
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Beats ``first`` to ``last`` in a row where the least-squares optimum misses the reference.
+
+    ``error_m_s``: the largest among them, signed (positive = the fish is too slow), at beat
+    ``worst``. ``why``: one of ``DRAG``, ``SATURATED``, ``SLEW``, ``START``, ``COUPLED``.
+    """
+
+    first: int
+    last: int
+    worst: int
+    error_m_s: float
+    why: str
 
 
 @dataclass(frozen=True)
 class Floor:
-    """What no learning law can beat on this plant with this reference."""
+    """What no learning law can beat on this fish with this reference.
 
-    minimax_m_s: float  # smallest max|e| over beats
-    lsq_max_abs_m_s: float  # max|e| of the least-squares optimum
-    minimax_input: NDArray[np.float32]  # amplitudes that reach it, rad, shape (beats,)
-    where_s: float  # middle of the beat with the largest remaining error
+    ``lsq_…``: of the least-squares optimum, "the" floor where nothing else is said. Inputs are
+    amplitudes in rad, float32, shape (beats,). ``spots``: where and why, the worst first; none when
+    the reference can be reached.
+    """
+
+    minimax_m_s: float
+    lsq_max_abs_m_s: float
+    lsq_rms_m_s: float
+    minimax_input: NDArray[np.float32]
+    lsq_input: NDArray[np.float32]
+    lsq_error_m_s: Array
+    where_s: float  # middle of the last beat with the largest remaining error of the minimax
+    spots: tuple[Spot, ...]
 
 
-def floor(config: Any, reference: Reference, amplitude_max_rad: float) -> Floor:
-    """Computes the floor for a plant given as ``sim_config_t *``; takes about a second."""
-    w_max, to_amplitude = _thrust_map(config, amplitude_max_rad)
-    wanted = reference.speed_m_s.astype(np.float64)
+@dataclass(frozen=True)
+class Band:
+    """The floor of an identified fish, by its model, and the 90 % interval over its models."""
 
-    def plant(w: Array) -> Array:
-        return plant_beats(config, to_amplitude(w), reference.beat_s)
+    floor: Floor
+    lsq_max_abs_m_s: tuple[float, float]
 
-    start = np.clip(wanted**2, 0, w_max)
-    best, value = _minimax(plant, wanted, start, w_max)
-    squares = _least_squares(plant, wanted, start, w_max)
-    error = np.abs(wanted - plant(best))
+
+def floor(
+    fish: Any,
+    reference: Reference,
+    amplitude_max_rad: float,
+    slew_rad: float | None = None,
+) -> Floor:
+    """``fish``: a ``FishModel`` (some 50 ms) or the simulator's ``sim_config_t *`` (about 0.3 s).
+
+    ``slew_rad``: largest change of the amplitude from beat to beat; None = any. Raises InputError
+    when a value makes no sense.
+    """
+    task = _task(fish, reference, amplitude_max_rad, slew_rad)
+    squares = least_squares(task)
+    largest = minimax(task, task.start())
+    error, largest_error = task.error(squares), np.abs(task.error(largest))
+    value = float(largest_error.max())
+    last = float(np.flatnonzero(largest_error >= 0.999 * value)[-1])
     return Floor(
-        minimax_m_s=float(value),
-        lsq_max_abs_m_s=float(np.abs(wanted - plant(squares)).max()),
-        minimax_input=to_amplitude(best).astype(np.float32),
-        where_s=(float(np.flatnonzero(error >= 0.999 * value)[-1]) + 0.5) * reference.beat_s,
+        minimax_m_s=value,
+        lsq_max_abs_m_s=float(np.abs(error).max()),
+        lsq_rms_m_s=float(np.sqrt(np.mean(error**2))),
+        minimax_input=task.plant.amplitude_rad(largest).astype(np.float32),
+        lsq_input=task.plant.amplitude_rad(squares).astype(np.float32),
+        lsq_error_m_s=error,
+        where_s=(last + 0.5) * reference.beat_s,
+        spots=_spots(task, squares, error, reference.beat_s),
     )
 
 
-def plant_beats(config: Any, amplitude_rad: Array, beat_s: float) -> Array:
-    """Noise-free mean speed per beat, m/s, from rest, by the simulator's plant."""
-    from tailbeat._native import ffi, lib
+def lsq_max_abs_m_s(
+    fish: Any,
+    reference: Reference,
+    amplitude_max_rad: float,
+    slew_rad: float | None = None,
+) -> float:
+    """The least-squares floor alone; of a ``FishModel`` in some 5 ms."""
+    task = _task(fish, reference, amplitude_max_rad, slew_rad)
+    return float(np.abs(task.error(least_squares(task))).max())
 
-    amplitude = np.ascontiguousarray(amplitude_rad, dtype=np.float64)
-    mean = np.empty_like(amplitude)
-    fine = lib.sim_plant_beats(
-        config,
-        ffi.cast("double *", ffi.from_buffer(amplitude)),
-        len(amplitude),
-        beat_s,
-        ffi.cast("double *", ffi.from_buffer(mean, require_writable=True)),
+
+def band(
+    identified: Identified,
+    reference: Reference,
+    amplitude_max_rad: float,
+    slew_rad: float | None = None,
+) -> Band:
+    """The floor before the first trial, and how sure it is."""
+    each = [
+        lsq_max_abs_m_s(model, reference, amplitude_max_rad, slew_rad)
+        for model in identified.models
+    ]
+    low, high = np.percentile(each, [5, 95])
+    return Band(
+        floor(identified.model, reference, amplitude_max_rad, slew_rad),
+        (float(low), float(high)),
     )
-    if not fine:
+
+
+def _task(
+    fish: Any, reference: Reference, amplitude_max_rad: float, slew_rad: float | None
+) -> Task:
+    if not (amplitude_max_rad > 0 and (slew_rad is None or slew_rad > 0)):
         raise InputError(
-            "the plant's settings make no sense.", "Look at the values given by --set."
+            "the largest amplitude and the slew limit must be more than 0 rad.",
+            "Check AMP_MAX_RAD.",
         )
-    return mean
+    kind = ModelPlant if isinstance(fish, FishModel) else SimulatedPlant
+    plant: Plant = kind(fish, reference.beat_s, amplitude_max_rad)
+    if slew_rad is not None and slew_rad >= amplitude_max_rad:
+        slew_rad = None
+    return Task(plant, reference.speed_m_s.astype(np.float64), slew_rad)
 
 
-def _thrust_map(config: Any, amplitude_max: float) -> tuple[float, Plant]:
-    """(largest w, w -> amplitude) for the plant."""
-    from tailbeat._native import lib
-
-    if config.plant == lib.SIM_PLANT_TANK:
-        dead, slope = config.dead_zone_rad, config.slope_m_s_rad
-        w_max = (slope * max(amplitude_max - dead, 1e-6)) ** 2
-
-        def tank(w: Array) -> Array:
-            amplitude = dead + np.sqrt(np.maximum(w, 0)) / slope
-            return np.asarray(np.clip(amplitude, 0, amplitude_max))
-
-        return w_max, tank
-    grid = np.linspace(0, amplitude_max, 4001)
-    speed = _thesis_steady_speed(config, grid)
-
-    def thesis(w: Array) -> Array:
-        return np.interp(np.sqrt(np.maximum(w, 0)), speed, grid)
-
-    return float(speed[-1] ** 2), thesis
+def _spots(task: Task, w: Array, error: Array, beat_s: float) -> tuple[Spot, ...]:
+    size = np.abs(error)
+    limit = max(_SPOT * float(size.max()), NEGLIGIBLE_M_S)
+    slopes = task.plant.slopes(w, task.wanted_m_s - error)
+    found, beats = [], np.flatnonzero(size > limit)
+    for group in np.split(beats, np.flatnonzero(np.diff(beats) > 1) + 1):
+        if group.size:
+            worst = int(group[np.argmax(size[group])])
+            why = _why(task, w, error, slopes[worst], worst, beat_s)
+            found.append(Spot(int(group[0]), int(group[-1]), worst, float(error[worst]), why))
+    return tuple(sorted(found, key=lambda spot: -abs(spot.error_m_s)))
 
 
-def _thesis_steady_speed(config: Any, amplitude: Array) -> Array:
-    """sqrt(H1/(alpha+H2)) of (8.5)-(8.13) at 1 Hz; only a change of variable, so 1 Hz will do."""
-    phase = 2 * np.pi * (np.arange(_THETA_SAMPLES) + 0.5) / _THETA_SAMPLES
-    angle = amplitude[:, None] * np.sin(phase)
-    heave = 2 / 3 * np.pi * amplitude[:, None] * config.body_length_m * np.cos(phase)
-    half = config.water_density_kg_m3 * config.tail_area_m2 / 2
-    h1 = half * np.mean((heave / np.cos(angle) ** 2) ** 2, axis=1)
-    h2 = half * np.mean(np.tan(angle) ** 2, axis=1)
-    steady: Array = np.sqrt(h1 / (config.drag_kg_m + h2))
-    return steady
-
-
-def _jacobian(plant: Plant, w: Array, at_w: Array, w_max: float) -> Array:
-    """Forward differences; columns that sit at the upper end go backwards."""
-    jacobian = np.empty((len(at_w), len(w)))
-    for j in range(len(w)):
-        step = 1e-4 * w_max if w[j] + 1e-4 * w_max <= w_max else -1e-4 * w_max
-        moved = w.copy()
-        moved[j] += step
-        jacobian[:, j] = (plant(moved) - at_w) / step
-    return jacobian
-
-
-def _minimax(plant: Plant, wanted: Array, w: Array, w_max: float) -> tuple[Array, float]:
-    speed = plant(w)
-    best = float(np.abs(wanted - speed).max())
-    radius, jacobian = 0.1 * w_max, None
-    for _ in range(_STEPS_MAX):
-        if jacobian is None:
-            jacobian = _jacobian(plant, w, speed, w_max)
-        step, predicted = _linear_step(jacobian, wanted - speed, w, w_max, radius)
-        if step is None:
-            radius /= 4
-            continue
-        moved = np.clip(w + step, 0, w_max)
-        moved_speed = plant(moved)
-        gain = best - float(np.abs(wanted - moved_speed).max())
-        promised = best - predicted
-        if gain > max(0.05 * promised, 0):
-            w, speed, best, jacobian = moved, moved_speed, best - gain, None
-            radius = min(radius * 2, w_max) if gain > 0.7 * promised else radius
-        else:
-            radius /= 4
-        if promised < _TOLERANCE_M_S or radius < 1e-7 * w_max:
-            break
-    return w, best
-
-
-def _linear_step(
-    jacobian: Array, error: Array, w: Array, w_max: float, radius: float
-) -> tuple[Array | None, float]:
-    """Minimise t with |error - J d| <= t, 0 <= w + d <= w_max, |d| <= radius: (d, t)."""
-    from scipy.optimize import linprog
-
-    beats = len(w)
-    slope = jacobian * w_max  # variables d / w_max are of order 1
-    column = -np.ones((len(error), 1))
-    low = np.maximum(-radius, -w) / w_max
-    high = np.minimum(radius, w_max - w) / w_max
-    found = linprog(
-        np.r_[np.zeros(beats), 1.0],
-        A_ub=_LP_SCALE * np.block([[-slope, column], [slope, column]]),
-        b_ub=_LP_SCALE * np.r_[-error, error],
-        bounds=[*zip(low, high, strict=True), (0, None)],
-        method="highs",
-    )
-    if found.status != 0:
-        return None, 0.0
-    solution = np.asarray(found.x)
-    return solution[:beats] * w_max, float(solution[beats])
-
-
-def _least_squares(plant: Plant, wanted: Array, w: Array, w_max: float) -> Array:
-    from scipy.optimize import least_squares
-
-    def jacobian(z: Array) -> Array:
-        return _jacobian(plant, z * w_max, plant(z * w_max), w_max) * w_max * _LP_SCALE
-
-    def residual(z: Array) -> Array:
-        return (plant(z * w_max) - wanted) * _LP_SCALE
-
-    found = least_squares(
-        residual,
-        np.clip(w / w_max, 1e-6, 1 - 1e-6),
-        jac=jacobian,
-        bounds=(0, 1),
-        x_scale=0.1,
-        ftol=1e-10,
-        xtol=1e-10,
-        gtol=1e-10,
-        max_nfev=100,
-    )
-    solution: Array = found.x * w_max
-    return solution
-
-
-def plant_config(plant: str, overrides: dict[str, float]) -> Any:
-    """``sim_config_t *`` of a plant with its disturbances left as they are (the floor ignores
-    them)."""
-    from tailbeat._native import ffi, lib
-    from tailbeat.transport.simulated import PLANTS, config_field
-
-    config = ffi.new("sim_config_t *")
-    lib.sim_config_default(config, PLANTS[plant])
-    for name, value in overrides.items():
-        if name != "seed":
-            setattr(config, config_field(name), value)
-    return config
+def _why(task: Task, w: Array, error: Array, by_w: Array, beat: int, beat_s: float) -> str:
+    """The limit at which the inputs that move this beat most are held."""
+    if error[beat] > 0 and beat <= task.plant.delay_s / beat_s:
+        return START
+    w_max = task.plant.w_max
+    weight = np.abs(by_w)
+    if error[beat] < 0:
+        held = {DRAG: weight[w <= _AT_LIMIT * w_max].sum()}
+    else:
+        held = {SATURATED: weight[w >= (1 - _AT_LIMIT) * w_max].sum()}
+    if task.slew_rad is not None:
+        change = np.abs(np.diff(task.plant.amplitude_rad(w))) >= task.slew_rad * (1 - 1e-3)
+        bound = np.r_[change, False] | np.r_[False, change]
+        held[SLEW] = weight[bound].sum()
+    why, most = max(held.items(), key=lambda item: float(item[1]))
+    return why if most >= 0.25 * weight.sum() else COUPLED

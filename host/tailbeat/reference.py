@@ -230,6 +230,11 @@ def _linear_means(time: Array, speed: Array, beat_s: float) -> NDArray[np.float3
     return _beat_means(integral, _whole_beats(float(time[-1]), beat_s), beat_s)
 
 
+def curve(t_s: Array, v_m_s: Array, beat_s: float, name: str) -> Reference:
+    """The reference of straight lines between points; t_s begins at 0 and rises."""
+    return Reference(beat_s, _linear_means(t_s, v_m_s, beat_s), name)
+
+
 def from_csv(path: Path, beat_s: float = 1.0) -> Reference:
     """Reads columns ``t_s,v_m_s`` (a header is required, further columns are ignored).
 
@@ -249,7 +254,7 @@ def from_csv(path: Path, beat_s: float = 1.0) -> Reference:
             f"{path.name} lasts {time[-1]:g} s, that is more than {BEATS_MAX} beats.",
             "Shorten it, or check that t_s is in seconds.",
         )
-    return Reference(beat_s, _linear_means(time, speed, beat_s), path.stem)
+    return curve(time, speed, beat_s, path.stem)
 
 
 def _read_points(path: Path) -> tuple[Array, Array]:

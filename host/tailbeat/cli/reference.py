@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say
+from tailbeat.cli.floorwords import (
+    advice,
+    floor_document,
+    floor_text,
+    suggestion_document,
+    suggestion_text,
+)
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
+    from tailbeat.model.identified import Identified
     from tailbeat.reference import Limits, Problem, Reference
 
 app = typer.Typer(no_args_is_help=True, help="The wanted speed per beat.")
@@ -106,17 +115,112 @@ def show(
     say(json, _document(reference, found.crc, []), f"{reference.name}: {_line(reference)}")
 
 
-@app.command()
-def check(what: What, connect: Connect = None, json: Json = False) -> None:
-    """Check a reference against the board's limits and the tank, without uploading.
+@dataclass(frozen=True)
+class _Known:
+    """What a reference is checked against; ``identified`` None: nothing is known of the fish."""
 
-    Example: tailbeat reference check swim.csv
+    limits: Limits
+    amplitude_max_rad: float
+    identified: Identified | None
+
+
+@app.command()
+def check(
+    what: What,
+    suggest: Annotated[
+        bool, typer.Option("--suggest", help="Write the nearest reference the fish can follow.")
+    ] = False,
+    identified: Annotated[
+        Path | None,
+        typer.Option("--identified", help="What identify has written; default: the logbook's."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="CSV for --suggest; default: NAME-feasible.csv.")
+    ] = None,
+    amp_max: Annotated[
+        float | None,
+        typer.Option("--amp-max", metavar="RAD", help="Largest amplitude; default: the board's."),
+    ] = None,
+    tank: Annotated[
+        float | None,
+        typer.Option("--tank", metavar="M", help="Length of the tank; default: the board's."),
+    ] = None,
+    slew: Annotated[
+        float | None,
+        typer.Option(
+            "--slew", metavar="RAD", help="Largest change per beat for the floor; default: any."
+        ),
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Check a reference against the board's limits, the tank and what the fish can do.
+
+    Of an identified fish the floor is told: the smallest max|e| of any input, where and why. With
+    --identified and --amp-max no board is asked.
+
+    Example: tailbeat reference check thesis --suggest
     """
+    from tailbeat.floor import band
     from tailbeat.reference import from_text
 
     reference = from_text(what)
-    with connected(connect) as fish:
-        problems = reference.check(_limits(fish))
-    if json or not problems:
-        say(json, _document(reference, reference.crc, problems), f"fits: {_line(reference)}")
-    _refuse(problems)
+    known = _known(identified, amp_max, tank, connect)
+    problems = reference.check(known.limits)
+    found = known.identified and band(known.identified, reference, known.amplitude_max_rad, slew)
+    document = _document(reference, reference.crc, problems)
+    document["floor"] = floor_document(found) if found else None
+    lines = [f"fits: {_line(reference)}"] if not problems else [str(p) for p in problems]
+    if found and known.identified:
+        lines.append(floor_text(found, known.identified.assumed))
+    else:
+        lines.append(_UNKNOWN)
+    if suggest:
+        document["suggestion"], text = _suggested(reference, known, out)
+        lines.append(text)
+    elif found and (hint := advice(found, what)):
+        lines.append(hint)
+    if json or suggest or not problems:
+        say(json, document, "\n".join(lines))
+    if not suggest:
+        _refuse(problems)
+
+
+_UNKNOWN = "floor unknown: this fish has not been identified (tailbeat identify)"
+
+
+def _known(
+    path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
+) -> _Known:
+    from tailbeat.logbook import logbook_of
+    from tailbeat.model.identified import Identified
+    from tailbeat.reference import Limits
+
+    loaded = Identified.load(path) if path is not None else None
+    if loaded is not None and amp_max is not None:
+        limits = Limits()
+    else:
+        with connected(connect) as fish:
+            limits = _limits(fish)
+            if amp_max is None:
+                amp_max = fish.params.get("AMP_MAX_RAD").value
+            if loaded is None and (logbook := logbook_of(fish)) is not None:
+                loaded = logbook.identified()
+    if tank is not None:
+        limits = replace(limits, tank_m=tank)
+    return _Known(limits, amp_max, loaded)
+
+
+def _suggested(reference: Reference, known: _Known, out: Path | None) -> tuple[dict[str, Any], str]:
+    from tailbeat import feasible
+    from tailbeat.errors import InputError
+
+    if known.identified is None:
+        raise InputError(
+            "what this fish can follow is not known: it has not been identified.",
+            "Run tailbeat identify, or name a file with --identified.",
+        )
+    found = feasible.suggest(known.identified, reference, known.amplitude_max_rad, known.limits)
+    path = out or Path(f"{reference.name}-feasible.csv")
+    found.to_csv(path)
+    return suggestion_document(found, str(path)), suggestion_text(found, str(path))
