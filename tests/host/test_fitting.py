@@ -94,4 +94,6 @@ def test_bootstrap_and_posterior_agree() -> None:
         expected = np.std([getattr(m, name) for m in posterior])
         assert 0.3 < spread / expected < 1.7, name
     assert bootstrap(swims, found, 2, seed=2) == drawn[:2]
-    assert posterior[0] == found.model
+    logs = np.log([m.kappa_per_m for m in posterior])
+    assert logs.mean() == pytest.approx(np.log(found.model.kappa_per_m), abs=1e-9)
+    assert logs.std() == pytest.approx(np.sqrt(found.covariance[0, 0]), rel=1e-6)

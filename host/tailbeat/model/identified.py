@@ -101,6 +101,11 @@ class Identified:
         sync_folder(path.parent)
 
     @classmethod
+    def from_dict(cls, raw: dict[str, Any]) -> Identified:
+        """Of what ``as_dict`` gave. Raises KeyError, TypeError, ValueError or AttributeError."""
+        return _from_document(raw)
+
+    @classmethod
     def load(cls, path: Path) -> Identified:
         """Raises InputError when it is not there or damaged."""
         remedy = "Identify the fish: tailbeat identify --out FILE"

@@ -1,0 +1,430 @@
+"""Runs that identify a fish: planned within the tank, right in their numbers, and without a trace
+on the board."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tailbeat import reference
+from tailbeat.cli import run
+from tailbeat.errors import InputError, LinkLostError, TailbeatError
+from tailbeat.fish import Fish
+from tailbeat.flashing.backup import Backup
+from tailbeat.floor import plant_beats, plant_config
+from tailbeat.model import guided
+from tailbeat.model.account import account_of, from_trials
+from tailbeat.model.fishmodel import Conditions, FishModel
+from tailbeat.model.fitting import Prior
+from tailbeat.model.guided import Person, identify_fish, set_params
+from tailbeat.model.runs import Course, Limits, Run, identify_runs
+from tailbeat.model.swim import Swim
+from tailbeat.records import record_crc
+from tailbeat.results import BeatEvent
+from tailbeat.transport.simulated import SimBoard, SimTransport
+
+Array = NDArray[np.float64]
+
+GLIDE = np.zeros(5)
+SIGMA_M_S = 0.0007  # of a beat, by a camera of 25 pictures a second and 1 mm
+NO_SERVO = {"servo_lag_s": 0.0, "servo_rate_rad_s": 0.0}
+
+
+class Pond:
+    """The simulator's tank plant, swum without a board; what differs from swim to swim is drawn
+    here."""
+
+    def __init__(self, seed: int | None, noise: float = 1.0, **fish: float) -> None:
+        self.fish, self.noise = fish, noise if seed is not None else 0.0
+        self.rng = np.random.default_rng(seed)
+        self.slope = fish.get("slope_m_s_rad", 0.219)
+        self.ways_m: list[float] = []
+
+    def __call__(self, amplitude: Array) -> Swim:
+        gain, flow = self.rng.normal(0, [0.02, 0.0015]) * self.noise
+        config = plant_config("tank", self.fish | {"slope_m_s_rad": self.slope * (1 + gain)})
+        speed = plant_beats(config, np.r_[amplitude, GLIDE], 1.0) + flow
+        self.ways_m.append(float(speed.sum()))
+        speed = speed[: len(amplitude)]
+        speed += self.rng.normal(0, SIGMA_M_S, len(speed)) * self.noise
+        return Swim(amplitude, speed, np.full(len(speed), SIGMA_M_S))
+
+
+@pytest.mark.parametrize("kappa", [5.0, 10.0, 20.0])
+def test_the_truth_is_inside_the_intervals(kappa: float) -> None:
+    """Without a servo the plant's own numbers are the model's."""
+    truth = {"kappa_per_m": kappa, "slope_m_s_rad": 0.219, "dead_zone_rad": 0.197, "delay_s": 0.3}
+    inside = dict.fromkeys(truth, 0)
+    errors: dict[str, list[float]] = {name: [] for name in truth}
+    for seed in range(1, 21):
+        pond = Pond(seed, kappa_per_m=kappa, **NO_SERVO)
+        found = identify_runs(pond, Limits(math.pi / 4), quick=True)
+        for name, true in truth.items():
+            low, high = found.band[name]
+            inside[name] += low <= true <= high
+            errors[name].append(getattr(found.model, name) / true - 1)
+        assert max(pond.ways_m) < 3.0 - 0.36
+    assert min(inside.values()) >= 18, inside
+    median = {name: abs(float(np.median(e))) for name, e in errors.items()}
+    assert median["kappa_per_m"] < 0.04
+    assert median["slope_m_s_rad"] < 0.015
+    assert median["dead_zone_rad"] < 0.02
+    assert median["delay_s"] < 0.15
+
+
+def test_with_bootstrap_and_servo() -> None:
+    """A servo takes 3 % off the amplitude: slope and dead zone are those the fish shows."""
+    config = plant_config("tank", {"kappa_per_m": 10.0})
+    amplitude = np.linspace(0.3, 0.78, 5)
+    steady = [plant_beats(config, np.full(60, u), 1.0)[-1] for u in amplitude]
+    slope, offset = np.polyfit(amplitude, steady, 1)
+    found = identify_runs(Pond(3, kappa_per_m=10.0), Limits(math.pi / 4))
+    assert len(found.models) == 100
+    for name, true in {
+        "kappa_per_m": 10.0, "slope_m_s_rad": slope, "dead_zone_rad": -offset / slope,
+        "delay_s": 0.32,
+    }.items():  # fmt: skip
+        low, high = found.band[name]
+        assert low < true < high, name
+
+
+@pytest.mark.parametrize("tank_m", [1.3, 3.0])
+@pytest.mark.parametrize("most_rad", [0.5, math.pi / 4])
+def test_never_beyond_the_tank(tank_m: float, most_rad: float) -> None:
+    """Fish that are faster, or glide farther, than anyone expects."""
+    for kappa, slope, dead in product((4.0, 28.0), (0.85, 1.15), (0.7, 1.3)):
+        fish = {"slope_m_s_rad": 0.219 * slope, "dead_zone_rad": 0.197 * dead}
+        pond = Pond(None, kappa_per_m=kappa, **fish)
+        limits = Limits(most_rad, tank_m=tank_m)
+        runs: list[Run] = []
+        identify_runs(pond, limits, on_run=runs.append, quick=True)
+        assert 4 <= len(runs) <= 6  # in a short tank the first may be too gentle to move it
+        for one, way_m in zip(runs, pond.ways_m, strict=True):
+            assert one.travel_m <= one.travel_worst_m <= limits.usable_m + 1e-9
+            assert way_m < tank_m - limits.fish_m
+            assert one.amplitude_rad.max() <= most_rad
+
+
+def test_the_pessimistic_edge_is_where_it_says() -> None:
+    """Of fish drawn from what is believed before the first run, 2.3 % may go farther."""
+    first = Course(Limits(math.pi / 4)).next_run()
+    rng = np.random.default_rng(5)
+    prior = Prior()
+    ways = []
+    for kappa, slope, dead, delay, gain, flow in rng.standard_normal((1500, 6)):
+        model = FishModel(
+            prior.model.kappa_per_m * math.exp(prior.kappa * kappa),
+            prior.model.slope_m_s_rad * math.exp(prior.slope * slope),
+            max(prior.model.dead_zone_rad + prior.dead_zone_rad * dead, 0),
+            max(prior.model.delay_s + prior.delay_s * delay, 0),
+        )
+        today = Conditions(gain=1 + 0.02 * gain, flow_m_s=0.0015 * flow)
+        ways.append(model.beats(np.r_[first.amplitude_rad, GLIDE], 1.0, today).sum())
+    assert 0.01 < np.mean(np.array(ways) > first.travel_worst_m) < 0.05
+
+
+def test_gentlest_first_and_later_ones_know_more() -> None:
+    runs: list[Run] = []
+    identify_runs(Pond(1, kappa_per_m=10.0), Limits(math.pi / 4), on_run=runs.append, quick=True)
+    assert [one.kind for one in runs] == ["cruise", "cruise", "cruise", "coast-down"]
+    tops = [one.cruise_rad for one in runs]
+    assert tops == sorted(tops)
+    assert tops[2] == pytest.approx(math.pi / 4)
+    doubt = [one.travel_worst_m / one.travel_m for one in runs]
+    assert doubt[0] > 2
+    assert max(doubt[1:]) < 1.2
+    for one in runs:  # gentle steps up, then no thrust to the end
+        thrust = np.maximum(one.amplitude_rad - 0.2, 0)
+        assert np.diff(thrust).max() < 0.15
+        assert np.all(one.amplitude_rad[-7:] == 0)
+
+
+def test_a_fast_fish_is_slowed_down() -> None:
+    def tops(slope: float) -> list[float]:
+        runs: list[Run] = []
+        pond = Pond(1, kappa_per_m=10.0, slope_m_s_rad=slope)
+        identify_runs(pond, Limits(math.pi / 4), on_run=runs.append, quick=True)
+        assert max(pond.ways_m) < 2.64
+        return [one.travel_m for one in runs] + [one.cruise_rad for one in runs]
+
+    slow, fast = tops(0.219), tops(0.6)
+    assert fast[0] == slow[0]  # nobody knew yet
+    assert fast[6] < slow[6]
+
+
+def test_the_step_limit() -> None:
+    runs: list[Run] = []
+    limits = Limits(math.pi / 4, step_max_rad=0.1)
+    identify_runs(Pond(1, kappa_per_m=10.0), limits, on_run=runs.append, quick=True)
+    tops = np.array([one.cruise_rad for one in runs])
+    assert np.diff(tops).max() <= 0.1 + 1e-12
+    assert np.diff(tops)[0] == pytest.approx(0.1)
+
+
+def test_where_nothing_moves_the_next_run_is_stronger() -> None:
+    runs: list[Run] = []
+    pond = Pond(2, kappa_per_m=10.0, dead_zone_rad=0.5, **NO_SERVO)
+    found = identify_runs(pond, Limits(math.pi / 4), on_run=runs.append, quick=True)
+    still = [one for one, way in zip(runs, pond.ways_m, strict=True) if way < 0.1]
+    assert still and len(runs) == 4 + len(still)
+    assert runs[len(still)].cruise_rad > still[-1].cruise_rad
+    assert found.model.dead_zone_rad == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_fish_that_never_moves() -> None:
+    pond = Pond(2, kappa_per_m=10.0, dead_zone_rad=0.9)
+    with pytest.raises(InputError, match=r"did not move at 0\.50 rad"):
+        identify_runs(pond, Limits(0.5), quick=True)
+    assert len(pond.ways_m) <= 8
+
+
+def test_a_tank_that_is_too_short() -> None:
+    with pytest.raises(InputError, match="too short"):
+        identify_runs(Pond(1), Limits(0.5, tank_m=0.6), quick=True)
+
+
+def test_speeds_that_nobody_measured() -> None:
+    def blind(amplitude: Array) -> Swim:
+        return Swim(amplitude, np.full(len(amplitude), np.nan), np.full(len(amplitude), 0.001))
+
+    with pytest.raises(InputError, match="run 1 has no speeds"):
+        identify_runs(blind, Limits(0.5), quick=True)
+
+
+def test_it_stops_a_fish_that_goes_too_far() -> None:
+    stop = guided._Guard(room_m=1.0)
+
+    def beat(number: int, speed: float | None) -> BeatEvent:
+        return BeatEvent(1, number, 0.5, 0.1, speed, 0.001, 25, False, True)
+
+    assert all(stop(beat(k, 0.1)) is None for k in range(7))
+    assert stop(beat(7, None)) is None
+    assert "farther" in (stop(beat(8, 0.1)) or "")  # 0.9 m, and the speeds are 2 beats old
+
+
+# -- on a board -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def board() -> SimBoard:
+    return SimBoard("tank", seed=4)
+
+
+@pytest.fixture
+def tank(board: SimBoard) -> Iterator[Fish]:
+    with Fish(SimTransport(board)) as fish:
+        fish.clock.sync()
+        yield fish
+
+
+@pytest.fixture
+def learned(tank: Fish) -> Fish:
+    """A fish that has learned from two trials of eight beats."""
+    tank.upload_reference(reference.cosine(0.06, 3, 2))
+    for _ in range(2):
+        tank.run_trial()
+        tank.learn()
+    return tank
+
+
+def state(fish: Fish) -> dict[str, Any]:
+    status = fish.status()
+    best = fish.amplitudes(best=True)
+    return {
+        "reference": fish.reference_record(),
+        "amplitudes": fish.amplitudes().values.tobytes(),
+        "best": best.values.tobytes(),
+        "status": [
+            status.state, status.iteration, status.best_iteration, status.pending_trial,
+            status.best_max_abs_error_m_s, status.worse_streak,
+        ],
+        "params": {name: p.value for name, p in fish.params.list().items()},
+    }  # fmt: skip
+
+
+def test_the_board_has_everything_back(learned: Fish, tmp_path: Path) -> None:
+    before = state(learned)
+    files: list[Path] = []
+
+    def keep(path: Path) -> None:
+        files.append(Path(shutil.copy(path, tmp_path)))
+
+    found = identify_fish(learned, Person(keep=keep), tmp_path / "safe", quick=True)
+    assert state(learned) == before
+    assert not (tmp_path / "safe").exists()
+    assert found.unique_id == learned.unique_id()
+    assert len(files) == 4
+    # The files tell the same fish: the prior is the board's, which is the usual one.
+    again, simulated = from_trials(files)
+    assert simulated
+    assert vars(again.model) == pytest.approx(vars(found.model), rel=1e-6)
+    assert again.alpha_kg_m is not None
+    account = account_of(found)
+    assert account.rms_m_s < 0.0015
+    assert account.battery_v == pytest.approx((8.2, 8.2), abs=0.3)
+    assert all(swim.way_m < 2.64 for swim in account.swims)
+
+
+def failing(calls: int, error: BaseException) -> Callable[..., Any]:
+    left = [calls]
+
+    def fail(*_: Any) -> None:
+        left[0] -= 1
+        if left[0] == 0:
+            raise error
+
+    return fail
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), TailbeatError("x", "y")])
+@pytest.mark.parametrize("where", ["before", "keep", "event"])
+def test_after_a_failure_too(
+    learned: Fish, board: SimBoard, tmp_path: Path, where: str, error: BaseException
+) -> None:
+    before = state(learned)
+    calls = 70 if where == "event" else 2
+    with pytest.raises(type(error)):
+        identify_fish(
+            learned, Person(**{where: failing(calls, error)}), tmp_path / "safe", quick=True
+        )
+    assert state(learned) == before
+    assert where != "event" or len(board.true_beats()) < 20  # the tail stopped at once
+
+
+def test_when_the_link_stays_away_a_copy_is_left(
+    learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = state(learned)
+    record = learned.learned_record()
+    monkeypatch.setattr(guided, "_restore", failing(1, LinkLostError("gone", "")))
+    with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
+        identify_fish(learned, Person(), tmp_path / "safe", quick=True)
+    copy = Backup.read(tmp_path / "safe")
+    assert (copy.reference, copy.learned) == (before["reference"], record)
+
+
+def test_a_guess_is_made_anew(tank: Fish) -> None:
+    """Amplitudes that arming made of the reference stay what arming makes, by the gain then."""
+    tank.upload_reference(reference.cosine(0.06, 3, 2))
+    tank.arm()
+    tank.disarm()
+    assert tank.status().iteration == 1
+    identify_fish(tank, Person(), quick=True)
+    assert tank.status().iteration == 0
+    tank.params.set("LAW_GAIN", 5.0)
+    tank.arm()
+    held = tank.amplitudes().values
+    wanted = reference.cosine(0.06, 3, 2).speed_m_s
+    assert held == pytest.approx(5.0 * wanted, rel=1e-6)
+
+
+def test_no_reference_before_and_no_run_after(tank: Fish) -> None:
+    identify_fish(tank, Person(), quick=True)
+    status = tank.status()
+    assert (status.iteration, status.beats, status.pending_trial) == (0, 1, None)
+
+
+def test_refused_while_a_trial_is_pending(learned: Fish) -> None:
+    learned.run_trial()
+    before = state(learned)
+    with pytest.raises(InputError, match="trial 3 is neither learned nor discarded"):
+        identify_fish(learned, Person())
+    assert state(learned) == before
+
+
+def test_speeds_by_hand(tank: Fish, board: SimBoard) -> None:
+    tank.params.set("SPD_SOURCE", 1)
+    with pytest.raises(InputError, match="SPD_SOURCE is upload"):
+        identify_fish(tank, Person())
+
+    def by_video(trial: int, beats: int, beat_s: float) -> Array:
+        del trial, beat_s
+        return board.true_beats()[:beats]
+
+    found = identify_fish(tank, Person(speeds=by_video), quick=True)
+    assert found.model.kappa_per_m == pytest.approx(10, rel=0.15)
+
+
+def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> None:
+    found = identify_fish(learned, Person(), quick=True)
+    learned.params.set("LAW_GAIN", 5.5)
+    held = set_params(learned, found)
+    assert held["MDL_KAPPA"] == pytest.approx(found.model.kappa_per_m, rel=1e-6)
+    assert learned.params.get("LAW_GAIN").value == 5.5
+    board.power_cycle()
+    learned.link.run(2.0)
+    for name, value in held.items():
+        assert learned.params.get(name).value == value
+    assert learned.params.get("LAW_GAIN").value == 4.0
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture, file = tmp_path / "fish.png", tmp_path / "fish.json"
+    line = ["identify", "--connect", "sim:tank?seed=3", "--out", str(file), "--plot", str(picture)]
+    assert run([*line, "--json"]) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert err == ""
+    assert found["source"] == "runs"
+    assert set(found["params"]) == {"MDL_KAPPA", "MDL_SLOPE", "MDL_DEAD_RAD", "MDL_DELAY_S"}
+    assert found["band"]["kappa_per_m"][0] < 10 < found["band"]["kappa_per_m"][1]
+    assert found["saved"] == [str(file)]
+    assert [one["trial"] for one in found["runs"]] == [1, 2, 3, 4]
+    assert all(one["way_m"] < 2.64 for one in found["runs"])
+    assert found["runs"][0]["battery_v"] == pytest.approx(8.2, abs=0.3)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert json.loads(file.read_text())["model"] == found["model"]
+
+
+def test_a_real_fish_waits_for_somebody(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tailbeat.results.SIMULATED_FISH", ())
+    line = ["identify", "--connect", "sim:tank?seed=3", "--logbook", str(tmp_path)]
+    assert run([*line, "--json"]) == 1
+    assert "Add --yes" in capsys.readouterr().err
+    asked: list[str] = []
+    monkeypatch.setattr("typer.prompt", lambda text, **_: asked.append(text))
+    assert run(line) == 0
+    out, err = capsys.readouterr()
+    assert len(asked) == 4
+    assert "run 1, cruise: 28 beats, up to 0.32 rad (18 degrees)" in err
+    kept = sorted(path.name for path in tmp_path.rglob("*.ulg"))
+    assert len(kept) == 4
+    assert f"saved in {next(tmp_path.rglob('identified.json'))}" in out
+    assert not list(tmp_path.rglob("before-identify"))
+
+
+def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = []
+    for seed in (1, 2):
+        with Fish.connect(f"sim:tank?seed={seed}") as fish:
+            fish.upload_reference(reference.cosine(0.06, 3, 2))
+            outcome = fish.run_trial()
+            (tmp_path / str(seed)).mkdir()
+            paths.append(str(fish.pull_trial(outcome.number, tmp_path / str(seed))))
+    assert run(["identify", "--trials", *paths]) == 1
+    assert "2 different boards" in capsys.readouterr().err
+    assert run(["identify", "--trials", paths[0], "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["source"], found["saved"]) == ("trials", [])
+    assert found["warnings"]  # one short swim tells little
+
+
+def test_references_of_runs_are_told_apart() -> None:
+    runs: list[Run] = []
+    identify_runs(Pond(1, kappa_per_m=10.0), Limits(0.5), on_run=runs.append, quick=True)
+    crcs = {
+        record_crc(reference.Reference(1.0, one.predicted_m_s.astype(np.float32), "").record())
+        for one in runs
+    }
+    assert len(crcs) == len(runs)
