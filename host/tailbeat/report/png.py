@@ -20,7 +20,7 @@ _INK = "0.15"
 _FAINT = "0.55"
 _REFERENCE = "0.86"
 _ACCENT = "#0b5394"  # prints as dark grey
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 14,
     "axes.edgecolor": _FAINT,
@@ -45,7 +45,7 @@ def render_png(series: Series, path: Path | None = None) -> bytes:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_PX / _DPI, _HEIGHT_PX / _DPI), dpi=_DPI, facecolor="white")
         grid = figure.add_gridspec(
             2, 2, left=0.07, right=0.955, bottom=0.085, top=0.80,
