@@ -55,6 +55,17 @@ def keys_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mo
     return folder
 
 
+@pytest.fixture(autouse=True)
+def logbook_folder(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """Nor their logbooks."""
+    folder = tmp_path_factory.getbasetemp() / "data" / secrets.token_hex(4)
+    monkeypatch.delenv("TAILBEAT_LOGBOOK", raising=False)
+    monkeypatch.setenv("XDG_DATA_HOME", str(folder))
+    return folder / "tailbeat" / "fish"
+
+
 @pytest.fixture
 def fish() -> Iterator[Fish]:
     with Fish.connect("sim:tank?seed=1") as connected:

@@ -18,6 +18,7 @@ from tailbeat.cli.common import (
     say,
     table,
 )
+from tailbeat.cli.keeping import keep_in_logbook
 from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
@@ -150,6 +151,8 @@ def pull(
     with connected(connect) as fish:
         numbers = [t.number for t in fish.trials()] if every else [_which(fish, number)]
         paths = [_pull(fish, wanted, into, json) for wanted in numbers]
+        for path in paths:
+            keep_in_logbook(fish, path)
     say(json, {"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
 
 

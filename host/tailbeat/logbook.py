@@ -1,0 +1,225 @@
+"""The logbook of a fish: every trial of it this computer has seen, and what was identified.
+
+A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``tailbeat/fish`` of
+the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
+``proposals/`` (inputs this computer made, and why) and ``identified.json``. The model law, the
+verdict and a second reference draw on it. Several processes may write at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.errors import InputError, reason
+from tailbeat.lasting import sync_folder
+from tailbeat.trial_log import Trial, parse_trial
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+    from tailbeat.model.identified import Identified
+    from tailbeat.model.swim import Swim
+
+FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
+_IDENTIFIED = "identified.json"
+_PART = ".part"
+_DIGEST_DIGITS = 16
+_ORDERS = 999_999
+
+
+@dataclass(frozen=True)
+class Logbook:
+    """One fish's folder."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, unique_id: str, root: Path | None = None) -> Logbook:
+        """The logbook of a fish; the folder is made when something is first kept. ``root``: the
+        folder of all logbooks, if not the usual one. Raises InputError."""
+        if not (unique_id.isalnum() and unique_id.isascii() and len(unique_id) <= 64):
+            raise InputError(
+                f"'{unique_id}' names no fish", "Give the unique id that 'tailbeat info' prints."
+            )
+        return cls((root or _default_root()) / unique_id.lower())
+
+    def keep(self, path: Path) -> Path:
+        """Copies a trial's file; where its copy is, there or now. What is kept already, or the
+        beginning of it, is not kept again. Lasting when it returns. Raises InputError."""
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise InputError(
+                f"cannot read {path} ({reason(error)}).", "Pull the trial again."
+            ) from error
+        number = parse_trial(content, path.name).number
+        for kept in _sorted(self._trials, f"*_{number:04d}_*.ulg"):
+            with contextlib.suppress(OSError):
+                if (held := kept.read_bytes()).startswith(content) and _is_sound(kept, held):
+                    return kept
+        return self._add(self._trials, f"_{number:04d}_{_digest(content)}.ulg", content)
+
+    def trials(self) -> list[Trial]:
+        """In the order they were kept. Damaged files are left out."""
+        return self.load()[0]
+
+    def load(self) -> tuple[list[Trial], list[str]]:
+        """All trials, in the order they were kept, and one line for each file that is not used and
+        why. Of a trial kept twice, the second time with more in its file, only that counts."""
+        found: list[tuple[bytes, Trial]] = []
+        problems: list[str] = []
+        for path in _sorted(self._trials, "*.ulg"):
+            try:
+                content = path.read_bytes()
+                if not _is_sound(path, content):
+                    raise InputError(f"{path} is damaged", "Pull that trial again.")
+                _join(found, content, parse_trial(content, path.name))
+            except OSError as error:
+                problems.append(f"cannot read {path} ({reason(error)})")
+            except InputError as error:
+                problems.append(str(error))
+        return [trial for _, trial in found], problems
+
+    def swims(self) -> list[Swim]:
+        """The same as the model sees them, without those that have no speed."""
+        from tailbeat.model.swim import swim_of
+
+        swims = [swim_of(trial) for trial in self.trials()]
+        return [swim for swim in swims if swim.measured.any()]
+
+    def identified(self) -> Identified | None:
+        """None when the fish has not been identified. Raises InputError: the file is damaged."""
+        from tailbeat.model.identified import Identified
+
+        path = self.folder / _IDENTIFIED
+        return Identified.load(path) if path.is_file() else None
+
+    def set_identified(self, identified: Identified) -> Path:
+        """Replaces what was identified; the old file stays beside it, numbered."""
+        path = self.folder / _IDENTIFIED
+        with self._writable():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if path.is_file():
+                self._add(self.folder / "identified", ".json", path.read_bytes())
+            identified.save(path)
+            sync_folder(self.folder)
+        return path
+
+    def add_proposal(self, document: dict[str, Any]) -> Path:
+        """Keeps where an input came from: plain values, as JSON. Lasting when it returns."""
+        content = json.dumps(document, indent=2).encode() + b"\n"
+        return self._add(self.folder / "proposals", ".json", content)
+
+    def proposals(self) -> list[dict[str, Any]]:
+        """In the order they were added. Damaged files are left out."""
+        found = []
+        for path in _sorted(self.folder / "proposals", "*.json"):
+            with contextlib.suppress(OSError, ValueError, RecursionError):
+                document = json.loads(path.read_bytes())
+                if isinstance(document, dict):
+                    found.append(document)
+        return found
+
+    @property
+    def _trials(self) -> Path:
+        return self.folder / "trials"
+
+    def _add(self, folder: Path, ending: str, content: bytes) -> Path:
+        """Writes ``content`` whole or not at all, named by the next order number."""
+        with self._writable():
+            folder.mkdir(parents=True, exist_ok=True)
+            order, part = _claim(folder)
+            try:
+                with part.open("wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+                part.chmod(0o444)
+                path = folder / f"{order:06d}{ending}"
+                part.replace(path)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+            for made in (folder, self.folder, self.folder.parent):
+                sync_folder(made)
+        return path
+
+    @contextlib.contextmanager
+    def _writable(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(
+                f"cannot write into the logbook {self.folder} ({reason(error)})",
+                f"Make the folder writable, or name another one in {FOLDER_VARIABLE}.",
+            ) from error
+
+
+def logbook_of(fish: Fish, root: Path | None = None) -> Logbook | None:
+    """The logbook of a connected board. None for a simulated one in this process, which is a new
+    fish every time, unless a folder is named."""
+    if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
+        return None
+    return Logbook.of(fish.unique_id(), root)
+
+
+def _default_root() -> Path:
+    if named := os.environ.get(FOLDER_VARIABLE):
+        return Path(named).expanduser()
+    base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(base) / "tailbeat" / "fish"
+
+
+def _sorted(folder: Path, pattern: str) -> list[Path]:
+    with contextlib.suppress(OSError):
+        return sorted(folder.glob(pattern))
+    return []
+
+
+def _claim(folder: Path) -> tuple[int, Path]:
+    """The next order number and an empty file that keeps it from all other processes."""
+    while True:
+        order = 1 + max((_order(path) for path in folder.iterdir()), default=0)
+        if order > _ORDERS:
+            raise OSError(28, "it holds 999999 files")
+        part = folder / f"{order:06d}{_PART}"
+        try:
+            os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+        except FileExistsError:
+            continue
+        if not any(path != part for path in folder.glob(f"{order:06d}*")):
+            return order, part
+        part.unlink()  # another process had finished with this number since we looked
+
+
+def _order(path: Path) -> int:
+    digits = path.name[:6]
+    return int(digits) if digits.isascii() and digits.isdigit() else 0
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
+
+
+def _is_sound(path: Path, content: bytes) -> bool:
+    return path.stem.rpartition("_")[2] == _digest(content)
+
+
+def _join(found: list[tuple[bytes, Trial]], content: bytes, trial: Trial) -> None:
+    """A board appends to a trial's file when it gets speeds later: the longer file is the trial, in
+    the place of the shorter."""
+    for at, (held, other) in enumerate(found):
+        if other.number != trial.number:
+            continue
+        if held.startswith(content):
+            return
+        if content.startswith(held):
+            found[at] = (content, trial)
+            return
+    found.append((content, trial))

@@ -1,0 +1,203 @@
+"""The logbook: what is kept is there for good, once, in order, whoever else writes."""
+
+from __future__ import annotations
+
+import json
+import stat
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.errors import InputError
+from tailbeat.fish import Fish
+from tailbeat.logbook import Logbook, logbook_of
+from tailbeat.records import encode_reference
+from tailbeat.trial_log import read_trial
+
+FISH = "00112233445566778899aabbccddeeff"
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of three simulated trials."""
+    folder = tmp_path_factory.mktemp("raw")
+    with Fish.connect("sim:tank?seed=1") as fish:
+        fish.upload_reference(encode_reference(1.0, np.full(12, 0.05)))
+        for number in (1, 2, 3):
+            fish.run_trial()
+            fish.learn(number)
+            fish.pull_trial(number, folder)
+    return folder
+
+
+@pytest.fixture
+def logbook(tmp_path: Path) -> Logbook:
+    return Logbook.of(FISH, tmp_path)
+
+
+def test_nothing_is_made_before_something_is_kept(logbook: Logbook) -> None:
+    assert logbook.load() == ([], [])
+    assert logbook.swims() == []
+    assert logbook.proposals() == []
+    assert logbook.identified() is None
+    assert not logbook.folder.exists()
+
+
+def test_trials_come_back_in_the_order_they_came(logbook: Logbook, raw: Path) -> None:
+    for number in (2, 1, 3):
+        kept = logbook.keep(raw / f"{number:04d}.ulg")
+        assert kept.read_bytes() == (raw / f"{number:04d}.ulg").read_bytes()
+        assert stat.S_IMODE(kept.stat().st_mode) == 0o444
+    assert [trial.number for trial in logbook.trials()] == [2, 1, 3]
+    again = read_trial(raw / "0002.ulg")
+    np.testing.assert_array_equal(logbook.trials()[0].beats.speed_m_s, again.beats.speed_m_s)
+    assert [swim.trial for swim in logbook.swims()] == [2, 1, 3]
+
+
+def test_the_same_content_is_kept_once(logbook: Logbook, raw: Path, tmp_path: Path) -> None:
+    first = logbook.keep(raw / "0001.ulg")
+    copy = tmp_path / "other-name.ulg"
+    copy.write_bytes((raw / "0001.ulg").read_bytes())
+    assert logbook.keep(copy) == first
+    assert len(list(first.parent.iterdir())) == 1
+
+
+def test_a_file_that_grew_takes_the_place_of_its_beginning(
+    logbook: Logbook, raw: Path, tmp_path: Path
+) -> None:
+    whole = (raw / "0001.ulg").read_bytes()
+    short = tmp_path / "short.ulg"
+    short.write_bytes(whole[: len(whole) - 700])
+    logbook.keep(short)
+    logbook.keep(raw / "0002.ulg")
+    kept = logbook.keep(raw / "0001.ulg")
+    assert [(t.number, t.end) for t in logbook.trials()] == [(1, "complete"), (2, "complete")]
+    assert logbook.keep(short) != kept  # the beginning is there already
+    assert len(logbook.trials()) == 2
+
+
+def test_numbers_that_start_again_are_other_trials(
+    logbook: Logbook, raw: Path, tmp_path: Path
+) -> None:
+    """A board that lost its store counts from 1 again."""
+    other = bytearray((raw / "0001.ulg").read_bytes())
+    other[-1] ^= 1
+    (tmp_path / "0001.ulg").write_bytes(other)
+    logbook.keep(raw / "0001.ulg")
+    logbook.keep(raw / "0002.ulg")
+    logbook.keep(tmp_path / "0001.ulg")
+    assert [trial.number for trial in logbook.trials()] == [1, 2, 1]
+
+
+def test_a_damaged_file_is_named_and_the_trial_can_be_kept_again(
+    logbook: Logbook, raw: Path
+) -> None:
+    first = logbook.keep(raw / "0001.ulg")
+    logbook.keep(raw / "0002.ulg")
+    first.chmod(0o644)
+    first.write_bytes(first.read_bytes()[:-5])
+    (first.parent / "000009_0009_0011223344556677.ulg").write_bytes(b"no trial")
+    trials, problems = logbook.load()
+    assert [trial.number for trial in trials] == [2]
+    assert len(problems) == 2
+    assert str(first) in problems[0]
+    again = logbook.keep(raw / "0001.ulg")
+    assert again != first
+    assert [trial.number for trial in logbook.trials()] == [2, 1]
+
+
+def test_what_is_no_trial_is_refused(logbook: Logbook, tmp_path: Path) -> None:
+    (tmp_path / "x.ulg").write_bytes(b"hello")
+    with pytest.raises(InputError, match="not a ULog"):
+        logbook.keep(tmp_path / "x.ulg")
+    with pytest.raises(InputError, match="cannot read"):
+        logbook.keep(tmp_path / "none.ulg")
+    assert not logbook.folder.exists()
+
+
+def test_a_folder_nobody_can_write_is_told(tmp_path: Path, raw: Path) -> None:
+    (tmp_path / "root").write_text("a file in its place")
+    with pytest.raises(InputError, match="TAILBEAT_LOGBOOK"):
+        Logbook.of(FISH, tmp_path / "root").keep(raw / "0001.ulg")
+
+
+def _add_many(root: Path, writer: int) -> None:
+    for count in range(25):
+        Logbook.of(FISH, root).add_proposal({"writer": writer, "count": count})
+
+
+def test_several_processes_write_at_once(tmp_path: Path) -> None:
+    with ProcessPoolExecutor(4) as pool:
+        list(pool.map(_add_many, [tmp_path] * 4, range(4)))
+    logbook = Logbook.of(FISH, tmp_path)
+    found = logbook.proposals()
+    assert len(found) == 100
+    for writer in range(4):
+        assert [d["count"] for d in found if d["writer"] == writer] == list(range(25))
+    names = sorted(path.name for path in (logbook.folder / "proposals").iterdir())
+    orders = [name.partition(".")[0] for name in names]
+    assert len(set(orders)) == 100
+    assert not any(name.endswith(".part") for name in names)
+
+
+def test_a_number_taken_meanwhile_is_not_taken_twice(
+    logbook: Logbook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process finishes with the number between our look and our claim."""
+    from tailbeat import logbook as module
+
+    real, raced = module._order, []
+
+    def slow(path: Path) -> int:
+        if not raced:
+            raced.append(path)
+            logbook.add_proposal({"who": "other"})
+        return real(path)
+
+    logbook.add_proposal({"who": "before"})
+    monkeypatch.setattr(module, "_order", slow)
+    logbook.add_proposal({"who": "ours"})
+    assert raced
+    assert [d["who"] for d in logbook.proposals()] == ["before", "other", "ours"]
+    names = [path.name for path in sorted((logbook.folder / "proposals").iterdir())]
+    assert names == ["000001.json", "000002.json", "000003.json"]
+
+
+def test_what_a_crash_left_behind_is_no_trial(logbook: Logbook, raw: Path) -> None:
+    folder = logbook.keep(raw / "0001.ulg").parent
+    (folder / "000002.part").write_bytes(b"half a tri")
+    logbook.keep(raw / "0002.ulg")
+    assert [trial.number for trial in logbook.trials()] == [1, 2]
+    assert logbook.load()[1] == []
+
+
+def test_proposals_are_plain_json(logbook: Logbook) -> None:
+    path = logbook.add_proposal({"law": "model", "amplitude_rad": [0.1, 0.2]})
+    assert path.name == "000001.json"
+    assert json.loads(path.read_text()) == {"law": "model", "amplitude_rad": [0.1, 0.2]}
+    (path.parent / "000002.json").write_text("{ half")
+    logbook.add_proposal({"law": "p"})
+    assert [d["law"] for d in logbook.proposals()] == ["model", "p"]
+
+
+def test_where_it_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TAILBEAT_LOGBOOK", raising=False)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert Logbook.of(FISH).folder == tmp_path / "tailbeat" / "fish" / FISH
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "mine"))
+    assert Logbook.of(FISH.upper()).folder == tmp_path / "mine" / FISH
+    for bad in ("", "../x", "a/b", "ü", "f" * 65):
+        with pytest.raises(InputError, match="unique id"):
+            Logbook.of(bad)
+
+
+def test_a_simulated_fish_in_this_process_has_one_only_when_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fish: Fish
+) -> None:
+    monkeypatch.delenv("TAILBEAT_LOGBOOK", raising=False)
+    assert logbook_of(fish) is None
+    assert logbook_of(fish, tmp_path) == Logbook(tmp_path / fish.unique_id())
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "e"))
+    assert logbook_of(fish) == Logbook(tmp_path / "e" / fish.unique_id())

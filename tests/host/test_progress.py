@@ -1,0 +1,199 @@
+"""tailbeat progress, and what learn and trial pull put into the logbook."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tailbeat.cli import run
+from tailbeat.fish import Fish
+from tailbeat.logbook import Logbook
+from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.trial_log import Trial, read_trial
+
+TRIALS = 4
+Run = Callable[..., tuple[str, str]]
+
+
+@pytest.fixture
+def tailbeat(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command that must succeed: (stdout, stderr)."""
+
+    def command(*words: str) -> tuple[str, str]:
+        assert run(list(words)) == 0
+        out, err = capsys.readouterr()
+        return out, err
+
+    return command
+
+
+@pytest.fixture(scope="module")
+def board() -> SimBoard:
+    return SimBoard("tank")
+
+
+@pytest.fixture
+def connected(board: SimBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+
+
+@pytest.fixture(scope="module")
+def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the trials of a short reference, learned on the board."""
+    from tailbeat.reference import from_text
+
+    folder = tmp_path_factory.mktemp("swum")
+    csv = folder / "swim.csv"
+    csv.write_text("t_s,v_m_s\n0,0\n2,0.06\n8,0.06\n10,0\n")
+    with Fish(SimTransport(board)) as fish:
+        for name, value in {"AMP_MAX_RAD": 0.75, "LAW_LEAD": 1, "DU_MAX_RAD": 0}.items():
+            fish.params.set(name, value)
+        fish.upload_reference(from_text(str(csv)))
+        for _ in range(TRIALS):
+            number = fish.run_trial(None).number
+            fish.learn(number)
+            fish.pull_trial(number, folder)
+    return folder
+
+
+def test_a_folder_of_trials(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
+    png = tmp_path / "p.png"
+    out, err = tailbeat("progress", "--experiment", str(swum), "--plot", str(png), "--json")
+    found = json.loads(out)
+    assert err == ""
+    assert [row["trial"] for row in found["trials"]] == list(range(1, TRIALS + 1))
+    assert found["trials"][0]["verdict"] == "first"
+    worst = [row["max_abs_error_m_s"] for row in found["trials"]]
+    assert found["verdict"]["best_max_abs_error_m_s"] == min(worst)
+    assert found["visits"] == [TRIALS] * 10
+    assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    text, _ = tailbeat("progress", "--experiment", str(swum))
+    assert text.splitlines()[0].split() == [
+        "trial", "iteration", "max|e|", "mm/s", "RMS", "mm/s", "repeats", "verdict",
+    ]  # fmt: skip
+    assert f"best: trial {1 + int(np.argmin(worst))}" in text
+
+
+def test_another_reference_and_a_damaged_file(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    for path in swum.glob("*.ulg"):
+        (raw / path.name).write_bytes(path.read_bytes())
+    (raw / "0009.ulg").write_bytes(b"no trial")
+    out, err = tailbeat("progress", "--experiment", str(tmp_path), "--json")
+    assert len(json.loads(out)["trials"]) == TRIALS
+    assert err == "tailbeat: 0009.ulg is not a ULog file. Pull the trial again.\n"
+    crc = json.loads(out)["reference_crc"]
+    same, _ = tailbeat("progress", "--experiment", str(tmp_path), "--reference", hex(crc), "--json")
+    assert json.loads(same) == json.loads(out)
+
+
+@pytest.mark.parametrize(
+    ("words", "meaning"),
+    [
+        (["--experiment", "FOLDER", "--reference", "0x1"], "no trial of the reference 0x00000001"),
+        (["--experiment", "FOLDER", "--reference", "x"], "'x' is no reference's CRC"),
+        (["--experiment", "FOLDER", "--apply"], "there is nothing to apply"),
+        (["--experiment", "/none"], "there is no folder"),
+    ],
+)
+def test_what_makes_no_sense(
+    swum: Path, words: list[str], meaning: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = [str(swum) if word == "FOLDER" else word for word in words]
+    assert run(["progress", *line]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("tailbeat: ")
+    assert meaning in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.usefixtures("connected", "swum")
+def test_a_simulated_fish_keeps_nothing_by_itself(
+    tailbeat: Run, logbook_folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    tailbeat("trial", "pull", "--into", str(tmp_path), "--connect", "x")
+    assert not logbook_folder.exists()
+    assert run(["progress", "--connect", "x"]) == 1
+    assert "keeps no logbook" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("connected", "swum")
+def test_pull_and_learn_fill_the_logbook(
+    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, board: SimBoard
+) -> None:
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
+    tailbeat("trial", "pull", "--all", "--into", str(tmp_path), "--connect", "x")
+    out, _ = tailbeat("progress", "--connect", "x", "--json")
+    before = [row["trial"] for row in json.loads(out)["trials"]]
+    assert before[-TRIALS:] == list(range(1, TRIALS + 1))
+    ran, _ = tailbeat("trial", "run", "--connect", "x", "--json")
+    number = json.loads(ran)["number"]
+    text, err = tailbeat("learn", "--connect", "x")
+    assert err == ""
+    head, words = text.splitlines()[:2]
+    assert head.startswith(f"learned from trial {number}: ")
+    assert words.startswith(("progress: ", "within noise", "the best, but", "worse"))
+    out, _ = tailbeat("progress", "--connect", "x", "--json")
+    rows = json.loads(out)["trials"]
+    assert [row["trial"] for row in rows] == [*before, number]
+    assert rows[-1]["words"] == words
+    book = Logbook(next((tmp_path / "book").iterdir()))
+    assert len(book.trials()) == TRIALS + 1
+
+
+@pytest.mark.usefixtures("connected", "swum")
+def test_learning_does_not_fail_with_the_logbook(
+    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "book").write_text("a file in its place")
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
+    tailbeat("trial", "run", "--connect", "x")
+    out, err = tailbeat("learn", "--connect", "x", "--json")
+    assert json.loads(out)["verdict"] is None
+    assert err.startswith("tailbeat: no verdict on trial ")
+    assert "TAILBEAT_LOGBOOK" in err
+
+
+def test_a_fluctuating_series_gets_a_falling_gain(
+    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, swum: Path
+) -> None:
+    trial = read_trial(swum / "0001.ulg")
+    shape = np.ones(10, np.float32)
+
+    def made(number: int, worst: float) -> Trial:
+        speed = trial.beats.reference_m_s - np.float32(worst) * shape
+        beats = replace(trial.beats, speed_m_s=speed, amplitude_rad=shape * number / 100)
+        return replace(trial, number=number, beats=replace(beats, applied_rad=beats.amplitude_rad))
+
+    worst = (0.05, 0.02, 0.012, 0.021, 0.010, 0.022, 0.012, 0.02, 0.011)
+    trials = [made(at + 1, value) for at, value in enumerate(worst)]
+    monkeypatch.setattr("tailbeat.progress.read_trials", lambda folder: (trials, []))
+    set_to: dict[str, float] = {}
+
+    class Params:
+        def set(self, name: str, value: float) -> SimpleNamespace:
+            set_to[name] = value
+            return SimpleNamespace(value=value)
+
+    @contextmanager
+    def connected(url: str | None) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(params=Params())
+
+    monkeypatch.setattr("tailbeat.cli.progress.connected", connected)
+    out, _ = tailbeat("progress", "--experiment", str(swum), "--apply", "--json")
+    found = json.loads(out)
+    assert found["fluctuation"] > 1.3
+    assert found["fade"] == set_to == found["applied"]
+    assert 0 < set_to["LAW_FADE"] <= 10
+    assert set_to["LAW_FADE_FROM"] >= 1
+    text, _ = tailbeat("progress", "--experiment", str(swum))
+    assert f"LAW_FADE {set_to['LAW_FADE']:g}" in text
