@@ -6,6 +6,7 @@ after every step the host recomputes the board's numbers with the same C code an
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
 from collections.abc import Callable
@@ -27,11 +28,14 @@ from tailbeat.trial_log import Trial, read_trial
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
+    from tailbeat.model.fishmodel import FishModel
+    from tailbeat.model.identified import Identified
     from tailbeat.results import LearnReport
     from tailbeat.transport.inprocess import SimulatedBoard
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 DEFAULT_LEAD = {"thesis": 0, "tank": 1}
+LAWS = ("p", "model")
 EXPERIMENTS = Path("experiments")
 _SAMPLE_S = 0.04
 
@@ -46,12 +50,13 @@ class DemoOptions:
 
     plant: str | None = None
     gain: float = 4.0
-    lead: int | None = None
+    lead: float | None = None
     trials: int = 6
     seed: int | None = None
     out: Path | None = None
     connect: str | None = None
     overrides: dict[str, float] = field(default_factory=dict)
+    law: str = "p"  # or "model": identify first, then learn with the model
 
 
 @dataclass(frozen=True)
@@ -76,12 +81,14 @@ class DemoResult:
 
     plant: str
     gain: float
-    lead: int
+    lead: float
     seed: int | None  # None: not simulated in this process
     floor_m_s: float | None
     floor_lsq_m_s: float | None
     trials: list[DemoTrial]
     report: Path
+    law: str = "p"
+    identified: FishModel | None = None  # what law model began with
 
     def as_dict(self) -> dict[str, Any]:
         """SI units, JSON types."""
@@ -96,6 +103,8 @@ def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None)
     """Runs the demo and writes the experiment folder with report.html and report.png."""
     if options.trials < 1:
         raise InputError(f"{options.trials} trials are no demo.", "Give --trials 1 or more.")
+    if options.law not in LAWS:
+        raise InputError(f"there is no law '{options.law}'.", f"Use {' or '.join(LAWS)}.")
     from tailbeat.fish import Fish
 
     with Fish.connect(_address(options), **options.overrides) as fish:
@@ -127,11 +136,16 @@ class _Demo:
         self.reference = reference.thesis()
         self.rows = [_zero_row(self.reference)]
         self.trials: list[Trial] = []
+        self.identified: Identified | None = None  # law model only
+        self.teacher: Teacher | None = None
 
     def run(self, progress: Progress) -> DemoResult:
         self._prepare()
+        if self.options.law == "model":
+            self._identify(progress)
         experiment = self._experiment()
         count = self.options.trials
+        self._begin(experiment)
         for i in range(1, count + 1):
             progress((i - 1) / count, f"trial {i} of {count}")
             self._one_trial(experiment)
@@ -146,6 +160,8 @@ class _Demo:
             floor_lsq_m_s=floor[1],
             trials=self.rows,
             report=experiment.folder / "report.html",
+            law=self.options.law,
+            identified=self.identified.model if self.identified else None,
         )
         self._report(experiment, result)
         return result
@@ -169,13 +185,26 @@ class _Demo:
         self.law = laws.Law.from_params(self.params, self.reference.beat_s)
         for problem in self.reference.check(reference.Limits.from_params(self.params)):
             raise InputError(problem.meaning, problem.remedy)
-        fish.upload_reference(self.reference.record())
         self.info = fish.info()
+
+    def _identify(self, progress: Progress) -> None:
+        from tailbeat.model.guided import Person, identify_fish
+
+        person = Person(before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}"))
+        self.identified = identify_fish(self.fish, person, quick=True)
+
+    def _begin(self, experiment: Experiment) -> None:
+        """The reference, and with the model law the first amplitudes."""
+        self.fish.upload_reference(self.reference.record())
+        if self.identified is not None:
+            self.teacher = Teacher(self.fish, self.identified, experiment)
+            self.teacher.teach([])
 
     def _experiment(self) -> Experiment:
         kind = "vboard" if self.info.board == "emulated" else "sim"
         fish = f"{kind}-{self.plant}" if self.sim else self.info.board
-        names = fish, self.reference.name, self.law.label()
+        label = "model" if self.identified is not None else self.law.label()
+        names = fish, self.reference.name, label
         out = self.options.out
         if out is None:
             experiment = Experiment.new(EXPERIMENTS, *names)
@@ -218,9 +247,12 @@ class _Demo:
                 f"{outcome.executed_beats} beats.",
                 f"Its file is {path}; clear the board and start again.",
             )
+        visits = fish.visits() if self.law.fade else None
         report = fish.learn(outcome.number)
-        compare(trial, self.law, fish.amplitudes().values, report.rolled_back)
+        compare(trial, self.law, fish.amplitudes().values, report.rolled_back, visits)
         self.trials.append(trial)
+        if self.teacher is not None:
+            self.teacher.teach(self.trials)
         self.rows.append(self._row(trial, report))
 
     def _row(self, trial: Trial, report: LearnReport) -> DemoTrial:
@@ -259,6 +291,16 @@ class _Demo:
         found = floor(config, self.reference, AMPLITUDE_MAX_RAD)
         return found.minimax_m_s, found.lsq_max_abs_m_s
 
+    def _settings(self) -> dict[str, str]:
+        settings = {name: f"{value:g}" for name, value in self.params.items()}
+        if self.identified is not None:
+            return {"law": "model", "fish": identified_text(self.identified.model), **settings}
+        return settings
+
+    def _law_text(self) -> str:
+        lead = f"{self.lead:g} beat{'' if self.lead in (0.5, 1) else 's'}"
+        return f"gain {self.options.gain:g} rad·s/m, lead {lead}"
+
     def _report(self, experiment: Experiment, result: DemoResult) -> None:
         series = self._series(result)
         png = render_png(series, experiment.folder / "report.png")
@@ -270,7 +312,10 @@ class _Demo:
         who = "A simulated fish" if simulated else "The fish"
         board = "emulated board, " if self.info.board == "emulated" else ""
         plant = f"{plant_text(self.plant, self.sim)}, seed {result.seed}; " if self.sim else ""
-        lead = f"{self.lead} beat{'' if self.lead == 1 else 's'}"
+        law = f"law P, {self._law_text()}"
+        if self.identified is not None:
+            drag = self.identified.model.kappa_per_m
+            law = f"law model, identified drag/mass {drag:.1f} 1/m"
         swims = [
             Swim(
                 iteration=row.iteration,
@@ -287,7 +332,7 @@ class _Demo:
         ]
         return Series(
             title=f"{who} learns the {self.reference.name} speed profile",
-            subtitle=f"{board}{plant}law P, gain {result.gain:g} rad·s/m, lead {lead}",
+            subtitle=f"{board}{plant}{law}",
             simulated=simulated,
             reference_name=self.reference.name,
             reference_m_s=self.reference.speed_m_s,
@@ -297,7 +342,7 @@ class _Demo:
             floor_m_s=result.floor_m_s,
             floor_lsq_m_s=result.floor_lsq_m_s,
             swims=swims,
-            settings={name: f"{value:g}" for name, value in self.params.items()},
+            settings=self._settings(),
             versions={
                 "tailbeat": _version(),
                 "firmware": self.info.build_id,
@@ -306,11 +351,48 @@ class _Demo:
         )
 
 
+class Teacher:
+    """Gives the board the model's amplitudes; what they came from goes into the experiment."""
+
+    def __init__(self, fish: Fish, identified: Identified, experiment: Experiment) -> None:
+        from tailbeat.modelstep import setting_of
+
+        self.fish, self.identified, self.experiment = fish, identified, experiment
+        self.setting = setting_of(fish)
+        experiment.add_raw("identified.json", _json_bytes(identified.as_dict()))
+
+    def teach(self, trials: list[Trial]) -> None:
+        """After ``trials``, all since the identification."""
+        from tailbeat.model.swim import swim_of
+        from tailbeat.modelstep import next_step, upload
+
+        step = next_step(self.setting, self.identified, [swim_of(trial) for trial in trials])
+        name = f"proposal-{len(trials) + 1:04d}.json"
+        self.experiment.add_raw(name, _json_bytes(step.document))
+        upload(self.fish, self.setting, step.proposal)
+
+
+def _json_bytes(document: dict[str, Any]) -> bytes:
+    return json.dumps(document, indent=1, allow_nan=False).encode() + b"\n"
+
+
+def identified_text(model: FishModel) -> str:
+    """The model in a few words."""
+    return (
+        f"identified: drag/mass {model.kappa_per_m:.1f} 1/m, {model.slope_m_s_rad:.3f} m/s/rad "
+        f"beyond {model.dead_zone_rad:.3f} rad, delay {model.delay_s:.2f} s"
+    )
+
+
 def compare(
-    trial: Trial, law: laws.Law, learned: NDArray[np.float32], rolled_back: bool = False
+    trial: Trial,
+    law: laws.Law,
+    learned: NDArray[np.float32],
+    rolled_back: bool = False,
+    visits: NDArray[np.uint8] | None = None,
 ) -> None:
     """Raises Mismatch unless the host gets the board's beat means and next amplitudes, bit for bit,
-    from the trial's file."""
+    from the trial's file and the board's ``visits`` before it learned."""
     beats = trial.beats
     speed, _ = recompute_beats(trial)
     if not same_bits(speed, beats.speed_m_s):
@@ -321,7 +403,7 @@ def compare(
     if rolled_back:
         return
     error, measured = laws.errors_of(beats.reference_m_s, beats.speed_m_s)
-    expected, _ = laws.update(law, beats.amplitude_rad, error, measured)
+    expected, _ = laws.update(law, beats.amplitude_rad, error, measured, visits)
     if not same_bits(expected, learned):
         raise Mismatch(
             f"trial {trial.number}: the amplitudes the board learned are not what the law gives.",

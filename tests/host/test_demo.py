@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tailbeat import laws
 from tailbeat.demo import DemoOptions, DemoResult, Mismatch, compare, run_demo
 from tailbeat.errors import InputError
 from tailbeat.experiment import Experiment
@@ -44,6 +45,7 @@ def test_document_has_the_promised_keys(tank: tuple[DemoResult, Path]) -> None:
     document = json.loads(json.dumps(tank[0].as_dict(), allow_nan=False))
     assert list(document) == [
         "plant", "gain", "lead", "seed", "floor_m_s", "floor_lsq_m_s", "trials", "report",
+        "law", "identified",
     ]  # fmt: skip
     assert list(document["trials"][1]) == [
         "iteration", "trial", "max_abs_error_m_s", "rms_error_m_s", "true_max_abs_error_m_s",
@@ -101,6 +103,12 @@ def test_a_bit_of_difference_is_noticed(tank: tuple[DemoResult, Path]) -> None:
         compare(first, law, np.nextafter(learned, np.float32(9)))
     with pytest.raises(Mismatch, match="the amplitudes"):
         compare(first, replace(law, kp_rad_s_m=4.0001), learned)
+    fading, visits = replace(law, fade=0.5, fade_from=0), np.full(40, 2, dtype=np.uint8)
+    error, measured = laws.errors_of(first.beats.reference_m_s, first.beats.speed_m_s)
+    faded, _ = laws.update(fading, first.beats.amplitude_rad, error, measured, visits)
+    compare(first, fading, faded, visits=visits)
+    with pytest.raises(Mismatch, match="the amplitudes"):
+        compare(first, fading, faded)
     first.beats.speed_m_s[7] = np.nextafter(first.beats.speed_m_s[7], np.float32(9))
     with pytest.raises(Mismatch, match="beat means"):
         compare(first, law, learned)

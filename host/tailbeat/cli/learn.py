@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from tailbeat.cli.common import TRIAL_MAX, Connect, Json, connected, mm, say
+from tailbeat.cli.keeping import verdict_after_learning, verdict_text
 
 speed_app = typer.Typer(no_args_is_help=True, help="Speeds measured after the swim.")
 
@@ -23,16 +24,35 @@ def learn(
     restore_best: Annotated[
         bool, typer.Option("--restore-best", help="Swim the best amplitudes so far next.")
     ] = False,
+    law: Annotated[
+        str, typer.Option("--law", metavar="p|model", help="model: this computer plans the next.")
+    ] = "p",
+    identified: Annotated[
+        Path | None,
+        typer.Option("--identified", metavar="FILE", help="With --law model: what identify wrote."),
+    ] = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Let the board learn from the trial that waits for it.
 
-    Example: tailbeat learn --dry-run
+    With --law model the next amplitudes come from the identified fish, re-fitted on all its swims;
+    without a trial that waits they are planned from what is known.
+
+    Example: tailbeat learn --law model
     """
     if dry_run and restore_best:
         raise typer.BadParameter("--dry-run and --restore-best exclude each other")
+    if law not in ("p", "model"):
+        raise typer.BadParameter("--law is p or model")
+    if identified is not None and law != "model":
+        raise typer.BadParameter("--identified is for --law model")
     with connected(connect) as fish:
+        if law == "model" and not restore_best:
+            from tailbeat.cli.modelled import learn_with_model
+
+            learn_with_model(fish, number, identified, dry_run, json)
+            return
         if dry_run:
             from tailbeat.dryrun import dry_run as compute
 
@@ -51,12 +71,14 @@ def learn(
             return
         report = fish.learn(number)
         held = fish.amplitudes()
+        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
     document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
     document["amplitude_rad"] = held.values
+    document["verdict"] = verdict
     text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
     text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
     text += "; worse twice, so the best amplitudes swim next" if report.rolled_back else ""
-    say(json, document, text)
+    say(json, document, text + verdict_text(verdict))
 
 
 def law(

@@ -40,8 +40,8 @@ def demo(
     ] = None,
     gain: Annotated[float, typer.Option("--gain", help="Learning gain, rad s/m.")] = 4.0,
     lead: Annotated[
-        int | None,
-        typer.Option("--lead", min=0, help="Whole beats; default 0 (thesis) or 1 (tank)."),
+        float | None,
+        typer.Option("--lead", min=0, help="Beats, in halves; default 0 (thesis) or 1 (tank)."),
     ] = None,
     trials: Annotated[int, typer.Option("--trials", min=1, help="Trials to swim.")] = 6,
     seed: Annotated[
@@ -51,6 +51,9 @@ def demo(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder to write; default: below experiments/.")
     ] = None,
+    law: Annotated[
+        str, typer.Option("--law", metavar="p|model", help="model: identify the fish first.")
+    ] = "p",
     settings: Set = None,
     connect: Annotated[
         str | None,
@@ -67,7 +70,7 @@ def demo(
     from tailbeat.demo import DemoOptions, run_demo
 
     options = DemoOptions(
-        plant, gain, lead, trials, seed, out, connect, assignments(settings or [])
+        plant, gain, lead, trials, seed, out, connect, assignments(settings or []), law
     )
     with progress_bar(json, "demo") as show:
         result = run_demo(options, show)
@@ -90,8 +93,13 @@ def _demo_text(result: DemoResult) -> str:
     header = ["iteration", "trial", "max|e|", "RMS", "true max|e|", "saturated", "end"]
     first, last = result.trials[0], result.trials[-1]
     down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
+    law = ""
+    if result.identified is not None:
+        from tailbeat.demo import identified_text
+
+        law = f"law model, {identified_text(result.identified)}; else P, "
     lines = [
-        f"plant {result.plant}, gain {result.gain:g} rad s/m, lead {result.lead}"
+        f"plant {result.plant}, {law}gain {result.gain:g} rad s/m, lead {result.lead:g}"
         + ("" if result.seed is None else f", seed {result.seed}")
         + "; errors in mm/s, over beats",
         table(header, rows, left=(6,)),

@@ -1,0 +1,101 @@
+"""Learning with the model on a connected board: what ``learn --law model`` and the demo do.
+
+The board learns from the trial, too: its iteration, its best input and its rollback go on, and its
+own step stands should the computer fail before the model's amplitudes are uploaded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.errors import InputError
+from tailbeat.laws import Law
+from tailbeat.model.modellaw import Proposal, foretold, propose
+from tailbeat.model.provenance import document_of
+from tailbeat.records import decode_reference
+from tailbeat.reference import Reference
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+    from tailbeat.model.identified import Identified
+    from tailbeat.model.swim import Swim
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the board swims for: its reference, its limits (``step_max_rad`` 0 = none), its law."""
+
+    reference: Reference
+    amplitude_max_rad: float
+    step_max_rad: float
+    law: Law
+
+
+@dataclass(frozen=True)
+class Step:
+    """``foretold_m_s``: 5 %, 50 % and 95 % of max|e| of the last swim, by what was known before it;
+    None without one. ``document``: the proposal's provenance."""
+
+    proposal: Proposal
+    foretold_m_s: tuple[float, float, float] | None
+    document: dict[str, Any]
+
+
+def setting_of(fish: Fish) -> Setting:
+    """Raises InputError when the board has no reference."""
+    record = fish.reference_record()
+    if record is None:
+        raise InputError("the board has no reference.", "tailbeat reference upload thesis")
+    wanted = decode_reference(record)
+    params = {name: p.value for name, p in fish.params.list().items()}
+    return Setting(
+        reference=Reference(wanted.beat_s, wanted.speed_m_s, "board"),
+        amplitude_max_rad=params["AMP_MAX_RAD"],
+        step_max_rad=params["DU_MAX_RAD"],
+        law=Law.from_params(params, wanted.beat_s),
+    )
+
+
+def swims_since(identified: Identified, swims: Sequence[Swim], unique_id: str) -> list[Swim]:
+    """Those of ``swims`` (oldest first) that came after the runs the fish was identified by; all,
+    when it was identified by another fish's or by a table."""
+    if identified.unique_id != unique_id:
+        return list(swims)
+    own = {swim.trial for swim in identified.swims if swim.trial}
+    last = max((at for at, swim in enumerate(swims) if swim.trial in own), default=-1)
+    return list(swims[last + 1 :])
+
+
+def next_step(setting: Setting, identified: Identified, swims: Sequence[Swim]) -> Step:
+    """Proposes; changes nothing."""
+    proposal = propose(
+        identified,
+        setting.reference,
+        setting.amplitude_max_rad,
+        swims,
+        setting.law,
+        setting.step_max_rad,
+    )
+    document = document_of(
+        proposal,
+        identified,
+        setting.reference,
+        setting.amplitude_max_rad,
+        swims,
+        setting.law,
+        setting.step_max_rad,
+    )
+    return Step(proposal, foretold(identified, setting.reference, swims), document)
+
+
+def upload(fish: Fish, setting: Setting, proposal: Proposal) -> None:
+    """The next swim's amplitudes, within the board's limit to the last bit."""
+    limit = np.float32(setting.amplitude_max_rad)
+    fish.upload_amplitudes(np.minimum(proposal.amplitude_rad.astype(np.float32), limit))

@@ -1,0 +1,403 @@
+"""Learning with the model: how fast, how it fails, and that every decision can be made again."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tailbeat import laws
+from tailbeat.cli.modelled import learn_with_model
+from tailbeat.demo import DemoOptions, run_demo
+from tailbeat.errors import InputError
+from tailbeat.experiment import Experiment
+from tailbeat.fish import Fish
+from tailbeat.laws import Law
+from tailbeat.logbook import Logbook
+from tailbeat.model.belief import believe
+from tailbeat.model.fishmodel import Conditions, FishModel
+from tailbeat.model.fitting import Prior
+from tailbeat.model.identified import Identified
+from tailbeat.model.modellaw import Proposal, foretold, propose
+from tailbeat.model.provenance import again, document_of
+from tailbeat.model.swim import Swim
+from tailbeat.modelstep import swims_since
+from tailbeat.reference import Reference, cosine, thesis, trapezoid
+from tailbeat.sweep.shoal import Shoal
+
+Array = NDArray[np.float64]
+
+AMPLITUDE_MAX_RAD = math.pi / 4
+SEEDS = range(1, 7)
+TRUE = FishModel(10.0, 0.219, 0.197, 0.3)
+LSQ_M_S = {5: 0.0172, 10: 0.0113, 20: 0.0072}
+
+
+def known(model: FishModel, sigma: Sequence[float] = (0.1, 0.02, 0.01, 0.05)) -> Identified:
+    """As if identified."""
+    return Identified(model, [model], np.diag(np.square(sigma)))
+
+
+class Tank:
+    """One simulated fish; remembers its swims."""
+
+    def __init__(self, seed: int, **settings: float) -> None:
+        self.shoal = Shoal("tank", [{"seed": float(seed), **settings}])
+        self.swims: list[Swim] = []
+        self.flow_m_s = 0.0
+
+    def swim(self, amplitude: Array, reference: Reference) -> float:
+        """True max|e|, m/s."""
+        number = len(self.swims) + 1
+        swum = self.shoal.swim(amplitude[None, :], number, reference.beat_s)
+        self.swims.append(
+            Swim(
+                amplitude_rad=amplitude,
+                speed_m_s=swum.speed_m_s[0] + self.flow_m_s,
+                sigma_m_s=swum.sigma_m_s[0],
+                beat_s=reference.beat_s,
+                reference_crc=reference.crc,
+                trial=number,
+            )
+        )
+        true = swum.true_m_s[0] + self.flow_m_s
+        return float(np.abs(reference.speed_m_s - true).max())
+
+    def learn(self, identified: Identified, reference: Reference, count: int) -> list[float]:
+        return [
+            self.swim(
+                propose(identified, reference, AMPLITUDE_MAX_RAD, self.swims).amplitude_rad,
+                reference,
+            )
+            for _ in range(count)
+        ]
+
+
+def medians(identified: Identified, count: int, **settings: float) -> Array:
+    rows = [Tank(seed, **settings).learn(identified, thesis(), count) for seed in SEEDS]
+    return np.asarray(np.median(rows, axis=0))
+
+
+@pytest.mark.parametrize("kappa", [5, 10, 20])
+def test_right_model_is_at_the_floor_at_once_and_stays(kappa: int) -> None:
+    found = medians(known(replace(TRUE, kappa_per_m=kappa)), 2, kappa_per_m=kappa)
+    assert np.all(found <= 1.1 * LSQ_M_S[kappa]), found
+
+
+@pytest.mark.parametrize(
+    ("kappa", "factor", "delay_s", "slope", "dead"),
+    [
+        (5, 0.6, 0.5, 0.85, 1.3),
+        (10, 1.4, 0.5, 1.15, 0.7),
+        (20, 1.4, 0.1, 0.85, 1.3),
+        (20, 0.6, 0.1, 1.15, 0.7),
+    ],
+)
+def test_second_swim_is_at_the_floor_though_another_fish_was_identified(
+    kappa: int, factor: float, delay_s: float, slope: float, dead: float
+) -> None:
+    wrong = FishModel(factor * kappa, slope * 0.219, dead * 0.197, delay_s)
+    sure = known(wrong, (0.05, 0.01, 0.005, 0.02))
+    found = medians(sure, 2, kappa_per_m=kappa)
+    assert found[0] > 1.4 * LSQ_M_S[kappa], "the corner is none"
+    assert found[1] <= 1.1 * LSQ_M_S[kappa], found
+
+
+def test_map_of_another_form_and_a_slow_servo_do_not_stop_it() -> None:
+    found = medians(known(TRUE), 2, map_bend_m_s_rad2=0.3, servo_lag_s=0.12)
+    assert found[0] > 1.2 * LSQ_M_S[10]
+    assert found[1] <= 1.1 * LSQ_M_S[10], found
+
+
+def test_poor_camera_does_not_stop_it() -> None:
+    found = medians(known(TRUE), 3, camera_noise_m=0.005, camera_lost=0.1)
+    assert found[2] <= 1.15 * LSQ_M_S[10], found
+
+
+@pytest.mark.parametrize("other", [cosine(0.09, 10, 12), trapezoid(0.05, 6, 20)])
+def test_another_reference_begins_where_the_first_one_ended(other: Reference) -> None:
+    wrong = known(FishModel(14.0, 0.252, 0.138, 0.5))
+    carried, cold = [], []
+    for seed in SEEDS[:4]:
+        tank = Tank(seed)
+        tank.learn(wrong, thesis(), 2)
+        carried += tank.learn(wrong, other, 1)
+        cold.append(Tank(seed).swim(_first_of_p(other), other))
+    assert np.median(carried) <= 0.25 * np.median(cold)
+
+
+def _first_of_p(reference: Reference) -> Array:
+    first = laws.first(Law(lead_beats=1), reference.speed_m_s).astype(np.float64)
+    return np.clip(first, 0, AMPLITUDE_MAX_RAD)
+
+
+def test_flow_that_repeats_is_learned_also_for_another_reference() -> None:
+    identified, tank = known(TRUE), Tank(1)
+    tank.flow_m_s = 0.006
+    slow = cosine(0.05, 8, 10)
+    tank.learn(identified, slow, 2)
+    assert believe(identified, tank.swims).typical.flow_m_s > 0.002
+    tank.flow_m_s = 0.0
+    still = Tank(1)
+    still.learn(identified, slow, 2)
+    assert abs(believe(identified, still.swims).typical.flow_m_s) < 0.001
+
+
+def test_fish_that_changes_gets_one_step_of_p_and_then_a_model_again() -> None:
+    identified, tank, changed = known(TRUE), Tank(1), Tank(1, slope_m_s_rad=0.219 * 0.6)
+    tank.learn(identified, thesis(), 2)
+    swims, said = list(tank.swims), []
+    error = math.nan
+    for _ in range(4):
+        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
+        said.append(proposal.law)
+        error = changed.swim(proposal.amplitude_rad, thesis())
+        swims.append(changed.swims[-1])
+    assert said == ["model", "p", "model", "model"]
+    assert error <= 1.25 * LSQ_M_S[10]
+    last = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
+    assert last.model.slope_m_s_rad == pytest.approx(0.219 * 0.6, rel=0.08)
+    assert last.trials == (1, 2, 3, 4) and "slope 0.1" in last.reason
+
+
+def test_step_of_p_is_the_laws() -> None:
+    wanted = thesis()
+    good = _as_modelled(TRUE, 0.3 + 0.1 * np.sin(np.arange(40)), wanted)
+    odd = replace(good, speed_m_s=good.speed_m_s[::-1].copy(), trial=2)
+    odd.speed_m_s[7] = np.nan
+    law = Law(kp_rad_s_m=3.0, lead_beats=1)
+    found = propose(known(TRUE), wanted, 0.5, [good, odd], law)
+    assert found.law == "p" and found.chance < 1e-3
+    error = np.r_[(wanted.speed_m_s - odd.speed_m_s)[1:], np.nan]
+    expected = np.clip(odd.amplitude_rad + 3.0 * error, 0, 0.5)
+    seen = np.isfinite(expected)
+    np.testing.assert_allclose(found.amplitude_rad[seen], expected[seen], atol=1e-6)
+
+
+def test_fish_of_no_sense_is_left_to_p() -> None:
+    identified, said = known(TRUE), []
+    swims: list[Swim] = []
+    for number in range(1, 5):
+        proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
+        said.append(proposal.law)
+        swim = _as_modelled(TRUE, proposal.amplitude_rad, thesis(), number)
+        swims.append(replace(swim, speed_m_s=np.where(np.arange(40) % 7 < 3, 0.08, 0.0)))
+    assert said == ["model", "p", "p", "p"]
+
+
+def _as_modelled(model: FishModel, amplitude: Array, reference: Reference, trial: int = 1) -> Swim:
+    """A swim without noise."""
+    speed = model.beats(amplitude, reference.beat_s, Conditions(start_m_s=0.0016))
+    sigma = np.full(len(speed), 0.0007)
+    return Swim(amplitude, speed, sigma, reference.beat_s, reference.crc, trial, trial)
+
+
+def test_disturbance_is_a_scalar_kalman_filter_per_beat() -> None:
+    """Same amplitudes, same residual: by the textbook's recursion; unmeasured beats stay at 0."""
+    amplitude = np.full(40, 0.5)
+    bump = np.zeros(40)
+    bump[20:23] = 0.003, -0.004, 0.003
+    clean = _as_modelled(TRUE, amplitude, thesis())
+    speed = clean.speed_m_s + bump
+    speed[30] = np.nan
+    swims = [replace(clean, speed_m_s=speed, trial=number) for number in (1, 2, 3)]
+    belief = believe(known(TRUE), swims)
+    assert belief.fit is not None and not belief.refuted
+    mean, variance = belief.disturbance(thesis().crc, 40)
+    first = belief.scatter.model_m_s**2
+    estimate, p = 0.0, first
+    for k, residual in enumerate(belief.fit.residual_m_s):
+        p += (0.015 * 0.219 * (0.5 - 0.197)) ** 2 * 0 if k else _new(belief.model)
+        gain = p / (p + 0.0007**2 + 0.0005**2)
+        estimate += gain * (residual[21] - estimate)
+        p = (1 - gain) * p + 0.1 * first
+    assert mean[21] == pytest.approx(estimate, rel=1e-9)
+    assert variance[21] == pytest.approx(p, rel=1e-9)
+    assert mean[30] == 0 and variance[30] > variance[29]
+    assert not belief.disturbance(12345, 40)[0].any()
+
+
+def _new(model: FishModel) -> float:
+    return float((0.015 * model.steady_m_s(0.5)) ** 2)
+
+
+def test_band_holds_nine_tenths_and_the_test_raises_no_false_alarm() -> None:
+    identified = known(TRUE)
+    inside, alarms, largest = [], 0, []
+    for seed in SEEDS:
+        tank = Tank(seed)
+        for _ in range(2):
+            proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims)
+            tank.swim(proposal.amplitude_rad, thesis())
+            speed = tank.swims[-1].speed_m_s
+            inside.append(np.mean((speed >= proposal.low_m_s) & (speed <= proposal.high_m_s)))
+            low, _, high = proposal.predicted_max_abs_error_m_s
+            largest.append(low <= np.abs(thesis().speed_m_s - speed).max() <= high)
+            alarms += believe(identified, tank.swims).refuted
+    assert np.mean(inside) >= 0.9 and np.mean(largest) >= 0.8
+    assert alarms == 0
+
+
+def test_step_limit_holds_and_is_said() -> None:
+    tank = Tank(1)
+    first = propose(known(TRUE), thesis(), AMPLITUDE_MAX_RAD, step_max_rad=0.02)
+    off = np.where(np.arange(40) < 20, -0.1, 0.1)
+    tank.swim(np.clip(first.amplitude_rad + off, 0, 0.6), thesis())
+    last = tank.swims[-1].amplitude_rad
+    for step in (0.02, 0.15):
+        found = propose(known(TRUE), thesis(), 0.6, tank.swims, step_max_rad=step)
+        assert np.abs(found.amplitude_rad - last).max() <= step + 1e-12
+        assert found.amplitude_rad.max() <= 0.6
+        assert found.limited_beats > (5 if step == 0.02 else 0)
+    assert first.limited_beats == 0
+
+
+def test_decision_is_made_again_bit_for_bit() -> None:
+    identified = known(replace(TRUE, kappa_per_m=13.0))
+    tank = Tank(3, camera_lost=0.3)
+    tank.learn(identified, thesis(), 2)
+    law = Law(lead_beats=1)
+    proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims, law, 0.1)
+    document = document_of(proposal, identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims, law, 0.1)
+    read = json.loads(json.dumps(document, allow_nan=False))
+    made = again(read, tank.swims[::-1])
+    for name in ("amplitude_rad", "predicted_m_s", "low_m_s", "disturbance_m_s"):
+        assert getattr(made, name).tobytes() == getattr(proposal, name).tobytes()
+    assert made.model == proposal.model and read["input_crc"] == document["input_crc"]
+    touched = replace(tank.swims[1], speed_m_s=tank.swims[1].speed_m_s + 1e-12)
+    with pytest.raises(InputError, match="trial 2"):
+        again(read, [tank.swims[0], touched])
+    with pytest.raises(InputError, match="no proposal"):
+        again(read | {"fallback": {"gain": 4}}, tank.swims)
+
+
+def test_foretold_is_what_was_known_before() -> None:
+    identified, tank = known(TRUE), Tank(1)
+    tank.learn(identified, thesis(), 2)
+    said = foretold(identified, thesis(), tank.swims)
+    before = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims[:1])
+    assert said == pytest.approx(before.predicted_max_abs_error_m_s, rel=0.02)
+    assert foretold(identified, thesis(), []) is None
+    assert foretold(identified, cosine(0.05, 8, 10), tank.swims) is None
+
+
+def test_no_swim_no_speed_and_damage() -> None:
+    blind = replace(_as_modelled(TRUE, np.full(40, 0.4), thesis()), speed_m_s=np.full(40, np.nan))
+    none, unseen = (propose(known(TRUE), thesis(), 0.5, s) for s in ([], [blind]))
+    assert none.amplitude_rad.tobytes() == unseen.amplitude_rad.tobytes()
+    short = replace(_as_modelled(TRUE, np.full(20, 0.4), thesis()), trial=9)
+    with pytest.raises(InputError, match="trial 9"):
+        propose(known(TRUE), thesis(), 0.5, [short])
+
+
+def test_only_swims_after_the_identification_count() -> None:
+    swims = [_as_modelled(TRUE, np.full(40, 0.4), thesis(), number) for number in range(1, 6)]
+    identified = replace(known(TRUE), unique_id="aa", swims=swims[1:3])
+    assert [swim.trial for swim in swims_since(identified, swims, "aa")] == [4, 5]
+    assert [swim.trial for swim in swims_since(identified, swims, "bb")] == [1, 2, 3, 4, 5]
+    assert len(swims_since(replace(identified, swims=[]), swims, "aa")) == 5
+
+
+@pytest.fixture
+def identified_file(tmp_path: Path) -> Path:
+    path = tmp_path / "fish.json"
+    known(Prior().model).save(path)
+    return path
+
+
+@pytest.fixture
+def book(fish: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Logbook:
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "books"))
+    return Logbook.of(fish.unique_id())
+
+
+SHORT = cosine(0.06, 5.0, 6.0)
+
+
+def test_session_on_a_board(
+    fish: Fish, book: Logbook, identified_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fish.params.set("LAW_LEAD", 1)
+    fish.upload_reference(SHORT.record())
+
+    def learn(dry_run: bool = False) -> dict[str, Any]:
+        learn_with_model(fish, None, identified_file, dry_run, json=True)
+        document = json.loads(capsys.readouterr().out)
+        assert isinstance(document, dict)
+        return document
+
+    planned = learn()
+    assert planned["trial"] is None and planned["uploaded"] is True
+    swum = fish.amplitudes()
+    assert swum.iteration == 1
+    assert swum.values.tolist() == np.float32(planned["amplitude_rad"]).tolist()
+    fish.arm()
+    fish.run_trial()
+    dry = learn(dry_run=True)
+    assert dry["dry_run"] is True and fish.status().pending_trial == 1 and not book.swims()
+    learned = learn()
+    assert learned["amplitude_rad"] == dry["amplitude_rad"]
+    status = fish.status()
+    assert (status.pending_trial, status.iteration, status.best_iteration) == (None, 2, 1)
+    assert fish.amplitudes().values.tolist() == np.float32(learned["amplitude_rad"]).tolist()
+    assert [swim.trial for swim in book.swims()] == [1]
+    kept = book.proposals()
+    assert [one["input_crc"] for one in kept] == [planned["input_crc"], learned["input_crc"]]
+    assert again(kept[1], book.swims()).amplitude_rad.tolist() == learned["amplitude_rad"]
+    replanned = learn()
+    assert replanned["amplitude_rad"] == learned["amplitude_rad"]
+    assert fish.status().iteration == 2
+
+
+def test_session_says_one_line(
+    fish: Fish, book: Logbook, identified_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fish.upload_reference(SHORT.record())
+    learn_with_model(fish, None, identified_file, False, json=False)
+    line = capsys.readouterr().out
+    assert line.startswith("planned with the identified model") and line.count("\n") == 1
+    fish.arm()
+    fish.run_trial()
+    learn_with_model(fish, None, identified_file, False, json=False)
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("trial 1: max|e| ") and "predicted" in first and "next max|e|" in first
+
+
+def test_board_that_was_never_identified_is_told_so(fish: Fish, book: Logbook) -> None:
+    fish.upload_reference(SHORT.record())
+    with pytest.raises(InputError, match="has not been identified"):
+        learn_with_model(fish, None, None, False, json=True)
+    book.set_identified(known(Prior().model))
+    learn_with_model(fish, None, None, False, json=True)
+    assert fish.amplitudes().values.max() > 0.3
+
+
+def test_demo_identifies_and_is_at_the_floor_with_its_second_swim(tmp_path: Path) -> None:
+    result = run_demo(DemoOptions(trials=2, law="model", out=tmp_path))
+    document = result.as_dict()
+    assert document["law"] == "model"
+    assert document["identified"]["kappa_per_m"] == pytest.approx(10, rel=0.25)
+    assert result.floor_lsq_m_s is not None
+    for row in result.trials[1:]:
+        assert row.true_max_abs_error_m_s is not None
+        assert row.true_max_abs_error_m_s <= 1.2 * result.floor_lsq_m_s  # single swims scatter
+    experiment = Experiment.open(tmp_path)
+    assert experiment.damaged() == []
+    assert {"identified.json", "proposal-0001.json"} <= {p.name for p in experiment.raw.iterdir()}
+    assert "identified" in result.report.read_text()
+
+
+def test_proposal_is_complete() -> None:
+    found: Proposal = propose(known(TRUE), thesis(), 0.5)
+    assert np.all((found.amplitude_rad >= 0) & (found.amplitude_rad <= 0.5))
+    assert np.all((found.low_m_s < found.predicted_m_s) & (found.predicted_m_s < found.high_m_s))
+    low, median, high = found.predicted_max_abs_error_m_s
+    assert 0 < low < median < high
+    assert (found.law, found.trials) == ("model", ())
