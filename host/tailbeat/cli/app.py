@@ -9,15 +9,19 @@ import typer
 from tailbeat.cli import (
     bluetooth,
     board,
+    design,
     doctor,
     experiment,
     flash,
+    identify,
     imu,
     key,
     learn,
     params,
+    progress,
     reference,
     simulate,
+    sweep,
     trial,
     vn100,
 )
@@ -63,7 +67,10 @@ app.command()(board.clear)
 app.add_typer(trial.app, name="trial")
 app.add_typer(learn.speed_app, name="speed")
 app.command()(learn.learn)
+app.command()(identify.identify)
+app.command()(design.design)
 app.command()(learn.law)
+app.command()(progress.progress)
 app.command()(board.watch)
 app.command()(board.crash)
 app.add_typer(imu.app, name="imu")
@@ -71,5 +78,6 @@ app.command()(vn100.vn100)
 app.add_typer(key.app, name="key")
 app.add_typer(bluetooth.app, name="bluetooth")
 app.command()(flash.flash)
+app.command()(sweep.sweep)
 app.command()(simulate.selftest)
 app.add_typer(experiment.app, name="experiment")

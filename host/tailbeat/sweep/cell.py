@@ -1,0 +1,264 @@
+"""One piece of a sweep: some seeds of one plant, law, noise and corner. A pure function of both."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from tailbeat import reference as references
+from tailbeat.floor import floor, plant_config
+from tailbeat.reference import Reference
+from tailbeat.sweep import learners
+from tailbeat.sweep.learners import Learner, Said
+from tailbeat.sweep.recipe import (
+    REFERENCE_FEASIBLE,
+    Corner,
+    LawSpec,
+    Recipe,
+    Settings,
+)
+from tailbeat.sweep.results import SCHEMA
+from tailbeat.sweep.shoal import Shoal, Swims
+
+Array = NDArray[np.float64]
+
+_CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
+
+
+@dataclass(frozen=True)
+class Cell:
+    """``index``: its place in the results. ``seeds``: of its fish."""
+
+    index: int
+    plant: Settings
+    law: LawSpec
+    noise: Settings
+    corner: Corner
+    seeds: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        """For a file name; sorts like ``index``."""
+        words = (self.plant.name, self.law.name, self.noise.name, self.corner.name)
+        text = re.sub(r"[^a-z0-9.]+", "-", " ".join(words).lower()).strip("-")
+        return f"{self.index:05d}-{text[:80]}"
+
+
+def cells(recipe: Recipe) -> list[Cell]:
+    """All of a recipe."""
+    found: list[Cell] = []
+    last = recipe.first_seed + recipe.seeds
+    for plant in recipe.plants:
+        for noise in recipe.noises:
+            for law in recipe.laws:
+                chunk = recipe.chunk or _CHUNKS[law.kind]
+                for corner in recipe.corners if law.corners else [Corner()]:
+                    for first in range(recipe.first_seed, last, chunk):
+                        seeds = tuple(range(first, min(first + chunk, last)))
+                        found.append(Cell(len(found), plant, law, noise, corner, seeds))
+    return found
+
+
+def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
+    """A table of ``results.SCHEMA``: a row per fish and iteration, fish by fish."""
+    fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
+    shoal = Shoal(cell.plant.plant, fish)
+    rows = _Rows(cell)
+    phases = [(recipe.reference, recipe.iterations)]
+    if recipe.before and not cell.law.cold:
+        phases.insert(0, (recipe.before, recipe.before_iterations))
+    ground = _ground_of(recipe, cell, phases[0][0])
+    learner = _learner(recipe, cell, fish, ground)
+    number = 0
+    for name, iterations in phases:
+        ground = _ground_of(recipe, cell, name)
+        learner.begin(ground.reference)
+        rows.begin(ground, learner.floor_m_s)
+        for _ in range(iterations):
+            number += 1
+            amplitude = learner.following()
+            swims = shoal.swim(amplitude, number, ground.reference.beat_s)
+            said = learner.learn(swims)
+            rows.add(amplitude, swims, said, learner.floor_m_s, recipe.amplitude_max_rad)
+    return rows.table()
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What a plant and a reference are to each other."""
+
+    reference: Reference
+    floor_minimax_m_s: float
+    floor_lsq_m_s: float
+    near_optimal_rad: Array
+
+
+def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:
+    values = tuple(sorted(cell.plant.values.items()))
+    return _ground(cell.plant.plant, values, reference, recipe.amplitude_max_rad)
+
+
+@lru_cache(maxsize=64)
+def _ground(
+    plant: str, values: tuple[tuple[str, float], ...], name: str, amplitude_max_rad: float
+) -> _Ground:
+    config = plant_config(plant, dict(values))
+    wanted = (
+        _feasible(config, amplitude_max_rad)
+        if name == REFERENCE_FEASIBLE
+        else references.from_text(name)
+    )
+    found = floor(config, wanted, amplitude_max_rad)
+    return _Ground(
+        wanted,
+        found.minimax_m_s,
+        found.lsq_max_abs_m_s,
+        found.lsq_input.astype(np.float64),
+    )
+
+
+def _feasible(config: Any, amplitude_max_rad: float) -> Reference:
+    from tailbeat.feasible import suggest
+    from tailbeat.model.fishmodel import FishModel
+
+    model = FishModel(
+        config.kappa_per_m, config.slope_m_s_rad, config.dead_zone_rad, config.delay_s
+    )
+    return suggest(model, references.thesis(), amplitude_max_rad).reference
+
+
+def _learner(recipe: Recipe, cell: Cell, fish: list[dict[str, float]], ground: _Ground) -> Learner:
+    spec, most = cell.law, recipe.amplitude_max_rad
+    if spec.kind == "repeats":
+        return learners.Repeats(ground.near_optimal_rad, len(fish))
+    if spec.kind == "p":
+        return learners.Board([learners.law_of(spec, most)] * len(fish), spec.rollback_ratio)
+    beat_s = ground.reference.beat_s
+    identified = [
+        learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s) for one in fish
+    ]
+    if spec.kind == "design":
+        return learners.Designed(identified, spec, most)
+    return learners.Modelled(identified, learners.law_of(spec, most), most)
+
+
+def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
+    """The fish that is identified."""
+    config = plant_config(cell.plant.plant, fish)
+    corner = cell.corner
+    return fish | {
+        "kappa_per_m": config.kappa_per_m * corner.kappa_factor,
+        "slope_m_s_rad": config.slope_m_s_rad * corner.slope_factor,
+        "dead_zone_rad": config.dead_zone_rad * corner.dead_zone_factor,
+        "delay_s": max(0.0, config.delay_s + corner.delay_add_s),
+    }
+
+
+class _Rows:
+    """Collects columns of shape (iterations, fish)."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.fish = len(cell.seeds)
+        self.kappa_per_m = float(plant_config(cell.plant.plant, cell.plant.values).kappa_per_m)
+        self.columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
+
+    def begin(self, ground: _Ground, predicted_floor_m_s: Array) -> None:
+        """Iteration 0: the zero input, which is not swum; its error is the reference."""
+        self.ground = ground
+        self.predicted_floor_m_s = predicted_floor_m_s
+        self.iteration = 0
+        wanted = ground.reference.speed_m_s.astype(np.float64)
+        still = np.tile(np.abs(wanted), (self.fish, 1))
+        self._errors(still, still)
+        self._said(Said.nothing(self.fish), np.zeros(self.fish, dtype=np.int64))
+
+    def add(
+        self, amplitude: Array, swims: Swims, said: Said, floor_m_s: Array, amplitude_max_rad: float
+    ) -> None:
+        """A trial that was swum; ``floor_m_s``: as it was predicted before."""
+        self.iteration += 1
+        self.predicted_floor_m_s = floor_m_s
+        wanted = self.ground.reference.speed_m_s.astype(np.float64)
+        self._errors(wanted - swims.speed_m_s, wanted - swims.true_m_s)
+        at_limit = amplitude >= np.float32(amplitude_max_rad) * (1 - 1e-7)
+        self._said(said, at_limit.sum(axis=1))
+
+    def _errors(self, error: Array, true: Array) -> None:
+        known = np.isfinite(error)
+        count = known.sum(axis=1)
+        squares = np.where(known, error, 0.0) ** 2
+        highest = np.sqrt(squares.max(axis=1))
+        nothing = count == 0
+        largest = np.where(nothing, np.nan, highest)
+        before = self.columns["max_abs_error_m_s"]
+        ratio = largest / before[-1] if self.iteration > 0 else np.full(self.fish, np.nan)
+        rms = np.sqrt(squares.sum(axis=1) / np.where(nothing, 1, count))
+        self._put(
+            max_abs_error_m_s=largest,
+            ratio=ratio,
+            rms_error_m_s=np.where(nothing, np.nan, rms),
+            true_max_abs_error_m_s=np.abs(true).max(axis=1),
+            true_rms_error_m_s=np.sqrt(np.mean(true**2, axis=1)),
+            measured_beats=count,
+        )
+
+    def _said(self, said: Said, saturated: NDArray[np.int64]) -> None:
+        low, middle, high = said.predicted_m_s
+        self._put(
+            saturated_beats=saturated,
+            predicted_low_m_s=low,
+            predicted_max_abs_error_m_s=middle,
+            predicted_high_m_s=high,
+            ratio_low=said.ratio[0],
+            ratio_high=said.ratio[1],
+            gain_rad_s_m=said.gain_rad_s_m,
+            lead_beats=said.lead_beats,
+            swum_law=said.law,
+            verdict=said.verdict,
+            predicted_floor_m_s=self.predicted_floor_m_s,
+            iteration=self.iteration,
+            seed=self.cell.seeds,
+            plant=self.cell.plant.name,
+            law=self.cell.law.name,
+            noise=self.cell.noise.name,
+            corner=self.cell.corner.name,
+            reference=self.ground.reference.name,
+            kappa_per_m=self.kappa_per_m,
+            floor_minimax_m_s=self.ground.floor_minimax_m_s,
+            floor_lsq_m_s=self.ground.floor_lsq_m_s,
+        )
+
+    def _put(self, **columns: Any) -> None:
+        for name, values in columns.items():
+            self.columns[name].append(values)
+
+    def table(self) -> pa.Table:
+        """Fish by fish, in the order of the iterations."""
+        arrays = [self._column(field) for field in SCHEMA]
+        return pa.table(arrays, schema=SCHEMA)
+
+    def _column(self, field: pa.Field) -> pa.Array:
+        rows = self.columns[field.name]
+        if field.type != pa.string():
+            grid = np.array([np.broadcast_to(row, self.fish) for row in rows])
+            return pa.array(grid.T.ravel(), type=field.type)
+        codes: dict[str, int] = {}
+        numbers = [
+            np.broadcast_to(
+                [
+                    codes.setdefault(word, len(codes))
+                    for word in ([row] if isinstance(row, str) else row)
+                ],
+                self.fish,
+            )
+            for row in rows
+        ]
+        indices = pa.array(np.array(numbers, dtype=np.int32).T.ravel())
+        return pa.DictionaryArray.from_arrays(indices, list(codes)).cast(pa.string())

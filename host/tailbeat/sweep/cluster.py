@@ -1,0 +1,82 @@
+"""The cells of a sweep on a Dask cluster: ``pip install 'tailbeat[cluster]'`` on every machine.
+
+Workers need this very tailbeat; results travel back and are kept here, so that nothing need be
+shared between the machines.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tailbeat.errors import InputError, reason
+from tailbeat.sweep.cell import Cell
+from tailbeat.sweep.recipe import Recipe
+from tailbeat.sweep.results import identity
+from tailbeat.sweep.runner import Finished, compute
+
+_ANSWER_S = 10
+_INSTALL = "Install it here and on the workers: pip install 'tailbeat[cluster]'"
+
+
+def computed_by(scheduler: str, recipe: Recipe, missing: list[Cell]) -> Finished:
+    """Raises InputError when there is no such cluster or it has another tailbeat."""
+    client = _connect(scheduler)
+    try:
+        _check_workers(client, scheduler)
+        yield from _gather(client, recipe, missing)
+    finally:
+        client.close()
+
+
+def _connect(scheduler: str) -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError("a cluster needs the package distributed.", _INSTALL) from error
+    try:
+        make: Any = distributed.Client
+        return make(scheduler, timeout=_ANSWER_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers at {scheduler} ({reason(error) or 'no answer'}).",
+            "Start one with 'dask scheduler', workers with 'dask worker'; give its address.",
+        ) from error
+
+
+def _check_workers(client: Any, scheduler: str) -> None:
+    """Asks every worker for what must be the same everywhere."""
+    try:
+        answers = client.run(identity)
+    except Exception as error:  # whatever a worker without tailbeat makes of it
+        raise InputError(
+            f"a worker of {scheduler} cannot run tailbeat ({type(error).__name__}).", _INSTALL
+        ) from error
+    if not answers:
+        raise InputError(
+            f"the scheduler at {scheduler} has no workers.", f"Start some: dask worker {scheduler}"
+        )
+    here = identity()
+    for worker, there in sorted(answers.items()):
+        for key, value in here.items():
+            if there.get(key) != value:
+                what = "another build of tailbeat" if key == "code" else f"another {key}"
+                raise InputError(
+                    f"the worker {worker} has {what} ({there.get(key)}; here {value}).",
+                    "Install the same on all machines: the results would differ.",
+                )
+
+
+def _gather(client: Any, recipe: Recipe, missing: list[Cell]) -> Finished:
+    import distributed
+
+    as_completed: Any = distributed.as_completed
+    by_key = {f"tailbeat-{recipe.crc}-{cell.index}": cell for cell in missing}
+    futures = [
+        client.submit(compute, recipe, cell, key=key, pure=False) for key, cell in by_key.items()
+    ]
+    try:
+        for future in as_completed(futures, loop=client.loop):
+            yield by_key[future.key], future.result()
+            future.release()
+    finally:
+        client.cancel(futures)

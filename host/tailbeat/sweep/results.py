@@ -1,0 +1,196 @@
+"""What a sweep leaves on disk: a Parquet part per cell while it runs, one file when it is done.
+
+``OUT/sweep.json`` and ``OUT/recipe.toml`` say of what they are; ``OUT/parts/NNNNN-….parquet`` are
+the finished cells; ``OUT/results.parquet`` holds all of them in the order of the cells. Its bytes
+depend on the recipe and the tailbeat that computed it, on nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tailbeat.errors import InputError, reason
+from tailbeat.lasting import sync_folder
+
+if TYPE_CHECKING:
+    from tailbeat.sweep.cell import Cell
+    from tailbeat.sweep.recipe import Recipe
+
+MANIFEST = "sweep.json"
+RECIPE = "recipe.toml"
+RESULTS = "results.parquet"
+PARTS = "parts"
+
+_TEXT = ("plant", "law", "noise", "corner", "reference", "swum_law", "verdict")
+_WHOLE = ("seed", "iteration", "saturated_beats", "measured_beats")
+_NUMBER = (
+    "kappa_per_m",
+    "max_abs_error_m_s",
+    "true_max_abs_error_m_s",
+    "rms_error_m_s",
+    "true_rms_error_m_s",
+    "floor_minimax_m_s",
+    "floor_lsq_m_s",
+    "predicted_floor_m_s",
+    "predicted_max_abs_error_m_s",
+    "predicted_low_m_s",
+    "predicted_high_m_s",
+    "ratio",
+    "ratio_low",
+    "ratio_high",
+    "gain_rad_s_m",
+    "lead_beats",
+)
+DERIVED = ("ratio_inside", "floor_prediction_error")
+NUMBER_COLUMNS = (*_NUMBER, *_WHOLE, *DERIVED)
+SCHEMA = pa.schema(
+    [(name, pa.string()) for name in _TEXT]
+    + [(name, pa.int64()) for name in _WHOLE]
+    + [(name, pa.float64()) for name in _NUMBER]
+)
+
+
+@cache
+def identity() -> dict[str, str]:
+    """What must be the same wherever cells of one sweep are computed."""
+    import numpy
+    import scipy
+
+    package = Path(__file__).parent.parent
+    code = hashlib.sha256()
+    for path in sorted(package.rglob("*")):
+        if path.suffix in (".py", ".so", ".cdef"):
+            code.update(path.relative_to(package).as_posix().encode())
+            code.update(path.read_bytes())
+    return {
+        "tailbeat": version("tailbeat"),
+        "code": code.hexdigest()[:16],
+        "numpy": numpy.__version__,
+        "scipy": scipy.__version__,
+        "pyarrow": pa.__version__,
+    }
+
+
+def to_bytes(table: pa.Table) -> bytes:
+    """A table of ``SCHEMA`` as the bytes of a Parquet file."""
+    out = io.BytesIO()
+    pq.write_table(table, out, compression="zstd")
+    return out.getvalue()
+
+
+class Store:
+    """The folder of one sweep."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def results(self) -> Path:
+        """The file with everything; there only when the sweep is complete."""
+        return self.folder / RESULTS
+
+    def open(self, recipe: Recipe) -> None:
+        """Makes the folder, or makes sure that what lies there is of this very sweep."""
+        wanted = {"recipe": recipe.name, "recipe_crc": recipe.crc, **identity()}
+        found = self.manifest()
+        if found is None:
+            if (self.folder / PARTS).exists() or self.results.exists():
+                raise InputError(
+                    f"{self.folder} holds results, but no {MANIFEST} says of what.",
+                    "Give another folder with --out.",
+                )
+            self._make(wanted, recipe.source)
+            return
+        different = [key for key, value in wanted.items() if found.get(key) != value]
+        if not different:
+            return
+        what = "another recipe" if different[0].startswith("recipe") else f"another {different[0]}"
+        what = "another build of tailbeat" if different[0] == "code" else what
+        raise InputError(
+            f"{self.folder} holds results of {what} (its {different[0]} is "
+            f"{found.get(different[0])}, now {wanted[different[0]]}).",
+            "Give another folder with --out, or delete that one.",
+        )
+
+    def manifest(self) -> dict[str, Any] | None:
+        """What the folder says it is of; None when it says nothing."""
+        try:
+            raw = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"{self.folder / MANIFEST} cannot be read ({reason(error)}).",
+                "Give another folder with --out, or delete that one.",
+            ) from error
+        return raw if isinstance(raw, dict) else {}
+
+    def recipe(self) -> Recipe:
+        """What the results are of."""
+        from tailbeat.sweep.recipe import parse
+
+        manifest = self.manifest()
+        source = self.folder / RECIPE
+        if manifest is None or "recipe" not in manifest or not source.exists():
+            raise InputError(f"{self.folder} holds no sweep.", "Give the folder of one.")
+        return parse(source.read_text(encoding="utf-8"), str(manifest["recipe"]))
+
+    def _make(self, wanted: dict[str, str], source: str) -> None:
+        (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
+        _write(self.folder / RECIPE, source.encode())
+        _write(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
+
+    def part(self, cell: Cell) -> Path:
+        """Where the results of a cell go."""
+        return self.folder / PARTS / f"{cell.label}.parquet"
+
+    def has(self, cell: Cell) -> bool:
+        """Whether a cell is done; a part that cannot be read is not."""
+        try:
+            return bool(pq.read_schema(self.part(cell)).equals(SCHEMA))
+        except (OSError, pa.ArrowInvalid):
+            return False
+
+    def put(self, cell: Cell, data: bytes) -> None:
+        """Keeps the results of a cell, whole or not at all."""
+        _write(self.part(cell), data)
+
+    def finish(self, cells: list[Cell]) -> Path:
+        """Puts all parts together in the order of the cells, a row group for each."""
+        fresh = self.results.with_name(RESULTS + ".new")
+        with pq.ParquetWriter(fresh, SCHEMA, compression="zstd") as writer:
+            for cell in cells:
+                writer.write_table(pq.read_table(self.part(cell)))
+        fresh.replace(self.results)
+        sync_folder(self.folder)
+        return self.results
+
+    def read(self) -> pa.Table:
+        """The results; those of the finished cells when the sweep is not complete."""
+        if self.results.exists():
+            return pq.read_table(self.results)
+        parts = sorted((self.folder / PARTS).glob("*.parquet"))
+        if not parts:
+            raise InputError(
+                f"{self.folder} holds no results of a sweep.", "Run: tailbeat sweep RECIPE --out"
+            )
+        return pa.concat_tables([pq.read_table(path) for path in parts])
+
+
+def _write(path: Path, data: bytes) -> None:
+    fresh = path.with_name(path.name + ".new")
+    with fresh.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    fresh.replace(path)

@@ -1,0 +1,246 @@
+"""What a sweep showed: medians, bands and claims, from its Parquet file alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from tailbeat.sweep.recipe import Claim, Recipe
+
+Array = NDArray[np.float64]
+Group = tuple[str, ...]
+
+GROUP = ("plant", "law", "noise", "corner", "reference")
+_QUANTILES = {"median": 50, "p05": 5, "p90": 90, "p95": 95, "max": 100, "min": 0}
+_BAND = 95  # of runs of one input, in per cent: what their largest rise stays below
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Columns of results as arrays of one length."""
+
+    columns: dict[str, NDArray[Any]]
+
+    @classmethod
+    def of(cls, table: pa.Table) -> Rows:
+        """With the derived columns."""
+        columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+        low, high, ratio = (columns[name] for name in ("ratio_low", "ratio_high", "ratio"))
+        known = np.isfinite(low) & np.isfinite(high) & np.isfinite(ratio)
+        inside = np.where(known, (low <= ratio) & (ratio <= high), np.nan)
+        floor = columns["floor_lsq_m_s"]
+        columns["ratio_inside"] = inside.astype(np.float64)
+        columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / floor - 1)
+        return cls(columns)
+
+    def __len__(self) -> int:
+        return len(self.columns["seed"])
+
+    def where(self, mask: NDArray[np.bool_]) -> Rows:
+        """Some of them."""
+        return Rows({name: values[mask] for name, values in self.columns.items()})
+
+    def select(self, wanted: dict[str, Any]) -> Rows:
+        """Those whose columns have one of the values; ``word*``: that begin with it."""
+        mask = np.ones(len(self), dtype=bool)
+        for name, values in wanted.items():
+            many = values if isinstance(values, list) else [values]
+            column = self.columns[name]
+            begins = tuple(str(one)[:-1] for one in many if str(one).endswith("*"))
+            there = [one for one in np.unique(column) if str(one).startswith(begins)]
+            mask &= np.isin(column, [*many, *(there if begins else [])])
+        return self.where(mask)
+
+    def groups(self, by: tuple[str, ...] = GROUP) -> Iterator[tuple[Group, Rows]]:
+        """In the order in which they come."""
+        keys = list(zip(*(self.columns[name].tolist() for name in by), strict=True))
+        order = dict.fromkeys(keys)
+        number = {key: i for i, key in enumerate(order)}
+        which = np.array([number[key] for key in keys], dtype=np.int64)
+        for key, i in number.items():
+            yield key, self.where(which == i)
+
+    def grid(self, name: str) -> Array:
+        """(fish, iterations) of a column of one group, iteration 0 first."""
+        order = np.lexsort((self.columns["iteration"], self.columns["seed"]))
+        fish = len(np.unique(self.columns["seed"]))
+        found: Array = self.columns[name][order].reshape(fish, -1).astype(np.float64)
+        return found
+
+
+@dataclass(frozen=True)
+class Line:
+    """One group. Arrays over iterations, true max|e| in m/s. ``fixed``: it learns nothing."""
+
+    plant: str
+    law: str
+    noise: str
+    corner: str
+    reference: str
+    fixed: bool
+    fish: int
+    floor_minimax_m_s: float
+    floor_lsq_m_s: float
+    median_m_s: Array
+    low_m_s: Array
+    high_m_s: Array
+    measured_median_m_s: Array
+    true_rms_median_m_s: Array
+
+    @property
+    def over_floor(self) -> float:
+        """Median of the last iteration over the floor."""
+        return float(self.median_m_s[-1] / self.floor_lsq_m_s)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a claim came out. ``figure``: the worst group's, ``group`` says which."""
+
+    text: str
+    holds: bool
+    figure: float
+    bound: str
+    group: str
+    figures: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All of a sweep."""
+
+    recipe: str
+    title: str
+    lines: list[Line]
+    claims: list[Verdict]
+
+    @property
+    def failed(self) -> list[Verdict]:
+        """Claims that do not hold."""
+        return [claim for claim in self.claims if not claim.holds]
+
+
+def summarise(recipe: Recipe, table: pa.Table) -> Summary:
+    """From the results of a recipe, or as much of them as there is."""
+    rows = Rows.of(table)
+    lines = [_line(key, group) for key, group in rows.groups()]
+    return Summary(recipe.name, recipe.title, lines, [judge(one, rows) for one in recipe.claims])
+
+
+def _line(key: Group, rows: Rows) -> Line:
+    true = rows.grid("true_max_abs_error_m_s")
+    low, median, high = np.percentile(true, [5, 50, 95], axis=0)
+    names = dict(zip(GROUP, key, strict=True))
+    return Line(
+        plant=names["plant"],
+        law=names["law"],
+        noise=names["noise"],
+        corner=names["corner"],
+        reference=names["reference"],
+        fixed="fixed" in rows.columns["swum_law"],
+        fish=len(true),
+        floor_minimax_m_s=float(rows.columns["floor_minimax_m_s"][0]),
+        floor_lsq_m_s=float(rows.columns["floor_lsq_m_s"][0]),
+        median_m_s=median,
+        low_m_s=low,
+        high_m_s=high,
+        measured_median_m_s=np.nanmedian(rows.grid("max_abs_error_m_s"), axis=0),
+        true_rms_median_m_s=np.median(rows.grid("true_rms_error_m_s"), axis=0),
+    )
+
+
+def judge(claim: Claim, rows: Rows) -> Verdict:
+    """A claim about results. Without any row that it speaks of it does not hold."""
+    chosen = rows.select(claim.where)
+    groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
+    figures: dict[str, float] = {}
+    for key, group in groups:
+        figure = _figure(claim, group)
+        if claim.against and claim.statistic != "monotone":
+            figure /= _figure(claim, _counterpart(claim, key, rows), against=True)
+        elif claim.statistic == "monotone":
+            figure = _monotone(claim, group, _counterpart(claim, key, rows))
+        figures[" / ".join(word for word in key if word)] = figure
+    return _verdict(claim, figures)
+
+
+def _verdict(claim: Claim, figures: dict[str, float]) -> Verdict:
+    low = -np.inf if claim.at_least is None else claim.at_least
+    high = np.inf if claim.at_most is None else claim.at_most
+    words = [
+        *([] if claim.at_least is None else [f"at least {low:g}"]),
+        *([] if claim.at_most is None else [f"at most {high:g}"]),
+    ]
+    bound = " and ".join(words)
+    known = {key: value for key, value in figures.items() if np.isfinite(value)}
+    if not known or len(known) < len(figures):
+        missing = next((key for key in figures if key not in known), "no rows")
+        return Verdict(claim.text, False, float("nan"), bound, missing, figures)
+    worst = max(known, key=lambda key: max(known[key] - high, low - known[key]))
+    holds = low <= known[worst] <= high
+    return Verdict(claim.text, bool(holds), known[worst], bound, worst, figures)
+
+
+def _counterpart(claim: Claim, key: Group, rows: Rows) -> Rows:
+    """The rows a group is held against: of the same plant, noise and so on, but for what
+    ``against`` names; a law without corners has only one."""
+    wanted = {k: v for k, v in claim.against.items() if k != "iteration"}
+    if claim.pool:
+        return rows.select({**claim.where, **wanted})
+    same = {name: value for name, value in zip(GROUP, key, strict=True) if name not in wanted}
+    if "law" in wanted:
+        same.pop("corner", None)
+    return rows.select({**same, **wanted})
+
+
+def _figure(claim: Claim, rows: Rows, against: bool = False) -> float:
+    """The statistic of a group. A counterpart without an iteration of its own stands for all of
+    its trials if it is another law, for the same iteration if not."""
+    iteration = claim.iteration
+    if against:
+        other = claim.against.get("iteration")
+        iteration = other if other is not None or "law" in claim.against else iteration
+    rows = _at(rows, iteration)
+    values = rows.columns[claim.of].astype(np.float64)
+    if claim.over:
+        values = values / rows.columns[claim.over]
+    if claim.statistic == "share":
+        values = values[np.isfinite(values)]
+        return float(np.mean(values != 0)) if values.size else float("nan")
+    if not values.size or not np.isfinite(values).all():
+        return float("nan")
+    return float(np.percentile(values, _QUANTILES.get(claim.statistic, 50)))
+
+
+def _at(rows: Rows, iteration: int | None) -> Rows:
+    at = rows.columns["iteration"]
+    if iteration is None or not len(rows):
+        return rows.where(at > 0)
+    return rows.where(at == (at.max() if iteration < 0 else iteration))
+
+
+def _monotone(claim: Claim, rows: Rows, repeats: Rows) -> float:
+    """Share of runs whose largest rise over the best so far is one that 95 % of equally long runs
+    of a fixed input stay below."""
+    if not len(rows) or not len(repeats):
+        return float("nan")
+    run = rows.grid(claim.of)[:, 1:]
+    same = repeats.grid(claim.of)[:, 1:][:, : run.shape[1]]
+    if same.shape[1] < run.shape[1]:
+        return float("nan")
+    band = np.percentile(_largest_rise(same), _BAND)
+    return float(np.mean(_largest_rise(run) <= band))
+
+
+def _largest_rise(runs: Array) -> Array:
+    """max over iterations of max|e| over the smallest before, per run; 1 for a run of one trial."""
+    if runs.shape[1] < 2:
+        return np.ones(len(runs))
+    best = np.minimum.accumulate(runs, axis=1)
+    rise: Array = (runs[:, 1:] / best[:, :-1]).max(axis=1)
+    return rise
