@@ -46,6 +46,9 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	WEAR_TRIALS=10000 build/unit/tests/test_wear
 	WALK_STEPS=10000000 WALK_SEED=2 build/unit/tests/test_supervisor_walk
 	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host
+	@for recipe in $$($(BIN)/tailbeat sweep --list --json | $(PYTHON) -c \
+		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
+		$(BIN)/tailbeat sweep $$recipe --out build/sweeps/$$recipe --check || exit 1; done
 	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest -s tests/host/test_ftp_model.py
 	@$(MAKE) fuzz
 

@@ -92,8 +92,8 @@ def _draw_error(axes: Axes, series: Series) -> None:
                     bbox={"boxstyle": "square,pad=0.05", "facecolor": "white", "lw": 0},
                 )  # fmt: skip
     axes.annotate(
-        "zero input,\nnot swum", (0, error[0]), (-6, -31), textcoords="offset points",
-        fontsize=11.5, color="0.4", va="top",
+        "zero input, not swum", (0, error[0]), (40, 9), textcoords="offset points",
+        fontsize=11.5, color="0.4",
     )  # fmt: skip
     _floor_line(axes, series)
     _error_axes(axes, series, error[good])
@@ -104,11 +104,9 @@ def _floor_line(axes: Axes, series: Series) -> None:
         return
     floor = series.floor_m_s * 1e3
     axes.axhline(floor, color=_INK, lw=1.6, ls=(0, (6, 4)), zorder=1)
-    text = f"floor {_mm(floor)} mm/s: no input can do better without noise"
-    near = any(swim.max_abs_error_m_s < 1.3 * series.floor_m_s for swim in series.swims)
-    axes.annotate(  # clear of the numbers that stand below points near the line
-        text, (0.02, floor), (0, -30 if near else -7), xycoords=("axes fraction", "data"),
-        textcoords="offset points", va="top", fontsize=12.5, color=_INK,
+    text = f"– –  floor {_mm(floor)} mm/s: no input can do better without noise"
+    axes.annotate(  # at the bottom, clear of the numbers at points near the line
+        text, (0.02, 0.025), xycoords="axes fraction", fontsize=12.5, color=_INK,
     )  # fmt: skip
 
 
