@@ -99,12 +99,16 @@ law_result_t law_judge(const law_t *law, const law_trial_t *trial, const float *
     return LAW_OK;
 }
 
-/* e[beat+1] - e[beat]; the last beat repeats the difference before it. */
+/* e[beat+1] - e[beat] begins at the beat itself; the last one repeats the difference before it. */
+static uint32_t difference_from(const law_trial_t *trial, uint32_t beat) {
+    return beat + 1u < trial->beats ? beat : beat - 1u;
+}
+
 static float difference_at(const law_trial_t *trial, uint32_t beat) {
     if (trial->beats == 1u) {
         return 0.0f;
     }
-    const uint32_t from = beat + 1u < trial->beats ? beat : beat - 1u;
+    const uint32_t from = difference_from(trial, beat);
     return error_at(trial, from + 1u) - error_at(trial, from);
 }
 
@@ -122,10 +126,24 @@ static bool pair_ahead(const law_t *law, uint32_t beats, uint32_t beat, pair_t *
     return ahead <= last || law->tail == LAW_TAIL_HOLD;
 }
 
+/* The same with the beats that the derivative reads. */
+static pair_t with_differences(const law_t *law, const law_trial_t *trial, pair_t pair) {
+    if (law->kd_rad_s2_m == 0.0f || trial->beats == 1u) {
+        return pair;
+    }
+    return (pair_t){difference_from(trial, pair.first), difference_from(trial, pair.second) + 1u};
+}
+
 bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat) {
     pair_t pair;
-    return pair_ahead(law, trial->beats, beat, &pair) &&
-           (is_measured(trial, pair.first) || is_measured(trial, pair.second));
+    bool measured = false;
+    if (pair_ahead(law, trial->beats, beat, &pair)) {
+        const pair_t read = with_differences(law, trial, pair);
+        for (uint32_t k = read.first; k <= read.second; k++) {
+            measured = measured || is_measured(trial, k);
+        }
+    }
+    return measured;
 }
 
 static float error_of(const law_trial_t *trial, pair_t pair) {

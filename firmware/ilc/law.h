@@ -92,7 +92,8 @@ law_result_t law_update(const law_t *law, const law_trial_t *trial, float *ampli
                         float *scratch, law_report_t *report);
 
 /* Whether this trial's errors move the amplitude of |beat|: e[beat+lead], or a neighbour of it
- * where that lies between two beats, is measured. Of a law and a trial that law_judge accepts. */
+ * where that lies between two beats, or with a derivative gain a beat of their differences, is
+ * measured. Of a law and a trial that law_judge accepts. */
 bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat);
 
 /* max |e| and RMS without learning; refuses exactly what law_update refuses. */

@@ -203,17 +203,20 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     const uint8_t *body = bytes + RECORD_HEADER_BYTES;
     const uint8_t *amplitudes = body + MEMORY_FIXED_BYTES;
     const uint8_t *best = amplitudes + F32_BYTES * beats;
+    const uint16_t iteration = bytes_get_u16(body + 8);
     const uint16_t best_iteration = bytes_get_u16(body + 10);
     const uint16_t input = bytes_get_u16(body + 14);
+    const bool input_good =
+        input < MEMORY_INPUT_COUNT && (input != MEMORY_INPUT_FIRST || iteration == 1u);
     const bool best_good =
         best_iteration == 0u || (not_negative(body + 16, 1) && not_negative(best, beats));
-    if (input >= MEMORY_INPUT_COUNT || !all_finite(amplitudes, beats) || !best_good) {
+    if (!input_good || !all_finite(amplitudes, beats) || !best_good) {
         return FAULT_BAD_DATA;
     }
     memory->beats = beats;
     memory->reference_crc = bytes_get_u32(body);
     memory->last_trial = bytes_get_u32(body + 4);
-    memory->iteration = bytes_get_u16(body + 8);
+    memory->iteration = iteration;
     memory->best_iteration = best_iteration;
     memory->worse_streak = bytes_get_u16(body + 12);
     memory->input = input;

@@ -110,9 +110,9 @@ uint32_t record_crc(const uint8_t *bytes);
 /* Speeds finite and >= 0, beat_s > 0. Limits that depend on parameters are the application's. */
 fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t *reference);
 
-/* Amplitudes finite (stored unsaturated, so any sign) and of a known origin; the best ones and
- * their error finite and >= 0 once there is a best. Version 1 has no visits: they count from 0, so
- * that no beat's gain fades for trials that nobody counted. */
+/* Amplitudes finite (stored unsaturated, so any sign) and of a known origin, memory_first's only at
+ * iteration 1; the best ones and their error finite and >= 0 once there is a best. Version 1 has no
+ * visits: they count from 0, so that no beat's gain fades for trials that nobody counted. */
 fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory);
 
 /* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */

@@ -63,6 +63,8 @@ void plant_frame(plant_t *plant, const drive_t *drive, double frame_s);
 void thesis_init(thesis_t *thesis, const sim_config_t *config, double beat_s);
 double thesis_step(thesis_t *thesis, double *v_m_s, double amplitude_rad, double gain, double dt_s);
 
+/* Whole substeps in a delay, and the fraction of one more. */
+uint32_t tank_delay(double delay_s, double *fraction);
 void tank_init(tank_t *tank, const sim_config_t *config);
 void tank_begin(tank_t *tank);
 /* Thrust as the square of the speed it would settle at; |slope| and |bend| times the gain. */

@@ -5,15 +5,20 @@
 
 #define SUBSTEP_S 0.005
 
+uint32_t tank_delay(double delay_s, double *fraction) {
+    const double steps = delay_s / SUBSTEP_S;
+    const uint32_t whole = (uint32_t)(steps + 1e-6);
+    const double rest = steps - whole;
+    *fraction = rest > 1e-6 ? rest : 0;
+    return whole;
+}
+
 void tank_init(tank_t *tank, const sim_config_t *config) {
-    const double steps = config->delay_s / SUBSTEP_S;
     tank->kappa_per_m = config->kappa_per_m;
     tank->slope_m_s_rad = config->slope_m_s_rad;
     tank->dead_zone_rad = config->dead_zone_rad;
     tank->map_bend_m_s_rad2 = config->map_bend_m_s_rad2;
-    tank->delay_steps = (uint32_t)(steps + 1e-6);
-    const double rest = steps - tank->delay_steps;
-    tank->delay_fraction = rest > 1e-6 ? rest : 0;
+    tank->delay_steps = tank_delay(config->delay_s, &tank->delay_fraction);
     tank_begin(tank);
 }
 

@@ -5,6 +5,7 @@
 #include "shoal_lanes.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 /* Of a picture period, as the camera's. */
@@ -24,7 +25,7 @@ typedef struct {
     size_t beats;
     double beat_s;
     double *true_m_s, *speed_m_s, *sigma_m_s;
-    tail_t tail;
+    const tail_t *tail;
 } task_t;
 
 /* Fish |first| and the |count| - 1 after it. Lanes without a fish swim as the first. */
@@ -33,10 +34,18 @@ typedef struct {
     size_t first, count;
     double fps; /* 0 = no pictures are wanted */
     uint64_t picture, frame, next_beat;
-    tail_t *tail; /* NULL = all lanes at once; otherwise one fish alone, by the plant's own code */
-    plant_t *plant;
+    bool alone; /* one fish, by the plant's own code; otherwise all lanes at once */
+    tail_t tail;
+    plant_t plant;
     shoal_block_t rows;
 } block_t;
+
+/* Too much for the stack of a thread. The ring follows it. */
+typedef struct {
+    task_t task;
+    tail_t tail;
+    block_t block;
+} work_t;
 
 static size_t fish_of(const block_t *block, unsigned lane) {
     return block->first + (lane < block->count ? lane : 0);
@@ -56,18 +65,15 @@ static double gain_of(const sim_config_t *c, uint32_t swim) {
 }
 
 static void set_water(shoal_block_t *rows, unsigned l, const sim_config_t *c, uint32_t swim) {
-    tank_t tank;
-    tank_init(&tank, c);
     const double gain = gain_of(c, swim);
     const double h = rows->frame_s / SUBSTEPS;
     rows->v_m_s[l] = fabs(disturbance(c, NOISE_START, swim, c->start_sigma_m_s));
     rows->flow_m_s[l] = disturbance(c, NOISE_FLOW, swim, c->flow_sigma_m_s);
-    rows->kappa_per_m[l] = tank.kappa_per_m;
-    rows->slope[l] = gain * tank.slope_m_s_rad;
-    rows->bend[l] = gain * tank.map_bend_m_s_rad2;
-    rows->dead_zone_rad[l] = tank.dead_zone_rad;
-    rows->delay_steps[l] = tank.delay_steps;
-    rows->delay_fraction[l] = tank.delay_fraction;
+    rows->kappa_per_m[l] = c->kappa_per_m;
+    rows->slope[l] = gain * c->slope_m_s_rad;
+    rows->bend[l] = gain * c->map_bend_m_s_rad2;
+    rows->dead_zone_rad[l] = c->dead_zone_rad;
+    rows->delay_steps[l] = tank_delay(c->delay_s, &rows->delay_fraction[l]);
     rows->lag_s[l] = c->servo_lag_s;
     rows->keep[l] = c->servo_lag_s > 0 ? exp(-h / c->servo_lag_s) : 0;
     rows->most_rad[l] = c->servo_rate_rad_s > 0 ? c->servo_rate_rad_s * h : 1e9;
@@ -96,6 +102,17 @@ static void set_windows(block_t *block) {
     }
 }
 
+/* Of a ring that remembers so many substeps. */
+static uint64_t mask_for(uint64_t delay_steps) {
+    uint64_t mask = 7;
+    while (mask < delay_steps + SUBSTEPS) {
+        mask = 2 * mask + 1;
+    }
+    return mask;
+}
+
+static size_t ring_bytes(uint64_t mask) { return (size_t)(mask + 1) * sizeof(shoal_row_t); }
+
 static void clear_thrust(shoal_block_t *rows) {
     uint64_t longest = 0;
     rows->same_delay = true;
@@ -103,18 +120,15 @@ static void clear_thrust(shoal_block_t *rows) {
         longest = rows->delay_steps[l] > longest ? rows->delay_steps[l] : longest;
         rows->same_delay = rows->same_delay && rows->delay_steps[l] == rows->delay_steps[0];
     }
-    rows->ring_mask = 7;
-    while (rows->ring_mask < longest + SUBSTEPS) {
-        rows->ring_mask = 2 * rows->ring_mask + 1;
-    }
-    memset(rows->thrust, 0, (size_t)(rows->ring_mask + 1) * sizeof *rows->thrust);
+    rows->ring_mask = mask_for(longest);
+    memset(rows->thrust, 0, ring_bytes(rows->ring_mask));
 }
 
 static void begin(block_t *block) {
     const task_t *task = block->task;
     shoal_block_t *rows = &block->rows;
-    rows->frame_s = task->beat_s / task->tail.frames_per_beat;
-    rows->omega_rad_s = task->tail.omega_rad_s;
+    rows->frame_s = task->beat_s / task->tail->frames_per_beat;
+    rows->omega_rad_s = task->tail->omega_rad_s;
     rows->has_servo = has_servo(&task->configs[block->first]);
     rows->lossy = false;
     rows->step = 0;
@@ -130,11 +144,11 @@ static void begin(block_t *block) {
 /* The frame of the fish that swims alone. */
 static void frame_alone(block_t *block, bool limp) {
     shoal_block_t *rows = &block->rows;
-    plant_t *plant = block->plant;
+    plant_t *plant = &block->plant;
     const double dt = rows->frame_s / SUBSTEPS;
     drive_t drive = {{0, 0, 0, 0}, {1, 1, 1, 1}};
-    if (!limp || block->tail->has_servo) {
-        tail_frame_sine(block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
+    if (!limp || block->tail.has_servo) {
+        tail_frame_sine(&block->tail, rows->amplitude_rad[0], rows->frame_s, &drive);
     }
     rows->trace_v_m_s[0][0] = rows->v_m_s[0];
     rows->trace_way_m[0][0] = rows->way_m[0];
@@ -171,7 +185,7 @@ static void open_window(block_t *block, uint64_t beat, double time_s) {
 }
 
 static void take_picture(block_t *block, uint64_t time_us) {
-    const uint64_t beat_us = (uint64_t)block->task->tail.frames_per_beat * FRAME_US;
+    const uint64_t beat_us = (uint64_t)block->task->tail->frames_per_beat * FRAME_US;
     const double part = (double)(time_us % FRAME_US) / FRAME_US * SUBSTEPS;
     const shoal_picture_t picture = {
         .sample = block->picture,
@@ -212,9 +226,9 @@ static void look(block_t *block) {
 }
 
 static void swim_frame(block_t *block, uint32_t frame, bool limp) {
-    const tail_t *tail = &block->task->tail;
+    const tail_t *tail = block->task->tail;
     const double *sine = tail->sine + frame;
-    if (block->tail != NULL) {
+    if (block->alone) {
         frame_alone(block, limp);
     } else {
         block->task->lanes->frame(&block->rows, sine[0], sine[1],
@@ -237,7 +251,7 @@ static void begin_beat(block_t *block, size_t beat) {
 
 static void swim_beats(block_t *block) {
     const task_t *task = block->task;
-    const uint32_t frames = task->tail.frames_per_beat;
+    const uint32_t frames = task->tail->frames_per_beat;
     for (size_t k = 0; k < task->beats; k++) {
         begin_beat(block, k);
         for (uint32_t i = 0; i < frames; i++) {
@@ -279,19 +293,15 @@ static void swim_block(block_t *block) {
 static void swim_alone(block_t *block, size_t fish) {
     const task_t *task = block->task;
     sim_config_t timed = task->configs[fish];
-    tail_t tail;
-    plant_t plant;
     timed.beat_s = task->beat_s;
-    tail_init(&tail, &timed, task->tail.frames_per_beat);
-    plant_init(&plant, &timed);
-    plant.gain = gain_of(&timed, task->swims[fish]);
+    tail_init(&block->tail, &timed, task->tail->frames_per_beat);
+    plant_init(&block->plant, &timed);
+    block->plant.gain = gain_of(&timed, task->swims[fish]);
     block->first = fish;
     block->count = 1;
-    block->tail = &tail;
-    block->plant = &plant;
+    block->alone = true;
     swim_block(block);
-    block->tail = NULL;
-    block->plant = NULL;
+    block->alone = false;
 }
 
 static bool alike(const sim_config_t *a, const sim_config_t *b) {
@@ -343,33 +353,58 @@ static bool valid(const task_t *task, size_t fish) {
     return (task->speed_m_s == NULL) == (task->sigma_m_s == NULL);
 }
 
+static uint64_t longest_delay(const sim_config_t *configs, size_t fish) {
+    double longest_s = 0, fraction;
+    for (size_t i = 0; i < fish; i++) {
+        longest_s = fmax(longest_s, configs[i].delay_s);
+    }
+    return tank_delay(longest_s, &fraction);
+}
+
+/* NULL without memory. */
+static work_t *new_work(const task_t *task, size_t fish) {
+    const size_t ring = ring_bytes(mask_for(longest_delay(task->configs, fish)));
+    work_t *work = aligned_alloc(_Alignof(work_t), sizeof *work + ring);
+    if (work != NULL) {
+        memset(work, 0, sizeof *work);
+        work->task = *task;
+        work->task.tail = &work->tail;
+        work->block.task = &work->task;
+        work->block.rows.thrust = (shoal_row_t *)(work + 1);
+    }
+    return work;
+}
+
 bool shoal_swim_on(const shoal_lanes_t *lanes, const sim_config_t *configs, size_t fish,
                    const uint32_t *swims, const double *amplitude_rad, size_t beats, double beat_s,
                    double *true_m_s, double *speed_m_s, double *sigma_m_s) {
     const uint32_t frames = tail_frames(beat_s);
-    block_t block = {0};
-    task_t task = {.lanes = lanes,
-                   .configs = configs,
-                   .swims = swims,
-                   .amplitude_rad = amplitude_rad,
-                   .beats = beats,
-                   .beat_s = beat_s,
-                   .true_m_s = true_m_s,
-                   .speed_m_s = speed_m_s,
-                   .sigma_m_s = sigma_m_s};
+    const task_t task = {.lanes = lanes,
+                         .configs = configs,
+                         .swims = swims,
+                         .amplitude_rad = amplitude_rad,
+                         .beats = beats,
+                         .beat_s = beat_s,
+                         .true_m_s = true_m_s,
+                         .speed_m_s = speed_m_s,
+                         .sigma_m_s = sigma_m_s};
     if (frames == 0 || !valid(&task, fish)) {
         return false;
     }
     if (fish == 0 || beats == 0) {
         return true;
     }
+    work_t *work = new_work(&task, fish);
+    if (work == NULL) {
+        return false;
+    }
     sim_config_t timed = configs[0];
     timed.beat_s = beat_s;
-    tail_init(&task.tail, &timed, frames);
-    block.task = &task;
+    tail_init(&work->tail, &timed, frames);
     for (size_t first = 0; first < fish;) {
-        first += swim_some(&block, first, fish);
+        first += swim_some(&work->block, first, fish);
     }
+    free(work);
     return true;
 }
 

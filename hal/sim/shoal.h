@@ -24,7 +24,8 @@
  * line, at least 1e-5 m/s. Both NaN with more than 5 lost in a row or fewer than 60 % there.
  * Both NULL = no camera.
  *
- * False, and results undefined, when a value makes no sense. */
+ * What it works on is allocated, for the longest delay among them. False, and results undefined,
+ * when a value makes no sense or there is no memory. */
 bool shoal_swim(const sim_config_t *configs, size_t fish, const uint32_t *swims,
                 const double *amplitude_rad, size_t beats, double beat_s, double *true_m_s,
                 double *speed_m_s, double *sigma_m_s);

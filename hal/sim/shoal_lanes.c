@@ -25,7 +25,7 @@ INLINE void servo_frame(shoal_block_t *b, double sine, double next_sine) {
         lags[l] = slope * b->lag_s[l];
     }
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        double *thrust = b->thrust[(b->step + i) & b->ring_mask];
+        double *restrict thrust = b->thrust[(b->step + i) & b->ring_mask];
         const double steps = i;
         EACH_LANE(l) {
             const double behind = from[l] + moves[l] * steps - lags[l];
@@ -46,7 +46,7 @@ INLINE void servo_frame(shoal_block_t *b, double sine, double next_sine) {
 
 INLINE void table_frame(shoal_block_t *b, const double ripple[SUBSTEPS]) {
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        double *thrust = b->thrust[(b->step + i) & b->ring_mask];
+        double *restrict thrust = b->thrust[(b->step + i) & b->ring_mask];
         EACH_LANE(l) {
             b->ripple[i][l] = ripple[i];
             thrust[l] =

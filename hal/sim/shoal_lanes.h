@@ -50,7 +50,7 @@ typedef struct {
     shoal_keys_t noise_key, lost_key, lost_below;
     shoal_window_t window[2];
     shoal_row_t speed_m_s, sigma_m_s; /* of the window that was fitted last */
-    shoal_row_t thrust[DELAY_RING];
+    shoal_row_t *thrust;              /* ring of ring_mask + 1 substeps */
 } shoal_block_t;
 
 /* When and where in the frame a picture is taken. */

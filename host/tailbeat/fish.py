@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
@@ -73,6 +74,7 @@ class Fish:
         self.clock = BoardClock(self.link)
         self.params = Parameters(self.link)
         self.ftp = FtpClient(self.link)
+        self._counts_visits: bool | None = None  # None: not asked yet
 
     @classmethod
     def connect(cls, url: str | None = None, /, **sim_overrides: float) -> Fish:
@@ -201,8 +203,9 @@ class Fish:
         status = self.status()
         if status.iteration == 0:
             return None
+        visits = self.visits()
         best = self.amplitudes(best=True) if status.best_iteration else None
-        return records.encode_learned(status, self.amplitudes(), best, self.visits())
+        return records.encode_learned(status, self.amplitudes(), best, visits)
 
     def upload_learned(self, record: bytes) -> None:
         """Makes ``record`` all that the board has learned; it must be of the board's reference."""
@@ -259,17 +262,28 @@ class Fish:
 
     def amplitudes(self, best: bool = False) -> Amplitudes:
         """The amplitudes that swim next (unsaturated) or the best so far (as swum), bit for bit."""
-        return self._stored(_BEST if best else _NEXT)
+        stored = self._stored(_BEST if best else _NEXT)
+        # 0 is also what a board says that does not tell: one that counts no visits.
+        told = stored.input != 0 or self._tells_input()
+        return stored if told else replace(stored, input=None)
+
+    def _tells_input(self) -> bool:
+        if self._counts_visits is None:
+            self.visits()
+        return self._counts_visits is True
 
     def visits(self) -> NDArray[np.uint8] | None:
         """How many trials have corrected each beat, 255 at most; None when the board does not
         count them."""
         try:
-            return self._stored(_VISITS).values.astype(np.uint8)
+            visits = self._stored(_VISITS).values.astype(np.uint8)
         except Refused as refused:
             if refused.number != BAD_DATA:
                 raise
+            self._counts_visits = False
             return None
+        self._counts_visits = True
+        return visits
 
     def _stored(self, kind: int) -> Amplitudes:
         for _ in range(_STEADY_TRIES):

@@ -30,6 +30,8 @@ PATHS = {
 }
 
 _HEADER_BYTES = 12
+_VISITED = b"\2\0"  # version of a learned record with visits
+_INPUT = slice(26, 28)  # of a learned record: what made its amplitudes
 _FIXED_BYTES = 64  # more than the header and fixed fields of any record
 _BEATS_MAX = len(ffi.new("reference_t *").speed_m_s)
 
@@ -145,7 +147,7 @@ def encode_learned(
     struct.beats = now.beats
     struct.iteration = now.iteration
     struct.worse_streak = status.worse_streak
-    struct.input = now.input
+    struct.input = now.input or lib.MEMORY_INPUT_LAW  # unknown: they stay as they are
     _fill(struct.amplitude_rad, now.values)
     if best is not None:
         struct.best_iteration = status.best_iteration or 0
@@ -154,12 +156,24 @@ def encode_learned(
     if visits is not None:
         ffi.memmove(struct.visits, visits.tobytes(), visits.size)
     record = _encode(lib.record_encode_memory, struct, 3, now.beats)
-    return _unvisited(record, now.beats) if visits is None else record
+    return without_visits(record) if visits is None else record
 
 
-def _unvisited(record: bytes, beats: int) -> bytes:
-    """Version 1 of a learned record."""
-    head, body = record[:4] + b"\1\0" + record[6:8], record[_HEADER_BYTES:-beats]
+def learned_visits(record: bytes) -> bytes:
+    """How often each beat was corrected, by a learned record; empty in version 1."""
+    beats = int.from_bytes(record[6:8], "little")
+    return record[-beats:] if record[4:6] == _VISITED else b""
+
+
+def without_visits(record: bytes) -> bytes:
+    """Version 1 of a learned record. A board that knows no other asks only whether the amplitudes
+    are the first guess, which it makes anew."""
+    if record[4:6] != _VISITED:
+        return record
+    first = record[_INPUT] == lib.MEMORY_INPUT_FIRST.to_bytes(2, "little")
+    body = bytearray(record[_HEADER_BYTES : -len(learned_visits(record))])
+    body[_INPUT.start - _HEADER_BYTES : _INPUT.stop - _HEADER_BYTES] = bytes([first, 0])
+    head = record[:4] + b"\1\0" + record[6:8]
     return head + crc32(head + body).to_bytes(4, "little") + body
 
 

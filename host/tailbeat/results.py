@@ -160,7 +160,7 @@ class Amplitudes:
     beats: int
     reference_crc: int
     values: NDArray[np.float32]
-    input: int = 0  # what made those that swim next, memory_input_t
+    input: int | None = None  # what made those that swim next, memory_input_t; None: not told
 
 
 @dataclass(frozen=True)

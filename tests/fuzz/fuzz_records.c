@@ -119,6 +119,7 @@ static void trial_in_bounds(const trial_t *trial) {
 static void memory_in_bounds(const memory_t *memory) {
     beats_in_bounds(memory->beats);
     MUST(memory->input < MEMORY_INPUT_COUNT);
+    MUST(memory->input != MEMORY_INPUT_FIRST || memory->iteration == 1);
     finite(memory->amplitude_rad, memory->beats, -FLT_MAX);
     if (memory->best_iteration != 0) {
         finite(&memory->best_max_abs_error_m_s, 1, 0.0f);

@@ -389,6 +389,16 @@ def test_a_trial_tells_what_made_its_amplitudes(fish: Fish, tmp_path: Path) -> N
     assert swum(fish, tmp_path).input == "restored"
 
 
+def test_amplitudes_tell_what_made_them(fish: Fish) -> None:
+    fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
+    fish.upload_amplitudes(np.full(3, 0.3))
+    assert fish.amplitudes().input == mavlink.TAILBEAT_INPUT_UPLOADED
+    fish.learn(fish.run_trial().number)
+    assert fish.amplitudes().input == mavlink.TAILBEAT_INPUT_LAW
+    fish.restore_best()
+    assert fish.amplitudes(best=True).input == mavlink.TAILBEAT_INPUT_RESTORED
+
+
 def test_what_was_learned_on_a_board_that_counts_no_visits(
     fish: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -400,6 +410,7 @@ def test_what_was_learned_on_a_board_that_counts_no_visits(
         older.setattr("tailbeat.fish._VISITS", 3)  # a set that this board does not know
         assert fish.visits() is None
         record = fish.learned_record()
+        assert fish.amplitudes().input is None  # and it does not tell what made its input
     assert record is not None and record[12:] == counted[12:-3]
     fish.upload_learned(record)
     again = fish.learned_record()

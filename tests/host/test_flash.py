@@ -18,8 +18,17 @@ from tailbeat import records
 from tailbeat.cli import run as run_command
 from tailbeat.errors import ConnectError, InputError, TailbeatError
 from tailbeat.experiment import Experiment
+from tailbeat.faults import BAD_FORMAT, WRONG_STATE, refusal
 from tailbeat.fish import Fish
-from tailbeat.flashing import Backup, FlashError, FlashPlan, FlashReport, Surroundings, flash
+from tailbeat.flashing import (
+    Backup,
+    FlashError,
+    FlashPlan,
+    FlashReport,
+    Surroundings,
+    flash,
+    put_back,
+)
 from tailbeat.flashing.keep import key_warning
 from tailbeat.flashing.ports import BoardPort, PortKind
 from tailbeat.flashing.programs import Outcome, run_program
@@ -324,6 +333,76 @@ def test_what_comes_back_lasts(due: Due, taught: Content, image: Path) -> None:
     due.board.power_cycle()
     now = on_board(due)
     assert (now.params, now.learned) == (taught.params, taught.learned)
+
+
+@dataclass
+class Older:
+    """The image that is flashed knows learned records of version 1 only and counts no visits."""
+
+    monkeypatch: pytest.MonkeyPatch
+    took: list[bytes] = field(default_factory=list)
+
+    def begin(self) -> None:
+        upload = Fish.upload_learned
+
+        def upload_learned(fish: Fish, record: bytes) -> None:
+            if record[4:6] != b"\1\0":
+                raise refusal(BAD_FORMAT)
+            self.took.append(record)
+            upload(fish, record)
+
+        self.monkeypatch.setattr(Fish, "upload_learned", upload_learned)
+        self.monkeypatch.setattr("tailbeat.fish._VISITS", 3)  # a set that no board knows
+
+
+def test_an_older_image_gets_what_was_learned_without_the_counts(
+    due: Due, taught: Content, image: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as meanwhile:
+        older = Older(meanwhile)
+        due.on_touch = older.begin
+        report = due.flash(image)
+    assert taught.learned is not None and any(taught.learned[-40:])
+    assert report.restored[-1] == "all that was learned"
+    assert report.not_restored == [
+        "how often each beat was corrected (this firmware does not count it; the backup has it)"
+    ]
+    assert [record[12:] for record in older.took] == [taught.learned[12:-40]]
+    assert report.backup is not None
+    with Fish(SimTransport(due.board)) as fish:
+        record = fish.learned_record()
+        assert record is not None and record[12:] == taught.learned[12:-40] + bytes(40)
+        back = put_back(fish, Backup.read(report.backup))  # after the next update
+        assert (back.back[-1], back.missing) == ("all that was learned", [])
+        assert fish.learned_record() == taught.learned
+
+
+def test_what_an_older_image_holds_already_is_not_sent_again(
+    due: Due, taught: Content, image: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = Older(monkeypatch)
+    due.on_touch = older.begin
+    report = due.flash(image)
+    assert report.backup is not None
+    with Fish(SimTransport(due.board)) as fish:
+        again = put_back(fish, Backup.read(report.backup))
+    assert (again.back[-1], again.missing) == ("all that was learned", report.not_restored)
+    assert len(older.took) == 1
+
+
+def test_another_refusal_is_told_and_not_tried_again(
+    due: Due, taught: Content, image: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offered: list[bytes] = []
+
+    def upload_learned(fish: Fish, record: bytes) -> None:
+        offered.append(record)
+        raise refusal(WRONG_STATE)
+
+    monkeypatch.setattr(Fish, "upload_learned", upload_learned)
+    report = due.flash(image)
+    assert offered == [taught.learned]
+    assert report.not_restored[0] == "all that was learned (not possible in this state)"
 
 
 @pytest.fixture

@@ -59,9 +59,25 @@ def test_learned_records_have_the_documented_bytes(visits: list[int] | None) -> 
     counts = None if visits is None else np.array(visits, dtype=np.uint8)
     record = records.encode_learned(status, now, best, counts)
     head = struct.pack("<4sHH", b"TBLI", 1 if visits is None else 2, 3)
-    body = struct.pack("<IIHHHHf", 0xABCD, 9, 5, 4, 1, 2, 0.5)
+    made_by = 0 if visits is None else 2  # version 1 knows the first guess (1) and all others
+    body = struct.pack("<IIHHHHf", 0xABCD, 9, 5, 4, 1, made_by, 0.5)
     body += struct.pack("<6f", 0.1, -0.2, 0.9, 0.3, 0.4, 0.5) + bytes(visits or [])
     assert record == head + struct.pack("<I", records.crc32(head + body)) + body
+
+
+@pytest.mark.parametrize(("made_by", "older"), [(0, 0), (1, 1), (2, 0), (3, 0), (None, 0)])
+def test_what_made_the_amplitudes_in_version_1(made_by: int | None, older: int) -> None:
+    status = SimpleNamespace(last_learned_trial=0, worse_streak=0)
+    now = Amplitudes(1, 2, 7, np.float32([0.1, 0.2]), input=made_by)
+    newer = records.encode_learned(status, now, None, np.array([5, 6], dtype=np.uint8))
+    assert newer[26:28] == bytes([made_by or 0, 0])
+    assert records.learned_visits(newer) == b"\5\6"
+    record = records.without_visits(newer)
+    assert record[26:28] == bytes([older, 0])
+    assert (record[12:26], record[28:]) == (newer[12:26], newer[28:-2])
+    assert records.record_crc(record) == records.crc32(record[:8] + record[12:])
+    assert records.without_visits(record) == record
+    assert records.learned_visits(record) == b""
 
 
 @pytest.mark.parametrize("at", range(0, 24))

@@ -169,6 +169,39 @@ static void test_what_a_trial_corrects(void) {
     }
 }
 
+/* Against the update itself: what it moves is what one says it corrects. */
+static void check_corrects(uint16_t beats) {
+    const law_trial_t trial = {.beats = beats, .error_m_s = e, .measured = measured};
+    for (uint32_t k = 0; k < beats; k++) {
+        u[k] = 0.3f;
+        e[k] = 0.01f + 0.003f * (float)(k * k);
+    }
+    TEST_ASSERT_EQUAL(LAW_OK, update(beats));
+    for (uint32_t k = 0; k < beats; k++) {
+        TEST_ASSERT_EQUAL(u[k] < 0.3f || u[k] > 0.3f, law_corrects(&law, &trial, k));
+    }
+}
+
+static void test_what_moves_an_amplitude_corrects_it(void) {
+    const float derivatives[] = {0.0f, -1.7f, 0.9f};
+    for (uint32_t i = 0; i < 3u; i++) {
+        for (uint32_t which = 1; which < 32u; which++) {
+            for (uint32_t k = 0; k < 5u; k++) {
+                measured[k] = (uint8_t)(which >> k & 1u);
+            }
+            for (uint32_t halves = 0; halves < 8u; halves++) {
+                law.kd_rad_s2_m = derivatives[i];
+                law.lead_beats = (float)halves / 2.0f;
+                law.tail = (which + i) % 2u == 0 ? LAW_TAIL_HOLD : LAW_TAIL_KEEP;
+                check_corrects(5);
+            }
+        }
+    }
+    law.lead_beats = 0;
+    measured[0] = 1;
+    check_corrects(1);
+}
+
 static void random_series(void) {
     for (uint32_t k = 0; k < BEATS; k++) {
         u[k] = 0.02f * (float)(k * 7u % 41u);
@@ -486,6 +519,7 @@ int main(void) {
     RUN_TEST(test_half_a_beat_takes_the_neighbour_that_was_measured);
     RUN_TEST(test_half_leads_lie_between_the_whole_ones);
     RUN_TEST(test_what_a_trial_corrects);
+    RUN_TEST(test_what_moves_an_amplitude_corrects_it);
     RUN_TEST(test_the_gain_of_a_beat_fades_with_its_visits);
     RUN_TEST(test_both_gains_fade);
     RUN_TEST(test_no_fade_changes_no_bit);

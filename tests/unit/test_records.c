@@ -344,6 +344,25 @@ static void test_bad_numbers_are_refused(void) {
     refused(&kinds[6], length, FAULT_BAD_DATA);
 }
 
+/* memory_first() would not take another one, and the board asks it at every arming. */
+static void test_a_first_input_is_of_iteration_one(void) {
+    memory.input = MEMORY_INPUT_FIRST;
+    for (uint16_t iteration = 0; iteration < 6u; iteration++) {
+        memory.iteration = iteration;
+        for (uint16_t version = 1; version <= RECORD_MEMORY_VERSION; version++) {
+            const size_t length = encode_memory() - (version == 1u ? BEATS : 0u);
+            (void)bytes_put_u16(bytes + 4, version);
+            seal(length);
+            if (iteration != 1u) {
+                refused(&kinds[1], length, FAULT_BAD_DATA);
+            } else {
+                TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, length));
+                out = before;
+            }
+        }
+    }
+}
+
 static void test_best_is_not_looked_at_before_there_is_one(void) {
     memory.best_iteration = 0;
     memory.best_max_abs_error_m_s = INFINITY;
@@ -423,6 +442,7 @@ int main(void) {
     RUN_TEST(test_no_beats_and_too_many_are_refused);
     RUN_TEST(test_bad_floats_are_refused);
     RUN_TEST(test_bad_numbers_are_refused);
+    RUN_TEST(test_a_first_input_is_of_iteration_one);
     RUN_TEST(test_best_is_not_looked_at_before_there_is_one);
     RUN_TEST(test_what_was_learned_before_visits_were_counted_still_loads);
     RUN_TEST(test_params_come_back_by_name);

@@ -182,6 +182,22 @@ static void test_a_damaged_file_costs_itself_only(void) {
     TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
 }
 
+/* A sound record of amplitudes that arming would refuse to guess again. */
+static void test_learned_input_that_contradicts_itself_is_damaged(void) {
+    live();
+    memory_t wrong = learned;
+    wrong.input = MEMORY_INPUT_FIRST;
+    TEST_ASSERT_EQUAL_UINT16(3, wrong.iteration);
+    const size_t length = record_encode_memory(&wrong, record);
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, LEARNED_PATH, record, length));
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
+    TEST_ASSERT_TRUE(said("saved /learned.bin"));
+    expect_all_back();
+    expect_goes_on();
+}
+
 static void test_parameters_come_back_only_when_there_is_no_doubt(void) {
     live();
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 3));
@@ -393,6 +409,7 @@ int main(void) {
     RUN_TEST(test_one_lost_superblock_costs_nothing);
     RUN_TEST(test_an_unreadable_folder_costs_the_trials_only);
     RUN_TEST(test_a_damaged_file_costs_itself_only);
+    RUN_TEST(test_learned_input_that_contradicts_itself_is_damaged);
     RUN_TEST(test_parameters_come_back_only_when_there_is_no_doubt);
     RUN_TEST(test_the_newest_reference_comes_back_with_what_was_learned_for_it);
     RUN_TEST(test_numbers_go_on_when_only_the_trials_tell_them);

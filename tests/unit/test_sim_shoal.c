@@ -4,6 +4,8 @@
 #include "test_sim_app.h"
 #include "unity.h"
 
+#include <pthread.h>
+
 #define FISH 70u
 #define BEATS 12u
 
@@ -257,6 +259,45 @@ static void test_without_camera(void) {
     TEST_ASSERT_EQUAL_MEMORY(true_m_s, alone, sizeof alone);
 }
 
+#define THREADS 3u
+#define SMALL_STACK_BYTES ((size_t)128 * 1024) /* of a thread with musl */
+
+static double by_thread[THREADS][FISH * BEATS];
+
+static void *swim_in_thread(void *to) {
+    const bool swum = shoal_swim(configs, FISH, swims, amplitude, BEATS, 1, to, speed, sigma);
+    return swum ? to : NULL;
+}
+
+static void *swim_blind_in_thread(void *to) {
+    const bool swum = shoal_swim(configs, FISH, swims, amplitude, BEATS, 1, to, NULL, NULL);
+    return swum ? to : NULL;
+}
+
+/* With the longest delay there can be, and a fish that has to swim alone. */
+static void test_threads_with_small_stacks(void) {
+    pthread_attr_t small;
+    pthread_t thread[THREADS];
+    any_shoal();
+    configs[7].delay_s = 5;
+    configs[9].kappa_per_m = 400;
+    swim_all(1);
+    TEST_ASSERT_EQUAL(0, pthread_attr_init(&small));
+    TEST_ASSERT_EQUAL(0, pthread_attr_setstacksize(&small, SMALL_STACK_BYTES));
+    for (size_t i = 0; i < THREADS; i++) {
+        TEST_ASSERT_EQUAL(0, pthread_create(&thread[i], &small,
+                                            i == 0 ? swim_in_thread : swim_blind_in_thread,
+                                            by_thread[i]));
+    }
+    for (size_t i = 0; i < THREADS; i++) {
+        void *swum = NULL;
+        TEST_ASSERT_EQUAL(0, pthread_join(thread[i], &swum));
+        TEST_ASSERT_EQUAL_PTR(by_thread[i], swum);
+        TEST_ASSERT_EQUAL_MEMORY(true_m_s, by_thread[i], sizeof true_m_s);
+    }
+    (void)pthread_attr_destroy(&small);
+}
+
 static void test_refuses_nonsense(void) {
     any_shoal();
     const sim_config_t c = configs[3];
@@ -287,6 +328,7 @@ int main(void) {
     RUN_TEST(test_lost_pictures);
     RUN_TEST(test_other_cameras);
     RUN_TEST(test_without_camera);
+    RUN_TEST(test_threads_with_small_stacks);
     RUN_TEST(test_refuses_nonsense);
     return UNITY_END();
 }

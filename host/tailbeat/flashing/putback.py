@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 
-from tailbeat.errors import InputError, LinkLostError, TailbeatError
+from tailbeat import records
+from tailbeat.errors import InputError, LinkLostError, Refused, TailbeatError
+from tailbeat.faults import BAD_FORMAT
 from tailbeat.fish import Fish
 from tailbeat.flashing.backup import Backup
 from tailbeat.provision import OPEN, give_back, key_for, trust_of
@@ -81,9 +83,25 @@ def _learned(fish: Fish, backup: Backup, result: Restored) -> None:
     if record is None:
         return
     what = "all that was learned"
-    same = fish.learned_record() == record
-    if same or _try(result, what, partial(fish.upload_learned, record)):
-        result.back.append(what)
+    older = records.without_visits(record)
+    held = fish.learned_record()
+    if held not in (record, older) and not _try(result, what, partial(_offer, fish, record, older)):
+        return
+    result.back.append(what)
+    if any(records.learned_visits(record)) and fish.visits() is None:
+        result.missing.append(
+            "how often each beat was corrected (this firmware does not count it; the backup has it)"
+        )
+
+
+def _offer(fish: Fish, record: bytes, older: bytes) -> None:
+    """``older``: the same for a firmware from before that form of the record."""
+    try:
+        fish.upload_learned(record)
+    except Refused as refused:
+        if refused.number != BAD_FORMAT or older == record:
+            raise
+        fish.upload_learned(older)
 
 
 def _trial_numbers(was: int, now: int, result: Restored) -> None:
