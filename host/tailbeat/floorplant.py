@@ -96,7 +96,14 @@ class SimulatedPlant:
         self._amplitudes = np.linspace(edge, max(amplitude_max_rad, edge + 1e-6), _TABLE_POINTS)
         self._speeds = np.array([self._steady_m_s(a) for a in self._amplitudes])
         self._speeds[0] = 0.0
+        self._keep_what_is_faster()
         self.w_max = max(float(self._speeds[-1]), _SPEED_MIN_M_S) ** 2
+
+    def _keep_what_is_faster(self) -> None:
+        """A map that falls again has a smaller amplitude for every speed it falls to."""
+        before = np.r_[-1.0, np.maximum.accumulate(self._speeds)[:-1]]
+        faster = self._speeds > before
+        self._amplitudes, self._speeds = self._amplitudes[faster], self._speeds[faster]
 
     def _dead_zone_rad(self) -> float:
         """The largest amplitude without thrust: as commanded, a slow servo swings less."""

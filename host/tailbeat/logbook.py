@@ -2,8 +2,9 @@
 
 A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``tailbeat/fish`` of
 the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
-``proposals/`` (inputs this computer made, and why) and ``identified.json``. The model law, the
-verdict and a second reference draw on it. Several processes may write at once.
+``marks/`` (what is to be known of some of them, named like them), ``proposals/`` (inputs this
+computer made, and why) and ``identified.json``. The model law, the verdict and a second reference
+draw on it. Several processes may write at once.
 """
 
 from __future__ import annotations
@@ -27,10 +28,23 @@ if TYPE_CHECKING:
     from tailbeat.model.swim import Swim
 
 FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
+DISCARDED = "discarded"
+RUN = "run"
+_MARKS = (DISCARDED, RUN)
 _IDENTIFIED = "identified.json"
 _PART = ".part"
 _DIGEST_DIGITS = 16
 _ORDERS = 999_999
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A trial of the logbook and its file. ``mark``: empty, ``discarded`` (counts for nothing) or
+    ``run`` (of an identification: the model knows it, but it is in no series)."""
+
+    trial: Trial
+    path: Path
+    mark: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,9 +63,24 @@ class Logbook:
             )
         return cls((root or _default_root()) / unique_id.lower())
 
-    def keep(self, path: Path) -> Path:
+    def keep(self, path: Path, mark: str = "") -> Path:
         """Copies a trial's file; where its copy is, there or now. What is kept already, or the
-        beginning of it, is not kept again. Lasting when it returns. Raises InputError."""
+        beginning of it, is not kept again. ``mark``: as in ``Kept``. Lasting when it returns.
+        Raises InputError."""
+        copy = self._copy(path)
+        if mark:
+            self.mark(copy, mark)
+        return copy
+
+    def mark(self, copy: Path, mark: str) -> None:
+        """Says of a trial what it is, see ``Kept``; ``copy``: what ``keep`` returned."""
+        with self._writable():
+            self._marks.mkdir(parents=True, exist_ok=True)
+            (self._marks / f"{_name_of(copy)}.{mark}").touch()
+            sync_folder(self._marks)
+            sync_folder(self.folder)
+
+    def _copy(self, path: Path) -> Path:
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -72,25 +101,34 @@ class Logbook:
     def load(self) -> tuple[list[Trial], list[str]]:
         """All trials, in the order they were kept, and one line for each file that is not used and
         why. Of a trial kept twice, the second time with more in its file, only that counts."""
-        found: list[tuple[bytes, Trial]] = []
+        found, problems = self.kept()
+        return [kept.trial for kept in found], problems
+
+    def kept(self, latest: Path | None = None) -> tuple[list[Kept], list[str]]:
+        """The same with files and marks. ``latest``: a trial's file that is to be the last of all,
+        kept or not (a board that starts again may have swum one like it before)."""
+        found: list[tuple[bytes, Kept]] = []
         problems: list[str] = []
         for path in _sorted(self._trials, "*.ulg"):
             try:
                 content = path.read_bytes()
                 if not _is_sound(path, content):
                     raise InputError(f"{path} is damaged", "Pull that trial again.")
-                _join(found, content, parse_trial(content, path.name))
+                self._join(found, content, path)
             except OSError as error:
                 problems.append(f"cannot read {path} ({reason(error)})")
             except InputError as error:
                 problems.append(str(error))
-        return [trial for _, trial in found], problems
+        if latest is not None:
+            found.append(found.pop(self._join(found, latest.read_bytes(), latest)))
+        return [kept for _, kept in found], problems
 
-    def swims(self) -> list[Swim]:
-        """The same as the model sees them, without those that have no speed."""
+    def swims(self, latest: Path | None = None) -> list[Swim]:
+        """As the model sees them, without those that have no speed or were discarded."""
         from tailbeat.model.swim import swim_of
 
-        swims = [swim_of(trial) for trial in self.trials()]
+        counting = [kept.trial for kept in self.kept(latest)[0] if kept.mark != DISCARDED]
+        swims = [swim_of(trial) for trial in counting]
         return [swim for swim in swims if swim.measured.any()]
 
     def identified(self) -> Identified | None:
@@ -129,6 +167,29 @@ class Logbook:
     @property
     def _trials(self) -> Path:
         return self.folder / "trials"
+
+    @property
+    def _marks(self) -> Path:
+        return self.folder / "marks"
+
+    def _mark_of(self, path: Path) -> str:
+        name = _name_of(path)
+        return next((m for m in _MARKS if (self._marks / f"{name}.{m}").exists()), "")
+
+    def _join(self, found: list[tuple[bytes, Kept]], content: bytes, path: Path) -> int:
+        """Where in ``found`` the trial of this file is now. A board appends to a trial's file when
+        it gets speeds later: the longer file is the trial, in the place of the shorter."""
+        kept = Kept(parse_trial(content, path.name), path, self._mark_of(path))
+        for at, (held, other) in enumerate(found):
+            if other.trial.number != kept.trial.number:
+                continue
+            if held.startswith(content):
+                return at
+            if content.startswith(held):
+                found[at] = (content, kept)
+                return at
+        found.append((content, kept))
+        return len(found) - 1
 
     def _add(self, folder: Path, ending: str, content: bytes) -> Path:
         """Writes ``content`` whole or not at all, named by the next order number."""
@@ -207,19 +268,10 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
 
 
+def _name_of(path: Path) -> str:
+    """``NUMBER_DIGEST`` of a copy: whatever its order."""
+    return path.stem.partition("_")[2]
+
+
 def _is_sound(path: Path, content: bytes) -> bool:
     return path.stem.rpartition("_")[2] == _digest(content)
-
-
-def _join(found: list[tuple[bytes, Trial]], content: bytes, trial: Trial) -> None:
-    """A board appends to a trial's file when it gets speeds later: the longer file is the trial, in
-    the place of the shorter."""
-    for at, (held, other) in enumerate(found):
-        if other.number != trial.number:
-            continue
-        if held.startswith(content):
-            return
-        if content.startswith(held):
-            found[at] = (content, trial)
-            return
-    found.append((content, trial))

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.boardreference import board_reference
 from tailbeat.errors import InputError
 from tailbeat.laws import Law
 from tailbeat.model.modellaw import Proposal, foretold, propose
-from tailbeat.model.provenance import document_of
-from tailbeat.records import decode_reference
+from tailbeat.model.provenance import document_of, swim_crc
 from tailbeat.reference import Reference
 
 if TYPE_CHECKING:
@@ -50,13 +51,12 @@ class Step:
 
 def setting_of(fish: Fish) -> Setting:
     """Raises InputError when the board has no reference."""
-    record = fish.reference_record()
-    if record is None:
+    wanted = board_reference(fish)
+    if wanted is None:
         raise InputError("the board has no reference.", "tailbeat reference upload thesis")
-    wanted = decode_reference(record)
     params = {name: p.value for name, p in fish.params.list().items()}
     return Setting(
-        reference=Reference(wanted.beat_s, wanted.speed_m_s, "board"),
+        reference=wanted,
         amplitude_max_rad=params["AMP_MAX_RAD"],
         step_max_rad=params["DU_MAX_RAD"],
         law=Law.from_params(params, wanted.beat_s),
@@ -65,12 +65,44 @@ def setting_of(fish: Fish) -> Setting:
 
 def swims_since(identified: Identified, swims: Sequence[Swim], unique_id: str) -> list[Swim]:
     """Those of ``swims`` (oldest first) that came after the runs the fish was identified by; all,
-    when it was identified by another fish's or by a table."""
+    when it was identified by another fish's or by a table. Runs are known by what is in them: the
+    numbers of a simulated board that starts again, or of one that lost its store, come again."""
     if identified.unique_id != unique_id:
         return list(swims)
-    own = {swim.trial for swim in identified.swims if swim.trial}
-    last = max((at for at, swim in enumerate(swims) if swim.trial in own), default=-1)
+    own = {swim_crc(swim) for swim in identified.swims}
+    last = max((at for at, swim in enumerate(swims) if swim_crc(swim) in own), default=-1)
     return list(swims[last + 1 :])
+
+
+def numbered_anew(every: Sequence[Swim], since: Sequence[Swim]) -> bool:
+    """Whether the board started anew within ``since`` (a part of ``every``): numbers go back, and
+    one names two swims. (Trials that were pulled late go back, too.)"""
+    numbers = [swim.trial for swim in since]
+    falls = any(after <= before for before, after in pairwise(numbers))
+    return falls and len({swim.trial for swim in every}) < len(every)
+
+
+@dataclass(frozen=True)
+class Next:
+    """Whether the proposal is uploaded, and why where the board holds its best input (because it
+    rolled back, or somebody restored it)."""
+
+    upload: bool
+    words: str = ""
+
+
+def next_of(proposal: Proposal, restored: bool, best_m_s: float | None) -> Next:
+    """``restored``: the board is about to swim its best input again; ``best_m_s``: max|e| of that.
+    The proposal takes its place only where the model foresees less than that."""
+    if not restored:
+        return Next(True)
+    if proposal.law == "p":
+        return Next(False, "the best amplitudes swim next, not a step by P")
+    median = proposal.predicted_max_abs_error_m_s[1]
+    if best_m_s is None or median < best_m_s:
+        return Next(True, "the model's plan takes the place of the best amplitudes")
+    said = f"{median * 1e3:.1f} mm/s, the best had {best_m_s * 1e3:.1f}"
+    return Next(False, f"the best amplitudes swim next: the model foresees nothing better ({said})")
 
 
 def next_step(setting: Setting, identified: Identified, swims: Sequence[Swim]) -> Step:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ from tailbeat.fade import (
     repeat_variance,
     settled_after,
 )
+from tailbeat.logbook import Kept
 from tailbeat.trial_log import Trial, read_trial
 from tailbeat.verdict import (
     NoiseBand,
@@ -40,6 +41,7 @@ REPEAT_SIGMA_M_S = 0.002  # of a beat's error between repeats, on the tank plant
 _SLOPE_M_S_RAD = 0.219  # of the line through the thesis's Table 8.1
 _WALK_PART = 0.05  # of the noise's variance: what is to be learned wanders by that much each trial
 _STEP_MIN = 0.05
+_BY_THE_LAW = ("law", "first", "restored", "")  # what made a trial's amplitudes; "" = not told
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Progress:
     problems: list[str] = field(default_factory=list)
 
 
-def read_trials(folder: Path) -> tuple[list[Trial], list[str]]:
+def read_trials(folder: Path) -> tuple[list[Kept], list[str]]:
     """The trial files of a folder by name, or of its ``raw`` (an experiment); and one line for each
     that cannot be read. Raises InputError when there is no folder."""
     if not folder.is_dir():
@@ -81,7 +83,7 @@ def read_trials(folder: Path) -> tuple[list[Trial], list[str]]:
     trials, problems = [], []
     for path in sorted((raw if raw.is_dir() else folder).glob("*.ulg")):
         try:
-            trials.append(read_trial(path))
+            trials.append(Kept(read_trial(path), path))
         except InputError as error:
             problems.append(str(error))
     return trials, problems
@@ -94,20 +96,13 @@ def progress_of(
     problems: Sequence[str] = (),
     rolled_back: bool = False,
 ) -> Progress:
-    """``trials``: oldest first, of any references; ``reference_crc``: default the last one's.
+    """``trials``, ``reference_crc``: as for ``series_of``.
     ``rolled_back``: the board said so of the last trial. Raises InputError when there is none."""
-    if not trials:
-        raise InputError("there are no trials to judge.", "Swim one: tailbeat trial run")
-    crc = trials[-1].reference_crc if reference_crc is None else reference_crc
-    series = [trial for trial in trials if trial.reference_crc == crc]
-    if not series:
-        known = sorted({f"{trial.reference_crc:#010x}" for trial in trials})
-        raise InputError(
-            f"there is no trial of the reference {crc:#010x}.", f"There are {', '.join(known)}."
-        )
+    series = series_of(trials, reference_crc, identified)
     scores = scores_of(series)
     scores[-1] = replace(scores[-1], rolled_back=rolled_back)
     expected, floor_m_s = _by_the_model(series, scores, identified)
+    crc = series[-1].reference_crc
     rest_m_s = float(np.nanmax(series[-1].beats.reference_m_s))
     verdicts = judge_all(scores, expected, floor_m_s, rest_m_s)
     band = verdicts[-1].band
@@ -119,9 +114,59 @@ def progress_of(
         visits=visits(series),
         floor_m_s=floor_m_s,
         fluctuation=found,
-        fade=_fade(series[-1], scores, band, found, identified),
+        fade=_fade(series, scores, verdicts[-1], found, identified),
         problems=list(problems),
     )
+
+
+def series_of(
+    trials: Sequence[Trial], reference_crc: int | None = None, identified: Identified | None = None
+) -> list[Trial]:
+    """The last series of a reference (default: of the last trial's), without the runs that the fish
+    was identified by. ``trials``: oldest first, of any references. Raises InputError when there is
+    none.
+
+    A series begins anew where the iteration falls back, or does not go on after a trial of another
+    reference (the board began from nothing), and with another AMP_MAX_RAD (another largest
+    amplitude is another task).
+    """
+    swum = _without_runs(trials, identified)
+    if not swum:
+        raise InputError("there are no trials to judge.", "Swim one: tailbeat trial run")
+    crc = swum[-1].reference_crc if reference_crc is None else reference_crc
+    series: list[Trial] = []
+    between = False
+    for trial in swum:
+        if trial.reference_crc != crc:
+            between = True
+            continue
+        if series and _begins_anew(series[-1], trial, between):
+            series = []
+        series.append(trial)
+        between = False
+    if not series:
+        known = sorted({f"{trial.reference_crc:#010x}" for trial in swum})
+        raise InputError(
+            f"there is no trial of the reference {crc:#010x}.", f"There are {', '.join(known)}."
+        )
+    return series
+
+
+def _begins_anew(before: Trial, trial: Trial, between: bool) -> bool:
+    limits = [one.params.get("AMP_MAX_RAD") for one in (before, trial)]
+    back = trial.iteration <= before.iteration if between else trial.iteration < before.iteration
+    return back or limits[0] != limits[1]
+
+
+def _without_runs(trials: Sequence[Trial], identified: Identified | None) -> list[Trial]:
+    """Those of earlier identifications are marked in the logbook; a folder's files are not."""
+    if identified is None or identified.source != "runs":
+        return list(trials)
+    from tailbeat.model.provenance import swim_crc
+    from tailbeat.model.swim import swim_of
+
+    runs = {swim_crc(swim) for swim in identified.swims}
+    return [trial for trial in trials if swim_crc(swim_of(trial)) not in runs]
 
 
 def scores_of(series: Sequence[Trial]) -> list[Score]:
@@ -163,8 +208,8 @@ def _rows(series: Sequence[Trial], scores: list[Score], verdicts: list[Verdict])
 
 def _by_the_model(
     series: Sequence[Trial], scores: list[Score], identified: Identified | None
-) -> tuple[NoiseBand | None, float | None]:
-    """(noise band of the best input, least-squares floor) of an identified fish."""
+) -> tuple[Callable[[Score], NoiseBand] | None, float | None]:
+    """(noise band of a trial's input, least-squares floor) of an identified fish."""
     best = best_of(scores)
     if identified is None or best is None:
         return None, None
@@ -174,7 +219,12 @@ def _by_the_model(
     wanted = _reference(trial)
     limit = trial.params.get("AMP_MAX_RAD", math.pi / 4)
     floor = plan(identified.model, wanted.speed_m_s, wanted.beat_s, limit).max_abs_error_m_s
-    return expected_band(identified, wanted, trial.beats.applied_rad), floor
+
+    def expected(score: Score) -> NoiseBand:
+        swum = next(t for t, s in zip(series, scores, strict=True) if s is score)
+        return expected_band(identified, wanted, swum.beats.applied_rad)
+
+    return expected, floor
 
 
 def _reference(trial: Trial) -> Reference:
@@ -184,13 +234,19 @@ def _reference(trial: Trial) -> Reference:
 
 
 def _fade(
-    last: Trial,
+    series: Sequence[Trial],
     scores: list[Score],
-    band: NoiseBand,
+    verdict: Verdict,
     found: float | None,
     identified: Identified | None,
 ) -> Fade | None:
-    settled = settled_after(scores, band)
+    """None also where the gain is not what made the trials fluctuate: amplitudes that the host
+    uploaded, or a fish that just did worse than noise explains."""
+    settled = settled_after(scores, verdict.band)
+    last = series[-1]
+    of_the_law = all(trial.input in _BY_THE_LAW for trial in series[settled or 0 :])
+    if not of_the_law or verdict.kind in ("worse", "rolled_back"):
+        return None
     if found is None or found <= FLUCTUATION_MAX or settled is None:
         return None
     if last.params.get("LAW_FADE", 0.0) > 0:

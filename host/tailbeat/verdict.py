@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -109,7 +109,7 @@ def judge(
     band = noise_band(scores, expected)
     best = best_of(scores)
     kind, words = _kind_and_words(scores, band)
-    stop_reason = _stop_reason(scores, band, floor_m_s, rest_m_s) if kind != "progress" else ""
+    stop_reason = _stop_reason(scores, kind, band, floor_m_s, rest_m_s)
     return Verdict(
         kind=kind,
         words=words,
@@ -124,13 +124,23 @@ def judge(
 
 def judge_all(
     scores: Sequence[Score],
-    expected: NoiseBand | None = None,
+    expected: Callable[[Score], NoiseBand] | None = None,
     floor_m_s: float | None = None,
     rest_m_s: float | None = None,
 ) -> list[Verdict]:
-    """What ``judge`` said, or would have said, after each trial."""
-    ends = range(1, len(scores) + 1)
-    return [judge(scores[:end], expected, floor_m_s, rest_m_s) for end in ends]
+    """What ``judge`` said, or would have said, after each trial. ``expected``: the band for the
+    best trial of those up to then."""
+    bands: dict[int, NoiseBand] = {}
+    verdicts = []
+    for end in range(1, len(scores) + 1):
+        band = None
+        best = best_of(scores[:end])
+        if expected is not None and best is not None:
+            if best.input_crc not in bands:
+                bands[best.input_crc] = expected(best)
+            band = bands[best.input_crc]
+        verdicts.append(judge(scores[:end], band, floor_m_s, rest_m_s))
+    return verdicts
 
 
 def noise_band(scores: Sequence[Score], expected: NoiseBand | None = None) -> NoiseBand:
@@ -280,8 +290,14 @@ def _incomplete_words(last: Score, best: Score | None) -> str:
 
 
 def _stop_reason(
-    scores: Sequence[Score], band: NoiseBand, floor_m_s: float | None, rest_m_s: float | None
+    scores: Sequence[Score],
+    kind: str,
+    band: NoiseBand,
+    floor_m_s: float | None,
+    rest_m_s: float | None,
 ) -> str:
+    if kind == "progress":
+        return ""
     complete = [score for score in scores if score.complete]
     best = best_of(complete)
     if best is None or not scores[-1].complete:
@@ -290,7 +306,8 @@ def _stop_reason(
         return ""
     if floor_m_s is not None and _reaches(floor_m_s, complete, band):
         floor = f"{floor_m_s * 1e3:.1f}"
-        return f"the last {FLOOR_WINDOW} trials are within noise of the floor ({floor} mm/s)"
+        what = f"the floor (least squares, {floor} mm/s)"
+        return f"the last {FLOOR_WINDOW} trials are within noise of {what}"
     before, window = complete[:-WINDOW], complete[-WINDOW:]
     if not before:
         return ""
@@ -301,6 +318,8 @@ def _stop_reason(
         return ""
     if all(score.max_abs_error_m_s > high for score in window):
         return f"the last {WINDOW} trials are worse than noise explains: this law does not learn on"
+    if kind in ("worse", "rolled_back"):
+        return f"the last {WINDOW} trials brought nothing better, and this one is worse"
     return f"the last {WINDOW} trials brought no progress beyond noise"
 
 
@@ -332,7 +351,7 @@ def _advice(scores: Sequence[Score], band: NoiseBand) -> str:
         words = f"done: trial {best.trial}'s input was swum {swum} times, {band.text()}"
         return f"{words}; keep it: {restore}"
     times = "twice" if swum == 1 else "once more"
-    return f"repeat the best {times} to be sure: {restore}, trial run, trial discard"
+    return f"repeat the best {times} to be sure: {restore}, trial run, trial discard --repeat"
 
 
 def _limits(before: Sequence[Score], band: NoiseBand, wider: float = 1.0) -> tuple[float, float]:

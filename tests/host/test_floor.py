@@ -21,6 +21,7 @@ from tailbeat.floor import (
     plant_beats,
     plant_config,
 )
+from tailbeat.floorplant import SimulatedPlant
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.fitting import Prior, fit
 from tailbeat.model.identified import Identified
@@ -256,3 +257,16 @@ def test_the_band_is_of_the_models() -> None:
 def test_limits_that_make_no_sense_are_refused(amplitude_max: float, slew: float | None) -> None:
     with pytest.raises(InputError, match="more than 0 rad"):
         floor(TANK, reference.thesis(), amplitude_max, slew)
+
+
+def test_a_map_that_falls_again_is_used_up_to_its_top() -> None:
+    """vss = slope*x - 0.3*x**2 beyond the dead zone is highest at x = slope/0.6."""
+    config = plant_config("tank", {"map_bend_m_s_rad2": -0.3, "servo_lag_s": 0.0})
+    top = 0.197 + 0.219 / 0.6
+    wanted = reference.thesis()
+    assert SimulatedPlant(config, 1.0, AMPLITUDE_MAX_RAD).w_max == pytest.approx(
+        SimulatedPlant(config, 1.0, top).w_max, rel=1e-3
+    )
+    all_of_it, below = (floor(config, wanted, most) for most in (AMPLITUDE_MAX_RAD, top))
+    assert all_of_it.minimax_input.max() <= top + 0.005
+    assert all_of_it.minimax_m_s == pytest.approx(below.minimax_m_s, rel=0.01)

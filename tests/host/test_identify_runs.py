@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from tailbeat import reference
 from tailbeat.cli import run
+from tailbeat.cli.board import _reference
+from tailbeat.cli.identify import _person
 from tailbeat.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.fish import Fish
 from tailbeat.flashing.backup import Backup
@@ -312,6 +314,65 @@ def test_when_the_link_stays_away_a_copy_is_left(
     assert (copy.reference, copy.learned) == (before["reference"], record)
 
 
+class Killed(BaseException):
+    """As by kill -9: nothing is put back."""
+
+
+@pytest.fixture
+def killed(learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fish:
+    """A computer died in the second run; its trial is pending, the copy lies in ``safe``."""
+    with monkeypatch.context() as patch:
+        patch.setattr(guided, "_put_back", lambda *_: None)
+        with pytest.raises(Killed):
+            identify_fish(learned, Person(keep=failing(2, Killed())), tmp_path / "safe", quick=True)
+    return learned
+
+
+def test_after_a_computer_died_the_first_copy_is_put_back(
+    learned: Fish, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    before = state(learned)
+    fish = request.getfixturevalue("killed")
+    with pytest.raises(InputError, match="run of an identification that was broken off"):
+        identify_fish(fish, Person(), tmp_path / "safe", quick=True)
+    fish.discard()
+    heard: list[str] = []
+    identify_fish(fish, Person(note=heard.append), tmp_path / "safe", quick=True)
+    assert state(fish) == before
+    assert len(heard) == 1 and "broken off" in heard[0] and str(tmp_path / "safe") in heard[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_computer_that_died_while_putting_back(
+    learned: Fish, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    before = state(learned)
+    fish = request.getfixturevalue("killed")
+    fish.discard()
+    fish.upload_reference(before["reference"])  # what was learned did not follow
+    identify_fish(fish, Person(), tmp_path / "safe", quick=True)
+    assert state(fish) == before
+
+
+def test_an_older_copy_neither_comes_back_nor_goes(
+    learned: Fish, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    fish = request.getfixturevalue("killed")
+    copy = Backup.read(tmp_path / "safe")
+    fish.discard()
+    assert copy.reference is not None and copy.learned is not None
+    fish.upload_reference(copy.reference)  # as flash --restore does
+    fish.upload_learned(copy.learned)
+    fish.run_trial()
+    fish.learn()
+    before = state(fish)
+    heard: list[str] = []
+    identify_fish(fish, Person(note=heard.append), tmp_path / "safe", quick=True)
+    assert state(fish) == before
+    assert Backup.read(tmp_path / "safe-1") == copy
+    assert str(tmp_path / "safe-1") in heard[0]
+
+
 def test_a_guess_is_made_anew(tank: Fish) -> None:
     """Amplitudes that arming made of the reference stay what arming makes, by the gain then."""
     tank.upload_reference(reference.cosine(0.06, 3, 2))
@@ -331,6 +392,7 @@ def test_no_reference_before_and_no_run_after(tank: Fish) -> None:
     identify_fish(tank, Person(), quick=True)
     status = tank.status()
     assert (status.iteration, status.beats, status.pending_trial) == (0, 1, None)
+    assert _reference(status).startswith("none; upload one")
 
 
 def test_refused_while_a_trial_is_pending(learned: Fish) -> None:
@@ -400,8 +462,23 @@ def test_a_real_fish_waits_for_somebody(
     assert "run 1, cruise: 28 beats, up to 0.32 rad (18 degrees)" in err
     kept = sorted(path.name for path in tmp_path.rglob("*.ulg"))
     assert len(kept) == 4
+    assert "the board has no reference yet" in out
+    assert len(list(tmp_path.rglob("*.run"))) == 4
     assert f"saved in {next(tmp_path.rglob('identified.json'))}" in out
     assert not list(tmp_path.rglob("before-identify"))
+
+
+def test_who_is_asked_what(capsys: pytest.CaptureFixture[str]) -> None:
+    """A simulated fish waits for nobody; its runs are told, and speeds by hand are asked for."""
+    still = np.zeros(3)
+    first = Run(1, "cruise", 0.3, still, still, 0.2, 0.4)
+    told = _person(Limits(0.75), None, False, alone=False, json=False, show=lambda *_: None)
+    told.before(first)
+    assert capsys.readouterr().err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
+    assert told.speeds is not None
+    silent = _person(Limits(0.75), None, False, alone=True, json=True, show=lambda *_: None)
+    silent.before(first)
+    assert capsys.readouterr().err == "" and silent.speeds is None
 
 
 def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

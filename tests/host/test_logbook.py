@@ -12,7 +12,7 @@ import pytest
 
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
-from tailbeat.logbook import Logbook, logbook_of
+from tailbeat.logbook import DISCARDED, RUN, Logbook, logbook_of
 from tailbeat.records import encode_reference
 from tailbeat.trial_log import read_trial
 
@@ -75,6 +75,25 @@ def test_a_file_that_grew_takes_the_place_of_its_beginning(
     kept = logbook.keep(raw / "0001.ulg")
     assert [(t.number, t.end) for t in logbook.trials()] == [(1, "complete"), (2, "complete")]
     assert logbook.keep(short) != kept  # the beginning is there already
+    assert len(logbook.trials()) == 2
+
+
+def test_marks_are_the_contents_and_stay(logbook: Logbook, raw: Path) -> None:
+    logbook.keep(raw / "0001.ulg", RUN)
+    logbook.keep(raw / "0002.ulg")
+    second = logbook.keep(raw / "0002.ulg", DISCARDED)
+    assert [kept.mark for kept in logbook.kept()[0]] == [RUN, DISCARDED]
+    assert logbook.keep(raw / "0002.ulg") == second
+    assert [swim.trial for swim in logbook.swims()] == [1]
+    assert [trial.number for trial in logbook.trials()] == [1, 2]
+
+
+def test_the_latest_is_the_last_kept_or_not(logbook: Logbook, raw: Path) -> None:
+    for number in (1, 2):
+        logbook.keep(raw / f"000{number}.ulg")
+    again = logbook.kept(raw / "0001.ulg")[0]
+    assert [kept.trial.number for kept in again] == [2, 1]
+    assert [swim.trial for swim in logbook.swims(raw / "0003.ulg")] == [1, 2, 3]
     assert len(logbook.trials()) == 2
 
 

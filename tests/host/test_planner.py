@@ -25,6 +25,16 @@ def fish(kappa_per_m: float, delay_s: float = 0.3) -> FishModel:
     return FishModel(kappa_per_m, 0.219, 0.197, delay_s)
 
 
+@pytest.mark.parametrize("beats", [1, 2, 3])
+@pytest.mark.parametrize("power", [2.0, 6.0])
+def test_thrust_that_comes_after_the_end_is_not_spent(beats: int, power: float) -> None:
+    wanted = np.full(beats, 0.05)
+    found = plan(fish(10.0, delay_s=beats + 0.2), wanted, 1.0, AMPLITUDE_MAX_RAD, power=power)
+    assert found.amplitude_rad.tolist() == [0.0] * beats
+    assert found.predicted_m_s.tolist() == [0.0] * beats
+    assert found.max_abs_error_m_s == pytest.approx(0.05)
+
+
 def cost(model: FishModel, amplitude: Array, wanted: Array = THESIS) -> float:
     return float(np.sum((wanted - model.beats(amplitude, 1.0)) ** 2))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,7 +15,11 @@ import pytest
 
 from tailbeat.cli import run
 from tailbeat.fish import Fish
-from tailbeat.logbook import Logbook
+from tailbeat.logbook import Kept, Logbook
+from tailbeat.model.fishmodel import FishModel
+from tailbeat.model.identified import Identified
+from tailbeat.model.swim import swim_of
+from tailbeat.progress import progress_of, series_of
 from tailbeat.transport.simulated import SimBoard, SimTransport
 from tailbeat.trial_log import Trial, read_trial
 
@@ -176,7 +181,8 @@ def test_a_fluctuating_series_gets_a_falling_gain(
 
     worst = (0.05, 0.02, 0.012, 0.021, 0.010, 0.022, 0.012, 0.02, 0.011)
     trials = [made(at + 1, value) for at, value in enumerate(worst)]
-    monkeypatch.setattr("tailbeat.progress.read_trials", lambda folder: (trials, []))
+    kept = [Kept(trial, swum / "0001.ulg") for trial in trials]
+    monkeypatch.setattr("tailbeat.progress.read_trials", lambda folder: (kept, []))
     set_to: dict[str, float] = {}
 
     class Params:
@@ -197,3 +203,118 @@ def test_a_fluctuating_series_gets_a_falling_gain(
     assert set_to["LAW_FADE_FROM"] >= 1
     text, _ = tailbeat("progress", "--experiment", str(swum))
     assert f"LAW_FADE {set_to['LAW_FADE']:g}" in text
+    assert progress_of(trials).fade is not None
+    planned = [replace(trial, input="uploaded") for trial in trials]
+    assert progress_of(planned).fade is None  # no gain made those amplitudes
+    worse = made(len(trials) + 1, 0.03)
+    assert progress_of([*trials, worse]).verdict.kind == "worse"
+    assert progress_of([*trials, worse]).fade is None
+
+
+def at(trial: Trial, number: int, iteration: int, crc: int, limit: float = 0.75) -> Trial:
+    params = {**trial.params, "AMP_MAX_RAD": limit}
+    return replace(trial, number=number, iteration=iteration, reference_crc=crc, params=params)
+
+
+@pytest.mark.parametrize(
+    ("swims", "numbers"),
+    [  # (iteration, reference, AMP_MAX_RAD)
+        ([(1, 7, 0.75), (2, 7, 0.75), (2, 7, 0.75), (3, 7, 0.75)], [1, 2, 3, 4]),
+        ([(1, 7, 0.75), (2, 7, 0.75), (1, 8, 0.75), (3, 7, 0.75)], [1, 2, 4]),  # put back
+        ([(1, 7, 0.75), (2, 7, 0.75), (1, 8, 0.75), (1, 7, 0.75), (2, 7, 0.75)], [4, 5]),
+        ([(1, 7, 0.75), (1, 8, 0.75), (1, 7, 0.75)], [3]),
+        ([(1, 7, 0.75), (2, 7, 0.75), (1, 7, 0.75)], [3]),  # a new board
+        ([(1, 7, 0.75), (2, 7, 0.75), (3, 7, 0.6), (4, 7, 0.6)], [3, 4]),
+    ],
+)
+def test_where_a_series_begins(
+    swum: Path, swims: list[tuple[int, int, float]], numbers: list[int]
+) -> None:
+    trial = read_trial(swum / "0001.ulg")
+    trials = [at(trial, n + 1, i, crc, most) for n, (i, crc, most) in enumerate(swims)]
+    assert [one.number for one in series_of(trials, 7)] == numbers
+
+
+def identified_by(trials: list[Trial], source: str = "runs") -> Identified:
+    model = FishModel(10.0, 0.219, 0.197, 0.3)
+    return Identified(
+        model, [model], np.diag([0.01, 0.001, 1e-4, 1e-3]), source=source,
+        unique_id=trials[0].unique_id, swims=[swim_of(trial) for trial in trials],
+    )  # fmt: skip
+
+
+def test_runs_of_an_identification_are_no_series(swum: Path) -> None:
+    trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
+    found = progress_of(trials, identified=identified_by(trials[:2]))
+    assert [row.trial for row in found.rows] == list(range(3, TRIALS + 1))
+    by_trials = progress_of(trials, identified=identified_by(trials[:2], "trials"))
+    assert len(by_trials.rows) == TRIALS
+
+
+def test_a_row_says_what_was_said_then(swum: Path) -> None:
+    trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
+    known = replace(identified_by(trials), source="trials")
+    last = progress_of(trials, identified=known).rows
+    then = [progress_of(trials[: n + 1], identified=known).rows[-1] for n in range(TRIALS)]
+    assert [row.words for row in last] == [row.words for row in then]
+
+
+def test_an_experiment_brings_its_fish_and_lists_its_references(
+    swum: Path, tailbeat: Run, tmp_path: Path
+) -> None:
+    raw = tmp_path / "raw"
+    shutil.copytree(swum, raw)
+    trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
+    without, _ = tailbeat("progress", "--experiment", str(tmp_path), "--json")
+    assert json.loads(without)["floor_m_s"] is None
+    identified_by(trials, "trials").save(raw / "identified.json")
+    out, _ = tailbeat("progress", "--experiment", str(tmp_path), "--json")
+    assert json.loads(out)["floor_m_s"] > 0
+    listed, _ = tailbeat("progress", "--experiment", str(tmp_path), "--reference", "list", "--json")
+    [row] = json.loads(listed)["references"]
+    assert (row["reference_crc"], row["trials"]) == (trials[0].reference_crc, TRIALS)
+    text, _ = tailbeat("progress", "--experiment", str(tmp_path), "--reference", "list")
+    assert f"{trials[0].reference_crc:#010x}" in text
+
+
+@pytest.mark.usefixtures("connected", "swum")
+def test_a_discarded_repeat_counts_and_a_spoiled_swim_does_not(
+    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
+    tailbeat("trial", "run", "--connect", "x")
+    tailbeat("learn", "--connect", "x")
+    tailbeat("learn", "--restore-best", "--connect", "x")
+    numbers = []
+    for words in (["--repeat"], []):
+        ran, _ = tailbeat("trial", "run", "--connect", "x", "--json")
+        numbers.append(json.loads(ran)["number"])
+        tailbeat("trial", "discard", *words, "--connect", "x")
+    book = Logbook(next((tmp_path / "book").iterdir()))
+    assert [kept.mark for kept in book.kept()[0]] == ["", "", "discarded"]
+    assert [swim.trial for swim in book.swims()][-1] == numbers[0]
+    out, _ = tailbeat("progress", "--connect", "x", "--json")
+    found = json.loads(out)
+    assert [row["trial"] for row in found["trials"]][-1] == numbers[0]
+    assert found["discarded"] == [numbers[1]]
+    text, _ = tailbeat("progress", "--connect", "x")
+    assert f"discarded, not counted: trial {numbers[1]}" in text
+    tailbeat("trial", "pull", "--all", "--into", str(tmp_path), "--connect", "x")
+    assert [k.mark for k in book.kept()[0]].count("discarded") == 1
+
+
+@pytest.mark.usefixtures("connected", "swum")
+def test_a_trial_that_cannot_be_kept_is_discarded_all_the_same(
+    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, board: SimBoard
+) -> None:
+    (tmp_path / "book").write_text("a file in its place")
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
+    tailbeat("trial", "run", "--connect", "x")
+    out, err = tailbeat("trial", "discard", "--connect", "x", "--json")
+    assert json.loads(out)["pending_trial"] is None
+    assert err.startswith("tailbeat: not kept in the logbook: ")
+
+
+def test_what_excludes_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["learn", "--restore-best", "--law", "model", "--connect", "sim"]) == 2
+    assert "exclude each other" in capsys.readouterr().err

@@ -256,12 +256,19 @@ def test_the_reasons_to_stop_and_what_to_do() -> None:
     settled = judge(scored(30, 12, 12.5, 11.8, 12.4))
     assert settled.stop_reason == "the last 3 trials brought no progress beyond noise"
     assert settled.advice.startswith(
-        "repeat the best twice to be sure: tailbeat learn --restore-best, trial run, trial discard"
+        "repeat the best twice to be sure: tailbeat learn --restore-best, trial run, "
+        "trial discard --repeat"
     )
+    fallen = judge(scored(30, 12, 12.5, 11.8, 22))
+    assert fallen.words.startswith("worse than noise explains")
+    assert fallen.stop_reason == "the last 3 trials brought nothing better, and this one is worse"
     growing = judge(scored(30, 12, 20, 25, 30))
     assert growing.stop_reason.startswith("the last 3 trials are worse than noise explains")
     near = judge(scored(60, 12.6, 12.3), floor_m_s=0.0113)
-    assert near.stop_reason == "the last 2 trials are within noise of the floor (11.3 mm/s)"
+    assert (
+        near.stop_reason
+        == "the last 2 trials are within noise of the floor (least squares, 11.3 mm/s)"
+    )
     assert not judge(scored(60, 12.6, 12.3), floor_m_s=0.005).stop
     sure = judge(scored(30, 12, 12.5, 12.8, 12.4, crcs=(1, 2, 3, 2, 2)))
     assert sure.advice.startswith("done: trial 2's input was swum 3 times, repeats scatter by")
@@ -275,6 +282,20 @@ def test_a_series_is_not_ended_before_it_begins() -> None:
     assert judge(scored(30, 12, 18.2, 12.2, 12.8, 11.8)).stop  # back at the level
     sinking = scored(30, 28.5, 27, 25.5, 24, 22.5)
     assert not any(v.stop for v in judge_all(sinking))
+
+
+def test_each_verdict_has_the_band_of_the_best_until_then() -> None:
+    scores = scored(30, 20, 12, 13)
+    bands = {score.trial: NoiseBand(0.9, 1.0 + score.trial / 10, 0) for score in scores}
+    asked: list[int] = []
+
+    def expected(score: Score) -> NoiseBand:
+        asked.append(score.trial)
+        return bands[score.trial]
+
+    found = judge_all(scores, expected)
+    assert [v.band.high for v in found] == [1.1, 1.2, 1.3, 1.3]
+    assert asked == [1, 2, 3]
 
 
 def test_input_crc_names_amplitudes() -> None:

@@ -90,7 +90,9 @@ def _info_text(who: str, status: BoardStatus, imu: str, health: dict[str, int | 
 
 
 def _reference(status: BoardStatus) -> str:
-    if status.reference_crc is None:
+    from tailbeat.boardreference import REST
+
+    if status.reference_crc in (None, REST.crc):
         return "none; upload one: tailbeat reference upload thesis"
     return f"{status.beats} beats, {status.reference_crc:08x}"
 

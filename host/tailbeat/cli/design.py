@@ -115,25 +115,25 @@ def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Ide
 
 
 def _reference(text: str | None, fish: Fish | None) -> Reference:
-    from tailbeat.records import decode_reference
-    from tailbeat.reference import Reference, from_text, thesis
+    from tailbeat.boardreference import board_reference
+    from tailbeat.reference import from_text, thesis
 
     if text is not None:
         return from_text(text)
-    record = fish.reference_record() if fish is not None else None
-    if record is None:
-        return thesis()
-    held = decode_reference(record)
-    return Reference(held.beat_s, held.speed_m_s, f"{held.crc:08x}")
+    held = board_reference(fish) if fish is not None else None
+    return held or thesis()
 
 
 def _apply(fish: Fish, found: Design) -> None:
-    """The certificate is for kd = 0, so that goes with it."""
+    """The certificate is for kd = 0, the last error held beyond the end and a gain that stays, so
+    those go with it."""
     law = found.law
     fish.params.set("LAW_KD", law.kd_rad_s2_m)
     fish.params.set("LAW_GAIN", law.kp_rad_s_m)
     fish.params.set("LAW_LEAD", law.lead_beats)
     fish.params.set("LAW_Q_LEN", law.q_len)
+    fish.params.set("LAW_TAIL", law.tail)
+    fish.params.set("LAW_FADE", law.fade)
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
@@ -177,7 +177,10 @@ def _text(found: Design, applied: bool) -> str:
         lines.append(f"forced     {found.refused.rstrip('.')}")
     lines += [f"warning    {line}" for line in found.warnings]
     if applied:
-        lines.append("applied    it is the board's now; 'tailbeat params save' makes it last")
+        lines.append(
+            "applied    it is the board's now, with LAW_KD, LAW_TAIL and LAW_FADE 0; "
+            "'tailbeat params save' makes it last"
+        )
     return "\n".join(lines)
 
 
@@ -194,13 +197,13 @@ def _worst(found: Design) -> str:
 def _proved(found: Design) -> str:
     if not found.input_ratio < 1:
         return (
-            "nothing of the saturated law: a trial may take amplitudes away from the fixed point "
+            "nothing of the saturated law: one step may take amplitudes away from the fixed point "
             f"(norm {found.input_ratio:.2f})"
         )
     return (
-        "of the saturated law, for small errors outside the dead zone: amplitudes come nearer to "
-        f"the fixed point, {found.input_ratio:.2f} per trial on the {found.input_beats} beats of "
-        "that speed"
+        "of the saturated law, for small errors outside the dead zone: one step leaves at most "
+        f"{found.input_ratio:.2f} of the amplitudes' distance from the fixed point when the "
+        f"{found.input_beats} beats of that speed are off; not that all further steps do"
     )
 
 

@@ -33,8 +33,8 @@ def floor_text(band: Band, assumed: Sequence[str] = ()) -> str:
     the fish no run has told."""
     found, (low, high) = band.floor, band.lsq_max_abs_m_s
     lines = [
-        f"floor {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by what is known of the "
-        f"fish; minimax {mm(found.minimax_m_s)}): no input can do better"
+        f"floor (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by what "
+        f"is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than that"
     ]
     lines += [f"  {_spot_text(spot)}" for spot in found.spots]
     if assumed:
@@ -76,7 +76,7 @@ def suggestion_text(found: Suggestion, path: str) -> str:
     reference = found.reference
     lines = [
         f"suggested: {reference.beats} beats, {reference.travel_m:.2f} m, "
-        f"floor {mm(found.floor_m_s)} mm/s",
+        f"floor (least squares) {mm(found.floor_m_s)} mm/s",
         *(f"  {change}" for change in found.changes),
         f"written to {path}; use it: tailbeat reference upload {path}",
     ]

@@ -13,7 +13,6 @@ from tailbeat.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from tailbeat.fish import Fish
     from tailbeat.logbook import Logbook
     from tailbeat.model.account import Account
     from tailbeat.model.guided import Person
@@ -157,37 +156,44 @@ def _swum(
 ) -> None:
     from dataclasses import replace
 
+    from tailbeat.boardreference import board_reference
     from tailbeat.logbook import logbook_of
     from tailbeat.model.account import account_of, with_drag
     from tailbeat.model.guided import identify_fish, prior_of, set_params
     from tailbeat.model.runs import Limits
     from tailbeat.model.table import ThesisFish
+    from tailbeat.results import SPEED_SOURCES
 
     with connected(connect) as fish:
         simulated = fish.info().simulated
         book = logbook_of(fish, logbook)
         values = {name: p.value for name, p in fish.params.list().items()}
         limits = replace(Limits.from_params(values), margin_m=margin_m)
+        alone = yes or json
         wait = not (yes or simulated)
         if wait and json:
             raise InputError(
                 "nobody can be asked before each run with --json.",
                 "Add --yes when the fish is free to swim four times by itself.",
             )
-        with progress_bar(json or wait, "identify") as show:  # a bar would overwrite the questions
-            person = _person(fish, limits, book, wait, json, show)
+        asks = not alone and SPEED_SOURCES[round(values["SPD_SOURCE"])] == "upload"
+        # a bar would overwrite the questions
+        with progress_bar(json or wait or asks, "identify") as show:
+            person = _person(limits, book, wait, alone, json, show)
             safe = book.folder / "before-identify" if book else None
             found = identify_fish(fish, person, safe, limits=limits)
         identified = with_drag(found, ThesisFish(length_m=values["FISH_LEN_M"]))
         held = set_params(fish, identified) if params else None
+        bare = board_reference(fish) is None
     account = account_of(identified, prior_of(values))
-    _finish(account, held, book, out, plot, simulated, limits, json)
+    _finish(account, held, book, out, plot, simulated, limits, json, bare)
 
 
 def _person(
-    fish: Fish, limits: Limits, book: Logbook | None, wait: bool, json: bool, show: Any
+    limits: Limits, book: Logbook | None, wait: bool, alone: bool, json: bool, show: Any
 ) -> Person:
-    """Whoever sits at the terminal."""
+    """Whoever sits at the terminal. ``alone``: nobody who could be asked for speeds."""
+    from tailbeat.logbook import RUN
     from tailbeat.model.guided import Person
     from tailbeat.model.runs import FRACTIONS
 
@@ -195,8 +201,9 @@ def _person(
 
     def before(run: Run) -> None:
         now.append(run)
-        if wait:
+        if not json:
             typer.echo(_run_text(run, limits), err=True)
+        if wait:
             typer.prompt(
                 "Put the fish at rest at its wall, then press Enter (Ctrl-C ends it)",
                 default="", show_default=False, prompt_suffix=" ", err=True,
@@ -219,8 +226,14 @@ def _person(
             except InputError as error:
                 typer.echo(f"tailbeat: {error}", err=True)
 
-    keep = book.keep if book else (lambda path: None)
-    return Person(before, speeds if wait else None, follow, keep)
+    def keep(path: Path) -> None:
+        if book is not None:
+            book.keep(path, RUN)
+
+    def note(text: str) -> None:
+        typer.echo(f"tailbeat: {text}", err=True)
+
+    return Person(before, None if alone else speeds, follow, keep, note)
 
 
 def _run_text(run: Run, limits: Limits) -> str:
@@ -243,8 +256,9 @@ def _finish(
     simulated: bool,
     limits: Limits | None,
     json: bool,
+    bare: bool = False,
 ) -> None:
-    """Saves, draws and prints."""
+    """Saves, draws and prints. ``bare``: the board has no reference."""
     saved = []
     if book is not None:
         saved.append(book.set_identified(account.identified))
@@ -257,10 +271,12 @@ def _finish(
         draw_account(account, plot, simulated)
     document = account.as_dict() | {"params": held, "saved": saved, "plot": plot}
     document["usable_m"] = limits.usable_m if limits else None
-    say(json, document, lambda: _text(account, held, saved))
+    say(json, document, lambda: _text(account, held, saved, bare))
 
 
-def _text(account: Account, held: dict[str, float] | None, saved: list[Path]) -> str:
+def _text(
+    account: Account, held: dict[str, float] | None, saved: list[Path], bare: bool = False
+) -> str:
     from tailbeat.model.account import NAMES
 
     known: Identified = account.identified
@@ -280,4 +296,6 @@ def _text(account: Account, held: dict[str, float] | None, saved: list[Path]) ->
     if held:
         lines.append(f"the board has it, for good: {', '.join(held)}")
     lines += [f"saved in {path}" for path in saved]
+    if bare:
+        lines.append("the board has no reference yet: tailbeat reference upload thesis")
     return "\n".join(lines)

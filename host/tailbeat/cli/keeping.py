@@ -30,39 +30,63 @@ def keep_in_logbook(fish: Fish, path: Path) -> None:
         typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
 
 
+def discard_and_keep(fish: Fish, number: int | None, repeat: bool, quiet: bool) -> None:
+    """Keeps the pending trial, then drops it without learning; only a ``repeat`` counts later. A
+    trial that cannot be kept (told on stderr) is dropped all the same."""
+    from tailbeat.logbook import DISCARDED, logbook_of
+
+    pending = fish.status().pending_trial
+    book, copy = None, None
+    try:
+        book = logbook_of(fish)
+        if book is not None and pending is not None and number in (None, pending):
+            copy = _pulled(fish, book, pending, quiet)
+    except TailbeatError as error:
+        typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
+    fish.discard(number)
+    if book is not None and copy is not None and not repeat:
+        book.mark(copy, DISCARDED)
+
+
 def verdict_after_learning(
-    fish: Fish, number: int, rolled_back: bool, quiet: bool
+    fish: Fish, number: int, rolled_back: bool, quiet: bool, kept: Path | None = None
 ) -> Verdict | None:
-    """Fetches the trial into the logbook and judges it by what is there. None without a logbook, or
-    when the trial cannot be had (told on stderr): the board has learned all the same."""
+    """Judges the trial by what the logbook has; fetches it unless it is ``kept`` there already.
+    None without a logbook, or when the trial cannot be had (told on stderr): the board has learned
+    all the same."""
     from tailbeat.logbook import logbook_of
 
     try:
         book = logbook_of(fish)
-        return None if book is None else _judged(fish, book, number, rolled_back, quiet)
+        if book is None:
+            return None
+        return _judged(book, kept or _pulled(fish, book, number, quiet), rolled_back)
     except TailbeatError as error:
         typer.echo(f"tailbeat: no verdict on trial {number}: {error}", err=True)
         return None
 
 
-def _judged(
-    fish: Fish, book: Logbook, number: int, rolled_back: bool, quiet: bool
-) -> Verdict | None:
-    from tailbeat.progress import progress_of
-
+def _pulled(fish: Fish, book: Logbook, number: int, quiet: bool) -> Path:
     with TemporaryDirectory() as folder, progress_bar(quiet, f"trial {number}") as show:
         path = fish.pull_trial(
             number,
             Path(folder),
             lambda done, total: show(done / max(total, 1), f"{done} bytes"),
         )
-        book.keep(path)
-    trials = book.trials()
-    last = max((at for at, trial in enumerate(trials) if trial.number == number), default=None)
-    if last is None:
-        return None
-    identified = sound_identified(book)
-    return progress_of(trials[: last + 1], None, identified, (), rolled_back).verdict
+        return book.keep(path)
+
+
+def _judged(book: Logbook, kept: Path, rolled_back: bool) -> Verdict | None:
+    from tailbeat.progress import progress_of
+
+    trials = [one.trial for one in book.kept(kept)[0] if not one.mark]
+    return progress_of(trials, None, sound_identified(book), (), rolled_back).verdict
+
+
+def told_if_another(identified: Identified, unique_id: str) -> None:
+    """Tells on stderr that the fish connected is not the one identified."""
+    if identified.unique_id and identified.unique_id != unique_id:
+        typer.echo(f"tailbeat: identified on another fish ({identified.unique_id})", err=True)
 
 
 def sound_identified(book: Logbook) -> Identified | None:

@@ -47,8 +47,10 @@ def learn(
         raise typer.BadParameter("--law is p or model")
     if identified is not None and law != "model":
         raise typer.BadParameter("--identified is for --law model")
+    if restore_best and law == "model":
+        raise typer.BadParameter("--restore-best and --law model exclude each other")
     with connected(connect) as fish:
-        if law == "model" and not restore_best:
+        if law == "model":
             from tailbeat.cli.modelled import learn_with_model
 
             learn_with_model(fish, number, identified, dry_run, json)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,9 +11,9 @@ import typer
 from tailbeat.cli.common import Connect, Json, connected, mm, say, table
 
 if TYPE_CHECKING:
+    from tailbeat.logbook import Kept
     from tailbeat.model.identified import Identified
     from tailbeat.progress import Progress
-    from tailbeat.trial_log import Trial
 
 
 def progress(
@@ -22,7 +23,7 @@ def progress(
     ] = None,
     reference: Annotated[
         str | None,
-        typer.Option("--reference", metavar="CRC", help="Like 0x1a2b3c4d; default: the last."),
+        typer.Option("--reference", metavar="CRC", help="0x1a2b3c4d, or list; default: the last."),
     ] = None,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
     apply: Annotated[
@@ -38,23 +39,35 @@ def progress(
 
     Example: tailbeat progress --experiment experiments/2026-05-04_fish_thesis_p4_01
     """
-    trials, identified, problems = _material(experiment, logbook, connect)
+    known = _material(experiment, logbook, connect)
+    for problem in known.problems:
+        typer.echo(f"tailbeat: {problem}", err=True)
+    if reference == "list":
+        rows = references_of(known)
+        say(json, {"references": rows}, lambda: _references_text(rows))
+        return
     from tailbeat.progress import progress_of
 
-    found = progress_of(trials, _crc(reference), identified, problems)
+    trials = [one.trial for one in known.kept if not one.mark]
+    found = progress_of(trials, _crc(reference), known.identified, known.problems)
+    left_out = _discarded(known, found)
     applied = _apply(found, connect) if apply else None
     if plot is not None:
         from tailbeat.report.progress_png import progress_png
 
         progress_png(found, plot)
-    for problem in problems:
-        typer.echo(f"tailbeat: {problem}", err=True)
-    say(json, _document(found) | {"applied": applied}, lambda: _text(found, applied))
+    document = _document(found) | {"applied": applied, "discarded": left_out}
+    say(json, document, lambda: _text(found, applied, left_out))
 
 
-def _material(
-    experiment: Path | None, root: Path | None, connect: str | None
-) -> tuple[list[Trial], Identified | None, list[str]]:
+@dataclass(frozen=True)
+class _Material:
+    kept: list[Kept]
+    identified: Identified | None
+    problems: list[str]
+
+
+def _material(experiment: Path | None, root: Path | None, connect: str | None) -> _Material:
     from tailbeat.cli.keeping import sound_identified
     from tailbeat.errors import InputError
     from tailbeat.logbook import logbook_of
@@ -62,8 +75,8 @@ def _material(
     if experiment is not None:
         from tailbeat.progress import read_trials
 
-        trials, problems = read_trials(experiment)
-        return trials, None, problems
+        kept, problems = read_trials(experiment)
+        return _Material(kept, _identified_in(experiment), problems)
     with connected(connect) as fish:
         book = logbook_of(fish, root)
     if book is None:
@@ -71,8 +84,53 @@ def _material(
             "a simulated fish in this process keeps no logbook.",
             "Give --experiment DIR, or --logbook DIR.",
         )
-    trials, problems = book.load()
-    return trials, sound_identified(book), problems
+    kept, problems = book.kept()
+    return _Material(kept, sound_identified(book), problems)
+
+
+def _identified_in(experiment: Path) -> Identified | None:
+    """What lies beside the trials."""
+    from tailbeat.model.identified import Identified
+
+    for folder in (experiment / "raw", experiment):
+        if (folder / "identified.json").is_file():
+            return Identified.load(folder / "identified.json")
+    return None
+
+
+def references_of(known: _Material) -> list[dict[str, Any]]:
+    """Every reference that was swum, in the order of its last trial."""
+    from datetime import datetime
+
+    rows: dict[int, dict[str, Any]] = {}
+    for one in known.kept:
+        if one.mark:
+            continue
+        crc = one.trial.reference_crc
+        row = rows.pop(crc, {"reference_crc": crc, "trials": 0})
+        kept_at = datetime.fromtimestamp(one.path.stat().st_mtime)
+        rows[crc] = {
+            **row,
+            "trials": row["trials"] + 1,
+            "beats": len(one.trial.beats.samples),
+            "last": kept_at.isoformat(sep=" ", timespec="minutes"),
+        }
+    return list(rows.values())
+
+
+def _references_text(rows: list[dict[str, Any]]) -> str:
+    cells = [
+        [f"{row['reference_crc']:#010x}", str(row["trials"]), str(row["beats"]), row["last"]]
+        for row in rows
+    ]
+    return table(["reference", "trials", "beats", "last"], cells, left=(0, 3))
+
+
+def _discarded(known: _Material, found: Progress) -> list[int]:
+    from tailbeat.logbook import DISCARDED
+
+    mine = [one for one in known.kept if one.trial.reference_crc == found.reference_crc]
+    return [one.trial.number for one in mine if one.mark == DISCARDED]
 
 
 def _crc(text: str | None) -> int | None:
@@ -113,7 +171,7 @@ def _document(found: Progress) -> dict[str, Any]:
     }
 
 
-def _text(found: Progress, applied: dict[str, float] | None) -> str:
+def _text(found: Progress, applied: dict[str, float] | None, discarded: list[int]) -> str:
     header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
     rows = [
         [
@@ -126,7 +184,10 @@ def _text(found: Progress, applied: dict[str, float] | None) -> str:
         ]
         for row in found.rows
     ]
-    return "\n".join([table(header, rows, left=(5,)), *_conclusion(found, applied)])
+    lines = [table(header, rows, left=(5,))]
+    if discarded:
+        lines.append(f"discarded, not counted: trial {', '.join(map(str, discarded))}")
+    return "\n".join([*lines, *_conclusion(found, applied)])
 
 
 def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
@@ -134,7 +195,7 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
     lines = []
     if verdict.best_trial:
         best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
-        floor = f"; floor by the identified model {mm(found.floor_m_s)} mm/s"
+        floor = f"; floor (least squares) {mm(found.floor_m_s)} mm/s"
         lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
     if verdict.stop:
         lines += [f"stop: {verdict.stop_reason}", verdict.advice]

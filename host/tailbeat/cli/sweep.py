@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 SWEEPS = Path("sweeps")
 _SHOWN = (1, 2, 3, 4, 6, 10, 20, 40)  # iterations of the table, and the last
+_FAILURES_SHOWN = 5
 
 
 def sweep(
@@ -139,6 +140,7 @@ def _document(found: Summary) -> dict[str, Any]:
         "groups": [vars(line) | {"over_floor": line.over_floor} for line in found.lines],
         "claims": [vars(claim) for claim in found.claims],
         "failed": len(found.failed),
+        "failed_fish": found.failures,
     }
 
 
@@ -147,10 +149,22 @@ def _text(found: Summary, about: dict[str, Any]) -> str:
     parts.append(_table(found.lines))
     if found.claims:
         parts += ["", *[_claim(claim) for claim in found.claims]]
+    if found.failures:
+        parts += ["", *_failures(found)]
     parts.append(f"results {about.get('results', about['out'])}")
     if "plot" in about:
         parts.append(f"plot {about['plot']}")
     return "\n".join(parts)
+
+
+def _failures(found: Summary) -> list[str]:
+    first = [f"  {one}" for one in found.failures[:_FAILURES_SHOWN]]
+    more = len(found.failures) - len(first)
+    return [
+        f"{len(found.failures)} fish failed; claims that speak of them do not hold:",
+        *first,
+        *([f"  and {more} more: --json names all"] if more else []),
+    ]
 
 
 def _table(lines: list[Line]) -> str:

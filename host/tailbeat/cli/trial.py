@@ -18,7 +18,7 @@ from tailbeat.cli.common import (
     say,
     table,
 )
-from tailbeat.cli.keeping import keep_in_logbook
+from tailbeat.cli.keeping import discard_and_keep, keep_in_logbook
 from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
@@ -307,14 +307,20 @@ def discard(
         int | None,
         typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the pending one."),
     ] = None,
+    repeat: Annotated[
+        bool, typer.Option("--repeat", help="It repeats an input: count it for the noise.")
+    ] = False,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Drop the pending trial without learning from it; its log stays.
 
+    The logbook keeps it, too: without --repeat as a swim that counts for nothing, neither for the
+    model nor for the verdict (the fish touched the wall).
+
     Example: tailbeat trial discard
     """
     with connected(connect) as fish:
-        fish.discard(number)
+        discard_and_keep(fish, number, repeat, json)
         status = fish.status()
     say(json, status, f"discarded; iteration {status.iteration} swims next")

@@ -57,11 +57,15 @@ def _settling_beats(model: FishModel, speed_m_s: float, beat_s: float) -> int:
 
 
 def frequency_response(model: FishModel, speed_m_s: float, beat_s: float) -> Complex:
-    """G at FREQUENCIES, m/s/rad."""
+    """G at FREQUENCIES, m/s/rad. What comes after the computed beats decays evenly, and is summed
+    as a geometric series: a slow fish forgets in thousands of beats."""
     beats = min(_settling_beats(model, speed_m_s, beat_s), BEATS_MAX // 2)
     padded = np.zeros(2 * (len(FREQUENCIES) - 1) * _FOLDS)
     padded[:beats] = response(model, speed_m_s, beat_s, beats)
-    found: Complex = np.fft.rfft(padded)[::_FOLDS]
+    kept_per_beat = math.exp(-2 * model.kappa_per_m * speed_m_s * beat_s)
+    delayed = np.exp(-2j * np.pi * FREQUENCIES)
+    rest = padded[beats - 1] * kept_per_beat * delayed**beats / (1 - kept_per_beat * delayed)
+    found: Complex = np.fft.rfft(padded)[::_FOLDS] + rest
     return found
 
 
@@ -175,10 +179,11 @@ def input_norm(
     beats: NDArray[np.bool_],
     keep_tail: bool = False,
 ) -> float:
-    """||Q(I - gain*S*G)||_2 of the errors of the amplitudes of ``beats``, the others being right;
-    G around the swim of ``amplitude_rad``."""
+    """||Q(I - gain*S*G)||_2 of one step from errors of the amplitudes of ``beats`` alone to those
+    of all beats; G around the swim of ``amplitude_rad``. One step puts errors into other beats,
+    too, so it says nothing of the next one."""
     count = len(amplitude_rad)
     jacobian = swim_jacobian(model, amplitude_rad, beat_s)
     step = np.eye(count) - gain * lead_matrix(count, lead_beats, keep_tail) @ jacobian
     matrix = filter_matrix(count, q_len) @ step
-    return float(np.linalg.norm(matrix[np.ix_(beats, beats)], 2)) if beats.any() else 1.0
+    return float(np.linalg.norm(matrix[:, beats], 2)) if beats.any() else 1.0

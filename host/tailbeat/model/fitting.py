@@ -51,7 +51,8 @@ class Scatter:
 class Fit:
     """``covariance``: 4 x 4, of (log kappa, log slope, dead zone, delay). ``conditions``: one per
     swim. ``residual_m_s``: per swim, measured minus model, NaN where not measured.
-    ``rms_m_s``: of all residuals; ``beats``: how many there are."""
+    ``rms_m_s``: of all residuals; ``beats``: how many there are. ``log_evidence``: of the prior, by
+    Laplace's approximation; for comparing priors on the same swims and scatter."""
 
     model: FishModel
     covariance: Array
@@ -59,6 +60,7 @@ class Fit:
     residual_m_s: list[Array]
     rms_m_s: float
     beats: int
+    log_evidence: float = 0.0
 
 
 _ITERATIONS_MAX = 40
@@ -197,8 +199,10 @@ class _Problem:
 
     def solved(self, x: Array) -> Fit:
         model = _model_of(x[:_SHARED])
-        _, jacobian = self.evaluated(x)
-        covariance = np.linalg.inv(jacobian.T @ jacobian)[:_SHARED, :_SHARED]
+        off, jacobian = self.evaluated(x)
+        normal = jacobian.T @ jacobian
+        covariance = np.linalg.inv(normal)[:_SHARED, :_SHARED]
+        narrowed = float(np.linalg.slogdet(normal)[1]) / 2 + float(np.log(self.spread).sum())
         conditions = [self.conditions(x, index) for index in range(len(self.swims))]
         residual = [
             swim.speed_m_s - model.beats(swim.amplitude_rad, swim.beat_s, given)
@@ -213,17 +217,22 @@ class _Problem:
             residual_m_s=residual,
             rms_m_s=float(np.sqrt(np.mean(known**2))),
             beats=len(known),
+            log_evidence=-float(off @ off) / 2 - narrowed,
         )
 
 
 def beat_sigma(swim: Swim, model: FishModel, scatter: Scatter) -> Array:
     """Standard deviation of measured minus modelled speed per beat, conditions known."""
-    steady = model.steady_m_s(swim.amplitude_rad)
-    change = np.abs(np.diff(steady, prepend=0.0))
-    earlier = np.concatenate([[0.0], change[:-1]])
-    switched = scatter.switch * np.maximum(change, earlier)
+    switched = scatter.switch * steepness(model.steady_m_s(swim.amplitude_rad))
     sigma: Array = np.sqrt(swim.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
     return sigma
+
+
+def steepness(steady_m_s: Array) -> Array:
+    """Of the steady speeds of beats: the larger of the last two changes, from rest, m/s."""
+    change = np.abs(np.diff(steady_m_s, prepend=0.0))
+    steepest: Array = np.maximum(change, np.concatenate([[0.0], change[:-1]]))
+    return steepest
 
 
 def speed_and_slopes(model: FishModel, swim: Swim, given: Conditions) -> tuple[Array, Array]:

@@ -1,12 +1,12 @@
 """Identifies a connected fish: the runs of ``runs`` swum one by one on its board.
 
 Whatever the board had learned, and its reference, is put back afterwards, also after Ctrl-C or an
-error; until then a copy lies on the disk.
+error; until then a copy lies on the disk. An identification that was
+broken off leaves the copy behind, and the next one puts that back.
 """
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat import laws
+from tailbeat.boardreference import REST
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.flashing.backup import Backup
 from tailbeat.model.fitting import Prior
 from tailbeat.model.identified import Identified
 from tailbeat.model.runs import Limits, Run, identify_runs
+from tailbeat.model.safekeeping import forget, is_of_a_run, note_reference, put_safe
 from tailbeat.model.swim import Swim, swim_of
-from tailbeat.records import decode_reference
+from tailbeat.records import decode_reference, record_crc
 from tailbeat.reference import Reference
 from tailbeat.results import SPEED_SOURCES, BeatEvent
 from tailbeat.trial_log import read_trial
@@ -51,12 +53,13 @@ class Person:
     """Who stands at the tank. ``before``: told of each run, returns when it may begin, raises to
     end it all. ``speeds``: (trial, beats, beat_s) to speeds measured after the swim, NaN = not
     measured, one per beat; None: nobody can give any. ``event``: what happens meanwhile. ``keep``:
-    gets every trial's file."""
+    gets every trial's file. ``note``: told what else a person should know."""
 
     before: Callable[[Run], None] = lambda run: None
     speeds: Callable[[int, int, float], ArrayLike] | None = None
     event: Callable[[Event], None] = lambda event: None
     keep: Callable[[Path], object] = lambda path: None
+    note: Callable[[str], None] = lambda text: None
 
 
 def identify_fish(
@@ -68,8 +71,9 @@ def identify_fish(
     quick: bool = False,
 ) -> Identified:
     """Swims the runs and fits the fish to them. ``safe``: folder for the copy of what the board
-    held. Raises InputError when the board cannot begin, TailbeatError when a run goes wrong."""
-    _require_ready(fish)
+    held; a copy that is there already is put back when a run was broken off, and never overwritten.
+    Raises InputError when the board cannot begin, TailbeatError when a run goes wrong."""
+    _require_ready(fish, safe)
     params = {name: p.value for name, p in fish.params.list().items()}
     source = SPEED_SOURCES[round(params["SPD_SOURCE"])]
     if source == "upload" and person.speeds is None:
@@ -79,8 +83,8 @@ def identify_fish(
         )
     held = _held(fish, params)
     if safe is not None:
-        held.write(safe)
-    swimmer = _Swimmer(fish, person, params, source, camera)
+        held = put_safe(safe, held, person.note)
+    swimmer = _Swimmer(fish, person, params, source, camera, safe)
     try:
         return identify_runs(
             swimmer.swim,
@@ -123,8 +127,13 @@ def set_params(fish: Fish, identified: Identified) -> dict[str, float]:
     return {name: fish.params.get(name).value for name in wanted}
 
 
-def _require_ready(fish: Fish) -> None:
+def _require_ready(fish: Fish, safe: Path | None) -> None:
     status = fish.status()
+    if status.pending_trial is not None and is_of_a_run(safe, status.reference_crc):
+        raise InputError(
+            f"trial {status.pending_trial} is a run of an identification that was broken off.",
+            "tailbeat trial discard, then identify again: it puts back what the board had learned.",
+        )
     if status.pending_trial is not None:
         raise InputError(
             f"trial {status.pending_trial} is neither learned nor discarded.",
@@ -167,7 +176,7 @@ def _put_back(fish: Fish, held: Backup, safe: Path | None) -> None:
     """Ctrl-C does not stop it halfway."""
     for attempt in range(1, _PUT_BACK_TRIES + 1):
         try:
-            _restore(fish, held)
+            _restore(fish, held, safe)
         except KeyboardInterrupt:
             if attempt == _PUT_BACK_TRIES:
                 raise
@@ -180,10 +189,10 @@ def _put_back(fish: Fish, held: Backup, safe: Path | None) -> None:
             ) from error
         break
     if safe is not None:
-        shutil.rmtree(safe, ignore_errors=True)
+        forget(safe)
 
 
-def _restore(fish: Fish, held: Backup) -> None:
+def _restore(fish: Fish, held: Backup, safe: Path | None) -> None:
     state = _stopped(fish)
     if state == "ARMED":
         fish.disarm()
@@ -191,8 +200,9 @@ def _restore(fish: Fish, held: Backup) -> None:
         fish.clear()
     if (pending := fish.status().pending_trial) is not None:
         fish.discard(pending)
-    # Without one before, a beat at rest stands for none: no run's amplitudes may swim again.
-    fish.upload_reference(held.reference or Reference(1.0, np.zeros(1, np.float32), "rest"))
+    if held.reference is None and safe is not None:
+        note_reference(safe, record_crc(REST.record()))
+    fish.upload_reference(held.reference or REST)
     if held.learned is not None:
         fish.upload_learned(held.learned)
 
@@ -218,6 +228,7 @@ class _Swimmer:
     params: dict[str, float]
     source: str
     camera: Camera | None
+    safe: Path | None
     run: Run | None = field(default=None)
 
     def begin(self, run: Run) -> None:
@@ -252,7 +263,10 @@ class _Swimmer:
         speed = np.clip(run.predicted_m_s, 0.0, self.params["REF_MAX_M_S"]).astype(np.float32)
         name = f"identify {run.number}"
         limit = np.float32(self.params["AMP_MAX_RAD"])
-        self.fish.upload_reference(Reference(1.0, speed, name))
+        record = Reference(1.0, speed, name).record()
+        if self.safe is not None:
+            note_reference(self.safe, record_crc(record))
+        self.fish.upload_reference(record)
         self.fish.upload_amplitudes(np.minimum(amplitude.astype(np.float32), limit))
 
     def _judge_end(self, run: Run, end: str, beats: int) -> None:

@@ -175,7 +175,8 @@ class _Task:
         slope = p * error * high
         curvature = p * high * (1 + (p - 2) * error**2 / blurred)
         hessian = (jacobian.T * curvature) @ jacobian + rough
-        hessian[np.diag_indices(len(x))] += _RIDGE * np.trace(hessian) / len(x)
+        mean_curvature = float(np.trace(hessian)) / len(x)
+        hessian[np.diag_indices(len(x))] += _RIDGE * (mean_curvature or 1.0)
         return _Point(
             cost=float(blurred @ high + 0.5 * x @ rough @ x),
             gradient=rough @ x - jacobian.T @ slope,

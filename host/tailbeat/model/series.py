@@ -4,7 +4,7 @@ models of the identified set and the scatter of swims."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
@@ -108,13 +108,15 @@ def next_ratio(
     ``amplitude_rad``: as the tail will do it, one per beat. What ``swim`` differs from a model is
     divided into what will come again (the model's imperfection) and what was of that swim alone
     (its gain, flow, start and measurement) by how likely each is; models that explain the swim
-    badly count less. The ends are taken at 3 and 97 %: the fish itself is never in the set.
+    badly count less. A sigma that is not known is taken to be the others'. The ends are taken at 3
+    and 97 %: the fish itself is never in the set.
     Deterministic. Raises InputError when no beat of ``swim`` was measured.
     """
     wanted = reference.speed_m_s.astype(np.float64)
     seen = swim.measured
     if not seen.any():
         raise InputError("no beat of the swim has a speed.", "Upload the speeds of the trial.")
+    swim = _with_sigmas(swim)
     before = float(np.abs(wanted - swim.speed_m_s)[seen].max())
     rng = np.random.default_rng(_SEED)
     guesses = [_Guess.of(model, identified.scatter, swim) for model in _set_of(identified)]
@@ -131,6 +133,13 @@ def next_ratio(
     ) / before  # fmt: skip
     low, high = np.percentile(ratios, _ENDS)
     return float(low), float(high)
+
+
+def _with_sigmas(swim: Swim) -> Swim:
+    """Unmeasured beats may have none; the next swim will measure them, too."""
+    known = np.isfinite(swim.sigma_m_s)
+    usual = float(np.median(swim.sigma_m_s[known])) if known.any() else SIGMA_M_S
+    return replace(swim, sigma_m_s=np.where(known, swim.sigma_m_s, usual))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ SIGMA_M_S = 0.001  # of a beat's speed that tells none
 class Swim:
     """All arrays have one value per beat. ``amplitude_rad``: as the tail did it (saturated; 0 where
     the swim was over). ``speed_m_s``: measured over ground, NaN = not measured. ``sigma_m_s``: its
-    standard deviation, the measurement's alone. ``reference_crc``, ``trial``: 0 = unknown."""
+    standard deviation, the measurement's alone. ``reference_crc``, ``trial``: 0 = unknown.
+    ``swum_beats``: how many were swum before an early end; None = all."""
 
     amplitude_rad: Array
     speed_m_s: Array
@@ -30,6 +32,7 @@ class Swim:
     trial: int = 0
     iteration: int = 0
     battery_v: float | None = None
+    swum_beats: int | None = None
 
     @property
     def beats(self) -> int:
@@ -60,4 +63,15 @@ def swim_of(trial: Trial) -> Swim:
         trial=trial.number,
         iteration=trial.iteration,
         battery_v=float(np.mean(volts)) if volts else None,
+        swum_beats=None if swum.all() else trial.executed_beats,
     )
+
+
+def last_input(swims: Sequence[Swim], beats: int) -> Array:
+    """The amplitudes that were swum last, beat by beat, by ``swims`` of one reference: what lies
+    beyond an early end is of an earlier swim, NaN where no swim came so far."""
+    amplitude = np.full(beats, np.nan)
+    for swim in swims:
+        end = beats if swim.swum_beats is None else swim.swum_beats
+        amplitude[:end] = swim.amplitude_rad[:end]
+    return amplitude

@@ -99,7 +99,7 @@ def _draw_series(axes: Axes, found: Design, thesis: Design) -> None:
     axes.plot(i, old, color=_INK, lw=2.0, ls=_DASHES, zorder=3)
     axes.plot(i, median, "o-", color=_ACCENT, lw=3.0, ms=9, zorder=4)
     axes.axhline(floor, color=_INK, lw=1.6, ls=(0, (1.5, 2.5)), zorder=2)
-    axes.annotate(f"floor {floor:.1f} mm/s, without noise", (0.0, floor), (2, -7),
+    axes.annotate(f"floor (least squares) {floor:.1f} mm/s", (0.0, floor), (2, -7),
                   textcoords="offset points", va="top", fontsize=12.5, color=_INK)  # fmt: skip
     place = min(3, len(i) - 1)
     axes.annotate("thesis", (place, old[place]), (9, 5), textcoords="offset points", fontsize=13.5,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _WIDTH_PX, _HEIGHT_PX, _DPI = 1200, 750, 100
 _INK, _GREY, _BAND = "0.1", "0.45", "0.88"
 _MARKS = {
-    "progress": ("o", _INK, "progress"),
+    "progress": ("o", _INK, "progress, or the first"),
     "first": ("o", _INK, ""),
     "noise": ("o", "white", "within noise"),
     "worse": ("X", _INK, "worse than noise"),
@@ -61,7 +61,7 @@ def _subtitle(found: Progress) -> str:
     best = f"dashed: the best, {found.verdict.best_max_abs_error_m_s * 1e3:.1f} mm/s"
     parts = [best, "grey: 95 % of its repeats"] if found.verdict.best_trial else []
     if found.floor_m_s is not None:
-        parts.append(f"dotted: the floor, {found.floor_m_s * 1e3:.1f} mm/s")
+        parts.append(f"dotted: the floor (least squares), {found.floor_m_s * 1e3:.1f} mm/s")
     return "; ".join([f"reference {found.reference_crc:#010x}", *parts])
 
 
@@ -97,7 +97,8 @@ def _trials(axes: Axes, every: list[Row], rows: list[Row]) -> None:
             (7, 8), textcoords="offset points", fontsize=12, zorder=5,
         )  # fmt: skip
     axes.set_xticks(range(1, len(every) + 1), [_tick(row) for row in every])
-    axes.legend(loc="upper right", frameon=False, fontsize=12)
+    if len(axes.get_legend_handles_labels()[1]) > 1:  # one shape alone needs no legend
+        axes.legend(loc="upper right", frameon=False, fontsize=12)
 
 
 def _tick(row: Row) -> str:

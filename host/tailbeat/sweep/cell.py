@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -12,23 +12,27 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tailbeat import reference as references
+from tailbeat.errors import InputError, TailbeatError
 from tailbeat.floor import floor, plant_config
+from tailbeat.model.identified import Identified
 from tailbeat.reference import Reference
 from tailbeat.sweep import learners
 from tailbeat.sweep.learners import Learner, Said
 from tailbeat.sweep.recipe import (
-    REFERENCE_FEASIBLE,
+    REFERENCE_IDENTIFIED,
+    REFERENCES_FEASIBLE,
     Corner,
     LawSpec,
     Recipe,
     Settings,
 )
-from tailbeat.sweep.results import SCHEMA
+from tailbeat.sweep.results import FAILED, SCHEMA
 from tailbeat.sweep.shoal import Shoal, Swims
 
 Array = NDArray[np.float64]
 
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
+_ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that swim, but not them
 
 
 @dataclass(frozen=True)
@@ -66,18 +70,42 @@ def cells(recipe: Recipe) -> list[Cell]:
 
 
 def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
-    """A table of ``results.SCHEMA``: a row per fish and iteration, fish by fish."""
+    """A table of ``results.SCHEMA``: a row per fish and iteration, fish by fish.
+
+    A fish that cannot be identified or taught does not end a sweep: its rows are NaN, their verdict
+    is ``FAILED`` and ``failure`` says why. Raises InputError when there is no such reference.
+    """
+    names = [(recipe.reference, recipe.iterations)]
+    if recipe.before and not cell.law.cold:
+        names.insert(0, (recipe.before, recipe.before_iterations))
+    try:
+        phases = [(_ground_of(recipe, cell, name), count) for name, count in names]
+    except InputError as error:
+        raise InputError(f"plant {cell.plant.name}: {error.message}", error.remedy) from error
+    return _run(recipe, cell, phases)
+
+
+def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
+    """All of its fish; one by one when something is wrong with one of them."""
+    try:
+        return _swim(recipe, cell, phases)
+    except (TailbeatError, ArithmeticError, ValueError) as error:
+        if len(cell.seeds) > 1:
+            alone = [_run(recipe, replace(cell, seeds=(seed,)), phases) for seed in cell.seeds]
+            return pa.concat_tables(alone).combine_chunks()
+        return _failed(cell, phases, error)
+    except Exception as error:
+        error.add_note(f"in cell {cell.label}, seeds {cell.seeds[0]} to {cell.seeds[-1]}")
+        raise
+
+
+def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
     shoal = Shoal(cell.plant.plant, fish)
     rows = _Rows(cell)
-    phases = [(recipe.reference, recipe.iterations)]
-    if recipe.before and not cell.law.cold:
-        phases.insert(0, (recipe.before, recipe.before_iterations))
-    ground = _ground_of(recipe, cell, phases[0][0])
-    learner = _learner(recipe, cell, fish, ground)
+    learner = _learner(recipe, cell, fish, phases[0][0])
     number = 0
-    for name, iterations in phases:
-        ground = _ground_of(recipe, cell, name)
+    for ground, iterations in phases:
         learner.begin(ground.reference)
         rows.begin(ground, learner.floor_m_s)
         for _ in range(iterations):
@@ -86,6 +114,14 @@ def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
             swims = shoal.swim(amplitude, number, ground.reference.beat_s)
             said = learner.learn(swims)
             rows.add(amplitude, swims, said, learner.floor_m_s, recipe.amplitude_max_rad)
+    return rows.table()
+
+
+def _failed(cell: Cell, phases: Phases, error: Exception) -> pa.Table:
+    message = error.message if isinstance(error, TailbeatError) else f"{error!r}"
+    rows = _Rows(cell)
+    for ground, iterations in phases:
+        rows.failed(ground, iterations, " ".join(message.split()))
     return rows.table()
 
 
@@ -99,9 +135,16 @@ class _Ground:
     near_optimal_rad: Array
 
 
+Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each for so many swims
+
+
 def _ground_of(recipe: Recipe, cell: Cell, reference: str) -> _Ground:
-    values = tuple(sorted(cell.plant.values.items()))
-    return _ground(cell.plant.plant, values, reference, recipe.amplitude_max_rad)
+    values = cell.plant.values
+    if reference == REFERENCE_IDENTIFIED:
+        values = values | cell.noise.values
+    return _ground(
+        cell.plant.plant, tuple(sorted(values.items())), reference, recipe.amplitude_max_rad
+    )
 
 
 @lru_cache(maxsize=64)
@@ -109,11 +152,7 @@ def _ground(
     plant: str, values: tuple[tuple[str, float], ...], name: str, amplitude_max_rad: float
 ) -> _Ground:
     config = plant_config(plant, dict(values))
-    wanted = (
-        _feasible(config, amplitude_max_rad)
-        if name == REFERENCE_FEASIBLE
-        else references.from_text(name)
-    )
+    wanted = _reference(plant, dict(values), name, amplitude_max_rad)
     found = floor(config, wanted, amplitude_max_rad)
     return _Ground(
         wanted,
@@ -123,14 +162,25 @@ def _ground(
     )
 
 
-def _feasible(config: Any, amplitude_max_rad: float) -> Reference:
+def _reference(
+    plant: str, values: dict[str, float], name: str, amplitude_max_rad: float
+) -> Reference:
     from tailbeat.feasible import suggest
     from tailbeat.model.fishmodel import FishModel
 
-    model = FishModel(
-        config.kappa_per_m, config.slope_m_s_rad, config.dead_zone_rad, config.delay_s
-    )
-    return suggest(model, references.thesis(), amplitude_max_rad).reference
+    if name not in REFERENCES_FEASIBLE:
+        return references.from_text(name)
+    thesis = references.thesis()
+    fish: FishModel | Identified
+    if name == REFERENCE_IDENTIFIED:
+        another = values | {"seed": _ANOTHER_SEED}
+        fish = learners.identify(plant, another, amplitude_max_rad, thesis.beat_s)
+    else:
+        config = plant_config(plant, values)
+        fish = FishModel(
+            config.kappa_per_m, config.slope_m_s_rad, config.dead_zone_rad, config.delay_s
+        )
+    return suggest(fish, thesis, amplitude_max_rad).reference
 
 
 def _learner(recipe: Recipe, cell: Cell, fish: list[dict[str, float]], ground: _Ground) -> Learner:
@@ -190,6 +240,24 @@ class _Rows:
         at_limit = amplitude >= np.float32(amplitude_max_rad) * (1 - 1e-7)
         self._said(said, at_limit.sum(axis=1))
 
+    def failed(self, ground: _Ground, iterations: int, why: str) -> None:
+        """Nothing is known of any trial."""
+        nothing = np.full(self.fish, np.nan)
+        said = Said.nothing(self.fish)
+        said.verdict = FAILED
+        self.ground = ground
+        self.predicted_floor_m_s = nothing
+        for self.iteration in range(iterations + 1):
+            self._put(
+                max_abs_error_m_s=nothing,
+                ratio=nothing,
+                rms_error_m_s=nothing,
+                true_max_abs_error_m_s=nothing,
+                true_rms_error_m_s=nothing,
+                measured_beats=0,
+            )
+            self._said(said, np.zeros(self.fish, dtype=np.int64), why)
+
     def _errors(self, error: Array, true: Array) -> None:
         known = np.isfinite(error)
         count = known.sum(axis=1)
@@ -209,7 +277,7 @@ class _Rows:
             measured_beats=count,
         )
 
-    def _said(self, said: Said, saturated: NDArray[np.int64]) -> None:
+    def _said(self, said: Said, saturated: NDArray[np.int64], failure: str = "") -> None:
         low, middle, high = said.predicted_m_s
         self._put(
             saturated_beats=saturated,
@@ -222,6 +290,7 @@ class _Rows:
             lead_beats=said.lead_beats,
             swum_law=said.law,
             verdict=said.verdict,
+            failure=failure,
             predicted_floor_m_s=self.predicted_floor_m_s,
             iteration=self.iteration,
             seed=self.cell.seeds,

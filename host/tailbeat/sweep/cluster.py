@@ -43,6 +43,23 @@ def _connect(scheduler: str) -> Any:
         ) from error
 
 
+def compute_alike(recipe: Recipe, cell: Cell, wanted: dict[str, str]) -> bytes:
+    """What a worker runs: ``runner.compute``, if it is what the client is (``wanted``). Workers may
+    join while a sweep runs. Raises InputError."""
+    _check("a worker that joined later", identity(), wanted)
+    return compute(recipe, cell)
+
+
+def _check(worker: str, there: dict[str, str], wanted: dict[str, str]) -> None:
+    for key, value in wanted.items():
+        if there.get(key) != value:
+            what = "another build of tailbeat" if key == "code" else f"another {key}"
+            raise InputError(
+                f"{worker} has {what} ({there.get(key)}; here {value}).",
+                "Install the same on all machines: the results would differ.",
+            )
+
+
 def _check_workers(client: Any, scheduler: str) -> None:
     """Asks every worker for what must be the same everywhere."""
     try:
@@ -57,13 +74,7 @@ def _check_workers(client: Any, scheduler: str) -> None:
         )
     here = identity()
     for worker, there in sorted(answers.items()):
-        for key, value in here.items():
-            if there.get(key) != value:
-                what = "another build of tailbeat" if key == "code" else f"another {key}"
-                raise InputError(
-                    f"the worker {worker} has {what} ({there.get(key)}; here {value}).",
-                    "Install the same on all machines: the results would differ.",
-                )
+        _check(f"the worker {worker}", there, here)
 
 
 def _gather(client: Any, recipe: Recipe, missing: list[Cell]) -> Finished:
@@ -71,8 +82,10 @@ def _gather(client: Any, recipe: Recipe, missing: list[Cell]) -> Finished:
 
     as_completed: Any = distributed.as_completed
     by_key = {f"tailbeat-{recipe.crc}-{cell.index}": cell for cell in missing}
+    here = identity()
     futures = [
-        client.submit(compute, recipe, cell, key=key, pure=False) for key, cell in by_key.items()
+        client.submit(compute_alike, recipe, cell, here, key=key, pure=False)
+        for key, cell in by_key.items()
     ]
     try:
         for future in as_completed(futures, loop=client.loop):

@@ -17,7 +17,7 @@ from tailbeat.errors import InputError
 from tailbeat.laws import Law
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.identified import Identified
-from tailbeat.model.swim import Swim
+from tailbeat.model.swim import SIGMA_M_S, Swim
 from tailbeat.reference import Reference
 from tailbeat.sweep.recipe import LawSpec
 from tailbeat.sweep.shoal import Shoal, Swims
@@ -202,7 +202,7 @@ class Designed:
 
     def learn(self, swims: Swims) -> Said:
         """One trial of every fish."""
-        self._swum = swims_of(swims, self._amplitude, self._reference)
+        self._swum = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
         said = self._board.learn(swims)
         said.ratio = self._ratio
         said.verdict = verdicts(self._judges, self._swum)
@@ -244,7 +244,7 @@ class Modelled:
 
     def learn(self, swims: Swims) -> Said:
         """One trial of every fish."""
-        swum = swims_of(swims, self._amplitude, self._reference)
+        swum = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
         for kept, swim in zip(self._swims, swum, strict=True):
             kept.append(swim)
         said = Said.nothing(len(swum))
@@ -286,15 +286,18 @@ def verdicts(judges: Sequence[Judge], swims: Sequence[Swim]) -> list[str]:
     return [judge.verdict(swim) for judge, swim in zip(judges, swims, strict=True)]
 
 
-def swims_of(swims: Swims, amplitude_rad: Array, reference: Reference) -> list[Swim]:
-    """One ``Swim`` per fish."""
+def swims_of(
+    swims: Swims, amplitude_rad: Array, beat_s: float, reference_crc: int = 0
+) -> list[Swim]:
+    """One ``Swim`` per fish; the standard deviation of what was not measured is the usual one."""
+    sigma = np.where(np.isfinite(swims.sigma_m_s), swims.sigma_m_s, SIGMA_M_S)
     return [
         Swim(
             amplitude_rad=amplitude_rad[i],
             speed_m_s=swims.speed_m_s[i],
-            sigma_m_s=swims.sigma_m_s[i],
-            beat_s=reference.beat_s,
-            reference_crc=reference.crc,
+            sigma_m_s=sigma[i],
+            beat_s=beat_s,
+            reference_crc=reference_crc,
         )
         for i in range(len(amplitude_rad))
     ]
@@ -313,7 +316,7 @@ def identify(
         nonlocal number
         swum = shoal.swim(amplitude_rad[None, :], number, beat_s)
         number += 1
-        return Swim(amplitude_rad, swum.speed_m_s[0], swum.sigma_m_s[0], beat_s)
+        return swims_of(swum, amplitude_rad[None, :], beat_s)[0]
 
     limits = Limits(amplitude_max_rad=amplitude_max_rad, beat_s=beat_s)
     return identify_runs(swim, limits, quick=True)

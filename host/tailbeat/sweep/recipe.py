@@ -21,8 +21,10 @@ from typing import Any
 from tailbeat.errors import InputError, reason
 
 LAW_KINDS = ("p", "design", "model", "repeats")
-STATISTICS = ("median", "p05", "p90", "p95", "max", "min", "share", "monotone")
-REFERENCE_FEASIBLE = "feasible"
+STATISTICS = ("median", "p05", "p90", "p95", "max", "min", "share", "monotone", "settled")
+BY_REPEATS = ("monotone", "settled")  # statistics of whole runs, judged by a fixed input's
+REFERENCE_IDENTIFIED = "feasible, identified"
+REFERENCES_FEASIBLE = ("feasible", REFERENCE_IDENTIFIED)
 _JUDGES = ("title", "claims", "description", "source")  # no result depends on them
 _TABLES = ("plants", "laws", "noises", "claims", "corners", "name", "source")
 
@@ -73,9 +75,9 @@ class Corner:
 @dataclass(frozen=True)
 class Claim:
     """``statistic`` of column ``of`` (over column ``over``) in the rows of ``where`` at
-    ``iteration`` (None: all that were swum; -1: the last), for each plant, law, noise, corner and
-    reference by itself (``pool``: all together), over the same of the rows of ``against``; must be
-    at least or at most that, or both."""
+    ``iteration`` (None: all from ``from_iteration`` on; -1: the last), for each plant, law, noise,
+    corner and reference by itself (``pool``: all together), over the same of the rows of
+    ``against``; must be at least or at most that, or both. What is not known makes it fail."""
 
     text: str
     statistic: str
@@ -83,6 +85,7 @@ class Claim:
     over: str = ""
     where: dict[str, list[str]] = field(default_factory=dict)
     iteration: int | None = None
+    from_iteration: int = 1
     against: dict[str, Any] = field(default_factory=dict)
     pool: bool = False
     at_most: float | None = None
@@ -344,7 +347,7 @@ class _Parser:
     def check_reference(self, text: str) -> None:
         from tailbeat.reference import from_text
 
-        if text == REFERENCE_FEASIBLE:
+        if text in REFERENCES_FEASIBLE:
             return
         try:
             from_text(text)
@@ -373,9 +376,9 @@ class _Parser:
                             f"claim '{claim.text}': there is no {key} '{name}'",
                             f"Use {', '.join(names)}.",
                         )
-        if claim.statistic == "monotone" and "law" not in claim.against:
+        if claim.statistic in BY_REPEATS and "law" not in claim.against:
             raise self.fail(
-                f"claim '{claim.text}': monotone needs the repeats it is judged by",
+                f"claim '{claim.text}': {claim.statistic} needs the repeats it is judged by",
                 'Add against = {law = "the repeats"}.',
             )
 

@@ -1,8 +1,9 @@
 """What a sweep leaves on disk: a Parquet part per cell while it runs, one file when it is done.
 
-``OUT/sweep.json`` and ``OUT/recipe.toml`` say of what they are; ``OUT/parts/NNNNN-….parquet`` are
-the finished cells; ``OUT/results.parquet`` holds all of them in the order of the cells. Its bytes
-depend on the recipe and the tailbeat that computed it, on nothing else.
+``OUT/sweep.json`` and ``OUT/recipe.toml`` say of what they are; ``OUT/parts/NNNNN-….part`` are
+the finished cells, each a SHA-256 and the Parquet file that it is of; ``OUT/results.parquet`` holds
+all of them in the order of the cells. Its bytes depend on the recipe and the tailbeat that computed
+it, on nothing else.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ MANIFEST = "sweep.json"
 RECIPE = "recipe.toml"
 RESULTS = "results.parquet"
 PARTS = "parts"
+FAILED = "failed"  # the verdict on a fish that could not be identified or taught
 
-_TEXT = ("plant", "law", "noise", "corner", "reference", "swum_law", "verdict")
+_DIGEST_BYTES = 32
+_TEXT = ("plant", "law", "noise", "corner", "reference", "swum_law", "verdict", "failure")
 _WHOLE = ("seed", "iteration", "saturated_beats", "measured_beats")
 _NUMBER = (
     "kappa_per_m",
@@ -51,7 +54,7 @@ _NUMBER = (
     "gain_rad_s_m",
     "lead_beats",
 )
-DERIVED = ("ratio_inside", "floor_prediction_error")
+DERIVED = ("ratio_inside", "prediction_inside", "floor_prediction_error")
 NUMBER_COLUMNS = (*_NUMBER, *_WHOLE, *DERIVED)
 SCHEMA = pa.schema(
     [(name, pa.string()) for name in _TEXT]
@@ -104,7 +107,7 @@ class Store:
         wanted = {"recipe": recipe.name, "recipe_crc": recipe.crc, **identity()}
         found = self.manifest()
         if found is None:
-            if (self.folder / PARTS).exists() or self.results.exists():
+            if any((self.folder / PARTS).glob("*")) or self.results.exists():
                 raise InputError(
                     f"{self.folder} holds results, but no {MANIFEST} says of what.",
                     "Give another folder with --out.",
@@ -113,6 +116,7 @@ class Store:
             return
         different = [key for key, value in wanted.items() if found.get(key) != value]
         if not different:
+            self._rejudge(recipe.source)
             return
         what = "another recipe" if different[0].startswith("recipe") else f"another {different[0]}"
         what = "another build of tailbeat" if different[0] == "code" else what
@@ -150,27 +154,35 @@ class Store:
         _write(self.folder / RECIPE, source.encode())
         _write(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
 
+    def _rejudge(self, source: str) -> None:
+        """Only what judges the results can differ: from now on it is what is given now."""
+        path = self.folder / RECIPE
+        if not path.exists() or path.read_bytes() != source.encode():
+            _write(path, source.encode())
+
     def part(self, cell: Cell) -> Path:
         """Where the results of a cell go."""
-        return self.folder / PARTS / f"{cell.label}.parquet"
+        return self.folder / PARTS / f"{cell.label}.part"
 
     def has(self, cell: Cell) -> bool:
-        """Whether a cell is done; a part that cannot be read is not."""
+        """Whether a cell is done; a damaged part is not."""
         try:
-            return bool(pq.read_schema(self.part(cell)).equals(SCHEMA))
-        except (OSError, pa.ArrowInvalid):
+            return bool(_read_part(self.part(cell)).schema.equals(SCHEMA))
+        except InputError:
             return False
 
     def put(self, cell: Cell, data: bytes) -> None:
         """Keeps the results of a cell, whole or not at all."""
-        _write(self.part(cell), data)
+        _write(self.part(cell), hashlib.sha256(data).digest() + data)
 
     def finish(self, cells: list[Cell]) -> Path:
         """Puts all parts together in the order of the cells, a row group for each."""
         fresh = self.results.with_name(RESULTS + ".new")
-        with pq.ParquetWriter(fresh, SCHEMA, compression="zstd") as writer:
+        with pq.ParquetWriter(
+            fresh, SCHEMA, compression="zstd", write_page_checksum=True
+        ) as writer:
             for cell in cells:
-                writer.write_table(pq.read_table(self.part(cell)))
+                writer.write_table(_read_part(self.part(cell)))
         fresh.replace(self.results)
         sync_folder(self.folder)
         return self.results
@@ -178,13 +190,40 @@ class Store:
     def read(self) -> pa.Table:
         """The results; those of the finished cells when the sweep is not complete."""
         if self.results.exists():
-            return pq.read_table(self.results)
-        parts = sorted((self.folder / PARTS).glob("*.parquet"))
+            return _read(self.results)
+        parts = sorted((self.folder / PARTS).glob("*.part"))
         if not parts:
             raise InputError(
                 f"{self.folder} holds no results of a sweep.", "Run: tailbeat sweep RECIPE --out"
             )
-        return pa.concat_tables([pq.read_table(path) for path in parts])
+        return pa.concat_tables([_read_part(path) for path in parts])
+
+
+def _read(path: Path) -> pa.Table:
+    """With every page checked. Raises InputError when it is damaged or not there."""
+    try:
+        return pq.read_table(path, page_checksum_verification=True)
+    except (OSError, pa.ArrowException) as error:
+        raise _damaged(path) from error
+
+
+def _read_part(path: Path) -> pa.Table:
+    """Raises InputError when a byte of it is not as it was written, or it is not there."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise _damaged(path) from error
+    digest, data = raw[:_DIGEST_BYTES], raw[_DIGEST_BYTES:]
+    if hashlib.sha256(data).digest() != digest:
+        raise _damaged(path)
+    return pq.read_table(pa.BufferReader(data))
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(
+        f"{path} is damaged or cannot be read.",
+        "The command that computed it computes again what is missing.",
+    )
 
 
 def _write(path: Path, data: bytes) -> None:

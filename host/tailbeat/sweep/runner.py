@@ -19,15 +19,12 @@ from pathlib import Path
 
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.sweep.cell import Cell, cells, run_cell
+from tailbeat.sweep.onethread import one_thread
 from tailbeat.sweep.recipe import Recipe
 from tailbeat.sweep.results import Store, to_bytes
 
 Progress = Callable[[int, int], None]  # cells done, cells in all
 Finished = Iterator[tuple[Cell, bytes]]
-
-# One thread of linear algebra per process: more would fight for the cores, and the order in which
-# threads add up would be in the last bits.
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 
 
 class Interrupted(TailbeatError):
@@ -77,8 +74,9 @@ def sweep(
 
 
 def compute(recipe: Recipe, cell: Cell) -> bytes:
-    """A cell as the bytes of its part; what workers run."""
-    return to_bytes(run_cell(recipe, cell))
+    """A cell as the bytes of its part; what workers run, whoever started them."""
+    with one_thread():
+        return to_bytes(run_cell(recipe, cell))
 
 
 def cores_here() -> int:
@@ -110,7 +108,7 @@ def _computed_here(recipe: Recipe, missing: list[Cell], cores: int) -> Finished:
     running: dict[Future[bytes], Cell] = {}
     finished = False
     try:
-        with _for_workers():
+        with _deaf_children():
             _fill(pool, recipe, queue, running, 2 * cores)
         while running:
             ready, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -144,11 +142,8 @@ def _fill(
 
 
 @contextlib.contextmanager
-def _for_workers() -> Iterator[None]:
-    """What new processes inherit: one thread of linear algebra, and deafness to Ctrl-C, which is
-    meant for this process."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+def _deaf_children() -> Iterator[None]:
+    """New processes inherit deafness to Ctrl-C, which is meant for this process."""
     main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
     try:
@@ -156,11 +151,6 @@ def _for_workers() -> Iterator[None]:
     finally:
         if main:
             signal.signal(signal.SIGINT, handler)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def _begin_worker() -> None:

@@ -10,14 +10,22 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from tailbeat.sweep.recipe import Claim, Recipe
+from tailbeat.sweep.recipe import BY_REPEATS, Claim, Recipe
+from tailbeat.sweep.results import FAILED
 
 Array = NDArray[np.float64]
 Group = tuple[str, ...]
 
-GROUP = ("plant", "law", "noise", "corner", "reference")
+FISH = ("plant", "law", "noise", "corner")
+GROUP = (*FISH, "reference")
 _QUANTILES = {"median": 50, "p05": 5, "p90": 90, "p95": 95, "max": 100, "min": 0}
 _BAND = 95  # of runs of one input, in per cent: what their largest rise stays below
+_RANGES = (  # derived column, what is predicted, its 5 % and 95 %
+    ("ratio_inside", "ratio", "ratio_low", "ratio_high"),
+    ("prediction_inside", "max_abs_error_m_s", "predicted_low_m_s", "predicted_high_m_s"),
+)
+_EARLIER = slice(4, 7)  # trials 5 to 7, by which a run has settled, and its last ones
+_LAST = slice(-3, None)
 
 
 @dataclass(frozen=True)
@@ -30,16 +38,22 @@ class Rows:
     def of(cls, table: pa.Table) -> Rows:
         """With the derived columns."""
         columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
-        low, high, ratio = (columns[name] for name in ("ratio_low", "ratio_high", "ratio"))
-        known = np.isfinite(low) & np.isfinite(high) & np.isfinite(ratio)
-        inside = np.where(known, (low <= ratio) & (ratio <= high), np.nan)
         floor = columns["floor_lsq_m_s"]
-        columns["ratio_inside"] = inside.astype(np.float64)
+        for name, of, low, high in _RANGES:
+            columns[name] = _inside(columns[of], columns[low], columns[high])
         columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / floor - 1)
         return cls(columns)
 
     def __len__(self) -> int:
         return len(self.columns["seed"])
+
+    @property
+    def failures(self) -> Rows:
+        """One row of every fish that could not be identified or taught."""
+        failed = self.where(self.columns["verdict"] == FAILED)
+        keys = list(zip(*(failed.columns[name].tolist() for name in (*FISH, "seed")), strict=True))
+        _, first = np.unique([str(key) for key in keys], return_index=True)
+        return failed.where(np.isin(np.arange(len(failed)), first))
 
     def where(self, mask: NDArray[np.bool_]) -> Rows:
         """Some of them."""
@@ -75,7 +89,8 @@ class Rows:
 
 @dataclass(frozen=True)
 class Line:
-    """One group. Arrays over iterations, true max|e| in m/s. ``fixed``: it learns nothing."""
+    """One group. Arrays over iterations, true max|e| in m/s, of the fish that did not fail.
+    ``fixed``: it learns nothing."""
 
     plant: str
     law: str
@@ -84,6 +99,7 @@ class Line:
     reference: str
     fixed: bool
     fish: int
+    failed: int
     floor_minimax_m_s: float
     floor_lsq_m_s: float
     median_m_s: Array
@@ -112,12 +128,13 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Summary:
-    """All of a sweep."""
+    """All of a sweep. ``failures``: the fish that could not be identified or taught, and why."""
 
     recipe: str
     title: str
     lines: list[Line]
     claims: list[Verdict]
+    failures: list[str]
 
     @property
     def failed(self) -> list[Verdict]:
@@ -129,11 +146,29 @@ def summarise(recipe: Recipe, table: pa.Table) -> Summary:
     """From the results of a recipe, or as much of them as there is."""
     rows = Rows.of(table)
     lines = [_line(key, group) for key, group in rows.groups()]
-    return Summary(recipe.name, recipe.title, lines, [judge(one, rows) for one in recipe.claims])
+    claims = [judge(one, rows) for one in recipe.claims]
+    return Summary(recipe.name, recipe.title, lines, claims, _failures(rows.failures))
+
+
+def _failures(rows: Rows) -> list[str]:
+    names = (*FISH, "seed", "failure")
+    return [
+        f"{' / '.join(word for word in words if word)}, seed {seed}: {failure}"
+        for *words, seed, failure in zip(*(rows.columns[name] for name in names), strict=True)
+    ]
+
+
+def _inside(value: Array, low: Array, high: Array) -> Array:
+    """1 or 0; NaN where any of them is not known."""
+    known = np.isfinite(low) & np.isfinite(high) & np.isfinite(value)
+    return np.where(known, (low <= value) & (value <= high), np.nan).astype(np.float64)
 
 
 def _line(key: Group, rows: Rows) -> Line:
-    true = rows.grid("true_max_abs_error_m_s")
+    fish = len(np.unique(rows.columns["seed"]))
+    failed = len(rows.failures)
+    swam = rows.where(rows.columns["verdict"] != FAILED) if failed < fish else rows
+    true = swam.grid("true_max_abs_error_m_s")
     low, median, high = np.percentile(true, [5, 50, 95], axis=0)
     names = dict(zip(GROUP, key, strict=True))
     return Line(
@@ -143,15 +178,24 @@ def _line(key: Group, rows: Rows) -> Line:
         corner=names["corner"],
         reference=names["reference"],
         fixed="fixed" in rows.columns["swum_law"],
-        fish=len(true),
+        fish=fish,
+        failed=failed,
         floor_minimax_m_s=float(rows.columns["floor_minimax_m_s"][0]),
         floor_lsq_m_s=float(rows.columns["floor_lsq_m_s"][0]),
         median_m_s=median,
         low_m_s=low,
         high_m_s=high,
-        measured_median_m_s=np.nanmedian(rows.grid("max_abs_error_m_s"), axis=0),
-        true_rms_median_m_s=np.median(rows.grid("true_rms_error_m_s"), axis=0),
+        measured_median_m_s=_known_median(swam.grid("max_abs_error_m_s")),
+        true_rms_median_m_s=np.median(swam.grid("true_rms_error_m_s"), axis=0),
     )
+
+
+def _known_median(grid: Array) -> Array:
+    """Of what is known in each column, NaN where nothing is."""
+    return np.array(
+        [np.median(known) if (known := column[np.isfinite(column)]).size else np.nan
+         for column in grid.T]
+    )  # fmt: skip
 
 
 def judge(claim: Claim, rows: Rows) -> Verdict:
@@ -160,11 +204,12 @@ def judge(claim: Claim, rows: Rows) -> Verdict:
     groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
     figures: dict[str, float] = {}
     for key, group in groups:
-        figure = _figure(claim, group)
-        if claim.against and claim.statistic != "monotone":
-            figure /= _figure(claim, _counterpart(claim, key, rows), against=True)
-        elif claim.statistic == "monotone":
-            figure = _monotone(claim, group, _counterpart(claim, key, rows))
+        if claim.statistic in BY_REPEATS:
+            figure = _by_repeats(claim, group, _counterpart(claim, key, rows))
+        else:
+            figure = _figure(claim, group)
+            if claim.against:
+                figure /= _figure(claim, _counterpart(claim, key, rows), against=True)
         figures[" / ".join(word for word in key if word)] = figure
     return _verdict(claim, figures)
 
@@ -205,36 +250,46 @@ def _figure(claim: Claim, rows: Rows, against: bool = False) -> float:
     if against:
         other = claim.against.get("iteration")
         iteration = other if other is not None or "law" in claim.against else iteration
-    rows = _at(rows, iteration)
+    rows = _at(rows, iteration, claim.from_iteration)
     values = rows.columns[claim.of].astype(np.float64)
     if claim.over:
         values = values / rows.columns[claim.over]
-    if claim.statistic == "share":
-        values = values[np.isfinite(values)]
-        return float(np.mean(values != 0)) if values.size else float("nan")
     if not values.size or not np.isfinite(values).all():
         return float("nan")
+    if claim.statistic == "share":
+        return float(np.mean(values != 0))
     return float(np.percentile(values, _QUANTILES.get(claim.statistic, 50)))
 
 
-def _at(rows: Rows, iteration: int | None) -> Rows:
+def _at(rows: Rows, iteration: int | None, from_iteration: int) -> Rows:
     at = rows.columns["iteration"]
     if iteration is None or not len(rows):
-        return rows.where(at > 0)
+        return rows.where(at >= from_iteration)
     return rows.where(at == (at.max() if iteration < 0 else iteration))
 
 
-def _monotone(claim: Claim, rows: Rows, repeats: Rows) -> float:
-    """Share of runs whose largest rise over the best so far is one that 95 % of equally long runs
-    of a fixed input stay below."""
+def _by_repeats(claim: Claim, rows: Rows, repeats: Rows) -> float:
+    """Share of runs that rise no more than 95 % of equally long runs of a fixed input do: at most
+    over the best so far (``monotone``), or in the end over what they had settled at (``settled``).
+    """
     if not len(rows) or not len(repeats):
         return float("nan")
+    rise = _largest_rise if claim.statistic == "monotone" else _late_rise
     run = rows.grid(claim.of)[:, 1:]
     same = repeats.grid(claim.of)[:, 1:][:, : run.shape[1]]
-    if same.shape[1] < run.shape[1]:
+    if same.shape[1] < run.shape[1] or not (np.isfinite(run).all() and np.isfinite(same).all()):
         return float("nan")
-    band = np.percentile(_largest_rise(same), _BAND)
-    return float(np.mean(_largest_rise(run) <= band))
+    rises, band = rise(run), np.percentile(rise(same), _BAND)
+    return float(np.mean(rises <= band)) if np.isfinite(rises).all() else float("nan")
+
+
+def _late_rise(runs: Array) -> Array:
+    """Mean max|e| of the last three trials over that of trials 5 to 7, per run; NaN when there
+    are not as many."""
+    if runs.shape[1] < _EARLIER.stop - _LAST.start:
+        return np.full(len(runs), np.nan)
+    late: Array = runs[:, _LAST].mean(axis=1) / runs[:, _EARLIER].mean(axis=1)
+    return late
 
 
 def _largest_rise(runs: Array) -> Array:
