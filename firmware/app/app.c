@@ -18,7 +18,7 @@
 #define TICK_ALIVE_US 100000u
 
 /* A pass that has come this far after so long has written flash: its pause is long enough without
- * the requests of the hosts, which the next pass serves. */
+ * what the IMU sent meanwhile and the requests of the hosts, which the next pass serves. */
 #define STORING_US 4000u
 
 static void on_vision(void *context, const link_vision_t *sample) {
@@ -231,10 +231,13 @@ void app_poll(app_t *app) {
     mind_the_clock(app, now_us);
     swim_poll(app, now_us); /* first: frames that come in after the start belong to the swim */
     const uint64_t read_us = hal_time_us(app->hal); /* storing may have taken long */
-    read_imu(app, read_us);
-    drive_imu(app, read_us);
+    const bool stored = read_us - now_us >= STORING_US;
+    if (!stored) {
+        read_imu(app, read_us);
+        drive_imu(app, read_us);
+    }
     app_refresh_status(app);
-    if (hal_time_us(app->hal) - now_us < STORING_US) {
+    if (!stored && hal_time_us(app->hal) - now_us < STORING_US) {
         app->last_link_us = now_us;
         link_poll(&app->link, &app->status);
         key_poll(app);

@@ -48,6 +48,7 @@ static const char *const formats[ID_COUNT] = {
 
 /* Header and definitions without the parameters: 961 bytes with texts of 40 characters. */
 #define DEFINITIONS_BYTES 1024u
+#define PARAMETERS_PER_POLL 16u /* two pages */
 #define PARAMETER_BYTES (ULOG_HEADER_BYTES + 1u + 6u + PARAM_NAME_BYTES + 4u)
 
 _Static_assert(TRIAL_LOG_PIECE_BYTES + ULOG_MESSAGE_MAX_BYTES <= TRIAL_LOG_BUFFER_BYTES,
@@ -196,11 +197,13 @@ static void put_infos(trial_log_t *log, const trial_log_header_t *header) {
     put_start(log, header->start_us);
 }
 
-static void put_parameters(trial_log_t *log, const params_t *params) {
-    for (unsigned i = 0; i < PARAM_COUNT; i++) {
+/* At most |most| of those that are left. */
+static void put_parameters(trial_log_t *log, unsigned most) {
+    for (unsigned i = 0; i < most && log->parameters_put < PARAM_COUNT; i++) {
+        const param_t param = (param_t)log->parameters_put++;
         uint8_t *out = room(log);
         if (out != NULL) {
-            keep(log, ulog_parameter(out, param_info((param_t)i)->name, params->value[i]));
+            keep(log, ulog_parameter(out, param_info(param)->name, log->params->value[param]));
         }
     }
 }
@@ -214,13 +217,19 @@ static void put_subscriptions(trial_log_t *log) {
     }
 }
 
-/* Parameters and subscriptions; once. */
-static void put_rest(trial_log_t *log) {
-    const params_t *params = log->params;
-    log->params = NULL;
-    if (params != NULL) {
-        put_parameters(log, params);
+/* The next parameters, and behind the last ones the subscriptions. */
+static void put_more(trial_log_t *log, unsigned most) {
+    put_parameters(log, most);
+    if (log->parameters_put == PARAM_COUNT) {
+        log->params = NULL;
         put_subscriptions(log);
+    }
+}
+
+/* All that is left of the definitions. */
+static void put_rest(trial_log_t *log) {
+    if (log->params != NULL) {
+        put_more(log, PARAM_COUNT);
     }
 }
 
@@ -315,7 +324,7 @@ void trial_log_poll(trial_log_t *log, uint64_t now_us) {
         return;
     }
     if (log->params != NULL) {
-        put_rest(log);
+        put_more(log, PARAMETERS_PER_POLL);
         return;
     }
     const bool due = now_us >= log->last_sync_us && now_us - log->last_sync_us >= TRIAL_LOG_SYNC_US;

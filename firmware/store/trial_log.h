@@ -50,8 +50,9 @@ typedef struct {
     store_file_t file;
     uint8_t buffer[TRIAL_LOG_BUFFER_BYTES];
     uint16_t held;
-    const params_t *params; /* not written yet; NULL = written */
-    bool sync_due;          /* at the next poll */
+    const params_t *params; /* not all written yet; NULL = written */
+    uint16_t parameters_put;
+    bool sync_due; /* at the next poll */
     uint64_t last_sync_us;
     uint32_t trial;
     bool failed;

@@ -55,6 +55,7 @@ INFORMATION = {
     "reference_crc": 0xCAFEF00D,
     "beat_s": 1.0,
     "start_us": 10_000_000,
+    "input": "uploaded",
 }
 
 
