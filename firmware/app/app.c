@@ -18,7 +18,9 @@
 #define TICK_ALIVE_US 100000u
 
 /* A pass that has come this far after so long has written flash: its pause is long enough without
- * what the IMU sent meanwhile and the requests of the hosts, which the next pass serves. */
+ * the requests of the hosts, which the next pass serves; and in a swim without what the IMU sent
+ * meanwhile, which the next pass reads and does not write, for the port's ring holds two pauses at
+ * most. */
 #define STORING_US 4000u
 
 static void on_vision(void *context, const link_vision_t *sample) {
@@ -229,15 +231,17 @@ void app_feed_watchdog(app_t *app) {
 void app_poll(app_t *app) {
     const uint64_t now_us = hal_time_us(app->hal);
     mind_the_clock(app, now_us);
-    swim_poll(app, now_us); /* first: frames that come in after the start belong to the swim */
+    if (!app->imu_waits) {
+        swim_poll(app, now_us); /* first: frames that come in after the start belong to the swim */
+    }
     const uint64_t read_us = hal_time_us(app->hal); /* storing may have taken long */
-    const bool stored = read_us - now_us >= STORING_US;
-    if (!stored) {
+    app->imu_waits = app->run.open && read_us - now_us >= STORING_US;
+    if (!app->imu_waits) {
         read_imu(app, read_us);
         drive_imu(app, read_us);
     }
     app_refresh_status(app);
-    if (!stored && hal_time_us(app->hal) - now_us < STORING_US) {
+    if (hal_time_us(app->hal) - now_us < STORING_US) {
         app->last_link_us = now_us;
         link_poll(&app->link, &app->status);
         key_poll(app);

@@ -53,6 +53,9 @@ typedef struct {
     float live_speed_m_s;
     uint64_t live_speed_us;
 
+    bool
+        imu_waits; /* the last pass wrote flash in a swim: this one reads the IMU and writes none */
+
     battery_t battery;
     uint64_t last_heartbeat_us; /* of the host that armed */
     hal_port_t armed_port;
