@@ -1,4 +1,4 @@
-"""What every camera gives."""
+"""What every camera gives, once its pictures are understood."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Literal, Protocol
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Where the fish was when a picture was taken; x is along the swim direction."""
+    """Where the fish was when a picture was taken, in the tank's frame: x along the swim direction,
+    y to the right of it, heading clockwise from x as seen from above."""
 
     t_s: float
     x_m: float

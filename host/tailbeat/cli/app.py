@@ -9,6 +9,7 @@ import typer
 from tailbeat.cli import (
     bluetooth,
     board,
+    camera,
     design,
     doctor,
     experiment,
@@ -65,6 +66,7 @@ app.command()(board.arm)
 app.command()(board.disarm)
 app.command()(board.clear)
 app.add_typer(trial.app, name="trial")
+app.add_typer(camera.app, name="camera")
 app.add_typer(learn.speed_app, name="speed")
 app.command()(learn.learn)
 app.command()(identify.identify)

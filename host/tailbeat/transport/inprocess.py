@@ -18,12 +18,15 @@ FLASH_BYTES = 256 * 1024
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One processed picture: where the fish was at simulated time ``time_s``."""
+    """One processed picture: where the fish was at simulated time ``time_s``. ``tail_rad``: angle of
+    the tail against the body; ``led``: part of the exposure in which the board's LED was on."""
 
     time_s: float
     x_m: float
     y_m: float
     heading_rad: float
+    tail_rad: float = 0.0
+    led: float = 0.0
 
 
 @dataclass(frozen=True)
