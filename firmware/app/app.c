@@ -165,6 +165,8 @@ static void give_orders(app_t *app, uint64_t now_us) {
     const bool level_known = fresh(now_us, app->imu.last_us, IMU_FRESH_US);
     const control_orders_t orders = {
         .swim = supervisor_may_swim(&app->supervisor),
+        .armed = state_is_armed(app->supervisor.state),
+        .trial = app->run.trial.number,
         .beats = app->reference.beats,
         .amplitude_rad = app->applied_rad,
         .gait = settings_gait(&app->params, app->reference.beat_s),
@@ -247,7 +249,6 @@ void app_poll(app_t *app) {
         key_poll(app);
     }
     give_orders(app, read_us);
-    hal_led(app->hal, state_is_armed(app->supervisor.state));
     app_feed_watchdog(app);
 }
 

@@ -3,9 +3,9 @@
 #include "hal/system.h"
 
 /* Stopping is always allowed: it cuts a trial, disarms, or does nothing. */
-static fault_t stop_by_command(app_t *app) {
+static fault_t stop_by_command(app_t *app, fault_t reason) {
     if (app->supervisor.state == STATE_RUNNING) {
-        swim_stop(app, FAULT_ABORT_COMMAND);
+        swim_stop(app, reason);
     } else {
         (void)supervisor_event(&app->supervisor, EVENT_DISARM, FAULT_NONE);
     }
@@ -13,7 +13,8 @@ static fault_t stop_by_command(app_t *app) {
 }
 
 static fault_t disarm(app_t *app) {
-    return app->supervisor.state == STATE_BOOT ? FAULT_WRONG_STATE : stop_by_command(app);
+    return app->supervisor.state == STATE_BOOT ? FAULT_WRONG_STATE
+                                               : stop_by_command(app, FAULT_ABORT_COMMAND);
 }
 
 static fault_t clear(app_t *app) {
@@ -79,7 +80,7 @@ static fault_t run(app_t *app, const link_command_t *command) {
     case LINK_COMMAND_START:
         return swim_start(app, command);
     case LINK_COMMAND_ABORT:
-        return stop_by_command(app);
+        return stop_by_command(app, command->wall ? FAULT_WALL : FAULT_ABORT_COMMAND);
     case LINK_COMMAND_LEARN:
         return learn_trial(app, command->trial);
     case LINK_COMMAND_DISCARD:

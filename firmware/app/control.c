@@ -3,6 +3,7 @@
 #include "base/panic.h"
 #include "base/real.h"
 #include "base/units.h"
+#include "blink/blink.h"
 #include "hal/clock.h"
 #include "hal/servo.h"
 #include "hal/system.h"
@@ -92,13 +93,28 @@ static float next_amplitude(const control_t *control) {
     return real_is_finite(amplitude_rad) && amplitude_rad > 0.0f ? amplitude_rad : 0.0f;
 }
 
+/* Before the gait goes on: what it ordered last comes out in the frame that begins now. */
+static void show(const control_t *control, hal_t *hal) {
+    const gait_t *gait = &control->gait;
+    const control_report_t *report = &control->report;
+    const bool over = report->finished || report->stop != FAULT_NONE;
+    bool on = control->orders.armed && !over;
+    if (gait->mode == GAIT_SWIM) {
+        const uint32_t frame = gait->beat * control->config.frames_per_beat + gait->frame;
+        on = blink_on(frame, control->trial);
+    }
+    hal_led_isr(hal, on);
+}
+
 void control_tick_isr(control_t *control, hal_t *hal) {
     const uint64_t now_us = hal_time_us(hal);
     control_report_t *report = &control->report;
+    show(control, hal);
     watch_battery(control, now_us);
     const bool swim = decide(control, now_us);
     if (control->gait.mode == GAIT_OFF) {
         control->config = control->orders.gait;
+        control->trial = control->orders.trial;
     }
     const gait_command_t command = {
         .swim = swim,
@@ -125,6 +141,7 @@ void control_order(control_t *control, hal_t *hal, const control_orders_t *order
 void control_stop(control_t *control, hal_t *hal) {
     hal_irq_lock(hal);
     control->orders.swim = false;
+    control->orders.armed = false;
     control->stop_ordered = true;
     forget_swim(&control->report);
     hal_irq_unlock(hal);

@@ -1,6 +1,9 @@
 /*
  * The 50 Hz tick: gait, pulse, stop rules, late-tick check. Everything here runs in interrupt
  * context on data that the main loop hands over with the interrupt locked.
+ *
+ * The tick also owns the LED: while the pulses of a swim come out it shows the code of blink.h,
+ * otherwise whether the board is armed. It changes at the begin of a frame.
  */
 #ifndef APP_CONTROL_H
 #define APP_CONTROL_H
@@ -19,6 +22,8 @@
  */
 typedef struct {
     bool swim;
+    bool armed;                 /* for the LED */
+    uint32_t trial;             /* number of the swim, for the LED; taken over as |gait| is */
     uint16_t beats;             /* of the trial; the tail stops after the last one */
     const float *amplitude_rad; /* saturated, |beats| values; not changed while |swim|.
                                  * Read at each beat's start; negative or not finite = 0 */
@@ -46,6 +51,7 @@ typedef struct {
 typedef struct {
     gait_t gait;
     gait_config_t config; /* of the swim that is on */
+    uint32_t trial;       /* its number */
     control_orders_t orders;
     uint64_t battery_ok_us; /* last tick that found it not critical, swimming or not */
     bool stop_ordered;      /* |swim| was false at some time since the last tick */

@@ -229,6 +229,7 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
         .number = command->trial,
         .applied_rad = app->applied_rad,
         .estimate = settings_estimate(&app->params, app->reference.beat_s, app->reference.beats),
+        .guard_beats = (uint16_t)params_whole(&app->params, PARAM_GUARD_BEATS),
         .late_s = app->params.value[PARAM_SPD_LATE_S],
     };
     trial_run_begin(&app->run, &plan);
@@ -309,7 +310,9 @@ static estimate_rest_t rest_after(const app_t *app, uint64_t now_us) {
 static void tell_refusal(app_t *app, uint64_t now_us) {
     const float rested_s = rest_after(app, now_us).still_s;
     const bool rested = rested_s >= app->params.value[PARAM_REST_MIN_S];
-    if (needs_rest(app) && app->run.told > 0 && app->run.measured == 0) {
+    const uint16_t trusted =
+        stop_rules_trusted_beats((fault_t)app->run.trial.end, app->run.told, app->run.guard_beats);
+    if (needs_rest(app) && trusted > 0 && app->run.measured == 0) {
         const fault_t why = rested ? FAULT_RESTS_DIFFER : FAULT_NOT_STILL;
         link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(why)->meaning);
     }

@@ -2,6 +2,7 @@
 
 #include "base/panic.h"
 #include "base/real.h"
+#include "supervisor/stop_rules.h"
 
 #include <math.h>
 #include <string.h>
@@ -37,6 +38,7 @@ void trial_run_begin(trial_run_t *run, const trial_run_plan_t *plan) {
     speed_init(&run->speed);
     memset(&run->motion, 0, sizeof run->motion);
     run->estimate->config = plan->estimate;
+    run->guard_beats = plan->guard_beats;
     run->late_s = plan->late_s;
     run->start_us = 0;
     run->told = run->measured = 0;
@@ -134,7 +136,8 @@ static void close_until(trial_run_t *run, float until_s) {
         const bool moved = motion_forward(&run->motion, index, run->reference->beat_s,
                                           &motion.gain_m_s, &motion.way_m);
         const speed_slot_t slot = speed_close_slot(&run->speed, moved ? &motion : NULL);
-        trial_log_slot(&run->log, board_time_us(run, (float)index * SPEED_SLOT_S), &slot);
+        trial_log_slot(&run->log, board_time_us(run, (float)index * SPEED_SLOT_S), &slot,
+                       motion_turn(&run->motion, index));
     }
 }
 
@@ -203,7 +206,8 @@ static void close_swum(trial_run_t *run, uint16_t executed) {
     }
 }
 
-static void conclude(trial_run_t *run, uint64_t now_us, uint16_t executed,
+/* What was swum near a wall is time after the swim for the estimate. */
+static void conclude(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t executed,
                      const estimate_rest_t *after) {
     if (run->start_us == 0) {
         run->stage = TRIAL_RUN_ENDED;
@@ -211,7 +215,7 @@ static void conclude(trial_run_t *run, uint64_t now_us, uint16_t executed,
     }
     close_swum(run, executed);
     trial_log_rest(&run->log, now_us, after);
-    estimate_after(run->estimate, executed, after);
+    estimate_after(run->estimate, stop_rules_trusted_beats(end, executed, run->guard_beats), after);
     run->stage = TRIAL_RUN_SMOOTHING;
 }
 
@@ -237,7 +241,7 @@ bool trial_run_end(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t exec
     run->trial.end = (uint16_t)end;
     switch (run->stage) {
     case TRIAL_RUN_COLLECTING:
-        conclude(run, now_us, executed, after);
+        conclude(run, now_us, end, executed, after);
         return run->stage == TRIAL_RUN_ENDED;
     case TRIAL_RUN_SMOOTHING:
         run->stage = estimate_finish(run->estimate) ? TRIAL_RUN_TELLING : TRIAL_RUN_SMOOTHING;
@@ -279,12 +283,14 @@ store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *recor
 }
 
 store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_upload_t *speeds,
-                                uint64_t now_us, uint8_t *record) {
+                                uint16_t guard_beats, uint64_t now_us, uint8_t *record) {
     REQUIRE(run->pending && speeds->beats == run->trial.beats);
     trial_t *trial = &run->trial;
+    const uint16_t trusted =
+        stop_rules_trusted_beats((fault_t)trial->end, trial->executed, guard_beats);
     for (uint16_t k = 0; k < trial->executed; k++) {
-        trial->speed_m_s[k] = speeds->speed_m_s[k];
-        trial->sigma_m_s[k] = speeds->sigma_m_s[k];
+        trial->speed_m_s[k] = k < trusted ? speeds->speed_m_s[k] : NAN;
+        trial->sigma_m_s[k] = k < trusted ? speeds->sigma_m_s[k] : NAN;
     }
     const store_result_t saved = save_pending(run, store, record);
     if (saved != STORE_OK) {

@@ -33,6 +33,7 @@ typedef struct {
     estimate_t *estimate;
     trial_run_stage_t stage;
     uint16_t told, measured; /* results given, of these with a speed */
+    uint16_t guard_beats;    /* not to be trusted before a wall */
     float late_s;            /* how long after its slot a sample may come */
     const reference_t *reference;
     const memory_t *memory; /* stored amplitudes, for the log */
@@ -47,6 +48,7 @@ typedef struct {
     uint32_t number;
     const float *applied_rad; /* what the servo gets, one per beat */
     estimate_config_t estimate;
+    uint16_t guard_beats;
     float late_s;
 } trial_run_plan_t;
 
@@ -109,9 +111,10 @@ bool trial_run_end(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t exec
  * stores it. */
 store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record);
 
-/* Speeds uploaded after the swim: into the pending trial, its file and the store. */
+/* Speeds uploaded after the swim: into the pending trial, its file and the store. Beats that are
+ * not to be trusted stay unmeasured; |guard_beats| are those of now. */
 store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_upload_t *speeds,
-                                uint64_t now_us, uint8_t *record);
+                                uint16_t guard_beats, uint64_t now_us, uint8_t *record);
 
 /* Learned or discarded: nothing is pending any more. */
 store_result_t trial_run_forget(trial_run_t *run, store_t *store);

@@ -140,8 +140,9 @@ static fault_t commit_speeds(app_t *app, const link_command_t *command) {
             return FAULT_BAD_DATA;
         }
     }
-    if (trial_run_upload(&app->run, &app->store, speeds, hal_time_us(app->hal), app->record) !=
-        STORE_OK) {
+    const uint16_t guard_beats = (uint16_t)params_whole(&app->params, PARAM_GUARD_BEATS);
+    if (trial_run_upload(&app->run, &app->store, speeds, guard_beats, hal_time_us(app->hal),
+                         app->record) != STORE_OK) {
         return FAULT_WRITE_FAILED;
     }
     (void)store_remove(&app->store, IN_SPEEDS);

@@ -10,7 +10,7 @@
  * then on to the end of the block. Outside a swim the LED says whether the board is armed, so the
  * first edge, on to off, is the begin of the swim.
  *
- * Pure. May be called from interrupts; about 100 cycles.
+ * Pure. May be called from interrupts; some 200 cycles of a Cortex-M3.
  */
 #ifndef BLINK_BLINK_H
 #define BLINK_BLINK_H

@@ -79,6 +79,12 @@ static bool read_start(const request_t *request, link_command_t *command) {
     return read_trial(request, command) && (not_given || real_is_finite(request->param2));
 }
 
+/* Whatever the reason may be, it stops. */
+static bool read_abort(const request_t *request, link_command_t *command) {
+    command->wall = request->param1 == (float)TAILBEAT_ABORT_WALL;
+    return true;
+}
+
 static bool read_commit(const request_t *request, link_command_t *command) {
     uint32_t choice = 0;
     if (!read_choice(request, 4, &choice) || request->x < 0) {
@@ -101,7 +107,7 @@ static const row_t rows[] = {
     {MAV_CMD_PREFLIGHT_STORAGE, LINK_COMMAND_PARAMS_LOAD, read_storage},
     {MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, LINK_COMMAND_REBOOT, read_reboot},
     {TAILBEAT_CMD_TRIAL_START, LINK_COMMAND_START, read_start},
-    {TAILBEAT_CMD_TRIAL_ABORT, LINK_COMMAND_ABORT, read_nothing},
+    {TAILBEAT_CMD_TRIAL_ABORT, LINK_COMMAND_ABORT, read_abort},
     {TAILBEAT_CMD_LEARN, LINK_COMMAND_LEARN, read_trial},
     {TAILBEAT_CMD_DISCARD, LINK_COMMAND_DISCARD, read_trial},
     {TAILBEAT_CMD_RESTORE_BEST, LINK_COMMAND_RESTORE_BEST, read_nothing},

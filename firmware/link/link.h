@@ -43,8 +43,8 @@
 typedef enum {
     LINK_COMMAND_ARM,
     LINK_COMMAND_DISARM,
-    LINK_COMMAND_START, /* trial, issued_s */
-    LINK_COMMAND_ABORT,
+    LINK_COMMAND_START,   /* trial, issued_s */
+    LINK_COMMAND_ABORT,   /* wall */
     LINK_COMMAND_LEARN,   /* trial */
     LINK_COMMAND_DISCARD, /* trial */
     LINK_COMMAND_RESTORE_BEST,
@@ -68,6 +68,7 @@ typedef struct {
     link_command_id_t id;
     uint32_t trial;
     float issued_s; /* board time; NaN = not given */
+    bool wall;      /* the fish came too close to one */
     link_file_t file;
     uint32_t length_bytes;
     uint32_t crc;

@@ -13,6 +13,13 @@
 #define BEAT_SLOTS_MAX ((float)(MOTION_SLOTS / 2u - 2u))
 /* Rounding of times apart, a slot is either covered or lacks more than a gap. */
 #define COVERED_S (0.98f * SPEED_SLOT_S)
+#define TURN_STEPS_PER_RAD 1e4f
+#define TURN_STEPS_MAX 32767.0f
+
+/* Means over a frame, in the level frame. */
+typedef struct {
+    float accel_m_s2[3], nose[3], yaw_rad_s;
+} levelled_t;
 
 static float dot(const float a[3], const float b[3]) {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -68,6 +75,14 @@ static void nose_of(const float q[4], float nose[3]) {
     level(q, nose);
 }
 
+/* How fast the nose's heading turns: the body's rate about the vertical would have its roll in it,
+ * by the sine of the pitch. |rate| in body axes; not finite when the nose is upright. */
+static float yaw_rate(const float q[4], const float rate[3], float nose_down) {
+    float level_rate[3] = {rate[0], rate[1], rate[2]};
+    level(q, level_rate);
+    return (level_rate[2] - nose_down * rate[0]) / (1.0f - nose_down * nose_down);
+}
+
 static float along(const float a[2], const float b[2]) { return a[0] * b[0] + a[1] * b[1]; }
 
 /* Down is against the specific force of a fish at rest: the shortest turn that brings it there. A
@@ -106,25 +121,35 @@ static motion_slot_t *slot_for(motion_t *motion, uint32_t index) {
     motion_slot_t *slot = &motion->slots[index % MOTION_SLOTS];
     if (slot->index != index) {
         *slot = (motion_slot_t){.index = (uint16_t)index};
+        motion->turn_rad = 0.0f;
     }
     return slot;
 }
 
-static void add_piece(motion_slot_t *slot, const float accel_m_s2[2], const float nose[2],
-                      float piece_s) {
+static int16_t rounded_turn(float turn_rad) {
+    const float steps = turn_rad * TURN_STEPS_PER_RAD;
+    if (!(real_abs(steps) <= TURN_STEPS_MAX)) {
+        return SPEED_NO_MOTION;
+    }
+    return (int16_t)(steps < 0.0f ? steps - 0.5f : steps + 0.5f);
+}
+
+static void add_piece(motion_t *motion, const levelled_t *levelled, float piece_s) {
+    motion_slot_t *slot = slot_for(motion, motion->index);
     for (uint32_t i = 0; i < 2u; i++) {
-        const float gain_m_s = accel_m_s2[i] * piece_s;
+        const float gain_m_s = levelled->accel_m_s2[i] * piece_s;
         slot->way_m[i] += (slot->gain_m_s[i] + 0.5f * gain_m_s) * piece_s;
         slot->gain_m_s[i] += gain_m_s;
-        slot->nose_s[i] += nose[i] * piece_s;
+        slot->nose_s[i] += levelled->nose[i] * piece_s;
     }
+    motion->turn_rad += levelled->yaw_rad_s * piece_s;
+    slot->turn_100urad = rounded_turn(motion->turn_rad);
     slot->covered_s += piece_s;
 }
 
 /* The |dt_s| before |time_s|, slot by slot. The board's clock for the sensor's wavers: pieces
  * follow each other without gap or overlap unless frames are missing. */
-static void sum_up(motion_t *motion, const float accel_m_s2[2], const float nose[2], float time_s,
-                   float dt_s) {
+static void sum_up(motion_t *motion, const levelled_t *levelled, float time_s, float dt_s) {
     if (!(time_s < TIME_MAX_S)) {
         return;
     }
@@ -139,7 +164,7 @@ static void sum_up(motion_t *motion, const float accel_m_s2[2], const float nose
             continue;
         }
         const float end_s = slot_end_s < time_s ? slot_end_s : time_s;
-        add_piece(slot_for(motion, motion->index), accel_m_s2, nose, end_s - from_s);
+        add_piece(motion, levelled, end_s - from_s);
         from_s = end_s;
     }
     motion->until_s = from_s;
@@ -170,11 +195,12 @@ static void step(motion_t *motion, const float felt[FELT], float time_s, float d
         motion->last[i] = felt[i];
     }
     add(angle, dt_s, felt);
-    float force[3], nose[3];
-    mean_force(felt, change, angle, dt_s, force);
-    level(motion->q, force);
-    nose_of(motion->q, nose);
-    sum_up(motion, force, nose, time_s, dt_s);
+    levelled_t levelled = {0};
+    mean_force(felt, change, angle, dt_s, levelled.accel_m_s2);
+    level(motion->q, levelled.accel_m_s2);
+    nose_of(motion->q, levelled.nose);
+    levelled.yaw_rad_s = yaw_rate(motion->q, felt, levelled.nose[2]);
+    sum_up(motion, &levelled, time_s, dt_s);
     cross(angle, change, coning);
     add(angle, TWELFTH * dt_s, coning);
     turn(motion, angle);
@@ -249,11 +275,22 @@ static void mean_nose(const motion_t *motion, int32_t index, float beat_s, float
     }
 }
 
+/* NULL unless frames cover it whole. */
+static const motion_slot_t *covered_slot(const motion_t *motion, uint32_t index) {
+    const motion_slot_t *slot = slot_in(motion, index);
+    return slot != NULL && slot->covered_s > COVERED_S ? slot : NULL;
+}
+
+int16_t motion_turn(const motion_t *motion, uint16_t index) {
+    const motion_slot_t *slot = covered_slot(motion, index);
+    return slot != NULL ? slot->turn_100urad : SPEED_NO_MOTION;
+}
+
 bool motion_forward(const motion_t *motion, uint16_t index, float beat_s, float *gain_m_s,
                     float *way_m) {
     float nose[2];
-    const motion_slot_t *slot = slot_in(motion, index);
-    if (slot == NULL || !(slot->covered_s > COVERED_S)) {
+    const motion_slot_t *slot = covered_slot(motion, index);
+    if (slot == NULL) {
         return false;
     }
     mean_nose(motion, index, beat_s, nose);

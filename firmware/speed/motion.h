@@ -23,11 +23,12 @@
 #define MOTION_SLOTS 88u /* two of the longest beats (4 s) and 0.8 s to spare */
 
 typedef struct {
-    uint16_t index;    /* from the start of the swim */
-    float covered_s;   /* of the slot, by frames */
-    float gain_m_s[2]; /* velocity gained, along the level axes */
-    float way_m[2];    /* way beyond that of the velocity at the slot's begin */
-    float nose_s[2];   /* integral of the level part of the unit vector along the nose */
+    uint16_t index;       /* from the start of the swim */
+    int16_t turn_100urad; /* of the heading, clockwise from above; SPEED_NO_MOTION = too much */
+    float covered_s;      /* of the slot, by frames */
+    float gain_m_s[2];    /* velocity gained, along the level axes */
+    float way_m[2];       /* way beyond that of the velocity at the slot's begin */
+    float nose_s[2];      /* integral of the level part of the unit vector along the nose */
 } motion_slot_t;
 
 typedef struct {
@@ -41,6 +42,7 @@ typedef struct {
     float period_s;      /* of the frames */
     float until_s;       /* motion is summed up to here, from the start */
     uint16_t index;      /* of the slot of that time, at most */
+    float turn_rad;      /* of the last slot, unrounded */
     motion_slot_t slots[MOTION_SLOTS]; /* ring */
 } motion_t;
 
@@ -62,5 +64,10 @@ void motion_push(motion_t *motion, const imu_frame_t *frame, float time_s, float
  * later slots are in: earlier, the swing does not average out. */
 bool motion_forward(const motion_t *motion, uint16_t index, float beat_s, float *gain_m_s,
                     float *way_m);
+
+/* How far the nose's heading turned in slot |index|, in 1e-4 rad, clockwise from above.
+ * SPEED_NO_MOTION where frames do not cover it whole, where it is not in the ring, and beyond 3.27
+ * rad. */
+int16_t motion_turn(const motion_t *motion, uint16_t index);
 
 #endif

@@ -52,7 +52,7 @@ typedef struct {
     float sigma_m_s; /* > 0; anything else = unknown */
 } speed_sample_t;
 
-/* What is known of [index*0.1 s, (index+1)*0.1 s). 14 bytes as logged. */
+/* What is known of [index*0.1 s, (index+1)*0.1 s). */
 typedef struct {
     float speed_m_s; /* mean of the camera samples */
     uint16_t index;

@@ -26,8 +26,9 @@ static const char *const topics[ID_COUNT] = {[ID_SLOT] = "slot",
                                              [ID_REST] = "rest"};
 
 static const char *const formats[ID_COUNT] = {
-    [ID_SLOT] = "slot:uint64_t timestamp;float speed_m_s;uint16_t index;uint16_t sigma_10um_s;"
-                "int16_t gain_10um_s;int16_t way_um;uint8_t samples;uint8_t at_ms;",
+    [ID_SLOT] =
+        "slot:uint64_t timestamp;float speed_m_s;uint16_t index;uint16_t sigma_10um_s;"
+        "int16_t gain_10um_s;int16_t way_um;int16_t turn_100urad;uint8_t samples;uint8_t at_ms;",
     [ID_BEAT] = "beat:uint64_t timestamp;float amplitude_rad;float applied_rad;"
                 "float reference_m_s;float speed_m_s;float sigma_m_s;uint16_t beat;"
                 "uint16_t samples;",
@@ -36,7 +37,7 @@ static const char *const formats[ID_COUNT] = {
     [ID_REST] = "rest:uint64_t timestamp;float begin_s;float still_s;"};
 
 /* Field bytes after the timestamp, and what a whole data message adds to them. */
-#define SLOT_BYTES 14u
+#define SLOT_BYTES 16u
 #define BEAT_BYTES 24u
 #define BATTERY_BYTES 4u
 #define TRIAL_END_BYTES 4u
@@ -46,7 +47,7 @@ static const char *const formats[ID_COUNT] = {
 #define TEXT_OVERHEAD_BYTES (ULOG_HEADER_BYTES + 1u + 8u)
 #define SLOTS_PER_S 10u
 
-/* Header and definitions without the parameters: 961 bytes with texts of 40 characters. */
+/* Header and definitions without the parameters: 982 bytes with texts of 40 characters. */
 #define DEFINITIONS_BYTES 1024u
 #define PARAMETERS_PER_POLL 16u /* two pages */
 #define PARAMETER_BYTES (ULOG_HEADER_BYTES + 1u + 6u + PARAM_NAME_BYTES + 4u)
@@ -261,7 +262,8 @@ store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log
     return log->failed ? STORE_IO : STORE_OK;
 }
 
-void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot) {
+void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot,
+                    int16_t turn_100urad) {
     if (slot->samples == 0u && slot->gain_10um_s == SPEED_NO_MOTION) {
         return;
     }
@@ -271,6 +273,7 @@ void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot
     at = bytes_put_u16(at, slot->sigma_10um_s);
     at = bytes_put_u16(at, (uint16_t)slot->gain_10um_s);
     at = bytes_put_u16(at, (uint16_t)slot->way_um);
+    at = bytes_put_u16(at, (uint16_t)turn_100urad);
     at[0] = slot->samples;
     at[1] = slot->at_ms;
     put_data(log, ID_SLOT, time_us, fields, sizeof fields);

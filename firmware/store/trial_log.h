@@ -72,8 +72,10 @@ uint32_t trial_log_size_bound(uint16_t beats, uint32_t duration_s);
 store_result_t trial_log_begin(trial_log_t *log, store_t *store, const trial_log_header_t *header,
                                const params_t *params);
 
-/* Slots without samples and without motion are not written. */
-void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot);
+/* |turn_100urad|: of the heading, clockwise from above; SPEED_NO_MOTION = not known. Slots
+ * without samples and without motion are not written. */
+void trial_log_slot(trial_log_t *log, uint64_t time_us, const speed_slot_t *slot,
+                    int16_t turn_100urad);
 void trial_log_beat(trial_log_t *log, uint64_t time_us, const trial_log_beat_t *beat);
 /* How still the fish was before the swim and after it; nothing is written for none. */
 void trial_log_rest(trial_log_t *log, uint64_t time_us, const estimate_rest_t *rest);

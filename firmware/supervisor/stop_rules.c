@@ -39,3 +39,8 @@ fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *input
     }
     return FAULT_NONE;
 }
+
+uint16_t stop_rules_trusted_beats(fault_t end, uint16_t executed, uint16_t guard_beats) {
+    const uint16_t guarded = end == FAULT_WALL ? guard_beats : 0u;
+    return executed > guarded ? (uint16_t)(executed - guarded) : 0u;
+}

@@ -33,4 +33,8 @@ typedef struct {
  * link lost, late tick. */
 fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs);
 
+/* How many of the |executed| beats of a swim that ended so may have a speed: not the last
+ * |guard_beats| before a wall, where the water is another and the fish may have touched it. */
+uint16_t stop_rules_trusted_beats(fault_t end, uint16_t executed, uint16_t guard_beats);
+
 #endif

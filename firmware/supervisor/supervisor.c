@@ -20,7 +20,7 @@ static const state_t NEXT[STATE_COUNT][EVENT_COUNT] = {
 
 /* In ARMED only these end anything: a fish in the hand may well be tilted. */
 static bool disarms(fault_t fault) {
-    return fault == FAULT_ABORT_COMMAND || fault == FAULT_LINK_LOST;
+    return fault == FAULT_ABORT_COMMAND || fault == FAULT_LINK_LOST || fault == FAULT_WALL;
 }
 
 static state_t after_stop(state_t state, fault_t fault) {

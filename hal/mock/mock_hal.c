@@ -136,7 +136,7 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
 }
 
 uint16_t hal_battery_mv(const hal_t *hal) { return hal->battery_mv; }
-void hal_led(hal_t *hal, bool on) { hal->led = on; }
+void hal_led_isr(hal_t *hal, bool on) { hal->led = on; }
 void hal_watchdog_feed(hal_t *hal) { hal->watchdog_feeds++; }
 void hal_reset(hal_t *hal) { hal->resets++; }
 

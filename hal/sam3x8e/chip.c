@@ -62,7 +62,7 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     memcpy(out, hal->unique_id, sizeof hal->unique_id);
 }
 
-void hal_led(hal_t *hal, bool on) {
+void hal_led_isr(hal_t *hal, bool on) {
     (void)hal;
     pin_set(PIN_LED, on);
 }

@@ -12,11 +12,12 @@ void camera_init(camera_t *camera, const sim_config_t *config) {
     camera->noise_m = config->camera_noise_m;
     camera->lost = config->camera_lost;
     camera->latency_us = (uint64_t)(config->camera_latency_s * 1e6 + 0.5);
+    camera->half_exposure_us = (uint64_t)(config->camera_exposure_s * 0.5e6 + 0.5);
     camera->on = true;
     camera->swim_key = UINT32_MAX;
 }
 
-static uint64_t exposure_us(const camera_t *camera) {
+static uint64_t next_middle_us(const camera_t *camera) {
     return (uint64_t)(((double)camera->picture + EXPOSURE_PHASE) * 1e6 / camera->fps);
 }
 
@@ -26,6 +27,18 @@ static void use_keys_of(camera_t *camera, uint32_t swim_key) {
     camera->noise = noise_key(camera->seed, NOISE_CAMERA, swim_key);
     camera->noise_lost = noise_key(camera->seed, NOISE_LOST, swim_key);
     camera->noise_heading = noise_key(camera->seed, NOISE_HEADING, swim_key);
+}
+
+/* Sees the LED in the newest frame once its exposure is over. No older one can be open: an exposure
+ * is over before the middle of the next. */
+static void close_shutter(camera_t *camera, uint64_t now_us) {
+    const uint64_t half_us = camera->half_exposure_us;
+    const uint64_t middle_us = camera->middle_us;
+    if (camera->open && middle_us + half_us <= now_us) {
+        camera->frames[(camera->tail - 1) % CAMERA_QUEUE].led = light_part(
+            &camera->light, middle_us > half_us ? middle_us - half_us : 0, middle_us + half_us);
+        camera->open = false;
+    }
 }
 
 static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
@@ -40,7 +53,10 @@ static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
     }
     const uint64_t slot = camera->tail++ % CAMERA_QUEUE;
     const bool noisy = camera->noise_m > 0;
-    camera->due_us[slot] = time_us + camera->latency_us;
+    const uint64_t half_us = camera->half_exposure_us;
+    camera->due_us[slot] = time_us + (camera->latency_us > half_us ? camera->latency_us : half_us);
+    camera->open = true;
+    camera->middle_us = time_us;
     camera->frames[slot] = (sim_camera_frame_t){
         .time_s = (double)time_us * 1e-6,
         .x_m = moment.x_m + camera->noise_m * noise_normal(camera->noise, 2ull * sample),
@@ -49,6 +65,7 @@ static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
         .heading_rad =
             YAW_PER_TAIL * moment.tail_rad +
             (noisy ? HEADING_NOISE_RAD * noise_normal(camera->noise_heading, sample) : 0),
+        .tail_rad = moment.tail_rad,
     };
 }
 
@@ -59,9 +76,11 @@ void camera_follow(camera_t *camera, const fish_t *fish) {
     if (camera->swim_key != fish->swim_key) {
         use_keys_of(camera, fish->swim_key);
     }
-    for (uint64_t at = exposure_us(camera); at < fish->time_us; at = exposure_us(camera)) {
+    close_shutter(camera, fish->time_us);
+    for (uint64_t at = next_middle_us(camera); at < fish->time_us; at = next_middle_us(camera)) {
         camera->picture++;
         expose(camera, fish, at);
+        close_shutter(camera, fish->time_us);
     }
 }
 
@@ -70,6 +89,7 @@ uint64_t camera_due_us(const camera_t *camera) {
 }
 
 size_t camera_read(camera_t *camera, uint64_t now_us, sim_camera_frame_t *out, size_t max) {
+    close_shutter(camera, now_us);
     size_t taken = 0;
     while (taken < max && camera_due_us(camera) <= now_us) {
         out[taken++] = camera->frames[camera->head++ % CAMERA_QUEUE];

@@ -55,6 +55,8 @@ static void advance_world(sim_t *sim, uint16_t pulse_ticks) {
     update_battery(sim);
 }
 
+static void show_led(sim_t *sim) { world_led(sim->world, sim->board.now_us, sim->board.led); }
+
 /* The frame under way is cut short: the servo's frames count from the boot. */
 static void boot(sim_t *sim, hal_reset_cause_t cause) {
     const uint64_t now = sim->board.now_us;
@@ -161,6 +163,7 @@ static void handle_events(sim_t *sim) {
     if (sim->board.reset_wanted) {
         boot(sim, HAL_RESET_SOFTWARE);
     }
+    show_led(sim);
 }
 
 static uint64_t least(uint64_t a, uint64_t b) { return a < b ? a : b; }
@@ -249,7 +252,10 @@ size_t sim_true_speeds_25hz(const sim_t *sim, double *out, size_t max) {
 
 void sim_set_swim(sim_t *sim, uint32_t next_swim) { world_set_swim(sim->world, next_swim); }
 
-void sim_power_cycle(sim_t *sim) { boot(sim, HAL_RESET_POWER); }
+void sim_power_cycle(sim_t *sim) {
+    boot(sim, HAL_RESET_POWER);
+    show_led(sim);
+}
 
 void sim_set_battery_v(sim_t *sim, double volts) {
     world_set_battery_v(sim->world, volts);

@@ -222,7 +222,7 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
 }
 
 uint16_t hal_battery_mv(const hal_t *hal) { return hal->battery_mv; }
-void hal_led(hal_t *hal, bool on) { hal->led = on; }
+void hal_led_isr(hal_t *hal, bool on) { hal->led = on; }
 /* The event loop is the main loop: it cannot hang without hanging the whole process. */
 void hal_watchdog_feed(hal_t *hal) { (void)hal; }
 void hal_reset(hal_t *hal) { hal->reset_wanted = true; }

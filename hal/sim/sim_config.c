@@ -21,6 +21,7 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         .servo_rate_rad_s = 5.23598775598298873,
         .beat_s = 1,
         .camera_fps = 25,
+        .camera_exposure_s = 0.01,
         .camera_latency_s = 0.08,
         .caught_after_s = 1,
         .imu_firmware = 3,
@@ -50,7 +51,8 @@ static bool water_valid(const sim_config_t *c) {
 
 static bool camera_valid(const sim_config_t *c) {
     return within(c->camera_noise_m, 0, 10) && within(c->camera_lost, 0, 1) &&
-           within(c->camera_fps, 0, 1000) && within(c->camera_latency_s, 0.02, 10);
+           within(c->camera_fps, 0, 1000) && within(c->camera_exposure_s, 0, 1) &&
+           c->camera_exposure_s * c->camera_fps <= 1 && within(c->camera_latency_s, 0.02, 10);
 }
 
 static bool imu_valid(const sim_config_t *c) {

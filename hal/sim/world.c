@@ -69,6 +69,11 @@ double world_battery_v(const world_t *world) {
     return v > 0 ? v : 0;
 }
 
+void world_led(world_t *world, uint64_t now_us, bool on) {
+    REQUIRE(now_us >= world->fish.time_us);
+    light_set(&world->camera.light, now_us, on);
+}
+
 uint64_t world_camera_due_us(const world_t *world) { return camera_due_us(&world->camera); }
 
 size_t world_camera_read(world_t *world, uint64_t now_us, sim_camera_frame_t *out, size_t max) {

@@ -18,10 +18,13 @@
 
 typedef struct world world_t;
 
-/* One overhead picture, processed: where the fish is along the tank. */
+/* One overhead picture, processed: where the fish is along the tank, and what else is to be seen.
+ */
 typedef struct {
-    double time_s; /* simulated time of exposure */
+    double time_s; /* simulated time, the middle of the exposure */
     double x_m, y_m, heading_rad;
+    double tail_rad; /* real tail angle against the body, then */
+    double led;      /* part of the exposure during which the board's LED was on, 0 to 1 */
 } sim_camera_frame_t;
 
 typedef struct {
@@ -72,6 +75,10 @@ void world_imu_reboot(world_t *world, uint64_t now_us);
 void world_imu_wedge(world_t *world);
 
 double world_battery_v(const world_t *world);
+
+/* The board's LED is |on| from |now_us| on. In order of time with the frames and what is read of
+ * the camera. */
+void world_led(world_t *world, uint64_t now_us, bool on);
 
 /* When the next picture is delivered; UINT64_MAX = none under way. */
 uint64_t world_camera_due_us(const world_t *world);

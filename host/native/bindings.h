@@ -8,6 +8,7 @@
 #include "app/settings.h"
 #include "base/crc.h"
 #include "base/units.h"
+#include "blink/blink.h"
 #include "drag_model.h"
 #include "gait/gait.h"
 #include "hal/flash.h"
@@ -36,6 +37,8 @@ const char *link_build_id(void);
 enum {
     NATIVE_BEATS_MAX = BEATS_MAX,
     NATIVE_FRAME_US = FRAME_US,
+    NATIVE_BLINK_SYMBOL_FRAMES = BLINK_SYMBOL_FRAMES,
+    NATIVE_BLINK_BLOCK_FRAMES = BLINK_BLOCK_FRAMES,
     NATIVE_FLASH_BYTES = HAL_FLASH_SIZE_BYTES,
     NATIVE_FLASH_PAGE_BYTES = HAL_FLASH_PAGE_BYTES,
     NATIVE_SERVO_TICKS_PER_US = HAL_SERVO_TICKS_PER_US,

@@ -228,9 +228,10 @@ class Fish:
         """Leaves ABORTED or FAULT."""
         self.link.command(mavlink.TAILBEAT_CMD_CLEAR)
 
-    def abort(self) -> None:
-        """Stops the tail now."""
-        self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, timeout_s=0.3)
+    def abort(self, wall: bool = False) -> None:
+        """Stops the tail now; ``wall``: because the fish comes too close to one (fault WALL)."""
+        reason = mavlink.TAILBEAT_ABORT_WALL if wall else mavlink.TAILBEAT_ABORT_COMMAND
+        self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, float(reason), timeout_s=0.3)
 
     def learn(self, trial: int | None = None) -> LearnReport:
         """Learns from the pending trial (or ``trial``)."""

@@ -49,7 +49,8 @@ class _Recompute:
         while self._estimate.next < swum:
             end = int(lib.estimate_needs_s(self._estimate) / SLOT_S) + 2
             self._take(end, {"index": end, "gain_10um_s": lib.NATIVE_SPEED_NO_MOTION}, swum)
-        lib.estimate_after(self._estimate, swum, _rest(self._trial.rest_after))
+        trusted = _trusted_beats(self._trial, swum)
+        lib.estimate_after(self._estimate, trusted, _rest(self._trial.rest_after))
         while not lib.estimate_finish(self._estimate):
             pass
         speed, sigma = (
@@ -87,14 +88,24 @@ def _rest(rest: Rest | None) -> Any:
     return ffi.new("estimate_rest_t *", {"begin_s": begin_s, "still_s": still_s})
 
 
-def _config(trial: Trial) -> Any:
-    """The board's own way from parameters to the estimate's configuration."""
+def _trusted_beats(trial: Trial, swum: int) -> int:
+    guard_beats = lib.params_whole(_params(trial), lib.PARAM_GUARD_BEATS)
+    return int(lib.stop_rules_trusted_beats(trial.end_fault or 0, swum, guard_beats))
+
+
+def _params(trial: Trial) -> Any:
     params = ffi.new("params_t *")
     lib.params_reset(params)
     for name, value in trial.params.items():
         param = lib.param_find(name.encode().ljust(lib.NATIVE_PARAM_NAME_BYTES, b"\0"))
         if param < lib.PARAM_COUNT:
             lib.params_set(params, param, value)
+    return params
+
+
+def _config(trial: Trial) -> Any:
+    """The board's own way from parameters to the estimate's configuration."""
     config = ffi.new("estimate_config_t *")
-    config[0] = lib.settings_estimate(params, trial.beat_s, len(trial.beats.speed_m_s))
+    beats = len(trial.beats.speed_m_s)
+    config[0] = lib.settings_estimate(_params(trial), trial.beat_s, beats)
     return config

@@ -280,6 +280,8 @@ class SimServer:
                     "x_m": frame.x_m,
                     "y_m": frame.y_m,
                     "heading_rad": frame.heading_rad,
+                    "tail_rad": frame.tail_rad,
+                    "led": frame.led,
                 }
                 for frame in frames
                 if frame.time_s >= boot_s

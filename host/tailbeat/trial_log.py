@@ -39,7 +39,9 @@ _SLOT_COLUMNS = {
     "sigma_10um_s": np.uint16,
     "gain_10um_s": np.int16,
     "way_um": np.int16,
+    "turn_100urad": np.int16,
 }
+_SLOT_LATER = frozenset({"turn_100urad"})  # files of older boards lack these
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class Slots:
 
     ``samples`` counts the camera's; without any, speed and sigma mean nothing. ``gain_10um_s`` is
     the forward speed gained by the IMU, ``way_um`` the way beyond that of the speed at the slot's
-    begin; NO_MOTION = not known.
+    begin, ``turn_100urad`` how far its nose's heading turned, clockwise from above; NO_MOTION = not
+    known.
     """
 
     index: NDArray[np.uint16]
@@ -58,10 +61,12 @@ class Slots:
     sigma_10um_s: NDArray[np.uint16]
     gain_10um_s: NDArray[np.int16]
     way_um: NDArray[np.int16]
+    turn_100urad: NDArray[np.int16]
 
     def table(self) -> dict[str, NDArray[Any]]:
         """In SI units: ``t_s`` (mean time of the camera's samples, or the slot's middle), ``v_m_s``
-        and ``sigma_m_s`` of the camera, ``samples``, ``gain_m_s`` of the IMU; NaN = not known."""
+        and ``sigma_m_s`` of the camera, ``samples``, ``gain_m_s`` and ``turn_rad`` of the IMU;
+        NaN = not known."""
         seen = self.samples > 0
         since_s = np.where(seen, self.at_ms * 1e-3, SLOT_S / 2)
         return {
@@ -70,6 +75,7 @@ class Slots:
             "sigma_m_s": np.where(seen, self.sigma_10um_s * 1e-5, np.nan),
             "samples": self.samples,
             "gain_m_s": np.where(self.gain_10um_s == NO_MOTION, np.nan, self.gain_10um_s * 1e-5),
+            "turn_rad": np.where(self.turn_100urad == NO_MOTION, np.nan, self.turn_100urad * 1e-4),
         }
 
 
@@ -254,8 +260,10 @@ def _trial(
 
 
 def _slots(table: dict[str, Any] | None) -> Slots:
+    table = table or {name: [] for name in _SLOT_COLUMNS}
+    unknown = [NO_MOTION] * len(table["index"])
     columns = {
-        name: np.asarray(table[name] if table else [], dtype=kind)
+        name: np.asarray(table.get(name, unknown) if name in _SLOT_LATER else table[name], kind)
         for name, kind in _SLOT_COLUMNS.items()
     }
     return Slots(**columns)

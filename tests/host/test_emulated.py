@@ -96,6 +96,22 @@ class Pwm:
         return "B" if self.wired and bit == 21 else None
 
 
+class Pio:
+    """A port whose pin 27 somebody drives."""
+
+    def __init__(self) -> None:
+        self.on_change: list[Callable[[], None]] = []
+        self.high = False
+
+    def drive(self, high: bool) -> None:
+        self.high = high
+        for call in self.on_change:
+            call()
+
+    def drives_high(self, bit: int) -> bool:
+        return self.high and bit == 27
+
+
 class Adc:
     def __init__(self) -> None:
         self.volts: dict[int, Callable[[], float]] = {}
@@ -130,13 +146,15 @@ class Board:
         pwm = Pwm(self.clock)
         ports = {name: Port(self.clock) for name in ("USART0", "USART1", "UART")}
         timer = {"TC0_0": Timer(self.clock)}
-        self.periph: dict[str, Any] = {"PWM": pwm, "PIOC": pwm, "ADC": Adc(), **timer, **ports}
+        self.periph: dict[str, Any] = {"PWM": pwm, "PIOB": Pio(), "PIOC": pwm, "ADC": Adc()}
+        self.periph |= timer | ports
         for connect in self._wires:
             connect()
 
     def power_cut(self) -> None:
         self.powered = False
         self.periph["PWM"].stop()
+        self.periph["PIOB"].drive(False)
 
     def run_until(self, tick: int) -> None:
         if self.violation:
@@ -345,6 +363,28 @@ def test_pictures_end_a_wait_and_stop_with_the_camera(emulated: EmulatedBoard) -
     emulated.run(0.5)
     emulated.camera_frames()
     assert emulated.run(0.5, RADIO, camera=True) == 0
+
+
+def test_led_is_in_the_pictures_to_the_microsecond(emulated: EmulatedBoard) -> None:
+    def drive(high: bool) -> None:
+        emulated.board.periph["PIOB"].drive(high)
+
+    emulated.run(0.099)  # 1.799; mid-exposures at 1.8132, 1.8532, 1.8932, each 10 ms long
+    for wait_s, high in ((0.0122, True), (0.001, True), (0.002, False), (0.038, True)):
+        emulated.run(wait_s)
+        drive(high)
+    emulated.run(0.2)
+    led = {round(frame.time_s, 4): frame.led for frame in emulated.camera_frames()}
+    assert (led[1.7732], led[1.8132], led[1.8532]) == pytest.approx((0.0, 0.3, 0.6))
+    assert led[1.8932] == 1.0
+
+
+def test_led_is_out_without_power(emulated: EmulatedBoard) -> None:
+    emulated.board.periph["PIOB"].drive(True)
+    emulated.run(0.05)
+    emulated.power_cycle()
+    emulated.run(0.2)
+    assert [frame.led for frame in emulated.camera_frames()[-2:]] == [0.0, 0.0]
 
 
 def test_board_time_is_that_of_the_firmwares_counter(emulated: EmulatedBoard) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tailbeat import reference
+from tailbeat.camera.wall import HIT
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.recompute import recompute_beats
@@ -19,13 +20,21 @@ VISION, UPLOAD, IMU, MODEL = range(4)
 REST_S = 9.0  # the IMU is found, and the fish has been still for REST_MIN_S
 
 
-def swum(folder: Path, source: int, beat_s: float = 1.0, abort_at: int | None = None) -> Trial:
+def swum(
+    folder: Path,
+    source: int,
+    beat_s: float = 1.0,
+    abort_at: int | None = None,
+    why: str = "enough",
+    guard_beats: int = 1,
+) -> Trial:
     def guard(what: object) -> str | None:
-        return "enough" if getattr(what, "beat", -1) == abort_at else None
+        return why if getattr(what, "beat", -1) == abort_at else None
 
     with Fish.connect("sim:tank", seed=7, camera_lost=0.1, beat_s=beat_s) as fish:
         fish.params.set("SPD_SOURCE", source)
         fish.params.set("AMP_MAX_RAD", 0.785)
+        fish.params.set("GUARD_BEATS", guard_beats)
         fish.upload_reference(reference.trapezoid(0.06, 3 * beat_s, (BEATS - 6) * beat_s, beat_s))
         fish.link.run(REST_S)
         fish.run_trial(guard=guard if abort_at is not None else None)
@@ -53,6 +62,30 @@ def test_the_same_bits_of_an_aborted_trial(source: int, tmp_path: Path) -> None:
     assert np.count_nonzero(np.isfinite(speed)) == trial.executed_beats
     assert np.array_equal(speed, trial.beats.speed_m_s, equal_nan=True)
     assert np.array_equal(sigma, trial.beats.sigma_m_s, equal_nan=True)
+
+
+@pytest.mark.parametrize("guard_beats", [0, 1, 3, 10])
+@pytest.mark.parametrize("source", [VISION, IMU, MODEL])
+def test_the_same_bits_of_a_trial_that_ended_at_a_wall(
+    source: int, guard_beats: int, tmp_path: Path
+) -> None:
+    trial = swum(tmp_path, source, abort_at=4, why=HIT, guard_beats=guard_beats)
+    assert trial.end == "aborted:WALL"
+    assert 4 < trial.executed_beats < BEATS
+    speed, sigma = recompute_beats(trial)
+    measured = max(0, trial.executed_beats - guard_beats)
+    assert np.array_equal(np.isfinite(speed), np.arange(BEATS) < measured)
+    assert np.array_equal(speed, trial.beats.speed_m_s, equal_nan=True)
+    assert np.array_equal(sigma, trial.beats.sigma_m_s, equal_nan=True)
+    assert np.all(np.isfinite(trial.beats.applied_rad[: trial.executed_beats]))
+
+
+def test_a_damaged_guard_is_none(tmp_path: Path) -> None:
+    trial = swum(tmp_path, VISION, abort_at=4, why=HIT)
+    speed, _ = recompute_beats(trial)
+    for value in (float("nan"), float("inf"), -3.0, 1e9, 1.5):
+        damaged = replace(trial, params=trial.params | {"GUARD_BEATS": value})
+        assert np.array_equal(recompute_beats(damaged)[0], speed, equal_nan=True)
 
 
 def test_a_changed_slot_shows(tmp_path: Path) -> None:

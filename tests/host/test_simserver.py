@@ -12,6 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from tailbeat import reference
 from tailbeat.errors import ConnectError, InputError, Refused
 from tailbeat.fish import Fish
 from tailbeat.provision import connect_notice, set_key
@@ -77,9 +78,17 @@ def test_camera_speaks_json_lines_in_board_time() -> None:
     ):
         lines = camera.makefile()
         first, second = json.loads(lines.readline()), json.loads(lines.readline())
-        assert list(first) == ["t_board_s", "x_m", "y_m", "heading_rad"]
+        assert list(first) == ["t_board_s", "x_m", "y_m", "heading_rad", "tail_rad", "led"]
+        assert first["led"] == 0.0
         assert second["t_board_s"] > first["t_board_s"]
         assert fish.status().time_s >= first["t_board_s"]
+        fish.upload_reference(reference.thesis().record())
+        fish.arm()
+        armed_s = fish.status().time_s
+        while (row := json.loads(lines.readline()))["t_board_s"] < armed_s + 0.1:
+            pass
+        assert row["led"] == 1.0
+        assert row["tail_rad"] == 0.0
 
 
 def test_camera_is_on_the_next_port() -> None:

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from tailbeat import laws, reference
+from tailbeat.camera.wall import HIT
 from tailbeat.demo import same_bits
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.laws import Law
+from tailbeat.transport.inprocess import in_process
 from tailbeat.trial_log import (
+    NO_MOTION,
     Trial,
     beats_csv,
     fault_text,
@@ -88,6 +91,23 @@ def test_an_aborted_trial_keeps_what_it_swam(files: dict[str, Path]) -> None:
     assert np.isfinite(found.max_abs_error_m_s())
 
 
+def test_a_wall_leaves_the_last_beats_unmeasured(tmp_path: Path) -> None:
+    """In what is told at the end and in the file; how far it swam stays as it is."""
+    with Fish.connect("sim:tank", seed=3) as fish:
+        fish.params.set("GUARD_BEATS", 2)
+        fish.upload_reference(reference.trapezoid(0.06, 3, BEATS - 6))
+        near = fish.run_trial(guard=lambda what: HIT if getattr(what, "beat", -1) == 4 else None)
+        found = read_trial(fish.pull_trial(1, tmp_path))
+    swum = near.executed_beats
+    assert (near.end, found.end, found.executed_beats) == ("aborted:WALL", "aborted:WALL", swum)
+    assert 5 <= swum < BEATS
+    told = {beat.beat: beat.speed_m_s for beat in near.beats}
+    speeds = np.array([told[k] for k in range(swum)], dtype=np.float32)
+    assert np.array_equal(np.isfinite(speeds), np.arange(swum) < swum - 2)
+    assert np.array_equal(speeds, found.beats.speed_m_s[:swum], equal_nan=True)
+    assert np.all(np.isfinite(found.beats.applied_rad[:swum]))
+
+
 def test_a_truncated_file_is_read_as_far_as_it_goes(files: dict[str, Path]) -> None:
     raw = files["whole"].read_bytes()
     begin = len(raw) // 2
@@ -144,7 +164,7 @@ def test_beats_csv(trial: Trial, tmp_path: Path) -> None:
 
 def test_slots_in_si_units(trial: Trial) -> None:
     table = trial.slots.table()
-    assert list(table) == ["t_s", "v_m_s", "sigma_m_s", "samples", "gain_m_s"]
+    assert list(table) == ["t_s", "v_m_s", "sigma_m_s", "samples", "gain_m_s", "turn_rad"]
     assert {len(column) for column in table.values()} == {len(trial.slots.index)}
     assert np.all(np.diff(table["t_s"]) > 0)
     seen = trial.slots.samples > 0
@@ -154,8 +174,73 @@ def test_slots_in_si_units(trial: Trial) -> None:
     assert np.all(np.isfinite(table["gain_m_s"][swum]))
 
 
+YAW_PER_TAIL = -10.0 / 45.0  # hal/sim/felt.h
+IMU_LAG_US = 20_000  # of the simulated sensor
+SENT_US = 5_500  # a frame's way over the wire is in its time
+
+
+def record_tail(fish: Fish) -> dict[int, float]:
+    """The simulated tail (rad) at every servo frame from now on, by board time (us)."""
+    transport = in_process(fish.link.transport)
+    assert transport is not None
+    board, wait, tail_rad = transport.board, transport.wait, {}
+
+    def wait_and_look(timeout_s: float) -> None:
+        wait(min(timeout_s, 0.01))
+        truth = board.truth()
+        booted_s = board.time_s - board.board_time_s
+        tail_rad[round((truth.time_s - booted_s) * 1e6)] = truth.tail_rad
+
+    transport.wait = wait_and_look  # type: ignore[method-assign]
+    return tail_rad
+
+
+def test_turns_are_those_of_the_simulated_body(tmp_path: Path) -> None:
+    with Fish.connect("sim:tank", seed=4) as fish:
+        fish.link.run(9.0)
+        fish.upload_reference(reference.trapezoid(0.06, 2, 2))
+        tail_rad = record_tail(fish)
+        fish.run_trial()
+        trial = read_trial(fish.pull_trial(1, tmp_path))
+    table = trial.slots.table()
+    assert np.array_equal(np.isfinite(table["turn_rad"]), np.isfinite(table["gain_m_s"]))
+    times_us = np.array(sorted(tail_rad))
+    edges_us = trial.start_us + 100_000 * np.arange(61) - IMU_LAG_US - SENT_US
+    assert times_us[0] < edges_us[0]
+    assert np.max(np.diff(times_us)) == 20_000
+    yaw_rad = YAW_PER_TAIL * np.interp(edges_us, times_us, [tail_rad[t] for t in times_us])
+    turned_rad = table["turn_rad"][:60]
+    assert np.array_equal(trial.slots.index[:60], np.arange(60))
+    error_rad = turned_rad - np.diff(yaw_rad)
+    assert np.max(np.abs(turned_rad)) > 0.03
+    assert np.sqrt(np.mean(error_rad**2)) < 0.005 * np.max(np.abs(turned_rad))
+    assert abs(np.sum(error_rad)) < 1e-3
+
+
+def test_a_file_of_an_older_board_has_no_turns(files: dict[str, Path]) -> None:
+    raw = files["whole"].read_bytes()
+    known = parse_trial(raw)
+    found = parse_trial(raw.replace(b"int16_t turn_100urad", b"int16_t x_older_name"))
+    assert np.all(found.slots.turn_100urad == NO_MOTION)
+    assert found.slots.turn_100urad.shape == found.slots.index.shape
+    assert np.all(np.isnan(found.slots.table()["turn_rad"]))
+    assert np.array_equal(found.slots.gain_10um_s, known.slots.gain_10um_s)
+    assert np.any(known.slots.turn_100urad != NO_MOTION)
+
+
 def test_fault_text() -> None:
     assert fault_text(0) == "complete"
     assert fault_text(2) == "aborted:LINK_LOST"
     assert fault_text(21) == "fault:LATE_TICK"
     assert fault_text(999) == "fault:FAULT_999"
+
+
+def test_a_trial_without_slots_is_a_trial(tmp_path: Path) -> None:
+    with Fish.connect("sim:tank?seed=1", camera_fps=0, imu_firmware=0) as fish:
+        fish.params.set("IMU_TIMEOUT_S", 0)
+        fish.params.set("SPD_SOURCE", 1)
+        fish.upload_reference(reference.Reference(1.0, np.full(3, 0.02, np.float32), "short"))
+        outcome = fish.run_trial()
+        trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
+    assert trial.end == "complete"
+    assert len(trial.slots.index) == len(trial.slots.table()["turn_rad"]) == 0

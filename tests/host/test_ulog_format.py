@@ -27,6 +27,7 @@ TOPICS = {
         "uint16_t sigma_10um_s",
         "int16_t gain_10um_s",
         "int16_t way_um",
+        "int16_t turn_100urad",
         "uint8_t samples",
         "uint8_t at_ms",
     ),

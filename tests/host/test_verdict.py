@@ -317,7 +317,7 @@ def trial_of(number: int, amplitude: Array, error: Array, executed: int | None =
         sigma_m_s=full.astype(np.float32),
         samples=reached.astype(np.uint16),
     )
-    none = Slots(*(np.zeros(0, kind) for kind in ("u2", "u1", "u1", "f4", "u2", "i2", "i2")))
+    none = Slots(*(np.zeros(0, kind) for kind in ("u2", "u1", "u1", "f4", "u2", "i2", "i2", "i2")))
     return Trial(
         number=number, iteration=number, reference_crc=7, beat_s=1.0, start_us=0, board="fish",
         build_id="", unique_id="00", end_fault=0 if swum == beats else 3, executed_beats=swum,

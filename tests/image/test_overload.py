@@ -17,7 +17,7 @@ from tailbeat.fish import Fish
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link
 from tailbeat.transport.emulated import EmulatedBoard
 from tailbeat.transport.inprocess import CONSOLE, FLASH_BYTES, SimTransport
-from tailbeat.trialrun import vision_message
+from tailbeat.trialcamera import vision_message
 from vboard.core.clock import TICKS_PER_US
 from vboard.periph.pins import PinTrace
 

@@ -1,5 +1,6 @@
 /* Trials on the mocked board: from arming to the learned input, and every way to be cut short. */
 #include "app_fixture.h"
+#include "blink/blink.h"
 
 #define BEATS 5u
 #define SPEED 0.05f
@@ -105,6 +106,38 @@ static void test_a_start_must_be_fresh_and_for_the_next_trial(void) {
     TEST_ASSERT_EQUAL(FAULT_STALE_COMMAND, commands_run(&app, &request));
     request.issued_s = 3.1f;
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_run(&app, &request));
+}
+
+/* Between two ticks nobody touches it: what the test writes there stays. */
+static void pass_without_tick(void) {
+    const bool shown = hal.led;
+    TEST_ASSERT_TRUE(hal.now_us % 20000u == 0);
+    hal.led = !shown;
+    run_ms(10);
+    TEST_ASSERT_EQUAL(!shown, hal.led);
+    hal.led = shown;
+}
+
+static void test_the_led_shows_the_trial_from_its_start_on(void) {
+    run_ms(20);
+    TEST_ASSERT_FALSE(hal.led);
+    start_trial(BEATS, SPEED);
+    const uint32_t trial = app.run.trial.number;
+    uint32_t dark_frames = 0;
+    for (uint32_t i = 0; i < BEATS * 50u + 300u; i++) {
+        pass_without_tick();
+        run_ms(10);
+        const uint64_t start_us = app.run.start_us;
+        if (start_us == 0 || hal.now_us < start_us) {
+            TEST_ASSERT_EQUAL(app.supervisor.state == STATE_RUNNING, hal.led);
+            continue;
+        }
+        const uint32_t frame = (uint32_t)((hal.now_us - start_us) / 20000u);
+        TEST_ASSERT_EQUAL(frame < BEATS * 50u && blink_on(frame, trial), hal.led);
+        dark_frames += frame >= BEATS * 50u;
+    }
+    TEST_ASSERT_TRUE(dark_frames > 200);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
 }
 
 static void test_an_abort_glides_to_the_centre_and_stays_stopped(void) {
@@ -257,6 +290,7 @@ int main(void) {
     RUN_TEST(test_a_repeated_learn_does_nothing);
     RUN_TEST(test_a_repeated_start_does_nothing_and_another_is_refused);
     RUN_TEST(test_a_start_must_be_fresh_and_for_the_next_trial);
+    RUN_TEST(test_the_led_shows_the_trial_from_its_start_on);
     RUN_TEST(test_an_abort_glides_to_the_centre_and_stays_stopped);
     RUN_TEST(test_disarming_is_never_refused);
     RUN_TEST(test_an_aborted_trial_is_learned_from_as_far_as_it_swam);

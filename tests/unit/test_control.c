@@ -1,4 +1,5 @@
 #include "app/control.h"
+#include "blink/blink.h"
 
 #include "mock_hal.h"
 #include "unity.h"
@@ -12,6 +13,7 @@
 #define GLIDE_FRAMES 25u
 #define FRAME_US 20000u
 #define CENTRE_TICKS 4500u
+#define TRIAL 217u
 
 static hal_t hal;
 static control_t control;
@@ -27,6 +29,8 @@ void setUp(void) {
     }
     orders = (control_orders_t){
         .swim = true,
+        .armed = true,
+        .trial = TRIAL,
         .beats = BEATS,
         .amplitude_rad = amplitude_rad,
         .gait = {.servo = {.centre_us = 1500.0f,
@@ -347,6 +351,85 @@ static void the_gait_stays_as_it_began(void) {
     TEST_ASSERT_EQUAL_UINT16(CENTRE_TICKS, last_pulse());
 }
 
+static void the_led_tells_whether_the_board_is_armed(void) {
+    tick();
+    TEST_ASSERT_FALSE(hal.led);
+    orders.swim = false;
+    order();
+    TEST_ASSERT_FALSE(hal.led);
+    tick();
+    TEST_ASSERT_TRUE(hal.led);
+    orders.armed = false;
+    order();
+    tick();
+    TEST_ASSERT_FALSE(hal.led);
+}
+
+/* Lit before, and exactly as long as pulses of the swim come out: from |start_us| on, a frame after
+ * the tick that ordered the first, |frames| of them. */
+static void expect_led(uint64_t start_us, uint64_t frames) {
+    const bool begun = start_us != 0 && hal.now_us >= start_us;
+    const uint64_t n = begun ? (hal.now_us - start_us) / FRAME_US : 0;
+    TEST_ASSERT_TRUE(!begun || (hal.now_us - start_us) % FRAME_US == 0);
+    TEST_ASSERT_EQUAL(begun ? n < frames && blink_on((uint32_t)n, TRIAL) : true, hal.led);
+}
+
+static void the_led_shows_the_code_while_the_swims_pulses_come_out(void) {
+    order();
+    const uint64_t start_us = tick().swim_start_us;
+    TEST_ASSERT_TRUE(start_us == hal.now_us + FRAME_US);
+    expect_led(start_us, SWIM_FRAMES);
+    TEST_ASSERT_TRUE(hal.led);
+    tick();
+    TEST_ASSERT_FALSE(hal.led); /* the edge is the begin */
+    for (uint32_t i = 0; i < SWIM_FRAMES + 2u * GLIDE_FRAMES; i++) {
+        expect_led(start_us, SWIM_FRAMES);
+        tick();
+    }
+}
+
+typedef enum { BY_RULE, BY_ORDER, BY_ZEROED_ORDER, BY_CALL, STOP_COUNT } stop_t;
+
+static void stop(stop_t how) {
+    const control_orders_t zeroed = {0};
+    if (how == BY_CALL) {
+        control_stop(&control, &hal);
+        return;
+    }
+    orders.swim = orders.armed = how == BY_RULE;
+    orders.battery_mv = 5000;
+    control_order(&control, &hal, how == BY_ZEROED_ORDER ? &zeroed : &orders);
+}
+
+/* The pulse that is ordered still comes out, and its frame is shown; then the LED is dark. */
+static void a_stop_ends_the_code_with_the_last_pulse_of_the_swim(void) {
+    for (uint32_t at = 1; at <= 3 * FRAMES_PER_BEAT; at++) {
+        for (stop_t how = BY_RULE; how < STOP_COUNT; how++) {
+            setUp();
+            order();
+            const uint64_t start_us = tick().swim_start_us;
+            ticks(at - 1u);
+            expect_led(start_us, at);
+            stop(how);
+            for (uint32_t i = 0; i < GLIDE_FRAMES + 5u; i++) {
+                tick();
+                expect_led(start_us, at);
+            }
+        }
+    }
+}
+
+static void the_next_swims_number_does_not_show_in_this_one(void) {
+    order();
+    const uint64_t start_us = tick().swim_start_us;
+    orders.trial = TRIAL + 1u;
+    order();
+    for (uint32_t i = 0; i < BLINK_BLOCK_FRAMES; i++) {
+        tick();
+        expect_led(start_us, SWIM_FRAMES);
+    }
+}
+
 static void clipped_frames_are_reported(void) {
     amplitude_rad[0] = 1.5f;
     order();
@@ -384,6 +467,10 @@ int main(void) {
     RUN_TEST(before_and_after_the_swim_no_tick_is_late);
     RUN_TEST(silence_is_judged_by_the_orders_times);
     RUN_TEST(the_gait_stays_as_it_began);
+    RUN_TEST(the_led_tells_whether_the_board_is_armed);
+    RUN_TEST(the_led_shows_the_code_while_the_swims_pulses_come_out);
+    RUN_TEST(a_stop_ends_the_code_with_the_last_pulse_of_the_swim);
+    RUN_TEST(the_next_swims_number_does_not_show_in_this_one);
     RUN_TEST(clipped_frames_are_reported);
     RUN_TEST(bad_orders_are_our_mistake);
     return UNITY_END();

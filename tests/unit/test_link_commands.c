@@ -31,6 +31,22 @@ static void test_commands_reach_the_application(void) {
     }
 }
 
+/* A reason that is none stops the tail all the same. */
+static void test_an_abort_carries_its_reason(void) {
+    static const float others[] = {0.0f, 0.5f, 2.0f, -1.0f, 1e30f, NAN, INFINITY};
+    send_command(TAILBEAT_CMD_TRIAL_ABORT, (float)TAILBEAT_ABORT_WALL, 0.0f);
+    TEST_ASSERT_EQUAL(LINK_COMMAND_ABORT, last_command.id);
+    TEST_ASSERT_TRUE(last_command.wall);
+    for (size_t i = 0; i < sizeof others / sizeof others[0]; i++) {
+        send_command(TAILBEAT_CMD_TRIAL_ABORT, others[i], 0.0f);
+        TEST_ASSERT_EQUAL(LINK_COMMAND_ABORT, last_command.id);
+        TEST_ASSERT_FALSE(last_command.wall);
+        expect_answer(TAILBEAT_CMD_TRIAL_ABORT, MAV_RESULT_ACCEPTED, FAULT_NONE);
+    }
+    send_command(MAV_CMD_COMPONENT_ARM_DISARM, 1.0f, 0.0f);
+    TEST_ASSERT_FALSE(last_command.wall);
+}
+
 static void test_start_carries_trial_and_time(void) {
     send_command(TAILBEAT_CMD_TRIAL_START, 7, 12.5f);
     TEST_ASSERT_EQUAL(7, last_command.trial);
@@ -251,6 +267,7 @@ static void test_amplitudes_in_pieces(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_commands_reach_the_application);
+    RUN_TEST(test_an_abort_carries_its_reason);
     RUN_TEST(test_start_carries_trial_and_time);
     RUN_TEST(test_values_that_mean_nothing_are_denied);
     RUN_TEST(test_a_refusal_says_why);

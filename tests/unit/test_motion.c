@@ -188,6 +188,7 @@ typedef struct {
     double error_m_s[SLOTS_MAX + 1u]; /* summed over the slots before */
     double worst_m_s;
     double nose_m_s; /* integral along the nose; has gravity in it unless the fish is level */
+    double turn_rad, turn_error_rad, turn_most_rad; /* summed up; worst of a slot; largest true */
 } sum_t;
 
 static sum_t sum;
@@ -202,6 +203,26 @@ static void compare(void) {
     }
 }
 
+/* Heading of the nose at a moment. */
+static double yaw_at(double t) {
+    double share[3], course[3], swing[3];
+    share_at(t, share);
+    course_at(t, course);
+    swing_at(t, share, swim.yaw_rad, 2.0 * PI / swim.beat_s, swim.yaw_phase, swing);
+    return course[0] + swing[0];
+}
+
+static void take_turn(uint16_t index) {
+    const int16_t turn = motion_turn(&motion, index);
+    const double truly_rad = yaw_at(0.1 * (index + 1)) - yaw_at(0.1 * index);
+    if (turn == SPEED_NO_MOTION) {
+        return;
+    }
+    sum.turn_rad += 1e-4 * turn;
+    sum.turn_error_rad = fmax(sum.turn_error_rad, fabs(1e-4 * turn - truly_rad));
+    sum.turn_most_rad = fmax(sum.turn_most_rad, fabs(truly_rad));
+}
+
 static void take_slots(double now_s) {
     while (0.1 * (sum.next + 1) + swim.beat_s + 0.2 < now_s) {
         float gain_m_s = NAN, way_m = NAN;
@@ -211,6 +232,7 @@ static void take_slots(double now_s) {
         } else {
             sum.unknown++;
         }
+        take_turn(sum.next);
         sum.next++;
         compare();
     }
@@ -364,6 +386,68 @@ static void a_turn_does_not_change_the_speed(void) {
     swim_all(0.01);
     printf("-270 degrees: %.3f mm/s\n", 1e3 * sum.worst_m_s);
     assert_below(2e-3, sum.worst_m_s);
+}
+
+static void check_turns(const char *what) {
+    const double off_rad = sum.turn_rad - yaw_at(0.1 * sum.next) + yaw_at(0.0);
+    printf("turns, %s: up to %.4f rad a slot, worst error %.5f, in all %.5f of %.4f rad\n", what,
+           sum.turn_most_rad, sum.turn_error_rad, off_rad, yaw_at(0.1 * sum.next) - yaw_at(0.0));
+    TEST_ASSERT_EQUAL_UINT16(0, sum.unknown);
+    assert_below(0.01 * sum.turn_most_rad, sum.turn_error_rad);
+    assert_below(0.003, fabs(off_rad));
+}
+
+/* Summed up along the body's vertical instead, 38 s would be off by 0.13 rad: roll and pitch swing
+ * together. */
+static void the_turns_of_a_swim_are_found(void) {
+    swim_all(0.01);
+    check_turns("10 degrees of yaw");
+    swim.turn_rad = -270.0 * DEG;
+    swim.turn_at_s = 12.0;
+    swim.turn_s = 14.0;
+    swim_all(0.0025);
+    check_turns("and -270 degrees");
+    TEST_ASSERT_TRUE(sum.turn_rad < -4.5);
+}
+
+/* An IMU that lies askew in the fish: its own z axis would make 13 % too little of it. */
+static void a_turn_is_about_the_vertical(void) {
+    const double tilt = 30.0 * DEG;
+    imu_frame_t frame = {.accel_m_s2 = {(float)(G * sin(tilt)), 0.0f, (float)(-G * cos(tilt))},
+                         .rate_rad_s = {(float)(-0.5 * sin(tilt)), 0.0f, (float)(0.5 * cos(tilt))}};
+    motion_begin(&motion, NULL, &frame);
+    for (int i = 0; i < 200; i++) {
+        motion_push(&motion, &frame, 0.01f * (float)(i + 1), 0.01f);
+    }
+    for (uint16_t index = 0; index < 19; index++) {
+        TEST_ASSERT_INT16_WITHIN(1, 500, motion_turn(&motion, index));
+    }
+}
+
+static void a_turn_is_known_only_where_frames_cover_it(void) {
+    imu_frame_t frame = {.accel_m_s2 = {0.0f, 0.0f, (float)-G}, .rate_rad_s = {0.0f, 0.0f, -0.2f}};
+    motion_begin(&motion, NULL, &frame);
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 0));
+    for (int i = 0; i < 25; i++) {
+        motion_push(&motion, &frame, 0.12f + 0.01f * (float)i, 0.01f);
+    }
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 0));
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 1)); /* from 0.11 s on */
+    TEST_ASSERT_INT16_WITHIN(1, -200, motion_turn(&motion, 2));
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 3)); /* not over */
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 2 + MOTION_SLOTS));
+}
+
+static void a_turn_beyond_the_numbers_is_unknown(void) {
+    imu_frame_t frame = {.accel_m_s2 = {0.0f, 0.0f, (float)-G}};
+    motion_begin(&motion, NULL, &frame);
+    for (int i = 0; i < 45; i++) {
+        frame.rate_rad_s[2] = i < 20 ? -32.7f : 32.9f;
+        motion_push(&motion, &frame, 0.01f * (float)(i + 1), 0.01f);
+    }
+    TEST_ASSERT_INT16_WITHIN(5, -32700, motion_turn(&motion, 1));
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 2));
+    TEST_ASSERT_EQUAL_INT16(SPEED_NO_MOTION, motion_turn(&motion, 3));
 }
 
 /* The board's clock for the sensor's wavers; the sensor's own does not. */
@@ -642,6 +726,10 @@ int main(void) {
     RUN_TEST(a_rest_takes_the_gyroscopes_bias_away);
     RUN_TEST(without_a_rest_the_last_frame_stands_in);
     RUN_ON_HOST(a_turn_does_not_change_the_speed);
+    RUN_ON_HOST(the_turns_of_a_swim_are_found);
+    RUN_TEST(a_turn_is_about_the_vertical);
+    RUN_TEST(a_turn_is_known_only_where_frames_cover_it);
+    RUN_TEST(a_turn_beyond_the_numbers_is_unknown);
     RUN_TEST(times_may_waver);
     RUN_ON_HOST(lost_frames_are_bridged);
     RUN_TEST(a_long_gap_ends_the_motion);

@@ -134,7 +134,7 @@ static void swim(store_t *store, ledger_t *ledger) {
         const uint64_t now_us = LOG_START_US + step * 100000u;
         const speed_slot_t slot = {.index = (uint16_t)step, .samples = 2, .at_ms = 50};
         const trial_log_beat_t beat = {.beat = (uint16_t)(step / 10u)};
-        trial_log_slot(&log_, now_us, &slot);
+        trial_log_slot(&log_, now_us, &slot, SPEED_NO_MOTION);
         if (step % 10u == 0u && step < 50u) {
             trial_log_beat(&log_, now_us, &beat);
         }

@@ -1,6 +1,7 @@
 /*
  * A stand-in for the firmware in the simulator's own tests: swims the given amplitudes from a given
  * tick on, repeats every |repeat_ticks|, sends a message now and then and digests what it receives.
+ * The LED is on in the ticks that |led| says.
  */
 #ifndef TEST_SIM_APP_H
 #define TEST_SIM_APP_H
@@ -23,7 +24,8 @@ static struct {
     const double *amplitude_rad;
     unsigned beats, start_tick, repeat_ticks;
     unsigned inits, ticks, polls;
-    unsigned stop_tick; /* straight to no pulses; 0 = never */
+    unsigned stop_tick;         /* straight to no pulses; 0 = never */
+    bool (*led)(unsigned tick); /* NULL = never */
     bool quiet;
     bool reset_at_next_poll;
     uint64_t last_poll_us, longest_gap_us;
@@ -118,6 +120,7 @@ void app_poll(app_t *app) {
 void app_tick_isr(app_t *app) {
     (void)app;
     const unsigned tick = script.ticks++;
+    hal_led_isr(script.hal, script.led != NULL && script.led(tick));
     unsigned frame = tick - script.start_tick;
     if (script.repeat_ticks != 0 && tick >= script.start_tick) {
         frame %= script.repeat_ticks;

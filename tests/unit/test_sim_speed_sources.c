@@ -1,6 +1,7 @@
 /* Every source of speed against the simulated fish with its camera and its VN-100, over many
  * swims: how far off, and whether sigma says so. */
 #include "base/units.h"
+#include "felt.h"
 #include "gait/gait.h"
 #include "imu/frame.h"
 #include "speed/estimate.h"
@@ -26,6 +27,7 @@
 #define LATE_S 1.5f
 #define DARK_FROM_S 20.0
 #define DARK_TO_S 22.0
+#define IMU_LAG_US 20000u /* the simulated sensor's */
 
 /* ---- The camera's line over one beat, as host/tailbeat/camera/beatfit.py has it. ---- */
 
@@ -117,6 +119,11 @@ static eye_t eyes[2];
 static uint64_t start_us; /* of the swim; 0 = not yet */
 static uint64_t random_state;
 static unsigned frames_seen;
+static double yaw_rad[SLOTS + 1u]; /* of the simulated body, IMU_LAG_US before slots begin */
+static struct {
+    unsigned slots, unknown;
+    double square, worst, most;
+} turns; /* of all swims */
 
 void setUp(void) {}
 void tearDown(void) {}
@@ -187,6 +194,27 @@ static void watch(uint64_t now_us) {
     }
 }
 
+static void keep_yaw(uint64_t now_us) {
+    const uint64_t since_us = now_us + IMU_LAG_US - start_us;
+    if (since_us % 100000u == 0) {
+        yaw_rad[since_us / 100000u] = YAW_PER_TAIL * world_truth(world).tail_rad;
+    }
+}
+
+static void compare_turn(uint16_t index) {
+    const int16_t turn = motion_turn(&motion, index);
+    const double truly_rad = yaw_rad[index + 1u] - yaw_rad[index];
+    turns.slots++;
+    if (turn == SPEED_NO_MOTION) {
+        turns.unknown++;
+        return;
+    }
+    const double error = fabs(1e-4 * turn - truly_rad);
+    turns.square += error * error;
+    turns.worst = fmax(turns.worst, error);
+    turns.most = fmax(turns.most, fabs(truly_rad));
+}
+
 /* Letters come in, and slots are closed 1.5 s after their time. */
 static void collect(swim_t *swim, unsigned which, uint64_t now_us) {
     eye_t *eye = &eyes[which];
@@ -201,6 +229,9 @@ static void collect(swim_t *swim, unsigned which, uint64_t now_us) {
         TEST_ASSERT_TRUE(index < SLOTS);
         swim->slots[which][index] = speed_close_slot(&eye->speed, known ? &moved : NULL);
         swim->count = (uint16_t)(index + 1u);
+        if (which == 0) {
+            compare_turn(index);
+        }
     }
 }
 
@@ -209,6 +240,9 @@ static void frame(swim_t *swim, uint16_t pulse_ticks) {
     world_frame(world, now_us, pulse_ticks);
     hear_imu(now_us);
     watch(now_us);
+    if (start_us != 0 && now_us >= start_us) {
+        keep_yaw(now_us);
+    }
     if (start_us != 0) {
         collect(swim, 0, now_us);
         collect(swim, 1, now_us);
@@ -389,6 +423,16 @@ static double rms(const figures_t *f) { return sqrt(f->square / f->beats); }
 
 static double swim_mean_rms(const figures_t *f) { return sqrt(f->mean_square / swim_count); }
 
+static void test_turns(void) {
+    const double rms_rad = sqrt(turns.square / turns.slots);
+    printf("turns: %u slots up to %.4f rad, rms error %.5f rad, worst %.5f\n", turns.slots,
+           turns.most, rms_rad, turns.worst);
+    TEST_ASSERT_TRUE(turns.slots > 400 * swim_count);
+    TEST_ASSERT_EQUAL_UINT(0, turns.unknown);
+    TEST_ASSERT_TRUE(turns.most > 0.07);
+    TEST_ASSERT_TRUE(rms_rad < 0.0001 && turns.worst < 0.0005);
+}
+
 static void test_vision(void) {
     const estimate_config_t config = defaults(SPEED_SOURCE_VISION);
     const figures_t rested = study("vision", 0, &config, true, 0, BEATS);
@@ -446,6 +490,7 @@ int main(int argc, char **argv) {
     for (swim_count = 0; swim_count < SWIMS; swim_count++) {
         swim_once(&swims[swim_count], first + swim_count);
     }
+    RUN_TEST(test_turns);
     RUN_TEST(test_vision);
     RUN_TEST(test_vision_with_the_camera_dark_for_2_s);
     RUN_TEST(test_imu_between_two_rests);

@@ -138,6 +138,18 @@ static void the_first_broken_rule_is_named(void) {
     assert_verdict(FAULT_NONE);
 }
 
+static void only_a_wall_takes_beats_away(void) {
+    for (uint16_t row = 0; row < fault_count(); row++) {
+        const fault_t end = (fault_t)fault_row(row)->number;
+        const uint16_t wanted = end == FAULT_WALL ? 4 : 7;
+        TEST_ASSERT_EQUAL_UINT16(wanted, stop_rules_trusted_beats(end, 7, 3));
+        TEST_ASSERT_EQUAL_UINT16(7, stop_rules_trusted_beats(end, 7, 0));
+    }
+    TEST_ASSERT_EQUAL_UINT16(0, stop_rules_trusted_beats(FAULT_WALL, 3, 3));
+    TEST_ASSERT_EQUAL_UINT16(0, stop_rules_trusted_beats(FAULT_WALL, 2, 10));
+    TEST_ASSERT_EQUAL_UINT16(0, stop_rules_trusted_beats(FAULT_WALL, 0, 1));
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(nothing_is_wrong);
@@ -150,5 +162,6 @@ int main(void) {
     RUN_TEST(early_times_do_not_wrap);
     RUN_TEST(silence_longer_than_32_bits_is_seen);
     RUN_TEST(the_first_broken_rule_is_named);
+    RUN_TEST(only_a_wall_takes_beats_away);
     return UNITY_END();
 }

@@ -53,7 +53,7 @@ static void log_slot_and_beat(uint64_t now_us, uint32_t step_in_swim) {
                                    .sigma_10um_s = 70,
                                    .gain_10um_s = -3,
                                    .way_um = 40};
-        trial_log_slot(&log_, now_us, &slot);
+        trial_log_slot(&log_, now_us, &slot, -1234);
     }
     if (in_swim_us % BEAT_US == 0) {
         const uint16_t beat = (uint16_t)(in_swim_us / BEAT_US);
@@ -153,8 +153,9 @@ static void test_data_bytes(void) {
                                .gain_10um_s = -2,
                                .way_um = 0x0607};
     const speed_slot_t empty = {.index = 0x0103, .gain_10um_s = SPEED_NO_MOTION};
-    trial_log_slot(&log_, 0x0807060504030201u, &slot);
-    trial_log_slot(&log_, 0x0807060504030201u, &empty);
+    trial_log_slot(&log_, 0x0807060504030201u, &slot, -3);
+    trial_log_slot(&log_, 0x0807060504030201u, &empty, SPEED_NO_MOTION);
+    trial_log_slot(&log_, 0x0807060504030201u, &empty, 7);
     trial_log_end(&log_, 9, FAULT_TILT, 17);
     char text[100];
     memset(text, 'x', sizeof text - 1u);
@@ -164,8 +165,8 @@ static void test_data_bytes(void) {
     load();
     uint32_t at = 0;
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 0, &at));
-    const uint8_t wanted[] = {0, 0,    1, 2, 3, 4, 5,    6,    7, 8, 0, 0,
-                              0, 0x3F, 2, 1, 5, 4, 0xFE, 0xFF, 7, 6, 3, 99};
+    const uint8_t wanted[] = {0,    0, 1, 2, 3, 4,    5,    6, 7, 8,    0,    0, 0,
+                              0x3F, 2, 1, 5, 4, 0xFE, 0xFF, 7, 6, 0xFD, 0xFF, 3, 99};
     TEST_ASSERT_EQUAL_MEMORY(wanted, content + at, sizeof wanted);
     TEST_ASSERT_EQUAL_UINT32(1, count_messages('D', 3, &at));
     const uint8_t end[] = {3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 4, 0, 17, 0};

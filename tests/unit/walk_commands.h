@@ -137,19 +137,20 @@ static void start_wrong(void) {
 }
 
 /* Abort and disarm are the same: whoever says it, the tail stops. */
-static void stop_by(link_command_id_t id) {
+static void stop_by(link_command_id_t id, bool wall) {
     const fault_t came_first = model.stop;
-    CHECK(send(any_host(), (link_command_t){.id = id}) == FAULT_NONE);
+    CHECK(send(any_host(), (link_command_t){.id = id, .wall = wall}) == FAULT_NONE);
     if (model.state == STATE_RUNNING) {
-        halts(came_first != FAULT_NONE ? came_first : FAULT_ABORT_COMMAND);
+        const fault_t asked = wall ? FAULT_WALL : FAULT_ABORT_COMMAND;
+        halts(came_first != FAULT_NONE ? came_first : asked);
     } else if (model.state == STATE_ARMED) {
         model_enter(STATE_IDLE, FAULT_NONE);
     }
     compare_state();
 }
 
-static void abort_trial(void) { stop_by(LINK_COMMAND_ABORT); }
-static void disarm_board(void) { stop_by(LINK_COMMAND_DISARM); }
+static void abort_trial(void) { stop_by(LINK_COMMAND_ABORT, chance(3)); }
+static void disarm_board(void) { stop_by(LINK_COMMAND_DISARM, false); }
 
 static void clear_halt(void) {
     const bool was_open = app.run.open, halted = is_halted(model.state);

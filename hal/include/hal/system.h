@@ -60,7 +60,8 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]);
 /* Battery voltage at the pack, averaged over about 100 ms. */
 uint16_t hal_battery_mv(const hal_t *hal);
 
-void hal_led(hal_t *hal, bool on);
+/* Takes effect at once. Any context. */
+void hal_led_isr(hal_t *hal, bool on);
 
 /* Tells the watchdog that the main loop is alive. */
 void hal_watchdog_feed(hal_t *hal);

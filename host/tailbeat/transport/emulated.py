@@ -1,9 +1,10 @@
 """The flash image on an emulated board, with the simulated fish around it.
 
 The board is tools/vboard: its processor executes the very image that is flashed. Its wires end in
-the simulator's world: servo pulses move the fish, the battery is on its divider, and board and IMU
-understand each other when both ends of their line run at the same speed. Camera, noise and swims
-are those of the simulated board: the same pulses give the same true speeds, bit for bit.
+the simulator's world: servo pulses move the fish, the camera sees the LED, the battery is on its
+divider, and board and IMU understand each other when both ends of their line run at the same speed.
+Camera, noise and swims are those of the simulated board: the same pulses give the same true speeds,
+bit for bit.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _LINES = {"USART1": RADIO, "UART": CONSOLE}
 _IMU_PORT = "USART0"
 _SERVO_CHANNEL = 4
 _SERVO_PIN = ("PIOC", 21, "B")
+_LED_PIN = ("PIOB", 27)
 _BATTERY_CHANNEL = 7
 _BATTERY_DIVIDER = 3
 _TIME_BASE = "TC0_0"  # counts half the master clock from the start of the firmware's time on
@@ -89,6 +91,7 @@ class EmulatedBoard:
         self._imu_message: Event | None = None
         self._imu_look: Event | None = None
         self._imu_talk_end = 0
+        self._led_on = False
         self.imu_frames_sent = 0
         self._board = self._new_board()
         self._clock = self._board.clock
@@ -306,10 +309,19 @@ class EmulatedBoard:
             periph[name].connect(self._lines[port])
         periph[_IMU_PORT].connect(self._imu)
         periph["PWM"].on_period.append(self._servo_frame)
+        periph[_LED_PIN[0]].on_change.append(self._show_led)
         periph["ADC"].volts[_BATTERY_CHANNEL] = self._divided_v
 
     def _divided_v(self) -> float:
         return self._world.battery_v() / _BATTERY_DIVIDER
+
+    def _show_led(self) -> None:
+        """It lights at a driven pin only: a pull-up is too weak for it."""
+        name, bit = _LED_PIN
+        on = self._board.periph[name].drives_high(bit)
+        if on != self._led_on:
+            self._led_on = on
+            self._world.led(self._now_us(), on)
 
     def _servo_frame(self, channel: int, start: int, period: int, high: int) -> None:
         """A period of the PWM begins; its pulse is ``high`` thirds of a microsecond long."""

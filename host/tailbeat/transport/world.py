@@ -85,6 +85,10 @@ class World:
         """Voltage of the pack now."""
         return float(lib.world_battery_v(self._world))
 
+    def led(self, now_us: int, on: bool) -> None:
+        """The board's LED is on or off from now on."""
+        lib.world_led(self._world, now_us, on)
+
     def camera_due_us(self) -> int | None:
         """When the next picture comes in."""
         return _time(lib.world_camera_due_us(self._world))
@@ -185,8 +189,12 @@ def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
     """All that ``getter(out, max)`` has, by way of ``buffer``."""
     found = []
     while count := getter(buffer, len(buffer)):
-        found += [CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad) for f in buffer[0:count]]
+        found += [_picture(f) for f in buffer[0:count]]
     return found
+
+
+def _picture(f: Any) -> CameraFrame:
+    return CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led)
 
 
 def _time(time_us: int) -> int | None:

@@ -118,6 +118,12 @@ class Pio(WriteProtected):
             return self._outside[bit]
         return not self.values["PUSR"] & mask
 
+    def drives_high(self, bit: int) -> bool:
+        """Whether the port itself, as a plain output, drives the pin high."""
+        mask = 1 << bit
+        outputs = self.values["PSR"] & self.values["OSR"] & self.values["ODSR"]
+        return self._powered and bool(outputs & mask)
+
     def owner(self, bit: int) -> str:
         """Who drives the pin: "PIO", "A" or "B"; "" without power."""
         if not self._powered:
