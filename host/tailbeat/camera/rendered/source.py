@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Literal
 
 from tailbeat.camera.pictures import Picture
+from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.transport.simulated import SimulatedBoard
+from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
+
+_SPEED_MAX_M_S = 1.0  # faster than that somebody has carried the fish
 
 
 class RenderedDevice:
@@ -22,17 +26,67 @@ class RenderedDevice:
     size_px: tuple[int, int]
 
     def __init__(self, board: SimulatedBoard, scene: Scene | None = None) -> None:
-        raise NotImplementedError
+        """Takes the board's camera for itself. ``scene`` None = the default one with the board's
+        exposure."""
+        scene = scene or scene_of(board)
+        board.watched = True
+        board.camera_frames()
+        self._board = board
+        self._painter = Painter(scene)
+        self._waiting: deque[CameraFrame] = deque()
+        self._before: CameraFrame | None = None
+        self.name = f"{board.name} seen from above"
+        self.clock = "host"
+        self.fps = float(board.config["camera_fps"])
+        self.size_px = scene.size_px
 
     def read(self) -> Picture | None:
         """The next picture that is due."""
-        raise NotImplementedError
+        self._waiting += self._board.camera_frames()
+        if not self._waiting:
+            return None
+        frame = self._waiting.popleft()
+        truth = truth_of(frame, self._before)
+        self._before = frame
+        index = picture_index(frame, self.fps)
+        return Picture(index, frame.time_s, self._painter.paint(truth, index))
 
     @property
     def ended(self) -> bool:
         """Never."""
-        raise NotImplementedError
+        return False
 
     def close(self) -> None:
         """The simulator need not stop for pictures any more."""
-        raise NotImplementedError
+        self._board.watched = False
+
+
+def scene_of(board: SimulatedBoard) -> Scene:
+    """The default one, as long exposed as the board's camera."""
+    exposure_s = board.config.get("camera_exposure_s", Scene.exposure_s)
+    return Scene(exposure_s=float(exposure_s))
+
+
+def picture_index(frame: CameraFrame, fps: float) -> int:
+    """Counts exposures since the simulator's time 0, lost ones included."""
+    return int(frame.time_s * fps)
+
+
+def truth_of(frame: CameraFrame, before: CameraFrame | None) -> Truth:
+    """What to draw for ``frame``; it moves as since ``before``, the frame before it."""
+    speed_m_s = turn_rad_s = 0.0
+    if before is not None and frame.time_s > before.time_s:
+        passed_s = frame.time_s - before.time_s
+        speed_m_s = (frame.x_m - before.x_m) / passed_s
+        turn_rad_s = (frame.heading_rad - before.heading_rad) / passed_s
+    carried = abs(speed_m_s) > _SPEED_MAX_M_S
+    return Truth(
+        frame.time_s,
+        frame.x_m,
+        frame.y_m,
+        frame.heading_rad,
+        frame.tail_rad,
+        frame.led,
+        0.0 if carried else speed_m_s,
+        0.0 if carried else turn_rad_s,
+    )
