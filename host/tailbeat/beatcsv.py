@@ -1,4 +1,4 @@
-"""CSV files with one value per beat, and speeds against time."""
+"""CSV files: cells with their row and column, and one value per beat."""
 
 from __future__ import annotations
 
@@ -19,66 +19,16 @@ def read_column(path: Path, column: str, gaps: bool = False) -> Floats:
 
     With ``gaps`` an empty cell or ``nan`` is NaN, otherwise refused.
     """
-    rows = _rows(path, ("beat", column))
+    rows = read_rows(path, ("beat", column))
     values = np.empty(len(rows), dtype=np.float32)
-    for k, (number, beat, value) in enumerate(rows):
+    for k, (number, (beat, value)) in enumerate(rows):
         if beat != str(k):
             raise InputError(
                 f"{path.name}, row {number}, column beat: '{beat}' where {k} is due.",
                 "Beats count from 0, one row each.",
             )
-        values[k] = _value(path, number, column, value, gaps)
+        values[k] = value_of(path.name, number, column, value, gaps)
     return values
-
-
-def read_speeds(path: Path, beats: int, beat_s: float) -> Floats:
-    """Speeds per beat: from ``beat,speed_m_s`` as they are, from ``t_s,v_m_s`` as means over each
-    beat (NaN where a beat is not covered). float32, shape (beats,)."""
-    if "speed_m_s" in _header(read_table(path, "t_s,v_m_s or beat,speed_m_s")):
-        values = read_column(path, "speed_m_s", gaps=True)
-        if len(values) != beats:
-            raise InputError(
-                f"{path.name} has {len(values)} beats, the trial has {beats}.",
-                "Give one row per beat; leave cells empty where nothing was measured.",
-            )
-        return values
-    rows = _rows(path, ("t_s", "v_m_s"))
-    time = np.array([_value(path, n, "t_s", t, False) for n, t, _ in rows])
-    speed = np.array([_value(path, n, "v_m_s", v, False) for n, _, v in rows])
-    later = np.flatnonzero(np.diff(time) <= 0)
-    if later.size:
-        raise InputError(
-            f"{path.name}, row {rows[later[0] + 1][0]}, column t_s: time does not rise.",
-            "Sort by time.",
-        )
-    return _means(time, speed, beats, beat_s)
-
-
-def _means(
-    time: NDArray[np.float64], speed: NDArray[np.float64], beats: int, beat_s: float
-) -> Floats:
-    """Exact means of the straight lines through the points."""
-    distance = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
-    means = np.full(beats, np.nan, dtype=np.float32)
-    slack_s = 1e-6 * beat_s
-    for k in range(beats):
-        begin, end = k * beat_s, (k + 1) * beat_s
-        if time[0] > begin + slack_s or time[-1] < end - slack_s:
-            continue
-        means[k] = (_at(time, speed, distance, end) - _at(time, speed, distance, begin)) / beat_s
-    return means
-
-
-def _at(
-    time: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    distance: NDArray[np.float64],
-    t: float,
-) -> float:
-    i = min(max(int(np.searchsorted(time, t, side="right")) - 1, 0), len(time) - 2)
-    dt = min(max(t, time[0]), time[-1]) - time[i]
-    slope = (speed[i + 1] - speed[i]) / (time[i + 1] - time[i])
-    return float(distance[i] + speed[i] * dt + slope * dt**2 / 2)
 
 
 def read_table(path: Path, columns: str) -> list[list[str]]:
@@ -91,15 +41,12 @@ def read_table(path: Path, columns: str) -> list[list[str]]:
         raise InputError(f"cannot read {path} ({reason(error)}).", remedy) from error
 
 
-def _header(table: list[list[str]]) -> list[str]:
-    return [cell.strip() for cell in table[0]] if table else []
-
-
-def _rows(path: Path, columns: tuple[str, str]) -> list[tuple[int, str, str]]:
-    """(row number, first cell, second cell) of every row that is not empty."""
+def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
+    """(row number, cells of ``columns``) of every row that is not empty. Raises InputError when the
+    header lacks one of them, or there are no rows."""
     wanted = ",".join(columns)
     table = read_table(path, wanted)
-    header = _header(table)
+    header = [cell.strip() for cell in table[0]] if table else []
     for column in columns:
         if column not in header:
             raise InputError(
@@ -110,14 +57,15 @@ def _rows(path: Path, columns: tuple[str, str]) -> list[tuple[int, str, str]]:
     rows = []
     for number, row in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in row):
-            first, second = (row[i].strip() if i < len(row) else "" for i in at)
-            rows.append((number, first, second))
+            rows.append((number, [row[i].strip() if i < len(row) else "" for i in at]))
     if not rows:
         raise InputError(f"{path.name} has a header but no numbers.", f"Add rows of {wanted}.")
     return rows
 
 
-def _value(path: Path, number: int, column: str, cell: str, gaps: bool) -> float:
+def value_of(name: str, number: int, column: str, cell: str, gaps: bool = False) -> float:
+    """A cell as a number; with ``gaps`` an empty one or ``nan`` is NaN. Raises InputError, which
+    names the file, row and column."""
     if gaps and cell.lower() in ("", "nan"):
         return math.nan
     try:
@@ -126,7 +74,7 @@ def _value(path: Path, number: int, column: str, cell: str, gaps: bool) -> float
         value = math.nan
     if not math.isfinite(value):
         raise InputError(
-            f"{path.name}, row {number}, column {column}: '{cell}' is no finite number.",
+            f"{name}, row {number}, column {column}: '{cell}' is no finite number.",
             "Write it like 0.0791.",
         )
     return value

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from dataclasses import astuple, dataclass, field
 from typing import TYPE_CHECKING, NoReturn
 
 from tailbeat import _dialect as mavlink
 from tailbeat import records
 from tailbeat.camera.base import Camera
-from tailbeat.camera.beatfit import BeatFit, SpeedSample
+from tailbeat.camera.wall import HIT
 from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, STALE_COMMAND, FaultInfo, fault_info
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Message
 from tailbeat.results import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.trialcamera import TrialCamera
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish, Guard, OnEvent
@@ -30,8 +30,6 @@ _DOUBT_FRAMES = 6  # in one attempt; a board sends two a second, a stray one pro
 _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
 _REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
 _STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
-_BLIND_S = 1.0  # of board time without a picture, after which somebody should look
-_NAN = math.nan
 
 
 @dataclass
@@ -39,12 +37,12 @@ class _Run:
     """State of one call of run_trial."""
 
     fish: Fish
-    camera: Camera | None
     emit: OnEvent
     guard: Guard | None
     reconnect_s: float
     settle_s: float = 3.0
     source: int = SOURCE_VISION
+    camera: TrialCamera | None = None
     asked: set[str] = field(default_factory=set)
     number: int = 0
     iteration: int = 0
@@ -53,13 +51,11 @@ class _Run:
     stopped_at_s: float | None = None
     abort_reason: str | None = None
     abort_wanted: bool = False
+    at_wall: bool = False
     progress: tuple[str, int] | None = None
     progress_at_s: float = 0.0
     interrupted: bool = False
     restarted: bool = False
-    fit: BeatFit = field(default_factory=BeatFit)
-    seen_at_s: float = 0.0
-    blind: bool = False
 
 
 def run_trial(
@@ -73,26 +69,31 @@ def run_trial(
 
     Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
     speeds go to the board as they come. ``guard`` sees every frame and beat and aborts the trial by
-    returning a reason. Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
+    returning a reason; one that begins with wall.HIT leaves the last beats unmeasured. When the
+    camera sees what makes no sense (two fish), the trial is aborted and that is raised at the end.
+    Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
     one ends the waiting. When the link breaks this tries for ``reconnect_s`` to learn how the trial
     ended, then raises LinkLostError; the board stops by its own rules.
     """
     own_camera = None
     if camera is None:
         camera = own_camera = fish.default_camera()
-    run = _Run(fish, camera, on_event or (lambda _: None), guard, reconnect_s)
+    run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
     stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
     heartbeat_period_s = fish.link.heartbeat_period_s
     fish.link.heartbeat_period_s = _HEARTBEAT_S
     try:
-        _prepare(run)
+        _prepare(run, camera)
         _start(run)
         while not _is_over(run):
             try:
                 _step(run)
             except KeyboardInterrupt:
                 _interrupt(run)
-        return _outcome(run)
+        outcome = _outcome(run)
+        if run.camera is not None and run.camera.failure is not None:
+            raise run.camera.failure
+        return outcome
     finally:
         stop_listening()
         fish.link.heartbeat_period_s = heartbeat_period_s
@@ -100,17 +101,25 @@ def run_trial(
             own_camera.close()
 
 
-def _prepare(run: _Run) -> None:
+def _prepare(run: _Run, camera: Camera | None) -> None:
     fish = run.fish
     run.settle_s = fish.params.get("SETTLE_S").value
     window_s = fish.params.get("SPD_WINDOW_S").value
     run.source = round(fish.params.get("SPD_SOURCE").value)
-    if run.camera is None and run.source == SOURCE_VISION:
+    if camera is None and run.source == SOURCE_VISION:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
         run.emit({"event": "warning", "text": text})
-    if run.camera is not None:
-        run.fit = BeatFit(max(window_s, _beat_s(fish)) if window_s > 0 else 1.0, run.camera.fps)
-        run.camera.frames()
+    if camera is not None:
+        run.camera = TrialCamera(
+            fish,
+            camera,
+            window_s=max(window_s, _beat_s(fish)) if window_s > 0 else 1.0,
+            dispensable=run.source != SOURCE_VISION,
+            emit=run.emit,
+            consult=lambda what: _consult(run, what),
+            abort=lambda: _want_abort(run),
+        )
+        run.camera.begin()
     fish.clock.sync()
     if fish.status().state != "ARMED":
         fish.arm()
@@ -160,10 +169,10 @@ def _send_start(run: _Run) -> None:
 def _say_start(run: _Run) -> None:
     """Until the board says yes, or is seen to swim: its yes may be lost. Speeds flow meanwhile."""
     fish = run.fish
-    _look_afresh(run)
+    _look_afresh(run, began=False)
     for attempt, patience_s in enumerate(fish.link.attempts()):
-        if run.status is not None:
-            _look_afresh(run)  # it has spoken, and does not swim: it has not heard of the start yet
+        if run.status is not None:  # it has spoken, does not swim: has not heard of the start
+            _look_afresh(run, began=True)
         # The board keeps single precision: rounding up could make the command come from the
         # future, which is harmless, rounding by more than milliseconds needs a board up for days.
         fish.link.send(
@@ -176,13 +185,11 @@ def _say_start(run: _Run) -> None:
             return
 
 
-def _look_afresh(run: _Run) -> None:
-    """Forgets what was: until now the fish may have been carried or adrift."""
+def _look_afresh(run: _Run, began: bool) -> None:
+    """Forgets what was. ``began``: the board may swim already, nothing of the camera's raises."""
     run.status = None
     if run.camera is not None:
-        run.camera.frames()
-        run.fit.reset()
-        run.seen_at_s = run.fish.link.transport.now_s()
+        run.camera.look_afresh() if began else run.camera.begin()
 
 
 def _started(run: _Run, patience_s: float) -> bool:
@@ -264,8 +271,13 @@ def _consult(run: _Run, what: object) -> None:
     if run.guard is not None and run.abort_reason is None:
         run.abort_reason = run.guard(what) or None  # type: ignore[arg-type]
         if run.abort_reason is not None:
-            run.abort_wanted = True
+            run.at_wall = run.abort_reason.startswith(HIT)
+            _want_abort(run)
             run.emit({"event": "guard", "reason": run.abort_reason})
+
+
+def _want_abort(run: _Run) -> None:
+    run.abort_wanted = True
 
 
 def _step(run: _Run) -> None:
@@ -273,7 +285,7 @@ def _step(run: _Run) -> None:
     link = run.fish.link
     try:
         if run.abort_wanted and run.stopped_at_s is None:
-            run.fish.abort()
+            run.fish.abort(wall=True) if run.at_wall else run.fish.abort()
             run.abort_wanted = False  # only now: what a broken link swallowed is said again
         link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
         link.flush()
@@ -300,42 +312,8 @@ def _give_up(run: _Run) -> NoReturn:
 
 
 def _send_speeds(run: _Run) -> None:
-    if run.camera is None:
-        return
-    clock = run.fish.clock
-    frames = run.camera.frames()
-    _watch_camera(run, seen=bool(frames))
-    for frame in frames:
-        _consult(run, frame)
-        sample = run.fit.add(frame.t_s, frame.x_m)
-        if sample is None:
-            continue
-        board_s = sample.t_s if run.camera.clock == "board" else clock.board_s(sample.t_s)
-        if board_s > 0:
-            run.fish.link.send(vision_message(board_s, sample))
-
-
-def _watch_camera(run: _Run, seen: bool) -> None:
-    """Says once when the pictures stop while the tail beats."""
-    now_s = run.fish.transport.now_s()
-    swimming = run.status is None or run.status.state == "RUNNING"
-    if seen or not swimming:
-        run.seen_at_s = now_s
-    blind = (now_s - run.seen_at_s) * run.fish.clock.rate > _BLIND_S
-    if blind and not run.blind:
-        run.emit({"event": "warning", "text": "the camera sends no pictures; beats go unmeasured"})
-    run.blind = blind
-
-
-def vision_message(board_s: float, sample: SpeedSample) -> Message:
-    """VISION_SPEED_ESTIMATE for a mean speed along x around ``board_s``."""
-    covariance = (sample.sigma_m_s**2, *_NO_COVARIANCE)
-    return mavlink.MAVLink_vision_speed_estimate_message(
-        round(board_s * 1e6), sample.speed_m_s, _NAN, _NAN, covariance, 0
-    )
-
-
-_NO_COVARIANCE = (_NAN,) * 8
+    if run.camera is not None:
+        run.camera.send_speeds(run.status is None or run.status.state == "RUNNING")
 
 
 def _is_over(run: _Run) -> bool:
@@ -376,7 +354,8 @@ def _reconnect(run: _Run) -> None:
             _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
             retry_s = min(2 * retry_s, 5.0)
             continue
-        run.fit.reset()
+        if run.camera is not None:
+            run.camera.fit.reset()
         run.progress_at_s = link.transport.now_s()
         run.emit({"event": "link_back", "state": status.state})
         return

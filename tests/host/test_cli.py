@@ -279,7 +279,8 @@ def test_a_seed_out_of_range(alone: Shell) -> None:
 
 
 def test_camera_addresses(board: Shell) -> None:
-    assert "no TCP address" in board.fails("trial", "run", "--camera", "pond")
+    assert "has no port number" in board.fails("trial", "run", "--camera", "tcp:pond")
+    assert "needs a calibration" in board.fails("trial", "run", "--camera", "pond")
     assert "no camera answers" in board.fails("trial", "run", "--camera", "tcp:127.0.0.1:1")
 
 

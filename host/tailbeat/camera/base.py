@@ -5,6 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from tailbeat.errors import TailbeatError
+
+
+class CameraGone(TailbeatError):
+    """A camera that was there will give no picture any more: unplugged, ended."""
+
 
 @dataclass(frozen=True, slots=True)
 class Frame:
@@ -28,7 +34,8 @@ class Camera(Protocol):
     fps: float
 
     def frames(self) -> list[Frame]:
-        """Frames since the last call, in order of time; never blocks."""
+        """Frames since the last call, in order of time; never blocks. Raises, once and after the
+        frames before it, CameraGone, or InputError when what is seen makes no sense (two fish)."""
 
     def close(self) -> None:
         """Gives the camera up."""

@@ -217,12 +217,12 @@ def _person(
             typer.echo(f"tailbeat: {event.get('text') or event.get('reason')}", err=True)
 
     def speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
-        from tailbeat.beatcsv import read_speeds
+        from tailbeat.speedcsv import read_speeds
 
         while True:
             name = typer.prompt(f"Speeds of trial {trial} (CSV t_s,v_m_s or beat,speed_m_s)")
             try:
-                return read_speeds(Path(name), beats, beat_s)
+                return read_speeds(Path(name), beats, beat_s, trial).speed_m_s
             except InputError as error:
                 typer.echo(f"tailbeat: {error}", err=True)
 

@@ -10,6 +10,8 @@ import typer
 from tailbeat.cli.common import TRIAL_MAX, Connect, Json, connected, mm, say
 from tailbeat.cli.keeping import verdict_after_learning, verdict_text
 
+_SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
+
 speed_app = typer.Typer(no_args_is_help=True, help="Speeds measured after the swim.")
 
 
@@ -119,27 +121,40 @@ def upload(
     ],
     file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
     sigma_m_s: Annotated[
-        float, typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s.")
-    ] = 0.001,
+        float | None,
+        typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s."),
+    ] = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Give the pending trial speeds measured after the swim, for example from a video.
 
     With t_s,v_m_s the speed is averaged over each beat; with beat,speed_m_s it is taken as it is
-    and an empty cell means not measured.
+    and an empty cell means not measured. What 'camera track' writes also says how sure each speed
+    is and of which trial they are; without that the standard deviation is 0.001 m/s.
 
     Example: tailbeat speed upload 3 speed.csv
     """
-    from tailbeat.beatcsv import read_speeds
-    from tailbeat.records import decode_reference
+    import numpy as np
 
+    from tailbeat.records import decode_reference
+    from tailbeat.speedcsv import read_speeds
+
+    if sigma_m_s is not None and not 0 < sigma_m_s <= 1:
+        raise typer.BadParameter("--sigma is in m/s, more than 0, like 0.001")
     with connected(connect) as fish:
         record = fish.reference_record()
         beat_s = decode_reference(record).beat_s if record else 1.0
         beats = fish.status().beats
-        speeds = read_speeds(file, beats, beat_s)
-        fish.upload_speeds(number, speeds, sigma_m_s)
-    measured = sum(1 for value in speeds if value == value)
-    document = {"trial": number, "measured_beats": measured, "speed_m_s": speeds}
-    say(json, document, f"trial {number} has speeds for {measured} of {beats} beats")
+        found = read_speeds(file, beats, beat_s, number)
+        sigma = found.sigma_m_s if sigma_m_s is None else None
+        if sigma is None:
+            sigma = np.full(beats, sigma_m_s or _SPEED_SIGMA_M_S, dtype=np.float32)
+        fish.upload_speeds(number, found.speed_m_s, sigma)
+    document = {
+        "trial": number,
+        "measured_beats": found.measured,
+        "speed_m_s": found.speed_m_s,
+        "sigma_m_s": np.where(np.isfinite(found.speed_m_s), sigma, np.nan),
+    }
+    say(json, document, f"trial {number} has speeds for {found.measured} of {beats} beats")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tailbeat.cli import swim
 from tailbeat.cli.common import (
     TRIAL_MAX,
     Connect,
@@ -23,18 +24,11 @@ from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
-    from tailbeat.results import TrialOutcome
     from tailbeat.trial_log import Trial
 
 app = typer.Typer(no_args_is_help=True, help="Swim, and get the logs.")
 
-SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
 _SAME = "recomputed: the same speeds and sigmas, bit for bit"
-
-_LINK_NEWS = {
-    "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
-    "link_back": "the link is back",
-}
 
 Number = Annotated[
     int | None,
@@ -42,64 +36,7 @@ Number = Annotated[
 ]
 
 
-@app.command()
-def run(
-    connect: Connect = None,
-    camera: Annotated[
-        str | None,
-        typer.Option("--camera", metavar="tcp:HOST:PORT", help="Stream of camera positions."),
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Arm if needed, swim the next trial to its end, show how it went. Ctrl-C stops the tail.
-
-    Example: tailbeat trial run
-    """
-    with connected(connect) as fish, progress_bar(json, "swimming") as show:
-        beats = max(fish.status().beats, 1)
-
-        def follow(event: dict[str, Any]) -> None:
-            if event["event"] == "beat":
-                speed = mm(event.get("speed_m_s"))
-                show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-            elif event["event"] in ("warning", "hold") or _is_warning(event):
-                typer.echo(f"tailbeat: {event['text']}", err=True)
-            elif event["event"] in _LINK_NEWS:
-                typer.echo(f"tailbeat: {_LINK_NEWS[event['event']]}", err=True)
-
-        outcome = fish.run_trial(_camera(camera), follow)
-    say(json, outcome, lambda: _outcome_text(outcome))
-    if outcome.interrupted:
-        raise typer.Exit(130)
-    if outcome.end != "complete":
-        raise typer.Exit(1)
-
-
-def _is_warning(event: dict[str, Any]) -> bool:
-    return bool(event["event"] == "text" and event["severity"] <= SEVERITY_WARNING)
-
-
-def _camera(address: str | None) -> Any:
-    if address is None:
-        return None
-    from tailbeat.camera.simulated import RemoteCamera
-    from tailbeat.transport.find import tcp_address
-
-    return RemoteCamera(*tcp_address(address))
-
-
-def _outcome_text(outcome: TrialOutcome) -> str:
-    errors = [
-        abs(beat.reference_m_s - beat.speed_m_s)
-        for beat in outcome.beats
-        if beat.speed_m_s is not None
-    ]
-    worst = f", max|e| {mm(max(errors))} mm/s" if errors else ", no speeds measured"
-    line = f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
-    unmeasured = outcome.executed_beats - len(errors)
-    missing = f" ({unmeasured} without a speed)" if errors and unmeasured > 0 else ""
-    line += f"{outcome.executed_beats} beats{missing}{worst}"
-    return line + ("" if outcome.end == "complete" else "\nnext: tailbeat clear")
+app.command()(swim.run)
 
 
 @app.command()

@@ -1,0 +1,45 @@
+"""What all commands that look through a camera ask for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from tailbeat.camera.markers import Marker
+
+MarkerKindOption = Annotated[
+    str, typer.Option("--marker", metavar="aruco|apriltag|blob", help="What is on the fish.")
+]
+MarkerIdOption = Annotated[
+    int | None,
+    typer.Option("--marker-id", min=0, help="Number of the fish's marker; default: any one."),
+]
+MarkerSideOption = Annotated[
+    float | None,
+    typer.Option("--marker-side", metavar="M", help="Side of its black square; is checked."),
+]
+CalibrationOption = Annotated[
+    Path | None,
+    typer.Option("--calibration", metavar="TANK.json", help="What 'camera calibrate' wrote."),
+]
+LatencyOption = Annotated[
+    float,
+    typer.Option("--latency", metavar="S", help="How late a picture of the device arrives."),
+]
+
+
+def marker_of(kind: str, number: int | None = None, side_m: float | None = None) -> Marker:
+    """What the options say. Raises typer.BadParameter."""
+    from tailbeat.camera.markers import KINDS, Marker
+
+    known = next((k for k in KINDS if k == kind), None)
+    if known is None:
+        raise typer.BadParameter(f"--marker is {', '.join(KINDS[:-1])} or {KINDS[-1]}")
+    if side_m is not None and not 0.001 <= side_m <= 1.0:
+        raise typer.BadParameter("--marker-side is in metres, like 0.06")
+    if kind == "blob" and (number is not None or side_m is not None):
+        raise typer.BadParameter("a blob has neither --marker-id nor --marker-side")
+    return Marker(known, number, side_m)

@@ -1,0 +1,205 @@
+"""The camera of a live swim, from the options of ``trial run``, and what is to be told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from tailbeat.errors import InputError, TailbeatError
+
+if TYPE_CHECKING:
+    from tailbeat.camera.base import Camera
+    from tailbeat.camera.calibration import Calibration
+    from tailbeat.camera.live import VideoCamera
+    from tailbeat.camera.markers import Marker
+    from tailbeat.camera.pictures import PictureSource
+    from tailbeat.camera.recorder import Recorder
+    from tailbeat.camera.track import Track
+    from tailbeat.fish import Fish, Guard
+
+RENDERED = "rendered"
+LATE_MAX_S = 0.03
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What ``trial run`` was told about its camera. ``address``: tcp:HOST:PORT (positions),
+    RENDERED, or a device; None = that of a simulated board, if it is one. ``wall_m`` None = the
+    usual zone where there are walls in the calibration."""
+
+    address: str | None
+    marker: Marker
+    calibration: Path | None
+    latency_s: float
+    video: Path | None
+    wall_m: float | None
+
+
+@dataclass(frozen=True)
+class Live:
+    """An open camera and what goes with it. ``camera`` None = left to run_trial."""
+
+    camera: Camera | None
+    guard: Guard | None
+    video: VideoCamera | None  # the same camera when it is one that takes pictures
+
+
+@contextmanager
+def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
+    """The camera for the length of a swim. Raises InputError, ConnectError."""
+    from tailbeat.camera.calibration import load_calibration
+
+    file = options.calibration
+    known = None if file is None else load_calibration(file)
+    if options.address is None or options.address.startswith("tcp:"):
+        with _positions(fish, options) as positions:
+            yield Live(positions, _guard(fish, known, options.wall_m), None)
+        return
+    if known is None and options.address != RENDERED:
+        raise InputError(
+            "a camera needs a calibration",
+            "Give --calibration TANK.json; make one: tailbeat camera calibrate",
+        )
+    with ExitStack() as stack:
+        source, calibration = _source(fish, options, known)
+        stack.callback(source.close)
+        calibration.check_size(source.size_px, source.name)
+        recorder = None
+        if options.video is not None:
+            from tailbeat.camera.recorder import Recorder
+
+            recorder = Recorder(options.video, source.size_px, source.fps)
+            stack.callback(recorder.close)
+        threaded = options.address != RENDERED
+        camera = _video_camera(source, options.marker, calibration, recorder, threaded)
+        stack.callback(camera.close)
+        yield Live(camera, _guard(fish, calibration, options.wall_m), camera)
+
+
+@contextmanager
+def _positions(fish: Fish, options: LiveOptions) -> Iterator[Camera | None]:
+    """A camera that others look through; None = that of a simulated board, if it is one."""
+    if options.video is not None:
+        raise InputError(
+            "--video films what a camera sees, and here there are only positions",
+            "Give the camera itself: --camera DEVICE",
+        )
+    if options.address is None:
+        yield None
+        return
+    from tailbeat.camera.simulated import RemoteCamera
+    from tailbeat.transport.find import tcp_address
+
+    with closing(RemoteCamera(*tcp_address(options.address))) as camera:
+        yield camera
+
+
+def _source(
+    fish: Fish, options: LiveOptions, known: Calibration | None
+) -> tuple[PictureSource, Calibration]:
+    """A device, or the simulated fish as a camera would see it, with the true calibration unless
+    another is given."""
+    if known is not None and options.address != RENDERED:
+        from tailbeat.camera.device import Device
+
+        return Device(str(options.address), latency_s=options.latency_s), known
+    from tailbeat.camera.rendered.source import RenderedDevice, scene_of
+
+    if fish.sim is None:
+        raise InputError(
+            "only a simulated board in this process can be drawn", "Connect to one: --connect sim"
+        )
+    marker, usual = options.marker, scene_of(fish.sim)
+    scene = replace(
+        usual,
+        marker=marker.kind,
+        marker_id=usual.marker_id if marker.id is None else marker.id,
+        marker_side_m=usual.marker_side_m if marker.side_m is None else marker.side_m,
+    )
+    return RenderedDevice(fish.sim, scene), known or scene.calibration()
+
+
+def _video_camera(
+    source: PictureSource,
+    marker: Marker,
+    calibration: Calibration,
+    recorder: Recorder | None,
+    threaded: bool,
+) -> VideoCamera:
+    from tailbeat.camera.live import VideoCamera
+    from tailbeat.camera.tracker import Tracker
+
+    tracker = Tracker(marker, calibration, source.name, glow=True)
+    return VideoCamera(source, tracker, threaded, recorder)
+
+
+def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:
+    from tailbeat.camera.wall import WALL_ZONE_M, WallGuard
+    from tailbeat.records import decode_reference
+
+    walls = calibration is not None and calibration.area_m is not None
+    if wall_m and not walls:
+        raise InputError(
+            "--wall needs to know where the walls are",
+            "Give a --calibration with the tank's area; make one: tailbeat camera calibrate",
+        )
+    if calibration is None or not walls:
+        return None
+    record = fish.reference_record()
+    beat_s = decode_reference(record).beat_s if record else 1.0
+    return WallGuard(calibration, WALL_ZONE_M if wall_m is None else wall_m, beat_s=beat_s)
+
+
+def camera_report(fish: Fish, camera: VideoCamera, trial: int) -> dict[str, float]:
+    """How a swim's camera did: pictures that should have come, those with the fish, those nobody
+    had time for; if the LED's code was seen, also how much the stamps are late (``late_s``,
+    ``late_sigma_s``)."""
+    seen = camera.track()
+    report: dict[str, float] = {
+        "pictures": len(seen.t_s),
+        "seen": int(seen.seen().sum()),
+        "dropped": camera.dropped,
+    }
+    with suppress(TailbeatError):  # no LED to be seen, or a trial's file that cannot be had
+        report |= _lateness(fish, camera, seen, trial)
+    return report
+
+
+def _lateness(fish: Fish, camera: VideoCamera, seen: Track, trial: int) -> dict[str, float]:
+    from tailbeat.camera.sync import sync_by_led
+    from tailbeat.trial_log import read_trial
+
+    found = sync_by_led(seen, None)
+    if found.trial != trial % 256:
+        return {}
+    with TemporaryDirectory() as folder:
+        begun_s = read_trial(fish.pull_trial(trial, Path(folder))).start_us * 1e-6
+    by_board = camera.clock == "board"
+    start_s = found.start_s if by_board else fish.clock.board_s(found.start_s)
+    return {"late_s": start_s - begun_s, "late_sigma_s": found.sigma_s}
+
+
+def camera_text(report: dict[str, float]) -> str:
+    """The report in one line."""
+    line = f"camera: {report['pictures']:.0f} pictures, the fish seen in {report['seen']:.0f}"
+    line += f", {report['dropped']:.0f} dropped" if report["dropped"] else ""
+    if "late_s" in report:
+        line += f"; stamps late by {report['late_s'] * 1e3:.0f} +- "
+        line += f"{report['late_sigma_s'] * 1e3:.0f} ms"
+    return line
+
+
+def lateness_warning(report: dict[str, float], latency_s: float) -> str | None:
+    """What to do about stamps that are too late or too early to belong to their beats."""
+    late_s = report.get("late_s", 0.0)
+    if abs(late_s) <= LATE_MAX_S:
+        return None
+    side = "late" if late_s > 0 else "early"
+    return (
+        f"the pictures' stamps are {abs(late_s) * 1e3:.0f} ms {side} by the fish's LED;"
+        f" next time give --latency {latency_s + late_s:.3f}"
+    )

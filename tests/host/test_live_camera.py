@@ -1,0 +1,324 @@
+"""Pictures to positions while the fish swims: threads, their end, and what goes wrong in them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from queue import Queue
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tailbeat.camera.base import CameraGone, Frame
+from tailbeat.camera.calibration import Calibration
+from tailbeat.camera.live import VideoCamera
+from tailbeat.camera.pictures import Picture
+from tailbeat.camera.track import LOST, SEEN
+from tailbeat.camera.tracker import Place
+from tailbeat.camera.wall import WallGuard
+from tailbeat.errors import InputError
+from tailbeat.fish import Fish
+
+GRACE_S = 10.0  # after which a thread hangs; nothing waits so long otherwise
+IMAGE = np.zeros((4, 6), dtype=np.uint8)
+
+
+def picture(index: int) -> Picture:
+    return Picture(index, index / 25, IMAGE)
+
+
+class Device:
+    """Gives what a test puts into ``coming``: pictures, errors to raise, None = the end."""
+
+    def __init__(self, clock: Any = "host") -> None:
+        self.name, self.clock, self.fps, self.size_px = "a device", clock, 25.0, (6, 4)
+        self.coming: Queue[Picture | Exception | None] = Queue()
+        self.ended = False
+        self.closed = threading.Event()
+
+    def put(self, *what: Picture | Exception | None) -> None:
+        for each in what:
+            self.coming.put(each)
+
+    def read(self) -> Picture | None:
+        what = self.coming.get(timeout=GRACE_S)
+        if isinstance(what, Exception):
+            raise what
+        self.ended = what is None
+        return what
+
+    def close(self) -> None:
+        self.closed.set()
+        self.coming.put(None)
+
+
+class Eyes:
+    """A tracker that sees the fish in every picture but those in ``hidden``, once it may ``go``."""
+
+    def __init__(self, go: bool = True, hidden: tuple[int, ...] = ()) -> None:
+        self.looking: Queue[int] = Queue()
+        self.go = threading.Event()
+        self.hidden = hidden
+        self.trouble: dict[int, Exception] = {}
+        if go:
+            self.go.set()
+
+    def look(self, picture: Picture) -> Place:
+        self.looking.put(picture.index)
+        assert self.go.wait(GRACE_S)
+        if picture.index in self.trouble:
+            raise self.trouble[picture.index]
+        frame = None if picture.index in self.hidden else Frame(picture.t_s, picture.index * 1e-3)
+        return Place(picture.index, picture.t_s, frame, None, None)
+
+    def wait_for(self, index: int) -> None:
+        """Until that picture is being looked at; all before it are done then."""
+        while self.looking.get(timeout=GRACE_S) != index:
+            pass
+
+
+Open = Callable[..., VideoCamera]
+
+
+@pytest.fixture
+def opened() -> Iterator[Open]:
+    cameras: list[VideoCamera] = []
+
+    def camera(device: Device, eyes: Eyes, **others: Any) -> VideoCamera:
+        cameras.append(VideoCamera(device, eyes, **others))  # type: ignore[arg-type]
+        return cameras[-1]
+
+    yield camera
+    for each in cameras:
+        each._source.put(None)
+        each.close()
+    assert not threads()
+
+
+def threads() -> list[threading.Thread]:
+    return [t for t in threading.enumerate() if t.name.startswith("camera-")]
+
+
+def ended(name: str) -> None:
+    """Waits for the end of a thread."""
+    for thread in threads():
+        if thread.name == name:
+            thread.join(GRACE_S)
+            assert not thread.is_alive()
+
+
+def indices(frames: list[Frame]) -> list[int]:
+    return [round(frame.x_m * 1e3) for frame in frames]
+
+
+def test_frames_come_in_order_and_once(opened: Open) -> None:
+    device, eyes = Device(), Eyes(hidden=(1,))
+    camera = opened(device, eyes)
+    assert (camera.clock, camera.fps) == ("host", 25.0)
+    device.put(*map(picture, range(5)))
+    eyes.wait_for(4)
+    first = indices(camera.frames())
+    assert first[:3] == [0, 2, 3]
+    device.put(picture(5), picture(6), None)
+    ended("camera-look")
+    assert first + indices(camera.frames()) == [0, 2, 3, 4, 5, 6]
+    assert camera.dropped == 0
+
+
+def test_a_slow_tracker_drops_the_oldest_and_never_lags(opened: Open) -> None:
+    device, eyes = Device(), Eyes(go=False)
+    recorded: Queue[int] = Queue()
+    camera = opened(device, eyes, on_picture=lambda p: recorded.put(p.index))
+    device.put(picture(0))
+    eyes.wait_for(0)
+    device.put(*map(picture, range(1, 42)), None)
+    ended("camera-read")
+    assert [recorded.get(timeout=GRACE_S) for _ in range(42)] == list(range(42))
+    eyes.go.set()
+    ended("camera-look")
+    kept = indices(camera.frames())
+    assert kept[0] == 0
+    assert kept[1:] == list(range(30, 42))  # half a second of 25
+    assert camera.dropped == 29
+
+
+def test_the_end_does_not_wait_for_pictures_to_be_looked_at(opened: Open) -> None:
+    device, eyes = Device(), Eyes()
+    camera = opened(device, eyes)
+    device.put(*map(picture, range(3)))
+    eyes.wait_for(2)
+    closing = threading.Thread(target=camera.close)
+    closing.start()
+    device.put(picture(3))  # a device that blocks comes back with its next picture
+    closing.join(GRACE_S)
+    assert device.closed.is_set() and not threads()
+    camera.close()
+    assert isinstance(camera.frames(), list)  # and nothing is raised of what closing broke
+
+
+@pytest.mark.parametrize("trouble", [InputError("no device", "Plug it."), None])
+def test_a_device_that_is_gone_is_told_once_after_its_last_frames(
+    opened: Open, trouble: Exception | None
+) -> None:
+    device, eyes = Device(), Eyes()
+    camera = opened(device, eyes)
+    device.put(picture(0), picture(1), trouble)
+    assert device.closed.wait(GRACE_S)
+    ended("camera-look")
+    assert indices(camera.frames()) == [0, 1]
+    with pytest.raises(CameraGone, match="no device" if trouble else "a device gives no pictures"):
+        camera.frames()
+    assert camera.frames() == camera.frames() == []
+
+
+def test_what_the_tracker_raises_comes_out_once_and_the_film_goes_on(opened: Open) -> None:
+    device, eyes = Device(), Eyes()
+    recorded: Queue[int] = Queue()
+    eyes.trouble[1] = InputError("two fish", "Take one out.")
+    camera = opened(device, eyes, on_picture=lambda p: recorded.put(p.index))
+    device.put(picture(0), picture(1))
+    ended("camera-look")
+    assert indices(camera.frames()) == [0]
+    with pytest.raises(InputError, match="two fish") as raised:
+        camera.frames()
+    assert not isinstance(raised.value, CameraGone)
+    device.put(picture(2))
+    assert [recorded.get(timeout=GRACE_S) for _ in range(3)] == [0, 1, 2]
+    assert camera.frames() == []
+
+
+def test_the_first_trouble_counts(opened: Open) -> None:
+    device, eyes = Device(), Eyes()
+    eyes.trouble[0] = RuntimeError("a bug")
+    camera = opened(device, eyes)
+    device.put(picture(0))
+    ended("camera-look")
+    device.put(InputError("no device"))
+    ended("camera-read")
+    with pytest.raises(RuntimeError, match="a bug"):
+        camera.frames()
+    assert camera.frames() == []
+
+
+def test_a_film_is_no_camera() -> None:
+    with pytest.raises(InputError, match="is a film"):
+        VideoCamera(Device(clock="video"), Eyes())  # type: ignore[arg-type]
+
+
+class InStep(Device):
+    """A device in virtual time: what is not there yet does not come by waiting."""
+
+    def read(self) -> Picture | None:
+        if self.coming.empty():
+            return None
+        what = self.coming.get_nowait()
+        if isinstance(what, Exception):
+            raise what
+        return what
+
+
+def test_in_virtual_time_there_are_no_threads(opened: Open) -> None:
+    device, eyes = InStep("board"), Eyes(hidden=(2,))
+    camera = opened(device, eyes, threaded=False)
+    assert not threads() and camera.frames() == []
+    device.put(*map(picture, range(4)))
+    assert indices(camera.frames()) == [0, 1, 3]
+    device.put(picture(4), InputError("pulled out"))
+    assert indices(camera.frames()) == [4]
+    with pytest.raises(CameraGone, match="pulled out"):
+        camera.frames()
+    assert camera.frames() == []
+    camera.close()
+    assert device.closed.is_set()
+
+
+def test_the_track_so_far(opened: Open) -> None:
+    device = InStep()
+    camera = opened(device, Eyes(hidden=tuple(range(10, 20))), threaded=False)
+    device.put(*map(picture, range(30)))
+    camera.frames()
+    track = camera.track()
+    assert track.name == "a device" and track.fps == pytest.approx(25)
+    assert (track.state == SEEN).sum() == 20 and (track.state == LOST).sum() == 10
+    np.testing.assert_allclose(track.x_m[track.seen()] * 1e3, [*range(10), *range(20, 30)])
+
+
+class Trouble:
+    """The simulated fish's camera until a moment of the swim, when ``error`` is raised once."""
+
+    def __init__(self, fish: Fish, after_s: float, error: Exception) -> None:
+        camera = fish.default_camera()
+        assert camera is not None and fish.sim is not None
+        self._camera, self._sim, self._left = camera, fish.sim, [error]
+        self._until_s = fish.sim.time_s + after_s
+        self.clock, self.fps, self.close = camera.clock, camera.fps, camera.close
+
+    def frames(self) -> list[Frame]:
+        frames = self._camera.frames()
+        if self._sim.time_s < self._until_s:
+            return frames
+        if self._left:
+            raise self._left.pop()
+        return []
+
+
+UPLOAD, VISION = 1, 0
+
+
+def swim(
+    fish: Fish, error: Exception, source: int, guard: Any = None
+) -> tuple[list[str], Callable[[], Any]]:
+    fish.params.set("SPD_SOURCE", source)
+    warnings: list[str] = []
+
+    def follow(event: dict[str, Any]) -> None:
+        if event["event"] == "warning":
+            warnings.append(event["text"])
+
+    return warnings, lambda: fish.run_trial(Trouble(fish, 4.0, error), follow, guard)
+
+
+def area(back_m: float, front_m: float) -> Calibration:
+    corners = [(-back_m, -0.9), (front_m, -0.9), (front_m, 0.9), (-back_m, 0.9)]
+    return Calibration(
+        (1280, 720), np.eye(3), np.zeros(5), np.eye(3), area_m=np.array(corners, dtype=np.float64)
+    )
+
+
+def test_a_camera_gone_in_mid_swim_ends_a_swim_that_lives_by_it(ready: Fish) -> None:
+    warnings, run = swim(ready, CameraGone("unplugged", "Plug it in."), VISION)
+    outcome = run()
+    assert outcome.end == "aborted:ABORT_COMMAND" and 0 < outcome.executed_beats < 8
+    assert warnings == ["unplugged. Plug it in. The swim has no camera any more."]
+    assert outcome.beats[0].speed_m_s is not None
+
+
+def test_a_camera_gone_does_not_end_a_swim_that_needs_none(ready: Fish) -> None:
+    warnings, run = swim(ready, CameraGone("unplugged"), UPLOAD)
+    assert run().end == "complete"
+    assert len(warnings) == 1
+
+
+def test_a_guard_without_its_camera_stops_the_fish(ready: Fish) -> None:
+    guard = WallGuard(area(0.5, 2.5))
+    _, run = swim(ready, CameraGone("unplugged"), UPLOAD, guard)
+    assert run().end == "aborted:ABORT_COMMAND"
+
+
+def test_two_fish_stop_the_tail_first_and_are_told_then(ready: Fish) -> None:
+    warnings, run = swim(ready, InputError("two fish", "Take one out."), UPLOAD)
+    with pytest.raises(InputError, match="two fish"):
+        run()
+    assert warnings == ["two fish. Take one out."]
+    assert ready.sim is not None and not ready.sim.truth().swimming
+    status = ready.status()
+    assert status.state == "ABORTED" and status.trial == 1 and 0 < status.beat < 8
+    assert [trial.number for trial in ready.trials()] == [1]
+
+
+def test_before_the_start_trouble_is_raised_at_once(ready: Fish) -> None:
+    for error in (CameraGone("unplugged"), InputError("moved")):
+        with pytest.raises(type(error)):
+            ready.run_trial(Trouble(ready, 0.0, error))
+        assert ready.status().next_trial == 1
