@@ -1,0 +1,489 @@
+"""Rows of a track: every picture there is, every picture there should have been, and the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Set
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from tailbeat.camera import track as tracks
+from tailbeat.camera.base import Frame
+from tailbeat.camera.calibration import Calibration
+from tailbeat.camera.film import Film
+from tailbeat.camera.markers import Marker
+from tailbeat.camera.overlay import Overlay
+from tailbeat.camera.pictures import Picture
+from tailbeat.camera.sighting import Sighting
+from tailbeat.camera.swimspeed import SpeedCurve
+from tailbeat.camera.track import (
+    BRIDGED,
+    COLUMNS,
+    LOST,
+    SEEN,
+    STATES,
+    Track,
+    read_track,
+    track,
+    track_of,
+    write_track,
+)
+from tailbeat.camera.tracker import GLOW_SHAPE, Place
+from tailbeat.errors import InputError
+from tailbeat.report.track_png import draw_track
+
+cv2 = pytest.importorskip("cv2")
+pytest.importorskip("av")
+
+EVEN_S = [0.04 * i for i in range(100)]
+
+
+class Source:
+    """Blank pictures at given times; ``fails`` is raised instead of the one with that number."""
+
+    name = "swim.mp4"
+    clock: Literal["video", "host", "board"] = "video"
+    fps = 25.0
+    size_px = (8, 8)
+    ended = False
+
+    def __init__(self, times_s: list[float], fails: dict[int, BaseException] | None = None) -> None:
+        self.pictures: int | None = len(times_s)
+        self._fails = fails or {}
+        self._next = iter(enumerate(times_s))
+
+    def read(self) -> Picture | None:
+        index, t_s = next(self._next, (-1, 0.0))
+        if index in self._fails:
+            raise self._fails[index]
+        return None if index < 0 else Picture(index, t_s, np.zeros((8, 8), np.uint8))
+
+    def close(self) -> None:
+        pass
+
+
+def swims(t_s: float) -> Frame:
+    """Turns to the right all the time, so that its heading wraps."""
+    return Frame(t_s, 0.08 * t_s, 0.01 * t_s, math.remainder(2.5 * t_s, 2 * math.pi))
+
+
+def place(index: int, t_s: float, seen: bool = True, glow: int | None = None) -> Place:
+    if not seen:
+        return Place(index, t_s, None, None, None)
+    patch = None if glow is None else np.full(GLOW_SHAPE, glow, np.uint8)
+    return Place(index, t_s, swims(t_s), Sighting((1.0, 1.0), (2.0, 1.0), 3.0, 0.75), patch)
+
+
+def places(times_s: list[float], unseen: Set[int] = frozenset()) -> list[Place]:
+    return [place(i, t, i not in unseen) for i, t in enumerate(times_s)]
+
+
+@pytest.fixture
+def fake_tracker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """A tracker that does not see the fish in the pictures with these numbers."""
+
+    def blind(unseen: set[int], ids: list[int] | None = None) -> None:
+        class Fake:
+            other_ids = ids or []
+
+            def __init__(self, marker: Marker, calibration: Any, name: str, glow: bool) -> None:
+                self.glow = 9 if glow else None
+
+            def look(self, picture: Picture) -> Place:
+                return place(picture.index, picture.t_s, picture.index not in unseen, self.glow)
+
+        monkeypatch.setattr(tracks, "Tracker", Fake)
+
+    return blind
+
+
+def right(found: Track) -> None:
+    """What is seen is what swam; nothing else is a number but bridges."""
+    seen = found.seen()
+    t_s = found.t_s[seen]
+    assert np.allclose(found.x_m[seen], 0.08 * t_s, atol=1e-12)
+    assert np.allclose(found.y_m[seen], 0.01 * t_s, atol=1e-12)
+    lost = found.state == LOST
+    for column in (found.x_m, found.y_m, found.heading_rad):
+        assert np.isnan(column[lost]).all()
+        assert np.isfinite(column[~lost]).all()
+    assert (found.quality[seen] == 0.75).all()
+    assert (found.quality[~seen] == 0).all()
+    assert (np.diff(found.t_s) > 0).all()
+
+
+def test_all_of_a_film(fake_tracker: Callable[..., None]) -> None:
+    fake_tracker(set())
+    done: list[tuple[int, float]] = []
+    shown: list[tuple[int, int]] = []
+    found = track(
+        Source(EVEN_S),
+        Marker(),
+        None,  # type: ignore[arg-type]
+        progress=lambda *how: done.append(how),
+        on_place=lambda picture, where: shown.append((picture.index, where.index)),
+    )
+    right(found)
+    assert found.name == "swim.mp4"
+    assert found.glow is None
+    assert found.fps == pytest.approx(25)
+    assert np.array_equal(found.t_s, EVEN_S)
+    assert (found.state == SEEN).all()
+    assert np.allclose(found.heading_rad, 2.5 * found.t_s)  # unwrapped
+    assert done == [(i + 1, (i + 1) / 100) for i in range(100)]
+    assert shown == [(i, i) for i in range(100)]
+
+
+def test_progress_without_an_end(fake_tracker: Callable[..., None]) -> None:
+    fake_tracker(set())
+    source = Source(EVEN_S[:3])
+    source.pictures = None
+    parts: list[float] = []
+    track(source, Marker(), None, progress=lambda _, part: parts.append(part))  # type: ignore[arg-type]
+    assert len(parts) == 3
+    assert all(math.isnan(part) for part in parts)
+
+
+@pytest.mark.parametrize(("long", "state"), [(1, BRIDGED), (5, BRIDGED), (6, LOST), (20, LOST)])
+@pytest.mark.parametrize("how", ["not seen", "not in the film", "both"])
+def test_holes(long: int, state: int, how: str) -> None:
+    hole = set(range(40, 40 + long))
+    gone = {"not seen": set(), "not in the film": hole, "both": set(list(hole)[::2])}[how]
+    there = [place(i, t, i not in hole) for i, t in enumerate(EVEN_S) if i not in gone]
+    found = track_of(there)
+    right(found)
+    assert len(found.t_s) == len(EVEN_S)
+    assert np.allclose(found.t_s, EVEN_S, atol=1e-12)
+    assert set(np.flatnonzero(found.state != SEEN)) == hole
+    assert (found.state[sorted(hole)] == state).all()
+    if state == BRIDGED:
+        t_s = found.t_s[sorted(hole)]
+        assert np.allclose(found.x_m[sorted(hole)], 0.08 * t_s)
+        assert np.allclose(found.heading_rad[sorted(hole)], 2.5 * t_s)
+
+
+def test_holes_at_the_ends_are_lost() -> None:
+    found = track_of(places(EVEN_S, {0, 1, 98, 99}))
+    right(found)
+    assert list(np.flatnonzero(found.state == LOST)) == [0, 1, 98, 99]
+    assert not (found.state == BRIDGED).any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_lost_pictures_are_rows(seed: int) -> None:
+    """A tenth of the pictures never came, stamps jitter by a fifth of a period."""
+    rng = np.random.default_rng(seed)
+    due = np.arange(400) / 60 + rng.uniform(-0.1, 0.1, 400) / 60
+    kept = rng.random(400) > 0.1
+    kept[[0, -1]] = True
+    found = track_of(places(list(due[kept])))
+    right(found)
+    assert len(found.t_s) == 400
+    assert np.array_equal(found.seen(), kept)
+    assert np.abs(found.t_s - due).max() < 0.3 / 60
+    assert found.fps == pytest.approx(60, rel=0.05)
+
+
+def test_uneven_films() -> None:
+    """A phone that halves its rate in dim light lacks no pictures, but for a dozen distances after
+    the change, whose rows are bridged; a pattern of short and long distances lacks none."""
+    slower = [0.033 * i for i in range(60)]
+    slower += [slower[-1] + 0.066 * (i + 1) for i in range(60)]
+    found = track_of(places(slower))
+    right(found)
+    extra = found.t_s[found.state == BRIDGED]
+    assert len(found.t_s) == 120 + len(extra)
+    assert 1 <= len(extra) <= 13
+    assert extra.max() < slower[60] + 13 * 0.066
+    assert not (found.state == LOST).any()
+    pattern = np.cumsum([0.03, 0.04, 0.05] * 40)
+    assert (track_of(places(list(pattern))).state == SEEN).all()
+    faster = [t - slower[0] for t in sorted(slower[-1] - t for t in slower)]
+    assert len(track_of(places(faster)).t_s) == 120
+
+
+def test_a_pause() -> None:
+    """Ten seconds are a hole; an hour is another film, and a broken stamp costs no memory."""
+    paused = EVEN_S + [t + 14.0 for t in EVEN_S]
+    found = track_of(places(paused))
+    right(found)
+    assert np.count_nonzero(found.state == LOST) == round((14.0 - EVEN_S[-1]) / 0.04) - 1
+    for far_s in (3600.0, 1e12):
+        with pytest.raises(InputError, match=r"a pauses for .* s after picture 99"):
+            track_of(places([*EVEN_S, EVEN_S[-1] + far_s]), "a")
+
+
+def test_glow_stays_with_its_picture() -> None:
+    there = [place(i, t, i != 3, i) for i, t in enumerate(EVEN_S[:10]) if i != 5]
+    found = track_of(there)
+    assert found.glow is not None
+    assert found.glow.shape == (10, *GLOW_SHAPE)
+    assert [int(patch.max()) for patch in found.glow] == [0, 1, 2, 0, 4, 0, 6, 7, 8, 9]
+
+
+def test_few_pictures() -> None:
+    nothing = track_of([])
+    assert (len(nothing.t_s), nothing.fps) == (0, 0.0)
+    one = track_of(places([7.0]))
+    assert (list(one.t_s), one.fps) == ([7.0], 0.0)
+    assert one.seen().all()
+
+
+@pytest.mark.parametrize(
+    ("marker", "words"),
+    [
+        (Marker(), ["no aruco marker in any of 100 pictures", "--marker apriltag"]),
+        (Marker("apriltag", 7), ["no apriltag marker with id 7", "20 pixels", "--marker aruco or"]),
+        (Marker("blob"), ["nothing moves in any of 100 pictures", "--marker aruco"]),
+    ],
+)
+def test_never_a_marker(
+    fake_tracker: Callable[..., None], marker: Marker, words: list[str]
+) -> None:
+    fake_tracker(set(range(100)))
+    with pytest.raises(InputError) as caught:
+        track(Source(EVEN_S), marker, None)  # type: ignore[arg-type]
+    text = str(caught.value)
+    assert text.startswith("swim.mp4: ")
+    assert "\n" not in text
+    assert all(word in text for word in words), text
+
+
+def test_another_marker(fake_tracker: Callable[..., None]) -> None:
+    fake_tracker(set(range(100)), [3, 12])
+    with pytest.raises(InputError, match=r"with id 7 .* has the id 3, 12: give that"):
+        track(Source(EVEN_S), Marker(id=7), None)  # type: ignore[arg-type]
+
+
+def test_no_picture(fake_tracker: Callable[..., None]) -> None:
+    fake_tracker(set())
+    with pytest.raises(InputError, match=r"swim\.mp4 holds no picture"):
+        track(Source([]), Marker(), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("error", [InputError("is damaged"), KeyboardInterrupt()])
+def test_half_a_film_is_no_track(fake_tracker: Callable[..., None], error: BaseException) -> None:
+    fake_tracker(set())
+    with pytest.raises(type(error)):
+        track(Source(EVEN_S, {50: error}), Marker(), None)  # type: ignore[arg-type]
+
+
+def test_file(tmp_path: Path) -> None:
+    path = tmp_path / "track.csv"
+    hole = set(range(20, 24)) | set(range(50, 60))
+    made = track_of(places(EVEN_S, hole), "swim.mp4")
+    write_track(made, path)
+    assert [p.name for p in tmp_path.iterdir()] == ["track.csv"]
+    lines = path.read_text().splitlines()
+    assert lines[0] == ",".join(COLUMNS)
+    assert lines[1] == "0,0.000000,0.000000,0.000000,0.000000,0.750000,seen"
+    assert lines[51] == "50,2.000000,,,,0.000000,lost"
+    assert lines[21].endswith(",0.000000,bridged")
+    back = read_track(path)
+    assert np.array_equal(back.state, made.state)
+    for column in ("t_s", "x_m", "y_m", "heading_rad", "quality"):
+        ours, theirs = getattr(made, column), getattr(back, column)
+        assert np.allclose(ours, theirs, atol=1e-6, equal_nan=True), column
+    assert back.fps == pytest.approx(25, rel=1e-4)
+    assert (back.name, back.glow) == ("track.csv", None)
+
+
+def test_file_survives_spreadsheets(tmp_path: Path) -> None:
+    path = tmp_path / "track.csv"
+    write_track(track_of(places(EVEN_S[:4], {1})), path)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    shuffled = [[row[-1], *(f" {cell} " for cell in row[:-1]), "note"] for row in rows]
+    text = "\ufeff" + "\r\n".join(",".join(row) for row in shuffled) + "\r\n,,\r\n"
+    path.write_text(text, encoding="utf-8")
+    assert [STATES[s] for s in read_track(path).state] == ["seen", "bridged", "seen", "seen"]
+
+
+def test_unwritable(tmp_path: Path) -> None:
+    made = track_of(places(EVEN_S))
+    with pytest.raises(InputError, match=r"cannot write .* \(No such file"):
+        write_track(made, tmp_path / "no" / "track.csv")
+    folder = tmp_path / "track.csv"
+    folder.mkdir()
+    with pytest.raises(InputError, match="cannot write"):
+        write_track(made, folder)
+    assert [p.name for p in tmp_path.iterdir()] == ["track.csv"]
+
+
+GOOD = ",".join(COLUMNS) + "\n0,0,0,0,0,1,seen\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "row 1: the header has no column picture"),
+        ("t_s,v_m_s\n0,1\n", "row 1: the header has no column picture"),
+        (",".join(COLUMNS) + "\n", "has a header but no rows"),
+        (GOOD + "1,0.04,,0,0,1,seen\n", "row 3, column x_m: '' is no finite number"),
+        (GOOD + "1,0.04,nan,0,0,1,bridged\n", "row 3, column x_m: 'nan' is no finite number"),
+        (GOOD + "1,0.04,0,inf,0,1,seen\n", "row 3, column y_m: 'inf' is no finite number"),
+        (GOOD + "1,0.04,0,0,x,1,lost\n", "row 3, column heading_rad: 'x' is no finite number"),
+        (GOOD + "1,,0,0,0,1,lost\n", "row 3, column t_s: '' is no finite number"),
+        (GOOD + "1,0.04,0,0\n", "row 3, column state: '' is none of seen, bridged, lost"),
+        (GOOD + "1,0.04,0,0,0,1,gone\n", "row 3, column state: 'gone' is none of"),
+        (GOOD + "\n1,0,0,0,0,1,seen\n", "row 4, column t_s: time does not rise"),
+    ],
+)
+def test_bad_files(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "track.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_track(path)
+    assert words in str(caught.value)
+    assert "track.csv" in str(caught.value)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot read"):
+        read_track(tmp_path / "none.csv")
+
+
+GREY = 90
+CORNERS = np.array([[60.0, 40.0], [60.0, 60.0], [40.0, 60.0], [40.0, 40.0]])  # looks to the right
+
+
+def drawn(path: Path, seen: list[bool], colour: bool = False) -> list[Picture]:
+    """What an overlay made of pictures in which a marker goes down by 20 pixels each."""
+    shape = (240, 320, 3) if colour else (240, 320)
+    with Overlay(path, (320, 240), 2) as overlay:
+        for index, there in enumerate(seen):
+            t_s = 0.5 * index
+            image = np.full(shape, GREY, np.uint8)
+            down = np.array([100.0, 40.0 + 20 * index])
+            sighting = Sighting(
+                (50 + down[0], 50 + down[1]), (60 + down[0], 50 + down[1]), 20, 0.5, CORNERS + down
+            )
+            where = Place(index, t_s, swims(t_s), sighting, None)
+            gone = Place(index, t_s, None, None, None)
+            overlay(Picture(index, t_s, image), where if there else gone, 0.081)
+            assert (image == GREY).all()  # the picture is its holder's
+    film = Film(path, colour=True)
+    return list(iter(film.read, None))
+
+
+def coloured(picture: Picture, u: float, v: float, bgr: tuple[int, int, int]) -> bool:
+    """Whether about that colour is at most 2 pixels away; films have little of it."""
+    around = picture.image[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3].astype(int)
+    return bool((np.abs(around - bgr).max(axis=2) < 90).any())
+
+
+GREEN, RED, YELLOW = (0, 220, 0), (60, 60, 255), (0, 200, 255)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_overlay(tmp_path: Path, colour: bool) -> None:
+    found = drawn(tmp_path / "o.mp4", [True] * 4 + [False], colour)
+    assert [p.t_s for p in found] == pytest.approx([0, 0.5, 1, 1.5, 2], abs=1e-5)
+    fourth, last = found[3], found[4]
+    for u, v in ((160, 140), (160, 160), (140, 160), (140, 140)):
+        assert coloured(fourth, u, v, GREEN), (u, v)
+        assert not coloured(last, u, v, GREEN)
+    assert coloured(fourth, 190, 150, RED)  # the arrow, ahead of the marker
+    assert not coloured(fourth, 120, 150, RED)
+    assert coloured(fourth, 150, 110, YELLOW)  # where it came from
+    assert coloured(last, 150, 110, YELLOW)
+    assert not coloured(last, 150, 170, YELLOW)
+    assert (
+        last.image[3:25, :110, 2].astype(int) - last.image[3:25, :110, 1] > 60
+    ).any()  # "not seen"
+    assert not (fourth.image[3:25, :110, 2].astype(int) - fourth.image[3:25, :110, 1] > 60).any()
+
+
+def test_overlay_forgets_the_way(tmp_path: Path) -> None:
+    last = drawn(tmp_path / "o.mp4", [True] * 8)[-1]
+    assert coloured(last, 150, 90 + 20 * 4, YELLOW)
+    assert not coloured(last, 150, 90 + 20 * 1, YELLOW)
+
+
+def test_overlay_of_a_blob(tmp_path: Path) -> None:
+    path = tmp_path / "o.mp4"
+    blob = Sighting((150.0, 120.0), (190.0, 120.0), 30.0, 0.5)
+    with Overlay(path, (320, 240), 25) as overlay:
+        picture = Picture(0, 0.0, np.full((240, 320), GREY, np.uint8))
+        overlay(picture, Place(0, 0.0, swims(0.0), blob, None))
+    first = Film(path, colour=True).read()
+    assert first is not None
+    for u, v in ((190, 105), (190, 135), (110, 105), (110, 135)):
+        assert coloured(first, u, v, GREEN)
+
+
+def test_overlay_leaves_nothing_behind(tmp_path: Path, fake_tracker: Callable[..., None]) -> None:
+    fake_tracker(set())
+    with (
+        pytest.raises(InputError, match="is damaged"),
+        Overlay(tmp_path / "o.mp4", (8, 8), 25) as overlay,
+    ):
+        track(
+            Source(EVEN_S, {50: InputError("is damaged")}),
+            Marker(),
+            None,  # type: ignore[arg-type]
+            on_place=overlay,
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def curve_of(found: Track, holes: bool) -> SpeedCurve:
+    t_s = np.arange(found.t_s[0] + 0.5, found.t_s[-1] - 0.5, 0.1)
+    if holes:
+        t_s = t_s[(t_s < 1.4) | (t_s > 2.6)]
+    speed = np.full(len(t_s), 0.08)
+    return SpeedCurve(t_s, speed, speed / 20, 1.0, 0.4, 0.1, 0.001)
+
+
+def hues(path: Path, box: tuple[slice, slice]) -> list[int]:
+    """Columns of that part of a picture in which there is the colour of lines."""
+    image = cv2.imread(str(path)).astype(int)[box]
+    blue = (np.abs(image - (0x94, 0x53, 0x0B)).max(axis=2) < 30).any(axis=0)
+    return list(np.flatnonzero(blue))
+
+
+SPEED_PANEL = (slice(750, 1015), slice(110, 1360))
+
+
+def test_picture(tmp_path: Path) -> None:
+    """1400 x 1100 pixels; the speed's line is whole, or has a hole where the fish was lost."""
+    hole = set(range(40, 60))
+    whole, holed = track_of(places(EVEN_S), "a.mp4"), track_of(places(EVEN_S, hole), "b.mp4")
+    for found, broken in ((whole, False), (holed, True)):
+        path = tmp_path / f"{broken}.png"
+        draw_track(found, curve_of(found, broken), path)
+        assert cv2.imread(str(path)).shape == (1100, 1400, 3)
+        steps = np.diff(hues(path, SPEED_PANEL))
+        assert (steps.max() > 200) == broken
+    draw_track(whole, None, tmp_path / "short.png")
+    assert hues(tmp_path / "short.png", SPEED_PANEL) == []
+    assert {p.suffix for p in tmp_path.iterdir()} == {".png"}
+
+
+def test_picture_is_to_scale(tmp_path: Path) -> None:
+    """A square basin is a square, and y goes down, as in the camera's pictures."""
+    found = track_of([Place(i, t, Frame(t, t, 0.2 * t), None, None) for i, t in enumerate(EVEN_S)])
+    area = np.array([[-1.0, -2.5], [5.0, -2.5], [5.0, 3.5], [-1.0, 3.5]])
+    calibration = Calibration((640, 480), np.eye(3), np.zeros(5), np.eye(3), area_m=area)
+    path = tmp_path / "a.png"
+    draw_track(found, None, path, calibration)
+    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)[150:640]
+    edge = np.abs(grey.astype(int) - round(0.55 * 255)) < 8
+    rows, columns = np.flatnonzero(edge.sum(axis=1) > 200), np.flatnonzero(edge.sum(axis=0) > 200)
+    assert abs((rows.max() - rows.min()) - (columns.max() - columns.min())) <= 2
+    blue = np.argwhere(
+        np.abs(cv2.imread(str(path)).astype(int) - (0x94, 0x53, 0x0B)).max(axis=2) < 30
+    )
+    first, last = blue[np.argmin(blue[:, 1])], blue[np.argmax(blue[:, 1])]
+    assert last[0] > first[0]
+
+
+def test_no_picture_of_nothing(tmp_path: Path) -> None:
+    blind = track_of(places(EVEN_S, set(range(100))), "a.mp4")
+    with pytest.raises(InputError, match=r"a\.mp4 shows no fish"):
+        draw_track(blind, None, tmp_path / "a.png")
+    with pytest.raises(InputError, match="cannot write"):
+        draw_track(track_of(places(EVEN_S)), None, tmp_path / "no" / "a.png")
+    assert list(tmp_path.iterdir()) == []
