@@ -1,0 +1,59 @@
+"""A simulated fish whose speed comes from drawn pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.camera.live import VideoCamera
+from tailbeat.camera.markers import Marker
+from tailbeat.camera.rendered.scene import Scene
+from tailbeat.camera.rendered.source import RenderedDevice
+from tailbeat.camera.track import Track
+from tailbeat.camera.tracker import Tracker
+from tailbeat.fish import Fish
+from tailbeat.trial_log import Trial, read_trial
+
+
+@contextmanager
+def drawn_camera(fish: Fish, scene: Scene, glow: bool = False) -> Iterator[VideoCamera]:
+    """What ``tailbeat trial run --camera rendered`` looks through."""
+    source = RenderedDevice(fish.sim, scene)
+    marker = Marker(scene.marker, scene.marker_id, scene.marker_side_m)
+    tracker = Tracker(marker, scene.calibration(), source.name, glow=glow)
+    camera = VideoCamera(source, tracker, threaded=False)
+    try:
+        yield camera
+    finally:
+        camera.close()
+
+
+@dataclass(frozen=True)
+class Swum:
+    """A trial, the film of it, and the truth. ``start_s``: of the swim in the film's time."""
+
+    trial: Trial
+    track: Track
+    true_beats: NDArray[np.float64]
+    start_s: float
+
+
+def swim_before_the_camera(fish: Fish, scene: Scene, glow: bool = False) -> Swum:
+    """The next trial, filmed. It stays pending."""
+    with drawn_camera(fish, scene, glow) as camera:
+        outcome = fish.run_trial(camera)
+        track = camera.track()
+    trial = read(fish, outcome.number)
+    boot_s = fish.sim.time_s - fish.sim.board_time_s
+    return Swum(trial, track, np.array(fish.sim.true_beats()), trial.start_us * 1e-6 + boot_s)
+
+
+def read(fish: Fish, number: int) -> Trial:
+    with TemporaryDirectory() as folder:
+        return read_trial(fish.pull_trial(number, Path(folder)))

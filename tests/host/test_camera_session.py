@@ -1,0 +1,108 @@
+"""A fish learns from drawn pictures as well as from its true speed, live and film by film."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+
+from tailbeat.camera.rendered.scene import Scene
+from tailbeat.camera.swimspeed import swim_speed
+from tailbeat.camera.sync import sync
+from tailbeat.fish import Fish
+from tailbeat.model.design import design
+from tailbeat.model.guided import Person, identify_fish
+from tailbeat.reference import Reference, thesis
+
+from .rendered_tank import drawn_camera, swim_before_the_camera
+
+SMALL = Scene(size_px=(960, 540))
+SHORT = Reference(1.0, thesis().speed_m_s[6:18], "short")
+SEEDS = int(os.environ.get("CAMERA_SESSION_SEEDS", "4"))
+UPLOAD = 1
+
+
+def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
+    """Its law designed for it; the speed by vision."""
+    fish = Fish.connect(f"sim:tank?seed={seed}", **overrides)
+    fish.params.set("AMP_MAX_RAD", math.pi / 4)
+    fish.params.set("DU_MAX_RAD", 0.0)
+    identified = identify_fish(fish, Person(), quick=True)
+    law = design(identified, reference, math.pi / 4).law
+    for name, value in {"LAW_GAIN": law.kp_rad_s_m, "LAW_LEAD": law.lead_beats}.items():
+        fish.params.set(name, value)
+    fish.upload_reference(reference)
+    fish.sim.set_swim(1)  # the same noise, whatever was swum before
+    return fish
+
+
+def last_errors(fish: Fish, reference: Reference, swim, trials: int) -> float:
+    """Mean of the true max|e| over the last half of the trials."""
+    found = []
+    for _ in range(trials):
+        number = swim(fish)
+        found.append(float(np.abs(reference.speed_m_s - fish.sim.true_beats()).max()))
+        fish.learn(number)
+    return float(np.mean(found[trials // 2 :]))
+
+
+def by_truth(fish: Fish) -> int:
+    fish.params.set("SPD_SOURCE", UPLOAD)
+    number = fish.run_trial().number
+    beats = fish.sim.true_beats()
+    fish.upload_speeds(number, beats, np.full(len(beats), 1e-4))
+    return number
+
+
+def live(scene: Scene):
+    def swim(fish: Fish) -> int:
+        with drawn_camera(fish, scene) as camera:
+            return fish.run_trial(camera).number
+
+    return swim
+
+
+def by_film(scene: Scene):
+    """The thesis's own way: swim, look at the film, upload, learn."""
+
+    def swim(fish: Fish) -> int:
+        fish.params.set("SPD_SOURCE", UPLOAD)
+        swum = swim_before_the_camera(fish, scene, glow=True)
+        start_s = sync(swum.track, swum.trial).start_s
+        count = swum.trial.executed_beats
+        speed, sigma = swim_speed(swum.track, swum.trial.beat_s, start_s, beats=count).beats(count)
+        fish.upload_speeds(swum.trial.number, speed, sigma)
+        return swum.trial.number
+
+    return swim
+
+
+def compared(reference: Reference, seeds: range, trials: int, ways) -> dict[str, float]:
+    """Mean over seeds of the last errors, for each way over that with perfect speed."""
+    errors = {}
+    for name, way in {"truth": by_truth, **ways}.items():
+        found = []
+        for seed in seeds:
+            with prepared(seed, reference) as fish:
+                found.append(last_errors(fish, reference, way, trials))
+        errors[name] = float(np.mean(found))
+    print(f"seeds {seeds}: " + ", ".join(f"{n} {1e3 * e:.2f} mm/s" for n, e in errors.items()))
+    return {name: errors[name] / errors["truth"] for name in ways}
+
+
+def test_a_fish_learns_from_pictures_as_from_the_truth() -> None:
+    found = compared(SHORT, range(1, 2), 4, {"live": live(SMALL)})
+    assert found["live"] < 1.15
+
+
+@pytest.mark.soak
+def test_whole_sessions_of_many_seeds() -> None:
+    scene = Scene(glare=0.2, hidden=0.03)
+    ways = {"live": live(scene), "film": by_film(scene)}
+    found = compared(thesis(), range(1, SEEDS + 1), 6, ways)
+    assert found["live"] < 1.15
+    assert found["film"] < 1.15
