@@ -65,7 +65,7 @@ def inputs(one: Callable[[random.Random], bytes], count: int) -> Iterator[bytes]
     while done < count or time.monotonic() - begin < seconds:
         done += 1
         yield one(rng)
-    print(f"{done} inputs")  # noqa: T201
+    print(f"{done} inputs")
 
 
 class Endless(BaseException):

@@ -106,7 +106,8 @@ def _source(
     if known is not None and options.address != RENDERED:
         from tailbeat.camera.device import Device
 
-        return Device(str(options.address), latency_s=options.latency_s), known
+        device = Device(str(options.address), known.size_px, latency_s=options.latency_s)
+        return device, known
     from tailbeat.camera.rendered.source import RenderedDevice, scene_of
 
     if fish.sim is None:

@@ -18,8 +18,8 @@ FLASH_BYTES = 256 * 1024
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One processed picture: where the fish was at simulated time ``time_s``. ``tail_rad``: angle of
-    the tail against the body; ``led``: part of the exposure in which the board's LED was on."""
+    """One processed picture: where the fish was at simulated time ``time_s``. ``tail_rad``: angle
+    of the tail against the body; ``led``: part of the exposure in which the board's LED was on."""
 
     time_s: float
     x_m: float

@@ -1,0 +1,177 @@
+"""The command that goes the whole way, on a film of the simulated tank: results or nothing."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat import reference, trial_log
+from tailbeat.camera import analysis
+from tailbeat.camera.film import Film
+from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
+from tailbeat.camera.rendered.scene import Scene
+from tailbeat.camera.source import Beginning
+from tailbeat.cli import run
+from tailbeat.speedcsv import read_speeds
+
+BEATS = 8
+SYNC_MAX_S = 0.010
+SPEED_MAX_M_S = 0.001
+SHORT = ("--seconds", "3", "--start", "2")
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Exercise:
+    """A short swim, filmed in a small picture."""
+    speed = 0.06 * np.sin(np.linspace(0.3, 2.8, BEATS)).astype(np.float32)
+    folder = tmp_path_factory.mktemp("film")
+    options = ExerciseOptions(
+        reference.Reference(1.0, speed, "bump"),
+        Scene(size_px=(960, 540), marker_side_m=0.08),
+        overrides={"camera_lost": 0.05},
+    )
+    return make_exercise(folder / "swim.mp4", options)
+
+
+def track(film: Exercise, out: Path, *more: str) -> int:
+    known = ("--calibration", str(film.calibration), "--out", str(out))
+    return run(["camera", "track", str(film.film), *known, *more])
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_from_film_and_trial_to_speeds(
+    film: Exercise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "swim"
+    assert track(film, out, "--trial", str(film.trial_file), "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    summary = json.loads((out / "summary.json").read_text())
+    assert document == {"folder": str(out), **summary}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["swim"]
+    names = ["beats.csv", "speed.csv", "summary.json", "track.csv"]
+    assert sorted(path.name for path in out.iterdir()) == names
+
+    assert summary["sync"]["how"] == "led"
+    assert abs(summary["sync"]["start_s"] - film.swim_begin_s) <= SYNC_MAX_S
+    assert summary["seen"] + summary["bridged"] + summary["lost"] == summary["pictures"]
+    assert summary["seen"] == film.pictures
+    beats = rows(out / "beats.csv")
+    speed = np.array([float(row["speed_m_s"]) for row in beats])
+    np.testing.assert_allclose(speed, film.true_speed_m_s[:BEATS], atol=SPEED_MAX_M_S)
+    uploaded = read_speeds(out / "speed.csv", BEATS, film.beat_s, film.trial)
+    np.testing.assert_allclose(uploaded.speed_m_s, speed, atol=1e-5)
+
+
+def test_text_says_what_to_do_next(
+    film: Exercise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "swim"
+    assert track(film, out, "--trial", str(film.trial_file), *SHORT) == 0
+    text = capsys.readouterr().out
+    assert "the swim begins at 2.000 s, as given" in text
+    assert f"of {BEATS} beats have no speed" in text
+    assert f"next: tailbeat speed upload {film.trial} {out / 'speed.csv'}" in text
+
+
+def test_without_a_trial_it_tells_the_led_s_number(
+    film: Exercise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "swim"
+    assert track(film, out) == 0
+    text = capsys.readouterr().out
+    assert f"by the LED, which shows trial {film.trial} (or one 256 away)" in text
+    assert "next:" not in text
+    assert {row["trial"] for row in rows(out / "speed.csv")} == {""}
+
+
+def test_overlay_and_plot_on_request(film: Exercise, tmp_path: Path) -> None:
+    out = tmp_path / "swim"
+    assert track(film, out, "--overlay", "--plot", *SHORT) == 0
+    names = ["overlay.mp4", "speed.csv", "summary.json", "track.csv", "track.png"]
+    assert sorted(path.name for path in out.iterdir()) == names
+    drawn = Film(out / "overlay.mp4")
+    assert drawn.size_px == (960, 540)
+    drawn.close()
+    png = (out / "track.png").read_bytes()
+    assert png.startswith(b"\x89PNG")
+
+
+def fails(code: int, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert code == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert words in said.err
+
+
+def test_errors_leave_nothing(
+    film: Exercise,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "swim"
+    fails(run(["camera", "track", str(film.film)]), "no tank.json here", capsys)
+    fails(track(film, out, *SHORT, "--start", "99"), "the swim should begin at 99 s", capsys)
+    fails(
+        track(film, out, "--seconds", "0.2", "--marker-id", "9"),
+        "no aruco marker with id 9",
+        capsys,
+    )
+    fails(track(film, out, "--trial", str(film.film)), "is not a ULog file", capsys)
+    real = trial_log.read_trial
+    monkeypatch.setattr(trial_log, "read_trial", lambda path: replace(real(path), number=7))
+    refused = track(film, out, "--trial", str(film.trial_file))
+    fails(
+        refused, f"the film shows trial {film.trial} (or one 256 away), the file is trial 7", capsys
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_leaves_nothing(
+    film: Exercise, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: object, **more: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(analysis, "write_speeds", interrupted)
+    assert track(film, tmp_path / "swim", "--overlay", *SHORT) == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_folders_are_left_alone(
+    film: Exercise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "thesis"
+    out.mkdir()
+    (out / "chapter8.tex").write_text("all of it")
+    fails(track(film, out), "is no film's analysis", capsys)
+    assert (out / "chapter8.tex").read_text() == "all of it"
+    (out / "chapter8.tex").unlink()
+    with analysis.new_folder(out) as part:
+        (part / "summary.json").write_text('{"made_by": "tailbeat camera track"}')
+        (part / "old.png").touch()
+    with analysis.new_folder(out) as part:
+        (part / "summary.json").write_text("{}")
+    assert [path.name for path in out.iterdir()] == ["summary.json"]
+
+
+def test_the_beginning_of_a_film(film: Exercise) -> None:
+    source = Beginning(Film(film.film), 1.0)
+    times = []
+    while (picture := source.read()) is not None:
+        times.append(picture.t_s)
+    assert source.ended
+    assert 20 <= len(times) <= 25
+    assert times[-1] - times[0] < 1.0
+    source.close()
