@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tailbeat import reference, trial_log
+from tailbeat import reference
 from tailbeat.camera import analysis
 from tailbeat.camera.film import Film
 from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.source import Beginning
+from tailbeat.camera.sync import WrongPair
 from tailbeat.cli import run
 from tailbeat.speedcsv import read_speeds
 
-BEATS = 8
+BEATS = 6
 SYNC_MAX_S = 0.010
 SPEED_MAX_M_S = 0.001
-SHORT = ("--seconds", "3", "--start", "2")
+SHORT = ("--seconds", "2.6", "--start", "2")
 
 
 @pytest.fixture(scope="module")
@@ -129,12 +129,13 @@ def test_errors_leave_nothing(
         capsys,
     )
     fails(track(film, out, "--trial", str(film.film)), "is not a ULog file", capsys)
-    real = trial_log.read_trial
-    monkeypatch.setattr(trial_log, "read_trial", lambda path: replace(real(path), number=7))
-    refused = track(film, out, "--trial", str(film.trial_file))
-    fails(
-        refused, f"the film shows trial {film.trial} (or one 256 away), the file is trial 7", capsys
-    )
+
+    def refuses(*_: object) -> None:
+        raise WrongPair("the film shows trial 1, the file is trial 7", "Give its own.")
+
+    monkeypatch.setattr(analysis, "sync", refuses)
+    refused = track(film, out, "--seconds", "1", "--trial", str(film.trial_file))
+    fails(refused, "the film shows trial 1, the file is trial 7", capsys)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -150,7 +150,12 @@ def test_led_tells_begin_and_number(fps: float) -> None:
 
 
 def test_led_without_knowing_the_trial() -> None:
-    led_study(LedFilm(swim_s=20.0, after_s=12.0, hidden=0.25), range(2), "LED, length not known", length=False)
+    led_study(
+        LedFilm(swim_s=20.0, after_s=12.0, hidden=0.25),
+        range(2),
+        "LED, length not known",
+        length=False,
+    )
 
 
 def test_led_of_a_film_of_the_middle_of_a_swim() -> None:
@@ -226,6 +231,7 @@ def test_wobble_of_part_of_a_film(learned: list[Swim]) -> None:
 def test_wobble_bears_drift_and_a_few_wrong_headings(learned: list[Swim]) -> None:
     swim = learned[1]
     drift = 0.3 * np.sin(swim.track.t_s / 9) + 0.02 * swim.track.t_s
+    drift += np.where(np.arange(len(drift)) % 40 == 7, 0.8, 0.0)
     track = replace(swim.track, heading_rad=swim.track.heading_rad + drift)
     assert abs(sync_by_yaw(track, swim.trial).start_s - swim.start_s) <= YAW_MAX_S
 

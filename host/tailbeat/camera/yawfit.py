@@ -24,7 +24,6 @@ _OTHER_BEAT = 0.5  # beats: where the neighbours begin
 _KNOT_BEATS = 2.0
 _STILL_BEFORE_S, _STILL_AFTER_S = 1.0, 0.3
 _OVERLAP_MIN_BEATS = 5.0
-_OUTLIER = 5.0
 _LAG_S = 0.5  # residuals further apart are taken to be independent
 _HARMONICS = 3
 _SCALE_SIGMA = 0.02  # from beat to beat: marker askew, IMU's scale

@@ -4,6 +4,8 @@ belong together."""
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from tailbeat.camera.track import Track
 from tailbeat.camera.wobble import Wobble
@@ -11,10 +13,13 @@ from tailbeat.camera.yawfit import Headings, YawFit, look, refine, scan
 from tailbeat.errors import InputError
 from tailbeat.trial_log import Trial
 
+Floats = NDArray[np.float64]
+
 SCALE_MIN, SCALE_MAX = 0.85, 1.2  # both are angles of the same fish
 EXCESS_MAX = 0.03
 AHEAD_MIN = 10.0
 _UNEVEN_SIGMAS = 6.0  # over sqrt(beats); a mean of chi^2 scatters by sqrt(2) of that
+_OFF_MIN_RAD, _OFF_SIGMAS = 0.1, 6.0
 _SEEN_MIN = 0.3  # wobble per noise; the marker of a good camera shows 3
 AMBIGUOUS = "it fits at another beat as well"
 
@@ -28,6 +33,7 @@ def read_yaw(track: Track, trial: Trial) -> YawFit:
     when the two do not belong together or it cannot be said which beat is the first."""
     wobble = Wobble(trial)
     seen = track.seen() & np.isfinite(track.heading_rad)
+    seen[seen] = _believed(track.heading_rad[seen])
     if np.count_nonzero(seen) < 2:
         raise _no_wobble(track)
     headings = Headings(track.t_s[seen], track.heading_rad[seen], trial.beat_s)
@@ -41,6 +47,12 @@ def read_yaw(track: Track, trial: Trial) -> YawFit:
     if reason := _misfit(found):
         raise Misfit(reason)
     return found
+
+
+def _believed(heading_rad: Floats) -> NDArray[np.bool_]:
+    """Not those far from the median of their five neighbours: a marker seen askew."""
+    off = np.abs(heading_rad - median_filter(heading_rad, 5, mode="nearest"))
+    return np.asarray(off <= max(_OFF_MIN_RAD, _OFF_SIGMAS * 1.4826 * float(np.median(off))))
 
 
 def _misfit(found: YawFit) -> str:

@@ -83,7 +83,9 @@ def track(
     swim = read_trial(trial) if trial is not None else None
     folder = out or _folder(source)
     with ExitStack() as stack:
-        pictures = stack.enter_context(closing(open_source(source, seconds, latency, known.size_px)))
+        pictures = stack.enter_context(
+            closing(open_source(source, seconds, latency, known.size_px))
+        )
         part = stack.enter_context(new_folder(folder))
         on_place = None
         if overlay:
