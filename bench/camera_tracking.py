@@ -18,12 +18,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tailbeat.camera.film import Film, FilmWriter
-from tailbeat.camera.markers import Marker, detector_for
+from tailbeat.camera.marker.markers import Marker, detector_for
+from tailbeat.camera.marker.sighting import Window
+from tailbeat.camera.pictures.film import Film, FilmWriter
 from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.sighting import Window
-from tailbeat.camera.tracker import Tracker
+from tailbeat.camera.tracking.tracker import Tracker
 
 FPS = 25.0
 SECONDS = 8

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from tailbeat import _dialect as mavlink
 from tailbeat import records
-from tailbeat.camera.beatfit import BeatFit
+from tailbeat.camera.speed.beatfit import BeatFit
 from tailbeat.errors import TailbeatError
 from tailbeat.fish import Fish
 from tailbeat.link import Message

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tailbeat import _dialect as mavlink
 from tailbeat.camera.base import Camera, CameraGone, Frame
-from tailbeat.camera.beatfit import BeatFit, SpeedSample
+from tailbeat.camera.speed.beatfit import BeatFit, SpeedSample
 from tailbeat.link import Message
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 from tailbeat import _dialect as mavlink
 from tailbeat import records
 from tailbeat.camera.base import Camera
-from tailbeat.camera.wall import HIT
+from tailbeat.camera.tank.wall import HIT
 from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, STALE_COMMAND, FaultInfo, fault_info
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Message

@@ -11,12 +11,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.live import VideoCamera
-from tailbeat.camera.markers import Marker
+from tailbeat.camera.marker.markers import Marker
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import RenderedDevice
-from tailbeat.camera.track import Track
-from tailbeat.camera.tracker import Tracker
+from tailbeat.camera.tracking.live import VideoCamera
+from tailbeat.camera.tracking.track import Track
+from tailbeat.camera.tracking.tracker import Tracker
 from tailbeat.fish import Fish
 from tailbeat.trial_log import Trial, read_trial
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tailbeat._native import lib
-from tailbeat.camera.beatfit import BeatFit, SpeedSample
+from tailbeat.camera.speed.beatfit import BeatFit, SpeedSample
 from tailbeat.reference import thesis
 from tailbeat.transport.world import World
 

@@ -21,20 +21,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from tailbeat.camera.boardviews import View, Viewer
-from tailbeat.camera.calibrate import (
-    Calibrated,
-    Height,
-    Ruler,
-    calibrate,
-    check_scale,
-    rectangle,
-    ruler_in,
-)
-from tailbeat.camera.calibration import load_calibration
-from tailbeat.camera.intrinsics import find_intrinsics
-from tailbeat.camera.printed import board, find_markers
-from tailbeat.camera.sheets import (
+from tailbeat.camera.marker.printed import board, find_markers
+from tailbeat.camera.marker.sheets import (
     PAPERS_MM,
     Sheet,
     anchors_sheet,
@@ -44,8 +32,20 @@ from tailbeat.camera.sheets import (
     ruler_sheet,
     write_sheet,
 )
-from tailbeat.camera.stills import read_all, read_grey
-from tailbeat.camera.tankpoints import TankPoint, read_points
+from tailbeat.camera.pictures.stills import read_all, read_grey
+from tailbeat.camera.tank.boardviews import View, Viewer
+from tailbeat.camera.tank.calibrate import (
+    Calibrated,
+    Height,
+    Ruler,
+    calibrate,
+    check_scale,
+    rectangle,
+    ruler_in,
+)
+from tailbeat.camera.tank.calibration import load_calibration
+from tailbeat.camera.tank.intrinsics import find_intrinsics
+from tailbeat.camera.tank.tankpoints import TankPoint, read_points
 from tailbeat.cli import cameracalibrate
 from tailbeat.errors import InputError
 
@@ -450,10 +450,10 @@ EXACT_BOARD = "the true camera, in place of one found from pictures"
 @pytest.fixture
 def true_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, Image]]]:
     """Pictures of the board that tell the true camera."""
-    from tailbeat.camera.intrinsics import Intrinsics
+    from tailbeat.camera.tank.intrinsics import Intrinsics
 
     found = Intrinsics(SIZE, MATRIX, LENS, 0.1, ("b.png",), {}, (), 1.0, 1e-3)
-    monkeypatch.setattr("tailbeat.camera.calibrate.find_intrinsics", lambda board, look: found)
+    monkeypatch.setattr("tailbeat.camera.tank.calibrate.find_intrinsics", lambda board, look: found)
     yield [("b.png", NO_TANK)]
 
 
@@ -734,7 +734,7 @@ def test_sheets_that_cannot_be(tmp_path: Path) -> None:
 
 
 def test_a_film_gives_its_sharpest_pictures(tmp_path: Path) -> None:
-    from tailbeat.camera.film import FilmWriter
+    from tailbeat.camera.pictures.film import FilmWriter
 
     path = tmp_path / "board.mkv"
     sharp = board_picture(0)[::2, ::2]

@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tailbeat.camera.calibration import Calibration, load_calibration
-from tailbeat.camera.calibrationcheck import check_sense
+from tailbeat.camera.tank.calibration import Calibration, load_calibration
+from tailbeat.camera.tank.calibrationcheck import check_sense
 from tailbeat.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("cv2")
 
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.swimspeed import swim_speed
-from tailbeat.camera.sync import sync
+from tailbeat.camera.speed.swimspeed import swim_speed
+from tailbeat.camera.timing.sync import sync
 from tailbeat.fish import Fish
 from tailbeat.model.design import design
 from tailbeat.model.guided import Person, identify_fish

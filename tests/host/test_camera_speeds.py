@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("cv2")
 
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.swimspeed import SpeedCurve, swim_speed
-from tailbeat.camera.sync import sync_by_led, sync_by_yaw
+from tailbeat.camera.speed.swimspeed import SpeedCurve, swim_speed
+from tailbeat.camera.timing.sync import sync_by_led, sync_by_yaw
 from tailbeat.fish import Fish
 from tailbeat.reference import Reference, thesis
 

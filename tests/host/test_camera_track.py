@@ -11,11 +11,11 @@ import pytest
 
 from tailbeat import reference
 from tailbeat.camera import analysis
-from tailbeat.camera.film import Film
+from tailbeat.camera.pictures.film import Film
+from tailbeat.camera.pictures.source import Beginning
 from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.source import Beginning
-from tailbeat.camera.sync import WrongPair
+from tailbeat.camera.timing.sync import WrongPair
 from tailbeat.cli import run
 from tailbeat.speedcsv import read_speeds
 

@@ -14,8 +14,8 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from tailbeat.camera import capture, device  # noqa: E402
-from tailbeat.camera.device import Device  # noqa: E402
+from tailbeat.camera.pictures import capture, device  # noqa: E402
+from tailbeat.camera.pictures.device import Device  # noqa: E402
 from tailbeat.errors import InputError  # noqa: E402
 
 BOOT_S = 5000.0  # the fake clock's, when the camera is opened

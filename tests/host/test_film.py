@@ -14,8 +14,8 @@ import pytest
 av = pytest.importorskip("av")
 cv2 = pytest.importorskip("cv2")
 
-from tailbeat.camera.film import Film, FilmWriter  # noqa: E402
-from tailbeat.camera.pictures import Image, Picture  # noqa: E402
+from tailbeat.camera.pictures.film import Film, FilmWriter  # noqa: E402
+from tailbeat.camera.pictures.picture import Image, Picture  # noqa: E402
 from tailbeat.errors import InputError  # noqa: E402
 
 SIZE = (96, 64)

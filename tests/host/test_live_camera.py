@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.camera.calibration import Calibration
-from tailbeat.camera.live import VideoCamera
-from tailbeat.camera.pictures import Picture
-from tailbeat.camera.track import LOST, SEEN
-from tailbeat.camera.tracker import Place
-from tailbeat.camera.wall import WallGuard
+from tailbeat.camera.pictures.picture import Picture
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.tank.wall import WallGuard
+from tailbeat.camera.tracking.live import VideoCamera
+from tailbeat.camera.tracking.track import LOST, SEEN
+from tailbeat.camera.tracking.tracker import Place
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 

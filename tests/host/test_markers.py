@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.camera.markers import Marker, detector_for
-from tailbeat.camera.pictures import Image
-from tailbeat.camera.sighting import Sighting, Window
+from tailbeat.camera.marker.markers import Marker, detector_for
+from tailbeat.camera.marker.sighting import Sighting, Window
+from tailbeat.camera.pictures.picture import Image
 from tailbeat.errors import InputError
 
 Floats = NDArray[np.float64]

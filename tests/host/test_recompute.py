@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tailbeat import reference
-from tailbeat.camera.wall import HIT
+from tailbeat.camera.tank.wall import HIT
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.recompute import recompute_beats

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from tailbeat import reference
-from tailbeat.camera.calibration import Calibration, load_calibration
-from tailbeat.camera.film import Film
-from tailbeat.camera.pictures import Image
+from tailbeat.camera.pictures.film import Film
+from tailbeat.camera.pictures.picture import Image
 from tailbeat.camera.rendered.canvas import Canvas
 from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
 from tailbeat.camera.rendered.optics import Optics
@@ -23,6 +22,7 @@ from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import RenderedDevice
 from tailbeat.camera.rendered.sprites import Body
 from tailbeat.camera.rendered.stamp import stamp
+from tailbeat.camera.tank.calibration import Calibration, load_calibration
 from tailbeat.errors import InputError
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.trial_log import read_trial

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tailbeat._native import ffi, lib
-from tailbeat.camera.beatfit import BeatFit
+from tailbeat.camera.speed.beatfit import BeatFit
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.reference import thesis

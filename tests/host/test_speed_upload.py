@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tailbeat._native import ffi, lib
-from tailbeat.camera import swimspeed
+from tailbeat.camera.speed import swimspeed
 from tailbeat.cli import run
 from tailbeat.errors import InputError, Refused
 from tailbeat.fish import Fish

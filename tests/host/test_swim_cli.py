@@ -13,12 +13,12 @@ import pytest
 
 from tailbeat import records
 from tailbeat.camera.base import Frame
-from tailbeat.camera.calibration import Calibration
-from tailbeat.camera.film import Film
-from tailbeat.camera.live import VideoCamera
-from tailbeat.camera.pictures import Picture
-from tailbeat.camera.sync import Sync
-from tailbeat.camera.tracker import Place
+from tailbeat.camera.pictures.film import Film
+from tailbeat.camera.pictures.picture import Picture
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.timing.sync import Sync
+from tailbeat.camera.tracking.live import VideoCamera
+from tailbeat.camera.tracking.tracker import Place
 from tailbeat.cli import run
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
@@ -76,7 +76,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     """One with a camera of its own at /dev/video0, and six beats to swim."""
     simulated = SimBoard("tank", seed=1)
     monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
-    monkeypatch.setattr("tailbeat.camera.tracker.Tracker", Eyes)
+    monkeypatch.setattr("tailbeat.camera.tracking.tracker.Tracker", Eyes)
     with Fish.connect("it") as fish:
         fish.upload_reference(records.encode_reference(1.0, [0.03, 0.06, 0.08, 0.08, 0.08, 0.03]))
         fish.params.set("DU_MAX_RAD", 0)
@@ -92,19 +92,22 @@ def swim(
         assert threaded  # as it must be for a real device
         return VideoCamera(source, tracker, False, on_picture)
 
-    monkeypatch.setattr("tailbeat.camera.live.VideoCamera", in_step)
+    monkeypatch.setattr("tailbeat.camera.tracking.live.VideoCamera", in_step)
 
     def command(*words: str, prepare: Callable[[Device], None] | None = None) -> Any:
         devices = []
 
-        def opened(address: str, latency_s: float = 0.0) -> Device:
+        def opened(
+            address: str, size_px: tuple[int, int] | None = None, latency_s: float = 0.0
+        ) -> Device:
             assert address == "0"
+            assert size_px is not None  # the calibration's: the driver's own choice may be another
             devices.append(Device(board, latency_s))
             if prepare is not None:
                 prepare(devices[-1])
             return devices[-1]
 
-        monkeypatch.setattr("tailbeat.camera.device.Device", opened)
+        monkeypatch.setattr("tailbeat.camera.pictures.device.Device", opened)
         status = run(["trial", "run", "--connect", "it", *words])
         out, err = capsys.readouterr()
         assert all(device.closed for device in devices)
@@ -194,7 +197,7 @@ def test_a_device_pulled_out_in_mid_swim(
 
 def led(monkeypatch: pytest.MonkeyPatch, start_s: float, trial: int = 1) -> None:
     monkeypatch.setattr(
-        "tailbeat.camera.sync.sync_by_led",
+        "tailbeat.camera.timing.sync.sync_by_led",
         lambda track, known: Sync(start_s, 0.004, "led", trial, 1.0),
     )
 

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.camera import ripplefilter
 from tailbeat.camera.base import Frame
 from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.camera.swimspeed import (
+from tailbeat.camera.speed import ripplefilter
+from tailbeat.camera.speed.swimspeed import (
     COLUMNS,
     SpeedCurve,
     swim_direction_rad,
     swim_speed,
     write_speeds,
 )
-from tailbeat.camera.track import LOST, SEEN, Track
+from tailbeat.camera.tracking.track import LOST, SEEN, Track
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.reference import thesis
@@ -134,7 +134,7 @@ def dense(t_s, way, beat_s, by, ends):
 
 
 def test_the_smoother_gives_what_plain_gaussian_conditioning_gives(monkeypatch) -> None:
-    from tailbeat.camera import swimspeed
+    from tailbeat.camera.speed import swimspeed
 
     # A vague prior costs the dense way its digits.
     monkeypatch.setattr(ripplefilter, "_WAY_SPREAD", 1e2)

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from tailbeat import reference
 from tailbeat.camera.base import Frame
-from tailbeat.camera.ledcode import Waveform
-from tailbeat.camera.ledsync import read_led
-from tailbeat.camera.sync import WrongPair, sync, sync_by_led, sync_by_yaw
-from tailbeat.camera.track import LOST, SEEN, Track
-from tailbeat.camera.yawsync import read_yaw
+from tailbeat.camera.timing.ledcode import Waveform
+from tailbeat.camera.timing.ledsync import read_led
+from tailbeat.camera.timing.sync import WrongPair, sync, sync_by_led, sync_by_yaw
+from tailbeat.camera.timing.yawsync import read_yaw
+from tailbeat.camera.tracking.track import LOST, SEEN, Track
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.trial_log import NO_MOTION, Trial, read_trial

@@ -10,16 +10,16 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from tailbeat.camera import track as tracks
 from tailbeat.camera.base import Frame
-from tailbeat.camera.calibration import Calibration
-from tailbeat.camera.film import Film
-from tailbeat.camera.markers import Marker
-from tailbeat.camera.overlay import Overlay
-from tailbeat.camera.pictures import Picture
-from tailbeat.camera.sighting import Sighting
-from tailbeat.camera.swimspeed import SpeedCurve
-from tailbeat.camera.track import (
+from tailbeat.camera.marker.markers import Marker
+from tailbeat.camera.marker.sighting import Sighting
+from tailbeat.camera.pictures.film import Film
+from tailbeat.camera.pictures.picture import Picture
+from tailbeat.camera.speed.swimspeed import SpeedCurve
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.tracking import track as tracks
+from tailbeat.camera.tracking.overlay import Overlay
+from tailbeat.camera.tracking.track import (
     BRIDGED,
     COLUMNS,
     LOST,
@@ -31,7 +31,7 @@ from tailbeat.camera.track import (
     track_of,
     write_track,
 )
-from tailbeat.camera.tracker import GLOW_SHAPE, Place
+from tailbeat.camera.tracking.tracker import GLOW_SHAPE, Place
 from tailbeat.errors import InputError
 from tailbeat.report.track_png import draw_track
 

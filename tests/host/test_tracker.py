@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tailbeat.camera.blob import BlobDetector
-from tailbeat.camera.calibration import Calibration
-from tailbeat.camera.markers import Marker
-from tailbeat.camera.pictures import Image, Picture
+from tailbeat.camera.marker.blob import BlobDetector
+from tailbeat.camera.marker.markers import Marker
+from tailbeat.camera.marker.sighting import Sighting, Window
+from tailbeat.camera.pictures.picture import Image, Picture
 from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.sighting import Sighting, Window
-from tailbeat.camera.tracker import (
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.tracking.tracker import (
     GLOW_CELL_M,
     GLOW_HALF_WIDTH_M,
     GLOW_LEFT_M,
@@ -222,7 +222,7 @@ class Told:
 def told(monkeypatch: pytest.MonkeyPatch) -> Told:
     detector = Told()
     monkeypatch.setattr(
-        "tailbeat.camera.tracker.detector_for", lambda marker, calibration: detector
+        "tailbeat.camera.tracking.tracker.detector_for", lambda marker, calibration: detector
     )
     return detector
 

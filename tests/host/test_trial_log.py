@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tailbeat import laws, reference
-from tailbeat.camera.wall import HIT
+from tailbeat.camera.tank.wall import HIT
 from tailbeat.demo import same_bits
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish

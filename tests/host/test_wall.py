@@ -10,8 +10,8 @@ import pytest
 
 from tailbeat import records
 from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.camera.calibration import Calibration
-from tailbeat.camera.wall import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WALL_ZONE_M, WallGuard
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.tank.wall import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WALL_ZONE_M, WallGuard
 from tailbeat.fish import Fish
 from tailbeat.reference import thesis
 from tailbeat.results import BeatEvent

@@ -12,7 +12,7 @@ from littlefs import LittleFS, UserContext
 
 from tailbeat import _dialect as mavlink
 from tailbeat import records
-from tailbeat.camera.beatfit import BeatFit
+from tailbeat.camera.speed.beatfit import BeatFit
 from tailbeat.fish import Fish
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link
 from tailbeat.transport.emulated import EmulatedBoard

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.calibration import Calibration
-from tailbeat.camera.markers import Marker
-from tailbeat.camera.pictures import PictureSource
-from tailbeat.camera.swimspeed import SpeedCurve, swim_speed, write_speeds
-from tailbeat.camera.sync import Sync, sync, sync_by_led
-from tailbeat.camera.track import BRIDGED, LOST, SEEN, Progress, Track, track, write_track
+from tailbeat.camera.marker.markers import Marker
+from tailbeat.camera.pictures.picture import PictureSource
+from tailbeat.camera.speed.swimspeed import SpeedCurve, swim_speed, write_speeds
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.timing.sync import Sync, sync, sync_by_led
+from tailbeat.camera.tracking.track import BRIDGED, LOST, SEEN, Progress, Track, track, write_track
 from tailbeat.errors import InputError, reason
 from tailbeat.trial_log import Trial
 

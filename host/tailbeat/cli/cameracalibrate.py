@@ -11,10 +11,10 @@ import typer
 from tailbeat.cli.common import Json, progress_bar, say
 
 if TYPE_CHECKING:
-    from tailbeat.camera.calibrate import Calibrated, Ruler
-    from tailbeat.camera.calibration import Calibration
-    from tailbeat.camera.ruler import RulerCheck
-    from tailbeat.camera.sheets import Sheet
+    from tailbeat.camera.marker.sheets import Sheet
+    from tailbeat.camera.tank.calibrate import Calibrated, Ruler
+    from tailbeat.camera.tank.calibration import Calibration
+    from tailbeat.camera.tank.ruler import RulerCheck
 
 
 What = Literal["board", "marker", "anchors", "ruler"]
@@ -42,7 +42,7 @@ def print_(
 
     Example: tailbeat camera print marker --id 7 --side 60
     """
-    from tailbeat.camera.sheets import write_sheet
+    from tailbeat.camera.marker.sheets import write_sheet
 
     sheet = _sheet(what, kind, number, side, paper)
     path = out or Path(f"{what}.pdf")
@@ -52,7 +52,7 @@ def print_(
 
 
 def _sheet(what: What, kind: FishKind, number: int, side: float | None, paper: Paper) -> Sheet:
-    from tailbeat.camera import sheets
+    from tailbeat.camera.marker import sheets
 
     if what == "board":
         return sheets.board_sheet(paper)
@@ -152,10 +152,10 @@ def _made(
     rulers: list[Ruler],
     json: bool,
 ) -> Calibrated:
-    from tailbeat.camera.calibrate import Height, rectangle
-    from tailbeat.camera.calibrate import calibrate as make
-    from tailbeat.camera.stills import read_all, read_grey
-    from tailbeat.camera.tankpoints import read_points
+    from tailbeat.camera.pictures.stills import read_all, read_grey
+    from tailbeat.camera.tank.calibrate import Height, rectangle
+    from tailbeat.camera.tank.calibrate import calibrate as make
+    from tailbeat.camera.tank.tankpoints import read_points
 
     places = read_points(points)
     area_m = rectangle(_numbers(area, "--area")) if area is not None else None
@@ -175,8 +175,8 @@ def _made(
 def _rulers(pictures: list[Path], length_m: float | None, points: str | None) -> list[Ruler]:
     import numpy as np
 
-    from tailbeat.camera.calibrate import Ruler, ruler_in
-    from tailbeat.camera.stills import read_grey
+    from tailbeat.camera.pictures.stills import read_grey
+    from tailbeat.camera.tank.calibrate import Ruler, ruler_in
 
     if not pictures and points is None:
         return []
@@ -205,8 +205,8 @@ def _numbers(text: str, option: str) -> list[float]:
 
 
 def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
-    from tailbeat.camera.calibrate import check_scale
-    from tailbeat.camera.calibration import load_calibration
+    from tailbeat.camera.tank.calibrate import check_scale
+    from tailbeat.camera.tank.calibration import load_calibration
 
     if not rulers:
         raise typer.BadParameter("what to check it by? --ruler FILE --ruler-length METRES")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from tailbeat.camera.markers import Marker
+    from tailbeat.camera.marker.markers import Marker
 
 MarkerKindOption = Annotated[
     str, typer.Option("--marker", metavar="aruco|apriltag|blob", help="What is on the fish.")
@@ -33,7 +33,7 @@ LatencyOption = Annotated[
 
 def marker_of(kind: str, number: int | None = None, side_m: float | None = None) -> Marker:
     """What the options say. Raises typer.BadParameter."""
-    from tailbeat.camera.markers import KINDS, Marker
+    from tailbeat.camera.marker.markers import KINDS, Marker
 
     known = next((k for k in KINDS if k == kind), None)
     if known is None:

@@ -73,7 +73,7 @@ def render(
 
 
 def _scene(size: str, marker: str, glare: float, hidden: float, fish: int, seed: int) -> Scene:
-    from tailbeat.camera.markers import KINDS
+    from tailbeat.camera.marker.markers import KINDS
     from tailbeat.camera.rendered.scene import Scene
     from tailbeat.errors import InputError
 

@@ -22,9 +22,9 @@ from tailbeat.cli.common import Json, mm, progress_bar, say
 
 if TYPE_CHECKING:
     from tailbeat.camera.analysis import Analysis
-    from tailbeat.camera.calibration import Calibration
-    from tailbeat.camera.pictures import PictureSource
-    from tailbeat.camera.track import Progress
+    from tailbeat.camera.pictures.picture import PictureSource
+    from tailbeat.camera.tank.calibration import Calibration
+    from tailbeat.camera.tracking.track import Progress
 
 CALIBRATION = Path("tank.json")
 
@@ -76,7 +76,7 @@ def track(
         raise typer.BadParameter("--seconds is more than 0")
     wanted = marker_of(marker, marker_id, marker_side)
     from tailbeat.camera.analysis import analyse, new_folder, write_analysis
-    from tailbeat.camera.source import open_source
+    from tailbeat.camera.pictures.source import open_source
     from tailbeat.trial_log import read_trial
 
     known = _calibration(calibration)
@@ -89,7 +89,7 @@ def track(
         part = stack.enter_context(new_folder(folder))
         on_place = None
         if overlay:
-            from tailbeat.camera.overlay import Overlay
+            from tailbeat.camera.tracking.overlay import Overlay
 
             on_place = stack.enter_context(
                 Overlay(part / "overlay.mp4", pictures.size_px, pictures.fps)
@@ -107,7 +107,7 @@ def track(
 
 
 def _calibration(path: Path | None) -> Calibration:
-    from tailbeat.camera.calibration import load_calibration
+    from tailbeat.camera.tank.calibration import load_calibration
     from tailbeat.errors import InputError
 
     if path is None and not CALIBRATION.is_file():

@@ -13,12 +13,12 @@ from tailbeat.errors import InputError, TailbeatError
 
 if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
-    from tailbeat.camera.calibration import Calibration
-    from tailbeat.camera.live import VideoCamera
-    from tailbeat.camera.markers import Marker
-    from tailbeat.camera.pictures import PictureSource
-    from tailbeat.camera.recorder import Recorder
-    from tailbeat.camera.track import Track
+    from tailbeat.camera.marker.markers import Marker
+    from tailbeat.camera.pictures.picture import PictureSource
+    from tailbeat.camera.pictures.recorder import Recorder
+    from tailbeat.camera.tank.calibration import Calibration
+    from tailbeat.camera.tracking.live import VideoCamera
+    from tailbeat.camera.tracking.track import Track
     from tailbeat.fish import Fish, Guard
 
 RENDERED = "rendered"
@@ -51,7 +51,7 @@ class Live:
 @contextmanager
 def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
     """The camera for the length of a swim. Raises InputError, ConnectError."""
-    from tailbeat.camera.calibration import load_calibration
+    from tailbeat.camera.tank.calibration import load_calibration
 
     file = options.calibration
     known = None if file is None else load_calibration(file)
@@ -70,7 +70,7 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
         calibration.check_size(source.size_px, source.name)
         recorder = None
         if options.video is not None:
-            from tailbeat.camera.recorder import Recorder
+            from tailbeat.camera.pictures.recorder import Recorder
 
             recorder = Recorder(options.video, source.size_px, source.fps)
             stack.callback(recorder.close)
@@ -104,7 +104,7 @@ def _source(
     """A device, or the simulated fish as a camera would see it, with the true calibration unless
     another is given."""
     if known is not None and options.address != RENDERED:
-        from tailbeat.camera.device import Device
+        from tailbeat.camera.pictures.device import Device
 
         device = Device(str(options.address), known.size_px, latency_s=options.latency_s)
         return device, known
@@ -131,15 +131,15 @@ def _video_camera(
     recorder: Recorder | None,
     threaded: bool,
 ) -> VideoCamera:
-    from tailbeat.camera.live import VideoCamera
-    from tailbeat.camera.tracker import Tracker
+    from tailbeat.camera.tracking.live import VideoCamera
+    from tailbeat.camera.tracking.tracker import Tracker
 
     tracker = Tracker(marker, calibration, source.name, glow=True)
     return VideoCamera(source, tracker, threaded, recorder)
 
 
 def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:
-    from tailbeat.camera.wall import WALL_ZONE_M, WallGuard
+    from tailbeat.camera.tank.wall import WALL_ZONE_M, WallGuard
     from tailbeat.records import decode_reference
 
     walls = calibration is not None and calibration.area_m is not None
@@ -171,7 +171,7 @@ def camera_report(fish: Fish, camera: VideoCamera, trial: int) -> dict[str, floa
 
 
 def _lateness(fish: Fish, camera: VideoCamera, seen: Track, trial: int) -> dict[str, float]:
-    from tailbeat.camera.sync import sync_by_led
+    from tailbeat.camera.timing.sync import sync_by_led
     from tailbeat.trial_log import read_trial
 
     found = sync_by_led(seen, None)

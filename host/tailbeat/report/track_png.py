@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tailbeat.camera.calibration import Calibration
-    from tailbeat.camera.swimspeed import SpeedCurve
-    from tailbeat.camera.track import Track
+    from tailbeat.camera.speed.swimspeed import SpeedCurve
+    from tailbeat.camera.tank.calibration import Calibration
+    from tailbeat.camera.tracking.track import Track
 
     Floats = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ def _draw_speed(axes: Axes, track: Track, curve: SpeedCurve | None) -> None:
 
 def _with_holes(curve: SpeedCurve) -> tuple[Floats, Floats, Floats]:
     """The curve with NaN where samples are missing, so that lines break."""
-    from tailbeat.camera.swimspeed import STEPS_PER_BEAT
+    from tailbeat.camera.speed.swimspeed import STEPS_PER_BEAT
 
     step_s = curve.beat_s / STEPS_PER_BEAT
     breaks = np.flatnonzero(np.diff(curve.t_s) > 1.5 * step_s) + 1
@@ -166,7 +166,7 @@ def _with_holes(curve: SpeedCurve) -> tuple[Floats, Floats, Floats]:
 
 def _lost(track: Track) -> list[tuple[float, float]]:
     """Begin and end of each stretch in which the fish was lost."""
-    from tailbeat.camera.track import LOST
+    from tailbeat.camera.tracking.track import LOST
 
     lost = np.concatenate([[False], track.state == LOST, [False]])
     edges = np.flatnonzero(np.diff(lost.astype(np.int8)))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.camera.extra import need_cv2
-from tailbeat.camera.pictures import Image
+from tailbeat.camera.pictures.picture import Image
 from tailbeat.camera.rendered.canvas import whole_elements
 from tailbeat.camera.rendered.optics import Optics, along_edges
 from tailbeat.camera.rendered.scene import ANCHOR_SIDE_M, RIM_M, Scene

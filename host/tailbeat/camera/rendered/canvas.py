@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.camera.extra import need_cv2
-from tailbeat.camera.markers import MarkerKind
+from tailbeat.camera.marker.markers import MarkerKind
 from tailbeat.camera.rendered.stamp import Layer, Sprite
 
 cv2 = need_cv2()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.camera.base import Frame
-from tailbeat.camera.film import FilmWriter
+from tailbeat.camera.pictures.film import FilmWriter
 from tailbeat.camera.rendered.painter import Painter
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import picture_index, truth_of

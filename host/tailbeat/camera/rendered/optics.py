@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.calibration import Calibration
 from tailbeat.camera.extra import need_cv2
 from tailbeat.camera.rendered.scene import RIM_M, Scene
+from tailbeat.camera.tank.calibration import Calibration
 
 cv2 = need_cv2()
 

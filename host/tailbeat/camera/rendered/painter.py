@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.pictures import Image
+from tailbeat.camera.pictures.picture import Image
 from tailbeat.camera.rendered import sprites
 from tailbeat.camera.rendered.backdrop import backdrop, dimming
 from tailbeat.camera.rendered.canvas import whole_elements

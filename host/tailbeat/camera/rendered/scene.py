@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tailbeat.camera.calibration import ANCHOR_ID_MIN, Calibration
-from tailbeat.camera.markers import MarkerKind
+from tailbeat.camera.marker.markers import MarkerKind
+from tailbeat.camera.tank.calibration import ANCHOR_ID_MIN, Calibration
 
 START_M = 0.5  # from the wall behind the fish to its marker
 RIM_M = 0.10  # width of the rim around the water, on which the anchors are
@@ -18,9 +18,9 @@ class Scene:
     """All in SI units, pixels where it says so. Defaults: the thesis's tank (3 x 1.8 m) and a
     camera of 1280x720 that sees all of it, a little askew, with some lens distortion.
 
-    The tank's frame as in calibration.py: the fish starts at x = 0 with its marker, 0.5 m from the
-    wall behind it, in the middle of the tank's width. The camera looks at the middle of the tank;
-    ``tilt_rad`` and ``pan_rad`` lean it about the picture's u and v axis. The picture is just wide
+    The tank's frame as in tank/calibration.py: the fish starts at x = 0 with its marker, 0.5 m from
+    the wall behind it, in the middle of the tank's width. The camera looks at the middle of the
+    tank; ``tilt_rad`` and ``pan_rad`` lean it about the picture's u and v axis. The picture is just wide
     enough for the tank with its rim.
     """
 

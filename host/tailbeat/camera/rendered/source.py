@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Literal
 
-from tailbeat.camera.pictures import Picture
+from tailbeat.camera.pictures.picture import Picture
 from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.markers import MarkerKind
+from tailbeat.camera.marker.markers import MarkerKind
 from tailbeat.camera.rendered.canvas import Canvas, card_m
 from tailbeat.camera.rendered.chance import chance
 from tailbeat.camera.rendered.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.camera.extra import need_cv2
-from tailbeat.camera.pictures import Image
+from tailbeat.camera.pictures.picture import Image
 
 cv2 = need_cv2()
 

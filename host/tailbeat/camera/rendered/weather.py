@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.camera.extra import need_cv2
-from tailbeat.camera.pictures import Image
+from tailbeat.camera.pictures.picture import Image
 from tailbeat.camera.rendered.backdrop import water
 from tailbeat.camera.rendered.chance import chance
 from tailbeat.camera.rendered.optics import Optics

@@ -1,0 +1,204 @@
+"""A fish without a marker: the one thing that moves before a still background.
+
+Good for a look, not for the best of figures: the tail is part of the blob and moves its middle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.camera.marker.background import Background, Floats, Mask
+from tailbeat.camera.marker.sighting import Points, Sighting, Window
+from tailbeat.camera.pictures.picture import Image
+
+_SHRINK = 2  # a blob's middle is as good at half the size, and four times cheaper
+_WIDTHS = (0.4, 2.0)  # of the known body width
+_LENGTHS = (1.8, 10.0)  # of the blob's own width; a curled fish is shorter
+_AREAS = (2e-4, 2e-2)  # of the picture, when the width is not known
+_SIMILAR = 0.4  # of the clearest one's weight: could be a second fish, weaker ones are waves
+_CANDIDATES = 6
+_GLARING = 245  # a reflection, no fish
+_WIDTH_UNKNOWN = 1 / 30  # of the picture's width
+_RIM_PX = 4  # around a region, to see what it stands out from
+_CONTRAST_MIN, _CONTRAST_GOOD = 10.0, 40.0  # grey levels
+_CORE = 0.5
+_QUALITY_MAX = 0.5
+_VOTE_KEPT = 0.98
+_VOTE_NEEDED = 0.5  # widths swum backwards
+
+
+Box = tuple[slice, slice]
+Labels = NDArray[np.int32]
+There = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class _Region:
+    box: Box
+    mask: Mask  # in the box
+    area_px: float
+    middle: Points  # (2,)
+    axis: Points  # (2,), unit, towards the head by shape: a fish is thicker in front
+    length_px: float
+    width_px: float
+    contrast: float
+
+    @property
+    def weight(self) -> float:
+        """How clearly it is there: big waves are faint, glitter is small."""
+        return self.area_px * self.contrast
+
+
+class BlobDetector:
+    """Finds what moves (sighting.Detector); look at every picture with it, in order.
+
+    In the first picture the fish is the one thing of a fish's shape that stands out from its
+    surroundings; it is seen from then on. When there is none or more than one, the fish is seen
+    once it has left the place where it lay, about a body length on. The hole it leaves in the
+    background is no fish: in the picture it does not stand out from its rim. Lying still for long
+    does no harm later.
+    """
+
+    def __init__(self, width_px: float | None = None, water: Mask | None = None) -> None:
+        """``width_px``: the body's width; ``water``: 255 where the fish can be, a whole picture."""
+        self._width_px = None if width_px is None else width_px / _SHRINK
+        self._water = None if water is None else _shrunk(water)
+        self._background: Background | None = None
+        self._axis: Points | None = None
+        self._middle: Points | None = None
+        self._vote = 0.0
+
+    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+        """Everything that could be the fish, the clearest first. A ``window`` saves no time."""
+        small = _shrunk(grey)
+        if self._background is None:
+            width_px = self._width_px or _WIDTH_UNKNOWN * small.shape[1]
+            self._background = Background(small, width_px, lambda m, d: self._only_one(m, d, small))
+        regions = self._moving(small)
+        fish = np.zeros_like(small)
+        for region in regions:
+            fish[region.box] |= region.mask
+        self._background.learn(small, fish)
+        found = [self._sighting(region, first=k == 0) for k, region in enumerate(regions)]
+        return [one for one in found if window is None or _inside(one, window)]
+
+    def _moving(self, small: Image) -> list[_Region]:
+        assert self._background is not None
+        real = self._regions(*self._background.changed(small), small)
+        real.sort(key=lambda region: -region.weight)
+        return [region for region in real if region.weight >= _SIMILAR * real[0].weight]
+
+    def _only_one(self, mask: Mask, difference: Floats, small: Image) -> Mask | None:
+        regions = self._regions(mask, difference, small)
+        if len(regions) != 1:
+            return None
+        fish = np.zeros_like(small)
+        fish[regions[0].box] = regions[0].mask
+        return fish
+
+    def _regions(self, mask: Mask, difference: Floats, small: Image) -> list[_Region]:
+        """Those that could be a fish, by their size and shape; the biggest first."""
+        if self._water is not None:
+            mask = mask & self._water
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+        areas = stats[:, cv2.CC_STAT_AREA]
+        order = sorted(range(1, count), key=lambda k: -areas[k])[:_CANDIDATES]
+        least = _AREAS[0] * mask.size if self._width_px is None else self._width_px**2
+        boxes = {k: _box(stats[k]) for k in order if areas[k] >= least}
+        cores = {k: (box, _core(labels[box] == k, difference[box])) for k, box in boxes.items()}
+        found = [_region(box, there, small) for box, there in cores.values()]
+        return [region for region in found if self._plausible(region, mask.size)]
+
+    def _plausible(self, region: _Region, picture_px: int) -> bool:
+        if region.contrast < _CONTRAST_MIN:
+            return False
+        if not _LENGTHS[0] <= region.length_px / region.width_px <= _LENGTHS[1]:
+            return False
+        if self._width_px is None:
+            return region.area_px <= _AREAS[1] * picture_px
+        return _WIDTHS[0] <= region.width_px / self._width_px <= _WIDTHS[1]
+
+    def _sighting(self, region: _Region, first: bool) -> Sighting:
+        axis = self._towards_head(region) if first else region.axis
+        front = region.middle + axis * region.length_px / 2
+        centre = (region.middle + 0.5) * _SHRINK - 0.5
+        front = (front + 0.5) * _SHRINK - 0.5
+        quality = _QUALITY_MAX * float(np.clip(region.contrast / _CONTRAST_GOOD, 0, 1))
+        return Sighting(
+            (float(centre[0]), float(centre[1])),
+            (float(front[0]), float(front[1])),
+            region.width_px * _SHRINK,
+            quality,
+        )
+
+    def _towards_head(self, region: _Region) -> Points:
+        """The end that was the head before, the thicker one at first; swimming backwards for long
+        turns it around."""
+        axis = region.axis
+        if self._axis is not None and self._middle is not None:
+            axis = axis if axis @ self._axis >= 0 else -axis
+            self._vote = _VOTE_KEPT * self._vote + float(axis @ (region.middle - self._middle))
+            if self._vote < -_VOTE_NEEDED * region.width_px:
+                axis, self._vote = -axis, 0.0
+        self._axis, self._middle = axis, region.middle
+        return axis
+
+
+def _box(stats: Labels) -> Box:
+    left, top, width, height = (int(n) for n in stats[: cv2.CC_STAT_AREA])
+    rows = slice(max(top - _RIM_PX, 0), top + height + _RIM_PX)
+    return rows, slice(max(left - _RIM_PX, 0), left + width + _RIM_PX)
+
+
+def _core(there: There, difference: Floats) -> There:
+    """The biggest part of it that stands out by half as much as its middle value: without the waves
+    that touch the fish."""
+    level = _CORE * float(np.median(difference[there]))
+    clear = (there & (difference > level)).astype(np.uint8)
+    clear = cv2.morphologyEx(clear, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # type: ignore[assignment]
+    clear = cv2.morphologyEx(clear, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))  # type: ignore[assignment]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(clear)
+    if count < 2:
+        return there
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def _region(box: Box, there: There, small: Image) -> _Region:
+    v, u = np.nonzero(there)
+    points = np.column_stack([u + box[1].start, v + box[0].start]).astype(float)
+    middle = points.mean(axis=0)
+    away = points - middle
+    values, vectors = np.linalg.eigh(away.T @ away / len(away) + np.eye(2) / 12)
+    axis = vectors[:, 1]
+    # The tail is long and thin: the far points of the third moment are its.
+    axis = -axis if ((away @ axis) ** 3).mean() > 0 else axis
+    # The axes of the ellipse with these second moments.
+    width_px, length_px = 4 * np.sqrt(values)
+    mask = there.astype(np.uint8) * np.uint8(255)
+    contrast = _contrast(mask, small[box])
+    return _Region(
+        box, mask, float(len(u)), middle, axis, float(length_px), float(width_px), contrast
+    )
+
+
+def _contrast(mask: Mask, part: Image) -> float:
+    """Grey levels between a region and its rim; 0 for a reflection."""
+    rim = cv2.dilate(mask, np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)) > mask
+    inside = float(np.median(part[mask > 0]))
+    if inside >= _GLARING or not rim.any():
+        return 0.0
+    return abs(inside - float(np.median(part[rim])))
+
+
+def _shrunk(image: Image) -> Image:
+    size = (image.shape[1] // _SHRINK, image.shape[0] // _SHRINK)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _inside(one: Sighting, window: Window) -> bool:
+    u, v = one.centre_px
+    return window.left <= u < window.right and window.top <= v < window.bottom

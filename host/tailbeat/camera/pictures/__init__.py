@@ -1,0 +1,1 @@
+"""Pictures with the time they were taken at: films, devices, still pictures."""

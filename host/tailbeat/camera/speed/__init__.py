@@ -1,0 +1,1 @@
+"""Speed from positions."""

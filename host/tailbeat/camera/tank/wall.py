@@ -1,0 +1,176 @@
+"""Stops the tail before the fish meets a wall."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.camera.base import CameraGone, Frame
+from tailbeat.results import BeatEvent
+
+if TYPE_CHECKING:
+    from tailbeat.camera.tank.calibration import Calibration
+
+Floats = NDArray[np.float64]
+
+# A fish whose tail stops glides on: ln(v / v_end) / kappa, which from 0.08 down to 0.01 m/s is
+# 0.21 m at a drag of kappa = 10 1/m. Half a second passes before that: picture, radio, and thrust
+# that is under way. A reference of 2.2 m still fits into a tank of 3 m, since a fish that slows
+# down may come closer.
+WALL_ZONE_M = 0.25
+CRUISE_M_S = 0.08
+TOUCH_M_S = 0.01  # what comes slower than this does no harm
+NOSE_M = 0.20  # from the marker's centre to the tip of the head of a 36 cm fish
+LENGTH_M = 0.36
+HIT = "wall:"
+
+_WINDOW_S = 1.0  # a beat: the body's sway is not a speed
+_WINDOW_MIN_S = 0.5
+_SWIM_MAX_M_S = 0.5  # the nose, too, which sways at 0.25 m/s
+_JUMP_M = 0.05
+_AGREEING = 3
+_UNSEEN_BEATS_MAX = 2
+
+
+class WallGuard:
+    """A guard for run_trial: sees frames, gives a reason to abort.
+
+    The fish's nose and tail keep away from the edges of ``calibration.area_m``: from each edge by
+    ``zone_m`` when the fish comes towards it at 0.08 m/s, in proportion to that speed otherwise (so
+    3.1 s before it would be there, by default). An edge that it does not come closer to at 0.01 m/s
+    or more does not count: the wall behind it at the start, one that it swims along. Without an
+    area, or with ``zone_m`` 0, it never aborts.
+
+    A jump that no fish can swim (a wrong detection) is not believed before the third picture says
+    the same. A fish that is not seen is taken to go on as it did, as fast as then or as it should,
+    whichever is more: beats come once per ``beat_s``, and it must not reach the zone before the
+    next. A camera that is gone (CameraGone), or has not seen the fish within two beats, is a reason
+    of its own.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        zone_m: float = WALL_ZONE_M,
+        nose_m: float = NOSE_M,
+        beat_s: float = 1.0,
+    ) -> None:
+        area = calibration.area_m if zone_m > 0 else None
+        self._walls = None if area is None else _inward(np.asarray(area, dtype=np.float64))
+        self._zone_s = zone_m / CRUISE_M_S
+        self._ends_m = np.array([nose_m, nose_m - LENGTH_M])
+        self._beat_s = beat_s
+        self._seen: deque[Frame] = deque()
+        self._doubted: list[Frame] = []
+        self._velocity = np.zeros(2)
+        self._fresh = False  # seen since the last beat
+        self._unseen_beats = 0
+        self._unseen_m = 0.0
+
+    def __call__(self, what: object) -> str | None:
+        """The reason to abort, starting with HIT when it is a wall, or None. ``what``: a Frame, a
+        BeatEvent, CameraGone; all else is ignored."""
+        if self._walls is None:
+            return None
+        if isinstance(what, Frame):
+            return self._look(what)
+        if isinstance(what, BeatEvent):
+            return self._reckon(what)
+        if isinstance(what, CameraGone):
+            return "the camera that guards the walls is gone"
+        return None
+
+    def _look(self, frame: Frame) -> str | None:
+        if not self._believed(frame):
+            return None
+        self._fresh = True
+        self._velocity = self._fitted()
+        return self._judge(self._place(frame), self._velocity, "")
+
+    def _believed(self, frame: Frame) -> bool:
+        """Takes a frame into what was seen; not one before or far from the last."""
+        if not all(map(math.isfinite, (frame.t_s, frame.x_m, frame.y_m, frame.heading_rad))):
+            return False
+        seen = self._seen
+        if seen and frame.t_s <= seen[-1].t_s:
+            return False
+        if seen and not self._within_reach(seen[-1], frame):
+            if self._doubted and not self._within_reach(self._doubted[-1], frame):
+                self._doubted.clear()
+            self._doubted.append(frame)
+            if len(self._doubted) < _AGREEING:
+                return False
+            seen.clear()
+            seen.extend(self._doubted[:-1])
+        self._doubted.clear()
+        seen.append(frame)
+        while frame.t_s - seen[0].t_s > _WINDOW_S * 1.001:
+            seen.popleft()
+        return True
+
+    def _within_reach(self, before: Frame, after: Frame) -> bool:
+        """Also by the ends: a marker that is read back to front stays where it is."""
+        moved = np.abs(self._place(after) - self._place(before)).max()
+        return bool(moved <= _SWIM_MAX_M_S * (after.t_s - before.t_s) + _JUMP_M)
+
+    def _fitted(self) -> Floats:
+        """Velocity by a line through what was seen; the last one known while that is too short."""
+        t = np.array([f.t_s for f in self._seen])
+        if t[-1] - t[0] < _WINDOW_MIN_S:
+            return self._velocity
+        t -= t.mean()
+        xy = np.array([(f.x_m, f.y_m) for f in self._seen])
+        velocity: Floats = t @ xy / (t @ t)
+        return velocity
+
+    def _reckon(self, beat: BeatEvent) -> str | None:
+        """Once per beat: where a fish that was not seen in it will be at the next."""
+        if self._fresh:
+            self._fresh, self._unseen_beats, self._unseen_m = False, 0, 0.0
+            return None
+        self._unseen_beats += 1
+        if not self._seen:
+            blind = self._unseen_beats >= _UNSEEN_BEATS_MAX
+            return "the camera that guards the walls does not see the fish" if blind else None
+        speed = float(np.hypot(*self._velocity))
+        heading = self._seen[-1].heading_rad
+        along = np.array([math.cos(heading), math.sin(heading)])
+        if speed > 2 * TOUCH_M_S:
+            along = self._velocity / speed
+        speed = max(speed, beat.reference_m_s)
+        self._unseen_m += speed * self._beat_s
+        ahead_m = self._unseen_m + speed * self._beat_s
+        place = self._place(self._seen[-1]) + ahead_m * along
+        return self._judge(place, speed * along, ", not seen any more")
+
+    def _place(self, frame: Frame) -> Floats:
+        """Nose and end of the tail, (2, 2)."""
+        along = np.array([math.cos(frame.heading_rad), math.sin(frame.heading_rad)])
+        place: Floats = np.array([frame.x_m, frame.y_m]) + self._ends_m[:, None] * along
+        return place
+
+    def _judge(self, place: Floats, velocity: Floats, how: str) -> str | None:
+        assert self._walls is not None
+        inward, offset = self._walls
+        left_m = (place @ inward.T - offset).min(axis=0)
+        towards_m_s = -(inward @ velocity)
+        near = (towards_m_s >= TOUCH_M_S) & (left_m < self._zone_s * towards_m_s)
+        if not near.any():
+            return None
+        worst = int(np.argmin(np.where(near, left_m, np.inf)))
+        return f"{HIT} {max(left_m[worst], 0):.2f} m away at {towards_m_s[worst]:.3f} m/s{how}"
+
+
+def _inward(corners: Floats) -> tuple[Floats, Floats]:
+    """Of each edge the unit vector into the area, (n, 2), and ``offset``: a point p is
+    inward @ p - offset away from it, inside positive."""
+    along = np.roll(corners, -1, axis=0) - corners
+    inward = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    offset = (inward * corners).sum(axis=1)
+    if (corners.mean(axis=0) @ inward.T < offset).any():
+        inward, offset = -inward, -offset
+    return inward, offset

@@ -1,0 +1,189 @@
+"""Fits the IMU's wobble to the camera's headings: shift in time, size, and how well it fits.
+
+Camera headings are the IMU's, shifted in time and scaled, plus whatever drifts (gyroscope,
+currents: a broken line with a knot every two beats), plus noise. Before and after the swim the tail
+is still, so the onset counts as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.camera.timing.wobble import LATE_SIGMA_S, Wobble
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_COARSE_STEP_S = 0.05
+_FINE_STEP_S = 0.005
+_FINE_REACH_S = 0.1
+_OTHER_BEAT = 0.5  # beats: where the neighbours begin
+_KNOT_BEATS = 2.0
+_STILL_BEFORE_S, _STILL_AFTER_S = 1.0, 0.3
+_OVERLAP_MIN_BEATS = 5.0
+_LAG_S = 0.5  # residuals further apart are taken to be independent
+_HARMONICS = 3
+_SCALE_SIGMA = 0.02  # from beat to beat: marker askew, IMU's scale
+
+
+@dataclass(frozen=True)
+class YawFit:
+    """``begin_s``: the track's time of the swim's begin. ``scale``: the camera's wobble over the
+    IMU's. ``noise_rad``: the camera's, per picture; ``wobble_rad``: RMS of the IMU's.
+    ``seen_rad``: RMS of the camera's, less noise. ``explained``: part of that, 0..1. ``excess``:
+    what is left beyond noise over the wobble, as variances. ``uneven``: mean chi^2 of the scale's
+    changes over ``beats`` beats.
+    ``ahead``: log likelihood ratio to the best begin half a beat or more away."""
+
+    begin_s: float
+    sigma_s: float
+    scale: float
+    noise_rad: float
+    wobble_rad: float
+    seen_rad: float
+    explained: float
+    excess: float
+    uneven: float
+    beats: int
+    ahead: float
+
+
+class Headings:
+    """The camera's headings, shape (pictures,), without what drifts."""
+
+    def __init__(self, t_s: Floats, heading_rad: Floats, beat_s: float) -> None:
+        self.t_s, self.beat_s = t_s, beat_s
+        knots = np.arange(t_s[0], t_s[-1] + _KNOT_BEATS * beat_s, _KNOT_BEATS * beat_s)
+        hats = np.array([np.interp(t_s, knots, row) for row in np.eye(len(knots))]).T
+        self._drift, _ = np.linalg.qr(hats[:, hats.any(axis=0)])
+        self.rest = self.without_drift(heading_rad)
+
+    def without_drift(self, series: Floats) -> Floats:
+        """Less the broken line that fits it best."""
+        return np.asarray(series - self._drift @ (self._drift.T @ series))
+
+
+def scan(headings: Headings, wobble: Wobble) -> tuple[Floats, Floats]:
+    """Begins, and the power of the headings that each explains (rad^2, summed over pictures)."""
+    overlap_s = _OVERLAP_MIN_BEATS * wobble.beat_s
+    first, last = headings.t_s[0] - wobble.end_s + overlap_s, headings.t_s[-1] - overlap_s
+    begins = np.arange(first, last, _COARSE_STEP_S)
+    return begins, np.array([explained_power(headings, wobble, begin) for begin in begins])
+
+
+def explained_power(headings: Headings, wobble: Wobble, begin_s: float) -> float:
+    """Of the wobble that begins then, at its best size; 0 when it would have to be turned over."""
+    shape = _shape(headings, wobble, begin_s)
+    power = float(shape @ shape)
+    along = float(shape @ headings.rest)
+    return along * abs(along) / power if power > 0 else 0.0
+
+
+def _shape(headings: Headings, wobble: Wobble, begin_s: float) -> Floats:
+    return headings.without_drift(wobble.heading_rad(headings.t_s - begin_s))
+
+
+def refine(headings: Headings, wobble: Wobble, begin_s: float) -> float:
+    """The best begin near that one: the top of a parabola."""
+    for reach_s, step_s in ((_FINE_REACH_S, 0.02), (0.03, _FINE_STEP_S)):
+        begins = begin_s + np.arange(-reach_s, reach_s + step_s / 2, step_s)
+        power = np.array([explained_power(headings, wobble, begin) for begin in begins])
+        top = int(np.clip(np.argmax(power), 1, len(begins) - 2))
+        left, middle, right = power[top - 1 : top + 2]
+        bend = left - 2 * middle + right
+        shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
+        begin_s = float(begins[top] + np.clip(shift, -1, 1) * step_s)
+    return begin_s
+
+
+def look(headings: Headings, wobble: Wobble, begins: Floats, power: Floats, top: float) -> YawFit:
+    """How well the begin ``top`` fits; ``begins`` and ``power`` as ``scan`` gave them."""
+    since_s = headings.t_s - top
+    near = (since_s > -_STILL_BEFORE_S) & (since_s < wobble.end_s + _STILL_AFTER_S)
+    near &= wobble.known(since_s)
+    shape = _shape(headings, wobble, top)[near]
+    rest = headings.rest[near]
+    scale = float(shape @ rest / (shape @ shape))
+    left = rest - scale * shape
+    noise = _noise_rad(headings.rest[near], since_s[near], wobble)
+    slope = (_shape(headings, wobble, top + 1e-3) - _shape(headings, wobble, top - 1e-3))[near]
+    slope *= scale / 2e-3
+    error_s = _sigma_s(slope, left, since_s[near])
+    wobble_rad = float(np.sqrt(np.mean(shape**2)))
+    over = max(0.0, float(np.mean(left**2)) - noise**2)
+    whole = max(float(np.mean(rest**2)) - noise**2, 1e-12)
+    spread = float(np.mean(left**2)) * _correlation(left, since_s[near])
+    uneven, beats = _uneven(shape * scale, left, since_s[near], noise, wobble.beat_s)
+    others = np.where(np.abs(begins - top) > _OTHER_BEAT * wobble.beat_s, power, 0.0)
+    rival = refine(headings, wobble, float(begins[np.argmax(others)]))
+    return YawFit(
+        begin_s=top,
+        sigma_s=float(np.hypot(error_s, LATE_SIGMA_S)),
+        scale=scale,
+        noise_rad=noise,
+        wobble_rad=wobble_rad,
+        seen_rad=float(np.sqrt(whole)),
+        explained=float(np.clip(1 - over / whole, 0, 1)),
+        excess=over / max((scale * wobble_rad) ** 2, 1e-12),
+        uneven=uneven,
+        beats=beats,
+        ahead=(explained_power(headings, wobble, top) - explained_power(headings, wobble, rival))
+        / (2 * spread),
+    )
+
+
+def _noise_rad(rest: Floats, since_s: Floats, wobble: Wobble) -> float:
+    """Of one heading: what is left when every beat gets the harmonics that fit it best."""
+    beat = np.floor(since_s / wobble.beat_s).astype(int)
+    squares, free = 0.0, 0
+    for k in np.unique(beat):
+        mine = beat == k
+        phase = 2 * np.pi * since_s[mine] / wobble.beat_s
+        waves = [f(m * phase) for m in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]
+        basis = np.array([np.ones_like(phase), phase, *waves]).T
+        if len(basis) < basis.shape[1] + 3:
+            continue
+        _, residue, rank, _ = np.linalg.lstsq(basis, rest[mine], rcond=None)
+        if len(residue):
+            squares += float(residue[0])
+            free += len(basis) - int(rank)
+    return float(np.sqrt(squares / free)) if free else float(np.std(rest))
+
+
+def _correlation(left: Floats, t_s: Floats) -> float:
+    """How many residuals count as one, >= 1: the sum of their correlations up to _LAG_S."""
+    lags = max(1, round(_LAG_S / float(np.median(np.diff(t_s)))))
+    power = float(left @ left)
+    sums = [float(left[:-lag] @ left[lag:]) for lag in range(1, min(lags, len(left) - 1) + 1)]
+    return max(1.0, 1.0 + 2.0 * sum(sums) / power) if power > 0 else 1.0
+
+
+def _sigma_s(slope: Floats, left: Floats, t_s: Floats) -> float:
+    """Of the begin, by least squares with residuals that go together for _LAG_S (Newey-West)."""
+    lags = max(1, round(_LAG_S / float(np.median(np.diff(t_s)))))
+    score = slope * left
+    total = float(score @ score)
+    for lag in range(1, min(lags, len(score) - 1) + 1):
+        total += 2 * (1 - lag / (lags + 1)) * float(score[:-lag] @ score[lag:])
+    plain = float(np.mean(left**2)) * float(slope @ slope)
+    return float(np.sqrt(max(total, plain)) / (slope @ slope))
+
+
+def _uneven(
+    shape: Floats, left: Floats, since_s: Floats, noise: float, beat_s: float
+) -> tuple[float, int]:
+    """Mean over the beats of (what of the residual looks like more or less of the wobble)^2, in its
+    own sigmas, and the beats that have a wobble to speak of."""
+    beat = np.floor(since_s / beat_s).astype(int)
+    values = []
+    for k in np.unique(beat):
+        mine = shape[beat == k]
+        power = float(mine @ mine)
+        if power < 4 * noise**2:
+            continue
+        part = float(mine @ left[beat == k]) / power
+        values.append(part**2 / (noise**2 / power + _SCALE_SIGMA**2))
+    return (float(np.mean(values)) if values else 0.0), len(values)

@@ -1,0 +1,1 @@
+"""One fish, from picture to picture."""

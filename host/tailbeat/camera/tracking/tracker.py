@@ -1,0 +1,198 @@
+"""Follows one fish from picture to picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tailbeat.camera.base import Frame
+from tailbeat.camera.extra import need_cv2
+from tailbeat.camera.marker.markers import Marker, detector_for
+from tailbeat.camera.marker.sighting import Points, Sighting, Window
+from tailbeat.camera.pictures.picture import Image, Picture
+from tailbeat.camera.tank.calibration import Calibration
+from tailbeat.camera.tracking.glow import (
+    GLOW_CELL_M,
+    GLOW_HALF_WIDTH_M,
+    GLOW_LEFT_M,
+    GLOW_RIGHT_M,
+    GLOW_SHAPE,
+    Glow,
+    glow_around,
+)
+from tailbeat.camera.tracking.trackchecks import PERSISTS, Anchors, MarkerSize, SecondFish
+
+__all__ = [
+    "GLOW_CELL_M",
+    "GLOW_HALF_WIDTH_M",
+    "GLOW_LEFT_M",
+    "GLOW_RIGHT_M",
+    "GLOW_SHAPE",
+    "Glow",
+    "Place",
+    "Tracker",
+]
+
+EVERYWHERE_EVERY_S = 1.0
+STAYS_NEAR_S = 0.2  # a marker that is covered for a moment is not looked for elsewhere
+FORGOTTEN_AFTER_S = 0.5  # then the fish can be anywhere
+SPEED_MAX_M_S, JUMP_MAX_M = 1.0, 0.05  # what a fish can do, and what a sighting can be off
+_WINDOW_SIDES = 1.2  # half a window, in markers
+_WINDOW_M, _WINDOW_M_S = 0.02, 0.5  # and what the prediction can be off
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What one picture said. ``frame`` None = the fish was not seen. ``glow``: brightest pixel of
+    each cell of the patch around the fish, GLOW_SHAPE; None when not seen or not asked for."""
+
+    index: int
+    t_s: float
+    frame: Frame | None
+    sighting: Sighting | None
+    glow: Glow | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    sighting: Sighting
+    frame: Frame
+
+    @property
+    def t_s(self) -> float:
+        return self.frame.t_s
+
+
+class Tracker:
+    """Looks first where the fish should be, then everywhere; everywhere also once a second, so that
+    a second fish does not go unnoticed.
+
+    A fish that is suddenly where it cannot have swum is not believed before it has been there for
+    three pictures.
+    """
+
+    def __init__(
+        self, marker: Marker, calibration: Calibration, name: str, glow: bool = False
+    ) -> None:
+        """``name``: of the film or device, for messages. Raises what detector_for raises."""
+        self._detector = detector_for(marker, calibration)
+        self._whole_only = marker.kind == "blob"  # it has to see every picture as a whole
+        self._calibration = calibration
+        self._name = name
+        self._glow = glow
+        self._anchors = Anchors(calibration, name)
+        self._size = MarkerSize(marker, calibration, name)
+        self._second = SecondFish(calibration, name)
+        self._everywhere_s = -np.inf  # when it is due
+        self._before: _Seen | None = None
+        self._last: _Seen | None = None
+        self._doubted: list[_Seen] = []
+
+    @property
+    def other_ids(self) -> list[int]:
+        """Markers of the right kind that were seen but are not the fish's; for messages."""
+        return sorted(getattr(self._detector, "other_ids", ()))
+
+    def look(self, picture: Picture) -> Place:
+        """The fish in the next picture. Raises InputError for two fish, a picture of another size,
+        anchors that are elsewhere (first pictures), a marker whose size contradicts the
+        calibration by more than 5 % (median of the first second of sightings)."""
+        grey = _grey(picture.image)
+        self._calibration.check_size((grey.shape[1], grey.shape[0]), self._name)
+        self._anchors.look(picture.t_s, grey)
+        sighting = self._find(grey, picture.t_s)
+        if sighting is None:
+            return Place(picture.index, picture.t_s, None, None, None)
+        seen = _Seen(sighting, self._frame(picture.t_s, sighting))
+        if not self._believed(seen):
+            return Place(picture.index, picture.t_s, None, None, None)
+        self._size.look(picture.t_s, sighting.corners_px)
+        self._before, self._last = self._last, seen
+        glow = glow_around(grey, seen.frame, self._calibration) if self._glow else None
+        return Place(picture.index, picture.t_s, seen.frame, sighting, glow)
+
+    def _find(self, grey: Image, t_s: float) -> Sighting | None:
+        guess = self._prediction(t_s)
+        due = t_s >= self._everywhere_s or self._second.suspected or self._whole_only
+        if guess is not None and not due:
+            window = self._window(guess, t_s, grey)
+            sightings = self._detector.find(grey, window)
+            if sightings or self._is_near(t_s):
+                return _nearest(sightings, guess) if sightings else None
+        sightings = self._detector.find(grey)
+        self._everywhere_s = t_s + EVERYWHERE_EVERY_S
+        if not sightings:
+            return None
+        fish = sightings[0] if guess is None else _nearest(sightings, guess)
+        self._second.look(fish, sightings)
+        return fish
+
+    def _is_near(self, t_s: float) -> bool:
+        return self._last is not None and t_s - self._last.t_s <= STAYS_NEAR_S
+
+    def _prediction(self, t_s: float) -> Points | None:
+        """Where the fish should be, in pixels; None = lost."""
+        last, before = self._last, self._before
+        if last is None or not 0 <= t_s - last.t_s <= FORGOTTEN_AFTER_S:
+            return None
+        centre = np.array(last.sighting.centre_px)
+        if before is None or last.t_s - before.t_s > FORGOTTEN_AFTER_S:
+            return centre
+        step = centre - before.sighting.centre_px
+        return np.asarray(centre + step * (t_s - last.t_s) / (last.t_s - before.t_s))
+
+    def _window(self, guess: Points, t_s: float, grey: Image) -> Window:
+        assert self._last is not None
+        sighting, frame = self._last.sighting, self._last.frame
+        front = self._calibration.to_tank(np.array([sighting.front_px]))[0]
+        px_per_m = np.hypot(*np.subtract(sighting.front_px, sighting.centre_px)) / max(
+            float(np.hypot(*(front - (frame.x_m, frame.y_m)))), 1e-9
+        )
+        off_m = _WINDOW_M + _WINDOW_M_S * (t_s - frame.t_s)
+        half = _WINDOW_SIDES * sighting.side_px + px_per_m * off_m
+        low = np.floor(guess - half).astype(int)
+        high = np.ceil(guess + half).astype(int) + 1
+        height, width = grey.shape
+        left, right = np.clip((low[0], high[0]), 0, width)
+        top, bottom = np.clip((low[1], high[1]), 0, height)
+        return Window(int(left), int(top), int(right), int(bottom))
+
+    def _frame(self, t_s: float, sighting: Sighting) -> Frame:
+        pixels = np.array([sighting.centre_px, sighting.front_px])
+        (x, y), (front_x, front_y) = self._calibration.to_tank(pixels)
+        heading = float(np.arctan2(front_y - y, front_x - x))
+        return Frame(t_s, float(x), float(y), heading)
+
+    def _believed(self, seen: _Seen) -> bool:
+        if self._last is None or _can_swim(self._last, seen):
+            self._doubted = []
+            return True
+        if self._doubted and not _can_swim(self._doubted[-1], seen):
+            self._doubted = []
+        self._doubted.append(seen)
+        if len(self._doubted) < PERSISTS:
+            return False
+        # Its velocity is that of the place it jumped to.
+        self._last = self._doubted[-2]
+        self._doubted = []
+        return True
+
+
+def _can_swim(start: _Seen, end: _Seen) -> bool:
+    apart_s = end.t_s - start.t_s
+    if apart_s > FORGOTTEN_AFTER_S:
+        return True
+    apart_m = np.hypot(end.frame.x_m - start.frame.x_m, end.frame.y_m - start.frame.y_m)
+    return bool(apart_m <= SPEED_MAX_M_S * apart_s + JUMP_MAX_M)
+
+
+def _nearest(sightings: list[Sighting], guess: Points) -> Sighting:
+    return min(sightings, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
+
+
+def _grey(image: Image) -> Image:
+    if image.ndim == 2:
+        return image
+    cv2 = need_cv2()
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
