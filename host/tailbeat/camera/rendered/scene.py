@@ -20,8 +20,8 @@ class Scene:
 
     The tank's frame as in tank/calibration.py: the fish starts at x = 0 with its marker, 0.5 m from
     the wall behind it, in the middle of the tank's width. The camera looks at the middle of the
-    tank; ``tilt_rad`` and ``pan_rad`` lean it about the picture's u and v axis. The picture is just wide
-    enough for the tank with its rim.
+    tank; ``tilt_rad`` and ``pan_rad`` lean it about the picture's u and v axis. The picture is just
+    wide enough for the tank with its rim.
     """
 
     size_px: tuple[int, int] = (1280, 720)
