@@ -20,7 +20,7 @@
 #define TRIAL_LOG_BUFFER_BYTES 512u
 #define TRIAL_LOG_PIECE_BYTES 256u /* held bytes at which a poll writes: one flash page */
 #define TRIAL_LOG_TEXT_BYTES 60u   /* longer texts are cut */
-#define TRIAL_LOG_TEXTS 8u         /* counted in the size bound */
+#define TRIAL_LOG_TEXTS 6u         /* counted in the size bound; a stop, what follows it, no rest */
 #define TRIAL_LOG_SYNC_US 5000000u
 
 typedef struct {

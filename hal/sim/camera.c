@@ -2,6 +2,8 @@
 
 #include "noise.h"
 
+#include <math.h>
+
 /* Of a picture period, so that no picture is ever in step with the board's 20 ms frames. */
 #define EXPOSURE_PHASE 0.33
 #define HEADING_NOISE_RAD 0.01
@@ -12,7 +14,8 @@ void camera_init(camera_t *camera, const sim_config_t *config) {
     camera->noise_m = config->camera_noise_m;
     camera->lost = config->camera_lost;
     camera->latency_us = (uint64_t)(config->camera_latency_s * 1e6 + 0.5);
-    camera->half_exposure_us = (uint64_t)(config->camera_exposure_s * 0.5e6 + 0.5);
+    const double most_s = config->camera_fps > 0 ? 1 / config->camera_fps : 1;
+    camera->half_exposure_us = (uint64_t)(fmin(config->camera_exposure_s, most_s) * 0.5e6 + 0.5);
     camera->on = true;
     camera->swim_key = UINT32_MAX;
 }

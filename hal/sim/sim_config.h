@@ -29,7 +29,7 @@ typedef struct {
     double camera_noise_m;  /* white, per frame */
     double camera_lost;     /* probability that a frame is lost */
     double camera_fps;
-    double camera_exposure_s; /* at most a picture's period and 1 s; 0 = a point in time */
+    double camera_exposure_s; /* up to 1 s, cut to a picture's period; 0 = a point in time */
     double camera_latency_s;  /* from mid-exposure to delivery, if over by then; at least 20 ms */
     double caught_after_s; /* after the last pulse somebody catches and holds the fish; 0 = never */
     double imu_noise;      /* scale of the VN-100's specified noise; 0 = none */

@@ -254,6 +254,14 @@ static void test_a_restart_puts_the_led_out(void) {
     sim_free(sim);
 }
 
+/* A camera at 200 pictures a second cannot expose for longer than 5 ms each. */
+static void test_an_exposure_is_no_longer_than_a_period(void) {
+    look_at(200, 0.01, 0.08);
+    camera_t camera = {0};
+    camera_init(&camera, &view.config);
+    TEST_ASSERT_EQUAL_UINT64(2500, camera.half_exposure_us);
+}
+
 static bool exposure_valid(double fps, double exposure_s) {
     sim_config_t c;
     sim_config_default(&c, SIM_PLANT_TANK);
@@ -268,7 +276,7 @@ static void test_exposures_that_make_no_sense(void) {
     TEST_ASSERT_EQUAL_DOUBLE(0.01, c.camera_exposure_s);
     TEST_ASSERT_TRUE(exposure_valid(25, 0) && exposure_valid(25, 0.04));
     TEST_ASSERT_TRUE(exposure_valid(0, 0.5) && exposure_valid(1000, 0.001));
-    TEST_ASSERT_FALSE(exposure_valid(25, 0.0401) || exposure_valid(25, -0.001));
+    TEST_ASSERT_TRUE(exposure_valid(120, 0.01) && !exposure_valid(25, -0.001));
     TEST_ASSERT_FALSE(exposure_valid(0.1, 1.01) || exposure_valid(25, NAN));
 }
 
@@ -281,6 +289,7 @@ int main(void) {
     RUN_TEST(test_tail_is_the_real_one);
     RUN_TEST(test_pictures_show_the_boards_led);
     RUN_TEST(test_a_restart_puts_the_led_out);
+    RUN_TEST(test_an_exposure_is_no_longer_than_a_period);
     RUN_TEST(test_exposures_that_make_no_sense);
     return UNITY_END();
 }

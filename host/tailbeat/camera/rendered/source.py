@@ -63,8 +63,8 @@ class RenderedDevice:
 
 def scene_of(board: SimulatedBoard) -> Scene:
     """The default one, as long exposed as the board's camera."""
-    exposure_s = board.config.get("camera_exposure_s", Scene.exposure_s)
-    return Scene(exposure_s=float(exposure_s))
+    exposure_s = float(board.config.get("camera_exposure_s", Scene.exposure_s))
+    return Scene(exposure_s=min(exposure_s, 1 / max(board.config["camera_fps"], 1.0)))
 
 
 def picture_index(frame: CameraFrame, fps: float) -> int:
