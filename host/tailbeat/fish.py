@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tailbeat import _dialect as mavlink
 from tailbeat import crash, records, results
 from tailbeat.boardclock import BoardClock
-from tailbeat.camera.base import Camera, Frame
+from tailbeat.camera.base import Camera
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.crash import CrashReport
 from tailbeat.errors import ConnectError, Refused, TransferError
@@ -55,7 +55,9 @@ _NAME = "tailbeat "
 
 Event = dict[str, Any]
 OnEvent = Callable[[Event], None]
-Guard = Callable[[Frame | BeatEvent], str | None]
+Guard = Callable[[object], str | None]
+"""Sees camera.base.Frame, Unseen, Afresh and CameraGone and results.BeatEvent as they come (ignore
+what you do not know); a reason aborts the trial."""
 
 
 class HasRecord(Protocol):

@@ -3,28 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from tailbeat import _dialect as mavlink
-from tailbeat.camera.base import Camera, CameraGone, Frame
+from tailbeat.camera.base import Afresh, Camera, CameraGone, Frame, Unseen
 from tailbeat.camera.speed.beatfit import BeatFit, SpeedSample
+from tailbeat.camera.tracking.repeats import Repeats
+from tailbeat.errors import LinkLostError
 from tailbeat.link import Message
+from tailbeat.results import BeatEvent
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish, OnEvent
 
 _BLIND_S = 1.0  # of board time without a picture, after which somebody should look
+_STAMP_MAX_S = 1e6  # of board time: eleven days
+_STAMP_AHEAD_S = 10.0  # more than the clocks of a hurried simulation differ by
+_SURE_RAD = 0.3  # a fish sets out at 0.2
 _NO_COVARIANCE = (math.nan,) * 8
 
 
 class TrialCamera:
-    """Once the swim has begun nothing of the camera's raises: a tail that beats needs its loop.
+    """Once the swim has begun nothing of the camera's or the guard's raises here, only a broken
+    link: a tail that beats needs its loop.
 
     A camera that is gone is told as a warning; the trial goes on without it if ``dispensable``
-    (another source gives the speeds) and the guard agrees. Anything else that it raises (two fish,
+    (another source gives the speeds) and the guard agrees. Anything else that is raised (two fish,
     a camera that was moved) aborts, and is kept in ``failure`` for when the board has stopped.
-    ``consult(what)`` asks the guard, ``abort()`` wants the tail to stop.
+    ``consult(what)`` asks the guard, with every Frame, and with Unseen when there is none;
+    ``abort()`` wants the tail to stop. A picture that stands still shows no fish.
     """
 
     def __init__(
@@ -41,7 +50,8 @@ class TrialCamera:
         self.failure: Exception | None = None
         self._fish, self._camera, self._dispensable = fish, camera, dispensable
         self._emit, self._consult, self._abort = emit, consult, abort
-        self._gone = self._blind = False
+        self._repeats = Repeats()
+        self._gone = self._blind = self._frozen = False
         self._seen_at_s = 0.0
 
     def begin(self) -> None:
@@ -54,35 +64,75 @@ class TrialCamera:
         """Forgets what was: until now the fish may have been carried or adrift."""
         self._frames()
         self.fit.reset()
+        self._repeats.forget()
         self._seen_at_s = self._fish.link.transport.now_s()
+        with self._kept():
+            self._consult(Afresh())
+
+    def hear(self, beat: BeatEvent) -> None:
+        """A beat that was swum."""
+        if abs(beat.amplitude_rad) >= _SURE_RAD:
+            self._repeats.must_move()
 
     def send_speeds(self, swimming: bool) -> None:
         """What came since the last call. ``swimming``: the tail beats, or is about to."""
-        frames = self._frames()
-        if not self._gone:
-            self._watch(bool(frames), swimming)
-        for frame in frames:
-            self._consult(frame)
-            sample = self.fit.add(frame.t_s, frame.x_m)
-            if sample is None:
-                continue
-            by_board = self._camera.clock == "board"
-            board_s = sample.t_s if by_board else self._fish.clock.board_s(sample.t_s)
-            if board_s > 0:
-                self._fish.link.send(vision_message(board_s, sample))
+        came = self._frames()
+        with self._kept():
+            frames = self._repeats.new([frame for frame in came if self._fits(frame.t_s)])
+            if not self._gone:
+                self._watch(bool(came), swimming)
+            if not (frames or self._gone) and swimming:
+                self._consult(Unseen(self._now_s()))
+            for frame in frames:
+                self._take(frame)
+
+    def _take(self, frame: Frame) -> None:
+        self._consult(frame)
+        sample = self.fit.add(frame.t_s, frame.x_m)
+        if sample is not None and (board_s := self._board_s(sample.t_s)) > 0:
+            self._fish.link.send(vision_message(board_s, sample))
+
+    def _fits(self, t_s: float) -> bool:
+        """Whether a frame can be of this time; one from the future would hide those to come."""
+        if not math.isfinite(t_s):
+            return False
+        ahead_s = (t_s - self._now_s()) * (
+            1.0 if self._camera.clock == "board" else self._fish.clock.rate
+        )
+        return 0 <= self._board_s(t_s) <= _STAMP_MAX_S and ahead_s <= _STAMP_AHEAD_S
+
+    def _board_s(self, t_s: float) -> float:
+        return t_s if self._camera.clock == "board" else self._fish.clock.board_s(t_s)
+
+    def _now_s(self) -> float:
+        """By the camera's clock."""
+        by_board = self._camera.clock == "board"
+        return self._fish.clock.now_s() if by_board else self._fish.transport.now_s()
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """What is raised inside ends the swim, and comes out after it."""
+        try:
+            yield
+        except LinkLostError:
+            raise
+        except Exception as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self._gone, self.failure = True, error
+        self._abort()
+        self._emit({"event": "warning", "text": f"{error}"})
 
     def _frames(self) -> list[Frame]:
         if self._gone:
             return []
-        try:
-            return self._camera.frames()
-        except CameraGone as gone:
-            self._gone = True
-            self._mourn(gone)
-        except Exception as error:
-            self._gone, self.failure = True, error
-            self._emit({"event": "warning", "text": f"{error}"})
-            self._abort()
+        with self._kept():
+            try:
+                return self._camera.frames()
+            except CameraGone as gone:
+                self._gone = True
+                self._mourn(gone)
         return []
 
     def _mourn(self, gone: CameraGone) -> None:
@@ -101,6 +151,10 @@ class TrialCamera:
             words = getattr(self._camera, "blind_words", "the camera sends no pictures")
             self._emit({"event": "warning", "text": f"{words}; beats go unmeasured"})
         self._blind = blind
+        if self._repeats.frozen and swimming and not self._frozen:
+            self._frozen = True
+            text = "the camera's picture stands still; beats go unmeasured"
+            self._emit({"event": "warning", "text": text})
 
 
 def vision_message(board_s: float, sample: SpeedSample) -> Message:

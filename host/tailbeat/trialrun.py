@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from tailbeat import _dialect as mavlink
 from tailbeat import records
-from tailbeat.camera.base import Camera
+from tailbeat.camera.base import Afresh, Camera, Unseen
 from tailbeat.camera.tank.wall import HIT
 from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.faults import ABORT_COMMAND, NOT_STILL, REBOOT, STALE_COMMAND, FaultInfo, fault_info
@@ -55,6 +55,7 @@ class _Run:
     progress: tuple[str, int] | None = None
     progress_at_s: float = 0.0
     interrupted: bool = False
+    may_swim: bool = False
     restarted: bool = False
 
 
@@ -68,9 +69,11 @@ def run_trial(
     """Swims the next trial and returns when the board has stopped and the trial is stored.
 
     Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
-    speeds go to the board as they come. ``guard`` sees every frame and beat and aborts the trial by
-    returning a reason; one that begins with wall.HIT leaves the last beats unmeasured. When the
-    camera sees what makes no sense (two fish), the trial is aborted and that is raised at the end.
+    speeds go to the board as they come. ``guard`` sees every frame and beat, how time passes
+    without a frame (camera.base.Unseen), the beginning (Afresh) and the end (CameraGone), until the
+    last beat is swum; it aborts the trial by returning a reason; one that begins with wall.HIT
+    leaves the last beats unmeasured. When the camera sees what makes no sense (two fish), the trial
+    is aborted and that is raised at the end. Whatever else is raised stops the tail first.
     Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
     one ends the waiting. When the link breaks this tries for ``reconnect_s`` to learn how the trial
     ended, then raises LinkLostError; the board stops by its own rules.
@@ -90,15 +93,33 @@ def run_trial(
                 _step(run)
             except KeyboardInterrupt:
                 _interrupt(run)
+        run.may_swim = False
         outcome = _outcome(run)
         if run.camera is not None and run.camera.failure is not None:
             raise run.camera.failure
         return outcome
+    except (KeyboardInterrupt, LinkLostError):
+        raise
+    except BaseException:
+        stop_listening()  # what a listener raised it would raise again
+        _stop(run)
+        raise
     finally:
         stop_listening()
         fish.link.heartbeat_period_s = heartbeat_period_s
         if own_camera is not None:
             own_camera.close()
+
+
+def _stop(run: _Run) -> None:
+    """Before an error leaves: a tail that beats needs its loop."""
+    if run.may_swim:
+        with contextlib.suppress(TailbeatError):
+            _abort(run)
+
+
+def _abort(run: _Run) -> None:
+    run.fish.abort(wall=True) if run.at_wall else run.fish.abort()
 
 
 def _prepare(run: _Run, camera: Camera | None) -> None:
@@ -160,6 +181,7 @@ def _send_start(run: _Run) -> None:
             _say_start(run)
             return
         except Refused as refused:
+            run.may_swim = False
             waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
             if refused.number != NOT_STILL or waited_s > _STILL_WAIT_S:
                 raise
@@ -175,6 +197,7 @@ def _say_start(run: _Run) -> None:
             _look_afresh(run, began=True)
         # The board keeps single precision: rounding up could make the command come from the
         # future, which is harmless, rounding by more than milliseconds needs a board up for days.
+        run.may_swim = True
         fish.link.send(
             mavlink.MAVLink_command_long_message(
                 BOARD_SYSTEM, BOARD_COMPONENT, mavlink.TAILBEAT_CMD_TRIAL_START,
@@ -188,7 +211,9 @@ def _say_start(run: _Run) -> None:
 def _look_afresh(run: _Run, began: bool) -> None:
     """Forgets what was. ``began``: the board may swim already, nothing of the camera's raises."""
     run.status = None
-    if run.camera is not None:
+    if run.camera is None:
+        _consult(run, Afresh())
+    else:
         run.camera.look_afresh() if began else run.camera.begin()
 
 
@@ -249,6 +274,8 @@ def _hear(run: _Run, message: Message) -> None:
             run.beats[beat.beat] = beat
             run.emit({"event": "beat", **vars(beat)})
         if known is None:
+            if run.camera is not None:
+                run.camera.hear(beat)
             _consult(run, beat)
     elif kind == "STATUSTEXT" and run.number:
         from tailbeat.fish import text_event
@@ -268,12 +295,21 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
 
 
 def _consult(run: _Run, what: object) -> None:
-    if run.guard is not None and run.abort_reason is None:
-        run.abort_reason = run.guard(what) or None  # type: ignore[arg-type]
+    if run.guard is not None and run.abort_reason is None and not _has_swum(run):
+        run.abort_reason = run.guard(what) or None
         if run.abort_reason is not None:
             run.at_wall = run.abort_reason.startswith(HIT)
             _want_abort(run)
             run.emit({"event": "guard", "reason": run.abort_reason})
+
+
+def _has_swum(run: _Run) -> bool:
+    """All there was to swim, or it does not swim at all; not while the start is being said."""
+    status = run.status
+    if status is None:
+        return False
+    whole = status.beats > 0 and status.beats - 1 in run.beats
+    return whole or status.state not in ("ARMED", "RUNNING")
 
 
 def _want_abort(run: _Run) -> None:
@@ -285,7 +321,7 @@ def _step(run: _Run) -> None:
     link = run.fish.link
     try:
         if run.abort_wanted and run.stopped_at_s is None:
-            run.fish.abort(wall=True) if run.at_wall else run.fish.abort()
+            _abort(run)
             run.abort_wanted = False  # only now: what a broken link swallowed is said again
         link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
         link.flush()
@@ -302,8 +338,6 @@ def _step(run: _Run) -> None:
 
 
 def _give_up(run: _Run) -> NoReturn:
-    with contextlib.suppress(TailbeatError):
-        run.fish.abort()
     state = run.status.state if run.status else "nothing"
     raise TailbeatError(
         f"trial {run.number} makes no progress; the board says {state} and was told to stop",
@@ -312,8 +346,11 @@ def _give_up(run: _Run) -> NoReturn:
 
 
 def _send_speeds(run: _Run) -> None:
+    swimming = run.status is None or run.status.state == "RUNNING"
     if run.camera is not None:
-        run.camera.send_speeds(run.status is None or run.status.state == "RUNNING")
+        run.camera.send_speeds(swimming)
+    elif swimming:
+        _consult(run, Unseen(run.fish.clock.now_s()))
 
 
 def _is_over(run: _Run) -> bool:

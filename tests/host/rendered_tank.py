@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.camera.marker.markers import Marker
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import RenderedDevice
+from tailbeat.camera.simulated import SimulatedCamera
 from tailbeat.camera.tracking.live import VideoCamera
 from tailbeat.camera.tracking.track import Track
 from tailbeat.camera.tracking.tracker import Tracker
@@ -24,7 +25,7 @@ from tailbeat.trial_log import Trial, read_trial
 @contextmanager
 def drawn_camera(fish: Fish, scene: Scene, glow: bool = False) -> Iterator[VideoCamera]:
     """What ``tailbeat trial run --camera rendered`` looks through."""
-    source = RenderedDevice(fish.sim, scene)
+    source = RenderedDevice(SimulatedCamera(fish.sim), scene)
     marker = Marker(scene.marker, scene.marker_id, scene.marker_side_m)
     tracker = Tracker(marker, scene.calibration(), source.name, glow=glow)
     camera = VideoCamera(source, tracker, threaded=False)

@@ -33,6 +33,7 @@ from tailbeat.camera.marker.sheets import (
     write_sheet,
 )
 from tailbeat.camera.pictures.stills import read_all, read_grey
+from tailbeat.camera.tank.area import rectangle
 from tailbeat.camera.tank.boardviews import View, Viewer
 from tailbeat.camera.tank.calibrate import (
     Calibrated,
@@ -40,7 +41,6 @@ from tailbeat.camera.tank.calibrate import (
     Ruler,
     calibrate,
     check_scale,
-    rectangle,
     ruler_in,
 )
 from tailbeat.camera.tank.calibration import load_calibration
@@ -117,16 +117,21 @@ def picture(art: Image, per_unit: float, turned: Floats, shift: Floats) -> Image
     return shot
 
 
-@cache
-def board_picture(index: int, tilt: float = 0.45) -> Image:
-    """The board in one of nine parts of the picture, tilted."""
+def board_pose(index: int, tilt: float) -> tuple[Floats, Floats]:
+    """Turn (rotation vector) and middle of the board in one of nine parts of the picture."""
     rng = np.random.default_rng(100 + index)
-    art = board().generateImage((6 * 50 + 50, 8 * 50 + 50), marginSize=25)
     angles = rng.uniform(-1, 1, 3) * (tilt, tilt, 1.0)
     far = rng.uniform(11, 13)
     u = (index % 3 - 1) * 0.27 * SIZE[0] + SIZE[0] / 2
     v = (index // 3 % 3 - 1) * 0.20 * SIZE[1] + SIZE[1] / 2
-    shift = np.linalg.inv(MATRIX) @ (u, v, 1.0) * far
+    return angles, np.linalg.inv(MATRIX) @ (u, v, 1.0) * far
+
+
+@cache
+def board_picture(index: int, tilt: float = 0.45) -> Image:
+    """The board in one of nine parts of the picture, tilted."""
+    art = board().generateImage((6 * 50 + 50, 8 * 50 + 50), marginSize=25)
+    angles, shift = board_pose(index, tilt)
     return picture(art, 50.0, cv2.Rodrigues(angles)[0], shift)
 
 
@@ -158,10 +163,40 @@ def _look_once(monkeypatch: pytest.MonkeyPatch) -> None:
             LOOKED[key] = LOOK(self, name, grey)
         return LOOKED[key]
 
+    def markers(image: Image, name: str) -> dict[int, tuple[float, float]]:
+        key = zlib.crc32(np.ascontiguousarray(image))
+        if key not in MARKERS_SEEN:
+            MARKERS_SEEN[key] = find_markers(image, name)
+        return MARKERS_SEEN[key]
+
     monkeypatch.setattr(Viewer, "view", view)
+    monkeypatch.setattr("tailbeat.camera.tank.calibrate.find_markers", markers)
 
 
 LOOK, LOOKED = Viewer.view, dict[tuple[str, int], View | str]()
+MARKERS_SEEN = dict[int, dict[int, tuple[float, float]]]()
+
+
+def seen_as(view: View) -> tuple[str, Image]:
+    """A picture in which the board is seen like that, without one to be looked through."""
+    LOOKED[view.name, zlib.crc32(NO_TANK)] = view
+    return view.name, NO_TANK
+
+
+def board_view(index: int, tilt: float = 0.45, each: int = 1) -> View:
+    """What ``board_picture`` shows (of ``each`` so many corners one), by OpenCV's forward model."""
+    angles, shift = board_pose(index, tilt)
+    plan = board().getChessboardCorners().astype(float)[::each]
+    centred = plan - (3.0, 4.0, 0.0)
+    pixels = cv2.projectPoints(centred, angles, shift, MATRIX, LENS)[0]
+    rng = np.random.default_rng(index)
+    pixels = (pixels + rng.normal(0, 0.05, pixels.shape)).astype(np.float32)
+    return View(f"v{index}.png", plan.reshape(-1, 1, 3).astype(np.float32), pixels, 0.8)
+
+
+def left_of(view: View, u_px: float) -> View:
+    there = view.corners_px[:, 0, 0] < u_px
+    return View(view.name, view.board_points[there], view.corners_px[there], view.blur_px)
 
 
 @pytest.fixture(scope="module")
@@ -271,31 +306,27 @@ def test_pictures_of_different_sizes(boards: list[tuple[str, Image]]) -> None:
 
 
 def test_a_board_never_tilted_tells_no_focal_length() -> None:
-    flat = [(f"{i}", board_picture(i, tilt=0.0)) for i in range(8)]
+    flat = [seen_as(board_view(i, tilt=0.0, each=3)) for i in range(8)]
     with refused(r"focal length cannot be told .* held the same way .* \(0 are tilted\). Tilt"):
         find_intrinsics(flat)
 
 
-def test_a_zoom_between_the_pictures_is_refused(boards: list[tuple[str, Image]]) -> None:
-    def zoomed(image: Image) -> Image:
-        big = cv2.resize(image, None, fx=1.5, fy=1.15)
-        cut: Image = np.ascontiguousarray(big[54:774, 320:1600])
-        return cut
+def test_a_zoom_between_the_pictures_is_refused() -> None:
+    def zoomed(view: View) -> View:
+        corners = view.corners_px * np.array([1.5, 1.15], np.float32) - np.array(
+            [320, 54], np.float32
+        )
+        inside = ((corners[:, 0] > 0) & (corners[:, 0] < SIZE)).all(axis=1)
+        return View(f"z{view.name}", view.board_points[inside], corners[inside], view.blur_px)
 
-    some = [(f"z{name}", zoomed(image)) for name, image in boards]
-    with refused(
-        r"fit a camera only to \d\.\d\d px \(at most 1\)|pictures of the board are of use"
-    ):
-        find_intrinsics([*boards[:5], *some[:8]])
+    views = [board_view(i, each=3) for i in range(9)]
+    with refused(r"fit a camera only to \d+\.\d\d px \(at most 1\)"):
+        find_intrinsics([seen_as(view) for view in [*views[:4], *map(zoomed, views[3:])]])
 
 
-def test_parts_of_the_picture_without_the_board_are_named(
-    boards: list[tuple[str, Image]],
-) -> None:
-    left = [(name, image.copy()) for name, image in boards if int(name[1]) % 3 < 2]
-    left += [(f"more{i}.png", board_picture(i)) for i in (9, 10, 12, 13)]
-    for _, image in left:
-        image[:, 840:] = 200
+def test_parts_of_the_picture_without_the_board_are_named() -> None:
+    indices = [i for i in range(14) if i % 3 < 2]
+    left = [seen_as(left_of(board_view(i), 820)) for i in indices]
     made = by_hand(TRUE.pixels(TANK), board=left, area_m=AREA)
     assert made.intrinsics is not None
     assert {"upper right", "middle right", "lower right"} == set(made.intrinsics.unseen)
@@ -358,6 +389,101 @@ def test_a_mistyped_point_among_five_is_refused() -> None:
         by_hand(straight.pixels(five), wrong)
 
 
+ROUND = [(0.2, 0.0), (0.0, 0.2), (0.05, 0.0), (0.0, 0.05), (-0.1, 0.0), (0.0, -0.5)]
+
+
+@pytest.mark.parametrize("off_m", ROUND)
+def test_with_a_known_camera_the_wrong_point_is_the_one_left_out(
+    true_camera: list[tuple[str, Image]], off_m: tuple[float, float]
+) -> None:
+    """Each of the six in turn, measured within 2 mm and found within 0.2 pixels."""
+    rng = np.random.default_rng(7)
+    for wrong in range(6):
+        places = np.array(TANK) + rng.normal(0, 0.002, (6, 2))
+        places[wrong] += off_m
+        pixels = TRUE.pixels(TANK) + rng.normal(0, 0.2, (6, 2))
+        made = by_hand(pixels, places, board=true_camera, rulers=stick(), area_m=AREA)
+        assert list(made.plane.left_out) == [wrong]
+        assert made.camera is not None and made.camera.rms_m < 0.006
+
+
+def test_true_points_are_never_left_out(true_camera: list[tuple[str, Image]]) -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        places = np.array(TANK) + rng.normal(0, 0.002, (6, 2))
+        pixels = TRUE.pixels(TANK) + rng.normal(0, 0.2, (6, 2))
+        made = by_hand(pixels, places, board=true_camera, area_m=AREA)
+        assert not made.plane.left_out
+
+
+def test_without_the_camera_a_point_that_may_be_another_is_not_left_out() -> None:
+    """Five points leave a homography so free that two of the six could each be the wrong one."""
+    straight = Truth(MATRIX, np.zeros(5))
+    rng = np.random.default_rng(9)
+    told = 0
+    for k in range(36):
+        wrong = k % 6
+        places = np.array(TANK) + rng.normal(0, 0.002, (6, 2))
+        places[wrong] += 0.2 * np.array([math.cos(k), math.sin(k)])
+        try:
+            made = by_hand(straight.pixels(TANK), places)
+        except InputError as error:
+            if "it cannot be told which" in str(error):
+                told += 1
+                assert re.search(r"wrong: P\d or P\d", str(error)) and f"P{wrong}" in str(error)
+                assert "--board" in str(error)
+            else:
+                assert "do not fit each other" in str(error)
+        else:
+            assert list(made.plane.left_out) in ([wrong], [])
+            assert made.plane.left_out or any("foretold" in note for note in made.notes)
+    assert told > 3
+
+
+def test_two_wrong_points_among_twelve_are_left_out(true_camera: list[tuple[str, Image]]) -> None:
+    places = [(x, y) for x in (0.1, 1.0, 2.0, 2.9) for y in (-0.7, 0.0, 0.7)]
+    typed = np.array(places)
+    typed[[2, 7]] += [[0.1, 0.0], [0.0, -0.3]]
+    for pictures in ([], true_camera):
+        pixels = Truth(MATRIX, LENS if pictures else np.zeros(5)).pixels(places)
+        assert set(by_hand(pixels, typed, board=pictures).plane.left_out) == {2, 7}
+
+
+def test_a_wrong_point_among_five_is_not_blamed_on_the_camera(
+    true_camera: list[tuple[str, Image]],
+) -> None:
+    five = [*FOUR, (1.4, 0.1)]
+    typed = [*FOUR[:3], (0.0, 0.85), (1.4, 0.1)]
+    with refused(
+        "with the camera's intrinsics .* 29 mm off, .* P3 is wrong .without it the others"
+    ):
+        by_hand(TRUE.pixels(five), typed, board=true_camera)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_centimetres(true_camera: list[tuple[str, Image]], known: bool) -> None:
+    truth = TRUE if known else Truth(MATRIX, np.zeros(5))
+    with refused(
+        r"by the tank's points \(--points\) a pixel would be 2\d\d mm.*metres, not centimetres\?"
+    ):
+        by_hand(truth.pixels(TANK), np.array(TANK) * 100, board=true_camera if known else [])
+    if known:
+        with refused(r"the camera about 2\d m above them"):
+            by_hand(truth.pixels(TANK), np.array(TANK) * 10, board=true_camera)
+
+
+def test_a_lens_that_bends_lines_without_a_board_is_named() -> None:
+    """What is foretold is told where no ruler is; a ruler's refusal names the pictures."""
+    made = by_hand(TRUE.pixels(TANK), area_m=AREA)
+    (note,) = [note for note in made.notes if "foretold" in note]
+    assert re.search(
+        r"only within \d\d mm \(good: below 10\): the lens bends lines \(--board", note
+    )
+    near = Ruler("r.png", TRUE.pixels([(0.0, -0.75), (0.0, 0.75)]), 1.45)
+    with refused(r"r.png: the ruler of .*free of distortion: give pictures of the board \(--board"):
+        by_hand(TRUE.pixels(TANK), rulers=[near])
+
+
 FOUR = [TANK[i] for i in (0, 2, 3, 5)]
 
 
@@ -403,6 +529,7 @@ TABLES = {
     "id,x_m,y_m\n40,0,0\n40,1,0\n41,1,1\n42,0,1": "has marker 40 at 1, 0 m twice",
     "id,x_m,y_m\n40,0,0\n41,0,0\n42,1,1\n43,0,1": "has marker 41 at 0, 0 m twice",
     "\xff": "is no table of points",
+    "id;x_m;y_m\n40;0,0;-0,75\n": "has semicolons between its cells. Write it with commas",
 }
 
 
@@ -555,8 +682,17 @@ def test_areas() -> None:
     ):
         with refused(words):
             rectangle(wrong)
-    with refused("the area lies beside all of the tank's points"):
+    with refused(r"area \(--area\) lies beside the tank's points"):
         by_hand(TRUE.pixels(TANK), area_m=rectangle([5.0, 0.0, 8.0, 1.8]))
+    for numbers, words in (
+        ([300.0, 180.0], r"area \(--area\) is \S+ times as large as what the picture shows"),
+        ([-1.0, -2.0, 0.0, 0.0], r"area \(--area\) lies beside the tank's points"),
+        ([-3.0, -2.0, 6.0, 2.0], r"area \(--area\) is [4-6]\.\d+ times as large"),
+    ):
+        with refused(words):
+            by_hand(TRUE.pixels(TANK), area_m=rectangle(numbers))
+    for numbers in ([0.0, -0.75, 3.0, 0.75], [0.2, -0.6, 2.8, 0.6], [-0.5, -1.0, 3.5, 1.0]):
+        by_hand(TRUE.pixels(TANK), area_m=rectangle(numbers))
     made = by_hand(TRUE.pixels(TANK))
     assert any("area is the hull" in note for note in made.notes)
     area = made.calibration.area_m
@@ -622,7 +758,7 @@ def test_rulers_that_cannot_tell() -> None:
         check_scale(found, [Ruler("r.png", TRUE.pixels(STICK), 1.0, (640, 360))])
     with refused("stick.png does not show the ruler's marker 31. Lay the ruler flat"):
         ruler_in(tank_picture({30: (1.0, 0.0)}), "stick.png", 1.0)
-    with refused("marker 30 and 31"):
+    with refused("the ruler's markers 30 and 31"):
         ruler_in(NO_TANK, "stick.png", 1.0)
 
 
@@ -682,6 +818,8 @@ def test_printed_markers_are_found_and_of_the_right_size() -> None:
     image, per_mm = rendered(anchors_sheet(70.0))
     four = dict.fromkeys((40, 41, 42, 43), pytest.approx(70.0, abs=0.15))
     assert sides_mm(image, per_mm, cv2.aruco.DICT_4X4_50) == four
+    image, per_mm = rendered(anchors_sheet(120.0, number=44))
+    assert sides_mm(image, per_mm, cv2.aruco.DICT_4X4_50) == {44: pytest.approx(120.0, abs=0.15)}
     image, per_mm = rendered(ruler_sheet(50.0, "letter"))
     both = dict.fromkeys((30, 31), pytest.approx(50.0, abs=0.15))
     assert sides_mm(image, per_mm, cv2.aruco.DICT_4X4_50) == both
@@ -712,12 +850,17 @@ def test_pages_have_their_true_size(tmp_path: Path) -> None:
 
 
 def test_sheets_that_cannot_be(tmp_path: Path) -> None:
-    with refused("id 30 is the ruler's"):
-        fish_sheet("aruco", 30)
-    with refused("cannot have aruco id 40: ids from 40 on are the tank's"):
-        fish_sheet("aruco", 40)
-    with refused("cannot have apriltag id 587: there is none. Take one of 0 to 586"):
+    for number in (-1, 30, 40, 50):
+        with refused(
+            rf"cannot have aruco id {number}. Take one of 0 to 29 \(30 and up are the ruler's and "
+            r"the tank's\)\."
+        ):
+            fish_sheet("aruco", number)
+    with refused(r"cannot have apriltag id 587. Take one of 0 to 586\."):
         fish_sheet("apriltag", 587)
+    for number in (39, 50):
+        with refused(f"marker of the tank cannot have id {number}. Take one of 40 to 49"):
+            anchors_sheet(number=number)
     with refused("a side of 9 mm is too small. At least 10 mm"):
         fish_sheet("aruco", 7, 9.0)
     with refused("a side of 100 mm is too large for a4 paper. At most 71 mm"):
@@ -882,3 +1025,20 @@ def test_print(files: Path) -> None:
     assert result.stdout.startswith("ends.png: Ends of the ruler.")
     assert read_grey(files / "ends.png").shape == (3300, 2550)
     assert isinstance(run("print", "marker", "--id", 41).exception, InputError)
+    assert run("print", "anchors", "--id", 44, "--out", "44.pdf").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("foo",), "no sheet 'foo': there are board, marker, anchors, ruler"),
+        (("board", "--side", "30"), "--side does not apply to the sheet 'board'"),
+        (("anchors", "--kind", "aruco"), "--kind does not apply to the sheet 'anchors'"),
+        (("ruler", "--id", "7"), "--id does not apply to the sheet 'ruler'"),
+    ],
+)
+def test_print_options_that_do_not_apply(files: Path, words: tuple[str, ...], told: str) -> None:
+    result = run("print", *words)
+    assert result.exit_code == 2
+    assert told in " ".join(re.sub(r"[│╭╰─╮╯]", " ", result.stderr).split())
+    assert not list(files.glob("*.pdf"))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +18,14 @@ from tailbeat.camera.pictures.film import Film
 from tailbeat.camera.pictures.source import Beginning
 from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.timing.sync import WrongPair
+from tailbeat.camera.timing.sync import Sync
+from tailbeat.camera.tracking.track import Track
 from tailbeat.cli import run
+from tailbeat.fish import Fish
 from tailbeat.speedcsv import read_speeds
 
 BEATS = 6
+SIZE_PX = (640, 360)
 SYNC_MAX_S = 0.010
 SPEED_MAX_M_S = 0.001
 SHORT = ("--seconds", "2.6", "--start", "2")
@@ -32,10 +38,40 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Exercise:
     folder = tmp_path_factory.mktemp("film")
     options = ExerciseOptions(
         reference.Reference(1.0, speed, "bump"),
-        Scene(size_px=(960, 540), marker_side_m=0.08),
+        Scene(size_px=SIZE_PX, marker_side_m=0.1),
         overrides={"camera_lost": 0.05},
     )
     return make_exercise(folder / "swim.mp4", options)
+
+
+@pytest.fixture(scope="module")
+def another_trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Trial 2 of some fish."""
+    folder = tmp_path_factory.mktemp("another")
+    with Fish.connect("sim:tank", seed=2) as fish:
+        speed = np.full(BEATS, 0.04, dtype=np.float32)
+        fish.upload_reference(reference.Reference(1.0, speed, "cruise"))
+        fish.discard(fish.run_trial(fish.default_camera()).number)
+        return fish.pull_trial(fish.run_trial(fish.default_camera()).number, folder)
+
+
+@pytest.fixture(scope="module")
+def whole() -> list[Track]:
+    """The film's track, once somebody went through all of it."""
+    return []
+
+
+@pytest.fixture
+def seen_once(whole: list[Track], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the first of the tests that track the whole film does it."""
+    really = analysis.track
+
+    def remembered(*arguments: Any) -> Track:
+        if not whole:
+            whole.append(really(*arguments))
+        return whole[0]
+
+    monkeypatch.setattr(analysis, "track", remembered)
 
 
 def track(film: Exercise, out: Path, *more: str) -> int:
@@ -48,6 +84,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.usefixtures("seen_once")
 def test_from_film_and_trial_to_speeds(
     film: Exercise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -78,10 +115,13 @@ def test_text_says_what_to_do_next(
     assert track(film, out, "--trial", str(film.trial_file), *SHORT) == 0
     text = capsys.readouterr().out
     assert "the swim begins at 2.000 s, as given" in text
+    begin = json.loads((out / "summary.json").read_text())["sync"]
+    assert begin["sigma_s"] == pytest.approx(0.5 / film.fps / math.sqrt(3), rel=1e-3)
     assert f"of {BEATS} beats have no speed" in text
     assert f"next: tailbeat speed upload {film.trial} {out / 'speed.csv'}" in text
 
 
+@pytest.mark.usefixtures("seen_once")
 def test_without_a_trial_it_tells_the_led_s_number(
     film: Exercise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -99,7 +139,7 @@ def test_overlay_and_plot_on_request(film: Exercise, tmp_path: Path) -> None:
     names = ["overlay.mp4", "speed.csv", "summary.json", "track.csv", "track.png"]
     assert sorted(path.name for path in out.iterdir()) == names
     drawn = Film(out / "overlay.mp4")
-    assert drawn.size_px == (960, 540)
+    assert drawn.size_px == SIZE_PX
     drawn.close()
     png = (out / "track.png").read_bytes()
     assert png.startswith(b"\x89PNG")
@@ -122,21 +162,72 @@ def test_errors_leave_nothing(
     monkeypatch.chdir(tmp_path)
     out = tmp_path / "swim"
     fails(run(["camera", "track", str(film.film)]), "no tank.json here", capsys)
-    fails(track(film, out, *SHORT, "--start", "99"), "the swim should begin at 99 s", capsys)
+    fails(
+        track(film, out, "--seconds", "0.5", "--start", "99"),
+        "the swim should begin at 99 s",
+        capsys,
+    )
     fails(
         track(film, out, "--seconds", "0.2", "--marker-id", "9"),
         "no aruco marker with id 9",
         capsys,
     )
     fails(track(film, out, "--trial", str(film.film)), "is not a ULog file", capsys)
-
-    def refuses(*_: object) -> None:
-        raise WrongPair("the film shows trial 1, the file is trial 7", "Give its own.")
-
-    monkeypatch.setattr(analysis, "sync", refuses)
-    refused = track(film, out, "--seconds", "1", "--trial", str(film.trial_file))
-    fails(refused, "the film shows trial 1, the file is trial 7", capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("seen_once")
+def test_the_film_of_another_trial_is_refused(
+    film: Exercise, another_trial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused = track(film, tmp_path / "swim", "--trial", str(another_trial))
+    fails(refused, "the film shows trial 1 (or one 256 away), the file is trial 2", capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("seen_once")
+def test_a_film_paired_by_the_wobble_is_questioned(
+    film: Exercise,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with_led = analysis.track
+
+    def without_led(*arguments: Any) -> Track:
+        seen = with_led(*arguments)
+        assert seen.glow is not None
+        return replace(seen, glow=np.zeros_like(seen.glow))
+
+    monkeypatch.setattr(analysis, "track", without_led)
+    assert track(film, tmp_path / "swim", "--trial", str(film.trial_file)) == 0
+    text = capsys.readouterr().out
+    assert "by the fish's wobble; swims with nearly equal amplitudes look alike" in text
+    assert f"is it trial {film.trial}'s film?" in text
+
+
+@pytest.mark.usefixtures("seen_once")
+def test_error_bars_hold_that_the_begin_is_not_exactly_known(
+    film: Exercise, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sigmas, rise_m_s2 = {}, np.empty(0)
+    for sigma_s in (0.0, 0.1):
+        begin = Sync(film.swim_begin_s, sigma_s, "led", film.trial, 1.0)
+        monkeypatch.setattr(analysis, "begin_of", lambda *_, begin=begin: begin)
+        out = tmp_path / f"{sigma_s}"
+        assert track(film, out, "--trial", str(film.trial_file)) == 0
+        curve = rows(out / "speed.csv")
+        t_s, v_m_s, sigma_m_s = (
+            np.array([float(row[name]) for row in curve]) for name in ("t_s", "v_m_s", "sigma_m_s")
+        )
+        rise_m_s2 = np.gradient(v_m_s, t_s)
+        beat = np.array([float(row["sigma_m_s"]) for row in rows(out / "beats.csv")])
+        sigmas[sigma_s] = sigma_m_s, beat
+    assert np.abs(rise_m_s2).max() > 0.01
+    wanted = np.hypot(sigmas[0.0][0], 0.1 * rise_m_s2)
+    np.testing.assert_allclose(sigmas[0.1][0], wanted, atol=3e-6)
+    middles = np.isin(np.round(t_s * 10), 10 * np.arange(BEATS) + 5)
+    np.testing.assert_allclose(sigmas[0.1][1], wanted[middles], atol=3e-6)
 
 
 def test_ctrl_c_leaves_nothing(

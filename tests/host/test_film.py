@@ -328,7 +328,7 @@ def touched(path: Path) -> Path:
     ("name", "make", "words"),
     [
         ("a.mp4", lambda path: path, "there is no film"),
-        ("a.mp4", lambda path: path.mkdir() or path, "there is no film"),
+        ("a.mp4", lambda path: path.mkdir() or path, "is a folder, no film"),
         ("a.mp4", touched, "is empty"),
         ("a.mp4", text, "is no video"),
         ("a.txt", text, "holds no video"),

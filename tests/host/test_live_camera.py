@@ -10,15 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.camera.base import CameraGone, Frame
+from tailbeat import records, trialrun
+from tailbeat.camera.base import CameraGone, Frame, Unseen
 from tailbeat.camera.pictures.picture import Picture
 from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.tank.wall import WallGuard
 from tailbeat.camera.tracking.live import VideoCamera
+from tailbeat.camera.tracking.repeats import Repeats
 from tailbeat.camera.tracking.track import LOST, SEEN
 from tailbeat.camera.tracking.tracker import Place
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
+from tailbeat.results import BeatEvent, BoardStatus
 
 GRACE_S = 10.0  # after which a thread hangs; nothing waits so long otherwise
 IMAGE = np.zeros((4, 6), dtype=np.uint8)
@@ -322,3 +325,225 @@ def test_before_the_start_trouble_is_raised_at_once(ready: Fish) -> None:
         with pytest.raises(type(error)):
             ready.run_trial(Trouble(ready, 0.0, error))
         assert ready.status().next_trial == 1
+
+
+class Spoilt:
+    """The simulated fish's camera; ``spoil`` sees its frames, and the seconds since it was made."""
+
+    def __init__(self, fish: Fish, spoil: Callable[[float, list[Frame]], list[Frame]]) -> None:
+        camera = fish.default_camera()
+        assert camera is not None and fish.sim is not None
+        self._camera, self._sim, self._spoil = camera, fish.sim, spoil
+        self._begin_s = fish.sim.time_s
+        self.clock, self.fps, self.close = camera.clock, camera.fps, camera.close
+
+    def frames(self) -> list[Frame]:
+        return self._spoil(self._sim.time_s - self._begin_s, self._camera.frames())
+
+
+def stopped(fish: Fish) -> bool:
+    """By a command, not by the board's own rules for a host that went away."""
+    assert fish.sim is not None
+    status = fish.status()
+    fish.sim.run(1.0)  # the tail comes to its middle
+    return status.fault.name == "ABORT_COMMAND" and not fish.sim.truth().swimming
+
+
+@pytest.mark.parametrize("kind", [Frame, BeatEvent, Unseen])
+def test_a_guard_that_breaks_stops_the_tail(ready: Fish, kind: type) -> None:
+    def guard(what: object) -> str | None:
+        assert ready.sim is not None
+        if isinstance(what, kind) and ready.sim.truth().swimming:
+            raise RuntimeError("a bug in the guard")
+        return None
+
+    with pytest.raises(RuntimeError, match="a bug in the guard"):
+        ready.run_trial(guard=guard)
+    assert stopped(ready)
+
+
+@pytest.mark.parametrize("event", ["started", "beat", "warning"])
+def test_a_listener_that_breaks_stops_the_tail(ready: Fish, event: str) -> None:
+    def follow(told: dict[str, Any]) -> None:
+        if told["event"] == event:
+            raise BrokenPipeError("nobody reads")
+
+    with pytest.raises(BrokenPipeError):
+        ready.run_trial(Trouble(ready, 4.0, InputError("two fish")), follow)
+    assert stopped(ready)
+
+
+def test_what_breaks_before_the_start_or_after_the_end_stops_nothing(
+    ready: Fish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def follow(told: dict[str, Any]) -> None:
+        if told["event"] == "ended":
+            raise BrokenPipeError("nobody reads")
+
+    def abort(wall: bool = False) -> None:
+        raise AssertionError("said without need")
+
+    monkeypatch.setattr(ready, "abort", abort)
+    with pytest.raises(InputError, match="moved"):
+        ready.run_trial(Trouble(ready, 0.0, InputError("moved")))
+    with pytest.raises(BrokenPipeError):
+        ready.run_trial(on_event=follow)
+    status = ready.status()
+    assert (status.state, status.pending_trial) == ("IDLE", 1)
+
+
+@pytest.mark.parametrize("absurd_s", [1e30, -1e30, 1e7, -1.0, float("inf"), float("nan"), 3600.0])
+def test_absurd_stamps_are_dropped(ready: Fish, absurd_s: float) -> None:
+    def spoil(now_s: float, frames: list[Frame]) -> list[Frame]:
+        wrong = [Frame(absurd_s + (k and 1e-3), 0.1, 0.0, 0.0) for k in range(2)]
+        return frames + wrong if 2.0 < now_s < 3.0 else frames
+
+    outcome = ready.run_trial(Spoilt(ready, spoil))
+    assert outcome.end == "complete"
+    assert all(beat.speed_m_s is not None for beat in outcome.beats[1:])
+
+
+def test_a_stream_of_absurd_stamps_ends_nothing(ready: Fish) -> None:
+    def spoil(_: float, frames: list[Frame]) -> list[Frame]:
+        return [Frame(f.t_s * 1e12, f.x_m, f.y_m, f.heading_rad) for f in frames]
+
+    assert ready.run_trial(Spoilt(ready, spoil)).end == "complete"
+
+
+def test_after_the_swim_the_guard_is_not_asked(ready: Fish) -> None:
+    told: list[dict[str, Any]] = []
+    swimming: list[bool] = []
+
+    def guard(what: object) -> str | None:
+        assert ready.sim is not None
+        swimming.append(ready.sim.truth().swimming)
+        return "too late" if True in swimming and not swimming[-1] else None
+
+    assert ready.run_trial(on_event=told.append, guard=guard).end == "complete"
+    assert True in swimming and not [event for event in told if event["event"] == "guard"]
+
+
+def test_a_lost_word_of_the_end_does_not_have_the_guard_asked(
+    ready: Fish, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last beat says it, too."""
+    told: list[dict[str, Any]] = []
+    lost: list[BoardStatus] = []
+    take = trialrun._take_status
+
+    def lose(run: trialrun._Run, status: BoardStatus) -> None:
+        if status.state == "SETTLING" and len(lost) < 4:
+            lost.append(status)
+        else:
+            take(run, status)
+
+    def guard(_: object) -> str | None:
+        last = [event for event in told if event["event"] == "beat" and event["beat"] == 7]
+        return "too late" if last else None
+
+    monkeypatch.setattr(trialrun, "_take_status", lose)
+    assert ready.run_trial(on_event=told.append, guard=guard).end == "complete"
+    assert lost and not [event for event in told if event["event"] == "guard"]
+
+
+@pytest.mark.parametrize("beat_s", [1.0, 4.0])
+def test_a_fish_out_of_sight_is_stopped_in_time(ready: Fish, beat_s: float) -> None:
+    """The guard learns of time between beats, however long they are."""
+    assert ready.sim is not None
+    ready.params.set("TANK_LEN_M", 0)
+    ready.params.set("SPD_SOURCE", UPLOAD)
+    beats = round(40 / beat_s)
+    ready.upload_reference(records.encode_reference(beat_s, np.full(beats, 0.07)))
+    ready.upload_amplitudes(np.full(beats, 0.55, dtype=np.float32))
+    guard = WallGuard(area(0.5, 1.5), beat_s=beat_s)
+    camera = Spoilt(ready, lambda now_s, frames: frames if now_s < 12 else [])
+    assert ready.run_trial(camera, guard=guard).end == "aborted:WALL"
+    assert 0.05 < ready.sim.truth().x_m < 1.5 - 0.2
+
+
+def freeze(fish: Fish, after_s: float) -> Spoilt:
+    """From then on the driver repeats the last picture with fresh stamps."""
+    last: list[Frame] = []
+
+    def spoil(now_s: float, frames: list[Frame]) -> list[Frame]:
+        if now_s < after_s or not last:
+            last[:] = frames[-1:] or last
+            return frames
+        old = last[0]
+        return [Frame(f.t_s, old.x_m, old.y_m, old.heading_rad) for f in frames]
+
+    return Spoilt(fish, spoil)
+
+
+def test_a_picture_that_stands_still_shows_no_fish(ready: Fish) -> None:
+    warnings: list[str] = []
+
+    def follow(event: dict[str, Any]) -> None:
+        if event["event"] == "warning":
+            warnings.append(event["text"])
+
+    outcome = ready.run_trial(freeze(ready, 5.0), follow)
+    assert outcome.end == "complete"
+    assert warnings == ["the camera's picture stands still; beats go unmeasured"]
+    measured = [beat.speed_m_s is not None for beat in outcome.beats]
+    assert any(measured[:4]) and not any(measured[5:])
+
+
+def test_a_picture_that_stands_still_from_the_start_is_told(ready: Fish) -> None:
+    """Once the tail beats so that every fish moves."""
+    ready.params.set("DU_MAX_RAD", 0)
+    ready.upload_amplitudes(np.full(8, 0.5, dtype=np.float32))
+    warnings: list[str] = []
+
+    def follow(event: dict[str, Any]) -> None:
+        if event["event"] == "warning":
+            warnings.append(event["text"])
+
+    ready.run_trial(freeze(ready, 0.0), follow)
+    assert warnings == ["the camera's picture stands still; beats go unmeasured"]
+
+
+def test_a_guard_is_not_fooled_by_a_picture_that_stands_still(ready: Fish) -> None:
+    assert ready.sim is not None
+    ready.params.set("TANK_LEN_M", 0)
+    ready.upload_reference(records.encode_reference(1.0, np.full(32, 0.07)))
+    ready.upload_amplitudes(np.full(32, 0.55, dtype=np.float32))
+    camera = freeze(ready, 9.0)
+    assert ready.run_trial(camera, guard=WallGuard(area(0.5, 1.5))).end == "aborted:WALL"
+    assert ready.sim.truth().x_m + 0.2 < 1.5
+
+
+def test_a_fish_at_rest_before_a_camera_without_noise_is_no_frozen_picture() -> None:
+    """Its first beats are too weak, or none."""
+    still = {"camera_noise_m": 0.0, "start_sigma_m_s": 0.0, "flow_sigma_m_s": 0.0}
+    with Fish.connect("sim:tank", seed=1, **still) as fish:
+        fish.params.set("DU_MAX_RAD", 0)
+        fish.upload_reference(records.encode_reference(1.0, np.full(8, 0.03)))
+        fish.upload_amplitudes(np.array([0, 0, 0, 0, 0.1, 0.4, 0.4, 0.4], dtype=np.float32))
+        events: list[dict[str, Any]] = []
+        outcome = fish.run_trial(on_event=events.append, guard=WallGuard(area(0.5, 2.5)))
+        assert outcome.end == "complete"
+        assert not [event for event in events if event["event"] in ("warning", "guard")]
+        assert all(beat.speed_m_s is not None for beat in outcome.beats[1:])
+
+
+def positions(*x_m: float, begin_s: float = 0.0) -> list[Frame]:
+    return [Frame(begin_s + k / 25, x) for k, x in enumerate(x_m)]
+
+
+def test_a_coarse_camera_loses_nothing() -> None:
+    """Positions in steps that last less than a second come late, but come."""
+    repeats = Repeats()
+    frames = positions(*(0.01 * (k // 20) for k in range(200)))
+    believed = [frame for each in frames for frame in repeats.new([each])]
+    assert believed == frames[:181] and not repeats.frozen
+
+
+def test_a_picture_that_moves_again_is_believed_again() -> None:
+    repeats = Repeats()
+    moving = positions(*(0.01 * k for k in range(50)))
+    still = positions(*[0.49] * 50, begin_s=2.0)
+    again = positions(*(0.6 + 0.01 * k for k in range(50)), begin_s=4.0)
+    assert repeats.new(moving) == moving
+    assert repeats.new(still) == [] and repeats.frozen
+    assert repeats.new(again) == again and not repeats.frozen

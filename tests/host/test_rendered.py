@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tailbeat import reference
+from tailbeat.camera.marker.markers import Marker
 from tailbeat.camera.pictures.film import Film
 from tailbeat.camera.pictures.picture import Image
 from tailbeat.camera.rendered.canvas import Canvas
@@ -22,7 +23,10 @@ from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import RenderedDevice
 from tailbeat.camera.rendered.sprites import Body
 from tailbeat.camera.rendered.stamp import stamp
+from tailbeat.camera.simulated import SimulatedCamera
 from tailbeat.camera.tank.calibration import Calibration, load_calibration
+from tailbeat.camera.timing.sync import sync, sync_by_yaw
+from tailbeat.camera.tracking.track import track
 from tailbeat.errors import InputError
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.trial_log import read_trial
@@ -273,7 +277,7 @@ def test_a_long_exposure_blurs_along_the_way_and_shifts_nothing() -> None:
 
 def test_a_simulated_board_is_a_device() -> None:
     board = SimBoard("tank", 3, camera_fps=25, camera_noise_m=0.002)
-    device = RenderedDevice(board, CLEAN)
+    device = RenderedDevice(SimulatedCamera(board), CLEAN)
     twin = SimBoard("tank", 3, camera_fps=25, camera_noise_m=0.002)
     assert (device.clock, device.fps, device.size_px) == ("host", 25.0, (1280, 720))
     assert board.watched and device.read() is None
@@ -298,7 +302,7 @@ def test_a_simulated_board_is_a_device() -> None:
 
 def test_pictures_that_get_lost_are_counted() -> None:
     board = SimBoard("tank", 3, camera_fps=50, camera_lost=0.4)
-    device = RenderedDevice(board, SMALL)
+    device = RenderedDevice(SimulatedCamera(board), SMALL)
     board.run(2.0)
     found = list(iter(device.read, None))
     indices = [picture.index for picture in found]
@@ -339,7 +343,7 @@ def truth_rows(path: Path) -> list[dict[str, float]]:
 
 def test_an_exercise_is_whole(exercise: Exercise) -> None:
     names = sorted(path.name for path in exercise.film.parent.iterdir())
-    assert names == ["0001.ulg", "swim.mp4", "swim.tank.json", "swim.truth.csv"]
+    assert names == ["swim.mp4", "swim.tank.json", "swim.truth.csv", "swim.ulg"]
     trial = read_trial(exercise.trial_file)
     assert (trial.number, trial.end, trial.executed_beats, trial.problems) == (1, "complete", 4, [])
     assert np.isfinite(trial.slots.table()["turn_rad"][:40]).all()  # to pair film and trial by
@@ -403,10 +407,59 @@ def test_an_exercise_on_a_full_disk_leaves_nothing(
 
 
 def test_a_real_trials_log_is_not_written_over(tmp_path: Path) -> None:
-    (tmp_path / "0001.ulg").write_bytes(b"a real one")
+    (tmp_path / "swim.ulg").write_bytes(b"a real one")
     with pytest.raises(InputError, match="real trial"):
         make_exercise(tmp_path / "swim.mp4", SWIM)
-    assert (tmp_path / "0001.ulg").read_bytes() == b"a real one"
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"a real one"]
+
+
+@pytest.mark.soak
+def test_a_fish_without_a_marker_is_paired_with_its_trial(tmp_path: Path) -> None:
+    """Its film begins with seconds in which it hardly moves."""
+    swim = replace(
+        SWIM,
+        reference=reference.trapezoid(0.05, 3, 4),
+        scene=Scene(size_px=(960, 540), marker="blob"),
+        seed=1,
+        overrides={},
+    )
+    made = make_exercise(tmp_path / "swim.mp4", swim)
+    calibration = load_calibration(made.calibration)
+    found = track(Film(made.film), Marker("blob"), calibration, glow=True)
+    headings = [row["heading_rad"] for row in truth_rows(made.truth)]
+    assert np.abs(found.heading_rad - headings).max() < 0.05
+    trial = read_trial(made.trial_file)
+    begin = sync(found, trial)
+    assert (begin.how, begin.trial) == ("led", 1)
+    assert begin.start_s == pytest.approx(made.swim_begin_s, abs=0.01)
+    by_yaw = sync_by_yaw(found, trial)
+    assert by_yaw.start_s == pytest.approx(made.swim_begin_s, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("none/swim.mp4", "there is no folder"), ("file/swim.mp4", "no folder")]
+)
+def test_a_film_without_its_folder_is_refused_before_the_swim(
+    tmp_path: Path, name: str, words: str
+) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=words) as caught:
+        make_exercise(tmp_path / name, SWIM, lambda done, text: pytest.fail(text))
+    assert str((tmp_path / name).parent) in str(caught.value)
+    assert "rendering" not in str(caught.value)
+
+
+def test_a_folder_that_may_not_be_written_to_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*words: object, **more: object) -> str:
+        raise PermissionError(13, "Permission denied", ".rendering-xyz")
+
+    monkeypatch.setattr("tempfile.mkdtemp", forbidden)
+    with pytest.raises(InputError, match=r"cannot write to .*Permission denied") as caught:
+        make_exercise(tmp_path / "swim.mp4", SWIM)
+    assert str(tmp_path) in str(caught.value)
+    assert "rendering" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -415,6 +468,10 @@ def test_a_real_trials_log_is_not_written_over(tmp_path: Path) -> None:
         (["swim.avi"], "cannot write a film as swim.avi"),
         (["swim.mp4", "--marker", "dot"], "there is no marker 'dot'"),
         (["swim.mp4", "--size", "big"], "'big' is no size"),
+        (
+            ["swim.mp4", "--size", "10x10"],
+            "no film is drawn of 10x10 pixels. Give a --size from",
+        ),
         (["swim.mp4", "--reference", "fast"], "there is no reference 'fast'"),
     ],
 )

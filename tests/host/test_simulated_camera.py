@@ -6,6 +6,7 @@ import json
 import math
 import random
 import socket
+import struct
 import time
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 
 from tailbeat import records
 from tailbeat._native import lib
-from tailbeat.camera.base import Frame
+from tailbeat.camera.base import CameraGone, Frame
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
@@ -133,3 +134,27 @@ def test_remote_camera_takes_lines_with_more_than_it_needs() -> None:
             frames += camera.frames()
         camera.close()
     assert frames == [Frame(1.5, 0.25, -0.01, 0.1)] * 3
+
+
+@pytest.mark.parametrize("how", ["closes", "resets"])
+def test_a_remote_camera_that_hangs_up_is_gone_once_and_after_its_frames(how: str) -> None:
+    line = b'{"t_board_s": 1.5, "x_m": 0.25}\n'
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        camera = RemoteCamera("127.0.0.1", listener.getsockname()[1])
+        peer, _ = listener.accept()
+        assert camera.frames() == []
+        peer.sendall(line)
+        deadline = time.monotonic() + 5.0
+        frames: list[Frame] = []
+        if how == "resets":
+            while not frames and time.monotonic() < deadline:
+                frames = camera.frames()
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        peer.close()
+        with pytest.raises(CameraGone, match="hung up"):
+            while time.monotonic() < deadline:
+                frames += camera.frames()
+        assert frames == [Frame(1.5, 0.25)]
+        assert camera.frames() == camera.frames() == []
+        camera.close()
+        assert camera.frames() == []

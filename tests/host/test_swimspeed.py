@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +22,10 @@ from tailbeat.camera.speed.swimspeed import (
 from tailbeat.camera.tracking.track import LOST, SEEN, Track
 from tailbeat.errors import InputError
 from tailbeat.fish import Fish
-from tailbeat.reference import thesis
+from tailbeat.reference import Reference, thesis
 
 SEEDS = range(1, 3)
+STEP_SEEDS = range(1, 5)
 
 
 def track_of(t_s, x_m, y_m=None, fps=25.0):
@@ -46,12 +48,17 @@ class Watcher(SimulatedCamera):
         return found
 
 
-def swum(seed: int, fps: float, lost: float):
+def swum(seed: int, fps: float, lost: float, amplitudes=None):
     """A trial's track, its true beats, and when it began."""
     url = f"sim:tank?seed={seed}"
     with Fish.connect(url, camera_fps=fps, camera_lost=lost) as fish:
         fish.upload_reference(thesis())
         fish.params.set("AMP_MAX_RAD", np.pi / 4)
+        if amplitudes is not None:
+            fish.params.set("DU_MAX_RAD", 0)
+            wanted = np.full(len(amplitudes), 0.05, dtype=np.float32)
+            fish.upload_reference(Reference(1.0, wanted, "steps"))
+            fish.upload_amplitudes(amplitudes)
         camera = Watcher(fish.sim)
         boot_s = fish.sim.time_s - fish.sim.board_time_s
         begun = []
@@ -101,6 +108,29 @@ def test_speeds_of_simulated_swims_are_right_and_know_how_right(fps: float, lost
     assert sigma[known].max() < 0.5e-3
     assert np.mean((error[known] / sigma[known]) ** 2) > 0.3  # nor is it too careful
     assert np.mean(noises) == pytest.approx(1e-3, rel=0.05)
+
+
+def test_a_swim_in_steps_has_larger_errors_and_says_so() -> None:
+    """Beside a step of the amplitude the speed bends within a third of a beat, faster than the
+    smoother lets it: the beats there are up to 1 mm/s off, always to the same side."""
+    amplitudes = np.repeat([0.3, 0.75, 0.2], 7)
+    errors, sigmas = [], []
+    for seed in STEP_SEEDS:
+        track, beats, start_s = swum(seed, 25.0, 0.1, amplitudes)
+        speed, sigma = swim_speed(track, 1.0, start_s, 0.0, beats=len(beats)).beats(len(beats))
+        errors.append(speed - beats)
+        sigmas.append(sigma)
+    error, sigma = np.array(errors), np.array(sigmas)
+    known = np.isfinite(error)
+    rms, bias = np.sqrt(np.mean(error[known] ** 2)), np.nanmean(error, axis=0)
+    inside = np.mean(np.abs(error[known]) < 2 * sigma[known])
+    print(f"seeds {STEP_SEEDS}: RMS {rms:.6f}, bias {bias.min():.6f}..{bias.max():.6f}")
+    print(f"in 2 sigma {inside:.3f}, sigma {np.mean(sigma[known]):.6f}")
+    assert rms < 0.75e-3
+    assert np.abs(bias).max() < 1.3e-3
+    assert abs(np.mean(bias)) < 0.1e-3  # all of the way is there
+    assert inside >= 0.9
+    assert sigma[known].max() < 1e-3
 
 
 def dense(t_s, way, beat_s, by, ends):
@@ -234,6 +264,47 @@ def test_a_fish_that_rests_rests() -> None:
     curve = swim_speed(track_of(t_s, x_m), 1.0)
     assert np.abs(curve.v_m_s).max() < 4 * curve.sigma_m_s.max()
     assert curve.sigma_m_s.max() < 1e-3
+
+
+@pytest.mark.parametrize("v_m_s", [0.0, 0.06])
+def test_positions_without_any_noise(v_m_s: float) -> None:
+    t_s = np.arange(250) / 25
+    curve = swim_speed(track_of(t_s, v_m_s * t_s), 1.0)
+    np.testing.assert_allclose(curve.v_m_s, v_m_s, atol=1e-5)
+    assert (curve.sigma_m_s > 0).all()
+    assert curve.sigma_m_s.max() < 1e-3
+    assert curve.noise_m >= 1e-6
+
+
+def test_a_film_of_frozen_pictures() -> None:
+    t_s, x_m = steady(12, 25)
+    x_m[100:] = x_m[100]
+    curve = swim_speed(track_of(t_s, x_m), 1.0)
+    assert np.isfinite(curve.v_m_s).all()
+    assert np.abs(curve.v_m_s[curve.t_s > 6]).max() < 1e-3
+    assert (curve.sigma_m_s > 0).all()
+
+
+def test_a_place_that_is_no_number_was_not_seen() -> None:
+    t_s, x_m = steady(12, 25)
+    without = swim_speed(track_of(np.delete(t_s, 100), np.delete(x_m, 100)), 1.0)
+    for wrong in (np.nan, np.inf):
+        x_m[100] = wrong
+        curve = swim_speed(track_of(t_s, x_m), 1.0)
+        np.testing.assert_allclose(curve.v_m_s, without.v_m_s, atol=1e-6)
+
+
+def test_a_begin_that_is_not_exactly_known_widens_the_error_bars_where_the_speed_changes() -> None:
+    t_s = np.arange(40) * 0.1
+    v_m_s = np.where(t_s < 2, 0.05, 0.05 + 0.03 * (t_s - 2))
+    curve = SpeedCurve(t_s, v_m_s, np.full(40, 2e-4), 1.0, 0.0, 0.0, 1e-3)
+    widened = curve.with_begin_sigma(0.01)
+    np.testing.assert_allclose(widened.sigma_m_s[:19], 2e-4)
+    np.testing.assert_allclose(widened.sigma_m_s[22:], np.hypot(2e-4, 0.03 * 0.01))
+    np.testing.assert_array_equal(curve.sigma_m_s, 2e-4)
+    np.testing.assert_array_equal(widened.v_m_s, curve.v_m_s)
+    single = replace(curve, t_s=t_s[:1], v_m_s=v_m_s[:1], sigma_m_s=np.array([2e-4]))
+    assert single.with_begin_sigma(0.01).sigma_m_s[0] == 2e-4
 
 
 def test_a_fish_that_was_carried_back_swims_two_swims() -> None:

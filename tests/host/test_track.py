@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Set
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,6 +89,7 @@ def fake_tracker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None
     def blind(unseen: set[int], ids: list[int] | None = None) -> None:
         class Fake:
             other_ids = ids or []
+            measured_side_m = 0.0599
 
             def __init__(self, marker: Marker, calibration: Any, name: str, glow: bool) -> None:
                 self.glow = 9 if glow else None
@@ -224,6 +226,31 @@ def test_glow_stays_with_its_picture() -> None:
     assert [int(patch.max()) for patch in found.glow] == [0, 1, 2, 0, 4, 0, 6, 7, 8, 9]
 
 
+def test_what_came_before_the_head_was_known_is_turned_around() -> None:
+    """A blob whose detector takes the other end for the head in picture 30, and again in 60."""
+    patch, turned = (np.full(GLOW_SHAPE, n, np.uint8) for n in (7, 8))
+
+    def seen(index: int, t_s: float, turns: int) -> Place:
+        heading = 0.1 * math.sin(t_s) + math.pi * (turns != 1)
+        sighting = Sighting((1.0, 1.0), (2.0, 1.0), 3.0, 0.5, turns=turns)
+        frame = Frame(t_s, 0.1 * t_s, 0.0, math.remainder(heading, 2 * math.pi))
+        return Place(index, t_s, frame, sighting, patch, turned)
+
+    once = [seen(i, t, int(i >= 30)) for i, t in enumerate(EVEN_S[:60])]
+    once[10] = place(10, EVEN_S[10], seen=False)
+    found = track_of(once)
+    expected = 0.1 * np.sin(EVEN_S[:60])
+    assert np.abs(np.sin((found.heading_rad - expected) / 2)).max() < 1e-4
+    assert np.ptp(found.heading_rad) < 0.3
+    assert found.glow is not None
+    assert [int(each.max()) for each in found.glow] == [8] * 10 + [0] + [8] * 19 + [7] * 30
+    twice = [seen(i, t, min(i // 30, 2)) for i, t in enumerate(EVEN_S)]
+    back = track_of(twice)
+    assert np.abs(np.cos(back.heading_rad) + np.cos(0.1 * np.sin(EVEN_S))).max() < 1e-4
+    assert back.glow is not None
+    assert [int(each.max()) for each in back.glow] == [7] * 30 + [8] * 30 + [7] * 40
+
+
 def test_few_pictures() -> None:
     nothing = track_of([])
     assert (len(nothing.t_s), nothing.fps) == (0, 0.0)
@@ -253,9 +280,19 @@ def test_never_a_marker(
 
 
 def test_another_marker(fake_tracker: Callable[..., None]) -> None:
-    fake_tracker(set(range(100)), [3, 12])
+    fake_tracker(set(range(100)), [3, 12, 30, 41])
     with pytest.raises(InputError, match=r"with id 7 .* has the id 3, 12: give that"):
         track(Source(EVEN_S), Marker(id=7), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("marker", [Marker(id=7), Marker()])
+def test_the_tanks_markers_are_none_to_ask_for(
+    fake_tracker: Callable[..., None], marker: Marker
+) -> None:
+    fake_tracker(set(range(100)), [30, 31, 40, 43])
+    with pytest.raises(InputError, match=r"or try --marker apriltag") as caught:
+        track(Source(EVEN_S), marker, None)  # type: ignore[arg-type]
+    assert "30" not in str(caught.value) and "has the id" not in str(caught.value)
 
 
 def test_no_picture(fake_tracker: Callable[..., None]) -> None:
@@ -478,6 +515,40 @@ def test_picture_is_to_scale(tmp_path: Path) -> None:
     )
     first, last = blue[np.argmin(blue[:, 1])], blue[np.argmax(blue[:, 1])]
     assert last[0] > first[0]
+
+
+def test_labels_on_a_short_way_do_not_lie_on_each_other(tmp_path: Path) -> None:
+    """All dots of a way of some pixels: only the first label is there; over metres all are."""
+    area = np.array([[-1.0, -1.0], [8.0, -1.0], [8.0, 1.0], [-1.0, 1.0]])
+    calibration = Calibration((640, 480), np.eye(3), np.zeros(5), np.eye(3), area_m=area)
+    ink = {}
+    for name, speed, count in (("brief", 0.0, 10), ("short", 1e-3, 150), ("long", 1.0, 150)):
+        way = [Place(i, i / 25, Frame(i / 25, speed * i / 25), None, None) for i in range(count)]
+        path = tmp_path / f"{name}.png"
+        draw_track(track_of(way), None, path, calibration)
+        dark = cv2.imread(str(path))[330:392, 120:1340].max(axis=2) < 90  # above the way
+        ink[name] = np.count_nonzero(dark)
+    assert 50 < ink["brief"] == pytest.approx(ink["short"], rel=0.03)
+    assert ink["long"] > 2.5 * ink["brief"]
+
+
+def test_a_direction_of_nothing_has_no_minus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from matplotlib.figure import Figure
+
+    texts: list[str] = []
+    write = Figure.text
+
+    def kept(figure: Figure, x: float, y: float, text: str, **how: Any) -> Any:
+        texts.append(text)
+        return write(figure, x, y, text, **how)
+
+    monkeypatch.setattr(Figure, "text", kept)
+    found = track_of(places(EVEN_S))
+    straight = replace(curve_of(found, False), direction_rad=-1e-5)
+    draw_track(found, straight, tmp_path / "a.png")
+    assert "direction +0.0°" in texts[1]
 
 
 def test_no_picture_of_nothing(tmp_path: Path) -> None:

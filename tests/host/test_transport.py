@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from tailbeat import _dialect as mavlink
+from tailbeat.camera.base import CameraGone
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.errors import ConnectError, InputError, LinkLostError
 from tailbeat.transport import find
@@ -242,6 +243,8 @@ def test_remote_camera_survives_nonsense(listener: socket.socket) -> None:
         assert [(f.t_s, f.x_m) for f in frames] == [(1.0, 0.5)]
         peer.sendall(b'"x_m": 0.6}\n')
         assert [(f.t_s, f.x_m) for f in wait_for(camera.frames, 1)] == [(2.0, 0.6)]
+    with pytest.raises(CameraGone):
+        camera.frames()
     assert camera.frames() == []
     camera.close()
 

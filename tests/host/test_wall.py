@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tailbeat import records
-from tailbeat.camera.base import CameraGone, Frame
+from tailbeat.camera.base import Afresh, CameraGone, Frame, Unseen
 from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.tank.wall import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WALL_ZONE_M, WallGuard
 from tailbeat.fish import Fish
@@ -109,6 +109,7 @@ def test_without_walls_or_with_no_zone_it_never_stops() -> None:
         assert stop(guard, way(0.08)) is None
         assert guard(CameraGone("unplugged")) is None
         assert [guard(beat(k, 0.08)) for k in range(40)] == [None] * 40
+        assert [guard(Unseen(140.0 + k)) for k in range(40)] == [None] * 40
 
 
 def test_a_wider_zone_stops_earlier() -> None:
@@ -159,52 +160,115 @@ def test_senseless_frames_are_ignored(bad: float) -> None:
     assert guard("something else") is None
 
 
-def unseen(guard: WallGuard, reference_m_s: float, beats: int = 40) -> tuple[int, str] | None:
-    """How many beats after the last picture it stops the fish."""
-    assert guard(beat(0)) is None  # the pictures are of this beat
-    for k in range(1, beats):
-        if reason := guard(beat(k, reference_m_s)):
-            return k, reason
+def unseen(
+    guard: WallGuard, reference_m_s: float, since_s: float, beat_s: float = 1.0
+) -> tuple[float, str] | None:
+    """How many seconds after the last picture, at ``since_s``, it stops the fish."""
+    assert guard(beat(0, reference_m_s)) is None
+    for k in range(1, 2000):
+        if reason := guard(Unseen(since_s + k * 0.02)):
+            return k * 0.02, reason
+        if k % (50 * beat_s) == 0:
+            assert guard(beat(k, reference_m_s)) is None
     return None
 
 
-def test_an_unseen_fish_is_taken_to_swim_on() -> None:
-    guard = WallGuard(calibration())
-    assert stop(guard, way(0.08, seconds=12.5)) is None  # at 1.0 m: 1.05 m to the zone, 13 beats
-    found = unseen(guard, 0.05)
+@pytest.mark.parametrize("beat_s", [0.5, 1.0, 4.0])
+def test_an_unseen_fish_is_taken_to_swim_on(beat_s: float) -> None:
+    guard = WallGuard(calibration(), beat_s=beat_s)
+    frames = way(0.08, seconds=12.5, sway_rad=0)
+    assert stop(guard, frames) is None  # the nose at 1.2 m: 1.05 m to the zone, 13.1 s
+    found = unseen(guard, 0.05, frames[-1].t_s, beat_s)
     assert found is not None
-    beats, reason = found
-    assert beats == 13 and reason.startswith(HIT)  # at the 14th it would be there
+    assert found[0] == pytest.approx(13.1, abs=0.3) and found[1].startswith(HIT)
+    assert "not seen" in found[1]
+
+
+def test_with_slow_beats_an_unseen_fish_does_not_come_closer_than_a_seen_one() -> None:
+    """The last picture is just outside the zone: 0.3 m away, 0.62 s before the line is crossed."""
+    guard = WallGuard(calibration(), beat_s=4.0)
+    frames = way(0.08, seconds=25.0, sway_rad=0)
+    assert stop(guard, frames) is None
+    found = unseen(guard, 0.08, frames[-1].t_s, 4.0)
+    assert found is not None and found[0] == pytest.approx(0.7, abs=0.2)
 
 
 def test_an_unseen_fish_is_as_fast_as_it_should_be() -> None:
     guard = WallGuard(calibration())
     assert stop(guard, way(0.0, seconds=2.0)) is None
-    found = unseen(guard, 0.08)  # 2.3 m from the nose: 2.05 m to the zone, 26 beats
-    assert found is not None and found[0] == 25
+    found = unseen(guard, 0.08, 102.0)  # 2.3 m from the nose: 2.05 m to the zone, 25.6 s
+    assert found is not None and found[0] == pytest.approx(25.6 + 1, abs=0.3)
+
+
+def test_what_was_swum_unseen_stays_swum_when_the_fish_should_slow_down() -> None:
+    guard = WallGuard(calibration())
+    assert stop(guard, way(0.0, seconds=2.0)) is None
+    assert guard(beat(0, 0.08)) is None
+    assert [guard(Unseen(102 + k * 0.1)) for k in range(250)] == [None] * 250  # 1.9 m of 2.05
+    assert guard(beat(1, 0.02)) is None
+    late = next(k for k in range(2000) if guard(Unseen(127 + k * 0.1)))
+    assert late * 0.1 == pytest.approx((2.3 - 1.92 - 0.0625) / 0.02, abs=1.0)
+
+
+def test_between_two_pictures_a_slow_fish_may_be_where_a_fast_one_may_not() -> None:
+    guard = WallGuard(calibration())
+    assert guard(beat(0, 0.08)) is None
+    for frame in way(0.02, seconds=8, start=(2.0, 0.0), noise_m=1e-4):
+        assert guard(frame) is None
+        assert guard(Unseen(frame.t_s + 0.02)) is None
 
 
 def test_seen_again_all_is_well() -> None:
     guard = WallGuard(calibration())
     assert stop(guard, way(0.08, seconds=12.5)) is None
-    assert [guard(beat(k, 0.08)) for k in range(10)] == [None] * 10
+    assert guard(beat(0, 0.08)) is None
+    assert [guard(Unseen(112.5 + k)) for k in range(10)] == [None] * 10
     assert guard(Frame(123.0, 0.9, 0.0, 0.0)) is None
-    assert [guard(beat(k, 0.08)) for k in range(10, 20)] == [None] * 10
+    assert [guard(Unseen(123.0 + k)) for k in range(10)] == [None] * 10
 
 
-def test_a_beat_of_two_seconds_is_twice_as_far() -> None:
-    guard = WallGuard(calibration(), beat_s=2.0)
-    assert stop(guard, way(0.08, seconds=12.5)) is None
-    found = unseen(guard, 0.08)
-    assert found is not None and found[0] == 6
-
-
-def test_a_guard_that_sees_nothing_is_none() -> None:
+def test_a_picture_that_is_not_believed_shows_no_fish() -> None:
+    """The detector sees reflections, now here, now there."""
     guard = WallGuard(calibration())
-    assert guard(beat(0)) is None
-    assert (guard(beat(1)) or "").startswith("the camera that guards the walls")
+    frames = way(0.08, seconds=22.5, sway_rad=0)
+    assert stop(guard, frames) is None  # the nose at 2.0 m: 0.25 m to the zone, 3.1 s
+    wrong = [Frame(122.5 + k / FPS, -0.4, (-0.8, 0.8)[k % 2], 0.0) for k in range(100)]
+    found = stop(guard, wrong)
+    assert found is not None and found[0].t_s - 122.5 == pytest.approx(3.1, abs=0.3)
+
+
+def test_what_is_afresh_forgets_the_swim_before() -> None:
+    guard = WallGuard(calibration())
+    assert stop(guard, way(0.08, seconds=20)) is None
+    assert guard(Afresh()) is None
+    assert guard(Unseen(300.0)) is None
+    assert stop(guard, way(0.02, seconds=5, t0=300.1)) is None
+
+
+@pytest.mark.parametrize("beat_s", [1.0, 4.0])
+def test_a_guard_that_sees_nothing_is_none(beat_s: float) -> None:
+    guard = WallGuard(calibration(), beat_s=beat_s)
+    reasons = [guard(Unseen(50.0 + k * 0.1)) for k in range(30)]
+    blind = next(k for k, reason in enumerate(reasons) if reason)
+    assert blind == pytest.approx(20, abs=1)
+    assert (reasons[blind] or "").startswith("the camera that guards the walls")
+    assert guard(Unseen(math.nan)) is None
     gone = WallGuard(calibration())(CameraGone("unplugged"))
     assert gone is not None and not gone.startswith(HIT)
+
+
+@pytest.mark.parametrize("beat_s", [0.3, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("begin_s", [0.0, 0.25, 0.5, 0.75])
+def test_sway_is_no_speed(beat_s: float, begin_s: float) -> None:
+    """A fish that rests, or swims along a wall 2 cm away, and sways by 1 cm; from any phase on."""
+    for speed in (0.0, 0.08):
+        frames = way(speed, seconds=12, start=(0.0, 0.87), noise_m=1e-4, sway_rad=0.1)
+        swaying = [
+            Frame(f.t_s, f.x_m, f.y_m + 0.01 * math.sin(phase), 0.1 * math.sin(phase))
+            for f in frames
+            for phase in [math.tau * ((f.t_s - 100) / beat_s + begin_s)]
+        ]
+        assert stop(WallGuard(calibration(), beat_s=beat_s), swaying) is None
 
 
 def amplitudes(wanted_m_s: np.ndarray) -> np.ndarray:

@@ -86,7 +86,8 @@ def analyse(
     on_place: Callable[..., None] | None = None,
 ) -> Analysis:
     """All of ``source``: track, begin of the swim (``start_s`` if given, else by LED or wobble when
-    there is a trial) and speed. ``beat_s`` counts without a trial only.
+    there is a trial) and speed; with a trial its sigma holds that of the begin. ``beat_s`` counts
+    without a trial only.
 
     Raises InputError: what track, sync (WrongPair) and swim_speed raise.
     """
@@ -97,12 +98,14 @@ def analyse(
     else:
         assert found is not None
         curve = swim_speed(seen, trial.beat_s, found.start_s, beats=trial.executed_beats)
+        curve = curve.with_begin_sigma(found.sigma_s)
     return Analysis(seen, curve, found, trial, calibration)
 
 
 def begin_of(seen: Track, trial: Trial | None, start_s: float | None = None) -> Sync | None:
-    """When the swim began; None = no trial to compare with and no LED. Raises what sync raises, and
-    InputError for a ``start_s`` outside the film."""
+    """When the swim began; None = no trial to compare with and no LED. A given ``start_s`` is taken
+    to be some picture's, right within half a period either way: its sigma is that over sqrt(3).
+    Raises what sync raises, and InputError for a ``start_s`` outside the film."""
     if start_s is not None:
         if not seen.t_s[0] <= start_s <= seen.t_s[-1]:
             raise InputError(
@@ -110,7 +113,7 @@ def begin_of(seen: Track, trial: Trial | None, start_s: float | None = None) -> 
                 f"and the swim should begin at {start_s:g} s",
                 "Count --start in seconds from the first picture.",
             )
-        return Sync(start_s, math.nan, "given", None, 1.0)
+        return Sync(start_s, 0.5 / seen.fps / math.sqrt(3), "given", None, 1.0)
     if trial is not None:
         if trial.executed_beats == 0:
             raise InputError(f"trial {trial.number} did not swim", "Give the film's own trial.")

@@ -23,6 +23,18 @@ class Frame:
     heading_rad: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """For a guard: up to ``t_s`` (the clock of the frames) no newer picture showed the fish."""
+
+    t_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Afresh:
+    """For a guard: what was seen before counts no more, the fish may have been carried."""
+
+
 class Camera(Protocol):
     """A stream of positions.
 

@@ -5,13 +5,28 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-from typing import Literal
+from typing import Literal, Protocol
 
-from tailbeat.camera.base import Frame
+from tailbeat.camera.base import CameraGone, Frame
 from tailbeat.errors import ConnectError, reason
-from tailbeat.transport.inprocess import SimulatedBoard
+from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
 
 _CHUNK_BYTES = 65536
+
+
+class Moments(Protocol):
+    """A simulated camera: what there was to be seen, and by how long an exposure."""
+
+    name: str
+    clock: Literal["host", "board"]
+    fps: float
+    exposure_s: float
+
+    def moments(self) -> list[CameraFrame]:
+        """Those since the last call, in order of time; never blocks. May raise CameraGone."""
+
+    def close(self) -> None:
+        """Gives the camera up."""
 
 
 class SimulatedCamera:
@@ -23,11 +38,17 @@ class SimulatedCamera:
         self._board = board
         board.watched = True
         board.camera_frames()
+        self.name = board.name
         self.fps = float(board.config["camera_fps"])
+        self.exposure_s = min(float(board.config["camera_exposure_s"]), 1 / max(self.fps, 1.0))
 
     def frames(self) -> list[Frame]:
         """Frames since the last call."""
-        return [Frame(f.time_s, f.x_m, f.y_m, f.heading_rad) for f in self._board.camera_frames()]
+        return [_frame_of(moment) for moment in self.moments()]
+
+    def moments(self) -> list[CameraFrame]:
+        """The same with the tail and the LED."""
+        return self._board.camera_frames()
 
     def close(self) -> None:
         """Pictures end no wait any more."""
@@ -35,13 +56,18 @@ class SimulatedCamera:
 
 
 class RemoteCamera:
-    """Frames as JSON lines over TCP: {"t_board_s", "x_m", "y_m", "heading_rad"}, in board time."""
+    """Frames as JSON lines over TCP: {"t_board_s", "x_m", "y_m", "heading_rad"}, in board time; a
+    simulator adds "tail_rad" and "led"."""
 
     clock: Literal["host", "board"] = "board"
 
     def __init__(self, host: str, port: int, fps: float = 25.0) -> None:
+        self.name = f"tcp:{host}:{port}"
         self.fps = fps
+        self.exposure_s = 0.01
         self._rest = b""
+        self._open = True
+        self._told = False
         try:
             self._socket = socket.create_connection((host, port), 2.0)
         except (OSError, UnicodeError, OverflowError) as error:
@@ -52,32 +78,51 @@ class RemoteCamera:
         self._socket.setblocking(False)
 
     def frames(self) -> list[Frame]:
-        """Frames since the last call; a camera that has gone gives none."""
-        while True:
-            try:
-                piece = self._socket.recv(_CHUNK_BYTES)
-            except OSError:
-                break
-            if not piece:
-                break
+        """Frames since the last call; raises CameraGone once when there will be no more."""
+        return [_frame_of(moment) for moment in self.moments()]
+
+    def moments(self) -> list[CameraFrame]:
+        """The same with the tail and the LED, as far as they are told."""
+        while self._open and (piece := self._receive()):
             self._rest += piece
         *lines, self._rest = self._rest.split(b"\n")
-        return [frame for line in lines if (frame := _frame(line)) is not None]
+        moments = [moment for line in lines if (moment := _moment(line)) is not None]
+        if moments or self._open or self._told:
+            return moments
+        self._told = True
+        raise CameraGone(
+            "the camera behind the network has hung up", "Look at the program that sends positions."
+        )
+
+    def _receive(self) -> bytes:
+        """What has arrived; nothing also when the peer has gone."""
+        try:
+            piece = self._socket.recv(_CHUNK_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return b""
+        except OSError:
+            piece = b""
+        self._open = bool(piece)
+        return piece
 
     def close(self) -> None:
-        """Closes the connection."""
+        """Closes the connection; nothing is raised of what that breaks."""
+        self._told = True
         with contextlib.suppress(OSError):
             self._socket.close()
 
 
-def _frame(line: bytes) -> Frame | None:
+def _frame_of(moment: CameraFrame) -> Frame:
+    return Frame(moment.time_s, moment.x_m, moment.y_m, moment.heading_rad)
+
+
+def _moment(line: bytes) -> CameraFrame | None:
     try:
         row = json.loads(line)
-        return Frame(
+        return CameraFrame(
             float(row["t_board_s"]),
             float(row["x_m"]),
-            float(row.get("y_m", 0.0)),
-            float(row.get("heading_rad", 0.0)),
+            *(float(row.get(name, 0.0)) for name in ("y_m", "heading_rad", "tail_rad", "led")),
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         return None

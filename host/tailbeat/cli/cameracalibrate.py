@@ -17,15 +17,29 @@ if TYPE_CHECKING:
     from tailbeat.camera.tank.ruler import RulerCheck
 
 
-What = Literal["board", "marker", "anchors", "ruler"]
 FishKind = Literal["aruco", "apriltag"]
 Paper = Literal["a4", "a3", "letter"]
+_FISH_ID = 7
+_OPTIONS: dict[str, tuple[str, ...]] = {
+    "board": (),
+    "marker": ("--kind", "--id", "--side"),
+    "anchors": ("--id", "--side"),
+    "ruler": ("--side",),
+}
 
 
 def print_(
-    what: Annotated[What, typer.Argument(help="board, marker (the fish's), anchors or ruler.")],
-    kind: Annotated[FishKind, typer.Option("--kind", help="Of the fish's marker.")] = "aruco",
-    number: Annotated[int, typer.Option("--id", help="Of the fish's marker.")] = 7,
+    what: Annotated[
+        str,
+        typer.Argument(metavar="WHAT", help="board, marker (the fish's), anchors or ruler."),
+    ],
+    kind: Annotated[
+        FishKind | None, typer.Option("--kind", help="Of the fish's marker. Default: aruco.")
+    ] = None,
+    number: Annotated[
+        int | None,
+        typer.Option("--id", help="Of the fish's marker (default 7), or this one anchor only."),
+    ] = None,
     side: Annotated[
         float | None,
         typer.Option("--side", metavar="MM", help="Of a marker's black square.", min=1.0),
@@ -42,6 +56,12 @@ def print_(
 
     Example: tailbeat camera print marker --id 7 --side 60
     """
+    if what not in _OPTIONS:
+        raise typer.BadParameter(f"no sheet '{what}': there are {', '.join(_OPTIONS)}")
+    given = {"--kind": kind, "--id": number, "--side": side}
+    for option, value in given.items():
+        if value is not None and option not in _OPTIONS[what]:
+            raise typer.BadParameter(f"{option} does not apply to the sheet '{what}'")
     from tailbeat.camera.marker.sheets import write_sheet
 
     sheet = _sheet(what, kind, number, side, paper)
@@ -51,15 +71,19 @@ def print_(
     say(json, document, f"{path}: {sheet.text}")
 
 
-def _sheet(what: What, kind: FishKind, number: int, side: float | None, paper: Paper) -> Sheet:
+def _sheet(
+    what: str, kind: FishKind | None, number: int | None, side: float | None, paper: Paper
+) -> Sheet:
     from tailbeat.camera.marker import sheets
 
     if what == "board":
         return sheets.board_sheet(paper)
     if what == "marker":
-        return sheets.fish_sheet(kind, number, side or sheets.FISH_SIDE_MM, paper)
-    make = sheets.anchors_sheet if what == "anchors" else sheets.ruler_sheet
-    return make(side or sheets.TANK_SIDE_MM, paper)
+        number = _FISH_ID if number is None else number
+        return sheets.fish_sheet(kind or "aruco", number, side or sheets.FISH_SIDE_MM, paper)
+    if what == "anchors":
+        return sheets.anchors_sheet(side or sheets.TANK_SIDE_MM, paper, number)
+    return sheets.ruler_sheet(side or sheets.TANK_SIDE_MM, paper)
 
 
 def calibrate(
@@ -153,7 +177,8 @@ def _made(
     json: bool,
 ) -> Calibrated:
     from tailbeat.camera.pictures.stills import read_all, read_grey
-    from tailbeat.camera.tank.calibrate import Height, rectangle
+    from tailbeat.camera.tank.area import rectangle
+    from tailbeat.camera.tank.calibrate import Height
     from tailbeat.camera.tank.calibrate import calibrate as make
     from tailbeat.camera.tank.tankpoints import read_points
 

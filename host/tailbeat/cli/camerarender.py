@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from tailbeat.camera.rendered.exercise import Exercise
     from tailbeat.camera.rendered.scene import Scene
 
+_SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
+
 
 def render(
     film: Annotated[Path, typer.Argument(metavar="FILM", help="To write: .mp4 or .mkv.")],
@@ -59,9 +61,10 @@ def render(
     from tailbeat import reference as references
     from tailbeat.camera.rendered.exercise import ExerciseOptions, make_exercise
 
+    scene = _scene(size, marker, glare, hidden, fish, seed)
     options = ExerciseOptions(
         reference=references.from_text(reference),
-        scene=_scene(size, marker, glare, hidden, fish, seed),
+        scene=scene,
         plant=plant,
         seed=seed,
         before_s=offset,
@@ -87,9 +90,13 @@ def _size(text: str) -> tuple[int, int]:
     from tailbeat.errors import InputError
 
     width, _, height = text.partition("x")
-    if width.isdecimal() and height.isdecimal() and 64 <= min(int(width), int(height)) <= 4320:
-        return int(width), int(height)
-    raise InputError(f"'{text}' is no size of a picture.", "Write it like --size 1280x720.")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise InputError(f"'{text}' is no size of a picture.", "Write it like --size 1280x720.")
+    size = int(width), int(height)
+    if min(size) < _SIZE_MIN_PX or max(size) > _SIZE_MAX_PX:
+        limits = f"from {_SIZE_MIN_PX}x{_SIZE_MIN_PX} to {_SIZE_MAX_PX}x{_SIZE_MAX_PX}"
+        raise InputError(f"no film is drawn of {text} pixels.", f"Give a --size {limits}.")
+    return size
 
 
 def _text(exercise: Exercise) -> str:

@@ -65,7 +65,8 @@ def track(
     """Find the fish in a film, and from that its speed with error bars.
 
     With --trial the film is put in time with the swim, by the board's LED if it is in view,
-    otherwise by the fish's wobble; a film of another swim is refused. The results are complete or
+    otherwise by the fish's wobble; a film of another swim is refused (by the wobble only when its
+    amplitudes were others). The results are complete or
     not there at all.
 
     Example: tailbeat camera track swim7.mp4 --trial 0007.ulg --plot
@@ -177,4 +178,9 @@ def _sync_text(found: Analysis) -> str:
     line = f"{at} +-{sync.sigma_s * 1e3:.0f} ms, {by}"
     if found.trial is None:
         line += f", which shows trial {sync.trial} (or one 256 away): give its file, --trial"
+    elif sync.how == "yaw":
+        line += (
+            "; swims with nearly equal amplitudes look alike: "
+            f"is it trial {found.trial.number}'s film?"
+        )
     return line

@@ -46,6 +46,7 @@ class Live:
     camera: Camera | None
     guard: Guard | None
     video: VideoCamera | None  # the same camera when it is one that takes pictures
+    recorder: Recorder | None = None  # its film is kept once told that a trial has begun
 
 
 @contextmanager
@@ -70,14 +71,22 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
         calibration.check_size(source.size_px, source.name)
         recorder = None
         if options.video is not None:
-            from tailbeat.camera.pictures.recorder import Recorder
-
-            recorder = Recorder(options.video, source.size_px, source.fps)
+            recorder = _recorder(options.video, source)
             stack.callback(recorder.close)
+            if known is None:
+                calibration.save(options.video.with_suffix(".tank.json"))
         threaded = options.address != RENDERED
         camera = _video_camera(source, options.marker, calibration, recorder, threaded)
         stack.callback(camera.close)
-        yield Live(camera, _guard(fish, calibration, options.wall_m), camera)
+        yield Live(camera, _guard(fish, calibration, options.wall_m), camera, recorder)
+
+
+def _recorder(film: Path, source: PictureSource) -> Recorder:
+    from tailbeat.camera.pictures.recorder import Recorder
+
+    if film.exists():
+        raise InputError(f"{film} is there already", "Give --video another name.")
+    return Recorder(film, source.size_px, source.fps)
 
 
 @contextmanager
@@ -109,19 +118,19 @@ def _source(
         device = Device(str(options.address), known.size_px, latency_s=options.latency_s)
         return device, known
     from tailbeat.camera.rendered.source import RenderedDevice, scene_of
+    from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 
-    if fish.sim is None:
-        raise InputError(
-            "only a simulated board in this process can be drawn", "Connect to one: --connect sim"
-        )
-    marker, usual = options.marker, scene_of(fish.sim)
+    seen = fish.default_camera()
+    if not isinstance(seen, SimulatedCamera | RemoteCamera):
+        raise InputError("only a simulated fish can be drawn", "Start one: tailbeat sim")
+    marker, usual = options.marker, scene_of(seen)
     scene = replace(
         usual,
         marker=marker.kind,
         marker_id=usual.marker_id if marker.id is None else marker.id,
         marker_side_m=usual.marker_side_m if marker.side_m is None else marker.side_m,
     )
-    return RenderedDevice(fish.sim, scene), known or scene.calibration()
+    return RenderedDevice(seen, scene), known or scene.calibration()
 
 
 def _video_camera(

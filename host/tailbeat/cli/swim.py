@@ -18,6 +18,7 @@ from tailbeat.cli.cameraoptions import (
 )
 from tailbeat.cli.common import Connect, Json, connected, mm, plain, progress_bar, say
 from tailbeat.cli.livecamera import (
+    Live,
     LiveOptions,
     camera_report,
     camera_text,
@@ -79,7 +80,7 @@ def run(
     options = LiveOptions(camera, on_fish, calibration, latency, video, wall)
     with connected(connect) as fish, live_camera(fish, options) as live:
         with progress_bar(json, "swimming") as show:
-            outcome = fish.run_trial(live.camera, _follower(fish, show), live.guard)
+            outcome = fish.run_trial(live.camera, _follower(fish, live, show), live.guard)
         report = camera_report(fish, live.video, outcome.number) if live.video else None
         document, text = _told(outcome, report)
         say(json, document, text)
@@ -91,11 +92,15 @@ def run(
         raise typer.Exit(1)
 
 
-def _follower(fish: Fish, show: Callable[[float, str], None]) -> Callable[[dict[str, Any]], None]:
+def _follower(
+    fish: Fish, live: Live, show: Callable[[float, str], None]
+) -> Callable[[dict[str, Any]], None]:
     """Shows what happens while it happens."""
     beats = max(fish.status().beats, 1)
 
     def follow(event: dict[str, Any]) -> None:
+        if event["event"] == "started" and live.recorder is not None:
+            live.recorder.wanted = True
         if event["event"] == "beat":
             speed = mm(event.get("speed_m_s"))
             show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")

@@ -31,7 +31,7 @@ from tailbeat.results import SPEED_SOURCES, BeatEvent
 from tailbeat.trial_log import read_trial
 
 if TYPE_CHECKING:
-    from tailbeat.camera.base import Camera, Frame
+    from tailbeat.camera.base import Camera
     from tailbeat.fish import Event, Fish
     from tailbeat.results import BoardStatus
 
@@ -294,7 +294,7 @@ class _Guard:
     way_m: float = 0.0
     last_beat: int = -1
 
-    def __call__(self, seen: Frame | BeatEvent) -> str | None:
+    def __call__(self, seen: object) -> str | None:
         if self.room_m <= 0 or not isinstance(seen, BeatEvent) or seen.speed_m_s is None:
             return None
         if seen.beat > self.last_beat:

@@ -15,6 +15,7 @@ from tailbeat.report.png import STYLE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
     from tailbeat.camera.speed.swimspeed import SpeedCurve
     from tailbeat.camera.tank.calibration import Calibration
@@ -26,6 +27,7 @@ _WIDTH_PX, _HEIGHT_PX, _DPI = 1400, 1100, 100
 _INK, _FAINT, _BAND, _HOLE, _WATER = "0.15", "0.55", "0.82", "0.94", "0.95"
 _ACCENT = "#0b5394"  # prints as dark grey
 _MARKS_MAX = 8
+_LABEL_GAP_PX = 3
 _WALL_M = 0.1
 
 
@@ -69,7 +71,8 @@ def _heading(figure: Figure, track: Track, curve: SpeedCurve | None) -> None:
     parts = [f"{len(track.t_s)} pictures at {track.fps:.1f}/s, the fish seen in {seen:.1f} %"]
     if curve is not None:
         parts.append(f"positions scatter by {curve.noise_m * 1e3:.2f} mm")
-        parts.append(f"direction {np.degrees(curve.direction_rad):+.1f}°")
+        turned = round(float(np.degrees(curve.direction_rad)), 1) + 0.0  # no "-0.0"
+        parts.append(f"direction {turned:+.1f}°")
     figure.text(0.02, 0.962, track.name, fontsize=22, fontweight="bold", va="center")
     figure.text(0.02, 0.922, "; ".join(parts), fontsize=14, color="0.35", va="center")
 
@@ -89,40 +92,54 @@ def _draw_way(axes: Axes, track: Track, curve: SpeedCurve | None, area_m: Floats
     rows = np.flatnonzero(shown)
     start_s = track.t_s[rows[0]] if curve is None else curve.start_s
     start = rows[np.argmin(np.abs(track.t_s[rows] - start_s))]
-    _mark_times(axes, track, rows, int(start))
+    marks = [(int(start), "start"), *_mark_times(axes, track, rows, int(start))]
     axes.plot(*_at(track, start), "o", ms=12, mfc="white", mec=_ACCENT, mew=2.4, zorder=5)
-    _label(axes, track, int(start), "start")
     axes.set_aspect("equal", adjustable="datalim" if area_m is None else "box", anchor="W")
     axes.margins(0.08 if area_m is None else _WALL_M / 2)
     axes.invert_yaxis()
     axes.grid(color="0.92", lw=1)
     axes.set_axisbelow(True)
     axes.set_title("Way in the tank, m (dotted: not seen)")
+    _label(axes, track, marks)
 
 
-def _mark_times(axes: Axes, track: Track, rows: NDArray[np.intp], start: int) -> None:
-    """Dots along the way, every so many seconds since the start."""
+def _mark_times(
+    axes: Axes, track: Track, rows: NDArray[np.intp], start: int
+) -> list[tuple[int, str]]:
+    """Dots along the way, every so many seconds since the start; their rows and labels."""
     after_s = track.t_s[rows] - track.t_s[start]
     step_s = next(
         step for step in (1, 2, 5, 10, 20, 60, 120, 300, 600, 1e9)
         if after_s[-1] / step <= _MARKS_MAX
     )  # fmt: skip
+    marks = []
     for due_s in np.arange(step_s, after_s[-1], step_s):
         near = int(np.argmin(np.abs(after_s - due_s)))
         if abs(after_s[near] - due_s) < 0.1 * step_s:
             axes.plot(*_at(track, rows[near]), "o", ms=7, color=_ACCENT, zorder=4)
-            _label(axes, track, int(rows[near]), f"{due_s:.0f} s")
+            marks.append((int(rows[near]), f"{due_s:.0f} s"))
+    return marks
 
 
 def _at(track: Track, row: int) -> tuple[list[float], list[float]]:
     return [float(track.x_m[row])], [float(track.y_m[row])]
 
 
-def _label(axes: Axes, track: Track, row: int, text: str) -> None:
-    axes.annotate(
-        text, (float(track.x_m[row]), float(track.y_m[row])), (0, 13),
-        textcoords="offset points", ha="center", fontsize=13, color=_INK, zorder=6,
-    )  # fmt: skip
+def _label(axes: Axes, track: Track, marks: list[tuple[int, str]]) -> None:
+    """Above their rows, the first ones first; without those that would lie on another. To be called
+    when the axes have their limits."""
+    axes.apply_aspect()
+    taken: list[Bbox] = []
+    for row, text in marks:
+        label = axes.annotate(
+            text, (float(track.x_m[row]), float(track.y_m[row])), (0, 13),
+            textcoords="offset points", ha="center", fontsize=13, color=_INK, zorder=6,
+        )  # fmt: skip
+        box = label.get_window_extent().padded(_LABEL_GAP_PX)
+        if any(box.overlaps(other) for other in taken):
+            label.remove()
+        else:
+            taken.append(box)
 
 
 def _draw_speed(axes: Axes, track: Track, curve: SpeedCurve | None) -> None:

@@ -28,6 +28,7 @@ PAPERS_MM: dict[Paper, tuple[float, float]] = {
     "letter": (215.9, 279.4),
 }
 SIDE_MM_MIN = 10.0
+ANCHOR_ID_MAX = 49  # the last of DICT_4X4_50
 APRILTAGS = 587  # ids of 36h11
 TANK_SIDE_MM, FISH_SIDE_MM = 70.0, 60.0
 
@@ -70,10 +71,13 @@ def board_sheet(paper: Paper = "a4") -> Sheet:
             where = (left + float(corners[:, 0].min()), top - float(corners[:, 1].max()))
             cells = _cells(plan.getDictionary(), int(number))
             _draw_cells(axes, cells, where, square * BOARD_MARKER)
-        for column in range(columns):
-            for row in range(rows):
-                if (column, row) not in taken:
-                    _box(axes, left + column * square, top - (row + 1) * square, square, square)
+        bare = [
+            (left + column * square, top - (row + 1) * square, square, square)
+            for column in range(columns)
+            for row in range(rows)
+            if (column, row) not in taken
+        ]
+        _boxes(axes, bare)
 
     return Sheet("board", text, paper, draw)
 
@@ -103,13 +107,22 @@ def fish_sheet(
     return Sheet("marker", text, paper, draw)
 
 
-def anchors_sheet(side_mm: float = TANK_SIDE_MM, paper: Paper = "a4") -> Sheet:
-    """The four markers of the tank. Raises InputError for a side that does not fit."""
+def anchors_sheet(
+    side_mm: float = TANK_SIDE_MM, paper: Paper = "a4", number: int | None = None
+) -> Sheet:
+    """The four markers of the tank, or the one with the id ``number``. Raises InputError for a side
+    that does not fit and an id that is not the tank's."""
+    if number is not None and not ANCHOR_ID_MIN <= number <= ANCHOR_ID_MAX:
+        raise InputError(
+            f"a marker of the tank cannot have id {number}",
+            f"Take one of {ANCHOR_ID_MIN} to {ANCHOR_ID_MAX}.",
+        )
     text = (
         "Markers of the tank. Fix them where the camera sees them and the fish never comes; "
         "measure x and y of their middles (the ticks point to it)."
     )
-    return _several("anchors", text, ANCHOR_IDS, side_mm, paper)
+    ids = ANCHOR_IDS if number is None else (number,)
+    return _several("anchors", text, ids, side_mm, paper)
 
 
 def ruler_sheet(side_mm: float = TANK_SIDE_MM, paper: Paper = "a4") -> Sheet:
@@ -155,12 +168,13 @@ def figure(sheet: Sheet) -> Figure:
 
 def _several(name: str, text: str, ids: tuple[int, ...], side_mm: float, paper: Paper) -> Sheet:
     pitch = side_mm * _CUT
-    _check_side(side_mm, paper, 2, (len(ids) + 1) // 2)
+    columns = min(2, len(ids))
+    _check_side(side_mm, paper, columns, (len(ids) + 1) // 2)
 
     def draw(axes: Axes) -> None:
         width, height = PAPERS_MM[paper]
         for i, number in enumerate(ids):
-            x = width / 2 + (i % 2 - 0.5) * pitch
+            x = width / 2 + (i % 2 - (columns - 1) / 2) * pitch
             y = height - _EDGE_MM - (i // 2 + 0.5) * pitch
             _draw_marker(axes, "aruco", number, side_mm, (x, y))
             for dx, dy in ((0, 1), (1, 0), (0, -1), (-1, 0)):
@@ -178,14 +192,11 @@ def _square_mm(paper: Paper) -> float:
 
 
 def _check_fish_id(kind: str, number: int) -> None:
-    if kind == "aruco" and number in RULER_IDS:
-        raise InputError(f"id {number} is the ruler's", "Take one of 0 to 29.")
-    end = ANCHOR_ID_MIN if kind == "aruco" else APRILTAGS
-    if not 0 <= number < end:
-        why = f"ids from {ANCHOR_ID_MIN} on are the tank's" if kind == "aruco" else "there is none"
-        raise InputError(
-            f"a fish cannot have {kind} id {number}: {why}", f"Take one of 0 to {end - 1}."
-        )
+    end = min(RULER_IDS) if kind == "aruco" else APRILTAGS
+    if 0 <= number < end:
+        return
+    why = f" ({end} and up are the ruler's and the tank's)" if kind == "aruco" else ""
+    raise InputError(f"a fish cannot have {kind} id {number}", f"Take one of 0 to {end - 1}{why}.")
 
 
 def _check_side(side_mm: float, paper: Paper, columns: int, rows: int) -> None:
@@ -246,13 +257,15 @@ def _cells(words: Any, number: int) -> Cells:
 def _draw_cells(axes: Axes, cells: Cells, corner: tuple[float, float], side_mm: float) -> None:
     """Black first, then the white in it: in runs along and across, so that no seam shows."""
     cell = side_mm / len(cells)
-    _box(axes, *corner, side_mm, side_mm)
+    _boxes(axes, [(*corner, side_mm, side_mm)])
+    white = []
     for row, first, last in _white_runs(cells):
         y = corner[1] + side_mm - (row + 1) * cell
-        _box(axes, corner[0] + first * cell, y, (last - first) * cell, cell, "white")
+        white.append((corner[0] + first * cell, y, (last - first) * cell, cell))
     for column, first, last in _white_runs(cells.T):
         y, high = corner[1] + side_mm - last * cell, (last - first) * cell
-        _box(axes, corner[0] + column * cell, y, cell, high, "white")
+        white.append((corner[0] + column * cell, y, cell, high))
+    _boxes(axes, white, "white")
 
 
 def _white_runs(cells: Cells) -> Iterator[tuple[int, int, int]]:
@@ -262,12 +275,16 @@ def _white_runs(cells: Cells) -> Iterator[tuple[int, int, int]]:
             yield i, int(first), int(last)
 
 
-def _box(
-    axes: Axes, x: float, y: float, width: float, height: float, colour: str = "black"
+def _boxes(
+    axes: Axes, boxes: list[tuple[float, float, float, float]], colour: str = "black"
 ) -> None:
-    from matplotlib.patches import Rectangle
+    """Each x, y, width, height, filled."""
+    from matplotlib.collections import PolyCollection
 
-    axes.add_patch(Rectangle((x, y), width, height, facecolor=colour, linewidth=0, snap=False))
+    corners = [[(x, y), (x + w, y), (x + w, y + h), (x, y + h)] for x, y, w, h in boxes]
+    filled = PolyCollection(corners, facecolors=colour, linewidths=0, edgecolors="none")
+    filled.set_snap(False)
+    axes.add_collection(filled, autolim=False)
 
 
 def _frame(axes: Axes, x: float, y: float, side: float) -> None:

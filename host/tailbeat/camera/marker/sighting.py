@@ -21,7 +21,8 @@ class Sighting:
     ``front_px`` is the middle of the marker's front edge (the one towards the fish's head), the
     front end of a blob. ``corners_px`` has shape (4, 2), clockwise as printed, from the front left;
     None for blobs. ``side_px`` is the mean length of the marker's sides, a blob's width.
-    ``quality``: 1 = as sharp as can be, 0 = hardly believable.
+    ``quality``: 1 = as sharp as can be, 0 = hardly believable. ``turns``: how often so far the
+    detector took the other end for the head; then all it said before was the wrong way round.
     """
 
     centre_px: tuple[float, float]
@@ -29,6 +30,7 @@ class Sighting:
     side_px: float
     quality: float
     corners_px: Points | None = None
+    turns: int = 0
 
 
 @dataclass(frozen=True, slots=True)

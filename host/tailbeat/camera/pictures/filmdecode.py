@@ -20,6 +20,8 @@ class DamagedError(Exception):
 def open_film(path: Path) -> tuple[Any, Any]:
     """(container, its video stream) by PyAV. Raises InputError when it is none."""
     av = need_av()
+    if path.is_dir():
+        raise InputError(f"{path} is a folder, no film.", _GIVE_A_FILM)
     if not path.is_file():
         raise InputError(f"there is no film {path}.", "Check the name.")
     try:

@@ -10,7 +10,10 @@ from tailbeat.camera.pictures.picture import Picture
 
 class Recorder:
     """Call it with every picture (live.OnPicture). A film that cannot be written costs the film,
-    not the swim: what went wrong is raised by close()."""
+    not the swim: what went wrong is raised by close(). Without ``wanted`` close() leaves no film:
+    set it once there is something on it."""
+
+    wanted = False
 
     def __init__(self, path: Path, size_px: tuple[int, int], fps: float) -> None:
         """Raises InputError when there can be no film at ``path``."""
@@ -30,10 +33,10 @@ class Recorder:
             self._writer.discard()
 
     def close(self) -> None:
-        """Finishes the film; without a picture there is none. Raises what went wrong."""
+        """Finishes the film, if it is wanted and has a picture. Raises what went wrong."""
         if self._error is not None:
             raise self._error
-        if self._pictures:
+        if self.wanted and self._pictures:
             self._writer.close()
         else:
             self._writer.discard()

@@ -20,7 +20,7 @@ from tailbeat.camera.pictures.film import FilmWriter
 from tailbeat.camera.rendered.painter import Painter
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import picture_index, truth_of
-from tailbeat.errors import InputError, TailbeatError
+from tailbeat.errors import InputError, TailbeatError, reason
 from tailbeat.fish import Fish
 from tailbeat.reference import Reference
 from tailbeat.results import SPEED_SOURCES, TrialOutcome
@@ -32,6 +32,7 @@ Floats = NDArray[np.float64]
 
 TRUTH_COLUMNS = ("t_s", "x_m", "y_m", "heading_rad", "tail_rad", "led", "speed_m_s")
 _FORMATS = (".mp4", ".mkv")
+_LOG = ".ulg"
 _AMPLITUDE_MAX_RAD = math.pi / 4
 _SWIM_SHARE = 0.1  # of the work; the rest is drawing
 _AFTER_S = 2.0  # of film after the last beat
@@ -80,18 +81,17 @@ def make_exercise(
     film: Path, options: ExerciseOptions, progress: Progress = lambda done, text: None
 ) -> Exercise:
     """Swims ``options.reference`` once, about as fast as it says, and writes ``film``, its
-    .truth.csv, its .tank.json (the calibration) and the trial's file NNNN.ulg beside it: all of
+    .truth.csv, its .tank.json (the calibration) and the trial's file, its .ulg, beside it: all of
     them or none. The trial waits for uploaded speeds.
 
-    Raises InputError for names and values that make no sense, and when there is a NNNN.ulg already
+    Raises InputError for names and values that make no sense, and when there is such a .ulg already
     that is not an earlier exercise's.
     """
-    if film.suffix.lower() not in _FORMATS:
-        raise InputError(f"cannot write a film as {film.name}.", "Name it .mp4 or .mkv.")
-    with TemporaryDirectory(prefix=".rendering-", dir=film.parent) as name:
+    _check_name(film)
+    with _part_beside(film) as name:
         folder = Path(name)
-        swim, fps = _swim(options, folder, film, progress)
         written = folder / film.name
+        swim, fps = _swim(options, written.with_suffix(_LOG), progress)
         _draw(written, swim, options.scene, fps, progress)
         _write_truth(written.with_suffix(".truth.csv"), swim)
         options.scene.calibration().save(written.with_suffix(".tank.json"))
@@ -102,7 +102,7 @@ def make_exercise(
         film=film,
         truth=film.with_suffix(".truth.csv"),
         calibration=film.with_suffix(".tank.json"),
-        trial_file=film.parent / _log_name(swim.trial),
+        trial_file=film.with_suffix(_LOG),
         trial=swim.trial,
         pictures=len(swim.frames),
         lost=shot - len(swim.frames),
@@ -142,9 +142,7 @@ class _Watcher:
         return np.array(list(self._speed)), np.array(list(self._speed.values()))
 
 
-def _swim(
-    options: ExerciseOptions, folder: Path, film: Path, progress: Progress
-) -> tuple[_Swim, float]:
+def _swim(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple[_Swim, float]:
     url = f"sim?{urlencode({'plant': options.plant, 'seed': options.seed})}"
     camera = {"camera_exposure_s": options.scene.exposure_s, **options.overrides}
     with Fish.connect(url, **camera) as fish:
@@ -152,13 +150,12 @@ def _swim(
         assert board is not None
         _prepare(fish, board, options.reference)
         number = fish.status().next_trial
-        _keep_strangers(film, number)
         watcher = _Watcher(board)
         fish.imu_verdict()  # without its turns film and log cannot be paired
         _watch(fish, watcher, options.before_s)
         _complete(fish.run_trial(watcher, _follower(options.reference.beats, progress)))
         _watch(fish, watcher, _AFTER_S)
-        log = read_trial(fish.pull_trial(number, folder))
+        log = read_trial(fish.pull_trial(number, log_file.parent).replace(log_file))
         begin_s = log.start_us * 1e-6 + board.time_s - board.board_time_s
         true = board.true_beats()[: options.reference.beats]
         kept = _cut(watcher.kept, begin_s, options)
@@ -240,14 +237,23 @@ def _write_truth(path: Path, swim: _Swim) -> None:
             out.writerow([f"{frame.time_s - first_s:.6f}", *(f"{value:.6f}" for value in place)])
 
 
-def _log_name(trial: int) -> str:
-    return f"{trial:04d}.ulg"
-
-
-def _keep_strangers(film: Path, trial: int) -> None:
-    """The log's name is no different from a real trial's."""
-    there = film.parent / _log_name(trial)
+def _check_name(film: Path) -> None:
+    if film.suffix.lower() not in _FORMATS:
+        raise InputError(f"cannot write a film as {film.name}.", "Name it .mp4 or .mkv.")
+    if not film.parent.is_dir():
+        raise InputError(f"there is no folder {film.parent}.", "Make it, or write elsewhere.")
+    # The log's name is no different from a real trial's.
+    there = film.with_suffix(_LOG)
     if there.exists() and not film.with_suffix(".truth.csv").exists():
         raise InputError(
-            f"{there} is there already and may be a real trial's.", "Write into another folder."
+            f"{there} is there already and may be a real trial's.", "Give the film another name."
         )
+
+
+def _part_beside(film: Path) -> TemporaryDirectory[str]:
+    try:
+        return TemporaryDirectory(prefix=".rendering-", dir=film.parent)
+    except OSError as error:
+        raise InputError(
+            f"cannot write to {film.parent} ({reason(error)}).", "Choose another place."
+        ) from error

@@ -1,4 +1,4 @@
-"""The simulated board's camera as pictures: a fake device, in simulated time."""
+"""The simulated camera as pictures: a fake device, in simulated time."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Literal
 from tailbeat.camera.pictures.picture import Picture
 from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
-from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
+from tailbeat.camera.simulated import Moments
+from tailbeat.transport.inprocess import CameraFrame
 
 _SPEED_MAX_M_S = 1.0  # faster than that somebody has carried the fish
 
 
 class RenderedDevice:
-    """Pictures of a simulated board in this process (pictures.PictureSource), as they come due.
+    """Pictures of a simulated fish (pictures.PictureSource), as they come due.
 
     The simulator's own camera noise is how far the drawn fish is off the truth in each picture;
     its lost frames are pictures that never come. read() never blocks; None = none due yet.
@@ -25,24 +26,21 @@ class RenderedDevice:
     fps: float
     size_px: tuple[int, int]
 
-    def __init__(self, board: SimulatedBoard, scene: Scene | None = None) -> None:
-        """Takes the board's camera for itself. ``scene`` None = the default one with the board's
-        exposure."""
-        scene = scene or scene_of(board)
-        board.watched = True
-        board.camera_frames()
-        self._board = board
+    def __init__(self, camera: Moments, scene: Scene | None = None) -> None:
+        """Takes ``camera`` over. ``scene`` None = the default one with that camera's exposure."""
+        scene = scene or scene_of(camera)
+        self._camera = camera
         self._painter = Painter(scene)
         self._waiting: deque[CameraFrame] = deque()
         self._before: CameraFrame | None = None
-        self.name = f"{board.name} seen from above"
-        self.clock = "host"
-        self.fps = float(board.config["camera_fps"])
+        self.name = f"{camera.name} seen from above"
+        self.clock = camera.clock
+        self.fps = camera.fps
         self.size_px = scene.size_px
 
     def read(self) -> Picture | None:
         """The next picture that is due."""
-        self._waiting += self._board.camera_frames()
+        self._waiting += self._camera.moments()
         if not self._waiting:
             return None
         frame = self._waiting.popleft()
@@ -57,14 +55,13 @@ class RenderedDevice:
         return False
 
     def close(self) -> None:
-        """The simulator need not stop for pictures any more."""
-        self._board.watched = False
+        """Gives the simulated camera up."""
+        self._camera.close()
 
 
-def scene_of(board: SimulatedBoard) -> Scene:
-    """The default one, as long exposed as the board's camera."""
-    exposure_s = float(board.config.get("camera_exposure_s", Scene.exposure_s))
-    return Scene(exposure_s=min(exposure_s, 1 / max(board.config["camera_fps"], 1.0)))
+def scene_of(camera: Moments) -> Scene:
+    """The default one, exposed as long as by ``camera``."""
+    return Scene(exposure_s=camera.exposure_s)
 
 
 def picture_index(frame: CameraFrame, fps: float) -> int:

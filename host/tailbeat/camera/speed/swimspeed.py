@@ -13,12 +13,12 @@ import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.camera.speed.likeliest import likeliest
 from tailbeat.camera.speed.ripplefilter import (
     SEEN_AS,
     STATES,
@@ -39,11 +39,8 @@ COVERAGE_MIN = 0.6
 _WAY_MIN_M = 0.3
 _OUTLIER_SIGMA = 5.0
 _OUTLIER_ROUNDS = 3
+_SIGMA_MIN_M_S = 1e-5  # below what a speed.csv can tell
 _JUMP_M_S, _JUMP_M = 1.0, 0.03  # nobody swims so; somebody carried the fish
-_TUNING_PICTURES = 1500
-# In units of the noise, of about a millimetre: from far below what matters to far above.
-_JERK_RANGE, _RIPPLE_RANGE = (1e-2, 1e4), (1e-3, 30.0)
-_RATIOS = (10.0, 10.0, 3.0, 3.0, 3.0, 1.6, 1.6, 1.25, 1.25)
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,9 @@ class SpeedCurve:
     (k + 0.5) beat_s, exactly one of them), less those without a speed (LOST pictures within the
     window: more than five in a row, or fewer than 60 % of them there).
 
-    ``sigma_m_s``: one standard deviation, honest: it holds the noise found in this film and what
-    the model cannot follow; not the calibration's scale, which is wrong for all samples alike.
+    ``sigma_m_s``: one standard deviation, > 0, honest: it holds the noise found in this film and
+    what the model cannot follow; not the calibration's scale, which is wrong for all samples alike,
+    and a begin that is not exactly known only by ``with_begin_sigma``.
     ``direction_rad``: of the swim, against the tank's x. ``noise_m``: white noise of a position, as
     found. ``start_s``: begin of beat 0. ``outliers``: positions not believed.
     """
@@ -78,11 +76,19 @@ class SpeedCurve:
                 speed[beat], sigma[beat] = self.v_m_s[k], self.sigma_m_s[k]
         return speed, sigma
 
+    def with_begin_sigma(self, sigma_s: float) -> SpeedCurve:
+        """The same with sigmas that hold, too, that ``start_s`` is known within ``sigma_s`` only:
+        where the speed rises or falls, a wrong begin gives a beat its neighbour's speed."""
+        if len(self.t_s) < 2:
+            return self
+        rise_m_s2 = np.gradient(self.v_m_s, self.t_s)
+        return replace(self, sigma_m_s=np.hypot(self.sigma_m_s, rise_m_s2 * sigma_s))
+
 
 def swim_direction_rad(track: Track, beat_s: float = 1.0) -> float:
     """Where the fish swam, against the tank's x: from its mean place in the first beat to that in
     the last (a body sways with its tail) when that is 0.3 m or more, otherwise the tank's x (0)."""
-    seen = track.seen()
+    seen = _seen(track)
     if not seen.any():
         return 0.0
     t_s = track.t_s[seen]
@@ -108,7 +114,7 @@ def swim_speed(
     begin_s = float(track.t_s[0]) if start_s is None else start_s
     if start_s is not None and beats is not None:
         track = _cut(track, begin_s - 3 * beat_s, begin_s + (beats + 3) * beat_s)
-    seen = track.seen()
+    seen = _seen(track)
     if direction_rad is None:
         direction_rad = swim_direction_rad(track, beat_s)
     way = track.x_m[seen] * math.cos(direction_rad) + track.y_m[seen] * math.sin(direction_rad)
@@ -134,6 +140,10 @@ def swim_speed(
         noise_m=noise_m,
         outliers=sum(curve[3] for curve in curves),
     )
+
+
+def _seen(track: Track) -> NDArray[np.bool_]:
+    return np.asarray(track.seen() & np.isfinite(track.x_m) & np.isfinite(track.y_m))
 
 
 def _cut(track: Track, begin_s: float, end_s: float) -> Track:
@@ -163,45 +173,12 @@ def _tune(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
     """The likeliest parameters without the positions that they do not believe; wrong ones make the
     noise look larger, so in rounds."""
     for _ in range(_OUTLIER_ROUNDS):
-        by, noise_m = _likeliest(piece, beat_s)
+        by, noise_m = likeliest(piece.t_s, piece.way_m, beat_s)
         _, believed = _smooth_without_outliers(piece.t_s, piece.way_m / noise_m, beat_s, by)
         if believed.all():
             break
         piece = _Piece(piece.t_s[believed], piece.way_m[believed])
     return by, noise_m
-
-
-def _likeliest(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
-    """The parameters in units of the noise, and the noise: from coarse to fine, three values of
-    each at a time. The noise divides out (concentrated likelihood). Its first guess only sets the
-    scale of the search."""
-    stride = -(-len(piece.t_s) // _TUNING_PICTURES)
-    t_s, way_m = piece.t_s[::stride], piece.way_m[::stride]
-    unit_m = _rough_noise_m(way_m)
-    best = np.array([30.0, 0.3, 0.3])
-    low, high = np.array([_JERK_RANGE, _RIPPLE_RANGE, _RIPPLE_RANGE]).T
-    scale = 1.0
-    for ratio in _RATIOS:
-        around = np.array(list(product((1 / ratio, 1.0, ratio), repeat=3))) * best
-        by = _candidates(np.clip(around, low, high))
-        done = forward(t_s, way_m / unit_m, beat_s, by, keep=False)
-        variance = done.chi2 / done.count
-        loss = np.log(variance) + done.log_variance / done.count
-        at = int(np.argmin(loss))
-        best = np.clip(around[at], low, high)
-        scale = math.sqrt(float(variance[at]))
-    return _candidates(best[None, :]), unit_m * scale
-
-
-def _candidates(rows: Floats) -> Candidates:
-    return Candidates(rows[:, 0], rows[:, 1], rows[:, 2])
-
-
-def _rough_noise_m(way_m: Floats) -> float:
-    """From third differences, to which a swimming fish adds little."""
-    third = np.diff(way_m, 3)
-    rough = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
-    return max(rough, 1e-5)
 
 
 def _curve(
@@ -222,7 +199,8 @@ def _curve(
     middle_s = grid_s[STEPS_PER_BEAT // 2 : len(grid_s) - STEPS_PER_BEAT // 2]
     known = _covered(t_s[believed], middle_s, beat_s, period_s)
     outliers = len(piece.t_s) - int(believed.sum())
-    return middle_s[known], speed[known] * noise_m, sigma[known] * noise_m, outliers
+    sigma_m_s = np.maximum(sigma[known] * noise_m, _SIGMA_MIN_M_S)
+    return middle_s[known], speed[known] * noise_m, sigma_m_s, outliers
 
 
 def _smooth_without_outliers(

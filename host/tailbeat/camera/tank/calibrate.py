@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.extra import need_cv2
 from tailbeat.camera.marker.printed import anchors_of, find_markers
 from tailbeat.camera.pictures.picture import Image
+from tailbeat.camera.tank.area import check_area_seen, check_given_area, hull
 from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tank.calibrationcheck import check_area, check_sense
+from tailbeat.camera.tank.calibrationcheck import check_sense
 from tailbeat.camera.tank.intrinsics import Intrinsics, find_intrinsics
 from tailbeat.camera.tank.lens import Lens
 from tailbeat.camera.tank.ruler import RulerCheck, check_ruler, refuse_scale, ruler_ends
@@ -30,6 +30,7 @@ from tailbeat.errors import InputError
 
 Floats = NDArray[np.float64]
 
+_FORETOLD_MAX_M = 0.02
 _NEEDS_BOARD = (
     "needs the camera's focal length: from points in one plane alone nobody can tell how large "
     "things are above or below it"
@@ -96,8 +97,9 @@ def calibrate(
     here = located(points, find_markers(image, name) if _by_marker(points) else {}, name)
     pixels, places = _arrays(here, size_px, name)
     names = [point.name for point in here]
-    plane = fit_plane(lens, pixels, places, names)
-    camera = camera_place(lens, plane, pixels, places) if intrinsics is not None else None
+    known_camera = intrinsics is not None
+    plane = fit_plane(lens, pixels, places, names, known_camera)
+    camera = camera_place(lens, plane, pixels, places, names) if known_camera else None
     area = _area(area_m, places, list(plane.left_out))
     matrix, words = _marker_plane(plane, camera, height or Height(), area)
     kept = [point for i, point in enumerate(here) if i not in plane.left_out]
@@ -106,13 +108,14 @@ def calibrate(
         rms_px=intrinsics.rms_px if intrinsics else None, plane_rms_m=plane.rms_m, plane=words,
     )  # fmt: skip
     check_sense(calibration, "what comes out")
+    check_area_seen(calibration)
     calibration, checks = _with_scale(calibration, rulers or [])
     notes = [
         *_notes(intrinsics, plane, names, len(points) - len(here), places),
         *_area_note(area_m),
     ]
     if not checks:
-        notes.append("the scale was not checked: lay a ruler into the tank (--ruler)")
+        notes += _unchecked(plane, intrinsics)
     return Calibrated(
         calibration, intrinsics, plane, tuple(names), camera, checks, _mm_per_px(calibration),
         tuple(notes),
@@ -128,7 +131,7 @@ def check_scale(calibration: Calibration, rulers: list[Ruler]) -> tuple[RulerChe
         calibration.check_anchors(ruler.anchors, ruler.name)
     checks = tuple(check_ruler(calibration, r.ends_px, r.true_m, r.name) for r in rulers)
     for check in checks:
-        refuse_scale(check)
+        refuse_scale(check, known_camera=calibration.rms_px is not None)
     return checks
 
 
@@ -137,18 +140,6 @@ def ruler_in(image: Image, name: str, true_m: float) -> Ruler:
     seen = find_markers(image, name)
     size_px = (image.shape[1], image.shape[0])
     return Ruler(name, ruler_ends(seen, name), true_m, size_px, anchors_of(seen))
-
-
-def rectangle(numbers: list[float]) -> Floats:
-    """An area (4, 2) from LENGTH,WIDTH (a corner at 0, 0) or X0,Y0,X1,Y1. Raises InputError."""
-    if len(numbers) == 2:
-        numbers = [0.0, 0.0, *numbers]
-    if len(numbers) != 4 or not np.isfinite(numbers).all():
-        raise InputError("that is no area", "Write LENGTH,WIDTH or X0,Y0,X1,Y1 in metres.")
-    x0, y0, x1, y1 = numbers
-    if not (x1 > x0 and y1 > y0):
-        raise InputError("that area is empty", "X1 is larger than X0, Y1 than Y0; metres.")
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
 def _by_marker(points: list[TankPoint]) -> bool:
@@ -189,15 +180,8 @@ def _arrays(points: list[TankPoint], size_px: tuple[int, int], name: str) -> tup
 def _area(area_m: Floats | None, places: Floats, left_out: list[int]) -> Floats:
     good = np.delete(places, left_out, axis=0)
     if area_m is None:
-        hull = need_cv2().convexHull(good.astype(np.float32), returnPoints=False)
-        return good[np.ravel(hull)]
-    check_area(area_m, "the area given")
-    low, high = area_m.min(axis=0), area_m.max(axis=0)
-    if (good.max(axis=0) < low).any() or (good.min(axis=0) > high).any():
-        raise InputError(
-            "the area lies beside all of the tank's points",
-            "It counts in the same frame: --area X0,Y0,X1,Y1.",
-        )
+        return hull(good)
+    check_given_area(area_m, good)
     return area_m
 
 
@@ -274,6 +258,17 @@ def _notes(
     if plane.foretold_m is None:
         notes.append("four points always fit: with more of them, errors would show")
     return notes
+
+
+def _unchecked(plane: Plane, intrinsics: Intrinsics | None) -> list[str]:
+    notes = []
+    if plane.foretold_m is not None and plane.foretold_m > _FORETOLD_MAX_M:
+        lens = "" if intrinsics else "the lens bends lines (--board), or "
+        notes.append(
+            f"each point is foretold by the others only within {plane.foretold_m * 1e3:.0f} mm "
+            f"(good: below 10): {lens}a point is wrong; nothing here tells how wrong speeds are"
+        )
+    return [*notes, "the scale was not checked: lay a ruler into the tank (--ruler)"]
 
 
 def _dropped(intrinsics: Intrinsics | None) -> dict[str, str]:

@@ -39,7 +39,8 @@ def ruler_ends(seen: dict[int, tuple[float, float]], name: str) -> Floats:
     missing = [str(i) for i in RULER_IDS if i not in seen]
     if missing:
         raise InputError(
-            f"{name} does not show the ruler's marker {' and '.join(missing)}",
+            f"{name} does not show the ruler's marker{'s' * (len(missing) - 1)} "
+            f"{' and '.join(missing)}",
             "Lay the ruler flat, wholly in view, without glare; print it: tailbeat camera print "
             "ruler",
         )
@@ -73,17 +74,23 @@ def check_ruler(calibration: Calibration, ends_px: Floats, true_m: float, name: 
     return RulerCheck(name, true_m, measured, sigma)
 
 
-def refuse_scale(check: RulerCheck) -> None:
+def refuse_scale(check: RulerCheck, known_camera: bool) -> None:
     """Raises InputError, with what can be wrong, when the scale is off by more than
-    SCALE_ERROR_MAX."""
+    SCALE_ERROR_MAX. ``known_camera``: the lens is from pictures of the board."""
     if abs(check.scale_error) <= SCALE_ERROR_MAX:
         return
+    board = (
+        "The camera was taken to be free of distortion: give pictures of the board (--board). "
+        if not known_camera
+        else ""
+    )
     raise InputError(
         f"{check.name}: the ruler of {check.true_m:g} m measures {check.measured_m:.3f} m, "
         f"{check.scale_error * 100:+.1f} % (sigma {check.sigma * 100:.1f} %, at most "
         f"{SCALE_ERROR_MAX * 100:g} %)",
-        "Is the ruler at the marker's height (if not the points, then --raise or --depth)? Are the "
-        "points and the ruler's length typed right? Is it the same camera, zoom and setting?",
+        f"{board}Is the ruler at the marker's height (if not the points, then --raise or --depth)? "
+        "Are the points and the ruler's length typed right? Is it the same camera, zoom and "
+        "setting?",
     )
 
 

@@ -10,16 +10,19 @@ from numpy.typing import NDArray
 
 from tailbeat.camera.extra import need_cv2
 from tailbeat.camera.tank.lens import Lens
+from tailbeat.camera.tank.wrongpoints import Fit, suspects, used_points
 from tailbeat.errors import InputError
 
 Floats = NDArray[np.float64]
 
 WATER = 1.33  # refractive index
-RANSAC_FROM = 6
-OUTLIER_M = 0.02
 RMS_MAX_M = 0.02
 _SPREAD_MIN = 0.01  # of the equations for a homography, smallest over largest singular value
-_POSE_OFF_MAX_M = 0.03
+# True points measured within 2 mm and found within 0.2 pixels are up to 6 mm off, with a focal
+# length 2 % off and the camera tilted by 0.4 rad; one of six that is 50 mm wrong makes it 10 mm.
+POSE_RMS_MAX_M = 0.01
+_POSE_OVER_PLANE = 1.5  # of points measured less well
+_SPAN_M_PX_MAX, _HEIGHT_MAX_M = 0.05, 20.0
 _RIGHT = "x goes along the swim, y to the right of it (seen from above)."
 
 
@@ -41,20 +44,25 @@ class Plane:
         return float(np.sqrt(np.mean(self.off_m**2)))
 
 
-def fit_plane(lens: Lens, pixels: Floats, places_m: Floats, names: list[str]) -> Plane:
+def fit_plane(
+    lens: Lens, pixels: Floats, places_m: Floats, names: list[str], known_camera: bool = False
+) -> Plane:
     """Least squares over at least four points: ``pixels`` (n, 2) of the distorted picture,
-    ``places_m`` (n, 2). With six or more, single wrong ones are left out. Raises InputError: points
-    on a line, seen in a mirror, or not fitting each other."""
+    ``places_m`` (n, 2). With six or more, single wrong ones are left out; with ``known_camera``
+    (``lens`` is from pictures of the board) those without which the camera's place fits best.
+    Raises InputError: points on a line, seen in a mirror, not in metres, not fitting each other."""
     flat = lens.undistorted(pixels)
     _check_spread(flat, places_m)
-    used = _inliers(flat, places_m)
+    _check_metres(flat, places_m, lens if known_camera else None)
+    fit = _fit(lens if known_camera else None)
+    used = used_points(flat, places_m, names, fit)
     _check_spread(flat[used], places_m[used])
     matrix = _homography(flat[used], places_m[used])
     off = np.linalg.norm(_mapped(matrix, flat) - places_m, axis=1)
-    left_out = {int(i): float(off[i]) for i in np.flatnonzero(~used)}
+    left_out = {int(i): float(off[i]) for i in np.setdiff1d(np.arange(len(flat)), used)}
     plane = Plane(matrix, off[used], left_out, _foretold(flat[used], places_m[used]))
     _check_seen_from_above(matrix, flat)
-    _check_fit(plane, [name for name, good in zip(names, used, strict=True) if good])
+    _check_fit(plane, [names[i] for i in used])
     return plane
 
 
@@ -68,29 +76,70 @@ class CameraPlace:
     rms_m: float
 
 
-def camera_place(lens: Lens, plane: Plane, pixels: Floats, places_m: Floats) -> CameraPlace:
+def camera_place(
+    lens: Lens, plane: Plane, pixels: Floats, places_m: Floats, names: list[str]
+) -> CameraPlace:
     """From the points used in ``plane`` and the camera's intrinsics. Raises InputError when these
     do not belong together."""
-    cv2: Any = need_cv2()
     used = np.setdiff1d(np.arange(len(pixels)), list(plane.left_out))
     flat, places = lens.undistorted(pixels[used]), places_m[used]
-    solid = np.column_stack([places, np.zeros(len(places))])
-    good, turn, shift = cv2.solvePnP(solid, flat, lens.camera_matrix, None, flags=cv2.SOLVEPNP_IPPE)
-    if good:
-        turn, shift = cv2.solvePnPRefineLM(solid, flat, lens.camera_matrix, None, turn, shift)
-    rotation = cv2.Rodrigues(turn)[0]
-    matrix = np.linalg.inv(lens.camera_matrix @ np.column_stack([rotation[:, :2], shift]))
-    off = np.linalg.norm(_mapped(matrix, flat) - places, axis=1)
+    rotation, shift = _pose(lens, flat, places)
+    off = np.linalg.norm(_mapped(_seen_by(lens, rotation, shift), flat) - places, axis=1)
     rms = float(np.sqrt(np.mean(off**2)))
-    centre = -rotation.T @ shift.ravel()  # z of a frame with x forward, y to the right is down
-    if not rms <= max(_POSE_OFF_MAX_M, 3 * plane.rms_m) or centre[2] >= 0:
-        raise InputError(
-            f"with the camera's intrinsics the tank's points are {rms * 1e3:.0f} mm off, without "
-            f"them {plane.rms_m * 1e3:.0f} mm: the pictures of the board are of another camera, "
-            "zoom or setting, or points are wrong",
-            "Take the pictures of the board with the camera as it hangs over the tank.",
-        )
+    centre = np.asarray(-rotation.T @ shift)  # z of a frame with x forward, y to the right is down
+    if not rms <= max(POSE_RMS_MAX_M, _POSE_OVER_PLANE * plane.rms_m) or centre[2] >= 0:
+        wrong = [names[used[i]] for i in suspects(flat, places, _fit(lens))]
+        _refuse_pose(rms, plane.rms_m, wrong)
     return CameraPlace(float(-centre[2]), np.asarray(centre[:2]), rms)
+
+
+def _refuse_pose(rms_m: float, plane_rms_m: float, wrong: list[str]) -> None:
+    told = (
+        f"with the camera's intrinsics the tank's points are {rms_m * 1e3:.0f} mm off, without "
+        f"them {plane_rms_m * 1e3:.0f} mm: "
+    )
+    if wrong:
+        raise InputError(
+            f"{told}{' or '.join(wrong)} is wrong (without it the others fit)",
+            "Measure it anew, or more points: from six on a wrong one is left out.",
+        )
+    raise InputError(
+        f"{told}the pictures of the board are of another camera, zoom or setting, or points are "
+        "wrong",
+        "Take the pictures of the board with the camera as it hangs over the tank; check what was "
+        "measured and typed.",
+    )
+
+
+def _pose(lens: Lens, flat: Floats, places: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and shift (3,) from the tank's frame to the camera's."""
+    cv2: Any = need_cv2()
+    solid, matrix = np.column_stack([places, np.zeros(len(places))]), lens.camera_matrix
+    good, turn, shift = cv2.solvePnP(solid, flat, matrix, None, flags=cv2.SOLVEPNP_IPPE)
+    if good:
+        turn, shift = cv2.solvePnPRefineLM(solid, flat, matrix, None, turn, shift)
+    return np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift)
+
+
+def _seen_by(lens: Lens, rotation: Floats, shift: Floats) -> Floats:
+    """Undistorted pixels to the tank, for a camera at that place."""
+    from_tank = lens.camera_matrix @ np.column_stack([rotation[:, :2], shift])
+    return np.asarray(np.linalg.inv(from_tank), dtype=np.float64)
+
+
+def _fit(lens: Lens | None) -> Fit:
+    """With the camera's intrinsics only its place is free, without them any homography."""
+
+    def off_m(flat: Floats, places: Floats, used: NDArray[np.intp]) -> Floats | None:
+        if _spread(flat[used], places[used]) < _SPREAD_MIN:
+            return None
+        if lens is None:
+            matrix = _homography(flat[used], places[used])
+        else:
+            matrix = _seen_by(lens, *_pose(lens, flat[used], places[used]))
+        return np.asarray(np.linalg.norm(_mapped(matrix, flat) - places, axis=1))
+
+    return Fit(off_m, RMS_MAX_M if lens is None else POSE_RMS_MAX_M, lens is not None)
 
 
 def raised(tank_from_image: Floats, camera: CameraPlace, raise_m: float) -> Floats:
@@ -126,18 +175,6 @@ def refraction_error_m(height_m: float, depth_m: float, distance_m: float) -> fl
         return 0.0
     surface_m = brentq(lambda s: out_m(s) - distance_m, 0.0, distance_m)
     return float(surface_m * (1 + depth_m / WATER / height_m) - distance_m)
-
-
-def _inliers(flat: Floats, places: Floats) -> NDArray[np.bool_]:
-    everything = np.ones(len(flat), dtype=bool)
-    if len(flat) < RANSAC_FROM:
-        return everything
-    cv2 = need_cv2()
-    _, mask = cv2.findHomography(flat, places, cv2.RANSAC, OUTLIER_M, maxIters=2000)
-    used = np.ravel(mask).astype(bool) if mask is not None else ~everything
-    if used.sum() < max(RANSAC_FROM - 1, 2 * len(flat) / 3):
-        return everything  # most are wrong: their rms says so
-    return used
 
 
 def _foretold(flat: Floats, places: Floats) -> float | None:
@@ -196,6 +233,24 @@ def _normal(points: Floats) -> Floats:
     size = np.sqrt((centred**2).mean())
     scaled: Floats = centred / size if size > 0 else centred
     return scaled
+
+
+def _check_metres(flat: Floats, places: Floats, lens: Lens | None) -> None:
+    """By the distances between all pairs, of which one wrong point changes few."""
+    first, second = np.triu_indices(len(flat), 1)
+    metres = np.linalg.norm(places[first] - places[second], axis=1)
+    pixels = np.linalg.norm(flat[first] - flat[second], axis=1)
+    m_px = float(np.median(metres / np.maximum(pixels, 1e-9)))
+    height_m = m_px * float(lens.focal_px.mean()) if lens is not None else 0.0
+    if m_px <= _SPAN_M_PX_MAX and height_m <= _HEIGHT_MAX_M:
+        return
+    above = f", the camera about {height_m:.0f} m above them" if lens is not None else ""
+    raise InputError(
+        f"by the tank's points (--points) a pixel would be {m_px * 1e3:.0f} mm{above}: are they in "
+        "metres, not centimetres?",
+        f"x_m and y_m are metres; up to {_SPAN_M_PX_MAX * 1e3:.0f} mm a pixel and "
+        f"{_HEIGHT_MAX_M:.0f} m of height can be.",
+    )
 
 
 def _check_seen_from_above(matrix: Floats, flat: Floats) -> None:

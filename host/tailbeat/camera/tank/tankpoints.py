@@ -38,6 +38,11 @@ def read_points(path: Path) -> list[TankPoint]:
         raise InputError(f"{path} is no table of points", _REMEDY) from error
     rows = [row for row in csv.reader(lines) if any(cell.strip() for cell in row)]
     header = tuple(cell.strip() for cell in rows[0]) if rows else ()
+    if lines and ";" in lines[0]:
+        raise InputError(
+            f"{path} has semicolons between its cells",
+            "Write it with commas between cells and points in numbers: 40,0.000,-0.750",
+        )
     if header not in (_BY_HAND, _BY_MARKER):
         raise InputError(f"{path} is no table of points", _REMEDY)
     points = [_point(row, header, f"{path}, row {i}") for i, row in enumerate(rows[1:], 2)]

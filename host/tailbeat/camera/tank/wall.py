@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.base import CameraGone, Frame
+from tailbeat.camera.base import Afresh, CameraGone, Frame, Unseen
 from tailbeat.results import BeatEvent
 
 if TYPE_CHECKING:
@@ -28,12 +28,15 @@ NOSE_M = 0.20  # from the marker's centre to the tip of the head of a 36 cm fish
 LENGTH_M = 0.36
 HIT = "wall:"
 
-_WINDOW_S = 1.0  # a beat: the body's sway is not a speed
+_WINDOW_S = 1.0  # or the nearest number of whole beats
 _WINDOW_MIN_S = 0.5
+_WHOLE = 0.9  # of the window, from which on the body's sway can be told from a speed
+_FRAMES_MIN = 6
 _SWIM_MAX_M_S = 0.5  # the nose, too, which sways at 0.25 m/s
 _JUMP_M = 0.05
 _AGREEING = 3
-_UNSEEN_BEATS_MAX = 2
+_UNSEEN_S = 1.0
+_BLIND_S = 2.0
 
 
 class WallGuard:
@@ -45,11 +48,14 @@ class WallGuard:
     or more does not count: the wall behind it at the start, one that it swims along. Without an
     area, or with ``zone_m`` 0, it never aborts.
 
+    Its velocity is the mean over whole beats of ``beat_s``: the body's sway is not a speed. While
+    less is known only what goes along its heading counts.
+
     A jump that no fish can swim (a wrong detection) is not believed before the third picture says
-    the same. A fish that is not seen is taken to go on as it did, as fast as then or as it should,
-    whichever is more: beats come once per ``beat_s``, and it must not reach the zone before the
-    next. A camera that is gone (CameraGone), or has not seen the fish within two beats, is a reason
-    of its own.
+    the same. A fish that is not seen (Unseen, or a picture that is not believed) is taken to go on
+    as it did, after a second as fast as then or as it should, whichever is more. A camera that is
+    gone (CameraGone), or has never seen the fish within 2 s, is a reason of its own. Afresh begins
+    anew.
     """
 
     def __init__(
@@ -64,31 +70,40 @@ class WallGuard:
         self._zone_s = zone_m / CRUISE_M_S
         self._ends_m = np.array([nose_m, nose_m - LENGTH_M])
         self._beat_s = beat_s
+        self._window_s = beat_s * max(1, round(_WINDOW_S / beat_s))
+        self._begin()
+
+    def _begin(self) -> None:
         self._seen: deque[Frame] = deque()
         self._doubted: list[Frame] = []
         self._velocity = np.zeros(2)
-        self._fresh = False  # seen since the last beat
-        self._unseen_beats = 0
-        self._unseen_m = 0.0
+        self._reference_m_s = 0.0  # of the last beat
+        self._since_s = math.nan  # the first moment there is word of
+        self._reckoned_s = 0.0  # how far in time, and where to since it was seen
+        self._ahead_m = np.zeros(2)
 
     def __call__(self, what: object) -> str | None:
-        """The reason to abort, starting with HIT when it is a wall, or None. ``what``: a Frame, a
-        BeatEvent, CameraGone; all else is ignored."""
+        """The reason to abort, starting with HIT when it is a wall, or None. ``what``: a Frame,
+        Unseen, a BeatEvent, Afresh, CameraGone; all else is ignored."""
         if self._walls is None:
             return None
         if isinstance(what, Frame):
             return self._look(what)
+        if isinstance(what, Unseen):
+            return self._reckon(what.t_s)
         if isinstance(what, BeatEvent):
-            return self._reckon(what)
+            self._reference_m_s = what.reference_m_s
+        if isinstance(what, Afresh):
+            self._begin()
         if isinstance(what, CameraGone):
             return "the camera that guards the walls is gone"
         return None
 
     def _look(self, frame: Frame) -> str | None:
         if not self._believed(frame):
-            return None
-        self._fresh = True
+            return self._reckon(frame.t_s)
         self._velocity = self._fitted()
+        self._reckoned_s, self._ahead_m = frame.t_s, np.zeros(2)
         return self._judge(self._place(frame), self._velocity, "")
 
     def _believed(self, frame: Frame) -> bool:
@@ -108,7 +123,7 @@ class WallGuard:
             seen.extend(self._doubted[:-1])
         self._doubted.clear()
         seen.append(frame)
-        while frame.t_s - seen[0].t_s > _WINDOW_S * 1.001:
+        while frame.t_s - seen[0].t_s > self._window_s * 1.001:
             seen.popleft()
         return True
 
@@ -118,34 +133,52 @@ class WallGuard:
         return bool(moved <= _SWIM_MAX_M_S * (after.t_s - before.t_s) + _JUMP_M)
 
     def _fitted(self) -> Floats:
-        """Velocity by a line through what was seen; the last one known while that is too short."""
+        """Velocity by a line through what was seen, across the heading by one that also follows the
+        body's sway; nothing across it before that was seen for whole beats. The last one known
+        while not even the line is long enough."""
         t = np.array([f.t_s for f in self._seen])
-        if t[-1] - t[0] < _WINDOW_MIN_S:
+        span_s = t[-1] - t[0]
+        if span_s < min(_WINDOW_MIN_S, _WHOLE * self._window_s):
             return self._velocity
         t -= t.mean()
         xy = np.array([(f.x_m, f.y_m) for f in self._seen])
-        velocity: Floats = t @ xy / (t @ t)
+        headings = np.array([f.heading_rad for f in self._seen])
+        mean_rad = math.atan2(np.sin(headings).sum(), np.cos(headings).sum())
+        along = np.array([math.cos(mean_rad), math.sin(mean_rad)])
+        velocity: Floats = (t @ xy @ along) / (t @ t) * along
+        gaps_s = np.diff(t)
+        whole = span_s >= _WHOLE * self._window_s and gaps_s.max() <= self._beat_s / 4
+        if whole and len(t) >= _FRAMES_MIN:
+            across = np.array([-along[1], along[0]])
+            velocity += _beside_sway(t, xy @ across, self._beat_s) * across
         return velocity
 
-    def _reckon(self, beat: BeatEvent) -> str | None:
-        """Once per beat: where a fish that was not seen in it will be at the next."""
-        if self._fresh:
-            self._fresh, self._unseen_beats, self._unseen_m = False, 0, 0.0
+    def _reckon(self, now_s: float) -> str | None:
+        """Where a fish that is not seen has come to."""
+        if not math.isfinite(now_s):
             return None
-        self._unseen_beats += 1
         if not self._seen:
-            blind = self._unseen_beats >= _UNSEEN_BEATS_MAX
+            self._since_s = now_s if math.isnan(self._since_s) else self._since_s
+            blind = now_s - self._since_s > _BLIND_S
             return "the camera that guards the walls does not see the fish" if blind else None
+        last = self._seen[-1]
+        if now_s <= self._reckoned_s:
+            return None
+        long_ago = now_s - last.t_s > _UNSEEN_S
+        velocity = self._supposed(last) if long_ago else self._velocity
+        self._ahead_m = self._ahead_m + velocity * (now_s - self._reckoned_s)
+        self._reckoned_s = now_s
+        how = ", not seen any more" if long_ago else ""
+        return self._judge(self._place(last) + self._ahead_m, velocity, how)
+
+    def _supposed(self, last: Frame) -> Floats:
+        """Velocity of a fish that nobody sees."""
         speed = float(np.hypot(*self._velocity))
-        heading = self._seen[-1].heading_rad
-        along = np.array([math.cos(heading), math.sin(heading)])
+        along = np.array([math.cos(last.heading_rad), math.sin(last.heading_rad)])
         if speed > 2 * TOUCH_M_S:
             along = self._velocity / speed
-        speed = max(speed, beat.reference_m_s)
-        self._unseen_m += speed * self._beat_s
-        ahead_m = self._unseen_m + speed * self._beat_s
-        place = self._place(self._seen[-1]) + ahead_m * along
-        return self._judge(place, speed * along, ", not seen any more")
+        supposed: Floats = max(speed, self._reference_m_s) * along
+        return supposed
 
     def _place(self, frame: Frame) -> Floats:
         """Nose and end of the tail, (2, 2)."""
@@ -163,6 +196,14 @@ class WallGuard:
             return None
         worst = int(np.argmin(np.where(near, left_m, np.inf)))
         return f"{HIT} {max(left_m[worst], 0):.2f} m away at {towards_m_s[worst]:.3f} m/s{how}"
+
+
+def _beside_sway(t_s: Floats, y_m: Floats, beat_s: float) -> float:
+    """Slope of a line, were it not for an oscillation of one period per beat: a line alone, over
+    one beat, would take up to 6/pi of its amplitude for a way."""
+    phase = math.tau * t_s / beat_s
+    terms = np.stack([t_s, np.ones_like(t_s), np.sin(phase), np.cos(phase)], axis=1)
+    return float(np.linalg.lstsq(terms, y_m, rcond=None)[0][0])
 
 
 def _inward(corners: Floats) -> tuple[Floats, Floats]:

@@ -13,6 +13,7 @@ from typing import Literal
 
 from tailbeat.camera.timing.ledcode import NUMBERS
 from tailbeat.camera.timing.ledsync import read_led
+from tailbeat.camera.timing.wobble import BEATS_MIN, too_short
 from tailbeat.camera.timing.yawsync import AMBIGUOUS, Misfit, read_yaw
 from tailbeat.camera.tracking.track import Track
 from tailbeat.errors import InputError
@@ -70,12 +71,15 @@ def sync_by_yaw(track: Track, trial: Trial) -> Sync:
 
 def sync(track: Track, trial: Trial) -> Sync:
     """By the LED if there is one, otherwise by the wobble; when both are there they must agree
-    within 5 sigma (WrongPair). Raises InputError when there is neither."""
+    within 5 sigma (WrongPair). Raises InputError when there is neither, or the swim was too short
+    for both."""
     try:
         led = sync_by_led(track, trial)
     except WrongPair:
         raise
     except InputError as no_led:
+        if trial.executed_beats < BEATS_MIN:
+            raise too_short(trial) from no_led
         try:
             return sync_by_yaw(track, trial)
         except WrongPair:

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tailbeat.beatcsv import read_table
 from tailbeat.camera.marker.markers import KINDS, Marker
+from tailbeat.camera.marker.printed import RULER_IDS
 from tailbeat.camera.pictures.picture import PictureSource
 from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.tracking.tracker import GLOW_SHAPE, Glow, Place, Tracker
@@ -43,7 +44,8 @@ class Track:
     periods, evenly spread between them. The period is the median of the 25 distances before (of
     the first 25 at the begin), so that it follows a film whose rate changes; where it suddenly
     halves, the next twelve distances hold one row too many each, bridged and of no consequence.
-    ``glow`` (rows, *GLOW_SHAPE), 0 where not seen; None = not asked for.
+    ``glow`` (rows, *GLOW_SHAPE), 0 where not seen; None = not asked for. ``marker_side_m``: as
+    Tracker.measured_side_m.
     """
 
     t_s: Floats
@@ -55,6 +57,7 @@ class Track:
     fps: float  # by the time stamps: one over their median distance; 0 = fewer than two
     name: str = ""
     glow: Glow | None = None
+    marker_side_m: float | None = None
 
     def seen(self) -> NDArray[np.bool_]:
         """Rows that were measured."""
@@ -94,7 +97,7 @@ def track(
         raise InputError(f"{source.name} holds no picture.", "Give a film of a swim.")
     if all(place.frame is None for place in places):
         raise _no_marker(source.name, marker, len(places), tracker.other_ids)
-    return track_of(places, source.name)
+    return replace(track_of(places, source.name), marker_side_m=tracker.measured_side_m)
 
 
 def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -> InputError:
@@ -106,8 +109,9 @@ def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -
         )
     which = "" if marker.id is None else f" with id {marker.id}"
     message = f"{name}: no {marker.kind} marker{which} in any of {pictures} pictures."
-    if other_ids:
-        found = ", ".join(map(str, other_ids))
+    fishs = [number for number in other_ids if not _is_tanks(marker, number)]
+    if fishs:
+        found = ", ".join(map(str, fishs))
         return InputError(message, f"What is there has the id {found}: give that, or none.")
     others = " or ".join(f"--marker {kind}" for kind in KINDS if kind != marker.kind)
     return InputError(
@@ -115,9 +119,14 @@ def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -
     )
 
 
+def _is_tanks(marker: Marker, number: int) -> bool:
+    return marker.kind == "aruco" and number >= min(RULER_IDS)
+
+
 def track_of(places: Sequence[Place], name: str = "") -> Track:
-    """Rows from what was seen picture by picture; none from none. Time stamps rise. Raises
-    InputError for a pause of more than ten minutes."""
+    """Rows from what was seen picture by picture; none from none. Time stamps rise. A blob's head
+    is where it was taken to be last. Raises InputError for a pause of more than ten minutes."""
+    places = _one_head(places)
     taken_s = np.array([place.t_s for place in places], np.float64)
     t_s, at = _rows(taken_s, name)
     seen = np.array([place.frame is not None for place in places], bool)
@@ -139,6 +148,16 @@ def track_of(places: Sequence[Place], name: str = "") -> Track:
     heading_rad[at[seen]] = np.unwrap(heading_rad[at[seen]])
     _bridge(state, t_s, [x_m, y_m, heading_rad])
     return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(taken_s), name, glow)
+
+
+def _one_head(places: Sequence[Place]) -> list[Place]:
+    """With those turned around that the detector itself turned around later."""
+    turns = [0 if place.sighting is None else place.sighting.turns for place in places]
+    last = max(turns, default=0)
+    return [
+        place.turned() if (last - by_then) % 2 else place
+        for place, by_then in zip(places, turns, strict=True)
+    ]
 
 
 def _fps(taken_s: Floats) -> float:

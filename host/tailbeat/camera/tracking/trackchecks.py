@@ -50,10 +50,12 @@ class SecondFish:
 
 class MarkerSize:
     """Raises InputError when the markers of the first second have, in the tank, another size than
-    the marker is said to have: speeds would be wrong by as much."""
+    the marker is said to have, by more than 5 %: speeds would be wrong by as much. ``measured_m``:
+    their median side; None = not known yet."""
 
     def __init__(self, marker: Marker, calibration: Calibration, name: str) -> None:
-        self._side_m = marker.side_m
+        self.measured_m: float | None = None
+        self._said_m = marker.side_m
         self._calibration = calibration
         self._name = name
         self._sides_m: list[float] = []
@@ -61,7 +63,7 @@ class MarkerSize:
 
     def look(self, t_s: float, corners_px: Points | None) -> None:
         """``corners_px`` of the fish's marker (4, 2); None for a blob."""
-        if self._side_m is None or corners_px is None:
+        if self.measured_m is not None or corners_px is None:
             return
         if self._first_s is None:
             self._first_s = t_s
@@ -69,10 +71,11 @@ class MarkerSize:
         along = np.roll(corners, -1, axis=0) - corners
         self._sides_m.append(float(np.linalg.norm(along, axis=1).mean()))
         if t_s - self._first_s >= _SIZE_AFTER_S and len(self._sides_m) >= _SIZE_SIGHTINGS_MIN:
-            self._judge(self._side_m, float(np.median(self._sides_m)))
+            self.measured_m = float(np.median(self._sides_m))
+            if self._said_m is not None:
+                self._judge(self._said_m, self.measured_m)
 
     def _judge(self, said_m: float, seen_m: float) -> None:
-        self._side_m = None  # once is enough
         if abs(seen_m / said_m - 1) <= SIZE_ERROR_MAX:
             return
         raise InputError(

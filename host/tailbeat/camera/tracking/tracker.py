@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,13 +45,22 @@ _WINDOW_M, _WINDOW_M_S = 0.02, 0.5  # and what the prediction can be off
 @dataclass(frozen=True, slots=True)
 class Place:
     """What one picture said. ``frame`` None = the fish was not seen. ``glow``: brightest pixel of
-    each cell of the patch around the fish, GLOW_SHAPE; None when not seen or not asked for."""
+    each cell of the patch around the fish, GLOW_SHAPE; None when not seen or not asked for.
+    ``glow_turned``: the same if its head is the other end, of a blob."""
 
     index: int
     t_s: float
     frame: Frame | None
     sighting: Sighting | None
     glow: Glow | None
+    glow_turned: Glow | None = None
+
+    def turned(self) -> Place:
+        """The same with the head at the other end (not so in the ``sighting``)."""
+        if self.frame is None:
+            return self
+        frame = replace(self.frame, heading_rad=self.frame.heading_rad + np.pi)
+        return replace(self, frame=frame, glow=self.glow_turned, glow_turned=self.glow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +86,8 @@ class Tracker:
     ) -> None:
         """``name``: of the film or device, for messages. Raises what detector_for raises."""
         self._detector = detector_for(marker, calibration)
-        self._whole_only = marker.kind == "blob"  # it has to see every picture as a whole
+        # It has to see every picture as a whole, and may take the tail for the head.
+        self._blob = marker.kind == "blob"
         self._calibration = calibration
         self._name = name
         self._glow = glow
@@ -94,6 +104,12 @@ class Tracker:
         """Markers of the right kind that were seen but are not the fish's; for messages."""
         return sorted(getattr(self._detector, "other_ids", ()))
 
+    @property
+    def measured_side_m(self) -> float | None:
+        """Of the marker, in the calibrated plane: the median of the first second of sightings.
+        None = not known yet, or a blob."""
+        return self._size.measured_m
+
     def look(self, picture: Picture) -> Place:
         """The fish in the next picture. Raises InputError for two fish, a picture of another size,
         anchors that are elsewhere (first pictures), a marker whose size contradicts the
@@ -109,12 +125,22 @@ class Tracker:
             return Place(picture.index, picture.t_s, None, None, None)
         self._size.look(picture.t_s, sighting.corners_px)
         self._before, self._last = self._last, seen
-        glow = glow_around(grey, seen.frame, self._calibration) if self._glow else None
-        return Place(picture.index, picture.t_s, seen.frame, sighting, glow)
+        place = Place(picture.index, picture.t_s, seen.frame, sighting, None)
+        return self._with_glow(place, grey) if self._glow else place
+
+    def _with_glow(self, place: Place, grey: Image) -> Place:
+        assert place.frame is not None
+        glow = glow_around(grey, place.frame, self._calibration)
+        if not self._blob:
+            return replace(place, glow=glow)
+        other = place.turned().frame
+        assert other is not None
+        glow_turned = glow_around(grey, other, self._calibration)
+        return replace(place, glow=glow, glow_turned=glow_turned)
 
     def _find(self, grey: Image, t_s: float) -> Sighting | None:
         guess = self._prediction(t_s)
-        due = t_s >= self._everywhere_s or self._second.suspected or self._whole_only
+        due = t_s >= self._everywhere_s or self._second.suspected or self._blob
         if guess is not None and not due:
             window = self._window(guess, t_s, grey)
             sightings = self._detector.find(grey, window)
