@@ -21,6 +21,7 @@ from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.timing.sync import Sync
 from tailbeat.camera.tracking.track import Track
 from tailbeat.cli import run
+from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.speedcsv import read_speeds
 
@@ -252,7 +253,11 @@ def test_other_folders_are_left_alone(
     (out / "chapter8.tex").unlink()
     with analysis.new_folder(out) as part:
         (part / "summary.json").write_text('{"made_by": "tailbeat camera track"}')
-        (part / "old.png").touch()
+        (part / "track.png").touch()
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="is no film's analysis"), analysis.new_folder(out):
+        pass
+    (out / "notes.txt").unlink()
     with analysis.new_folder(out) as part:
         (part / "summary.json").write_text("{}")
     assert [path.name for path in out.iterdir()] == ["summary.json"]

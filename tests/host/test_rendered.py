@@ -315,7 +315,7 @@ def test_without_a_scene_the_exposure_is_the_boards() -> None:
     from tailbeat.camera.rendered.source import scene_of
 
     board = SimBoard("tank", 1, camera_exposure_s=0.004)
-    assert scene_of(board) == Scene(exposure_s=0.004)
+    assert scene_of(SimulatedCamera(board)) == Scene(exposure_s=0.004)
 
 
 SWIM = ExerciseOptions(

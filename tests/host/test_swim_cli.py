@@ -309,4 +309,4 @@ def test_only_a_board_in_this_process_can_be_drawn(
 ) -> None:
     monkeypatch.setattr(Fish, "sim", None)
     status, _, err = swim("--camera", "rendered")
-    assert status == 1 and "--connect sim" in err
+    assert status == 1 and "tailbeat sim" in err

@@ -237,11 +237,26 @@ def test_a_hole_of_more_than_five_pictures_has_no_speed(missing: int, known: boo
 
 def test_too_few_pictures_have_no_speed() -> None:
     t_s, x_m = steady(12, 25)
-    keep = (np.arange(len(t_s)) % 2 == 0) | (t_s < 5) | (t_s > 8)  # 50 % there
+    keep = (np.arange(len(t_s)) % 6 < 3) | (t_s < 5) | (t_s > 8)  # half there, in threes
     curve = swim_speed(track_of(t_s[keep], x_m[keep]), 1.0)
     assert not np.any((curve.t_s > 5.6) & (curve.t_s < 7.4))
     assert np.any(curve.t_s < 4.5)
     assert np.any(curve.t_s > 8.5)
+
+
+def test_a_film_whose_rate_halves_is_measured_to_its_end() -> None:
+    t_s, x_m = steady(16, 25)
+    keep = (t_s < 8) | (np.arange(len(t_s)) % 2 == 0)
+    curve = swim_speed(track_of(t_s[keep], x_m[keep]), 1.0)
+    speed, sigma = curve.beats(16)
+    assert np.isfinite(speed[:15]).all()
+    assert (np.abs(speed[:15] - 0.06) < 4 * sigma[:15]).all()
+
+
+def test_one_picture_is_no_film() -> None:
+    one = track_of(np.array([0.0]), np.array([0.1]), fps=0.0)
+    with pytest.raises(InputError, match="less than two beats"):
+        swim_speed(one, 1.0)
 
 
 def test_the_swim_direction_is_found_and_followed() -> None:

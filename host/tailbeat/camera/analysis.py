@@ -29,6 +29,7 @@ from tailbeat.trial_log import Trial
 Floats = NDArray[np.float64]
 
 SUMMARY = "summary.json"
+_FILES = {"track.csv", "speed.csv", "beats.csv", "track.png", "overlay.mp4", SUMMARY}
 _FORMAT = "tailbeat camera track"
 
 
@@ -72,6 +73,7 @@ class Analysis:
             "position_noise_m": _number(self.curve.noise_m),
             "outliers": self.curve.outliers,
             "scale_error": _number(self.calibration.scale_error),
+            "marker_side_m": _number(self.track.marker_side_m),
         }
 
 
@@ -148,8 +150,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def _is_ours(folder: Path) -> bool:
-    if folder.is_dir() and not any(folder.iterdir()):
-        return True
+    """Empty, or an analysis to which nobody has added anything."""
+    names = {path.name for path in folder.iterdir()} if folder.is_dir() else None
+    if not names:
+        return names is not None
+    if not names <= _FILES:
+        return False
     try:
         return bool(json.loads((folder / SUMMARY).read_bytes())["made_by"] == _FORMAT)
     except (OSError, ValueError, KeyError, TypeError):

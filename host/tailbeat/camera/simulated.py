@@ -122,7 +122,7 @@ def _moment(line: bytes) -> CameraFrame | None:
         return CameraFrame(
             float(row["t_board_s"]),
             float(row["x_m"]),
-            *(float(row.get(name, 0.0)) for name in ("y_m", "heading_rad", "tail_rad", "led")),
+            *(float(row.get(name) or 0.0) for name in ("y_m", "heading_rad", "tail_rad", "led")),
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tailbeat.camera.tracking.track import Progress
 
 CALIBRATION = Path("tank.json")
+_SIZE_OFF_MAX = 0.02
 
 
 def track(
@@ -105,6 +106,8 @@ def track(
         write_analysis(found, part)
     document = {"folder": folder, **found.summary()}
     say(json, document, lambda: _text(found, document, folder))
+    if warning := _size_warning(found.track.marker_side_m, marker_side):
+        typer.echo(f"tailbeat: {warning}", err=True)
 
 
 def _calibration(path: Path | None) -> Calibration:
@@ -148,7 +151,7 @@ def _text(found: Analysis, document: dict[str, Any], folder: Path) -> str:
         f"{found.track.name}: {document['pictures']} pictures, the fish seen in "
         f"{document['seen'] / document['pictures']:.1%}; "
         f"{document['bridged']} bridged, {document['lost']} lost",
-        f"mean speed {mm(document['mean_speed_m_s'])} mm/s, "
+        f"mean speed {mm(document['mean_speed_m_s'])} mm/s{_of_beats(document)}, "
         f"sigma {_fine_mm(document['sigma_median_m_s'])} mm/s (median)",
         _sync_text(found),
         f"written: {folder}/",
@@ -158,9 +161,27 @@ def _text(found: Analysis, document: dict[str, Any], folder: Path) -> str:
     if found.trial is not None:
         measured, beats = document["measured_beats"], document["beats"]
         if measured < beats:
-            lines.append(f"note: {beats - measured} of {beats} beats have no speed")
+            lines.append(
+                f"note: {beats - measured} of {beats} beats have no speed: more than 5 pictures "
+                "in a row without the fish, or 40 %"
+            )
         lines.append(f"next: tailbeat speed upload {found.trial.number} {folder / 'speed.csv'}")
     return "\n".join(lines)
+
+
+def _of_beats(document: dict[str, Any]) -> str:
+    measured, beats = document["measured_beats"], document["beats"]
+    return "" if measured == beats else f" over the {measured} measured beats of {beats}"
+
+
+def _size_warning(seen_m: float | None, said_m: float | None) -> str:
+    """A marker of another size than said, or a scale that is wrong, is a wrong speed."""
+    if seen_m is None or said_m is None or abs(seen_m / said_m - 1) < _SIZE_OFF_MAX:
+        return ""
+    return (
+        f"the marker measures {seen_m * 1e3:.1f} mm, said {said_m * 1e3:.1f}: "
+        f"{seen_m / said_m - 1:+.1%}; a wrong side or scale is a wrong speed"
+    )
 
 
 def _fine_mm(value_m_s: float | None) -> str:

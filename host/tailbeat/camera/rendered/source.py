@@ -12,13 +12,16 @@ from tailbeat.camera.simulated import Moments
 from tailbeat.transport.inprocess import CameraFrame
 
 _SPEED_MAX_M_S = 1.0  # faster than that somebody has carried the fish
+_KEPT_S = 0.5
 
 
 class RenderedDevice:
     """Pictures of a simulated fish (pictures.PictureSource), as they come due.
 
     The simulator's own camera noise is how far the drawn fish is off the truth in each picture;
-    its lost frames are pictures that never come. read() never blocks; None = none due yet.
+    its lost frames are pictures that never come. read() never blocks; None = none due yet. Of a
+    simulator that runs by itself, over the network, it draws what there is time for: half a second
+    at most is waiting, and after what was waiting it says None, so that whoever reads gets on.
     """
 
     name: str
@@ -31,7 +34,9 @@ class RenderedDevice:
         scene = scene or scene_of(camera)
         self._camera = camera
         self._painter = Painter(scene)
-        self._waiting: deque[CameraFrame] = deque()
+        kept = round(_KEPT_S * camera.fps) if camera.clock == "board" else None
+        self._waiting: deque[CameraFrame] = deque(maxlen=kept)
+        self._gave = False  # a picture since the last None
         self._before: CameraFrame | None = None
         self.name = f"{camera.name} seen from above"
         self.clock = camera.clock
@@ -40,9 +45,12 @@ class RenderedDevice:
 
     def read(self) -> Picture | None:
         """The next picture that is due."""
+        drained = not self._waiting
         self._waiting += self._camera.moments()
-        if not self._waiting:
+        if not self._waiting or (drained and self._gave):
+            self._gave = False
             return None
+        self._gave = self.clock == "board"
         frame = self._waiting.popleft()
         truth = truth_of(frame, self._before)
         self._before = frame

@@ -89,7 +89,7 @@ def swim_direction_rad(track: Track, beat_s: float = 1.0) -> float:
     """Where the fish swam, against the tank's x: from its mean place in the first beat to that in
     the last (a body sways with its tail) when that is 0.3 m or more, otherwise the tank's x (0)."""
     seen = _seen(track)
-    if not seen.any():
+    if np.count_nonzero(seen) < 2:
         return 0.0
     t_s = track.t_s[seen]
     first = seen & (track.t_s < t_s[0] + beat_s - 0.5 / track.fps)
@@ -247,17 +247,19 @@ def _products(gain: Floats, on_grid: NDArray[np.intp]) -> Floats:
 
 
 def _covered(t_s: Floats, middle_s: Floats, beat_s: float, period_s: float) -> NDArray[np.bool_]:
-    """Which windows saw enough of the fish."""
-    gap_max_s = (BRIDGED_IN_A_ROW_MAX + 1.5) * period_s
+    """Which windows saw enough of the fish, for the rate the film has there: in dim light a phone
+    takes half as many pictures."""
     known = np.zeros(len(middle_s), dtype=bool)
     for k, middle in enumerate(middle_s):
         begin, end = middle - beat_s / 2, middle + beat_s / 2
-        inside = t_s[(t_s >= begin - period_s) & (t_s <= end + period_s)]
-        if len(inside) < 2:
+        about = t_s[(t_s >= begin - beat_s / 2) & (t_s <= end + beat_s / 2)]
+        if len(about) < 3:
             continue
-        gaps = np.diff(np.concatenate([[begin - period_s / 2], inside, [end + period_s / 2]]))
-        count = np.sum((inside >= begin) & (inside <= end))
-        known[k] = gaps.max() <= gap_max_s and count >= COVERAGE_MIN * beat_s / period_s
+        period = max(float(np.median(np.diff(about))), period_s)
+        inside = about[(about >= begin - period) & (about <= end + period)]
+        gaps = np.diff(np.concatenate([[begin - period / 2], inside, [end + period / 2]]))
+        enough = np.sum((inside >= begin) & (inside <= end)) >= COVERAGE_MIN * beat_s / period
+        known[k] = enough and gaps.max() <= (BRIDGED_IN_A_ROW_MAX + 1.5) * period
     return known
 
 
