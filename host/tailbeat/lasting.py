@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
+
+from tailbeat.errors import InputError, reason
 
 
 def sync_folder(folder: Path) -> None:
@@ -17,8 +20,8 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Writes the file whole or not at all, and so that it lasts; makes its folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Writes the file whole or not at all, and so that it lasts. Raises InputError when that cannot
+    be."""
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
@@ -26,6 +29,11 @@ def write_whole(path: Path, content: str | bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path} ({reason(error)})", "Choose another place."
+        ) from error
     finally:
-        part.unlink(missing_ok=True)
-    sync_folder(path.parent)
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

@@ -869,7 +869,7 @@ def test_sheets_that_cannot_be(tmp_path: Path) -> None:
         ruler_sheet(math.nan)
     with refused("neither .pdf nor .png"):
         write_sheet(ruler_sheet(), tmp_path / "ruler.doc")
-    with refused("cannot be written: No such file"):
+    with refused(r"cannot write .*No such file"):
         write_sheet(ruler_sheet(), tmp_path / "none" / "ruler.pdf")
 
 

@@ -305,7 +305,7 @@ def test_nothing_half_written(file: Path, monkeypatch: pytest.MonkeyPatch) -> No
         replace(good, scale_error=NAN).save(file)
     with pytest.raises(InputError, match="tank_from_image should be"):
         replace(good, tank_from_image=np.full((3, 3), NAN)).save(file)
-    with pytest.raises(InputError, match="cannot be written: No such file"):
+    with pytest.raises(InputError, match=r"cannot write .*No such file"):
         good.save(file.parent / "none" / "tank.json")
     unwritable = replace(good, camera=object())  # type: ignore[arg-type]
     with pytest.raises(TypeError):
@@ -315,7 +315,7 @@ def test_nothing_half_written(file: Path, monkeypatch: pytest.MonkeyPatch) -> No
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
-    with pytest.raises(InputError, match="cannot be written: No space left on device"):
+    with pytest.raises(InputError, match=r"cannot write .*No space left on device"):
         replace(good, camera="other").save(file)
     assert file.read_bytes() == before
     assert [path.name for path in file.parent.iterdir()] == ["tank.json"]

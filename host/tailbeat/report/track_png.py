@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError, reason
+from tailbeat.errors import InputError
+from tailbeat.lasting import write_whole
 from tailbeat.report.png import STYLE
 
 if TYPE_CHECKING:
@@ -54,16 +55,7 @@ def draw_track(
         _draw_speed(figure.add_axes((0.075, 0.075, 0.90, 0.25)), track, curve)
         out = io.BytesIO()
         figure.savefig(out, format="png", dpi=_DPI)
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(out.getvalue())
-        part.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path} ({reason(error)}).", "Choose another place."
-        ) from error
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(path, out.getvalue())
 
 
 def _heading(figure: Figure, track: Track, curve: SpeedCurve | None) -> None:

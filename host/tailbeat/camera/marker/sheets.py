@@ -3,6 +3,7 @@ ruler's markers."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from tailbeat.camera.extra import need_cv2
 from tailbeat.camera.marker.printed import ANCHOR_IDS, BOARD_MARKER, BOARD_SQUARES, RULER_IDS, board
 from tailbeat.camera.tank.calibration import ANCHOR_ID_MIN
-from tailbeat.errors import InputError, reason
+from tailbeat.errors import InputError
+from tailbeat.lasting import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -139,17 +141,10 @@ def write_sheet(sheet: Sheet, path: Path) -> None:
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("pdf", "png"):
         raise InputError(f"{path} is neither .pdf nor .png", "Name it like sheet.pdf.")
-    part = path.with_name(path.name + ".part")
-    try:
-        undated: dict[str, Any] = {"CreationDate": None} if kind == "pdf" else {}
-        figure(sheet).savefig(part, format=kind, dpi=300, metadata=undated)
-        part.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written: {reason(error)}", "Choose another place: --out FILE"
-        ) from error
-    finally:
-        part.unlink(missing_ok=True)
+    undated: dict[str, Any] = {"CreationDate": None} if kind == "pdf" else {}
+    page = io.BytesIO()
+    figure(sheet).savefig(page, format=kind, dpi=300, metadata=undated)
+    write_whole(path, page.getvalue())
 
 
 def figure(sheet: Sheet) -> Figure:

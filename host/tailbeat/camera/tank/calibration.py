@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from tailbeat.camera.extra import need_cv2
 from tailbeat.camera.tank.lens import Lens
 from tailbeat.errors import InputError, reason
+from tailbeat.lasting import write_whole
 
 Floats = NDArray[np.float64]
 
@@ -124,20 +124,7 @@ class Calibration:
         from tailbeat.camera.tank.calibrationcheck import check_sense
 
         check_sense(self, "this calibration")
-        part = path.with_name(path.name + ".part")
-        try:
-            with part.open("w", encoding="utf-8") as file:
-                json.dump(_document(self), file, indent=1, allow_nan=False)
-                file.write("\n")
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
-        except OSError as error:
-            raise InputError(
-                f"{path} cannot be written: {reason(error)}", "Choose another place: --out FILE"
-            ) from error
-        finally:
-            part.unlink(missing_ok=True)
+        write_whole(path, json.dumps(_document(self), indent=1, allow_nan=False) + "\n")
 
 
 def load_calibration(path: Path) -> Calibration:

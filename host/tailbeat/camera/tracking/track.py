@@ -19,7 +19,8 @@ from tailbeat.camera.marker.printed import RULER_IDS
 from tailbeat.camera.pictures.picture import PictureSource
 from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.tracking.tracker import GLOW_SHAPE, Glow, Place, Tracker
-from tailbeat.errors import InputError, reason
+from tailbeat.errors import InputError
+from tailbeat.lasting import write_whole
 
 Floats = NDArray[np.float64]
 
@@ -210,16 +211,7 @@ def write_track(track: Track, path: Path) -> None:
     for row, (state, *values) in enumerate(zip(track.state, *columns, strict=True)):
         cells = [f"{value:.6f}" if math.isfinite(value) else "" for value in values]
         writer.writerow([row, *cells, STATES[state]])
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(out.getvalue(), encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path} ({reason(error)}).", "Choose another place."
-        ) from error
-    finally:
-        part.unlink(missing_ok=True)
+    write_whole(path, out.getvalue())
 
 
 def read_track(path: Path) -> Track:
