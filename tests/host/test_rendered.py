@@ -28,6 +28,7 @@ from tailbeat.camera.tank.calibration import Calibration, load_calibration
 from tailbeat.camera.timing.sync import sync, sync_by_yaw
 from tailbeat.camera.tracking.track import track
 from tailbeat.errors import InputError
+from tailbeat.transport.inprocess import CameraFrame
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.trial_log import read_trial
 
@@ -488,3 +489,33 @@ def test_senseless_words_are_told_in_one_line(
     assert run(["camera", "render", *words]) == 1
     assert capsys.readouterr().err.startswith(f"tailbeat: {line}")
     assert list(tmp_path.iterdir()) == []
+
+
+class Stream:
+    """A simulator that runs on while one draws: a moment has come in at each look."""
+
+    name, clock, fps, exposure_s = "tcp:here:1", "board", 25.0, 0.01
+
+    def __init__(self) -> None:
+        self.taken = 0
+        self.closed = False
+
+    def moments(self) -> list[CameraFrame]:
+        come = 1 if self.taken else 50
+        self.taken += come
+        at = range(self.taken - come, self.taken)
+        return [CameraFrame(0.04 * k, 0.001 * k, 0.0, 0.0) for k in at]
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_simulator_that_runs_on_is_drawn_as_far_as_there_is_time() -> None:
+    stream = Stream()
+    device = RenderedDevice(stream, SMALL)
+    assert device.clock == "board"
+    pictures = [device.read() for _ in range(6)]
+    assert [picture is None for picture in pictures] == [False, True] * 3
+    assert pictures[0] is not None and pictures[0].t_s > 1.7  # of two seconds that had piled up
+    device.close()
+    assert stream.closed

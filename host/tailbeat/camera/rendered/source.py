@@ -12,7 +12,7 @@ from tailbeat.camera.simulated import Moments
 from tailbeat.transport.inprocess import CameraFrame
 
 _SPEED_MAX_M_S = 1.0  # faster than that somebody has carried the fish
-_KEPT_S = 0.5
+_KEPT = 4
 
 
 class RenderedDevice:
@@ -20,8 +20,8 @@ class RenderedDevice:
 
     The simulator's own camera noise is how far the drawn fish is off the truth in each picture;
     its lost frames are pictures that never come. read() never blocks; None = none due yet. Of a
-    simulator that runs by itself, over the network, it draws what there is time for: half a second
-    at most is waiting, and after what was waiting it says None, so that whoever reads gets on.
+    simulator that runs by itself, over the network, it draws what there is time for: the newest few
+    are waiting, and after each picture it says None once, so that whoever reads gets on.
     """
 
     name: str
@@ -34,7 +34,7 @@ class RenderedDevice:
         scene = scene or scene_of(camera)
         self._camera = camera
         self._painter = Painter(scene)
-        kept = round(_KEPT_S * camera.fps) if camera.clock == "board" else None
+        kept = _KEPT if camera.clock == "board" else None
         self._waiting: deque[CameraFrame] = deque(maxlen=kept)
         self._gave = False  # a picture since the last None
         self._before: CameraFrame | None = None
@@ -45,9 +45,8 @@ class RenderedDevice:
 
     def read(self) -> Picture | None:
         """The next picture that is due."""
-        drained = not self._waiting
         self._waiting += self._camera.moments()
-        if not self._waiting or (drained and self._gave):
+        if not self._waiting or self._gave:
             self._gave = False
             return None
         self._gave = self.clock == "board"
