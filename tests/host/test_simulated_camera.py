@@ -114,10 +114,9 @@ def _agree(pictures: list[CameraFrame], begin_us: int, on: list[bool]) -> bool:
 
 
 def test_exposure_is_no_longer_than_a_picture_lasts() -> None:
-    World("tank", 1, camera_fps=50.0, camera_exposure=0.02)
-    for values in ({"camera_fps": 50.0, "camera_exposure_s": 0.021}, {"camera_exposure_s": -0.01}):
-        with pytest.raises(InputError, match="cannot run with these values"):
-            World("tank", 1, **values)
+    World("tank", 1, camera_fps=200.0)  # with the usual 10 ms, cut to 5
+    with pytest.raises(InputError, match="cannot run with these values"):
+        World("tank", 1, camera_exposure_s=-0.01)
 
 
 def test_remote_camera_takes_lines_with_more_than_it_needs() -> None:

@@ -137,6 +137,8 @@ def _views(before: View | None, after: View) -> list[View]:
         return [after]
     views = [before]
     if after.pending_trial is not None and before.pending_trial is None:
+        # The first guess is stored while armed, before the trial is counted, if there is time.
+        views.append(replace(after, next_trial=before.next_trial, pending_trial=None))
         views.append(replace(before, next_trial=after.next_trial))
         views.append(replace(after, pending_trial=None))
     return [*views, after]
