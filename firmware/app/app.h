@@ -53,8 +53,7 @@ typedef struct {
     float live_speed_m_s;
     uint64_t live_speed_us;
 
-    bool
-        imu_waits; /* the last pass wrote flash in a swim: this one reads the IMU and writes none */
+    bool imu_waits; /* the last pass wrote flash in a swim: this one reads the IMU first */
 
     battery_t battery;
     uint64_t last_heartbeat_us; /* of the host that armed */

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat._native import lib
+from tailbeat.camera.tracking.glow import GLOW_SHAPE
 from tailbeat.camera.tracking.track import LOST, SEEN, Track
-from tailbeat.camera.tracking.tracker import GLOW_SHAPE
 
 Floats = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ from tailbeat.camera.pictures.picture import Picture
 from tailbeat.camera.speed.swimspeed import SpeedCurve
 from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.tracking import track as tracks
+from tailbeat.camera.tracking.glow import GLOW_SHAPE
 from tailbeat.camera.tracking.overlay import Overlay
 from tailbeat.camera.tracking.track import (
     BRIDGED,
@@ -32,7 +33,7 @@ from tailbeat.camera.tracking.track import (
     track_of,
     write_track,
 )
-from tailbeat.camera.tracking.tracker import GLOW_SHAPE, Place
+from tailbeat.camera.tracking.tracker import Place
 from tailbeat.errors import InputError
 from tailbeat.report.track_png import draw_track
 

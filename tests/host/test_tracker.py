@@ -19,16 +19,15 @@ from tailbeat.camera.pictures.picture import Image, Picture
 from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tracking.glow import glow_around
-from tailbeat.camera.tracking.tracker import (
+from tailbeat.camera.tracking.glow import (
     GLOW_CELL_M,
     GLOW_HALF_WIDTH_M,
     GLOW_LEFT_M,
     GLOW_RIGHT_M,
     GLOW_SHAPE,
-    Place,
-    Tracker,
+    glow_around,
 )
+from tailbeat.camera.tracking.tracker import Place, Tracker
 from tailbeat.errors import InputError
 
 FPS = 25.0

@@ -22,7 +22,7 @@ from tailbeat.camera.timing.ledcode import (
     TICK_S,
     codebook,
 )
-from tailbeat.camera.tracking.tracker import Glow
+from tailbeat.camera.tracking.glow import Glow
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -18,7 +18,8 @@ from tailbeat.camera.marker.markers import KINDS, Marker
 from tailbeat.camera.marker.printed import RULER_IDS
 from tailbeat.camera.pictures.picture import PictureSource
 from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tracking.tracker import GLOW_SHAPE, Glow, Place, Tracker
+from tailbeat.camera.tracking.glow import GLOW_SHAPE, Glow
+from tailbeat.camera.tracking.tracker import Place, Tracker
 from tailbeat.errors import InputError
 from tailbeat.lasting import write_whole
 

@@ -12,27 +12,8 @@ from tailbeat.camera.marker.markers import Marker, detector_for
 from tailbeat.camera.marker.sighting import Points, Sighting, Window
 from tailbeat.camera.pictures.picture import Image, Picture
 from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tracking.glow import (
-    GLOW_CELL_M,
-    GLOW_HALF_WIDTH_M,
-    GLOW_LEFT_M,
-    GLOW_RIGHT_M,
-    GLOW_SHAPE,
-    Glow,
-    glow_around,
-)
+from tailbeat.camera.tracking.glow import Glow, glow_around
 from tailbeat.camera.tracking.trackchecks import PERSISTS, Anchors, MarkerSize, SecondFish
-
-__all__ = [
-    "GLOW_CELL_M",
-    "GLOW_HALF_WIDTH_M",
-    "GLOW_LEFT_M",
-    "GLOW_RIGHT_M",
-    "GLOW_SHAPE",
-    "Glow",
-    "Place",
-    "Tracker",
-]
 
 EVERYWHERE_EVERY_S = 1.0
 STAYS_NEAR_S = 0.2  # a marker that is covered for a moment is not looked for elsewhere
