@@ -30,6 +30,7 @@ typedef union {
     amplitudes_upload_t amplitudes;
     speed_upload_t speeds;
     memory_t memory;
+    past_t past;
     estimate_t estimate; /* of the open run: uploads are taken in IDLE only, when none is open */
 } app_shared_t;
 

@@ -11,6 +11,10 @@
 #define CRASH_PATH "/crash.bin"
 #define KEY_PATH "/key.bin" /* not in the FTP tree */
 
+#define PAST_PATH "/past0.bin" /* to "/past7.bin" */
+#define PAST_FILES 8u
+#define PAST_ROOM_BYTES (3u * STORE_BLOCK_BYTES) /* of the longest, which is written anew */
+
 /* salvage.c: mounts the store. When the filesystem or single files are unreadable, what can be
  * saved of parameters, key, reference, learned input and pending trial is brought back and told;
  * |*fault| says so, and the trials' numbers go on. A key that is seen but cannot be brought back
@@ -24,6 +28,8 @@ void app_feed_watchdog(app_t *app);
 
 /* boot.c: what is on the store into RAM; parameters fall back to their defaults. */
 void boot_load(app_t *app);
+/* Bytes read from |path| into app->record; 0 when the file is missing, empty or too long for it. */
+size_t boot_load_record(app_t *app, const char *path);
 void boot_load_params(app_t *app);
 /* Tells the board what the parameters say of it; false when it cannot do it. */
 bool boot_apply_params(app_t *app);
@@ -76,5 +82,30 @@ fault_t learn_discard(app_t *app, uint32_t trial);
 fault_t learn_restore_best(app_t *app);
 /* Stores the memory; when that fails RAM goes back to what is stored. */
 fault_t learn_save(app_t *app);
+
+/* past.c: earlier trials, for the laws that average. */
+
+/* What an average has to look back on. */
+typedef struct {
+    past_kind_t kind;
+    law_weights_t now;   /* of the trial that is learned from; not of PAST_LAST */
+    uint32_t newest_crc; /* of the newest record; 0 = the average begins */
+    uint16_t trials;     /* in the average so far */
+} past_view_t;
+
+/* Adds the weighted earlier trials to zeros in app->scratch. Uses app->record, app->shared and
+ * app->measured; app->shared and |view| are past_keep's. LAW_BAD_INPUT as law_add, or when a file
+ * was read well only once. */
+law_result_t past_look_back(app_t *app, const law_t *law, past_view_t *view);
+
+/* Stores what the next one needs of the pending trial, which has been learned from, ahead of
+ * learn_save. |errors| are those it was learned with. */
+fault_t past_keep(app_t *app, const law_t *law, const law_trial_t *errors, const past_view_t *view);
+
+/* What past_keep asks of the store beyond its reserve. */
+uint32_t past_room_bytes(const app_t *app);
+
+/* Removes all of them: the average begins anew. False when there was none. */
+bool past_drop(app_t *app);
 
 #endif

@@ -6,8 +6,7 @@
 
 #include <string.h>
 
-/* Bytes read into app->record; 0 when the file is missing, empty or too long for it. */
-static size_t load_record(app_t *app, const char *path) {
+size_t boot_load_record(app_t *app, const char *path) {
     uint32_t length = 0;
     if (store_size(&app->store, path, &length) != STORE_OK || length > sizeof app->record ||
         store_load(&app->store, path, app->record, length) != STORE_OK) {
@@ -48,20 +47,30 @@ static void reset_imu_params(app_t *app) {
     (void)boot_apply_params(app);
 }
 
+/* A file of another firmware may hold what this one refuses. */
+static void reset_refused_params(app_t *app) {
+    for (uint32_t i = 0; i < PARAM_COUNT; i++) {
+        if (settings_refusal((param_t)i, app->params.value[i]) != FAULT_NONE) {
+            app->params.value[i] = param_info((param_t)i)->fallback;
+        }
+    }
+}
+
 void boot_load_params(app_t *app) {
     params_reset(&app->params);
-    const size_t length = load_record(app, PARAMS_PATH);
+    const size_t length = boot_load_record(app, PARAMS_PATH);
     uint16_t ignored = 0;
     if (length != 0) {
         (void)record_decode_params(app->record, length, &app->params, &ignored);
     }
+    reset_refused_params(app);
     if (!boot_apply_params(app)) {
         reset_imu_params(app);
     }
 }
 
 static void load_reference(app_t *app) {
-    const size_t length = load_record(app, REFERENCE_PATH);
+    const size_t length = boot_load_record(app, REFERENCE_PATH);
     if (length == 0 ||
         record_decode_reference(app->record, length, &app->reference) != FAULT_NONE) {
         app->reference.beats = 0;
@@ -70,7 +79,7 @@ static void load_reference(app_t *app) {
 }
 
 void boot_load_memory(app_t *app) {
-    const size_t length = load_record(app, LEARNED_PATH);
+    const size_t length = boot_load_record(app, LEARNED_PATH);
     const bool loaded =
         length != 0 && record_decode_memory(app->record, length, &app->memory) == FAULT_NONE;
     if (!loaded) {
@@ -99,7 +108,7 @@ static uint32_t at_least(uint32_t a, uint32_t b) { return a > b ? a : b; }
 /* The counter file is the rule; the others save the number if the counter is lost. */
 static void load_next_trial(app_t *app) {
     uint32_t next = 1;
-    const size_t length = load_record(app, COUNTER_PATH);
+    const size_t length = boot_load_record(app, COUNTER_PATH);
     if (length == 0 || record_decode_counter(app->record, length, &next) != FAULT_NONE) {
         next = 1;
     }

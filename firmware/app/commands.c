@@ -1,4 +1,5 @@
 #include "app/app_internal.h"
+#include "app/settings.h"
 #include "hal/clock.h"
 #include "hal/system.h"
 
@@ -115,6 +116,10 @@ fault_t commands_param_set(void *context, param_t param, float value) {
     app_t *app = context;
     if (app->supervisor.state != STATE_IDLE) {
         return FAULT_WRONG_STATE;
+    }
+    const fault_t refusal = settings_refusal(param, value);
+    if (refusal != FAULT_NONE) {
+        return refusal;
     }
     const float before = param < PARAM_COUNT ? app->params.value[param] : 0.0f;
     if (params_set(&app->params, param, value) != PARAM_OK) {

@@ -50,19 +50,46 @@ static void report_learned(app_t *app, uint32_t trial, uint16_t iteration,
     link_learned(&app->link, &message);
 }
 
+static law_result_t learn_from(app_t *app, const law_t *law, past_view_t *view, law_trial_t *errors,
+                               memory_report_t *report) {
+    const trial_t *trial = &app->run.trial;
+    const bool complete = trial->end == FAULT_NONE && trial->executed == trial->beats;
+    if (!past_fits(settings_past_kind(&app->params), law)) {
+        return LAW_BAD_CONFIG;
+    }
+    const law_result_t looked = past_look_back(app, law, view);
+    if (looked != LAW_OK) {
+        return looked;
+    }
+    memory_rules_t rules = settings_memory_rules(&app->params);
+    rules.has_past = view->kind != PAST_LAST;
+    rules.now = view->now;
+    *errors = pending_errors(app);
+    return memory_learn(&app->memory, law, errors, trial->number, complete, &rules, app->scratch,
+                        report);
+}
+
+/* What was learned, ahead of it what it came from. */
+static fault_t save(app_t *app, const law_t *law, const law_trial_t *errors,
+                    const past_view_t *view, bool rolled_back) {
+    if (!rolled_back && past_keep(app, law, errors, view) != FAULT_NONE) {
+        boot_load_memory(app);
+        return FAULT_WRITE_FAILED;
+    }
+    return learn_save(app);
+}
+
 static fault_t learn_pending(app_t *app) {
     const trial_t *trial = &app->run.trial;
     const law_t law = settings_law(&app->params, app->reference.beat_s);
-    const law_trial_t errors = pending_errors(app);
-    const bool complete = trial->end == FAULT_NONE && trial->executed == trial->beats;
+    past_view_t view;
+    law_trial_t errors;
     memory_report_t report;
-    const law_result_t result =
-        memory_learn(&app->memory, &law, &errors, trial->number, complete,
-                     app->params.value[PARAM_ROLLBACK_RATIO], app->scratch, &report);
+    const law_result_t result = learn_from(app, &law, &view, &errors, &report);
     if (result != LAW_OK) {
         return refusal(result);
     }
-    if (learn_save(app) != FAULT_NONE) {
+    if (save(app, &law, &errors, &view, report.rolled_back) != FAULT_NONE) {
         return FAULT_WRITE_FAILED;
     }
     (void)trial_run_forget(&app->run, &app->store);

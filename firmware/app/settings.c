@@ -4,6 +4,11 @@
 #define TICK_LATE_US (FRAME_US + FRAME_US / 4u)
 #define IMU_NEEDED_TIMEOUT_S 1.0f
 
+/* Values of LAW_KIND after those of past_kind_t. */
+#define LAW_KIND_ADAPTIVE 3.0f
+#define LAW_KIND_ROBUST 4.0f
+#define LAW_KIND_SIGN 5.0f
+
 static uint32_t microseconds(float seconds) { return (uint32_t)(seconds * 1e6f + 0.5f); }
 
 static uint16_t millivolts(float volts) { return (uint16_t)(volts * 1000.0f + 0.5f); }
@@ -21,8 +26,38 @@ law_t settings_law(const params_t *params, float beat_s) {
         .fade = params->value[PARAM_LAW_FADE],
         .fade_from = (uint16_t)params_whole(params, PARAM_LAW_FADE_FROM),
         .q_len = (uint16_t)params_whole(params, PARAM_LAW_Q_LEN),
-        .tail = params_whole(params, PARAM_LAW_TAIL) == 1 ? LAW_TAIL_KEEP : LAW_TAIL_HOLD,
+        .tail = (law_tail_t)params_whole(params, PARAM_LAW_TAIL),
     };
+}
+
+memory_rules_t settings_memory_rules(const params_t *params) {
+    return (memory_rules_t){
+        .rollback_ratio = params->value[PARAM_ROLLBACK_RATIO],
+        .beyond = (beyond_t)params_whole(params, PARAM_LAW_BEYOND),
+    };
+}
+
+past_kind_t settings_past_kind(const params_t *params) {
+    return (past_kind_t)params_whole(params, PARAM_LAW_KIND);
+}
+
+uint16_t settings_past_window(const params_t *params) {
+    return (uint16_t)params_whole(params, PARAM_LAW_WINDOW);
+}
+
+bool settings_law_fits(const params_t *params, const law_t *law, uint16_t beats) {
+    return law_check(law, beats) == LAW_OK && past_fits(settings_past_kind(params), law);
+}
+
+/* These laws correct while the plant moves (ilc/feedback.h). */
+fault_t settings_refusal(param_t param, float value) {
+    if (param != PARAM_LAW_KIND) {
+        return FAULT_NONE;
+    }
+    if (value == LAW_KIND_ADAPTIVE || value == LAW_KIND_ROBUST) {
+        return FAULT_LAW_FEEDBACK;
+    }
+    return value == LAW_KIND_SIGN ? FAULT_LAW_SIGN : FAULT_NONE;
 }
 
 gait_config_t settings_gait(const params_t *params, float beat_s) {

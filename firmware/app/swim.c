@@ -39,7 +39,7 @@ static fault_t ready_to_arm(const app_t *app) {
     if (!gait_config_valid(&gait)) {
         return FAULT_SERVO_CONFIG;
     }
-    if (law_check(&law, app->reference.beats) != LAW_OK) {
+    if (!settings_law_fits(&app->params, &law, app->reference.beats)) {
         return FAULT_BAD_LAW;
     }
     return uploads_judge_reference(app, &app->reference);
@@ -116,10 +116,16 @@ static uint32_t log_bytes(const app_t *app) {
     return trial_log_size_bound(app->reference.beats, (uint32_t)trial_s(app) + 1u);
 }
 
+/* Past trials go last: they make the average, but a fish that cannot swim learns nothing. */
+static store_result_t make_space_step(app_t *app, bool *done) {
+    const uint32_t bytes = log_bytes(app) + past_room_bytes(app);
+    const store_result_t result = store_make_space_step(&app->store, bytes, 0, done);
+    return result == STORE_NO_SPACE && past_drop(app) ? STORE_OK : result;
+}
+
 /* What fails here fails at the start too, and is told then. */
 static void make_room_step(app_t *app) {
-    const store_result_t result =
-        store_make_space_step(&app->store, log_bytes(app), 0, &app->room_made);
+    const store_result_t result = make_space_step(app, &app->room_made);
     app->room_made = app->room_made || result != STORE_OK;
 }
 
@@ -152,7 +158,7 @@ static bool has_room(app_t *app) {
     bool made = false;
     store_result_t result = STORE_OK;
     for (uint32_t i = 0; i < ROOM_STEPS_MAX && result == STORE_OK && !made; i++) {
-        result = store_make_space_step(&app->store, log_bytes(app), 0, &made);
+        result = make_space_step(app, &made);
         app_feed_watchdog(app);
     }
     return result == STORE_OK && made;
@@ -282,11 +288,29 @@ static void tell_beat(app_t *app, const trial_run_beat_t *beat) {
     link_beat(&app->link, &message);
 }
 
+/* Not what the IMU alone says: that is worth nothing until the rest after the swim. */
+static bool tells_while_swimming(const app_t *app) {
+    const int32_t source = params_whole(&app->params, PARAM_SPD_SOURCE);
+    return source == SPEED_SOURCE_VISION || source == SPEED_SOURCE_MODEL;
+}
+
+static bool is_too_far_off(const app_t *app, const trial_run_beat_t *beat) {
+    const float limit_m_s = app->params.value[PARAM_ERR_MAX_M_S];
+    return limit_m_s > 0.0f && beat->speed.measured && tells_while_swimming(app) &&
+           real_abs(beat->reference_m_s - beat->speed.speed_m_s) > limit_m_s;
+}
+
+/* The beat that is too far off stays measured: a law that did not see it would never change what
+ * stopped the tail, and the series would end at this beat for ever. A swim that is over takes no
+ * stop. */
 static void settle_beats(app_t *app) {
     const bool stopped = app->supervisor.state != STATE_RUNNING;
     trial_run_beat_t beat;
     while (trial_run_settle(&app->run, app->executed, stopped, &beat)) {
         tell_beat(app, &beat);
+        if (is_too_far_off(app, &beat)) {
+            swim_stop(app, FAULT_ERROR_LIMIT);
+        }
     }
 }
 

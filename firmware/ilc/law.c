@@ -1,37 +1,32 @@
 #include "ilc/law.h"
 
-#include "base/real.h"
-
 #include <stddef.h>
 
-/* Corrections beyond this are refused. Any bound will do that keeps the filter's sums finite: its
- * integer weights add up to at most 2^16. */
-#define CORRECTION_LIMIT_RAD 1e30f
-
-float law_saturate(const law_t *law, float amplitude_rad) {
-    return real_clip(amplitude_rad, 0.0f, law->amplitude_max_rad);
+number_t law_saturate(const law_t *law, number_t amplitude_rad) {
+    return number_clip(amplitude_rad, law->amplitude_min_rad, law->amplitude_max_rad);
 }
 
 static bool limits_valid(const law_t *law) {
-    return real_is_finite(law->amplitude_max_rad) && law->amplitude_max_rad > 0.0f &&
-           law->amplitude_max_rad <= CORRECTION_LIMIT_RAD && real_is_finite(law->step_max_rad) &&
-           law->step_max_rad >= 0.0f && real_is_finite(law->beat_s) && law->beat_s > 0.0f;
+    return law->amplitude_min_rad >= -LAW_LIMIT && law->amplitude_max_rad <= LAW_LIMIT &&
+           law->amplitude_min_rad < law->amplitude_max_rad && number_is_finite(law->step_max_rad) &&
+           law->step_max_rad >= NUMBER(0) && number_is_finite(law->beat_s) &&
+           law->beat_s > NUMBER(0);
 }
 
-static uint32_t lead_halves(const law_t *law) { return (uint32_t)(2.0f * law->lead_beats); }
+static uint32_t lead_halves(const law_t *law) { return (uint32_t)(NUMBER(2) * law->lead_beats); }
 
 /* Written so that NaN fails it, before anything is converted. */
 static bool lead_valid(const law_t *law, uint16_t beats) {
-    return law->lead_beats >= 0.0f && law->lead_beats < (float)beats &&
-           (float)lead_halves(law) == 2.0f * law->lead_beats;
+    return law->lead_beats >= NUMBER(0) && law->lead_beats < (number_t)beats &&
+           (number_t)lead_halves(law) == NUMBER(2) * law->lead_beats;
 }
 
 law_result_t law_check(const law_t *law, uint16_t beats) {
-    const bool gains = real_is_finite(law->kp_rad_s_m) && real_is_finite(law->kd_rad_s2_m) &&
-                       real_is_finite(law->fade) && law->fade >= 0.0f;
-    const bool lengths = beats >= 1u && beats <= BEATS_MAX && lead_valid(law, beats) &&
-                         law->q_len >= 1u && 2u * law->q_len - 1u <= beats;
-    const bool tail = law->tail == LAW_TAIL_HOLD || law->tail == LAW_TAIL_KEEP;
+    const bool gains = number_is_finite(law->kp_rad_s_m) && number_is_finite(law->kd_rad_s2_m) &&
+                       number_is_finite(law->fade) && law->fade >= NUMBER(0);
+    const bool lengths = beats >= 1u && lead_valid(law, beats) && law->q_len >= 1u &&
+                         law->q_len <= LAW_Q_LEN_MAX && 2u * law->q_len - 1u <= beats;
+    const bool tail = (unsigned)law->tail < LAW_TAIL_COUNT;
     return gains && lengths && tail && limits_valid(law) ? LAW_OK : LAW_BAD_CONFIG;
 }
 
@@ -39,23 +34,25 @@ static bool is_measured(const law_trial_t *trial, uint32_t beat) {
     return trial->measured == NULL || trial->measured[beat] != 0;
 }
 
-static float error_at(const law_trial_t *trial, uint32_t beat) {
-    return is_measured(trial, beat) ? trial->error_m_s[beat] : 0.0f;
+static number_t error_at(const law_trial_t *trial, uint32_t beat) {
+    return is_measured(trial, beat) ? trial->error_m_s[beat] : NUMBER(0);
 }
 
-static bool inputs_finite(const law_trial_t *trial, const float *amplitude_rad) {
+static bool inputs_finite(const law_trial_t *trial, const number_t *amplitude_rad) {
     bool finite = true;
     for (uint32_t k = 0; k < trial->beats; k++) {
-        finite = finite && real_is_finite(amplitude_rad[k]) && real_is_finite(error_at(trial, k));
+        finite =
+            finite && number_is_finite(amplitude_rad[k]) && number_is_finite(error_at(trial, k));
     }
     return finite;
 }
 
-static law_report_t judged(const law_t *law, const law_trial_t *trial, const float *amplitude_rad) {
+static law_report_t judged(const law_t *law, const law_trial_t *trial,
+                           const number_t *amplitude_rad) {
     law_report_t report = {0};
-    float sum = 0.0f;
+    number_t sum = NUMBER(0);
     for (uint32_t k = 0; k < trial->beats; k++) {
-        const float error = real_abs(error_at(trial, k));
+        const number_t error = number_abs(error_at(trial, k));
         sum += error * error;
         if (error > report.max_abs_error_m_s) {
             report.max_abs_error_m_s = error;
@@ -68,18 +65,22 @@ static law_report_t judged(const law_t *law, const law_trial_t *trial, const flo
         }
     }
     if (report.measured_beats > 0) {
-        report.rms_error_m_s = real_sqrt(sum / (float)report.measured_beats);
+        report.rms_error_m_s = number_sqrt(sum / (number_t)report.measured_beats);
     }
     return report;
 }
 
+static const law_weights_t WHOLE = {NUMBER(1), NUMBER(1), NUMBER(1)};
+
 /* Written so that a NaN from an overflowing gain fails it. */
-static bool correction_bounded(const law_t *law, float max_abs_error_m_s) {
-    const float gain = real_abs(law->kp_rad_s_m) + 2.0f * real_abs(law->kd_rad_s2_m / law->beat_s);
-    return gain * max_abs_error_m_s <= CORRECTION_LIMIT_RAD;
+static bool correction_bounded(const law_t *law, const law_weights_t *weights,
+                               number_t max_abs_error_m_s) {
+    const number_t kp = number_abs(weights->kp * law->kp_rad_s_m);
+    const number_t kd = number_abs(weights->kd * (law->kd_rad_s2_m / law->beat_s));
+    return (kp + NUMBER(2) * kd) * max_abs_error_m_s <= LAW_LIMIT;
 }
 
-law_result_t law_judge(const law_t *law, const law_trial_t *trial, const float *amplitude_rad,
+law_result_t law_judge(const law_t *law, const law_trial_t *trial, const number_t *amplitude_rad,
                        law_report_t *report) {
     const law_result_t config = law_check(law, trial->beats);
     if (config != LAW_OK) {
@@ -92,7 +93,8 @@ law_result_t law_judge(const law_t *law, const law_trial_t *trial, const float *
     if (found.measured_beats == 0) {
         return LAW_NOTHING_MEASURED;
     }
-    if (!real_is_finite(found.rms_error_m_s) || !correction_bounded(law, found.max_abs_error_m_s)) {
+    if (!number_is_finite(found.rms_error_m_s) ||
+        !correction_bounded(law, &WHOLE, found.max_abs_error_m_s)) {
         return LAW_BAD_INPUT;
     }
     *report = found;
@@ -104,12 +106,13 @@ static uint32_t difference_from(const law_trial_t *trial, uint32_t beat) {
     return beat + 1u < trial->beats ? beat : beat - 1u;
 }
 
-static float difference_at(const law_trial_t *trial, uint32_t beat) {
+static number_t difference_at(const law_trial_t *trial, uint32_t beat) {
     if (trial->beats == 1u) {
-        return 0.0f;
+        return NUMBER(0);
     }
     const uint32_t from = difference_from(trial, beat);
-    return error_at(trial, from + 1u) - error_at(trial, from);
+    const bool known = is_measured(trial, from) && is_measured(trial, from + 1u);
+    return known ? trial->error_m_s[from + 1u] - trial->error_m_s[from] : NUMBER(0);
 }
 
 /* The two beats whose mean corrects a beat; one and the same where no half is involved. */
@@ -117,7 +120,7 @@ typedef struct {
     uint32_t first, second;
 } pair_t;
 
-/* False when the tail leaves |beat| as it is. */
+/* False when |beat| is the tail's, and that does not look at errors. */
 static bool pair_ahead(const law_t *law, uint32_t beats, uint32_t beat, pair_t *pair) {
     const uint32_t last = 2u * (beats - 1u);
     const uint32_t ahead = 2u * beat + lead_halves(law);
@@ -126,110 +129,159 @@ static bool pair_ahead(const law_t *law, uint32_t beats, uint32_t beat, pair_t *
     return ahead <= last || law->tail == LAW_TAIL_HOLD;
 }
 
-/* The same with the beats that the derivative reads. */
-static pair_t with_differences(const law_t *law, const law_trial_t *trial, pair_t pair) {
-    if (law->kd_rad_s2_m == 0.0f || trial->beats == 1u) {
-        return pair;
-    }
-    return (pair_t){difference_from(trial, pair.first), difference_from(trial, pair.second) + 1u};
+/* Beats at the end that a tail other than LAW_TAIL_HOLD fills. */
+static uint32_t tail_beats(const law_t *law) { return (lead_halves(law) + 1u) / 2u; }
+
+/* The beat whose input |beat| will have, ahead of Q: the last one before the tail where that is
+ * held. */
+static uint32_t held_from(const law_t *law, uint32_t beats, uint32_t beat) {
+    const uint32_t tail = tail_beats(law);
+    const bool holds = law->tail == LAW_TAIL_HOLD_NEW && tail < beats && beat >= beats - tail;
+    return holds ? beats - 1u - tail : beat;
 }
 
 bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat) {
     pair_t pair;
-    bool measured = false;
-    if (pair_ahead(law, trial->beats, beat, &pair)) {
-        const pair_t read = with_differences(law, trial, pair);
-        for (uint32_t k = read.first; k <= read.second; k++) {
-            measured = measured || is_measured(trial, k);
-        }
-    }
-    return measured;
+    return pair_ahead(law, trial->beats, held_from(law, trial->beats, beat), &pair) &&
+           (is_measured(trial, pair.first) || is_measured(trial, pair.second));
 }
 
-static float error_of(const law_trial_t *trial, pair_t pair) {
+static number_t error_of(const law_trial_t *trial, pair_t pair) {
     if (pair.first == pair.second) {
         return error_at(trial, pair.first);
     }
     const bool both = is_measured(trial, pair.first) && is_measured(trial, pair.second);
-    const float sum = error_at(trial, pair.first) + error_at(trial, pair.second);
-    return both ? 0.5f * sum : sum;
+    const number_t sum = error_at(trial, pair.first) + error_at(trial, pair.second);
+    return both ? NUMBER(0.5) * sum : sum;
 }
 
-static float difference_of(const law_trial_t *trial, pair_t pair) {
-    const float first = difference_at(trial, pair.first);
-    return pair.first == pair.second ? first : 0.5f * (first + difference_at(trial, pair.second));
+static number_t difference_of(const law_trial_t *trial, pair_t pair) {
+    const number_t first = difference_at(trial, pair.first);
+    return pair.first == pair.second ? first
+                                     : NUMBER(0.5) * (first + difference_at(trial, pair.second));
 }
 
 /* What the gain of |beat| is divided by. */
-static float fade_of(const law_t *law, const law_trial_t *trial, uint32_t beat) {
+static number_t fade_of(const law_t *law, const law_trial_t *trial, uint32_t beat) {
     const uint32_t visits = trial->visits != NULL ? trial->visits[beat] : 0u;
     const uint32_t beyond = visits > law->fade_from ? visits - law->fade_from : 0u;
-    return 1.0f + law->fade * (float)beyond;
+    return NUMBER(1) + law->fade * (number_t)beyond;
 }
 
-static void correct(const law_t *law, const law_trial_t *trial, const float *amplitude_rad,
-                    float *out) {
-    const float kd_per_beat = law->kd_rad_s2_m / law->beat_s;
+static void accumulate(const law_t *law, const law_weights_t *weights, const law_trial_t *trial,
+                       const number_t *amplitude_rad, number_t *sum) {
+    const number_t kp = weights->kp * law->kp_rad_s_m;
+    const number_t kd_per_beat = weights->kd * (law->kd_rad_s2_m / law->beat_s);
     for (uint32_t k = 0; k < trial->beats; k++) {
-        const float old = law_saturate(law, amplitude_rad[k]);
+        const number_t old = weights->input * law_saturate(law, amplitude_rad[k]);
         pair_t pair;
         if (!pair_ahead(law, trial->beats, k, &pair)) {
-            out[k] = old;
+            sum[k] += old;
             continue;
         }
-        const float fade = fade_of(law, trial, k);
-        const float proportional = law->kp_rad_s_m / fade * error_of(trial, pair);
-        const float derivative = kd_per_beat / fade * difference_of(trial, pair);
-        out[k] = old + (proportional + derivative);
+        const number_t fade = fade_of(law, trial, k);
+        const number_t proportional = kp / fade * error_of(trial, pair);
+        const number_t derivative = kd_per_beat / fade * difference_of(trial, pair);
+        sum[k] += old + (proportional + derivative);
     }
 }
 
 /* Neighbours are added in pairs, so that a mirrored record gives the mirrored bits. */
-static float zero_phase_at(const float *in, uint32_t beats, uint32_t k, uint32_t q_len) {
+static number_t zero_phase_at(const number_t *in, uint32_t beats, uint32_t k, uint32_t q_len) {
     if (q_len == 1u) {
         return in[k];
     }
-    float sum = (float)q_len * in[k];
+    number_t sum = (number_t)q_len * in[k];
     uint32_t weights = q_len;
     for (uint32_t j = 1; j < q_len; j++) {
         const uint32_t weight = q_len - j;
         const bool before = k >= j;
         const bool after = k + j < beats;
         if (before && after) {
-            sum += (float)weight * (in[k - j] + in[k + j]);
+            sum += (number_t)weight * (in[k - j] + in[k + j]);
             weights += 2u * weight;
         } else if (before || after) {
-            sum += (float)weight * (before ? in[k - j] : in[k + j]);
+            sum += (number_t)weight * (before ? in[k - j] : in[k + j]);
             weights += weight;
         }
     }
-    return sum / (float)weights;
+    return sum / (number_t)weights;
 }
 
-void law_zero_phase(const float *in, float *out, uint16_t beats, uint16_t q_len) {
+void law_zero_phase(const number_t *in, number_t *out, uint16_t beats, uint16_t q_len) {
     for (uint32_t k = 0; k < beats; k++) {
         out[k] = zero_phase_at(in, beats, k, q_len);
     }
 }
 
-static float step_limited(const law_t *law, float old_rad, float next_rad) {
-    if (law->step_max_rad <= 0.0f) {
-        return next_rad;
+static void hold_tail(const law_t *law, uint32_t beats, const number_t *amplitude_rad,
+                      number_t *sum) {
+    const uint32_t tail = tail_beats(law);
+    const bool hold_new = law->tail == LAW_TAIL_HOLD_NEW;
+    const bool hold_old = law->tail == LAW_TAIL_HOLD_OLD;
+    if (tail >= beats || !(hold_new || hold_old)) {
+        return;
     }
-    const float swum_rad = law_saturate(law, old_rad);
-    return real_clip(next_rad, swum_rad - law->step_max_rad, swum_rad + law->step_max_rad);
+    const uint32_t last = beats - 1u - tail;
+    const number_t held = hold_new ? sum[last] : law_saturate(law, amplitude_rad[last]);
+    for (uint32_t k = last + 1u; k < beats; k++) {
+        sum[k] = held;
+    }
 }
 
-law_result_t law_update(const law_t *law, const law_trial_t *trial, float *amplitude_rad,
-                        float *scratch, law_report_t *report) {
+static number_t step_limited(const law_t *law, number_t old_rad, number_t next_rad) {
+    if (law->step_max_rad <= NUMBER(0)) {
+        return next_rad;
+    }
+    const number_t swum_rad = law_saturate(law, old_rad);
+    return number_clip(next_rad, swum_rad - law->step_max_rad, swum_rad + law->step_max_rad);
+}
+
+/* Written so that NaN fails it. Of amplitudes that are finite. */
+static bool input_bounded(const law_t *law, const law_weights_t *weights, uint32_t beats,
+                          const number_t *amplitude_rad) {
+    bool bounded = number_is_finite(weights->input);
+    for (uint32_t k = 0; k < beats; k++) {
+        const number_t old = weights->input * law_saturate(law, amplitude_rad[k]);
+        bounded = bounded && number_abs(old) <= LAW_LIMIT;
+    }
+    return bounded;
+}
+
+law_result_t law_add(const law_t *law, const law_weights_t *weights, const law_trial_t *trial,
+                     const number_t *amplitude_rad, number_t *sum) {
+    if (law_check(law, trial->beats) != LAW_OK) {
+        return LAW_BAD_CONFIG;
+    }
+    const law_report_t found = judged(law, trial, amplitude_rad);
+    if (!inputs_finite(trial, amplitude_rad) ||
+        !input_bounded(law, weights, trial->beats, amplitude_rad) ||
+        !number_is_finite(found.rms_error_m_s) ||
+        !correction_bounded(law, weights, found.max_abs_error_m_s)) {
+        return LAW_BAD_INPUT;
+    }
+    accumulate(law, weights, trial, amplitude_rad, sum);
+    return LAW_OK;
+}
+
+void law_finish(const law_t *law, uint16_t beats, number_t *sum, number_t *amplitude_rad) {
+    hold_tail(law, beats, amplitude_rad, sum);
+    for (uint32_t k = 0; k < beats; k++) {
+        const number_t filtered = zero_phase_at(sum, beats, k, law->q_len);
+        amplitude_rad[k] = step_limited(law, amplitude_rad[k], filtered);
+    }
+}
+
+law_result_t law_update(const law_t *law, const law_trial_t *trial, number_t *amplitude_rad,
+                        number_t *scratch, law_report_t *report) {
     const law_result_t result = law_judge(law, trial, amplitude_rad, report);
     if (result != LAW_OK) {
         return result;
     }
-    correct(law, trial, amplitude_rad, scratch);
     for (uint32_t k = 0; k < trial->beats; k++) {
-        const float filtered = zero_phase_at(scratch, trial->beats, k, law->q_len);
-        amplitude_rad[k] = step_limited(law, amplitude_rad[k], filtered);
+        scratch[k] = NUMBER(0);
     }
+    accumulate(law, &WHOLE, trial, amplitude_rad, scratch);
+    law_finish(law, trial->beats, scratch, amplitude_rad);
     return LAW_OK;
 }

@@ -85,17 +85,30 @@ static void count_visits(memory_t *memory, const law_t *law, const law_trial_t *
     }
 }
 
-static void correct(memory_t *memory, const law_t *law, const law_trial_t *trial, float *scratch,
-                    law_report_t *report) {
+/* Into |scratch|; nothing is changed yet. */
+static law_result_t add_trial(const memory_t *memory, const law_t *law, const law_trial_t *trial,
+                              const memory_rules_t *rules, float *scratch) {
+    static const law_weights_t alone = {1.0f, 1.0f, 1.0f};
     law_trial_t visited = *trial;
     visited.visits = memory->visits;
-    REQUIRE(law_update(law, &visited, memory->amplitude_rad, scratch, report) == LAW_OK);
+    if (!rules->has_past) {
+        fill_zero(scratch, memory->beats);
+    }
+    return law_add(law, rules->has_past ? &rules->now : &alone, &visited, memory->amplitude_rad,
+                   scratch);
+}
+
+static void correct(memory_t *memory, const law_t *law, const law_trial_t *trial,
+                    const memory_rules_t *rules, float *scratch) {
     count_visits(memory, law, trial);
+    /* Ahead of filter and step limit, which hold for these beats, too. */
+    beyond_fill(rules->beyond, memory->beats, memory->visits, scratch);
+    law_finish(law, memory->beats, scratch, memory->amplitude_rad);
     memory->input = MEMORY_INPUT_LAW;
 }
 
 law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,
-                          uint32_t trial_number, bool complete, float rollback_ratio,
+                          uint32_t trial_number, bool complete, const memory_rules_t *rules,
                           float *scratch, memory_report_t *report) {
     if (trial->beats != memory->beats) {
         return LAW_BAD_CONFIG;
@@ -104,16 +117,19 @@ law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t 
         return LAW_BAD_INPUT;
     }
     memory_report_t found = {0};
-    const law_result_t result = law_judge(law, trial, memory->amplitude_rad, &found.law);
+    law_result_t result = law_judge(law, trial, memory->amplitude_rad, &found.law);
+    if (result == LAW_OK) {
+        result = add_trial(memory, law, trial, rules, scratch);
+    }
     if (result != LAW_OK) {
         return result;
     }
     const bool whole = complete && found.law.measured_beats == memory->beats;
-    found.improved = rate(memory, law, found.law.max_abs_error_m_s, whole, rollback_ratio);
+    found.improved = rate(memory, law, found.law.max_abs_error_m_s, whole, rules->rollback_ratio);
     found.rolled_back =
         memory->worse_streak >= WORSE_TRIALS_TO_ROLL_BACK && memory_restore_best(memory);
     if (!found.rolled_back) {
-        correct(memory, law, trial, scratch, &found.law);
+        correct(memory, law, trial, rules, scratch);
     }
     count_trial(memory, trial_number);
     *report = found;

@@ -13,6 +13,8 @@
 #ifndef ILC_MEMORY_H
 #define ILC_MEMORY_H
 
+#include "base/units.h"
+#include "ilc/beyond.h"
 #include "ilc/law.h"
 
 /* What made the amplitudes; TAILBEAT_INPUT on the wire. */
@@ -39,6 +41,15 @@ typedef struct {
     uint8_t visits[BEATS_MAX];      /* trials that have corrected each beat; stops at 255 */
 } memory_t;
 
+/* How a memory learns, beside the law. */
+typedef struct {
+    float rollback_ratio; /* 0 = never roll back */
+    beyond_t beyond;      /* for beats that no trial has reached yet */
+    bool has_past;        /* the scratch comes with the sum of the weighted earlier trials
+                             (law_add); else the law looks at the last trial only */
+    law_weights_t now;    /* of the trial that is learned from, when there is a past */
+} memory_rules_t;
+
 typedef struct {
     law_report_t law;
     bool improved;    /* this trial is the new best */
@@ -57,15 +68,15 @@ law_result_t memory_first(memory_t *memory, const law_t *law, const float *refer
                           float *scratch);
 
 /* Learns from |trial| (its amplitudes are the memory's own). |complete| = every beat was swum: only
- * then, and with every beat measured, may it become the best. |rollback_ratio| 0 = never roll back.
- * A trial whose max |e| over the beats it has exceeds ratio x best lengthens the streak, cut short
- * or not; a trial with all beats that does not exceed it ends the streak; other trials prove
- * nothing and leave it. The second in a row brings the best back and ends the streak; such a trial
- * corrects nothing and visits nothing. |trial->visits| is not looked at: the memory has its own.
- * LAW_BAD_CONFIG when trial->beats is not the memory's, LAW_BAD_INPUT at iteration 0 (nothing was
- * swum); otherwise refusals as law_update. On refusal nothing changes. */
+ * then, and with every beat measured, may it become the best. A trial whose max |e| over the beats
+ * it has exceeds ratio x best lengthens the streak, cut short or not; a trial with all beats that
+ * does not exceed it ends the streak; other trials prove nothing and leave it. The second in a row
+ * brings the best back and ends the streak; such a trial corrects nothing and visits nothing.
+ * |trial->visits| is not looked at: the memory has its own. LAW_BAD_CONFIG when trial->beats is not
+ * the memory's, LAW_BAD_INPUT at iteration 0 (nothing was swum); otherwise refusals as law_update.
+ * On refusal nothing changes. */
 law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t *trial,
-                          uint32_t trial_number, bool complete, float rollback_ratio,
+                          uint32_t trial_number, bool complete, const memory_rules_t *rules,
                           float *scratch, memory_report_t *report);
 
 /* Makes the best amplitudes the next ones and ends the streak; the iteration stays. False when

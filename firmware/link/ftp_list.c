@@ -38,27 +38,6 @@ static void file_line(line_t *line, const char *name, uint32_t size_bytes) {
     append_decimal(line, size_bytes);
 }
 
-/* The root shows its two folders and those records that exist. */
-static bool root_line(store_t *store, uint32_t index, line_t *line) {
-    static const char *const folders[ROOT_FOLDERS] = {"Dtrials", "Din"};
-    if (index < ROOT_FOLDERS) {
-        append(line, folders[index]);
-        return true;
-    }
-    uint32_t shown = ROOT_FOLDERS;
-    for (uint32_t i = 0; ftp_path_record(i) != NULL; i++) {
-        uint32_t size_bytes = 0;
-        if (store_size(store, ftp_path_record(i), &size_bytes) != STORE_OK) {
-            continue;
-        }
-        if (shown++ == index) {
-            file_line(line, ftp_path_record(i) + 1, size_bytes);
-            return true;
-        }
-    }
-    return false;
-}
-
 typedef struct {
     ftp_path_t folder;
     uint8_t *out; /* data of the reply */
@@ -87,11 +66,29 @@ static bool put_entry(void *context, const store_entry_t *entry) {
     return put(listing, &line);
 }
 
+/* Line number |*shown| of the root, unless it is one before |first|; false when it does not fit. */
+static bool put_root_line(listing_t *listing, const line_t *line, uint32_t first, uint32_t *shown) {
+    return (*shown)++ < first || put(listing, line);
+}
+
+/* The root shows its two folders and those records that exist. */
 static void put_root(listing_t *listing, store_t *store, uint32_t first) {
+    static const char *const folders[ROOT_FOLDERS] = {"Dtrials", "Din"};
+    uint32_t shown = 0;
     bool fits = true;
-    for (uint32_t index = first; fits; index++) {
+    for (uint32_t i = 0; i < ROOT_FOLDERS && fits; i++) {
         line_t line = {0};
-        fits = root_line(store, index, &line) && put(listing, &line);
+        append(&line, folders[i]);
+        fits = put_root_line(listing, &line, first, &shown);
+    }
+    for (uint32_t i = 0; ftp_path_record(i) != NULL && fits; i++) {
+        const char *path = ftp_path_record(i);
+        uint32_t size_bytes = 0;
+        if (store_size(store, path, &size_bytes) == STORE_OK) {
+            line_t line = {0};
+            file_line(&line, path + 1, size_bytes);
+            fits = put_root_line(listing, &line, first, &shown);
+        }
     }
 }
 

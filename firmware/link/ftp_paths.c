@@ -3,7 +3,10 @@
 #include <stdbool.h>
 #include <string.h>
 
-static const char *const records[] = {"/reference.bin", "/crash.bin"};
+static const char *const records[] = {
+    "/reference.bin", "/crash.bin", "/past0.bin", "/past1.bin", "/past2.bin",
+    "/past3.bin",     "/past4.bin", "/past5.bin", "/past6.bin", "/past7.bin",
+};
 static const char *const uploads[] = {"reference.bin", "amplitudes.bin", "speeds.bin",
                                       "learned.bin"};
 

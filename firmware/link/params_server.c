@@ -92,8 +92,8 @@ void link_on_param_request_read(link_t *link, const link_received_t *in) {
 }
 
 static uint8_t param_error(fault_t fault) {
-    return fault == FAULT_BAD_PARAM ? MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
-                                    : MAV_PARAM_ERROR_PERMISSION_DENIED;
+    return fault == FAULT_WRONG_STATE ? MAV_PARAM_ERROR_PERMISSION_DENIED
+                                      : MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE;
 }
 
 /* A new value concerns every host. */

@@ -14,6 +14,7 @@
 #define MEMORY_UNVISITED_BEAT_BYTES (2u * F32_BYTES)
 #define MEMORY_BEAT_BYTES (MEMORY_UNVISITED_BEAT_BYTES + 1u)
 #define TRIAL_FIXED_BYTES 16u
+#define PAST_FIXED_BYTES 20u
 #define COUNTER_BODY_BYTES 4u
 #define SPEEDS_FIXED_BYTES 4u
 #define AMPLITUDES_FIXED_BYTES 4u
@@ -29,6 +30,9 @@ _Static_assert(RECORD_MAX_BYTES ==
 _Static_assert(RECORD_TRIAL_MAX_BYTES ==
                    RECORD_HEADER_BYTES + TRIAL_FIXED_BYTES + 3u * F32_BYTES * BEATS_MAX,
                "the longest pending trial");
+_Static_assert(RECORD_PAST_MAX_BYTES ==
+                   RECORD_HEADER_BYTES + PAST_FIXED_BYTES + 2u * F32_BYTES * BEATS_MAX,
+               "the longest past trial");
 _Static_assert(RECORD_HEADER_BYTES + PARAM_BYTES * PARAM_COUNT <= RECORD_MAX_BYTES,
                "the parameters fit the shared buffer");
 _Static_assert(RECORD_KEY_MAX_BYTES == RECORD_HEADER_BYTES + KEY_FIXED_BYTES + KEY_BYTES,
@@ -38,6 +42,7 @@ _Static_assert(sizeof(float) == F32_BYTES, "float is IEEE-754 single");
 static const char magic_reference[] = "TBRF";
 static const char magic_memory[] = "TBLI";
 static const char magic_trial[] = "TBTR";
+static const char magic_past[] = "TBPT";
 static const char magic_params[] = "TBPA";
 static const char magic_speeds[] = "TBSP";
 static const char magic_amplitudes[] = "TBAM";
@@ -53,7 +58,7 @@ bool record_is_key(const uint8_t *bytes) { return begins(bytes, magic_key); }
 
 bool record_is_internal(const uint8_t *bytes) {
     return record_is_key(bytes) || begins(bytes, magic_params) || begins(bytes, magic_trial) ||
-           begins(bytes, magic_counter) || begins(bytes, magic_crash);
+           begins(bytes, magic_past) || begins(bytes, magic_counter) || begins(bytes, magic_crash);
 }
 
 static uint32_t record_sum(const uint8_t *bytes, size_t length) {
@@ -269,6 +274,58 @@ fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial)
     get_array(amplitudes, trial->amplitude_rad, beats);
     get_array(speeds, trial->speed_m_s, beats);
     get_array(speeds + F32_BYTES * beats, trial->sigma_m_s, beats);
+    return FAULT_NONE;
+}
+
+size_t record_encode_past(const past_t *past, uint8_t *out) {
+    require_beats(past->beats);
+    uint8_t *at = begin_record(out, magic_past, past->beats);
+    at = bytes_put_u32(at, past->learned_crc);
+    at = bytes_put_u32(at, past->previous_crc);
+    at = bytes_put_u32(at, past->reference_crc);
+    at = bytes_put_u32(at, past->trial);
+    at = bytes_put_u16(at, past->kind);
+    at = bytes_put_u16(at, past->trials);
+    at = put_array(at, past->amplitude_rad, past->beats);
+    return end_record(out, put_array(at, past->error_m_s, past->beats));
+}
+
+static bool errors_plausible(const uint8_t *at, uint16_t beats) {
+    bool good = true;
+    for (uint16_t i = 0; i < beats; i++) {
+        const uint8_t *error = at + F32_BYTES * i;
+        good = good && (is_nan(bytes_get_f32(error)) || all_finite(error, 1));
+    }
+    return good;
+}
+
+fault_t record_decode_past(const uint8_t *bytes, size_t length, past_t *past) {
+    static const shape_t shape = {magic_past, RECORD_VERSION, PAST_FIXED_BYTES, 2u * F32_BYTES,
+                                  1,          BEATS_MAX};
+    if (!shape_fits(&shape, bytes, length)) {
+        return FAULT_BAD_FORMAT;
+    }
+    const uint16_t beats = bytes_get_u16(bytes + 6);
+    const uint8_t *body = bytes + RECORD_HEADER_BYTES;
+    const uint8_t *amplitudes = body + PAST_FIXED_BYTES;
+    const uint8_t *errors = amplitudes + F32_BYTES * beats;
+    const uint32_t trial = bytes_get_u32(body + 12);
+    const uint16_t kind = bytes_get_u16(body + 16);
+    const uint16_t trials = bytes_get_u16(body + 18);
+    if (trial == 0u || trials == 0u || kind == PAST_LAST || kind >= PAST_KIND_COUNT ||
+        !not_negative(amplitudes, beats) || !errors_plausible(errors, beats)) {
+        return FAULT_BAD_DATA;
+    }
+    past->crc = record_crc(bytes);
+    past->learned_crc = bytes_get_u32(body);
+    past->previous_crc = bytes_get_u32(body + 4);
+    past->reference_crc = bytes_get_u32(body + 8);
+    past->trial = trial;
+    past->kind = kind;
+    past->trials = trials;
+    past->beats = beats;
+    get_array(amplitudes, past->amplitude_rad, beats);
+    get_array(errors, past->error_m_s, beats);
     return FAULT_NONE;
 }
 

@@ -1,6 +1,6 @@
 /*
- * The small binary files: reference, learned input, pending trial, parameters, counter, key,
- * uploads.
+ * The small binary files: reference, learned input, pending trial, past trials, parameters,
+ * counter, key, uploads.
  *
  * All of one shape, little-endian: magic (4 characters), version u16, count u16, CRC-32 of all the
  * rest, body (docs/protocol.md has every offset). Encoding never fails: its input is ours. Decoding
@@ -13,6 +13,7 @@
 #include "base/units.h"
 #include "hal/system.h"
 #include "ilc/memory.h"
+#include "ilc/past.h"
 #include "params/params.h"
 #include "speed/speed.h"
 #include "supervisor/faults.h"
@@ -28,6 +29,7 @@
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
 #define RECORD_MAX_BYTES (32u + (2u * 4u + 1u) * BEATS_MAX)
+#define RECORD_PAST_MAX_BYTES (32u + 2u * 4u * BEATS_MAX)
 #define RECORD_KEY_MAX_BYTES 52u
 
 typedef struct {
@@ -50,6 +52,22 @@ typedef struct {
     float speed_m_s[BEATS_MAX];     /* NaN = not measured */
     float sigma_m_s[BEATS_MAX];
 } trial_t;
+
+/* A trial that was learned from, or the mean of all of them up to one, for a law that looks further
+ * back than the last. Each names the one before by its CRC, and the learned input that came of it:
+ * one that is no longer true is recognised, whatever was stored since. */
+typedef struct {
+    uint32_t crc;          /* the u32 at offset 8 of its own record */
+    uint32_t learned_crc;  /* the same of the learned input that was stored next */
+    uint32_t previous_crc; /* the same of the past trial before; 0 = the average begins here */
+    uint32_t reference_crc;
+    uint32_t trial;
+    uint16_t kind;   /* past_kind_t: a trial (PAST_WINDOW) or a mean (PAST_MEAN) */
+    uint16_t trials; /* of the average so far, this one among them */
+    uint16_t beats;
+    float amplitude_rad[BEATS_MAX]; /* as swum (saturated) */
+    float error_m_s[BEATS_MAX];     /* NaN = not measured */
+} past_t;
 
 /* Speeds measured after the swim. */
 typedef struct {
@@ -90,6 +108,8 @@ typedef struct {
 size_t record_encode_reference(const reference_t *reference, uint8_t *out);
 size_t record_encode_memory(const memory_t *memory, uint8_t *out);
 size_t record_encode_trial(const trial_t *trial, uint8_t *out);
+/* |past->crc| is not read, as above. */
+size_t record_encode_past(const past_t *past, uint8_t *out);
 size_t record_encode_params(const params_t *params, uint8_t *out);
 size_t record_encode_counter(uint32_t next_trial, uint8_t *out);
 size_t record_encode_speeds(const speed_upload_t *speeds, uint8_t *out);
@@ -117,6 +137,9 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
 
 /* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */
 fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial);
+
+/* trial, trials > 0, a kind that keeps trials; amplitudes finite and >= 0, errors finite or NaN. */
+fault_t record_decode_past(const uint8_t *bytes, size_t length, past_t *past);
 
 /* next_trial > 0. */
 fault_t record_decode_counter(const uint8_t *bytes, size_t length, uint32_t *next_trial);

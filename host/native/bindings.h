@@ -9,6 +9,7 @@
 #include "base/crc.h"
 #include "base/units.h"
 #include "blink/blink.h"
+#include "cruise.h"
 #include "drag_model.h"
 #include "gait/gait.h"
 #include "hal/flash.h"

@@ -36,10 +36,33 @@ static void errors_of(const float *reference_m_s, const double *speed_m_s, uint3
     }
 }
 
-bool learn_batch_learn(memory_t *memories, const law_t *laws, size_t fish,
+/* One fish: what the board does with its store. A refused trial is not kept, and amplitudes brought
+ * back have no past. */
+static law_result_t learn_one(memory_t *memory, learn_past_t *past, const law_t *law,
+                              const law_trial_t *swum, uint32_t trial, float rollback_ratio,
+                              memory_report_t *report) {
+    float scratch[BEATS_MAX], swum_rad[BEATS_MAX];
+    memory_rules_t rules = {.rollback_ratio = rollback_ratio};
+    if (past == NULL) {
+        return memory_learn(memory, law, swum, trial, true, &rules, scratch, report);
+    }
+    law_result_t result = learn_past_add(past, law, memory, &rules, scratch);
+    memcpy(swum_rad, memory->amplitude_rad, memory->beats * sizeof swum_rad[0]);
+    if (result == LAW_OK) {
+        result = memory_learn(memory, law, swum, trial, true, &rules, scratch, report);
+    }
+    if (result == LAW_OK && report->rolled_back) {
+        (void)learn_past_begin(past, past->kind, past->window);
+    } else if (result == LAW_OK) {
+        learn_past_keep(past, law, swum, swum_rad);
+    }
+    return result;
+}
+
+bool learn_batch_learn(memory_t *memories, learn_past_t *pasts, const law_t *laws, size_t fish,
                        const float *reference_m_s, const double *speed_m_s, uint32_t trial,
                        float rollback_ratio, memory_report_t *reports, double *applied_rad) {
-    float error[BEATS_MAX], scratch[BEATS_MAX];
+    float error[BEATS_MAX];
     uint8_t measured[BEATS_MAX];
     for (size_t i = 0; i < fish; i++) {
         memory_t *memory = &memories[i];
@@ -47,8 +70,8 @@ bool learn_batch_learn(memory_t *memories, const law_t *laws, size_t fish,
         errors_of(reference_m_s, speed_m_s + row, memory->beats, error, measured);
         const law_trial_t swum = {.beats = memory->beats, .error_m_s = error, .measured = measured};
         memset(&reports[i], 0, sizeof reports[i]);
-        const law_result_t result = memory_learn(memory, &laws[i], &swum, trial, true,
-                                                 rollback_ratio, scratch, &reports[i]);
+        const law_result_t result = learn_one(memory, pasts == NULL ? NULL : &pasts[i], &laws[i],
+                                              &swum, trial, rollback_ratio, &reports[i]);
         if (result != LAW_OK && result != LAW_NOTHING_MEASURED) {
             return false;
         }

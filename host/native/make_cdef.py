@@ -14,10 +14,10 @@ from pathlib import Path
 from cffi import FFI
 
 
-def preprocess(compiler: str, header: Path, includes: list[Path]) -> str:
+def preprocess(compiler: str, header: Path, includes: list[Path], defines: list[str]) -> str:
     """The declarations of |header| and all it includes, without any macro."""
     command = [compiler, "-std=c11", "-E", "-P", "-nostdinc", "-D_Static_assert(...)="]
-    command += [f"-I{path}" for path in includes]
+    command += [f"-I{path}" for path in includes] + [f"-D{name}" for name in defines]
     done = subprocess.run([*command, str(header)], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(done.stderr)
@@ -47,10 +47,11 @@ def main() -> None:
     parser.add_argument("--compiler", required=True)
     parser.add_argument("--header", type=Path, required=True)
     parser.add_argument("--include", type=Path, action="append", default=[])
+    parser.add_argument("--define", action="append", default=[])
     parser.add_argument("--cdef", type=Path, required=True, help="cffi text to write")
     parser.add_argument("--layout", type=Path, required=True, help="C source to write")
     options = parser.parse_args()
-    cdef = preprocess(options.compiler, options.header, options.include)
+    cdef = preprocess(options.compiler, options.header, options.include, options.define)
     source = layout_source(options.header, struct_names(cdef))
     options.cdef.write_text(cdef)
     options.layout.write_text(source)

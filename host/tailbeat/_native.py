@@ -41,8 +41,11 @@ def load(folder: Path = HERE) -> Native:
     Raises:
         NativeLibraryError: when it is not there or was built for another machine.
     """
-    cdef = folder / "native.cdef"
-    library = folder / "libtailbeat_native.so"
+    return load_library(folder / "native.cdef", folder / "libtailbeat_native.so")
+
+
+def load_library(cdef: Path, library: Path) -> Native:
+    """Loads ``library`` by the declarations in ``cdef``; raises as ``load``."""
     for path in (cdef, library):
         if not path.exists():
             raise NativeLibraryError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -36,14 +36,18 @@ _SHORT = {
     "amplitude_max": "amplitude_max_rad",
     "step_max": "step_max_rad",
 }
-_TAILS = {"hold": 0, "keep": 1}
+_TAILS = {"hold": 0, "keep": 1, "hold-new": 2, "hold-old": 3}
+LAST, MEAN, WINDOW = 0, 1, 2  # what a law learns from, LAW_KIND
+_KINDS = ("kind", "LAW_KIND")
 _WHOLE = ("fade_from", "q_len", "tail")
 _VISITS_MAX = 255
+_BEATS_MAX = 512
 _REFUSALS = {
     1: (
         "the law does not fit: a gain is not finite, a limit is not above 0, fade is below 0, "
-        "lead_beats is no multiple of 0.5, or lead_beats or q_len is too long.",
-        "The lead must be shorter than the trial and 2*q_len-1 must fit into it.",
+        "lead_beats is no multiple of 0.5, lead_beats or q_len is too long, or a mean has a kd.",
+        "The lead must be shorter than the trial and 2*q_len-1 must fit into it; "
+        "with LAW_KIND 1, LAW_KD is 0.",
     ),
     2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
     3: ("no beat has a measured speed.", "Upload the speeds of the trial, or swim it again."),
@@ -88,6 +92,24 @@ class Law:
 
 
 @dataclass(frozen=True)
+class Past:
+    """What the board's law learns from: ``kind`` LAST, MEAN or WINDOW, the last ``window`` trials.
+    LAW_KIND and LAW_WINDOW; firmware without them has the last trial alone."""
+
+    kind: int = LAST
+    window: int = 3
+
+    @classmethod
+    def from_params(cls, params: Mapping[str, float]) -> Past:
+        """What the board learns from with these parameters."""
+        return cls(int(params.get("LAW_KIND", cls.kind)), int(params.get("LAW_WINDOW", cls.window)))
+
+    def label(self) -> str:
+        """What a folder name says of it ahead of the law's label; "" for the last trial."""
+        return {LAST: "", MEAN: "mean-"}.get(self.kind, f"avg{self.window}-")
+
+
+@dataclass(frozen=True)
 class LawReport:
     """Mirror of ``law_report_t``; errors over measured beats, m/s."""
 
@@ -99,7 +121,8 @@ class LawReport:
 
 def load(path: Path) -> Law:
     """Reads a LAW.json: an object of ``Law`` fields or of parameter names; what is missing keeps
-    its default. ``gain`` and ``lead`` are understood too."""
+    its default. ``gain`` and ``lead`` are understood too, and the tail by name: hold, keep,
+    hold-new or hold-old."""
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -111,24 +134,36 @@ def load(path: Path) -> Law:
         raise InputError(f"{path.name} holds no JSON object.", 'Write it like {"kp_rad_s_m": 4}.')
     values: dict[str, Any] = {}
     for key, value in raw.items():
+        if key in _KINDS:
+            _check_kind(path, key, value)
+            continue
         field = _PARAMS.get(key) or _SHORT.get(key) or key
         values[field] = _law_value(path, key, field, value)
     return Law(**values)
+
+
+def _check_kind(path: Path, key: str, value: object) -> None:
+    if isinstance(value, bool) or value != LAST:
+        raise InputError(
+            f"{path.name}: {key} is not 0. An average needs its earlier trials, and this applies "
+            "the law to one.",
+            f"Leave {key} out; the board averages with LAW_KIND 1 or 2, see 'learn --dry-run'.",
+        )
 
 
 def _law_value(path: Path, key: str, field: str, value: object) -> float | int:
     names = [f.name for f in fields(Law)]
     if field not in names:
         raise InputError(f"{path.name}: unknown key {key}.", f"Known are {', '.join(names)}.")
-    if field == "tail" and value in _TAILS:
-        return _TAILS[str(value)]
+    if field == "tail" and isinstance(value, str) and value in _TAILS:
+        return _TAILS[value]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{path.name}: {key} is not a number.", "Write it like 4 or 0.785.")
     if field == "lead_beats":
         return _lead(path, key, value)
     if field not in _WHOLE:
         return float(value)
-    if not 0 <= value <= 65535 or value != int(value) or (field == "tail" and value > 1):
+    if not 0 <= value <= 65535 or value != int(value) or (field == "tail" and value > 3):
         raise InputError(f"{path.name}: {key} is not a whole number that fits.", "Use 0, 1, 2, …")
     return int(value)
 
@@ -164,7 +199,7 @@ class _Call:
         from tailbeat._native import ffi, lib
 
         beats = len(amplitudes)
-        if len(errors) != beats or not 1 <= beats <= 512:
+        if len(errors) != beats or not 1 <= beats <= _BEATS_MAX:
             raise InputError(
                 f"{beats} amplitudes and {len(errors)} errors do not make a trial.",
                 "Give one of each per beat, 1 to 512 beats.",
@@ -251,6 +286,15 @@ class Memory:
     visits: NDArray[np.uint8] | None = None  # None: none
 
 
+@dataclass(frozen=True)
+class PastTrial:
+    """A trial that was learned from, or the mean of ``trials`` of them, as the board keeps it."""
+
+    amplitude_rad: Floats  # as swum
+    error_m_s: Floats  # NaN = not measured
+    trials: int = 1
+
+
 def learn(
     law: Law,
     memory: Memory,
@@ -258,8 +302,15 @@ def learn(
     measured: ArrayLike,
     complete: bool,
     rollback_ratio: float,
+    past: Past | None = None,
+    earlier: Sequence[PastTrial] = (),
+    beyond: int = 0,
 ) -> tuple[Floats, LawReport, bool]:
-    """What the board would make of a trial: (next amplitudes, report, rolled back)."""
+    """What the board would make of a trial: (next amplitudes, report, rolled back).
+
+    ``earlier``: with a moving average the trials it looks back on, newest first; with a mean that
+    of all of them. ``beyond``: LAW_BEYOND.
+    """
     call = _Call(law, memory.amplitude_rad, np.asarray(errors, dtype=np.float32), measured)
     native = call.ffi.new("memory_t *")
     call.lib.memory_begin(native, 1, call.beats)
@@ -271,14 +322,34 @@ def learn(
     if memory.best_iteration:
         native.best_rad[0 : call.beats] = memory.best_rad.tolist()
     report = call.ffi.new("memory_report_t *")
+    rules = call.ffi.new("memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": beyond})
+    kept = _kept(call, past or Past(), earlier)
+    call.check(call.lib.learn_past_add(kept, call.law, native, rules, call.scratch))
     call.check(
         call.lib.memory_learn(
-            native, call.law, call.trial, 1, complete, rollback_ratio, call.scratch, report
+            native, call.law, call.trial, 1, complete, rules, call.scratch, report
         )
     )
     following = np.frombuffer(call.ffi.buffer(native.amplitude_rad), dtype=np.float32)
     found = LawReport(*(getattr(report.law, f.name) for f in fields(LawReport)))
     return following[: call.beats].copy(), found, bool(report.rolled_back)
+
+
+def _kept(call: _Call, past: Past, earlier: Sequence[PastTrial]) -> Any:
+    """``earlier`` where the C code looks for them."""
+    kept = call.ffi.new("learn_past_t *")
+    if not call.lib.learn_past_begin(kept, past.kind, past.window):
+        raise InputError(
+            f"there is no law that learns from kind {past.kind}, window {past.window}.",
+            "Kinds are 0, 1 and 2, windows 2 to 8.",
+        )
+    kept.trials = sum(one.trials for one in earlier)
+    for slot, one in enumerate(reversed(earlier)):
+        measured = np.isfinite(one.error_m_s)
+        kept.trial[slot].amplitude_rad[0 : call.beats] = one.amplitude_rad.tolist()
+        kept.trial[slot].error_m_s[0 : call.beats] = np.where(measured, one.error_m_s, 0).tolist()
+        kept.trial[slot].measured[0 : call.beats] = measured.astype(int).tolist()
+    return kept
 
 
 def first(law: Law, reference_m_s: ArrayLike) -> Floats:

@@ -15,7 +15,7 @@
 
 #include <float.h>
 
-#define KIND_COUNT 9u
+#define KIND_COUNT 10u
 #define LONGEST RECORD_TRIAL_MAX_BYTES
 #define PATTERN 0xA5
 
@@ -29,6 +29,7 @@ typedef union {
     amplitudes_upload_t amplitudes;
     crash_report_t crash;
     key_record_t key;
+    past_t past;
 } any_t;
 
 typedef struct {
@@ -42,7 +43,7 @@ typedef struct {
 
 static const shape_t shapes[KIND_COUNT] = {
     {"TBRF", 4, 4}, {"TBLI", 20, 9}, {"TBTR", 16, 12}, {"TBPA", 0, 20}, {"TBCT", 4, 0},
-    {"TBSP", 4, 8}, {"TBAM", 4, 4},  {"TBCR", 174, 4}, {"TBKY", 8, 32},
+    {"TBSP", 4, 8}, {"TBAM", 4, 4},  {"TBCR", 174, 4}, {"TBKY", 8, 32}, {"TBPT", 20, 8},
 };
 
 static fault_t decode(unsigned kind, const uint8_t *bytes, size_t length, any_t *out) {
@@ -64,8 +65,10 @@ static fault_t decode(unsigned kind, const uint8_t *bytes, size_t length, any_t 
         return record_decode_amplitudes(bytes, length, &out->amplitudes);
     case 7:
         return record_decode_crash(bytes, length, &out->crash);
-    default:
+    case 8:
         return record_decode_key(bytes, length, &out->key);
+    default:
+        return record_decode_past(bytes, length, &out->past);
     }
 }
 
@@ -87,8 +90,10 @@ static size_t encode(unsigned kind, const any_t *value, uint8_t *out) {
         return record_encode_amplitudes(&value->amplitudes, out);
     case 7:
         return record_encode_crash(&value->crash, out);
-    default:
+    case 8:
         return record_encode_key(&value->key, out);
+    default:
+        return record_encode_past(&value->past, out);
     }
 }
 
@@ -145,6 +150,17 @@ static void key_in_bounds(const key_record_t *key) {
     MUST(key->set || any == 0);
 }
 
+static void past_in_bounds(const past_t *past) {
+    beats_in_bounds(past->beats);
+    MUST(past->trial > 0 && past->trials > 0);
+    MUST(past->kind == PAST_MEAN || past->kind == PAST_WINDOW);
+    finite(past->amplitude_rad, past->beats, 0.0f);
+    for (unsigned i = 0; i < past->beats; i++) {
+        const float error = past->error_m_s[i];
+        MUST(error != error || real_is_finite(error));
+    }
+}
+
 static void in_bounds(unsigned kind, const any_t *value) {
     switch (kind) {
     case 0:
@@ -177,8 +193,11 @@ static void in_bounds(unsigned kind, const any_t *value) {
         MUST(memchr(value->crash.build_id, 0, BUILD_ID_BYTES) != NULL);
         MUST(memchr(value->crash.crash.where, 0, HAL_CRASH_WHERE_BYTES) != NULL);
         break;
-    default:
+    case 8:
         key_in_bounds(&value->key);
+        break;
+    default:
+        past_in_bounds(&value->past);
         break;
     }
 }

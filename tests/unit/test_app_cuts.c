@@ -2,7 +2,8 @@
  * The whole firmware through two learning trials, with the power cut at every single page write of
  * it. The session is played once to see what a board knows at the end of each step, and once more
  * with a second board booting from what each cut leaves: it must know what the first one knew
- * before the step or after it. APP_CUT_PAIRS (40) pairs of cuts follow, the second one while
+ * before the step or after it. The same for the learning of a law that averages: what the cut left
+ * must learn the same of the trial. APP_CUT_PAIRS (40) pairs of cuts follow, the second one while
  * that board boots or goes on.
  */
 #include "app_fixture.h"
@@ -32,6 +33,7 @@ static flash_model_t model, dark_model;
 static knowledge_t after[STEPS_MAX]; /* [0] = before the first step */
 static uint32_t step_count, step, writes, cuts, pairs_wanted, pairs_done, all_writes, started;
 static bool learning_began;
+static bool only_learning; /* no other step is cut */
 static enum { LOOK, CUT, CUT_TWICE } mode;
 
 static knowledge_t known_to(const app_t *board) {
@@ -135,11 +137,25 @@ static void darken(cut_kind_t kind, uint32_t offset, const uint8_t *page) {
     flash_model_cut(&dark_model, &dark_hal, kind, offset, page);
 }
 
+/* The old learned input has its whole past, whatever lies beside it. */
+static void learns_the_same(void) {
+    const knowledge_t *old = &after[step], *new = &after[step + 1u];
+    if (!dark.run.pending || !same_memory(&dark.memory, &old->memory)) {
+        return;
+    }
+    TEST_ASSERT_EQUAL(FAULT_NONE, order(LINK_COMMAND_LEARN, dark.run.trial.number));
+    boot_dark();
+    TEST_ASSERT_TRUE(same_memory(&dark.memory, &new->memory));
+}
+
 static void cut_in_every_way(uint32_t offset, const uint8_t *page) {
     for (unsigned kind = 0; kind < CUT_KINDS; kind++) {
         darken((cut_kind_t)kind, offset, page);
         boot_dark();
         expect_old_or_new();
+        if (learning_began) {
+            learns_the_same();
+        }
         if (cuts++ % GOES_ON_EVERY == writes % GOES_ON_EVERY) {
             goes_on();
         }
@@ -169,7 +185,7 @@ static void cut_twice(uint32_t offset, const uint8_t *page) {
 static void at_write(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
     writes++;
-    if (mode == CUT) {
+    if (mode == CUT && (learning_began || !only_learning)) {
         cut_in_every_way(offset, page);
     }
     while (mode == CUT_TWICE &&
@@ -235,7 +251,7 @@ static void upload_amplitudes(void) {
     done();
 }
 
-static void session(void) {
+static void begin_session(void) {
     step = writes = started = 0;
     learning_began = false;
     mock_hal_init(&hal);
@@ -250,6 +266,10 @@ static void session(void) {
     }
     app_init(&app, &hal);
     done();
+}
+
+static void session(void) {
+    begin_session();
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 3.0f));
     do_command(LINK_COMMAND_PARAMS_SAVE, 0);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
@@ -273,7 +293,20 @@ static void session(void) {
     done();
 }
 
-void setUp(void) {}
+static void session_of_averages(float kind) {
+    begin_session();
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_KIND, kind));
+    do_command(LINK_COMMAND_PARAMS_SAVE, 0);
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    done();
+    for (uint32_t trial = 1; trial <= 5u; trial++) {
+        swim_speed_m_s = 0.02f + 0.003f * (float)(trial % 3u);
+        swim(trial, BEATS * 1000u + 5000u);
+        do_command(LINK_COMMAND_LEARN, trial);
+    }
+}
+
+void setUp(void) { only_learning = false; }
 
 void tearDown(void) {
     if (Unity.CurrentTestFailed) {
@@ -294,6 +327,25 @@ static void test_a_cut_at_every_write_of_a_session(void) {
            (unsigned)cuts);
 }
 
+static void check_cuts_of_averages(past_kind_t kind) {
+    only_learning = true;
+    cuts = 0;
+    mode = LOOK;
+    session_of_averages((float)kind);
+    mode = CUT;
+    session_of_averages((float)kind);
+    TEST_ASSERT_EQUAL_UINT32(step_count, step);
+    printf("law %u: %u cuts while learning\n", (unsigned)kind, (unsigned)cuts);
+}
+
+static void test_a_cut_at_every_write_that_learns_a_mean(void) {
+    check_cuts_of_averages(PAST_MEAN);
+}
+
+static void test_a_cut_at_every_write_that_learns_a_moving_average(void) {
+    check_cuts_of_averages(PAST_WINDOW);
+}
+
 static void test_pairs_of_cuts(void) {
     const char *text = getenv("APP_CUT_PAIRS");
     pairs_wanted = text != NULL ? (uint32_t)strtoul(text, NULL, 10) : 40u;
@@ -307,5 +359,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_ON_HOST(test_a_cut_at_every_write_of_a_session);
     RUN_ON_HOST(test_pairs_of_cuts);
+    RUN_ON_HOST(test_a_cut_at_every_write_that_learns_a_mean);
+    RUN_ON_HOST(test_a_cut_at_every_write_that_learns_a_moving_average);
     return UNITY_END();
 }

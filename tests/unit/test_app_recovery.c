@@ -116,6 +116,19 @@ static void test_a_start_from_an_earlier_boot_is_stale(void) {
     TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
 }
 
+/* The pending trial has these beats, and they are what is learned from. */
+static void learn_from_beats(uint16_t executed) {
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL(executed, app.run.trial.executed);
+    const memory_t before = app.memory;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    for (uint16_t k = 0; k < BEATS; k++) {
+        const bool changed = app.memory.amplitude_rad[k] != before.amplitude_rad[k];
+        TEST_ASSERT_EQUAL(k < executed, changed);
+        TEST_ASSERT_EQUAL(k < executed, app.memory.visits[k]);
+    }
+}
+
 static void test_a_reboot_after_an_abort_keeps_the_trial(void) {
     start_trial(BEATS, SPEED);
     run_ms(3250);
@@ -126,6 +139,34 @@ static void test_a_reboot_after_an_abort_keeps_the_trial(void) {
     reboot();
     TEST_ASSERT_TRUE(app.run.pending);
     TEST_ASSERT_EQUAL(3, app.run.trial.executed);
+    learn_from_beats(3);
+}
+
+/* The last voltage it has is enough to swim with: every beat counts. */
+static void test_an_empty_battery_takes_no_beat_away(void) {
+    start_trial(BEATS, SPEED);
+    run_ms(2600);
+    hal.battery_mv = 5000;
+    run_ms(1100); /* BATT_SAG_S and a frame */
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_CRITICAL, app.supervisor.reason);
+    run_ms(5000);
+    reboot(); /* or it is changed */
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_CRITICAL, app.run.trial.end);
+    learn_from_beats(3);
+}
+
+/* Nothing of it was ever pending: what was learned stands, and the number is used up. */
+static void test_power_lost_in_mid_swim_teaches_nothing(void) {
+    start_trial(BEATS, SPEED);
+    const uint32_t number = app.run.trial.number;
+    run_ms(3250);
+    const memory_t before = app.memory;
+    reboot();
+    TEST_ASSERT_FALSE(app.run.pending);
+    TEST_ASSERT_EQUAL(FAULT_NO_TRIAL, command(LINK_COMMAND_LEARN, number));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+    TEST_ASSERT_EQUAL_UINT32(number + 1u, app.next_trial);
 }
 
 static void test_a_board_about_to_reboot_does_not_arm(void) {
@@ -164,6 +205,8 @@ int main(void) {
     RUN_TEST(test_an_unattended_board_stays_armed);
     RUN_TEST(test_a_start_from_an_earlier_boot_is_stale);
     RUN_TEST(test_a_reboot_after_an_abort_keeps_the_trial);
+    RUN_TEST(test_an_empty_battery_takes_no_beat_away);
+    RUN_TEST(test_power_lost_in_mid_swim_teaches_nothing);
     RUN_TEST(test_a_board_about_to_reboot_does_not_arm);
     RUN_TEST(test_an_aborted_trial_without_speeds_is_not_learned_from);
     RUN_TEST(test_an_endless_beat_is_refused);

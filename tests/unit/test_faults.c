@@ -42,6 +42,7 @@ static const struct {
     {4, "TILT", FAULT_KIND_ABORT},
     {5, "REBOOT", FAULT_KIND_ABORT},
     {6, "WALL", FAULT_KIND_ABORT},
+    {7, "ERROR_LIMIT", FAULT_KIND_ABORT},
     {20, "BATTERY_CRITICAL", FAULT_KIND_FAULT},
     {21, "LATE_TICK", FAULT_KIND_FAULT},
     {22, "STORAGE", FAULT_KIND_FAULT},
@@ -78,6 +79,8 @@ static const struct {
     {63, "NOT_FRESH", FAULT_KIND_REFUSAL},
     {64, "NOT_WIRED", FAULT_KIND_REFUSAL},
     {65, "OTHER_HOST", FAULT_KIND_REFUSAL},
+    {66, "LAW_FEEDBACK", FAULT_KIND_REFUSAL},
+    {67, "LAW_SIGN", FAULT_KIND_REFUSAL},
 };
 
 static void numbers_are_stable(void) {

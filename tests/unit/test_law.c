@@ -2,6 +2,7 @@
 #include "ilc/law.h"
 
 #include "base/crc.h"
+#include "base/units.h"
 #include "unity.h"
 
 #include <math.h>
@@ -152,19 +153,20 @@ static void test_half_leads_lie_between_the_whole_ones(void) {
 static void test_what_a_trial_corrects(void) {
     const law_trial_t trial = {.beats = 4, .error_m_s = e, .measured = measured};
     measured[1] = measured[2] = 0;
-    const uint8_t wanted[][2][4] = {
-        /* hold, keep */ {{1, 0, 0, 1}, {1, 0, 0, 1}},
-        {{1, 0, 1, 1}, {1, 0, 1, 0}},
-        {{0, 0, 1, 1}, {0, 0, 1, 0}},
-        {{0, 1, 1, 1}, {0, 1, 0, 0}},
+    const uint8_t wanted[][LAW_TAIL_COUNT][4] = {
+        /* hold, keep, hold new, hold old */
+        {{1, 0, 0, 1}, {1, 0, 0, 1}, {1, 0, 0, 1}, {1, 0, 0, 1}},
+        {{1, 0, 1, 1}, {1, 0, 1, 0}, {1, 0, 1, 1}, {1, 0, 1, 0}},
+        {{0, 0, 1, 1}, {0, 0, 1, 0}, {0, 0, 1, 1}, {0, 0, 1, 0}},
+        {{0, 1, 1, 1}, {0, 1, 0, 0}, {0, 1, 1, 1}, {0, 1, 0, 0}},
     };
     for (uint32_t halves = 0; halves < 4u; halves++) {
         for (uint32_t k = 0; k < 4u; k++) {
-            law.lead_beats = (float)halves / 2.0f;
-            law.tail = LAW_TAIL_HOLD;
-            TEST_ASSERT_EQUAL(wanted[halves][0][k], law_corrects(&law, &trial, k));
-            law.tail = LAW_TAIL_KEEP;
-            TEST_ASSERT_EQUAL(wanted[halves][1][k], law_corrects(&law, &trial, k));
+            for (uint32_t tail = 0; tail < LAW_TAIL_COUNT; tail++) {
+                law.lead_beats = (float)halves / 2.0f;
+                law.tail = (law_tail_t)tail;
+                TEST_ASSERT_EQUAL(wanted[halves][tail][k], law_corrects(&law, &trial, k));
+            }
         }
     }
 }
@@ -189,10 +191,10 @@ static void test_what_moves_an_amplitude_corrects_it(void) {
             for (uint32_t k = 0; k < 5u; k++) {
                 measured[k] = (uint8_t)(which >> k & 1u);
             }
-            for (uint32_t halves = 0; halves < 8u; halves++) {
+            for (uint32_t halves = 0; halves < 10u; halves++) {
                 law.kd_rad_s2_m = derivatives[i];
                 law.lead_beats = (float)halves / 2.0f;
-                law.tail = (which + i) % 2u == 0 ? LAW_TAIL_HOLD : LAW_TAIL_KEEP;
+                law.tail = (law_tail_t)((which + i) % LAW_TAIL_COUNT);
                 check_corrects(5);
             }
         }
@@ -269,16 +271,267 @@ static void test_one_beat_has_no_derivative(void) {
 }
 
 static void test_unmeasured_beats_count_as_no_error(void) {
-    law.kd_rad_s2_m = 1.0f;
     set(e, (float[]){0.01f, (float)NAN, 0.03f, 1e30f}, 4);
     set(u, (float[]){0.1f, 0.1f, 0.1f, 0.1f}, 4);
     measured[1] = 0;
     measured[3] = 0;
     TEST_ASSERT_EQUAL(LAW_OK, update(4));
-    check((float[]){0.1f + 0.04f - 0.01f, 0.1f + 0.03f, 0.1f + 0.12f - 0.03f, 0.1f - 0.03f}, 4);
+    check((float[]){0.14f, 0.1f, 0.22f, 0.1f}, 4);
     TEST_ASSERT_EQUAL(2, report.measured_beats);
     TEST_ASSERT_FLOAT_WITHIN(1e-8f, 0.03f, report.max_abs_error_m_s);
     TEST_ASSERT_FLOAT_WITHIN(1e-8f, 0.02236068f, report.rms_error_m_s);
+}
+
+/* What is not known did not change: only 0 to 1 and 4 to 5 have both ends, and the last beat
+ * repeats the difference before it. */
+static void test_a_difference_with_an_unmeasured_end_is_none(void) {
+    law.kp_rad_s_m = 0.0f;
+    law.kd_rad_s2_m = 1.0f;
+    set(e, (float[]){0.01f, 0.04f, (float)NAN, 0.5f, (float)NAN, 0.02f, 0.07f}, 7);
+    measured[2] = measured[4] = 0;
+    TEST_ASSERT_EQUAL(LAW_OK, update(7));
+    check((float[]){0.03f, 0.0f, 0.0f, 0.0f, 0.0f, 0.05f, 0.05f}, 7);
+
+    law.lead_beats = 0.5f; /* an unknown half of a mean counts as no change, too */
+    memset(u, 0, sizeof u);
+    TEST_ASSERT_EQUAL(LAW_OK, update(7));
+    check((float[]){0.015f, 0.0f, 0.0f, 0.0f, 0.025f, 0.05f, 0.05f}, 7);
+
+    law.lead_beats = 0.0f;
+    measured[6] = 0; /* a trial that was cut has no cliff at its end */
+    memset(u, 0, sizeof u);
+    TEST_ASSERT_EQUAL(LAW_OK, update(7));
+    check((float[]){0.03f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, 7);
+}
+
+static void test_tails_that_hold_an_input(void) {
+    const float old[] = {0.1f, 0.2f, 0.3f, 2.0f, -1.0f};
+    set(e, (float[]){0.9f, 0.9f, 0.01f, 0.02f, 0.03f}, 5);
+    law.lead_beats = 2.0f;
+    law.tail = LAW_TAIL_HOLD_NEW;
+    set(u, old, 5);
+    TEST_ASSERT_EQUAL(LAW_OK, update(5));
+    check((float[]){0.14f, 0.28f, 0.42f, 0.42f, 0.42f}, 5);
+    law.tail = LAW_TAIL_HOLD_OLD;
+    set(u, old, 5);
+    TEST_ASSERT_EQUAL(LAW_OK, update(5));
+    check((float[]){0.14f, 0.28f, 0.42f, 0.3f, 0.3f}, 5);
+
+    law.lead_beats = 0.5f;
+    set(u, (float[]){0.1f, 0.2f, 0.3f, 2.0f, -1.0f}, 5);
+    TEST_ASSERT_EQUAL(LAW_OK, update(5)); /* the old input that is held is saturated, too */
+    check((float[]){3.7f, 2.02f, 0.36f, 0.8853982f, 0.7853982f}, 5);
+}
+
+static void test_tails_are_held_ahead_of_the_filter(void) {
+    law.lead_beats = 1.5f;
+    law.tail = LAW_TAIL_HOLD_NEW;
+    law.q_len = 2;
+    set(e, (float[]){0.0f, 0.1f, 0.1f, 0.3f, 0.3f}, 5);
+    TEST_ASSERT_EQUAL(LAW_OK, update(5)); /* .4 .8 1.2, held: 1.2 1.2; then 1 2 1 */
+    check((float[]){1.6f / 3.0f, 0.8f, 1.1f, 1.2f, 1.2f}, 5);
+}
+
+static void test_a_lead_that_leaves_nothing_to_hold_keeps(void) {
+    for (uint32_t tail = LAW_TAIL_KEEP; tail < LAW_TAIL_COUNT; tail++) {
+        law.tail = (law_tail_t)tail;
+        law.lead_beats = 2.5f;
+        set(u, (float[]){0.1f, 2.0f, 0.3f}, 3);
+        set(e, (float[]){0.1f, 0.1f, 0.1f}, 3);
+        TEST_ASSERT_EQUAL(LAW_OK, update(3));
+        check((float[]){0.1f, 0.7853982f, 0.3f}, 3);
+        law.lead_beats = 2.0f; /* one beat is corrected, and held to the end */
+        set(u, (float[]){0.1f, 0.2f, 0.3f}, 3);
+        TEST_ASSERT_EQUAL(LAW_OK, update(3));
+        const float held = tail == LAW_TAIL_HOLD_NEW ? 0.5f : 0.1f;
+        const bool keeps = tail == LAW_TAIL_KEEP;
+        check((float[]){0.5f, keeps ? 0.2f : held, keeps ? 0.3f : held}, 3);
+    }
+}
+
+/* The contract read plainly, in double: e or de at a place on the beats' own grid. */
+static double plain_error(double place) {
+    const uint32_t near[2] = {(uint32_t)floor(place), (uint32_t)ceil(place)};
+    double sum = 0.0, seen = 0.0;
+    for (uint32_t i = 0; i < 2u; i++) {
+        sum += measured[near[i]] ? (double)e[near[i]] : 0.0;
+        seen += measured[near[i]] ? 1.0 : 0.0;
+    }
+    return seen > 0.0 ? sum / seen : 0.0;
+}
+
+static double plain_difference(double place, uint32_t beats) {
+    double sum = 0.0;
+    const uint32_t near[2] = {(uint32_t)floor(place), (uint32_t)ceil(place)};
+    for (uint32_t i = 0; i < 2u; i++) {
+        const uint32_t from = near[i] == beats - 1u ? beats - 2u : near[i];
+        if (measured[from] && measured[from + 1u]) {
+            sum += ((double)e[from + 1u] - (double)e[from]) / (double)law.beat_s;
+        }
+    }
+    return sum / 2.0;
+}
+
+static double plain_old(uint32_t k) {
+    return fmin(fmax((double)u[k], (double)law.amplitude_min_rad), (double)law.amplitude_max_rad);
+}
+
+static void plain_update(uint32_t beats, double *out) {
+    const double last = beats - 1u, lead = (double)law.lead_beats;
+    const bool hold_new = law.tail == LAW_TAIL_HOLD_NEW, hold_old = law.tail == LAW_TAIL_HOLD_OLD;
+    int32_t corrected = -1; /* the last beat that is */
+    for (uint32_t k = 0; k < beats; k++) {
+        double place = k + lead;
+        out[k] = plain_old(k);
+        if (place > last && law.tail == LAW_TAIL_HOLD) {
+            place = last;
+        }
+        if (place <= last) {
+            corrected = (int32_t)k;
+            out[k] += (double)law.kp_rad_s_m * plain_error(place) +
+                      (double)law.kd_rad_s2_m * plain_difference(place, beats);
+        } else if (corrected >= 0 && (hold_new || hold_old)) {
+            out[k] = hold_new ? out[corrected] : plain_old((uint32_t)corrected);
+        }
+    }
+}
+
+static void test_all_leads_and_tails_against_a_plain_reading(void) {
+    double wanted[BEATS];
+    law.kd_rad_s2_m = -0.7f;
+    law.beat_s = 0.8f;
+    law.amplitude_min_rad = -0.2f;
+    for (uint32_t tail = 0; tail < LAW_TAIL_COUNT; tail++) {
+        for (uint32_t halves = 0; halves < 2u * BEATS; halves++) {
+            law.tail = (law_tail_t)tail;
+            law.lead_beats = (float)halves / 2.0f;
+            for (uint32_t k = 0; k < BEATS; k++) {
+                u[k] = 0.05f * (float)(k * 7u % 41u) - 0.5f;
+                e[k] = 0.003f * (float)(k * 11u % 37u) - 0.05f;
+                measured[k] = (k * 5u + halves) % 7u != 3u;
+            }
+            plain_update(BEATS, wanted);
+            TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+            for (uint32_t k = 0; k < BEATS; k++) {
+                TEST_ASSERT_FLOAT_WITHIN(1e-6f, (float)wanted[k], u[k]);
+            }
+        }
+    }
+}
+
+static void test_the_range_may_begin_below_zero(void) {
+    law.amplitude_min_rad = -0.3f;
+    law.amplitude_max_rad = -0.1f;
+    set(u, (float[]){-1.0f, -0.2f, 0.5f}, 3);
+    set(e, (float[]){0.01f, 0.01f, 0.01f}, 3);
+    TEST_ASSERT_EQUAL(LAW_OK, update(3));
+    check((float[]){-0.26f, -0.16f, -0.06f}, 3);
+    TEST_ASSERT_EQUAL(1, report.saturated_beats);
+    TEST_ASSERT_FLOAT_WITHIN(1e-7f, -0.3f, law_saturate(&law, -2.0f));
+    TEST_ASSERT_FLOAT_WITHIN(1e-7f, -0.1f, law_saturate(&law, 0.0f));
+    TEST_ASSERT_TRUE(isnan(law_saturate(&law, (float)NAN)));
+}
+
+static law_result_t add(law_weights_t weights, uint16_t beats, float *sum) {
+    const law_trial_t trial = {
+        .beats = beats, .error_m_s = e, .measured = measured, .visits = visits};
+    return law_add(&law, &weights, &trial, u, sum);
+}
+
+static void test_weighted_trials_add_up(void) {
+    float sum[3] = {0};
+    law.kd_rad_s2_m = 2.0f;
+    law.beat_s = 0.5f;
+    set(u, (float[]){0.2f, 0.4f, 2.0f}, 3);
+    set(e, (float[]){0.01f, 0.03f, (float)NAN}, 3);
+    measured[2] = 0;
+    TEST_ASSERT_EQUAL(LAW_OK, add((law_weights_t){0.75f, 0.5f, -1.0f}, 3, sum));
+    set(u, (float[]){0.1f, -0.4f, 0.3f}, 3);
+    set(e, (float[]){0.05f, -0.02f, 0.01f}, 3);
+    measured[2] = 1;
+    TEST_ASSERT_EQUAL(LAW_OK, add((law_weights_t){0.25f, 2.0f, 0.0f}, 3, sum));
+    const float wanted[] = {0.15f + 0.02f - 0.08f + 0.025f + 0.4f, 0.3f + 0.06f - 0.16f,
+                            0.58904862f + 0.075f + 0.08f};
+    for (uint32_t k = 0; k < 3u; k++) {
+        TEST_ASSERT_FLOAT_WITHIN(1e-6f, wanted[k], sum[k]);
+    }
+    law.step_max_rad = 0.1f; /* of what was last swum */
+    law_finish(&law, 3, sum, u);
+    check((float[]){0.2f, 0.1f, 0.4f}, 3);
+}
+
+static void test_the_old_tail_holds_what_was_last_swum(void) {
+    float sum[3] = {0.5f, 0.6f, 0.7f};
+    set(u, (float[]){0.1f, 2.0f, 0.3f}, 3);
+    law.lead_beats = 1.0f;
+    law.tail = LAW_TAIL_HOLD_OLD;
+    law_finish(&law, 3, sum, u);
+    check((float[]){0.5f, 0.6f, 0.7853982f}, 3);
+}
+
+static void test_a_trial_without_speeds_adds_its_input(void) {
+    float sum[2] = {0.1f, 0.1f};
+    memset(measured, 0, sizeof measured);
+    set(u, (float[]){0.2f, 2.0f}, 2);
+    TEST_ASSERT_EQUAL(LAW_OK, add((law_weights_t){0.5f, 1.0f, 1.0f}, 2, sum));
+    TEST_ASSERT_FLOAT_WITHIN(1e-7f, 0.2f, sum[0]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 0.4926991f, sum[1]);
+}
+
+static void check_not_added(law_result_t expected, law_weights_t weights) {
+    const float before[2] = {0.1f, 0.2f};
+    float sum[2] = {0.1f, 0.2f};
+    TEST_ASSERT_EQUAL(expected, add(weights, 2, sum));
+    TEST_ASSERT_EQUAL_MEMORY(before, sum, sizeof sum);
+}
+
+static void test_what_cannot_be_added_leaves_the_sum(void) {
+    const float bad[] = {(float)NAN, (float)INFINITY, -(float)INFINITY};
+    set(u, (float[]){0.2f, 0.3f}, 2);
+    set(e, (float[]){0.1f, 0.2f}, 2);
+    for (int i = 0; i < 3; i++) {
+        check_not_added(LAW_BAD_INPUT, (law_weights_t){bad[i], 1.0f, 1.0f});
+        check_not_added(LAW_BAD_INPUT, (law_weights_t){1.0f, bad[i], 1.0f});
+        check_not_added(LAW_BAD_INPUT, (law_weights_t){1.0f, 1.0f, bad[i]});
+        e[1] = bad[i];
+        check_not_added(LAW_BAD_INPUT, (law_weights_t){1.0f, 1.0f, 1.0f});
+        e[1] = 0.2f;
+        u[1] = bad[i];
+        check_not_added(LAW_BAD_INPUT, (law_weights_t){1.0f, 1.0f, 1.0f});
+        u[1] = 0.3f;
+    }
+    check_not_added(LAW_BAD_INPUT, (law_weights_t){1e31f, 1.0f, 1.0f});
+    check_not_added(LAW_BAD_INPUT, (law_weights_t){1.0f, 1e31f, 1.0f});
+    law.kd_rad_s2_m = 1.0f;
+    check_not_added(LAW_BAD_INPUT, (law_weights_t){1.0f, 1.0f, 1e31f});
+    law.q_len = 2;
+    check_not_added(LAW_BAD_CONFIG, (law_weights_t){1.0f, 1.0f, 1.0f});
+}
+
+static void test_one_whole_trial_added_and_finished_is_the_update(void) {
+    const law_weights_t whole = {1.0f, 1.0f, 1.0f};
+    float updated[BEATS], sum[BEATS];
+    for (uint32_t tail = 0; tail < LAW_TAIL_COUNT; tail++) {
+        law = (law_t){.kp_rad_s_m = 4.1f,
+                      .kd_rad_s2_m = 0.3f,
+                      .amplitude_min_rad = -0.1f,
+                      .amplitude_max_rad = 0.7f,
+                      .step_max_rad = 0.25f,
+                      .beat_s = 0.9f,
+                      .lead_beats = 2.5f,
+                      .fade = 0.17f,
+                      .q_len = 5,
+                      .tail = (law_tail_t)tail};
+        random_series();
+        measured[7] = 0;
+        TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
+        memcpy(updated, u, sizeof updated);
+        random_series();
+        memset(sum, 0, sizeof sum);
+        TEST_ASSERT_EQUAL(LAW_OK, add(whole, BEATS, sum));
+        law_finish(&law, BEATS, sum, u);
+        TEST_ASSERT_EQUAL_MEMORY(updated, u, sizeof updated);
+    }
 }
 
 static void test_no_flags_means_all_measured(void) {
@@ -396,6 +649,7 @@ static void test_bad_configurations(void) {
     for (int i = 0; i < 3; i++) {
         check_bad_field(&law.kp_rad_s_m, bad[i]);
         check_bad_field(&law.kd_rad_s2_m, bad[i]);
+        check_bad_field(&law.amplitude_min_rad, bad[i]);
         check_bad_field(&law.amplitude_max_rad, bad[i]);
         check_bad_field(&law.step_max_rad, bad[i]);
         check_bad_field(&law.beat_s, bad[i]);
@@ -404,21 +658,23 @@ static void test_bad_configurations(void) {
     }
     check_bad_field(&law.amplitude_max_rad, 0.0f);
     check_bad_field(&law.amplitude_max_rad, -1.0f);
+    check_bad_field(&law.amplitude_max_rad, 2e30f);
+    check_bad_field(&law.amplitude_min_rad, -2e30f);
+    check_bad_field(&law.amplitude_min_rad, law.amplitude_max_rad);
     check_bad_field(&law.step_max_rad, -0.1f);
     check_bad_field(&law.lead_beats, -0.5f);
     check_bad_field(&law.lead_beats, 0.25f);
     check_bad_field(&law.lead_beats, 3e38f);
     check_bad_field(&law.fade, -0.1f);
     check_bad_field(&law.beat_s, 0.0f);
-    law.tail = (law_tail_t)2;
+    law.tail = LAW_TAIL_COUNT;
     check_refused(LAW_BAD_CONFIG, 5);
 }
 
 static void test_lengths(void) {
     TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 0));
     TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 1));
-    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, BEATS_MAX));
-    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, BEATS_MAX + 1u));
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, UINT16_MAX));
     law.lead_beats = 5;
     TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 5));
     TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 6));
@@ -432,8 +688,12 @@ static void test_lengths(void) {
     law.q_len = 4;
     TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, 6));
     TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 7));
+    law.q_len = LAW_Q_LEN_MAX;
+    TEST_ASSERT_EQUAL(LAW_OK, law_check(&law, 2u * LAW_Q_LEN_MAX - 1u));
+    law.q_len = LAW_Q_LEN_MAX + 1u;
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, UINT16_MAX));
     law.q_len = UINT16_MAX;
-    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, BEATS_MAX));
+    TEST_ASSERT_EQUAL(LAW_BAD_CONFIG, law_check(&law, UINT16_MAX));
 }
 
 static void test_one_bad_number_refuses_the_whole_trial(void) {
@@ -488,7 +748,7 @@ static void test_bits_are_the_same_on_every_target(void) {
     TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
     uint32_t crc = crc32_update(0, u, BEATS * sizeof u[0]);
     crc = crc32_update(crc, &report.rms_error_m_s, sizeof report.rms_error_m_s);
-    TEST_ASSERT_EQUAL_HEX32(0x859DDEFAu, crc);
+    TEST_ASSERT_EQUAL_HEX32(0x0CEFF37Eu, crc);
 }
 
 static void test_bits_of_half_leads_and_faded_gains_too(void) {
@@ -505,7 +765,28 @@ static void test_bits_of_half_leads_and_faded_gains_too(void) {
         measured[k] = k % 9u != 4u;
     }
     TEST_ASSERT_EQUAL(LAW_OK, update(BEATS));
-    TEST_ASSERT_EQUAL_HEX32(0x1731041Eu, crc32_update(0, u, BEATS * sizeof u[0]));
+    TEST_ASSERT_EQUAL_HEX32(0xC6E7816Cu, crc32_update(0, u, BEATS * sizeof u[0]));
+}
+
+static void test_bits_of_held_tails_and_weights_too(void) {
+    float sum[BEATS] = {0};
+    law = (law_t){.kp_rad_s_m = 4.1f,
+                  .kd_rad_s2_m = 0.3f,
+                  .amplitude_min_rad = -0.2f,
+                  .amplitude_max_rad = 0.7f,
+                  .beat_s = 0.9f,
+                  .lead_beats = 3.5f,
+                  .q_len = 4,
+                  .tail = LAW_TAIL_HOLD_NEW};
+    random_series();
+    TEST_ASSERT_EQUAL(LAW_OK, add((law_weights_t){0.6f, 0.3f, 0.7f}, BEATS, sum));
+    for (uint32_t k = 0; k < BEATS; k++) {
+        u[k] = 0.02f * (float)(k * 13u % 43u) - 0.3f;
+        measured[k] = k % 9u != 4u;
+    }
+    TEST_ASSERT_EQUAL(LAW_OK, add((law_weights_t){0.4f, 1.3f, 0.2f}, BEATS, sum));
+    law_finish(&law, BEATS, sum, u);
+    TEST_ASSERT_EQUAL_HEX32(0x3C9F5DE7u, crc32_update(0, u, BEATS * sizeof u[0]));
 }
 
 int main(void) {
@@ -525,6 +806,17 @@ int main(void) {
     RUN_TEST(test_no_fade_changes_no_bit);
     RUN_TEST(test_one_beat_has_no_derivative);
     RUN_TEST(test_unmeasured_beats_count_as_no_error);
+    RUN_TEST(test_a_difference_with_an_unmeasured_end_is_none);
+    RUN_TEST(test_tails_that_hold_an_input);
+    RUN_TEST(test_tails_are_held_ahead_of_the_filter);
+    RUN_TEST(test_a_lead_that_leaves_nothing_to_hold_keeps);
+    RUN_TEST(test_all_leads_and_tails_against_a_plain_reading);
+    RUN_TEST(test_the_range_may_begin_below_zero);
+    RUN_TEST(test_weighted_trials_add_up);
+    RUN_TEST(test_the_old_tail_holds_what_was_last_swum);
+    RUN_TEST(test_a_trial_without_speeds_adds_its_input);
+    RUN_TEST(test_what_cannot_be_added_leaves_the_sum);
+    RUN_TEST(test_one_whole_trial_added_and_finished_is_the_update);
     RUN_TEST(test_no_flags_means_all_measured);
     RUN_TEST(test_filter_goldens);
     RUN_TEST(test_filter_is_two_moving_means_away_from_the_ends);
@@ -539,5 +831,6 @@ int main(void) {
     RUN_TEST(test_nothing_measured);
     RUN_TEST(test_bits_are_the_same_on_every_target);
     RUN_TEST(test_bits_of_half_leads_and_faded_gains_too);
+    RUN_TEST(test_bits_of_held_tails_and_weights_too);
     return UNITY_END();
 }

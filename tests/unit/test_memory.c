@@ -32,7 +32,8 @@ static law_result_t learn(float error, bool complete, float ratio) {
     const float errors[BEATS] = {0.0f, -error, error};
     const law_trial_t trial = {.beats = BEATS, .error_m_s = errors, .measured = measured};
     trial_number++;
-    return memory_learn(&memory, &law, &trial, trial_number, complete, ratio, scratch, &report);
+    const memory_rules_t rules = {.rollback_ratio = ratio};
+    return memory_learn(&memory, &law, &trial, trial_number, complete, &rules, scratch, &report);
 }
 
 static void first(void) {
@@ -276,7 +277,8 @@ static law_result_t learn_good(void) { return learn(0.01f, true, 1.3f); }
 static law_result_t learn_wrong_length(void) {
     const float errors[2] = {0.0f, 0.0f};
     const law_trial_t trial = {.beats = 2, .error_m_s = errors};
-    return memory_learn(&memory, &law, &trial, 9, true, 1.3f, scratch, &report);
+    const memory_rules_t rules = {.rollback_ratio = 1.3f};
+    return memory_learn(&memory, &law, &trial, 9, true, &rules, scratch, &report);
 }
 
 static void test_refusals_change_nothing(void) {

@@ -17,6 +17,7 @@ static speed_upload_t speeds;
 static amplitudes_upload_t amplitudes;
 static params_t params;
 static key_record_t key;
+static past_t past;
 
 /* Room for any decoded record, to see whether a refused one left it alone. */
 typedef union {
@@ -28,6 +29,7 @@ typedef union {
     params_t params;
     uint32_t next_trial;
     key_record_t key;
+    past_t past;
 } any_t;
 
 static any_t out, before;
@@ -50,6 +52,13 @@ static void fill(uint16_t beats) {
                       .source = SPEED_SOURCE_UPLOAD,
                       .end = FAULT_LINK_LOST};
     key = (key_record_t){.set = true, .key = {1, 2, 3, 4}, .mark = 0x0123456789ABu};
+    past = (past_t){.learned_crc = 0x0BADCAFEu,
+                    .previous_crc = 0x600DF00Du,
+                    .reference_crc = 0x9ABCDEF0u,
+                    .trial = 70001u,
+                    .kind = PAST_WINDOW,
+                    .trials = 3,
+                    .beats = beats};
     speeds = (speed_upload_t){.trial = 70001u, .beats = beats};
     amplitudes = (amplitudes_upload_t){.reference_crc = 0x13572468u, .beats = beats};
     for (uint16_t i = 0; i < beats; i++) {
@@ -60,6 +69,8 @@ static void fill(uint16_t beats) {
         trial.amplitude_rad[i] = 0.02f * (float)i;
         trial.speed_m_s[i] = i == 2 ? NAN : 0.004f * (float)i - 0.003f;
         trial.sigma_m_s[i] = i == 2 ? NAN : 0.0007f;
+        past.amplitude_rad[i] = trial.amplitude_rad[i];
+        past.error_m_s[i] = i == 2 ? NAN : 0.002f - 0.001f * (float)i;
         speeds.speed_m_s[i] = trial.speed_m_s[i];
         speeds.sigma_m_s[i] = trial.sigma_m_s[i];
         amplitudes.amplitude_rad[i] = memory.amplitude_rad[i];
@@ -84,6 +95,7 @@ static size_t encode_speeds(void) { return record_encode_speeds(&speeds, bytes);
 static size_t encode_amplitudes(void) { return record_encode_amplitudes(&amplitudes, bytes); }
 static size_t encode_params(void) { return record_encode_params(&params, bytes); }
 static size_t encode_counter(void) { return record_encode_counter(70002u, bytes); }
+static size_t encode_past(void) { return record_encode_past(&past, bytes); }
 static size_t encode_key(void) { return record_encode_key(&key, bytes); }
 
 static fault_t decode_reference(const uint8_t *at, size_t length) {
@@ -113,6 +125,10 @@ static fault_t decode_key(const uint8_t *at, size_t length) {
     return record_decode_key(at, length, &out.key);
 }
 
+static fault_t decode_past(const uint8_t *at, size_t length) {
+    return record_decode_past(at, length, &out.past);
+}
+
 typedef struct {
     const char *magic;
     size_t (*encode)(void);
@@ -129,6 +145,7 @@ static const kind_t kinds[] = {
     {"TBAM", encode_amplitudes, decode_amplitudes, 12 + 4 + 4 * BEATS},
     {"TBCT", encode_counter, decode_counter, 12 + 4},
     {"TBKY", encode_key, decode_key, 12 + 8 + 32},
+    {"TBPT", encode_past, decode_past, 12 + 20 + 8 * BEATS},
 };
 #define KINDS (sizeof kinds / sizeof kinds[0])
 
@@ -181,6 +198,17 @@ static void check_round_trip(uint16_t beats) {
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_amplitudes(bytes, encode_amplitudes()));
     TEST_ASSERT_EQUAL_HEX32(0x13572468u, out.amplitudes.reference_crc);
     TEST_ASSERT_EQUAL_MEMORY(amplitudes.amplitude_rad, out.amplitudes.amplitude_rad, size);
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_past(bytes, encode_past()));
+    TEST_ASSERT_EQUAL_HEX32(record_crc(bytes), out.past.crc);
+    TEST_ASSERT_EQUAL_HEX32(past.learned_crc, out.past.learned_crc);
+    TEST_ASSERT_EQUAL_HEX32(past.previous_crc, out.past.previous_crc);
+    TEST_ASSERT_EQUAL_HEX32(past.reference_crc, out.past.reference_crc);
+    TEST_ASSERT_EQUAL_UINT32(70001u, out.past.trial);
+    TEST_ASSERT_EQUAL_UINT16(PAST_WINDOW, out.past.kind);
+    TEST_ASSERT_EQUAL_UINT16(3, out.past.trials);
+    TEST_ASSERT_EQUAL_UINT16(beats, out.past.beats);
+    TEST_ASSERT_EQUAL_MEMORY(past.amplitude_rad, out.past.amplitude_rad, size);
+    TEST_ASSERT_EQUAL_MEMORY(past.error_m_s, out.past.error_m_s, size);
     /* These two have no gaps between their fields: the whole struct must come back. */
     memset(&out, 0, sizeof out);
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, encode_memory()));
@@ -216,6 +244,7 @@ static void test_sizes_are_the_longest_records(void) {
     }
     TEST_ASSERT_EQUAL_UINT(RECORD_TRIAL_MAX_BYTES, encode_trial());
     TEST_ASSERT_EQUAL_UINT(RECORD_MAX_BYTES, encode_memory());
+    TEST_ASSERT_EQUAL_UINT(RECORD_PAST_MAX_BYTES, encode_past());
 }
 
 static void test_counter_round_trip(void) {
@@ -312,6 +341,7 @@ static void test_bad_floats_are_refused(void) {
         bad_value(2, 28 + 8 * BEATS, never[i]); /* sigma of a measured beat */
         bad_value(4, 16 + 4 * BEATS, never[i]); /* the same in an upload */
         bad_value(5, 16, never[i]);             /* uploaded amplitude */
+        bad_value(8, 32 + 4 * 4, never[i]);     /* amplitude of a past trial */
     }
     bad_value(0, 12, 0.0f);
     bad_value(0, 12, -1.0f);
@@ -321,6 +351,8 @@ static void test_bad_floats_are_refused(void) {
     bad_value(2, 28, -0.001f);
     bad_value(2, 28 + 4 * BEATS, INFINITY); /* speed */
     bad_value(4, 16, -INFINITY);
+    bad_value(8, 32, -0.001f);
+    bad_value(8, 32 + 4 * BEATS, INFINITY); /* error of a past trial */
     bad_value(4, 16 + 4 * BEATS, -0.001f);
 }
 
@@ -340,6 +372,16 @@ static void test_bad_numbers_are_refused(void) {
     (void)bytes_put_u32(bytes + 12, 0);
     seal(length);
     refused(&kinds[2], length, FAULT_BAD_DATA);
+    const uint16_t wrong_past[][2] = {
+        {28, PAST_LAST}, {28, PAST_KIND_COUNT}, {30, 0}}; /* kind, trials */
+    for (size_t i = 0; i < 3; i++) {
+        length = encode_past();
+        (void)bytes_put_u16(bytes + wrong_past[i][0], wrong_past[i][1]);
+        seal(length);
+        refused(&kinds[8], length, FAULT_BAD_DATA);
+    }
+    past.trial = 0;
+    refused(&kinds[8], encode_past(), FAULT_BAD_DATA);
     length = record_encode_counter(0, bytes);
     refused(&kinds[6], length, FAULT_BAD_DATA);
 }

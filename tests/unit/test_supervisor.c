@@ -35,6 +35,7 @@ static const step_t ALLOWED[] = {
     {STATE_RUNNING, EVENT_STOP, FAULT_TILT, STATE_ABORTED},
     {STATE_RUNNING, EVENT_STOP, FAULT_REBOOT, STATE_ABORTED},
     {STATE_RUNNING, EVENT_STOP, FAULT_WALL, STATE_ABORTED},
+    {STATE_RUNNING, EVENT_STOP, FAULT_ERROR_LIMIT, STATE_ABORTED},
 };
 
 static const fault_t STOPPING_FAULTS[] = {
@@ -100,7 +101,7 @@ static void all_stopping_faults_are_known_here(void) {
         kinds[fault_row(row)->kind]++;
     }
     TEST_ASSERT_EQUAL_size_t(COUNT_OF(STOPPING_FAULTS), kinds[FAULT_KIND_FAULT]);
-    TEST_ASSERT_EQUAL_size_t(6, kinds[FAULT_KIND_ABORT]);
+    TEST_ASSERT_EQUAL_size_t(7, kinds[FAULT_KIND_ABORT]);
 }
 
 static void allows_foretells_the_event(void) {

@@ -266,7 +266,7 @@ static void expect_coverage(void) {
     static const fault_t STOP[] = {FAULT_ABORT_COMMAND, FAULT_LINK_LOST, FAULT_IMU_STALE,
                                    FAULT_TILT,          FAULT_WATCHDOG,  FAULT_CRASH,
                                    FAULT_CLOCK,         FAULT_STORAGE,   FAULT_BATTERY_CRITICAL,
-                                   FAULT_LATE_TICK,     FAULT_WALL};
+                                   FAULT_LATE_TICK,     FAULT_WALL,      FAULT_ERROR_LIMIT};
     for (size_t i = 0; i < sizeof STOP / sizeof STOP[0]; i++) {
         TEST_ASSERT_TRUE_MESSAGE(seen.stops[STOP[i]] > 0, fault_info(STOP[i])->name);
     }

@@ -291,6 +291,9 @@ static void set_param(void) {
         {PARAM_SERVO_CENTRE_US, {1500.0f, 1480.0f, 1530.0f, 1500.0f}},
         {PARAM_SERVO_SLEW_RAD_S, {0.0f, 0.0f, 0.0f, 3.0f}},
         {PARAM_SPD_SOURCE, {0.0f, 0.0f, 1.0f, 3.0f}},
+        {PARAM_ERR_MAX_M_S, {0.0f, 0.005f, 0.01f, 0.03f}},
+        {PARAM_SPD_LATE_S, {0.1f, 0.1f, 0.5f, 1.5f}},
+        {PARAM_LAW_BEYOND, {0.0f, 1.0f, 2.0f, 3.0f}},
         {PARAM_COUNT, {0.0f, 1.0f, 2.0f, 3.0f}},
     };
     const uint32_t which = draw(sizeof choice / sizeof choice[0]);

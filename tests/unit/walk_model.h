@@ -291,6 +291,14 @@ static void settling_pass(void) {
     model_enter(app.supervisor.state, FAULT_STORAGE);
 }
 
+/* How fast the fish is the model does not know; only when that may stop a tail. */
+static bool is_too_far_off(void) {
+    const float source = value_of(PARAM_SPD_SOURCE);
+    const bool tells = source < 0.5f || source > 2.5f; /* vision, model */
+    return app.supervisor.reason == FAULT_ERROR_LIMIT && tells && app.run.estimate->next > 0 &&
+           value_of(PARAM_ERR_MAX_M_S) > 0.0f;
+}
+
 static void running_pass(void) {
     if (model.read_stop != FAULT_NONE) {
         halts(model.read_stop);
@@ -298,6 +306,8 @@ static void running_pass(void) {
         seen.whole++;
         settles(hal.now_us);
         model_enter(STATE_SETTLING, FAULT_NONE);
+    } else if (is_too_far_off()) {
+        halts(FAULT_ERROR_LIMIT);
     }
 }
 

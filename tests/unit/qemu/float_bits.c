@@ -114,7 +114,10 @@ static law_t random_law(uint16_t beats) {
     law.fade = below(2) != 0 ? between(0.0f, 2.0f) : 0.0f;
     law.fade_from = (uint16_t)below(8u);
     law.q_len = (uint16_t)(1u + below((beats + 1u) / 2u));
-    law.tail = below(2) != 0 ? LAW_TAIL_HOLD : LAW_TAIL_KEEP;
+    law.tail = (law_tail_t)below(LAW_TAIL_COUNT);
+    if (below(4) == 0) {
+        law.amplitude_min_rad = between(-0.5f, 0.09f);
+    }
     if (below(2) != 0) {
         law.kd_rad_s2_m = between(-5.0f, 5.0f);
     }
@@ -171,6 +174,40 @@ static void law_cases(void) {
     end("law");
 }
 
+static law_weights_t random_weights(void) {
+    law_weights_t weights;
+    weights.input = between(-0.5f, 1.5f);
+    weights.kp = between(-0.5f, 3.0f);
+    weights.kd = between(-0.5f, 3.0f);
+    return weights;
+}
+
+static void weighted_cases(void) {
+    static float sum[BEATS_MAX];
+    begin();
+    for (uint32_t i = 0; i < LAW_CASES; i++) {
+        const uint16_t beats = (uint16_t)(1u + below(60));
+        const law_t law = random_law(beats);
+        memset(sum, 0, sizeof sum);
+        for (uint32_t added = 0; added < 3u; added++) {
+            law_trial_t trial;
+            random_trial(beats, &trial);
+            for (uint32_t k = 0; k < beats; k++) {
+                amplitude_rad[k] = between(-0.2f, 1.2f);
+            }
+            const law_weights_t weights = random_weights();
+            note_word((uint32_t)law_add(&law, &weights, &trial, amplitude_rad, sum));
+            note_word(law_corrects(&law, &trial, below(beats)));
+        }
+        law_finish(&law, beats, sum, amplitude_rad);
+        note_all(amplitude_rad, beats);
+        if (i % 500u == 0) {
+            show("law_finish", amplitude_rad, beats);
+        }
+    }
+    end("weighted");
+}
+
 static void memory_cases(void) {
     static memory_t memory;
     begin();
@@ -187,7 +224,8 @@ static void memory_cases(void) {
             law_trial_t trial;
             memory_report_t report = {0};
             random_trial(beats, &trial);
-            note_word((uint32_t)memory_learn(&memory, &law, &trial, number, below(4) != 0, 1.3f,
+            const memory_rules_t rules = {.rollback_ratio = 1.3f};
+            note_word((uint32_t)memory_learn(&memory, &law, &trial, number, below(4) != 0, &rules,
                                              scratch, &report));
             note_report(&report.law);
             note_word(report.improved * 2u + report.rolled_back);
@@ -462,6 +500,7 @@ static void arithmetic_cases(void) {
 
 int main(void) {
     law_cases();
+    weighted_cases();
     memory_cases();
     gait_cases();
     speed_cases();

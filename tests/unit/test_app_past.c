@@ -1,0 +1,509 @@
+/* Laws that average: the board against the learner that keeps its trials in RAM, bit for bit; what
+ * ends an average; and laws that are refused. */
+#include "app/settings.h"
+#include "app_fixture.h"
+#include "ilc/learner.h"
+
+#include <stdio.h>
+
+#define BEATS 9u
+#define TRIALS 12u
+#define SPEED 0.05f
+#define CUT_EVERY 3u /* trials, one of which is aborted */
+
+static learner_t learner;
+static float learner_memory[BEATS * 3u * (LEARNER_WINDOW_MAX + 1u)];
+static uint32_t random_state;
+
+static float random_0_1(void) {
+    random_state = random_state * 1664525u + 1013904223u;
+    return (float)(random_state >> 8) / 16777216.0f;
+}
+
+void setUp(void) {
+    random_state = 1;
+    fixture_reset();
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ROLLBACK_RATIO, 0.0f));
+}
+void tearDown(void) {
+    if (Unity.CurrentTestFailed) {
+        printf("trial %u, random state %u\n", (unsigned)app.run.trial.number,
+               (unsigned)random_state);
+    }
+}
+
+static void set(param_t param, float value) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, param, value));
+}
+
+static void expect_refused(param_t param, float value, fault_t fault) {
+    const float before = app.params.value[param];
+    TEST_ASSERT_EQUAL(fault, commands_param_set(&app, param, value));
+    TEST_ASSERT_EQUAL_FLOAT(before, app.params.value[param]);
+}
+
+static void save_params(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+}
+
+/* The next trial, aborted after |beats| of them; pending afterwards, with these speeds. */
+static void swim(uint16_t beats, const float *speed_m_s) {
+    static speed_upload_t speeds;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    run_ms(beats * 1000u + 300u);
+    if (beats < BEATS) {
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ABORT, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    } else {
+        run_ms(5000);
+    }
+    TEST_ASSERT_TRUE(app.run.pending);
+    TEST_ASSERT_EQUAL(beats, app.run.trial.executed);
+    speeds.trial = app.run.trial.number;
+    speeds.beats = BEATS;
+    for (uint32_t k = 0; k < BEATS; k++) {
+        speeds.speed_m_s[k] = speed_m_s[k];
+        speeds.sigma_m_s[k] = 0.001f;
+    }
+    const size_t length = record_encode_speeds(&speeds, upload_bytes);
+    TEST_ASSERT_EQUAL(FAULT_NONE, commit(LINK_FILE_SPEEDS, "/in/speeds.bin", upload_bytes, length));
+}
+
+static void learn(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
+}
+
+/* One trial with random speeds, some of them missing. */
+static void swim_any(uint32_t number, float *speed_m_s, uint16_t *beats) {
+    *beats = number % CUT_EVERY == 0 ? (uint16_t)(2u + number % 5u) : BEATS;
+    for (uint32_t k = 0; k < BEATS; k++) {
+        speed_m_s[k] = random_0_1() < 0.1f ? NAN : 0.1f * random_0_1();
+    }
+    speed_m_s[0] = 0.01f;
+    swim(*beats, speed_m_s);
+}
+
+static void swim_and_learn(uint32_t number) {
+    float speed_m_s[BEATS];
+    uint16_t beats = 0;
+    swim_any(number, speed_m_s, &beats);
+    learn();
+}
+
+static void begin_learner(learner_past_t past, uint16_t window) {
+    learner_config_t config = {
+        .law = settings_law(&app.params, 1.0f),
+        .samples = BEATS,
+        .past = past,
+        .history = LEARNER_HISTORY_NONE,
+        .window = window,
+    };
+    for (uint32_t j = 0; j < window; j++) {
+        const float even = 1.0f / (float)window;
+        config.weight[j] = (law_weights_t){even, even, even};
+    }
+    float first[BEATS];
+    for (uint32_t k = 0; k < BEATS; k++) {
+        first[k] = config.law.kp_rad_s_m * SPEED;
+    }
+    TEST_ASSERT_EQUAL(
+        LAW_OK, learner_init(&learner, &config, first, learner_memory, sizeof learner_memory));
+}
+
+static void expect_same_as_learner(void) {
+    float amplitude[BEATS];
+    for (uint16_t k = 0; k < BEATS; k++) {
+        amplitude[k] = learner.amplitude[k];
+    }
+    TEST_ASSERT_EQUAL_MEMORY(amplitude, app.memory.amplitude_rad, sizeof amplitude);
+}
+
+/* The board restarts in the middle of it. */
+static void check_against_learner(learner_past_t past, uint16_t window) {
+    set(PARAM_LAW_KIND, (float)past);
+    set(PARAM_LAW_WINDOW, (float)window);
+    save_params();
+    begin_learner(past, window);
+    for (uint32_t number = 1; number <= TRIALS; number++) {
+        float speed_m_s[BEATS];
+        uint16_t beats = 0;
+        swim_any(number, speed_m_s, &beats);
+        if (number % 4u == 0) {
+            reboot();
+        }
+        learn();
+        for (uint16_t k = 0; k < BEATS; k++) {
+            (void)learner_measure(&learner, k, SPEED - speed_m_s[k]);
+        }
+        law_report_t report;
+        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, beats, &report));
+        expect_same_as_learner();
+        if (number % 5u == 0) {
+            reboot();
+        }
+    }
+}
+
+static void prepare_law(float kd) {
+    set(PARAM_LAW_LEAD, 0.5f);
+    set(PARAM_LAW_KD, kd);
+    set(PARAM_LAW_Q_LEN, 2.0f);
+    set(PARAM_LAW_GAIN, 2.5f);
+}
+
+static void test_the_last_trial_gives_the_bits_of_the_learner(void) {
+    prepare_law(0.3f);
+    check_against_learner(LEARNER_LAST, 2);
+}
+
+static void test_the_mean_gives_the_bits_of_the_learner(void) {
+    prepare_law(0.0f);
+    check_against_learner(LEARNER_MEAN, 2);
+}
+
+static void test_windows_give_the_bits_of_the_learner(void) {
+    prepare_law(0.3f);
+    check_against_learner(LEARNER_WINDOW, 3);
+}
+
+static void test_the_longest_window_gives_the_bits_of_the_learner(void) {
+    prepare_law(-0.2f);
+    check_against_learner(LEARNER_WINDOW, PAST_WINDOW_MAX);
+}
+
+static uint32_t past_files(void) {
+    uint32_t count = 0;
+    for (char number = '0'; number < '0' + (char)PAST_FILES; number++) {
+        char path[] = PAST_PATH;
+        path[5] = number;
+        uint32_t size_bytes = 0;
+        count += store_size(&app.store, path, &size_bytes) == STORE_OK;
+    }
+    return count;
+}
+
+static void test_the_last_trial_alone_keeps_no_past(void) {
+    for (uint32_t number = 1; number <= 3u; number++) {
+        swim_and_learn(number);
+    }
+    TEST_ASSERT_EQUAL(0, past_files());
+}
+
+static void test_a_mean_is_two_files_and_a_window_eight(void) {
+    set(PARAM_LAW_KIND, PAST_MEAN);
+    for (uint32_t number = 1; number <= 4u; number++) {
+        swim_and_learn(number);
+    }
+    TEST_ASSERT_EQUAL(2, past_files());
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    for (uint32_t number = 1; number <= 10u; number++) {
+        swim_and_learn(number);
+    }
+    TEST_ASSERT_EQUAL(PAST_FILES, past_files());
+}
+
+/* Trials in the average that ends with the one learned last. */
+static uint16_t trials_in_average(void) {
+    static past_t past;
+    const uint32_t files = app.params.value[PARAM_LAW_KIND] == (float)PAST_MEAN ? 2u : PAST_FILES;
+    char path[] = PAST_PATH;
+    path[5] = (char)('0' + (app.memory.iteration - 1u) % files);
+    const size_t length = boot_load_record(&app, path);
+    TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_past(app.record, length, &past));
+    TEST_ASSERT_EQUAL_UINT32(app.memory.last_trial, past.trial);
+    TEST_ASSERT_EQUAL_UINT32(app.reference.crc, past.reference_crc);
+    return past.trials;
+}
+
+static void upload_amplitudes(void) {
+    static amplitudes_upload_t upload;
+    upload.reference_crc = app.reference.crc;
+    upload.beats = BEATS;
+    memcpy(upload.amplitude_rad, app.memory.amplitude_rad, BEATS * sizeof(float));
+    const size_t length = record_encode_amplitudes(&upload, upload_bytes);
+    TEST_ASSERT_EQUAL(FAULT_NONE,
+                      commit(LINK_FILE_AMPLITUDES, "/in/amplitudes.bin", upload_bytes, length));
+}
+
+static void restore_best(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_RESTORE_BEST, 0));
+}
+
+static void another_reference_and_back(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, 0.5f * SPEED));
+    TEST_ASSERT_EQUAL(0, past_files());
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+}
+
+static void a_trial_of_another_law(void) {
+    const float kind = app.params.value[PARAM_LAW_KIND];
+    set(PARAM_LAW_KIND, PAST_LAST);
+    swim_and_learn(1);
+    set(PARAM_LAW_KIND, kind);
+}
+
+static void damage_the_newest(void) {
+    const uint32_t files = app.params.value[PARAM_LAW_KIND] == (float)PAST_MEAN ? 2u : PAST_FILES;
+    char path[] = PAST_PATH;
+    path[5] = (char)('0' + (app.memory.iteration - 1u) % files);
+    const size_t length = boot_load_record(&app, path);
+    TEST_ASSERT_GREATER_THAN(0, length);
+    app.record[length - 1u] ^= 1u;
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, app.record, length));
+}
+
+static void just_reboot(void) {
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+static void a_discarded_trial(void) {
+    float speed_m_s[BEATS];
+    uint16_t beats = 0;
+    swim_any(1, speed_m_s, &beats);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+}
+
+static void check_average_after(void (*event)(void), bool goes_on) {
+    for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
+        setUp();
+        set(PARAM_LAW_KIND, kind);
+        save_params();
+        float all[BEATS];
+        for (uint32_t k = 0; k < BEATS; k++) {
+            all[k] = 0.04f;
+        }
+        swim(BEATS, all); /* a best one */
+        learn();
+        swim_and_learn(2);
+        TEST_ASSERT_EQUAL(2, trials_in_average());
+        event();
+        swim_and_learn(1);
+        TEST_ASSERT_EQUAL(goes_on ? 3 : 1, trials_in_average());
+        swim_and_learn(1);
+        TEST_ASSERT_EQUAL(goes_on ? 4 : 2, trials_in_average());
+    }
+}
+
+static void test_what_ends_an_average(void) {
+    check_average_after(upload_amplitudes, false);
+    check_average_after(restore_best, false);
+    check_average_after(another_reference_and_back, false);
+    check_average_after(a_trial_of_another_law, false);
+    check_average_after(damage_the_newest, false);
+}
+
+static void test_what_does_not_end_an_average(void) {
+    check_average_after(just_reboot, true);
+    check_average_after(a_discarded_trial, true);
+}
+
+/* The first record lies in the same place for both kinds, and names the learned input of now. */
+static void test_the_kinds_do_not_mix(void) {
+    for (uint32_t first = PAST_MEAN; first <= PAST_WINDOW; first++) {
+        setUp();
+        set(PARAM_LAW_KIND, (float)first);
+        swim_and_learn(1);
+        set(PARAM_LAW_KIND, (float)(PAST_MEAN + PAST_WINDOW - first));
+        swim_and_learn(2);
+        TEST_ASSERT_EQUAL(1, trials_in_average());
+        swim_and_learn(4);
+        TEST_ASSERT_EQUAL(2, trials_in_average());
+    }
+}
+
+/* A window over a damaged file is that over the newer trials. */
+static void test_a_hole_ends_the_window(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_LAW_WINDOW, 8.0f);
+    swim_and_learn(1);
+    swim_and_learn(2);
+    damage_the_newest();
+    begin_learner(LEARNER_WINDOW, PAST_WINDOW_MAX);
+    memcpy(learner.amplitude, app.memory.amplitude_rad, BEATS * sizeof(float));
+    for (uint32_t number = 1; number <= 2u; number++) {
+        float speed_m_s[BEATS];
+        uint16_t beats = 0;
+        swim_any(number, speed_m_s, &beats);
+        learn();
+        for (uint16_t k = 0; k < BEATS; k++) {
+            (void)learner_measure(&learner, k, SPEED - speed_m_s[k]);
+        }
+        law_report_t report;
+        TEST_ASSERT_EQUAL(LAW_OK, learner_end(&learner, beats, &report));
+        expect_same_as_learner();
+    }
+}
+
+/* The fourth trial's window with the second one's file as |replace| leaves it. */
+static void learn_without_the_second(void (*replace)(void), float *amplitude_rad) {
+    setUp();
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    for (uint32_t number = 1; number <= 2u; number++) {
+        swim_and_learn(number);
+    }
+    swim_and_learn(1);
+    replace();
+    swim_and_learn(2);
+    memcpy(amplitude_rad, app.memory.amplitude_rad, BEATS * sizeof(float));
+}
+
+static void remove_the_second(void) { (void)store_remove(&app.store, "/past2.bin"); }
+
+static void put_the_first_there(void) {
+    const size_t length = boot_load_record(&app, "/past1.bin");
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, "/past2.bin", app.record, length));
+}
+
+static void leave_it(void) {}
+
+static void test_a_whole_record_of_another_trial_is_a_hole_too(void) {
+    float removed[BEATS], replaced[BEATS], left[BEATS];
+    learn_without_the_second(remove_the_second, removed);
+    learn_without_the_second(put_the_first_there, replaced);
+    learn_without_the_second(leave_it, left);
+    TEST_ASSERT_EQUAL_MEMORY(removed, replaced, sizeof removed);
+    TEST_ASSERT_TRUE(memcmp(removed, left, sizeof removed) != 0);
+}
+
+static void test_a_roll_back_ends_the_average(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_ROLLBACK_RATIO, 1.3f);
+    float good[BEATS], bad[BEATS];
+    for (uint32_t k = 0; k < BEATS; k++) {
+        good[k] = 0.045f;
+        bad[k] = 0.01f;
+    }
+    swim(BEATS, good);
+    learn();
+    swim(BEATS, bad);
+    learn();
+    swim(BEATS, bad);
+    learn();
+    TEST_ASSERT_EQUAL(MEMORY_INPUT_RESTORED, app.memory.input);
+    swim(BEATS, good);
+    learn();
+    TEST_ASSERT_EQUAL(1, trials_in_average());
+}
+
+static void test_a_write_that_fails_changes_nothing(void) {
+    set(PARAM_LAW_KIND, PAST_MEAN);
+    swim_and_learn(1);
+    float speed_m_s[BEATS];
+    uint16_t beats = 0;
+    swim_any(2, speed_m_s, &beats);
+    const memory_t before = app.memory;
+    uint32_t refusals = 0;
+    for (fault_t fault = FAULT_WRITE_FAILED; fault != FAULT_NONE; refusals++) {
+        TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+        hal.flash_fail_after = hal.flash_writes + 1u + refusals;
+        fault = command(LINK_COMMAND_LEARN, app.run.trial.number);
+        TEST_ASSERT_TRUE(fault == FAULT_NONE || fault == FAULT_WRITE_FAILED);
+        hal.flash_fail_after = 0;
+    }
+    TEST_ASSERT_GREATER_THAN(4, refusals);
+    TEST_ASSERT_EQUAL(2, trials_in_average());
+}
+
+/* Each a block long. */
+static void leave_past_files(void) {
+    static uint8_t filler[STORE_BLOCK_BYTES];
+    for (char number = '0'; number < '0' + (char)PAST_FILES; number++) {
+        char path[] = PAST_PATH;
+        path[5] = number;
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, path, filler, sizeof filler));
+    }
+}
+
+static void fill_store(uint32_t free_blocks) {
+    static uint8_t filler[STORE_BLOCK_BYTES];
+    static store_file_t file;
+    TEST_ASSERT_EQUAL(STORE_OK, store_open(&app.store, &file, "/in/filler", STORE_WRITE_NEW));
+    while (store_free_bytes(&app.store) > free_blocks * STORE_BLOCK_BYTES) {
+        TEST_ASSERT_EQUAL(STORE_OK, store_append(&app.store, &file, filler, sizeof filler));
+        TEST_ASSERT_EQUAL(STORE_OK, store_sync(&app.store, &file));
+    }
+    TEST_ASSERT_EQUAL(STORE_OK, store_close(&app.store, &file));
+}
+
+static void test_past_trials_make_room_when_there_is_no_other(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    leave_past_files();
+    fill_store(40);
+    swim_and_learn(1);
+    TEST_ASSERT_EQUAL(PAST_FILES, past_files());
+    leave_past_files();
+    fill_store(10);
+    swim_and_learn(2);
+    TEST_ASSERT_EQUAL(1, past_files());
+    TEST_ASSERT_EQUAL(1, trials_in_average());
+}
+
+static void test_the_mean_goes_without_kd(void) {
+    set(PARAM_LAW_KIND, PAST_MEAN);
+    swim_and_learn(1);
+    float speed_m_s[BEATS];
+    uint16_t beats = 0;
+    swim_any(2, speed_m_s, &beats);
+    const memory_t before = app.memory;
+    set(PARAM_LAW_KD, 0.1f);
+    TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_LEARN, app.run.trial.number));
+    TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
+    TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_ARM, 0));
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+}
+
+static void test_laws_that_are_none_for_a_fish_are_refused(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    expect_refused(PARAM_LAW_KIND, 3.0f, FAULT_LAW_FEEDBACK);
+    expect_refused(PARAM_LAW_KIND, 4.0f, FAULT_LAW_FEEDBACK);
+    expect_refused(PARAM_LAW_KIND, 5.0f, FAULT_LAW_SIGN);
+    expect_refused(PARAM_LAW_KIND, 6.0f, FAULT_BAD_PARAM);
+    expect_refused(PARAM_LAW_KIND, 1.5f, FAULT_BAD_PARAM);
+    expect_refused(PARAM_LAW_WINDOW, 1.0f, FAULT_BAD_PARAM);
+    expect_refused(PARAM_LAW_WINDOW, 9.0f, FAULT_BAD_PARAM);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    expect_refused(PARAM_LAW_KIND, 4.0f, FAULT_WRONG_STATE);
+}
+
+static void test_a_stored_law_that_is_none_falls_back(void) {
+    for (float kind = 3.0f; kind <= 5.0f; kind++) {
+        params_t params = app.params;
+        params.value[PARAM_LAW_KIND] = kind;
+        params.value[PARAM_LAW_GAIN] = 3.5f;
+        const size_t length = record_encode_params(&params, app.record);
+        TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, PARAMS_PATH, app.record, length));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
+        TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_LAW_KIND]);
+        TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_LAW_GAIN]);
+        reboot();
+        TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_LAW_KIND]);
+        TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_LAW_GAIN]);
+    }
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_the_last_trial_gives_the_bits_of_the_learner);
+    RUN_TEST(test_the_mean_gives_the_bits_of_the_learner);
+    RUN_TEST(test_windows_give_the_bits_of_the_learner);
+    RUN_TEST(test_the_longest_window_gives_the_bits_of_the_learner);
+    RUN_TEST(test_the_last_trial_alone_keeps_no_past);
+    RUN_TEST(test_a_mean_is_two_files_and_a_window_eight);
+    RUN_TEST(test_what_ends_an_average);
+    RUN_TEST(test_what_does_not_end_an_average);
+    RUN_TEST(test_the_kinds_do_not_mix);
+    RUN_TEST(test_a_hole_ends_the_window);
+    RUN_TEST(test_a_whole_record_of_another_trial_is_a_hole_too);
+    RUN_TEST(test_a_roll_back_ends_the_average);
+    RUN_TEST(test_a_write_that_fails_changes_nothing);
+    RUN_TEST(test_past_trials_make_room_when_there_is_no_other);
+    RUN_TEST(test_the_mean_goes_without_kd);
+    RUN_TEST(test_laws_that_are_none_for_a_fish_are_refused);
+    RUN_TEST(test_a_stored_law_that_is_none_falls_back);
+    return UNITY_END();
+}
