@@ -16,8 +16,8 @@ from tailbeat.errors import InputError, TailbeatError
 from tailbeat.floor import floor, plant_config
 from tailbeat.model.identified import Identified
 from tailbeat.reference import Reference
-from tailbeat.sweep import learners
-from tailbeat.sweep.learners import Learner, Said
+from tailbeat.sweep import learners, lengths
+from tailbeat.sweep.learners import ROLLED_BACK, Learner, Said
 from tailbeat.sweep.recipe import (
     REFERENCE_IDENTIFIED,
     REFERENCES_FEASIBLE,
@@ -32,6 +32,10 @@ from tailbeat.sweep.shoal import Shoal, Swims
 Array = NDArray[np.float64]
 
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
+_BOUNDS = (
+    "amplitude_min_rad", "amplitude_max_rad", "step_rad",
+    "true_min_m_s", "true_max_m_s", "travel_m",
+)  # fmt: skip
 _ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that swim, but not them
 
 
@@ -104,6 +108,7 @@ def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     shoal = Shoal(cell.plant.plant, fish)
     rows = _Rows(cell)
     learner = _learner(recipe, cell, fish, phases[0][0])
+    spread = lengths.parse(cell.noise.lengths)
     number = 0
     for ground, iterations in phases:
         learner.begin(ground.reference)
@@ -111,9 +116,10 @@ def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
         for _ in range(iterations):
             number += 1
             amplitude = learner.following()
-            swims = shoal.swim(amplitude, number, ground.reference.beat_s)
+            reached = lengths.executed(spread, cell.seeds, number, ground.reference.beats)
+            swims = shoal.swim(amplitude, number, ground.reference.beat_s).cut(reached)
             said = learner.learn(swims)
-            rows.add(amplitude, swims, said, learner.floor_m_s, recipe.amplitude_max_rad)
+            rows.add(amplitude, swims, reached, said, learner.floor_m_s, recipe.amplitude_max_rad)
     return rows.table()
 
 
@@ -188,7 +194,8 @@ def _learner(recipe: Recipe, cell: Cell, fish: list[dict[str, float]], ground: _
     if spec.kind == "repeats":
         return learners.Repeats(ground.near_optimal_rad, len(fish))
     if spec.kind == "p":
-        return learners.Board([learners.law_of(spec, most)] * len(fish), spec.rollback_ratio)
+        past = learners.Past(spec.past, spec.window)
+        return learners.Board([learners.law_of(spec, most)] * len(fish), spec.rollback_ratio, past)
     beat_s = ground.reference.beat_s
     identified = [
         learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s) for one in fish
@@ -227,16 +234,28 @@ class _Rows:
         wanted = ground.reference.speed_m_s.astype(np.float64)
         still = np.tile(np.abs(wanted), (self.fish, 1))
         self._errors(still, still)
+        self._before = np.zeros_like(still)
+        self._made_by_law = np.zeros(self.fish, dtype=bool)
+        self._bounds(self._before, self._step(self._before), self._before, ground.reference.beats)
         self._said(Said.nothing(self.fish), np.zeros(self.fish, dtype=np.int64))
 
     def add(
-        self, amplitude: Array, swims: Swims, said: Said, floor_m_s: Array, amplitude_max_rad: float
+        self,
+        amplitude: Array,
+        swims: Swims,
+        executed: NDArray[np.int64],
+        said: Said,
+        floor_m_s: Array,
+        amplitude_max_rad: float,
     ) -> None:
-        """A trial that was swum; ``floor_m_s``: as it was predicted before."""
+        """A trial swum for ``executed`` beats; ``floor_m_s``: as it was predicted before."""
         self.iteration += 1
         self.predicted_floor_m_s = floor_m_s
         wanted = self.ground.reference.speed_m_s.astype(np.float64)
         self._errors(wanted - swims.speed_m_s, wanted - swims.true_m_s)
+        self._bounds(amplitude, self._step(amplitude), swims.true_m_s, executed)
+        self._before = amplitude
+        self._made_by_law = np.broadcast_to(np.array(said.verdict) != ROLLED_BACK, self.fish)
         at_limit = amplitude >= np.float32(amplitude_max_rad) * (1 - 1e-7)
         self._said(said, at_limit.sum(axis=1))
 
@@ -255,6 +274,8 @@ class _Rows:
                 true_max_abs_error_m_s=nothing,
                 true_rms_error_m_s=nothing,
                 measured_beats=0,
+                executed_beats=0,
+                **dict.fromkeys(_BOUNDS, nothing),
             )
             self._said(said, np.zeros(self.fish, dtype=np.int64), why)
 
@@ -275,6 +296,26 @@ class _Rows:
             true_max_abs_error_m_s=np.abs(true).max(axis=1),
             true_rms_error_m_s=np.sqrt(np.mean(true**2, axis=1)),
             measured_beats=count,
+        )
+
+    def _step(self, amplitude: Array) -> Array:
+        """Largest change of a beat that the law made; 0 for the first amplitudes and for those that
+        were brought back."""
+        change: Array = np.abs(amplitude - self._before).max(axis=1)
+        return np.where(self._made_by_law, change, 0.0)
+
+    def _bounds(
+        self, amplitude: Array, step: Array, true: Array, executed: NDArray[np.int64] | int
+    ) -> None:
+        reached = np.arange(true.shape[1]) < np.broadcast_to(executed, self.fish)[:, None]
+        self._put(
+            executed_beats=executed,
+            amplitude_min_rad=amplitude.min(axis=1),
+            amplitude_max_rad=amplitude.max(axis=1),
+            step_rad=step,
+            true_min_m_s=true.min(axis=1),
+            true_max_m_s=true.max(axis=1),
+            travel_m=(true * reached).sum(axis=1) * self.ground.reference.beat_s,
         )
 
     def _said(self, said: Said, saturated: NDArray[np.int64], failure: str = "") -> None:

@@ -19,7 +19,7 @@ from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.identified import Identified
 from tailbeat.model.swim import SIGMA_M_S, Swim
 from tailbeat.reference import Reference
-from tailbeat.sweep.recipe import LawSpec
+from tailbeat.sweep.recipe import PASTS, LawSpec
 from tailbeat.sweep.shoal import Shoal, Swims
 from tailbeat.verdict import Score, input_crc, judge
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+ROLLED_BACK = "rolled_back"  # what the board's law says when it brought the best back
 FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of trials from 1
 
 
@@ -91,12 +92,24 @@ class Repeats:
         return said
 
 
+@dataclass(frozen=True)
+class Past:
+    """What the board's law learns from: ``last``, ``mean`` or ``window`` (LAW_KIND 0, 1, 2), the
+    last ``window`` trials (LAW_WINDOW)."""
+
+    kind: str = "last"
+    window: int = 3
+
+
 class Board:
     """The board's law and memory, one ``Law`` per fish."""
 
-    def __init__(self, laws: Sequence[Law], rollback_ratio: float) -> None:
+    def __init__(
+        self, laws: Sequence[Law], rollback_ratio: float, past: Past | None = None
+    ) -> None:
         self.laws = list(laws)
         self.rollback_ratio = rollback_ratio
+        self.past = past or Past()
         self.floor_m_s = np.full(len(self.laws), np.nan)
 
     def begin(self, reference: Reference) -> None:
@@ -105,10 +118,14 @@ class Board:
 
         fish, beats = len(self.laws), reference.beats
         self._memories = ffi.new("memory_t[]", fish)
+        self._pasts = ffi.NULL if self.past.kind == "last" else ffi.new("learn_past_t[]", fish)
         self._reports = ffi.new("memory_report_t[]", fish)
         self._laws = ffi.new("law_t[]", fish)
         for i, law in enumerate(self.laws):
             self._laws[i] = asdict(replace(law, beat_s=reference.beat_s))
+            if self._pasts:
+                kind = PASTS.index(self.past.kind)
+                self._must(lib.learn_past_begin(self._pasts + i, kind, self.past.window))
         self._wanted = np.ascontiguousarray(reference.speed_m_s, dtype=np.float32)
         self._trial = 0
         self._applied = np.empty((fish, beats))
@@ -132,7 +149,7 @@ class Board:
         self._trial += 1
         self._must(
             lib.learn_batch_learn(
-                self._memories, self._laws, len(self.laws), _floats(self._wanted),
+                self._memories, self._pasts, self._laws, len(self.laws), _floats(self._wanted),
                 _doubles(speed), self._trial, self.rollback_ratio, self._reports,
                 _doubles(self._applied),
             )
@@ -140,10 +157,10 @@ class Board:
         said = Said.nothing(len(self.laws))
         said.gain_rad_s_m = np.array([law.kp_rad_s_m for law in self.laws])
         said.lead_beats = np.array([float(law.lead_beats) for law in self.laws])
-        said.law = "p"
+        said.law = "p" if self.past.kind == "last" else self.past.kind
         if self.rollback_ratio > 0:
             back = [report.rolled_back for report in self._reports]
-            said.verdict = ["rolled_back" if rolled else "" for rolled in back]
+            said.verdict = [ROLLED_BACK if rolled else "" for rolled in back]
         return said
 
     def _must(self, fine: bool) -> None:

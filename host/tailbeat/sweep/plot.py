@@ -14,8 +14,13 @@ from tailbeat.sweep.summary import Line, Summary
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+LineStyle = str | tuple[int, tuple[int, ...]]
+
 _INK, _FAINT = "0.15", "0.55"
-_STYLES = (("#0b5394", "-"), ("#b45f06", "--"), ("0.35", ":"), ("#38761d", "-."), ("#741b47", "-"))
+_STYLES = (
+    ("#0b5394", "-"), ("#b45f06", "--"), ("0.35", ":"), ("#38761d", "-."),
+    ("#741b47", (0, (5, 1, 1, 1, 1, 1))),
+)  # fmt: skip
 _CORNERS_NAMED = 3  # more corners than that are drawn as one bundle
 _ACROSS, _ACROSS_MAX = 3, 5  # panels in a row, and as many as that if they are the plants
 
@@ -79,10 +84,10 @@ def _panel(axes: Axes, title: str, lines: list[Line]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("iteration")
     axes.grid(axis="y", color="0.92", lw=0.8)
-    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    axes.legend(frameon=False, fontsize=9, loc="best")
 
 
-def _styles(count: int) -> list[tuple[str, str]]:
+def _styles(count: int) -> list[tuple[str, LineStyle]]:
     return [_STYLES[i % len(_STYLES)] for i in range(count)]
 
 
@@ -92,7 +97,7 @@ def _label(law: str, bundle: list[Line], j: int) -> str:
     return f"{law}, {len(bundle)} corners" if j == 0 else ""
 
 
-def _curve(axes: Axes, line: Line, color: str, dash: str, label: str) -> None:
+def _curve(axes: Axes, line: Line, color: str, dash: LineStyle, label: str) -> None:
     first = 1 if line.fixed else 0
     iteration = np.arange(first, len(line.median_m_s))
     median, low, high = (
@@ -101,6 +106,6 @@ def _curve(axes: Axes, line: Line, color: str, dash: str, label: str) -> None:
     faint = 0.15 if not line.corner else 0.03
     axes.fill_between(iteration, low, high, color=color, alpha=faint, lw=0)
     axes.plot(
-        iteration, median, dash, color=color, lw=1.6 if not line.corner else 0.9,
+        iteration, median, linestyle=dash, color=color, lw=1.6 if not line.corner else 0.9,
         label=label,
     )  # fmt: skip

@@ -21,7 +21,11 @@ from typing import Any
 from tailbeat.errors import InputError, reason
 
 LAW_KINDS = ("p", "design", "model", "repeats")
-STATISTICS = ("median", "p05", "p90", "p95", "max", "min", "share", "monotone", "settled")
+WINDOW_MIN, WINDOW_MAX = 2, 8
+PASTS = ("last", "mean", "window")
+STATISTICS = (
+    "median", "p05", "p90", "p95", "max", "min", "share", "monotone", "settled", "reach",
+)  # fmt: skip
 BY_REPEATS = ("monotone", "settled")  # statistics of whole runs, judged by a fixed input's
 REFERENCE_IDENTIFIED = "feasible, identified"
 REFERENCES_FEASIBLE = ("feasible", REFERENCE_IDENTIFIED)
@@ -32,11 +36,13 @@ _TABLES = ("plants", "laws", "noises", "claims", "corners", "name", "source")
 @dataclass(frozen=True)
 class Settings:
     """A plant or a noise: values of the simulator (fields of ``sim_config_t``) under a name.
-    ``plant``: the simulator's plant they change; meaningless for a noise."""
+    ``plant``: the simulator's plant they change; meaningless for a noise. ``lengths``: how long
+    trials are (lengths.parse); of a noise only."""
 
     name: str
     values: dict[str, float] = field(default_factory=dict)
     plant: str = "tank"
+    lengths: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,8 +51,9 @@ class LawSpec:
     identification runs of each fish; ``model`` learning with the model; ``repeats`` the
     least-squares input of the simulated plant, again and again. ``gain`` and ``lead_beats`` are
     also what ``model`` falls back to. ``rollback_ratio`` 0 = the board never goes back to the best.
-    ``corners``: it is identified on fish that differ from the one it learns on. ``cold``: leaves
-    out what the others learn first."""
+    ``past`` of ``p``: what it learns from: the ``last`` trial, the ``mean`` of all, or a ``window``
+    of so many. ``corners``: it is identified on fish that differ from the one it learns on.
+    ``cold``: leaves out what the others learn first."""
 
     name: str
     kind: str
@@ -57,6 +64,8 @@ class LawSpec:
     fade_from: int = 5
     step_max_rad: float = 0.0
     rollback_ratio: float = 0.0
+    past: str = "last"
+    window: int = 3
     corners: bool = False
     cold: bool = False
 
@@ -77,7 +86,8 @@ class Claim:
     """``statistic`` of column ``of`` (over column ``over``) in the rows of ``where`` at
     ``iteration`` (None: all from ``from_iteration`` on; -1: the last), for each plant, law, noise,
     corner and reference by itself (``pool``: all together), over the same of the rows of
-    ``against``; must be at least or at most that, or both. What is not known makes it fail."""
+    ``against``, which may have a statistic of its own; must be at least or at most that, or both.
+    What is not known makes it fail. ``level``: of the statistic ``reach``."""
 
     text: str
     statistic: str
@@ -88,6 +98,7 @@ class Claim:
     from_iteration: int = 1
     against: dict[str, Any] = field(default_factory=dict)
     pool: bool = False
+    level: float = 1.2
     at_most: float | None = None
     at_least: float | None = None
 
@@ -242,6 +253,7 @@ class _Parser:
         plant = raw.pop("plant", "tank")
         given = raw.pop("name", None)
         label = f"{what} {given or index + 1}"
+        lengths = self.lengths(label, raw.pop("lengths", "")) if what == "noise" else ""
         if plant not in PLANTS:
             raise self.fail(f"{label}: there is no plant {plant}", f"Use {', '.join(PLANTS)}.")
         choices: dict[str, list[float]] = {}
@@ -258,8 +270,18 @@ class _Parser:
             row = dict(zip(choices, values, strict=True))
             words = [f"{n.split('_')[0]} {row[n]:g}" for n in varied]
             title = " ".join([*([str(given)] if given else []), *words])
-            found.append(Settings(title or f"{plant}", row, plant))
+            found.append(Settings(title or f"{plant}", row, plant, lengths))
         return found
+
+    def lengths(self, label: str, raw: Any) -> str:
+        from tailbeat.sweep.lengths import parse
+
+        text = str(self.value(label, "lengths", raw, "str"))
+        try:
+            parse(text)
+        except InputError as error:
+            raise self.fail(f"{label}: {error.message.rstrip('.')}", error.remedy) from error
+        return text
 
     def law(self, raw: dict[str, Any], index: int) -> list[LawSpec]:
         names = [f.name for f in fields(LawSpec)]
@@ -268,7 +290,18 @@ class _Parser:
         if kind not in LAW_KINDS:
             raise self.fail(f"there is no law of kind {kind}", f"Use {', '.join(LAW_KINDS)}.")
         values.setdefault("name", kind)
-        return [LawSpec(**values)]
+        law = LawSpec(**values)
+        if law.past not in PASTS or (law.past != "last" and kind != "p"):
+            raise self.fail(
+                f"law {law.name}: past = {law.past} is not for kind {kind}",
+                f"Use kind p with one of {', '.join(PASTS)}.",
+            )
+        if not WINDOW_MIN <= law.window <= WINDOW_MAX:
+            raise self.fail(
+                f"law {law.name}: a window of {law.window} trials",
+                f"Use {WINDOW_MIN} to {WINDOW_MAX}, as the board's LAW_WINDOW.",
+            )
+        return [law]
 
     def corners(self, raw: Any) -> list[Corner]:
         names = [f.name for f in fields(Corner) if f.name != "name"]
@@ -297,16 +330,18 @@ class _Parser:
         for key in ("text", "statistic"):
             if key not in values:
                 raise self.fail(f"{label} has no {key}", "Every claim needs one.")
-        if values["statistic"] not in STATISTICS:
+        statistics = [values["statistic"], against.get("statistic", "median")]
+        for unknown in (one for one in statistics if one not in STATISTICS):
             raise self.fail(
-                f"{label}: there is no statistic {values['statistic']}",
-                f"Use {', '.join(STATISTICS)}.",
+                f"{label}: there is no statistic {unknown}", f"Use {', '.join(STATISTICS)}."
             )
         if not {"at_most", "at_least"} & set(values):
             raise self.fail(f"{label} has no bound", "Give at_most, at_least or both.")
         values["where"] = self.selection(label, where)
-        iteration = against.pop("iteration", None)
+        iteration, statistic = against.pop("iteration", None), against.pop("statistic", None)
         values["against"] = self.selection(label, against)
+        if statistic is not None:
+            values["against"]["statistic"] = statistic
         if iteration is not None:
             values["against"]["iteration"] = self.value(label, "iteration", iteration, "int")
         return [Claim(**values)]
@@ -376,6 +411,8 @@ class _Parser:
                             f"claim '{claim.text}': there is no {key} '{name}'",
                             f"Use {', '.join(names)}.",
                         )
+        if claim.pool and claim.statistic == "reach":
+            raise self.fail(f"claim '{claim.text}': reach is of one group", "Leave pool away.")
         if claim.statistic in BY_REPEATS and "law" not in claim.against:
             raise self.fail(
                 f"claim '{claim.text}': {claim.statistic} needs the repeats it is judged by",

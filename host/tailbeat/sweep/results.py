@@ -35,7 +35,7 @@ FAILED = "failed"  # the verdict on a fish that could not be identified or taugh
 
 _DIGEST_BYTES = 32
 _TEXT = ("plant", "law", "noise", "corner", "reference", "swum_law", "verdict", "failure")
-_WHOLE = ("seed", "iteration", "saturated_beats", "measured_beats")
+_WHOLE = ("seed", "iteration", "saturated_beats", "measured_beats", "executed_beats")
 _NUMBER = (
     "kappa_per_m",
     "max_abs_error_m_s",
@@ -53,6 +53,12 @@ _NUMBER = (
     "ratio_high",
     "gain_rad_s_m",
     "lead_beats",
+    "amplitude_min_rad",
+    "amplitude_max_rad",
+    "step_rad",
+    "true_min_m_s",
+    "true_max_m_s",
+    "travel_m",
 )
 DERIVED = ("ratio_inside", "prediction_inside", "floor_prediction_error")
 NUMBER_COLUMNS = (*_NUMBER, *_WHOLE, *DERIVED)

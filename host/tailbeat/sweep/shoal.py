@@ -30,6 +30,13 @@ class Swims:
     sigma_m_s: Array
     true_m_s: Array
 
+    def cut(self, executed: NDArray[np.int64]) -> Swims:
+        """As it is known of trials that ended after ``executed`` whole beats, shape (fish,). The
+        simulator's own speeds go on: they are what the amplitudes would have done."""
+        beyond = np.arange(self.speed_m_s.shape[1]) >= executed[:, None]
+        speed, sigma = (np.where(beyond, np.nan, of) for of in (self.speed_m_s, self.sigma_m_s))
+        return Swims(speed_m_s=speed, sigma_m_s=sigma, true_m_s=self.true_m_s)
+
 
 class Shoal:
     """Fish given as settings of the simulator (fields of ``sim_config_t``, ``seed`` among them)

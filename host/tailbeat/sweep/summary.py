@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,9 +30,11 @@ _LAST = slice(-3, None)
 
 @dataclass(frozen=True)
 class Rows:
-    """Columns of results as arrays of one length."""
+    """Columns of results as arrays of one length. ``codes``: of the columns that rows have been
+    chosen by, their values and which of them each row has; comparing texts row by row is slow."""
 
     columns: dict[str, NDArray[Any]]
+    codes: dict[str, tuple[NDArray[Any], NDArray[np.int64]]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, table: pa.Table) -> Rows:
@@ -57,27 +59,42 @@ class Rows:
 
     def where(self, mask: NDArray[np.bool_]) -> Rows:
         """Some of them."""
-        return Rows({name: values[mask] for name, values in self.columns.items()})
+        return Rows(
+            {name: values[mask] for name, values in self.columns.items()},
+            {name: (values, which[mask]) for name, (values, which) in self.codes.items()},
+        )
+
+    def only(self, names: Iterable[str]) -> Rows:
+        """All of them, with some columns."""
+        there = {name: self.columns[name] for name in names}
+        return Rows(there, {name: self._coded(name) for name in GROUP})
+
+    def _coded(self, name: str) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        if name not in self.codes:
+            self.codes[name] = np.unique(self.columns[name], return_inverse=True)
+        return self.codes[name]
 
     def select(self, wanted: dict[str, Any]) -> Rows:
         """Those whose columns have one of the values; ``word*``: that begin with it."""
         mask = np.ones(len(self), dtype=bool)
         for name, values in wanted.items():
             many = values if isinstance(values, list) else [values]
-            column = self.columns[name]
             begins = tuple(str(one)[:-1] for one in many if str(one).endswith("*"))
-            there = [one for one in np.unique(column) if str(one).startswith(begins)]
-            mask &= np.isin(column, [*many, *(there if begins else [])])
+            there, which = self._coded(name)
+            chosen = [one in many or str(one).startswith(begins) for one in there.tolist()]
+            mask &= np.array(chosen, dtype=bool)[which]
         return self.where(mask)
 
     def groups(self, by: tuple[str, ...] = GROUP) -> Iterator[tuple[Group, Rows]]:
         """In the order in which they come."""
-        keys = list(zip(*(self.columns[name].tolist() for name in by), strict=True))
-        order = dict.fromkeys(keys)
-        number = {key: i for i, key in enumerate(order)}
-        which = np.array([number[key] for key in keys], dtype=np.int64)
-        for key, i in number.items():
-            yield key, self.where(which == i)
+        if not len(self):
+            return
+        coded = [self._coded(name) for name in by]
+        rows = np.stack([which for _, which in coded], axis=1)
+        keys, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        for i in np.argsort(first):
+            key = tuple(str(values[code]) for (values, _), code in zip(coded, keys[i], strict=True))
+            yield key, self.where(which.ravel() == i)
 
     def grid(self, name: str) -> Array:
         """(fish, iterations) of a column of one group, iteration 0 first."""
@@ -200,6 +217,8 @@ def _known_median(grid: Array) -> Array:
 
 def judge(claim: Claim, rows: Rows) -> Verdict:
     """A claim about results. Without any row that it speaks of it does not hold."""
+    needed = {*GROUP, "seed", "iteration", claim.of, *([claim.over] if claim.over else [])}
+    rows = rows.only(sorted(needed))
     chosen = rows.select(claim.where)
     groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
     figures: dict[str, float] = {}
@@ -234,7 +253,7 @@ def _verdict(claim: Claim, figures: dict[str, float]) -> Verdict:
 def _counterpart(claim: Claim, key: Group, rows: Rows) -> Rows:
     """The rows a group is held against: of the same plant, noise and so on, but for what
     ``against`` names; a law without corners has only one."""
-    wanted = {k: v for k, v in claim.against.items() if k != "iteration"}
+    wanted = {k: v for k, v in claim.against.items() if k not in ("iteration", "statistic")}
     if claim.pool:
         return rows.select({**claim.where, **wanted})
     same = {name: value for name, value in zip(GROUP, key, strict=True) if name not in wanted}
@@ -256,9 +275,21 @@ def _figure(claim: Claim, rows: Rows, against: bool = False) -> float:
         values = values / rows.columns[claim.over]
     if not values.size or not np.isfinite(values).all():
         return float("nan")
-    if claim.statistic == "share":
+    statistic = claim.against.get("statistic", claim.statistic) if against else claim.statistic
+    if statistic == "reach":
+        return _reached(rows, values, claim.level)
+    if statistic == "share":
         return float(np.mean(values != 0))
-    return float(np.percentile(values, _QUANTILES.get(claim.statistic, 50)))
+    return float(np.percentile(values, _QUANTILES.get(statistic, 50)))
+
+
+def _reached(rows: Rows, values: Array, level: float) -> float:
+    """Median over fish of the first iteration at which a value is at most ``level``, the one after
+    the last for a fish that never got there."""
+    grid = Rows({**rows.columns, "value": values}).grid("value")
+    reached = np.hstack([grid <= level, np.ones((len(grid), 1), dtype=bool)])
+    first = int(rows.columns["iteration"].min())
+    return float(np.median(first + np.argmax(reached, axis=1)))
 
 
 def _at(rows: Rows, iteration: int | None, from_iteration: int) -> Rows:

@@ -1,0 +1,214 @@
+"""Trials cut short at random: what a fish then learns, in sweeps and on the board, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from numpy.typing import NDArray
+
+from tailbeat.errors import InputError
+from tailbeat.fish import Fish
+from tailbeat.laws import Law
+from tailbeat.reference import from_text
+from tailbeat.results import BeatEvent
+from tailbeat.sweep import learners, lengths
+from tailbeat.sweep.cell import cells, run_cell
+from tailbeat.sweep.learners import Past
+from tailbeat.sweep.recipe import Claim, load, parse
+from tailbeat.sweep.shoal import Shoal, Swims
+from tailbeat.sweep.summary import Rows, judge, summarise
+
+Array = NDArray[np.float64]
+
+UPLOAD = 1  # SPD_SOURCE
+KINDS = {"last": 0, "mean": 1, "window": 2}  # LAW_KIND
+
+
+class CutAfter:
+    """Aborts a trial when so many beats have been told."""
+
+    def __init__(self, beats: int) -> None:
+        self.beats = beats
+
+    def __call__(self, event: object) -> str | None:
+        cut = isinstance(event, BeatEvent) and event.beat + 1 >= self.beats
+        return "cut" if cut else None
+
+
+@pytest.mark.parametrize(
+    ("past", "params"),
+    [
+        (Past("last"), {}),
+        (Past("mean"), {}),
+        (Past("window", 3), {"LAW_LEAD": 1}),
+        (Past("window", 5), {"LAW_FADE": 1, "LAW_FADE_FROM": 1, "DU_MAX_RAD": 0.05}),
+        (Past("mean"), {"LAW_GAIN": 9, "ROLLBACK_RATIO": 1.01, "LAW_Q_LEN": 2}),
+    ],
+    ids=["last", "mean", "window 3", "window 5 with limits", "mean that rolls back"],
+)
+def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float]) -> None:
+    """The board of the simulator, its store and its link, against the batch of a sweep: the same
+    amplitudes to the last bit, trial after trial."""
+    reference = from_text("cosine:0.07,4,2")
+    base = {"LAW_KIND": KINDS[past.kind], "LAW_WINDOW": past.window, "ROLLBACK_RATIO": 0}
+    shoal = Shoal("tank", [{"seed": 5}])
+    spread = lengths.parse("uniform:4,13")
+    rolled, ends = [], []
+    with Fish.connect("sim:tank", seed=5) as fish:
+        values = {"SPD_SOURCE": UPLOAD, "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, **base, **params}
+        for name, value in values.items():
+            fish.params.set(name, value)
+        known = {name: param.value for name, param in fish.params.list().items()}
+        law, ratio = Law.from_params(known, reference.beat_s), known["ROLLBACK_RATIO"]
+        batch = learners.Board([law], ratio, past)
+        batch.begin(reference)
+        fish.upload_reference(reference)
+        for number in range(1, 10):
+            amplitude = batch.following()
+            wanted = lengths.executed(spread, [5], number, reference.beats)
+            outcome = fish.run_trial(guard=CutAfter(int(wanted[0])))
+            told = {beat.beat: beat.amplitude_rad for beat in outcome.beats}
+            assert all(np.float32(told[k]) == np.float32(amplitude[0, k]) for k in told)
+            executed = np.array([outcome.executed_beats])
+            ends.append(outcome.executed_beats)
+            swims = shoal.swim(amplitude, number, reference.beat_s).cut(executed)
+            if outcome.end != "complete":
+                fish.clear()
+            fish.upload_speeds(number, swims.speed_m_s[0], np.full(reference.beats, 1e-3))
+            fish.learn()
+            rolled.append(batch.learn(swims).verdict)
+            stored = np.clip(fish.amplitudes().values, 0, np.float32(law.amplitude_max_rad))
+            assert np.array_equal(stored, batch.following()[0].astype(np.float32)), number
+    assert any("rolled_back" in one for one in rolled) == (ratio > 0)
+    assert min(ends) < reference.beats == max(ends)
+
+
+def by_hand(past: Past, gain: float, speed: Array, wanted: Array) -> list[Array]:
+    """The amplitudes of all trials by the formulas, in double, saturated to [0, 0.6]."""
+    swum, errors = [np.clip(gain * wanted, 0, 0.6)], []
+    for i, trial in enumerate(speed, start=1):
+        errors.append(np.where(np.isnan(trial), 0.0, wanted - trial))
+        if past.kind == "mean":
+            following = np.mean(swum, axis=0) + (i + 1) * gain * np.mean(errors, axis=0)
+        else:
+            last = past.window if past.kind == "window" else 1
+            following = np.mean(swum[-last:], axis=0) + gain * np.mean(errors[-last:], axis=0)
+        swum.append(np.clip(following, 0, 0.6))
+    return swum
+
+
+@pytest.mark.parametrize("past", [Past("last"), Past("mean"), Past("window", 2), Past("window", 5)])
+def test_averages_are_what_the_formulas_say(past: Past) -> None:
+    """(2.10) and the moving average, with cut trials and saturation, by numpy."""
+    rng = np.random.default_rng(3)
+    reference = from_text("cosine:0.07,4,2")
+    wanted = reference.speed_m_s.astype(np.float64)
+    speed = wanted + rng.normal(0, 0.02, (9, reference.beats))
+    for row, cut in zip(speed, rng.integers(3, reference.beats + 1, len(speed)), strict=True):
+        row[cut:] = np.nan
+    board = learners.Board([Law(kp_rad_s_m=5.0, amplitude_max_rad=0.6)], 0.0, past)
+    board.begin(reference)
+    for trial, expected in zip(speed, by_hand(past, 5.0, speed, wanted), strict=False):
+        np.testing.assert_allclose(board.following()[0], expected, rtol=0, atol=2e-6)
+        board.learn(Swims(trial[None], trial[None], trial[None]))
+
+
+def test_lengths_belong_to_fish_and_trial() -> None:
+    """Even, within their spread, and the same whoever asks first."""
+    spread = lengths.parse("uniform:20,50")
+    assert spread is not None
+    drawn = np.array([[spread.executed(s, t, 40) for t in range(1, 41)] for s in range(1, 101)])
+    assert (drawn.min(), drawn.max()) == (20, 40)
+    assert np.mean(drawn == 40) == pytest.approx(1 / 3, abs=0.03)
+    for beats in range(20, 40):
+        assert np.mean(drawn == beats) == pytest.approx(1 / 30, abs=0.012)
+    assert lengths.executed(spread, [7, 3], 5, 40).tolist() == [drawn[6, 4], drawn[2, 4]]
+    assert len({tuple(row) for row in drawn}) == 100
+    scaled = lengths.parse("uniform:44,58,50")
+    assert scaled is not None
+    ends = {scaled.executed(s, 1, 40) for s in range(300)}
+    assert ends == {35, 36, 37, 38, 39, 40}
+    assert lengths.executed(lengths.parse(""), [1, 2], 3, 40).tolist() == [40, 40]
+
+
+@pytest.mark.parametrize(
+    "text", ["uniform", "uniform:1", "uniform:5,4", "uniform:1,nan", "uniform:1,2,0", "normal:1,2"]
+)
+def test_lengths_that_make_no_sense(text: str) -> None:
+    with pytest.raises(InputError, match="Write it like uniform:20,50"):
+        lengths.parse(text)
+
+
+SMALL = """
+iterations = 6
+seeds = 6
+reference = "cosine:0.06,4,2"
+
+[[plant]]
+kappa_per_m = 10
+
+[[noise]]
+name = "cut"
+lengths = "uniform:4,13"
+
+[[law]]
+name = "P"
+lead_beats = 1
+
+[[law]]
+name = "average"
+past = "mean"
+lead_beats = 1
+
+[[law]]
+name = "moving 3"
+past = "window"
+lead_beats = 1
+step_max_rad = 0.1
+"""
+
+
+def test_rows_of_cut_trials() -> None:
+    """They tell how far each got, of what is measured, and the bounds of the whole."""
+    recipe = parse(SMALL, "small")
+    table = pa.concat_tables([run_cell(recipe, cell) for cell in cells(recipe)])
+    rows = Rows.of(table).columns
+    swum = rows["iteration"] > 0
+    assert np.array_equal(rows["executed_beats"], rows["measured_beats"])
+    assert {*rows["executed_beats"][swum]} <= set(range(4, 11)) and len({*rows["travel_m"]}) > 50
+    by_law = [rows["executed_beats"][rows["law"] == law] for law in ("P", "average", "moving 3")]
+    assert np.array_equal(by_law[0], by_law[1]) and np.array_equal(by_law[0], by_law[2])
+    assert rows["amplitude_min_rad"].min() >= 0 and rows["amplitude_max_rad"].max() <= 0.7853983
+    limited = rows["law"] == "moving 3"
+    assert rows["step_rad"][limited].max() <= 0.1 + 1e-7 < rows["step_rad"][~limited].max()
+    assert {*rows["swum_law"][swum]} == {"p", "mean", "window"}
+    claim = Claim(
+        "P is sooner there", "reach", over="floor_lsq_m_s", where={"law": ["P"]}, level=3.0,
+        against={"law": ["average"]}, at_most=1.0,
+    )  # fmt: skip
+    assert judge(claim, Rows.of(table)).holds
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("uniform:4,13", "about 5"), "noise cut: 'about 5' is no length of trials"),
+        (('past = "mean"', 'past = "some"'), "past = some is not for kind p"),
+        (('past = "mean"', 'past = "mean"\nkind = "model"'), "past = mean is not for kind model"),
+        (('past = "window"', 'past = "window"\nwindow = 9'), "a window of 9 trials"),
+    ],
+)
+def test_bad_recipes_of_cut_trials(change: tuple[str, str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse(SMALL.replace(*change), "small")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", ["cut-trials", "cut-trials-lead", "cut-trials-limits"])
+def test_packaged_studies_hold(name: str) -> None:
+    """With all their fish; some minutes."""
+    recipe = load(name)
+    table = pa.concat_tables([run_cell(recipe, cell) for cell in cells(recipe)])
+    found = summarise(recipe, table)
+    assert [claim.text for claim in found.failed] == []
