@@ -29,6 +29,8 @@ PATHS = {
     FILE_LEARNED: "/in/learned.bin",
 }
 
+PAST_FILES = 8
+
 _HEADER_BYTES = 12
 _VISITED = b"\2\0"  # version of a learned record with visits
 _INPUT = slice(26, 28)  # of a learned record: what made its amplitudes
@@ -60,6 +62,37 @@ class AmplitudesRecord:
 
     reference_crc: int
     amplitude_rad: Float32
+
+
+@dataclass(frozen=True)
+class LearnedRecord:
+    """What was learned along the reference with ``reference_crc``. ``amplitude_rad`` swims next
+    (unsaturated), ``best_rad`` is the best as swum, if ``best_iteration`` is not 0. ``input``: what
+    made the next ones, memory_input_t. Arrays: float32, shape (beats,)."""
+
+    reference_crc: int
+    iteration: int
+    best_iteration: int
+    input: int
+    best_max_abs_error_m_s: float
+    amplitude_rad: Float32
+    best_rad: Float32
+
+
+@dataclass(frozen=True)
+class PastRecord:
+    """A decoded past trial, or the mean of ``trials`` (``kind`` 2 or 1, LAW_KIND). Arrays: float32,
+    shape (beats,); an error NaN = not measured. ``previous_crc`` 0: the average begins with it."""
+
+    crc: int
+    learned_crc: int
+    previous_crc: int
+    reference_crc: int
+    trial: int
+    kind: int
+    trials: int
+    amplitude_rad: Float32
+    error_m_s: Float32
 
 
 def crc32(data: bytes, crc: int = 0) -> int:
@@ -133,6 +166,29 @@ def decode_amplitudes(record: bytes) -> AmplitudesRecord:
     return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
 
 
+def past_path(kind: int, iteration: int) -> str:
+    """Where the board keeps the past trial of ``iteration``; a mean is kept in two files."""
+    return f"/past{iteration % (2 if kind == lib.PAST_MEAN else PAST_FILES)}.bin"
+
+
+def decode_past(record: bytes) -> PastRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("past_t *")
+    _check(lib.record_decode_past(ffi.from_buffer(record), len(record), struct), "past trial")
+    beats = struct.beats
+    return PastRecord(
+        crc=int(struct.crc),
+        learned_crc=int(struct.learned_crc),
+        previous_crc=int(struct.previous_crc),
+        reference_crc=int(struct.reference_crc),
+        trial=int(struct.trial),
+        kind=int(struct.kind),
+        trials=int(struct.trials),
+        amplitude_rad=_array(struct.amplitude_rad, beats),
+        error_m_s=_array(struct.error_m_s, beats),
+    )
+
+
 def encode_learned(
     status: BoardStatus,
     now: Amplitudes,
@@ -157,6 +213,22 @@ def encode_learned(
         ffi.memmove(struct.visits, visits.tobytes(), visits.size)
     record = _encode(lib.record_encode_memory, struct, 3, now.beats)
     return without_visits(record) if visits is None else record
+
+
+def decode_learned(record: bytes) -> LearnedRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("memory_t *")
+    fault = lib.record_decode_memory(ffi.from_buffer(record), len(record), struct)
+    _check(fault, "learned record")
+    return LearnedRecord(
+        reference_crc=int(struct.reference_crc),
+        iteration=int(struct.iteration),
+        best_iteration=int(struct.best_iteration),
+        input=int(struct.input),
+        best_max_abs_error_m_s=float(struct.best_max_abs_error_m_s),
+        amplitude_rad=_array(struct.amplitude_rad, struct.beats),
+        best_rad=_array(struct.best_rad, struct.beats),
+    )
 
 
 def learned_visits(record: bytes) -> bytes:

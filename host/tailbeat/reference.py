@@ -160,18 +160,25 @@ def thesis_speed(t_s: NDArray[np.floating[Any]]) -> Array:
     return np.asarray(np.where((t_s > 10) & (t_s <= 30), THESIS_PLATEAU_M_S, polynomial))
 
 
-def thesis() -> Reference:
-    """The speed profile of the thesis, equation (8.31): 40 beats of 1 s, 2.20 m."""
+def thesis(speed: float = THESIS_PLATEAU_M_S, duration_s: float = 40.0) -> Reference:
+    """The speed profile of the thesis, equation (8.31): 40 beats of 1 s, 2.20 m. With another
+    ``speed`` (of the plateau, m/s) or ``duration_s`` the same shape."""
+    _check_shape(speed, 0.0, duration_s, 1.0)
+    m, s = speed / THESIS_PLATEAU_M_S, 40.0 / duration_s
 
     def integral(t: Array) -> Array:
+        t = np.minimum(s * t, 40.0)
         polynomial = 2.25 / 40.0**4 * (t**5 / 5 - 20 * t**4 + 1600 * t**3 / 3)
         at_10 = 2.25 / 40.0**4 * (10.0**5 / 5 - 20 * 10.0**4 + 1600 * 10.0**3 / 3)
         at_30 = 2.25 / 40.0**4 * (30.0**5 / 5 - 20 * 30.0**4 + 1600 * 30.0**3 / 3)
         plateau = at_10 + THESIS_PLATEAU_M_S * (t - 10)
         end = at_10 + THESIS_PLATEAU_M_S * 20 + polynomial - at_30
-        return np.where(t <= 10, polynomial, np.where(t <= 30, plateau, end))
+        return np.asarray(m / s * np.where(t <= 10, polynomial, np.where(t <= 30, plateau, end)))
 
-    return Reference(1.0, _beat_means(integral, 40, 1.0), "thesis")
+    plain = m == 1 and s == 1
+    name = "thesis" if plain else f"thesis-{speed:g}-{duration_s:g}"
+    means = _beat_means(integral, _whole_beats(duration_s, 1.0), 1.0)
+    return Reference(1.0, np.maximum(means, 0), name)
 
 
 def trapezoid(speed: float, ramp_s: float, hold_s: float, beat_s: float = 1.0) -> Reference:
@@ -303,10 +310,19 @@ def _reject(path: Path, number: int, column: str, what: str, remedy: str) -> NoR
 
 
 def from_text(text: str) -> Reference:
-    """``thesis``, ``trapezoid:SPEED,RAMP_S,HOLD_S``, ``cosine:SPEED,RAMP_S,HOLD_S`` or a CSV."""
+    """``thesis``, ``thesis:SPEED,DURATION_S``, ``trapezoid:SPEED,RAMP_S,HOLD_S``,
+    ``cosine:SPEED,RAMP_S,HOLD_S`` or a CSV."""
     kind, _, arguments = text.partition(":")
     if text == "thesis":
         return thesis()
+    if kind == "thesis":
+        try:
+            speed, duration_s = (float(part) for part in arguments.split(","))
+        except ValueError:
+            raise InputError(
+                f"'{text}' is not a reference.", "Write it like thesis:0.0633,50 (m/s, s)."
+            ) from None
+        return thesis(speed, duration_s)
     if kind in ("trapezoid", "cosine") and arguments:
         try:
             speed, ramp_s, hold_s = (float(part) for part in arguments.split(","))
@@ -319,6 +335,7 @@ def from_text(text: str) -> Reference:
     if not path.exists():
         raise InputError(
             f"there is no reference '{text}'.",
-            "Use thesis, trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV file.",
+            "Use thesis, thesis:V,DURATION_S, trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S "
+            "or a CSV file.",
         )
     return from_csv(path)

@@ -28,7 +28,8 @@ What = Annotated[
     str,
     typer.Argument(
         metavar="REFERENCE",
-        help="thesis, trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV with t_s,v_m_s.",
+        help="thesis[:V,DURATION_S], trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV "
+        "with t_s,v_m_s.",
     ),
 ]
 
@@ -71,18 +72,49 @@ def _refuse(problems: list[Problem]) -> None:
 
 
 @app.command()
-def upload(what: What, connect: Connect = None, json: Json = False) -> None:
+def upload(
+    what: What,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            "--like",
+            metavar="OLD",
+            help="Begin with what was learned along OLD, a reference of the same shape: board (what"
+            " it holds now), a trial's file, an experiment's folder, or a reference.",
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="With --like: print the amplitudes; change nothing.")
+    ] = False,
+    identified: Annotated[
+        Path | None,
+        typer.Option("--identified", metavar="FILE", help="With --like: what identify wrote."),
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
     """Check a reference against the board's limits and make it the board's.
 
-    Another reference than the board has sets the iteration to 0.
+    Another reference than the board has sets the iteration to 0. With --like the first swim has
+    amplitudes scaled from those along a reference of another magnitude or duration.
 
-    Example: tailbeat reference upload thesis
+    Example: tailbeat reference upload thesis:0.0633,50 --like board
     """
     from tailbeat.reference import from_text
 
+    if like is None and (dry_run or identified is not None):
+        raise typer.BadParameter("--dry-run and --identified are for --like OLD")
     reference = from_text(what)
     with connected(connect) as fish:
         _refuse(reference.check(_limits(fish)))
+        if like is not None:
+            from tailbeat.cli.like import upload_like
+
+            document = _document(reference, reference.crc, [])
+            upload_like(
+                fish, reference, like, identified, dry_run, document, _line(reference), json
+            )
+            return
         with progress_bar(json, "upload") as show:
             crc = fish.upload_reference(
                 reference.record(), lambda done, total: show(done / max(total, 1), "")

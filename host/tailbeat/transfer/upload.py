@@ -1,0 +1,273 @@
+"""A reference like an old one, and what was learned along that, onto a connected board.
+
+A board forgets what it had learned when another reference arrives. So a copy of that is on the disk
+before, in the fish's logbook, and beside it the CRC of the reference that comes: when the link
+drops between the two uploads, the same command finds the board with the new reference and nothing
+learned, and takes the copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.errors import InputError
+from tailbeat.flashing.backup import Backup, new_folder
+from tailbeat.lasting import write_whole
+from tailbeat.model.fishmodel import FishModel
+from tailbeat.model.guided import MODEL_PARAMS
+from tailbeat.records import decode_learned, record_crc
+from tailbeat.reference import Limits, Reference
+from tailbeat.transfer.alike import TOLERANCE, Likeness, likeness
+from tailbeat.transfer.source import (
+    INPUT_UPLOADED,
+    Learned,
+    has_learned,
+    of_backup,
+    of_file,
+    of_folder,
+    of_records,
+    of_trials,
+)
+from tailbeat.transfer.swim import Transferred, transfer
+
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+    from tailbeat.logbook import Logbook
+    from tailbeat.model.identified import Identified
+
+BOARD = "board"
+COPIES = "learned"  # below the logbook
+_NEXT = "next-reference.txt"
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Plan:
+    """``travel_m``: how far the fish is expected to come: as far as the old trial, or reference,
+    scaled, less what the limit takes. ``model_of``: ``identified`` or ``board``. ``swims_it``: the
+    board has the new reference already, with nothing learned along it."""
+
+    learned: Learned
+    new: Reference
+    by: Likeness
+    transferred: Transferred
+    travel_m: float
+    model_of: str
+    swims_it: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """SI units; what ``--json`` prints of it."""
+        return {
+            "from": self.learned.words,
+            "old_reference": self.learned.reference.name,
+            "old_max_abs_error_m_s": self.learned.max_abs_error_m_s,
+            "magnitude": self.by.magnitude,
+            "time_factor": self.by.time_factor,
+            "residual_m_s": self.by.residual_m_s,
+            "saturated_beats": self.transferred.saturated_beats,
+            "expected_travel_m": self.travel_m,
+            "model": self.model_of,
+            "amplitude_rad": self.transferred.amplitude_rad,
+        }
+
+
+def plan(
+    fish: Fish,
+    like: str,
+    new: Reference,
+    identified: Identified | None = None,
+    book: Logbook | None = None,
+    experiments: Path = Path("experiments"),
+) -> Plan:
+    """What would be uploaded; changes nothing. ``like``: ``board``, a trial's file, a folder of
+    them (an experiment), a copy of a board, or a reference, whose best trial is looked for on the
+    board, in the logbook and in ``experiments``. ``identified`` None: by the board's MDL_...
+
+    Raises InputError: the board is not ready, has learned along ``new`` already, or nothing was
+    learned along the old one; the two are not alike; the fish would swim farther than the tank is
+    long."""
+    state = _state(fish, new)
+    learned = _learned(fish, like, new, state, book, experiments)
+    by = likeness(learned.reference, new)
+    if not by.alike:
+        raise InputError(
+            f"{new.name} is no scaled copy of {learned.reference.name}: the best fit misses by "
+            f"{by.residual_m_s * 1e3:.1f} mm/s, {by.residual_m_s / by.peak_m_s:.0%} of its "
+            f"largest speed; {TOLERANCE:.0%} are allowed.",
+            "Scale speed and time of the old reference only, or leave out --like.",
+        )
+    params = {name: p.value for name, p in fish.params.list().items()}
+    transferred = transfer(
+        learned.amplitude_rad,
+        learned.reference,
+        new,
+        by,
+        _model(identified, params),
+        params["AMP_MAX_RAD"],
+    )
+    old_m = learned.reference.travel_m if learned.travel_m is None else learned.travel_m
+    travel_m = by.magnitude / by.time_factor * old_m * transferred.share
+    _require_room(travel_m, Limits.from_params(params))
+    model_of = "identified" if identified is not None else "board"
+    return Plan(learned, new, by, transferred, travel_m, model_of, state.swims_it)
+
+
+def carry(
+    fish: Fish,
+    found: Plan,
+    book: Logbook | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path | None:
+    """Uploads the reference, then the amplitudes; where the copy is of what the board had learned,
+    None when it had nothing or there is no logbook. Repeating it after a broken link is safe."""
+    copy = None
+    if not found.swims_it and book is not None:
+        copy = _copied(fish, book.folder / COPIES, found.new.crc)
+    fish.upload_reference(found.new.record(), progress)
+    fish.upload_amplitudes(found.transferred.amplitude_rad)
+    return copy
+
+
+@dataclass(frozen=True)
+class _State:
+    reference: bytes | None
+    learned: bytes | None
+    swims_it: bool
+
+
+def _state(fish: Fish, new: Reference) -> _State:
+    status = fish.status()
+    if status.pending_trial is not None:
+        raise InputError(
+            f"trial {status.pending_trial} is neither learned nor discarded.",
+            "tailbeat learn, or tailbeat trial discard; then upload.",
+        )
+    if status.state != "IDLE":
+        raise InputError(
+            f"the board is {status.state}, not IDLE.",
+            "tailbeat disarm or tailbeat clear; then upload.",
+        )
+    reference, learned = fish.reference_record(), fish.learned_record()
+    swims_it = status.reference_crc == new.crc
+    if swims_it and not _is_fresh(learned):
+        raise InputError(
+            f"the board has learned along {new.name} already (iteration {status.iteration}).",
+            "Swim on with that; its best swims again by: tailbeat learn --restore-best.",
+        )
+    return _State(reference, learned, swims_it)
+
+
+def _is_fresh(learned: bytes | None) -> bool:
+    """Nothing was learned yet: no amplitudes, the first guess, or uploaded ones."""
+    if not has_learned(learned):
+        return True
+    assert learned is not None
+    held = decode_learned(learned)
+    return held.iteration <= 1 and held.best_iteration == 0 and held.input == INPUT_UPLOADED
+
+
+def _learned(
+    fish: Fish,
+    like: str,
+    new: Reference,
+    state: _State,
+    book: Logbook | None,
+    experiments: Path,
+) -> Learned:
+    if like == BOARD:
+        if state.swims_it:
+            return _left(fish, new, book)
+        return of_records(state.reference, state.learned, "the board")
+    path = Path(like)
+    if path.is_dir():
+        return of_folder(path)
+    if path.suffix == ".ulg":
+        return of_file(path)
+    return _along(fish, like, state, book, experiments)
+
+
+def _left(fish: Fish, new: Reference, book: Logbook | None) -> Learned:
+    """The copy that was made before ``new`` came; the last, when there are some."""
+    root = book.folder / COPIES if book is not None else None
+    for folder in sorted(root.iterdir(), reverse=True) if root and root.is_dir() else []:
+        try:
+            meant = (folder / _NEXT).read_text(encoding="ascii").strip()
+            if meant == f"{new.crc:#010x}":
+                return of_backup(folder)
+        except (OSError, ValueError, InputError):
+            continue
+    raise InputError(
+        f"the board has {new.name} already, and of what it learned before there is no copy here.",
+        "Name a trial, an experiment or a copy with --like.",
+    )
+
+
+def _along(
+    fish: Fish, text: str, state: _State, book: Logbook | None, experiments: Path
+) -> Learned:
+    """A reference by name or CSV."""
+    from tailbeat.experiment import list_experiments
+    from tailbeat.reference import from_text
+
+    old = from_text(text)
+    held = state.reference is not None and record_crc(state.reference) == old.crc
+    if held and has_learned(state.learned):
+        return of_records(state.reference, state.learned, "the board")
+    unique_id = fish.unique_id()
+    kept = [one.trial for one in book.kept()[0] if not one.mark] if book is not None else []
+    for experiment in list_experiments(experiments):
+        if _is_along(experiment.raw / "reference.bin", old.crc):
+            kept += [trial for trial in experiment.trials() if trial.unique_id == unique_id]
+    return of_trials(kept, f"this fish along {old.name}", old.crc)
+
+
+def _is_along(path: Path, crc: int) -> bool:
+    try:
+        return record_crc(path.read_bytes()) == crc
+    except (OSError, InputError):
+        return False
+
+
+def _model(identified: Identified | None, params: dict[str, float]) -> FishModel:
+    if identified is not None:
+        return identified.model
+    model = FishModel(**{field: params[name] for name, field in MODEL_PARAMS.items()})
+    if model.slope_m_s_rad <= 0:
+        raise InputError(
+            "MDL_SLOPE is 0: thrust says nothing of amplitude.",
+            "Identify the fish (tailbeat identify), or set MDL_SLOPE.",
+        )
+    return model
+
+
+def _require_room(travel_m: float, limits: Limits) -> None:
+    room_m = limits.tank_m - limits.fish_m
+    if limits.tank_m > 0 and travel_m > room_m + _ROUNDING:
+        raise InputError(
+            f"by what was learned the fish would swim {travel_m:.2f} m, and the tank has room for "
+            f"{room_m:.2f} m.",
+            "Shorten or slow the reference, or correct TANK_LEN_M (0 = not checked).",
+        )
+
+
+def _copied(fish: Fish, root: Path, next_crc: int) -> Path | None:
+    """On the disk when this returns; ``next-reference.txt`` last, without it nothing is taken
+    from the copy unasked."""
+    learned = fish.learned_record()
+    if not has_learned(learned):
+        return None
+    info = fish.info()
+    folder = new_folder(root, info.unique_id)
+    Backup(
+        unique_id=info.unique_id,
+        build_id=info.build_id,
+        params={},
+        next_trial=info.status.next_trial,
+        reference=fish.reference_record(),
+        learned=learned,
+    ).write(folder)
+    write_whole(folder / _NEXT, f"{next_crc:#010x}\n")
+    return folder
