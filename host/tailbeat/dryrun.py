@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tailbeat import laws
 from tailbeat.errors import InputError
 from tailbeat.faults import NO_TRIAL, refusal
-from tailbeat.records import decode_reference
+from tailbeat.records import decode_past, decode_reference, past_path, record_crc
 from tailbeat.trial_log import Trial, read_trial
 
 if TYPE_CHECKING:
@@ -66,8 +66,17 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
     trial = _pulled(fish, pending)
     error, measured = laws.errors_of(wanted.speed_m_s, trial.beats.speed_m_s)
     complete = trial.end_fault == 0 and trial.executed_beats == len(wanted.speed_m_s)
+    past = laws.Past.from_params(params)
     following, report, rolled_back = laws.learn(
-        law, _memory(fish, status), error, measured, complete, params["ROLLBACK_RATIO"]
+        law,
+        _memory(fish, status),
+        error,
+        measured,
+        complete,
+        params["ROLLBACK_RATIO"],
+        past,
+        _earlier(fish, past, status.iteration),
+        int(params.get("LAW_BEYOND", 0)),
     )
     return DryRun(
         trial=pending,
@@ -89,6 +98,29 @@ def _memory(fish: Fish, status: BoardStatus) -> laws.Memory:
         worse_streak=status.worse_streak,
         visits=fish.visits(),
     )
+
+
+def _earlier(fish: Fish, past: laws.Past, iteration: int) -> list[laws.PastTrial]:
+    """What the board looks back on, newest first: the chain that begins with what it has learned
+    (docs/protocol.md). A file that is missing or not of the chain ends it."""
+    most = {laws.LAST: 0, laws.MEAN: 1}.get(past.kind, past.window - 1)
+    learned = fish.learned_record() if most else None
+    earlier: list[laws.PastTrial] = []
+    wanted = record_crc(learned) if learned is not None else 0
+    while len(earlier) < most and wanted:
+        record = fish.past_record(past_path(past.kind, iteration - 1 - len(earlier)))
+        if record is None:
+            break
+        try:
+            found = decode_past(record)
+        except InputError:
+            break
+        if found.kind != past.kind or wanted != (found.crc if earlier else found.learned_crc):
+            break
+        trials = found.trials if past.kind == laws.MEAN else 1
+        earlier.append(laws.PastTrial(found.amplitude_rad, found.error_m_s, trials))
+        wanted = found.previous_crc
+    return earlier
 
 
 def _pulled(fish: Fish, number: int) -> Trial:

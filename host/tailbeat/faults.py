@@ -27,6 +27,8 @@ NOT_STILL = 60
 NOT_SIGNED = 62
 NOT_FRESH = 63
 NOT_WIRED = 64
+LAW_FEEDBACK = 66
+LAW_SIGN = 67
 
 _KINDS = ("none", "abort", "fault", "refusal")
 

@@ -176,6 +176,10 @@ class Fish:
         """The board's reference as it is stored, see records.decode_reference."""
         return self._record("/reference.bin")
 
+    def past_record(self, path: str) -> bytes | None:
+        """A past trial that the board's average looks back on, see records.past_path."""
+        return self._record(path)
+
     def crash_report(self) -> CrashReport | None:
         """How the firmware last died; None when it never has."""
         record = self.crash_record()

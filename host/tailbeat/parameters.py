@@ -12,7 +12,7 @@ from itertools import islice
 from tailbeat import _dialect as mavlink
 from tailbeat._native import ffi, lib
 from tailbeat.errors import InputError, Refused
-from tailbeat.faults import BAD_PARAM, WRONG_STATE, refusal
+from tailbeat.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 
 _NAME_BYTES = 16
@@ -52,6 +52,9 @@ _IMU_LINE_REMEDY = (
     "IMU_BAUD is a rate the VN-100 has and at least 640 x IMU_RATE_HZ, 800 / IMU_RATE_HZ is whole."
     " For 400 Hz set IMU_BAUD 460800 first; on the way back IMU_RATE_HZ first."
 )
+
+# Values that are in range, and that the board refuses all the same.
+_NO_LAW_FOR_A_FISH = {3.0: LAW_FEEDBACK, 4.0: LAW_FEEDBACK, 5.0: LAW_SIGN}
 
 _UNKNOWN = _Known(math.nan, math.nan, math.nan, 0.0, "", "")
 
@@ -102,6 +105,8 @@ class Parameters:
                 raise InputError(
                     f"{name} = {value:g} does not go with the rest", _IMU_LINE_REMEDY
                 ) from refused
+            if refused.number == BAD_PARAM and name == "LAW_KIND" and value in _NO_LAW_FOR_A_FISH:
+                raise refusal(_NO_LAW_FOR_A_FISH[value]) from refused
             raise
         if _bits(held.value) != _bits(value):
             raise refusal(WRONG_STATE)  # its word on why was lost; the range was right

@@ -471,7 +471,7 @@ def test_apply_sets_the_boards_law(
     with Fish.connect("sim:tank?seed=1") as fish:
         monkeypatch.setattr(Fish, "connect", lambda *_, **__: Borrowed(fish))
         fish.params.set("AMP_MAX_RAD", 0.6)
-        for name, value in {"LAW_TAIL": 1, "LAW_FADE": 0.5, "LAW_KD": 0.1}.items():
+        for name, value in {"LAW_TAIL": 1, "LAW_FADE": 0.5, "LAW_KD": 0.1, "LAW_KIND": 2}.items():
             fish.params.set(name, value)
         assert run(["design", "--table", csv, "--gain", "10", "--apply"]) == 1
         assert fish.params.get("LAW_GAIN").value == 4.0
@@ -482,7 +482,8 @@ def test_apply_sets_the_boards_law(
         assert fish.params.get("LAW_GAIN").value == pytest.approx(told["gain_rad_s_m"])
         assert fish.params.get("LAW_LEAD").value == told["lead_beats"]
         assert fish.params.get("LAW_Q_LEN").value == told["q_len"]
-        assert [fish.params.get(n).value for n in ("LAW_TAIL", "LAW_FADE", "LAW_KD")] == [0, 0, 0]
+        others = ("LAW_TAIL", "LAW_FADE", "LAW_KD", "LAW_KIND")
+        assert [fish.params.get(n).value for n in others] == [0, 0, 0, 0]
 
 
 class Borrowed:

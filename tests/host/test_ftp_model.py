@@ -27,7 +27,7 @@ DATA_MAX = 239
 SILENT_S = 5.0
 
 UPLOADS = ("/in/reference.bin", "/in/amplitudes.bin", "/in/speeds.bin", "/in/learned.bin")
-RECORDS = ("/reference.bin", "/crash.bin")
+RECORDS = ("/reference.bin", "/crash.bin", "/past0.bin", "/past7.bin")
 HIDDEN = ("/params.bin", "/key.bin", "/in/other.bin", "/in/../key.bin", "/nothing", "/in", "")
 
 HOSTS = {"laptop": (RADIO, 255), "tablet": (CONSOLE, 250)}

@@ -11,7 +11,7 @@ import pytest
 
 from tailbeat import laws
 from tailbeat.errors import InputError
-from tailbeat.laws import Law
+from tailbeat.laws import Law, Past
 from tailbeat.parameters import known_parameters
 
 F = np.float32
@@ -45,28 +45,51 @@ def error_at(place: float, e: np.ndarray, measured: np.ndarray) -> np.float32:
     return e[seen[0]] if len(seen) == 1 else F(0.5) * (e[seen[0]] + e[seen[1]])
 
 
+def difference_at(place: float, e: np.ndarray, measured: np.ndarray) -> np.float32:
+    """The forward difference there, the last one repeated; 0 where it has an unmeasured end."""
+    last = len(e) - 1
+    found = []
+    for near in (math.floor(place), math.ceil(place)):
+        j = min(near, last - 1)
+        found.append(e[j + 1] - e[j] if measured[j] and measured[j + 1] else F(0))
+    return found[0] if place == int(place) else F(0.5) * (found[0] + found[1])
+
+
 def contract_step(
     law: Law, u: np.ndarray, e: np.ndarray, measured: np.ndarray, visits: np.ndarray
 ) -> np.ndarray:
-    """The contract of firmware/ilc/law.h for a P law without filter and step limit, in float32."""
+    """The contract of firmware/ilc/law.h without filter and step limit, in float32. Tails: 0 the
+    last error, 1 keep, 2 the last new input, 3 the last old one."""
     last = len(u) - 1
-    out = np.clip(u, F(0), F(law.amplitude_max_rad))
+    old = np.clip(u, F(0), F(law.amplitude_max_rad))
+    out = old.copy()
+    held = None
     for k in range(len(u)):
         place = k + law.lead_beats
-        if place > last and law.tail == 1:
+        if place > last and law.tail:
+            if held is not None and law.tail > 1:
+                out[k] = (out if law.tail == 2 else old)[held]
             continue
+        held = k
         beyond = max(0, int(visits[k]) - law.fade_from)
         fade = F(1) + F(law.fade) * F(beyond)
-        out[k] += F(law.kp_rad_s_m) / fade * error_at(min(place, last), e, measured)
+        proportional = F(law.kp_rad_s_m) / fade * error_at(min(place, last), e, measured)
+        kd = F(law.kd_rad_s2_m) / F(law.beat_s) / fade
+        out[k] += proportional + kd * difference_at(min(place, last), e, measured)
     return out
 
 
-@pytest.mark.parametrize("tail", [0, 1])
-@pytest.mark.parametrize("fade", [0.0, 0.37])
-@pytest.mark.parametrize("lead", [0, 0.5, 1, 1.5, 2.5, 15.5])
-def test_half_leads_and_fading_gains_bit_for_bit(lead: float, fade: float, tail: int) -> None:
+@pytest.mark.parametrize("tail", [0, 1, 2, 3])
+@pytest.mark.parametrize(("fade", "kd"), [(0.0, 0.0), (0.37, 0.0), (0.2, -1.3)])
+@pytest.mark.parametrize("lead", [0, 0.5, 1, 1.5, 2.5, 15.5, 39, 39.5])
+def test_half_leads_tails_and_fading_gains_bit_for_bit(
+    lead: float, fade: float, kd: float, tail: int
+) -> None:
     random = np.random.default_rng(int(10 * lead) + tail)
-    law = Law(kp_rad_s_m=4.3, lead_beats=lead, fade=fade, fade_from=2, tail=tail)
+    law = Law(
+        kp_rad_s_m=4.3, kd_rad_s2_m=kd, beat_s=0.7, lead_beats=lead, fade=fade, fade_from=2,
+        tail=tail,
+    )  # fmt: skip
     for _ in range(20):
         u = random.normal(0.4, 0.4, 40).astype(F)
         e = random.normal(0, 0.02, 40).astype(F)
@@ -179,7 +202,9 @@ def test_load_knows_fields_parameters_and_short_names(tmp_path: Path) -> None:
         {"gain": 7, "lead": 1},
     ):
         assert laws.load(write(tmp_path, content)) == Law(kp_rad_s_m=7, lead_beats=1)
-    assert laws.load(write(tmp_path, {"tail": "keep"})).tail == 1
+    for tail, name in enumerate(("hold", "keep", "hold-new", "hold-old")):
+        assert laws.load(write(tmp_path, {"tail": name})).tail == tail
+        assert laws.load(write(tmp_path, {"LAW_TAIL": tail, "LAW_KIND": 0})).tail == tail
     assert laws.load(write(tmp_path, {"lead": 1.5, "fade": 0.1})) == Law(lead_beats=1.5, fade=0.1)
 
 
@@ -193,13 +218,23 @@ def test_load_knows_fields_parameters_and_short_names(tmp_path: Path) -> None:
         {"lead": 1.25},
         {"lead": -1},
         {"fade_from": 0.5},
-        {"tail": 2},
+        {"tail": 4},
+        {"tail": "drop"},
+        {"kind": 1},
+        {"LAW_KIND": 2},
+        {"kind": False},
     ],
 )
 def test_load_refuses(tmp_path: Path, content: object) -> None:
     with pytest.raises(InputError) as caught:
         laws.load(write(tmp_path, content))
     assert caught.value.remedy
+
+
+def test_an_average_of_one_trial_is_refused_with_the_reason(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="needs its earlier trials") as caught:
+        laws.load(write(tmp_path, {"LAW_KIND": 1}))
+    assert "LAW_KIND 1 or 2" in caught.value.remedy
 
 
 def test_load_of_no_json(tmp_path: Path) -> None:
@@ -213,3 +248,7 @@ def test_label() -> None:
     assert Law(kp_rad_s_m=4.6, kd_rad_s2_m=1, lead_beats=1, q_len=3).label() == "p4.6d1-lead1-q3"
     assert Law(lead_beats=0.5).label() == "p4-lead0.5"
     assert Law(lead_beats=2.0, fade=0.25).label() == "p4-lead2-fade0.25"
+    averages = [Past(), Past(laws.MEAN), Past(laws.WINDOW, 5)]
+    assert [past.label() for past in averages] == ["", "mean-", "avg5-"]
+    assert Past.from_params({}) == Past()
+    assert Past.from_params({"LAW_KIND": 2.0, "LAW_WINDOW": 4.0}) == Past(laws.WINDOW, 4)

@@ -11,6 +11,7 @@ import pytest
 
 from tailbeat import laws, records
 from tailbeat.demo import compare, same_bits
+from tailbeat.dryrun import dry_run
 from tailbeat.errors import Refused
 from tailbeat.fish import Fish
 from tailbeat.recompute import recompute_beats
@@ -22,6 +23,7 @@ SPEED_M_S = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS)).astype(np.float32)
 SEED = 3
 SIGMA_M_S = 0.001
 VISION, UPLOAD, IMU, MODEL = range(4)
+TAPER = 2  # LAW_BEYOND
 REST_S = 3.0
 
 
@@ -132,3 +134,26 @@ def test_felt_speeds_teach_it_what_the_host_computes_from_the_log(
     assert (trial.rest_after is not None and trial.rest_after.still_s > 0) == (source == IMU)
     assert int(health["longest_pause_us"]) <= 100_000
     assert health["late_ticks"] == health["serial_overruns"] == health["store_failures"] == 0
+
+
+def test_a_beat_too_far_off_stops_the_tail_and_is_learned_from(tmp_path: Path) -> None:
+    limit_m_s = 0.02
+    with Fish.connect("vboard", seed=SEED) as fish:
+        prepare(fish, VISION)
+        fish.params.set("ERR_MAX_M_S", limit_m_s)
+        fish.params.set("LAW_BEYOND", TAPER)
+        outcome = fish.run_trial()
+        assert outcome.end == "aborted:ERROR_LIMIT"
+        assert fish.status().fault.name == "ERROR_LIMIT"
+        fish.clear()
+        trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
+        guilty = int(np.argmax(np.abs(trial.beats.error_m_s) > limit_m_s))
+        assert guilty + 3 == trial.executed_beats == outcome.executed_beats < BEATS
+        expected = dry_run(fish)
+        assert fish.learn(outcome.number).measured_beats == trial.executed_beats
+        assert same_bits(fish.amplitudes().values, expected.amplitude_rad)
+        visits = fish.visits()
+        assert visits is not None
+        corrected = trial.executed_beats - 1  # the lead
+        assert visits.tolist() == [1] * corrected + [0] * (BEATS - corrected)
+        assert fish.health()["late_ticks"] == 0

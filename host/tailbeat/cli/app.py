@@ -23,6 +23,7 @@ from tailbeat.cli import (
     reference,
     simulate,
     sweep,
+    thesis,
     trial,
     vn100,
 )
@@ -81,5 +82,6 @@ app.add_typer(key.app, name="key")
 app.add_typer(bluetooth.app, name="bluetooth")
 app.command()(flash.flash)
 app.command()(sweep.sweep)
+app.command()(thesis.thesis)
 app.command()(simulate.selftest)
 app.add_typer(experiment.app, name="experiment")

@@ -40,10 +40,14 @@ def info(connect: Connect = None, json: Json = False) -> None:
 
 
 def _info(fish: Fish) -> tuple[dict[str, Any], str]:
-    found, imu, health = fish.info(), fish.imu_info(), fish.health()
+    from tailbeat.visits import never_corrected
+
+    found, imu, health, visits = fish.info(), fish.imu_info(), fish.health(), fish.visits()
     who = f"{found.board} board on {found.connection}, firmware {found.build_id}"
-    document = plain(found) | {"imu": imu, "health": health}
-    return document, _info_text(who, found.status, imu_line(imu), health)
+    document = plain(found) | {"imu": imu, "health": health, "visits": visits}
+    text = _info_text(who, found.status, imu_line(imu), health)
+    missing = never_corrected(visits)
+    return document, text + (f"\nlearned    {missing}" if missing else "")
 
 
 def _info_of_a_stranger(fish: Fish) -> tuple[dict[str, Any], str]:
@@ -53,6 +57,7 @@ def _info_of_a_stranger(fish: Fish) -> tuple[dict[str, Any], str]:
     status, health, name = fish.status(), fish.health(), fish.transport.name
     document: dict[str, Any] = dict.fromkeys(field.name for field in fields(BoardInfo))
     document |= {"connection": name, "status": status, "imu": None, "health": health}
+    document["visits"] = None
     who = f"board on {name}; what it is, and its firmware: not told to strangers"
     return document, _info_text(who, status, "not told to strangers", health)
 

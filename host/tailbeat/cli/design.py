@@ -125,8 +125,10 @@ def _reference(text: str | None, fish: Fish | None) -> Reference:
 
 
 def _apply(fish: Fish, found: Design) -> None:
-    """The certificate is for kd = 0, the last error held beyond the end and a gain that stays, so
-    those go with it."""
+    """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
+    last trial alone, so those go with it."""
+    from tailbeat.laws import LAST
+
     law = found.law
     fish.params.set("LAW_KD", law.kd_rad_s2_m)
     fish.params.set("LAW_GAIN", law.kp_rad_s_m)
@@ -134,6 +136,8 @@ def _apply(fish: Fish, found: Design) -> None:
     fish.params.set("LAW_Q_LEN", law.q_len)
     fish.params.set("LAW_TAIL", law.tail)
     fish.params.set("LAW_FADE", law.fade)
+    if "LAW_KIND" in fish.params.list():  # older firmware has no other
+        fish.params.set("LAW_KIND", LAST)
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
@@ -178,7 +182,7 @@ def _text(found: Design, applied: bool) -> str:
     lines += [f"warning    {line}" for line in found.warnings]
     if applied:
         lines.append(
-            "applied    it is the board's now, with LAW_KD, LAW_TAIL and LAW_FADE 0; "
+            "applied    it is the board's now, with LAW_KD, LAW_TAIL, LAW_FADE and LAW_KIND 0; "
             "'tailbeat params save' makes it last"
         )
     return "\n".join(lines)

@@ -28,15 +28,15 @@ def new(
     Example: tailbeat experiment new --reference thesis --fish carangi
     """
     from tailbeat.experiment import Experiment
-    from tailbeat.laws import Law
+    from tailbeat.laws import Law, Past
     from tailbeat.reference import from_text
 
     wanted = from_text(reference)
     with connected(connect) as fish:
         board = fish.info()
         params = {name: p.value for name, p in fish.params.list().items()}
-    law = Law.from_params(params, wanted.beat_s)
-    made = Experiment.new(root, fish_name or board.board, wanted.name, law.label())
+    law = Past.from_params(params).label() + Law.from_params(params, wanted.beat_s).label()
+    made = Experiment.new(root, fish_name or board.board, wanted.name, law)
     made.write_settings(
         {
             "simulated": board.simulated,

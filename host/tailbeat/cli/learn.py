@@ -73,16 +73,20 @@ def learn(
                 text,
             )
             return
+        from tailbeat.visits import never_corrected
+
         report = fish.learn(number)
-        held = fish.amplitudes()
+        held, visits = fish.amplitudes(), fish.visits()
         verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
     document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
     document["amplitude_rad"] = held.values
+    document["visits"] = visits
     document["verdict"] = verdict
     text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
     text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
     text += "; worse twice, so the best amplitudes swim next" if report.rolled_back else ""
-    say(json, document, text + verdict_text(verdict))
+    missing = never_corrected(visits)
+    say(json, document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
 
 
 def law(

@@ -172,6 +172,8 @@ def _document(found: Progress) -> dict[str, Any]:
 
 
 def _text(found: Progress, applied: dict[str, float] | None, discarded: list[int]) -> str:
+    from tailbeat.visits import never_measured
+
     header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
     rows = [
         [
@@ -187,6 +189,8 @@ def _text(found: Progress, applied: dict[str, float] | None, discarded: list[int
     lines = [table(header, rows, left=(5,))]
     if discarded:
         lines.append(f"discarded, not counted: trial {', '.join(map(str, discarded))}")
+    if missing := never_measured(found.visits):
+        lines.append(missing)
     return "\n".join([*lines, *_conclusion(found, applied)])
 
 

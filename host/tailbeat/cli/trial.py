@@ -215,6 +215,8 @@ def _document(trial: Trial) -> dict[str, Any]:
 def _trial_text(trial: Trial) -> str:
     import numpy as np
 
+    from tailbeat.visits import not_reached
+
     b = trial.beats
     rows = [
         [
@@ -227,11 +229,13 @@ def _trial_text(trial: Trial) -> str:
         ]
         for k in range(len(b.samples))
     ]
+    missing = not_reached(trial.executed_beats, np.isfinite(b.speed_m_s))
     lines = [
         f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
         f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
         f"RMS {mm(trial.rms_error_m_s())}; speed by "
         f"{_source(trial)}",
+        *([missing] if missing else []),
         *(f"note: {problem}" for problem in trial.problems),
         table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),
     ]

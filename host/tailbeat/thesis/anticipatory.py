@@ -1,0 +1,92 @@
+"""Chapter 7's anticipatory law (7.10) on its example (section 7.5), and what learns instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tailbeat.thesis.advection import AdvectionPlant, Uptake
+from tailbeat.thesis.example import Run
+from tailbeat.thesis.heat import CHAPTER7, STEP, Doubles, heat_plant, times
+from tailbeat.thesis.learner import LearnerConfig
+from tailbeat.thesis.native import Precision
+from tailbeat.thesis.options import Options
+from tailbeat.thesis.rodtrials import Plant, last_iteration, lead_samples, learn, window
+
+RHO = -1.2041
+DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five
+DELTA = 0.25  # the one that RHO is made for
+ITERATIONS = 5
+
+
+def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> LearnerConfig:
+    """(7.10). ``tail``: ``hold-new`` goes on with the new input of T - delta, ``hold-old`` with the
+    old one, as printed.
+
+    Raises:
+        InputError: when delta is no multiple of half a step, or as long as the trial.
+    """
+    return LearnerConfig(
+        samples=len(times(step)),
+        step=step,
+        kd=RHO,
+        lead=lead_samples(delta, step),
+        tail=tail,
+    )
+
+
+def printed(options: Options) -> Run:
+    """(7.10) on (7.31) as printed, its phi clipped below v = 0."""
+    step = STEP if options.step is None else options.step
+    return _asked(AdvectionPlant(step), step, options)
+
+
+def heat(options: Options) -> Run:
+    """(7.10) on the heat equation, F = 0."""
+    step = STEP if options.step is None else options.step
+    return _asked(heat_plant(CHAPTER7, step), step, options)
+
+
+def _asked(plant: Plant, step: float, options: Options) -> Run:
+    delta = DELTA if options.delta is None else options.delta
+    iterations = last_iteration(options.iterations, ITERATIONS)
+    return learn(plant, law(delta, step), iterations, options.precision)
+
+
+def variant(delta: float, carried: float, uptake: Uptake = "clip") -> Run:
+    """(7.10) on (7.31) with another varsigma or phi."""
+    return learn(AdvectionPlant(uptake=uptake, carried=carried), law(delta), ITERATIONS)
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """P-type with lead and Q: what learns where the input leaves no integral behind. ``gain``: of
+    u[k] += gain * e[k + lead]; ``by_time`` makes it gain * (2 t + 3)."""
+
+    gain: float
+    window: float  # min, of Q
+    by_time: bool = False
+    lead: float = 0.10  # min
+
+    def learn(self, iterations: int, step: float = STEP, precision: Precision = "double") -> Run:
+        """On the printed plant, clipped."""
+        config = LearnerConfig(
+            samples=len(times(step)),
+            step=step,
+            kp=self.gain,
+            lead=lead_samples(self.lead, step),
+            q_len=window(self.window, step),
+            tail="hold-new",
+        )
+        at_input = times(step) - self.lead  # when what this error corrects was given
+
+        def weighted(error: Doubles) -> Doubles:
+            return np.asarray(error * (2 * at_input + 3)) if self.by_time else error
+
+        return learn(AdvectionPlant(step), config, iterations, precision, weighted)
+
+
+STEADY = Proportional(gain=-4.0, window=0.2)
+BY_TIME = Proportional(gain=-0.5, window=0.1, by_time=True)
+"""The rod's gain at rest is about -1 / (2 t + 1): the correction grows with time as it falls."""

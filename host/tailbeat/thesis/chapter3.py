@@ -1,0 +1,46 @@
+"""Chapter 3: the moving average (3.12), (3.43) on continuous plants whose trials end at random."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from tailbeat.thesis import chapter3_claims as claims
+from tailbeat.thesis import chapter3_figures as figures
+from tailbeat.thesis.cut import swim
+from tailbeat.thesis.example import Example, Run
+from tailbeat.thesis.moving import EXAMPLE1, FISH, Moving
+from tailbeat.thesis.options import Options
+
+_KNOWS = frozenset({"lengths", "seed", "iterations", "step", "m"})
+
+
+def _run(setting: Moving, iterations: int, keep: tuple[int, ...], options: Options) -> Run:
+    """The gain of each trial stays with another m: the total grows with it, as the chapter's
+    comparison of m has it."""
+    asked = replace(
+        setting,
+        step=setting.step if options.step is None else options.step,
+        m=setting.m if options.m is None else options.m,
+    )
+    task = asked.task()
+    last = iterations if options.iterations is None else options.iterations
+    length = task.length(options.lengths, options.seed)
+    found = swim(task, [length], last, options.precision, keep)
+    return found.run(times=task.times, wanted=task.wanted)
+
+
+EXAMPLES: tuple[Example, ...] = (
+    Example(
+        id="ch3-ex1", chapter=3, title="Nonlinear plant, trials of about 2 s (3.4, example 1)",
+        law="moving average D, (3.12)", knows=_KNOWS,
+        run=partial(_run, EXAMPLE1, 40, (0, 5, 10, 20)),
+        claims=claims.example1, figures=figures.example1, weight=5.0,
+    ),
+    Example(
+        id="ch3-fish", chapter=3, title="Robotic fish, trials of 44 to 58 s (3.4, example 2)",
+        law="moving average PD, (3.43)", knows=_KNOWS,
+        run=partial(_run, FISH, 30, (0, 1, 5, 30)),
+        claims=claims.fish, figures=figures.fish, weight=12.0,
+    ),
+)  # fmt: skip

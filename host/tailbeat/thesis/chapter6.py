@@ -1,0 +1,22 @@
+"""Chapter 6: a rod heated at one end and measured at the other; D-type law and zero-phase Q."""
+
+from __future__ import annotations
+
+from tailbeat.thesis.chapter6_claims import claims
+from tailbeat.thesis.chapter6_figures import figures
+from tailbeat.thesis.example import Example
+from tailbeat.thesis.rod import run
+
+EXAMPLES: tuple[Example, ...] = (
+    Example(
+        id="ch6-heat",
+        chapter=6,
+        title="Heat equation (6.35), driven at one end, measured at the other",
+        law="D-type with zero-phase Q (6.31), (6.42)",
+        knows=frozenset({"step", "iterations"}),
+        run=run,
+        claims=claims,
+        figures=figures,
+        weight=2.0,
+    ),
+)

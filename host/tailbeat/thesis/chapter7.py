@@ -1,0 +1,35 @@
+"""Chapter 7: a rod whose heat is carried along and taken up; D-type law with a lead."""
+
+from __future__ import annotations
+
+from tailbeat.thesis import anticipatory
+from tailbeat.thesis.chapter7_claims import heat_claims, printed_claims
+from tailbeat.thesis.chapter7_figures import heat_figures, printed_figures
+from tailbeat.thesis.example import Example
+
+_KNOWS = frozenset({"step", "iterations", "delta"})
+
+EXAMPLES: tuple[Example, ...] = (
+    Example(
+        id="ch7-printed",
+        chapter=7,
+        title="Advection and Monod uptake (7.31), as printed",
+        law="D-type with lead (7.10)",
+        knows=_KNOWS,
+        run=anticipatory.printed,
+        claims=printed_claims,
+        figures=printed_figures,
+        weight=4.0,
+    ),
+    Example(
+        id="ch7-heat",
+        chapter=7,
+        title="The heat equation (7.3): (7.31) without advection and uptake",
+        law="D-type with lead (7.10)",
+        knows=_KNOWS,
+        run=anticipatory.heat,
+        claims=heat_claims,
+        figures=heat_figures,
+        weight=3.0,
+    ),
+)

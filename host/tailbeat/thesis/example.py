@@ -1,0 +1,80 @@
+"""The nouns: an example, a run of it, what the thesis claims of it and what came out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.thesis.options import Options
+
+COMES_OUT = "comes out"
+UNDER_A_READING = "comes out under a stated reading"
+DOES_NOT = "does not come out"
+VERDICTS = (COMES_OUT, UNDER_A_READING, DOES_NOT)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One statement of the thesis. ``measured``: the figure that was computed just now, never one
+    written down; ``note``: the reading taken, or why it does not come out."""
+
+    text: str
+    source: str  # section, equation or figure of the thesis
+    verdict: str  # one of VERDICTS
+    measured: float | list[float] | str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Errors per iteration. ``max_abs_error``: over the whole wanted record, beyond a cut too (the
+    plant goes on virtually); one value per iteration, or one row of one per component.
+    ``executed``: over what each trial reached, where trials are cut. ``diverged``: the iteration
+    at which it could not be computed any more; the arrays end before it."""
+
+    iterations: NDArray[np.int64]
+    max_abs_error: NDArray[np.float64]
+    executed: NDArray[np.float64] | None = None
+    lengths: NDArray[np.float64] | None = None
+    diverged: int | None = None
+    traces: dict[str, Any] = field(default_factory=dict)  # for figures; not in JSON
+
+
+class Study(Protocol):
+    """What claims and figures are computed with. Runs with the same options are computed once."""
+
+    def run(self, **changes: Any) -> Run:
+        """A run of this example with the thesis's settings but for ``changes`` (of ``Options``)."""
+
+    def tick(self, done: float) -> None:
+        """Tells how much of the claims is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture that was drawn. ``contradicts``: what the text's own numbers say against it."""
+
+    path: Path
+    name: str  # of the thesis: "Fig. 2.3"
+    caption: str
+    contradicts: str = ""
+
+
+@dataclass(frozen=True)
+class Example:
+    """An example of the thesis. The functions are pure but for files in the figures' folder."""
+
+    id: str
+    chapter: int
+    title: str
+    law: str  # short, with the equation's number
+    knows: frozenset[str]  # names of Options it takes, beside precision
+    run: Callable[[Options], Run]
+    claims: Callable[[Study], list[Claim]]
+    figures: Callable[[Study, Path], list[Figure]]
+    weight: float = 1.0  # seconds that run and claims take, about

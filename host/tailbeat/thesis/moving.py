@@ -1,0 +1,95 @@
+"""The examples of chapter 3 as tasks: plant, moving average (3.12), (3.43), lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from tailbeat.errors import InputError
+from tailbeat.thesis import continuous
+from tailbeat.thesis.continuous import HeldPlant, Method, Rate
+from tailbeat.thesis.cut import Doubles, Outcome, Task, chance, swim
+from tailbeat.thesis.learner import UNLIMITED, LearnerConfig
+
+M_MAX = 15  # a learner's window holds 16 trials
+_SAMPLES_MAX = 65535
+
+
+@dataclass(frozen=True)
+class Moving:
+    """An example of the chapter. The derivative is the forward difference of the samples; a cut
+    trial has none across its end. ``history``: what stands for the trials before the first."""
+
+    rate: Rate
+    method: Method
+    step: float  # of integration and control
+    duration: float
+    wanted: Callable[[Doubles], Doubles]
+    draw: Callable[[int, int], float]  # (seed, iteration) -> T_i
+    m: int  # m + 1 trials are averaged
+    beta: float  # of each of them
+    kp: float = 0.0  # -L of (3.43)
+    first_input: float = 0.0
+    history: str = "zero"
+    low: float = -UNLIMITED  # of the input
+
+    def times(self) -> Doubles:
+        steps = round(self.duration / self.step) if self.step > 0.0 else 0
+        fits = abs(steps * self.step - self.duration) <= 1e-9 * self.duration
+        if not fits or not 2 <= steps < _SAMPLES_MAX:
+            raise InputError(
+                f"{self.duration:g} s is no whole number of steps of {self.step:g} s.",
+                f"Give a step that divides it into 2 to {_SAMPLES_MAX - 1}.",
+            )
+        return np.arange(steps + 1, dtype=np.float64) * np.float64(self.step)
+
+    def law(self) -> LearnerConfig:
+        """(3.12); (3.43) with ``kp``, which looks at the newest trial only."""
+        if not 0 <= self.m <= M_MAX:
+            raise InputError(f"m = {self.m} is out of range.", f"Give one from 0 to {M_MAX}.")
+        part = 1.0 / (self.m + 1)
+        return LearnerConfig(
+            samples=len(self.times()), step=self.step, kp=self.kp, kd=1.0, low=self.low,
+            past="window", history=self.history,
+            weights=[(part, 1.0 if j == 0 else 0.0, self.beta) for j in range(self.m + 1)],
+        )  # fmt: skip
+
+    def task(self) -> Task:
+        times = self.times()
+        plant = HeldPlant(self.rate, self.step, self.method)
+
+        def respond(inputs: Doubles, _: int) -> Doubles:
+            return plant.respond(inputs)
+
+        return Task(times, self.wanted(times), respond, self.law(), self.draw, self.first_input)
+
+    def swim(self, seeds: Sequence[int], iterations: int, keep: tuple[int, ...] = ()) -> Outcome:
+        """One series per seed, of random lengths."""
+        task = self.task()
+        return swim(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
+
+
+EXAMPLE1_LENGTHS = NormalDist(2.0, 0.25)
+FISH_EARLIEST_S, FISH_LATEST_S = 44.0, 58.0
+_LEAST_CHANCE = 2.0**-60  # of which a normal distribution has a finite value
+
+
+def _normal(seed: int, iteration: int) -> float:
+    return max(0.0, EXAMPLE1_LENGTHS.inv_cdf(max(chance(seed, iteration), _LEAST_CHANCE)))
+
+
+def _uniform(seed: int, iteration: int) -> float:
+    return FISH_EARLIEST_S + (FISH_LATEST_S - FISH_EARLIEST_S) * chance(seed, iteration)
+
+
+EXAMPLE1 = Moving(
+    continuous.example1_rate, "euler", 0.01, 2.0, continuous.example1_wanted, _normal,
+    m=4, beta=1.0 / 5.0,
+)  # fmt: skip
+FISH = Moving(
+    continuous.fish_rate, "rk4", 0.05, 50.0, continuous.fish_wanted, _uniform,
+    m=2, beta=1.0 / 3.0, kp=1.0, first_input=0.05,
+)  # fmt: skip

@@ -1,0 +1,21 @@
+"""What may be asked of an example beyond the thesis's own settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tailbeat.thesis.native import Precision
+
+
+@dataclass(frozen=True)
+class Options:
+    """None = as the thesis has it. An example refuses those that it does not know
+    (``Example.knows``) when it is asked for by name."""
+
+    lengths: str | None = None  # how long the trials are: see tailbeat.thesis.lengths
+    seed: int = 1
+    step: float | None = None  # integration and control step, in the example's unit of time
+    iterations: int | None = None  # the last iteration; the first is 0, in chapters 4 and 5 1
+    m: int | None = None  # of the moving average (chapter 3): m + 1 trials
+    delta: float | None = None  # lead (chapter 7), min
+    precision: Precision = "double"  # of the laws; the plants always compute in double

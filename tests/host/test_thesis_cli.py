@@ -1,0 +1,324 @@
+"""The command ``thesis``: what it takes, refuses and prints, with examples made for it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+from tailbeat.cli import run
+from tailbeat.thesis import study
+
+STUBS = '''
+"""Examples with known answers."""
+from functools import partial
+
+import numpy as np
+
+from tailbeat.errors import InputError
+from tailbeat.thesis.example import Claim, Example, Figure, Run, VERDICTS
+
+LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"
+
+
+def run(scale, options):
+    if options.step == 0.5:
+        raise InputError("half a step is no step.", "Take a whole one.")
+    if options.step == 0.25:
+        raise MemoryError
+    last = 3 if options.iterations is None else options.iterations
+    i = np.arange(last + 1)
+    errors = scale / (i + 1.0) * (1 + 0.1 * options.seed)
+    if options.m is not None:
+        errors = errors + options.m
+    random = np.random.default_rng(options.seed).normal(size=(300, 300))
+    errors[-1] += np.linalg.norm(np.linalg.inv(random) @ random - np.eye(300))  # last bits alone
+    if options.precision == "float":
+        errors = errors.astype(np.float32).astype(float)
+    return Run(i, errors, lengths=None if options.lengths is None else i + 1.0)
+
+
+def two(options):
+    i = np.arange(1, 4)
+    return Run(i, np.array([[1.0, 2.0], [np.nan, 3.0], [0.5, np.inf]]), diverged=4)
+
+
+def claims(study):
+    calls = study.run(iterations=5)
+    assert study.run(iterations=5) is calls, "not cached"
+    study.tick(0.5)
+    return [
+        Claim("first", "(2.1)", VERDICTS[0], float(calls.max_abs_error[5])),
+        Claim(LONG, "Fig. 2.3 and section 2.4", VERDICTS[1], [0.5, float("nan")], "a note " * 30),
+        Claim("third", "(2.3)", VERDICTS[2], "never"),
+    ]
+
+
+def figures(study, folder):
+    (folder / "fig2-3.png").write_bytes(b"PNG")
+    return [Figure(folder / "fig2-3.png", "Fig. 2.3", "errors", "its numbers")]
+
+
+def none(*anything):
+    return []
+
+
+def forever(options):
+    while True:
+        pass
+
+
+def dies(options):
+    import os
+
+    os._exit(1)
+
+
+def made(name, chapter, run, knows, claims=none, figures=none, weight=1.0):
+    title, law = f"stub {name}", "P (2.3)"
+    return Example(name, chapter, title, law, frozenset(knows), run, claims, figures, weight)
+
+
+EXAMPLES = (
+    made("ch2-a", 2, partial(run, 1.0), {"seed", "step", "iterations", "lengths"}, claims, figures),
+    made("ch2-b", 2, partial(run, 2.0), {"iterations", "m"}, weight=3.0),
+    made("ch3-c", 3, two, {"delta"}),
+)
+SLOW = (*EXAMPLES, made("ch4-d", 4, forever, set(), weight=9.0))
+'''
+
+
+@pytest.fixture
+def stubs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "thesis_stubs.py").write_text(STUBS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(study, "REGISTRY", "thesis_stubs")
+    sys.modules.pop("thesis_stubs", None)
+    return tmp_path
+
+
+def not_json(word: str) -> Any:
+    raise AssertionError(f"{word} is no JSON")
+
+
+def document(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
+    assert run(["thesis", *words, "--cores", "1", "--json"]) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    return json.loads(shown.out, parse_constant=not_json)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    cores = [] if "--cores" in words else ["--cores", "1"]
+    status = run(["thesis", *words, *cores])
+    shown = capsys.readouterr()
+    assert status in (1, 2) and shown.out == "" and shown.err.count("\n") == 1
+    return shown.err
+
+
+def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = document(capsys)
+    assert [one["id"] for one in found["examples"]] == ["ch2-a", "ch2-b", "ch3-c"]
+    first, second, third = found["examples"]
+    assert first["law"] == "P (2.3)" and first["iterations"] == [0, 1, 2, 3]
+    assert first["max_abs_error"][:3] == pytest.approx([1.1, 0.55, 1.1 / 3], rel=1e-7)
+    assert [set(claim) for claim in first["claims"]] == [
+        {"text", "source", "verdict", "measured", "note"}
+    ] * 3
+    assert first["claims"][0]["measured"] == pytest.approx(1.1 / 6, rel=1e-6)
+    assert first["claims"][1]["measured"] == [0.5, None]
+    assert second["claims"] == [] and second["executed_max_abs_error"] is None
+    assert third["max_abs_error"] == [[1.0, 2.0], [None, 3.0], [0.5, None]]
+    assert third["diverged_at"] == 4 and first["diverged_at"] is None
+    assert found["verdicts"] == {
+        "comes out": 1, "comes out under a stated reading": 1, "does not come out": 1,
+    }  # fmt: skip
+
+
+def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["thesis", "--cores", "1", "--figures", str(stubs / "new" / "drawn")]) == 0
+    shown = capsys.readouterr().out
+    lines = shown.splitlines()
+    assert max(len(line) for line in lines if str(stubs) not in line) <= 100
+    assert lines[0] == "ch2-a: stub ch2-a; P (2.3)"
+    assert lines[1] == "max|e| in iteration 0: 1.1, 1: 0.55, 2: 0.3667, 3: 0.275"
+    assert "diverged at 4" in shown and "1: 1/2, 2: -/3, 3: 0.5/-" in shown
+    assert lines[-1] == (
+        "claims: 1 comes out, 1 comes out under a stated reading, 1 does not come out"
+    )
+    joined = " ".join(shown.split())
+    assert "Fig. 2.3, errors contradicted by the text's own numbers: its numbers" in joined
+    assert (stubs / "new" / "drawn" / "fig2-3.png").exists()
+
+
+def test_options_reach_those_that_know_them(
+    stubs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("2", "--iterations", "2", "--m", "3", "--seed", "0", "--lengths", "full")
+    first, second = document(capsys, *words, "--step", "2*pi/5000", "--no-claims")["examples"]
+    assert first["max_abs_error"] == pytest.approx([1.0, 0.5, 1 / 3], rel=1e-7)
+    assert second["max_abs_error"] == pytest.approx([5.2, 4.1, 3 + 2.2 / 3], rel=1e-7)
+    assert first["settings"] == {
+        "iterations": 2, "lengths": "full", "seed": 0, "step": 2 * 3.141592653589793 / 5000,
+        "precision": "double",
+    }  # fmt: skip
+    assert second["settings"] == {"iterations": 2, "m": 3, "precision": "double"}
+    assert first["lengths"] == [1, 2, 3] and first["claims"] == []
+    (alone,) = document(capsys, "ch3-c", "--delta", "1/4", "--precision", "float")["examples"]
+    assert alone["settings"] == {"delta": 0.25, "precision": "float"}
+
+
+def test_claims_judge_the_thesiss_settings(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = document(capsys, "ch2-a", "--seed", "9", "--iterations", "1")["examples"][0]
+    plain = document(capsys, "ch2-a")["examples"][0]
+    assert asked["claims"] == plain["claims"] and asked["iterations"] == [0, 1]
+
+
+def test_chapters_by_number_or_name(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for word in ("2", "ch2"):
+        ids = [one["id"] for one in document(capsys, word)["examples"]]
+        assert ids == ["ch2-a", "ch2-b"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["9"], "there is no '9'. Chapters are 2, 3; examples ch2-a, ch2-b, ch3-c."),
+        (["ch2-b", "--seed", "4"], "ch2-b does not know --seed. It knows --iterations, --m."),
+        (["ch2-b", "--step", "1"], "ch2-b does not know --step. It knows --iterations, --m."),
+        (["3", "--m", "4"], "none of these examples knows --m. They know --delta."),
+        (["--step", "0"], "--step 0 is 0. Give a number at least 1e-07."),
+        (["--step", "1e-9"], "--step 1e-9 is 1e-09."),
+        (["--step", "1-2"], "--step 1-2 is -1."),
+        (["--step", "1/0"], "'1/0' has no finite value."),
+        (["--step", "exit()"], "'exit()' has 'exit()', which is not allowed."),
+        (["--step", "nan"], "'nan' has the name 'nan', which is not allowed."),
+        (["--step", "i"], "'i' has the name 'i', which is not allowed."),
+        (["--delta", "0"], "--delta 0 is 0. Give a number above 0."),
+        (["--iterations", "0"], "--iterations 0 is out of range. Give 1 to 10000."),
+        (["--iterations", "10001"], "--iterations 10001 is out of range."),
+        (["--m", "-1"], "--m -1 is out of range. Give 0 to 15."),
+        (["--m", "16"], "--m 16 is out of range."),
+        (["--seed", "-1"], "--seed -1 is out of range."),
+        (["--cores", "0"], "Try: tailbeat thesis --help"),
+        (["--precision", "half"], "'half' is not one of 'double', 'float'"),
+        (["--lengths", "short"], "'short' are no lengths of trials. Lengths are full, uniform or"),
+        (["--lengths", "pattern:x+1"], "'x+1' has the name 'x', which is not allowed."),
+        (["2", "--step", "0.5"], "ch2-a: half a step is no step. Take a whole one."),
+        (["2", "--step", "0.25"], "ch2-a: these settings are more than this computer can compute."),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_in_one_line(
+    stubs: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    assert message in refused(capsys, *words)
+
+
+def test_what_a_process_refuses_is_told_the_same(
+    stubs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = refused(capsys, "2", "--step", "0.5", "--cores", "2")
+    assert told == "tailbeat: ch2-a: half a step is no step. Take a whole one.\n"
+
+
+def test_a_folder_that_is_a_file_is_refused(
+    stubs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (stubs / "file").write_text("")
+    assert "cannot use" in refused(capsys, "--figures", str(stubs / "file"))
+
+
+def test_results_do_not_depend_on_cores(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Byte for byte, linear algebra included; the heaviest begins first and is printed second."""
+    shown = []
+    for cores in ("1", "2"):
+        assert run(["thesis", "--json", "--seed", "3", "--cores", cores]) == 0
+        shown.append(capsys.readouterr().out)
+    assert shown[0] == shown[1] != ""
+
+
+def test_results_do_not_depend_on_threads(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = []
+    for threads in (1, 2):
+        with threadpool_limits(limits=threads):
+            shown.append(document(capsys, "2", "--no-claims"))
+    assert shown[0] == shown[1]
+
+
+def test_progress_rises_to_the_end(stubs: Path) -> None:
+    orders = [study.Order(name, study.Options(), registry="thesis_stubs")
+              for name in ("ch2-a", "ch2-b", "ch3-c")]  # fmt: skip
+    for cores in (1, 2):
+        parts: list[float] = []
+        study.run_many(orders, [1.0, 3.0, 1.0], cores, parts.append)
+        assert parts == sorted(parts) and parts[-1] == pytest.approx(1.0)
+        if cores == 1:
+            assert 0.1 in [round(part, 6) for part in parts]  # half of the first
+
+
+def script(folder: Path, body: str) -> subprocess.CompletedProcess[str]:
+    """The command with two cores in a session of its own; ``body`` changes it before."""
+    code = textwrap.dedent(
+        """
+        import os, signal, sys
+        sys.path.insert(0, sys.argv[1])
+        from tailbeat.cli import run
+        from tailbeat.thesis import study
+        import thesis_stubs
+        study.REGISTRY = "thesis_stubs"
+        """
+    ) + textwrap.dedent(body)
+    path = folder / "script.py"
+    code += (
+        "\nif __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs ignore it\n"
+        "    sys.exit(run(['thesis', '--cores', '2']))\n"
+    )
+    path.write_text(code)
+    return subprocess.run(
+        [sys.executable, str(path), str(folder)],
+        capture_output=True, text=True, start_new_session=True, timeout=120,
+    )  # fmt: skip
+
+
+def test_ctrl_c_ends_all_of_it_with_one_line(stubs: Path) -> None:
+    """Pressed when the first example is done and another goes on for ever."""
+    done = script(stubs, """
+        thesis_stubs.EXAMPLES = thesis_stubs.SLOW
+        really = study.wait
+        def wait(running, **how):
+            ready = really(running, **how)
+            if ready[0]:
+                os.killpg(0, signal.SIGINT)
+            return ready
+        study.wait = wait
+        """)  # fmt: skip
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == "tailbeat: stopped; nothing is kept. Run it again.\n"
+
+
+def test_a_process_that_dies_is_told(stubs: Path) -> None:
+    done = script(stubs, """
+        dying = thesis_stubs.made("ch4-d", 4, thesis_stubs.dies, set(), weight=9.0)
+        thesis_stubs.EXAMPLES = (*thesis_stubs.EXAMPLES, dying)
+        """)  # fmt: skip
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "a process that computed examples has died" in done.stderr
+
+
+def test_a_real_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("ch8-sim-4", "--iterations", "6", "--figures", str(tmp_path))
+    (found,) = document(capsys, *words)["examples"]
+    assert found["max_abs_error"] == pytest.approx(
+        [0.0791, 0.0353, 0.0139, 0.0049, 0.0018, 0.0010, 0.0010], abs=2e-4
+    )
+    assert found["iterations"] == list(range(7)) and len(found["claims"]) >= 10
+    assert [Path(figure["path"]).name for figure in found["figures"]] == [
+        "fig8-3.png", "fig8-4.png", "figA-1.png",
+    ]  # fmt: skip
