@@ -32,8 +32,8 @@ KINDS = {"none": range(1), "abort": range(1, 20), "fault": range(20, 40), "refus
 # Whoever is told something must be told what to do: one of these, as a verb.
 VERBS = re.findall(
     r"\w+",
-    "add ask bring change charge check choose clear close compare connect correct disarm discard do "
-    "fasten free hold keep learn list look lower make must needed pull raise reconnect "
+    "add ask bring change charge check choose clear close compare connect correct disarm discard "
+    "do fasten free hold keep learn list look lower make must needed pull raise reconnect "
     "report restore see set shorten slow start swim switch try update upload wait wire "
     "write",
 )

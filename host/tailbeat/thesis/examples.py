@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from tailbeat.thesis import chapter2, chapter3, chapter4, chapter5, chapter6, chapter7, chapter8
+from tailbeat.thesis.chapter2 import examples as chapter2
+from tailbeat.thesis.chapter3 import examples as chapter3
+from tailbeat.thesis.chapter4 import examples as chapter4
+from tailbeat.thesis.chapter5 import examples as chapter5
+from tailbeat.thesis.chapter6 import examples as chapter6
+from tailbeat.thesis.chapter7 import examples as chapter7
+from tailbeat.thesis.chapter8 import examples as chapter8
 from tailbeat.thesis.example import Example
 
 EXAMPLES: tuple[Example, ...] = (

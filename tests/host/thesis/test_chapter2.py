@@ -15,12 +15,16 @@ import numpy as np
 import pytest
 
 from tailbeat.errors import InputError
-from tailbeat.thesis import average, chapter2, chapter2_claims, chapter2_figures, picture
-from tailbeat.thesis.average import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE
+from tailbeat.thesis import picture
+from tailbeat.thesis.chapter2 import claims as chapter2_claims
+from tailbeat.thesis.chapter2 import examples as chapter2
+from tailbeat.thesis.chapter2 import figures as chapter2_figures
+from tailbeat.thesis.chapter2 import tasks as average
+from tailbeat.thesis.chapter2.plants import WANTED
+from tailbeat.thesis.chapter2.tasks import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE
 from tailbeat.thesis.conditions import reached_probability
 from tailbeat.thesis.cut import first_within, stays_within
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Example, Run
-from tailbeat.thesis.linear import WANTED
 from tailbeat.thesis.options import Options
 
 EXAMPLES = {example.id: example for example in chapter2.EXAMPLES}

@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 
 from tailbeat.errors import InputError
-from tailbeat.thesis import chapter3, chapter3_claims, chapter3_figures, picture
+from tailbeat.thesis import picture
+from tailbeat.thesis.chapter3 import claims as chapter3_claims
+from tailbeat.thesis.chapter3 import examples as chapter3
+from tailbeat.thesis.chapter3 import figures as chapter3_figures
+from tailbeat.thesis.chapter3.plants import fish_rate_printed, fish_wanted_input
+from tailbeat.thesis.chapter3.tasks import EXAMPLE1, FISH, Moving
 from tailbeat.thesis.conditions import beta_bounds, normal_reached, rho_least, window_contraction
-from tailbeat.thesis.continuous import fish_rate_printed, fish_wanted_input
 from tailbeat.thesis.cut import swim
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Example, Run
-from tailbeat.thesis.moving import EXAMPLE1, FISH, Moving
 from tailbeat.thesis.options import Options
 
 EXAMPLES = {example.id: example for example in chapter3.EXAMPLES}

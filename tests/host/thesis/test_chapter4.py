@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
-from tailbeat.thesis import chapter4_claims as claims
-from tailbeat.thesis.chapter4 import EXAMPLES
-from tailbeat.thesis.chapter4_claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
+from tailbeat.thesis.chapter4 import claims
+from tailbeat.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
+from tailbeat.thesis.chapter4.examples import EXAMPLES
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example, Run
 from tailbeat.thesis.feedback import Chapter4, Grid, Scheme, Trials, run_trials
 from tailbeat.thesis.native import Precision

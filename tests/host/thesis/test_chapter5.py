@@ -13,10 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
-from tailbeat.thesis import chapter5_claims as claims
-from tailbeat.thesis.chapter4_claims import grows
-from tailbeat.thesis.chapter5 import EXAMPLES
-from tailbeat.thesis.chapter5_claims import CASE1_SIGN, CASE1_SMOOTH, CASE2
+from tailbeat.thesis.chapter4.claims import grows
+from tailbeat.thesis.chapter5 import claims
+from tailbeat.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2
+from tailbeat.thesis.chapter5.examples import EXAMPLES
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Example, Run
 from tailbeat.thesis.feedback import Chapter5, Grid, run_trials
 from tailbeat.thesis.native import Precision

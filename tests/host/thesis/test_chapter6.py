@@ -13,14 +13,15 @@ from scipy.integrate import solve_ivp
 
 from tailbeat.errors import InputError
 from tailbeat.sweep.onethread import one_thread
-from tailbeat.thesis import chapter6, rod
-from tailbeat.thesis import heatfrequency as frequency
+from tailbeat.thesis.chapter6 import examples as chapter6
+from tailbeat.thesis.chapter6 import frequency
+from tailbeat.thesis.chapter6 import task as rod
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, VERDICTS, Claim
 from tailbeat.thesis.heat import CHAPTER6, HeatPlant, Scheme, reference, times
+from tailbeat.thesis.heat_trials import learn, slope, zero_phase
 from tailbeat.thesis.learner import LearnerConfig
 from tailbeat.thesis.native import Precision
 from tailbeat.thesis.options import Options
-from tailbeat.thesis.rodtrials import learn, slope, zero_phase
 from tailbeat.thesis.study import CachedStudy
 
 (EXAMPLE,) = chapter6.EXAMPLES
@@ -313,7 +314,7 @@ def test_every_claim_has_a_source_and_a_verdict() -> None:
 
 def test_a_verdict_follows_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With another gain the same claims read otherwise."""
-    monkeypatch.setattr("tailbeat.thesis.rod.RHO", 2.839)
+    monkeypatch.setattr("tailbeat.thesis.chapter6.task.RHO", 2.839)
     good = rod.law
     monkeypatch.setattr(rod, "law", lambda step=0.01, rho=2.839, q_len=None: good(step, rho, q_len))
     found = {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, Options()))}

@@ -14,9 +14,11 @@ from scipy.integrate import solve_ivp
 
 from tailbeat.errors import InputError
 from tailbeat.sweep.onethread import one_thread
-from tailbeat.thesis import anticipatory, chapter7
 from tailbeat.thesis.advection import AdvectionPlant, PlantFailed, Uptake
-from tailbeat.thesis.anticipatory import BY_TIME, DELTAS, STEADY
+from tailbeat.thesis.chapter7 import examples as chapter7
+from tailbeat.thesis.chapter7 import task as anticipatory
+from tailbeat.thesis.chapter7.task import BY_TIME, DELTAS, STEADY
+from tailbeat.thesis.chapter7.theta import gain_for, promised, theta
 from tailbeat.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -27,11 +29,10 @@ from tailbeat.thesis.example import (
     Run,
 )
 from tailbeat.thesis.heat import CHAPTER7, HeatPlant, reference, times
+from tailbeat.thesis.heat_trials import learn
 from tailbeat.thesis.native import Precision
 from tailbeat.thesis.options import Options
-from tailbeat.thesis.rodtrials import learn
 from tailbeat.thesis.study import CachedStudy
-from tailbeat.thesis.theta import gain_for, promised, theta
 
 PRINTED, HEAT = chapter7.EXAMPLES
 PRECISIONS = get_args(Precision)

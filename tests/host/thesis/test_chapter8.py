@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from tailbeat.errors import InputError
 from tailbeat.floorplant import plant_beats
 from tailbeat.reference import thesis
-from tailbeat.thesis import fish as fish_module
-from tailbeat.thesis import fishclaims
-from tailbeat.thesis.chapter8 import EXAMPLES, draw
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example
-from tailbeat.thesis.fish import (
+from tailbeat.thesis.chapter8 import claims as fishclaims
+from tailbeat.thesis.chapter8 import fish as fish_module
+from tailbeat.thesis.chapter8.examples import EXAMPLES, draw
+from tailbeat.thesis.chapter8.fish import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
     Fish,
@@ -26,6 +25,7 @@ from tailbeat.thesis.fish import (
     trials,
     wanted_beats,
 )
+from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example
 from tailbeat.thesis.native import Precision
 from tailbeat.thesis.options import Options
 from tailbeat.thesis.study import CachedStudy

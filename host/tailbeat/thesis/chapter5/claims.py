@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from tailbeat.thesis.chapter4_claims import grows, sampled_words
+from tailbeat.thesis.chapter4.claims import grows, sampled_words
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Study
 from tailbeat.thesis.feedback import Chapter5, Grid, Trials, run_trials, trials_of
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tailbeat.thesis.average import EXAMPLE1, EXAMPLE1_N30, SUBSTITUTE, Average
+from tailbeat.thesis.chapter2.plants import TIMES, WANTED
+from tailbeat.thesis.chapter2.tasks import EXAMPLE1, EXAMPLE1_N30, SUBSTITUTE, Average
 from tailbeat.thesis.conditions import reached_probability
 from tailbeat.thesis.example import Figure, Run, Study
-from tailbeat.thesis.linear import TIMES, WANTED
 from tailbeat.thesis.picture import ACCENT, LINES, legend, picture
 from tailbeat.thesis.picture import WANTED as WANTED_LINE
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tailbeat.thesis import fishclaims, lengths
+from tailbeat.thesis import lengths
+from tailbeat.thesis.chapter8 import claims as fishclaims
+from tailbeat.thesis.chapter8.fish import BEATS, Task, Trial, trials
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
-from tailbeat.thesis.fish import BEATS, Task, Trial, trials
 from tailbeat.thesis.options import Options
 
 ITERATIONS = 20
@@ -60,7 +61,7 @@ def figures(gain: float, study: Study, folder: Path) -> list[Figure]:
     """All of the chapter's belong to the first gain."""
     if gain != GAINS[0]:
         return []
-    from tailbeat.thesis import fishfigures
+    from tailbeat.thesis.chapter8 import figures as fishfigures
 
     return fishfigures.draw_all(folder)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tailbeat.thesis import anticipatory
-from tailbeat.thesis.chapter7_claims import heat_claims, printed_claims
-from tailbeat.thesis.chapter7_figures import heat_figures, printed_figures
+from tailbeat.thesis.chapter7 import task as anticipatory
+from tailbeat.thesis.chapter7.claims import heat_claims, printed_claims
+from tailbeat.thesis.chapter7.figures import heat_figures, printed_figures
 from tailbeat.thesis.example import Example
 
 _KNOWS = frozenset({"step", "iterations", "delta"})

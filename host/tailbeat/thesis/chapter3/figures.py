@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tailbeat.thesis.continuous import fish_wanted_input
+from tailbeat.thesis.chapter3.plants import fish_wanted_input
+from tailbeat.thesis.chapter3.tasks import EXAMPLE1, FISH, Moving
 from tailbeat.thesis.cut import swim
 from tailbeat.thesis.example import Figure, Run, Study
-from tailbeat.thesis.moving import EXAMPLE1, FISH, Moving
 from tailbeat.thesis.picture import LINES, legend, picture
 from tailbeat.thesis.picture import WANTED as WANTED_LINE
 

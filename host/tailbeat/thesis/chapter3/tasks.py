@@ -9,8 +9,8 @@ from statistics import NormalDist
 import numpy as np
 
 from tailbeat.errors import InputError
-from tailbeat.thesis import continuous
-from tailbeat.thesis.continuous import HeldPlant, Method, Rate
+from tailbeat.thesis.chapter3 import plants as continuous
+from tailbeat.thesis.chapter3.plants import HeldPlant, Method, Rate
 from tailbeat.thesis.cut import Doubles, Outcome, Task, chance, swim
 from tailbeat.thesis.learner import UNLIMITED, LearnerConfig
 

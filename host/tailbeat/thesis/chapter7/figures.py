@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from tailbeat.thesis.advection import AdvectionPlant
-from tailbeat.thesis.anticipatory import BY_TIME, DELTAS, ITERATIONS, RHO, STEADY
-from tailbeat.thesis.chapter6_figures import field_map
+from tailbeat.thesis.chapter6.figures import field_map
+from tailbeat.thesis.chapter7.task import BY_TIME, DELTAS, ITERATIONS, RHO, STEADY
+from tailbeat.thesis.chapter7.theta import theta
 from tailbeat.thesis.example import Figure, Run, Study
 from tailbeat.thesis.heat import CHAPTER7, HORIZON, heat_plant
 from tailbeat.thesis.picture import LINES, WANTED, legend, picture
-from tailbeat.thesis.theta import theta
 
 _SHOWN_DELTA = 0.02  # of figures 7.5 to 7.7
 

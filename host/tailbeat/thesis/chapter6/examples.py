@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from tailbeat.thesis.chapter6_claims import claims
-from tailbeat.thesis.chapter6_figures import figures
+from tailbeat.thesis.chapter6.claims import claims
+from tailbeat.thesis.chapter6.figures import figures
+from tailbeat.thesis.chapter6.task import run
 from tailbeat.thesis.example import Example
-from tailbeat.thesis.rod import run
 
 EXAMPLES: tuple[Example, ...] = (
     Example(

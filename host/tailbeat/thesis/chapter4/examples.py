@@ -7,9 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from tailbeat.thesis import chapter4_claims as claims
-from tailbeat.thesis import chapter4_figures as figures
-from tailbeat.thesis.chapter4_claims import EXAMPLE1, EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, ITERATIONS
+from tailbeat.thesis.chapter4 import claims, figures
+from tailbeat.thesis.chapter4.claims import EXAMPLE1, EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, ITERATIONS
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
 from tailbeat.thesis.feedback import Chapter4, run_example
 from tailbeat.thesis.options import Options

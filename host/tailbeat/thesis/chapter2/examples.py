@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from tailbeat.thesis import chapter2_claims as claims
-from tailbeat.thesis import chapter2_figures as figures
-from tailbeat.thesis.average import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE, Average
+from tailbeat.thesis.chapter2 import claims, figures
+from tailbeat.thesis.chapter2.tasks import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE, Average
 from tailbeat.thesis.cut import swim
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
 from tailbeat.thesis.options import Options

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tailbeat.thesis import feedback_figures as draw
-from tailbeat.thesis.chapter5_claims import (
+from tailbeat.thesis.chapter5.claims import (
     CASE1_SIGN,
     CASE1_SMOOTH,
     DEAD_ZONE,

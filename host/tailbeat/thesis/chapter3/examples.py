@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from tailbeat.thesis import chapter3_claims as claims
-from tailbeat.thesis import chapter3_figures as figures
+from tailbeat.thesis.chapter3 import claims, figures
+from tailbeat.thesis.chapter3.tasks import EXAMPLE1, FISH, Moving
 from tailbeat.thesis.cut import swim
 from tailbeat.thesis.example import Example, Run
-from tailbeat.thesis.moving import EXAMPLE1, FISH, Moving
 from tailbeat.thesis.options import Options
 
 _KNOWS = frozenset({"lengths", "seed", "iterations", "step", "m"})

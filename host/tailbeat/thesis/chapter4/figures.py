@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tailbeat.thesis import feedback_figures as draw
-from tailbeat.thesis.chapter4_claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, ITERATIONS, other
+from tailbeat.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, ITERATIONS, other
 from tailbeat.thesis.example import Figure, Study
 from tailbeat.thesis.feedback import trials_of
 

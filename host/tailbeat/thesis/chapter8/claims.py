@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Study
-from tailbeat.thesis.fish import (
+from tailbeat.thesis.chapter8.fish import (
     AMPLITUDE_MAX_RAD,
     DURATION_S,
     TABLE_8_1,
@@ -20,6 +19,7 @@ from tailbeat.thesis.fish import (
     wanted_at,
     wanted_beats,
 )
+from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Study
 
 _LONG = 40  # iterations that show whether a law stays where it got to
 _TRAP_STEP_S = 0.1

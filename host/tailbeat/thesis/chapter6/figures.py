@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tailbeat.thesis.example import Figure, Study
-from tailbeat.thesis.heat import CHAPTER6, Doubles, heat_plant
-from tailbeat.thesis.picture import LINES, WANTED, legend, picture
-from tailbeat.thesis.rod import (
+from tailbeat.thesis.chapter6.task import (
     LONG,
     with_filter,
     with_filter_on_the_correction,
     without_filter,
 )
+from tailbeat.thesis.example import Figure, Study
+from tailbeat.thesis.heat import CHAPTER6, Doubles, heat_plant
+from tailbeat.thesis.picture import LINES, WANTED, legend, picture
 
 _FIRST_OF_TEXT, _LAST_OF_TEXT = 13.20, 0.0371
 

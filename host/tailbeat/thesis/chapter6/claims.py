@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from tailbeat.thesis import heatfrequency as frequency
+from tailbeat.thesis.chapter6 import frequency
+from tailbeat.thesis.chapter6.task import LONG, Q_LEN, RHO, exact, law, with_filter, without_filter
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Study
 from tailbeat.thesis.heat import CHAPTER6, HORIZON, STEP, heat_plant, times, undriven_as_printed
-from tailbeat.thesis.rod import LONG, Q_LEN, RHO, exact, law, with_filter, without_filter
 
 _PRINTED_RHO_AT_ONE_FREQUENCY = 2.839
 _BASE_FREQUENCY = 0.01  # 2 pi / T, rad/s in the text

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from tailbeat.thesis.chapter3.plants import fish_rate_printed, fish_wanted_input
+from tailbeat.thesis.chapter3.tasks import EXAMPLE1, EXAMPLE1_LENGTHS, FISH, Moving
 from tailbeat.thesis.conditions import (
     beta_bounds,
     normal_reached,
     rho_least,
     window_contraction,
 )
-from tailbeat.thesis.continuous import fish_rate_printed, fish_wanted_input
 from tailbeat.thesis.cut import Doubles, Outcome, swim, verdict
 from tailbeat.thesis.example import Claim, Study
-from tailbeat.thesis.moving import EXAMPLE1, EXAMPLE1_LENGTHS, FISH, Moving
 
 SEEDS = range(1, 201)
 _SWEEP_SEEDS = range(1, 61)

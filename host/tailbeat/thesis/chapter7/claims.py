@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from tailbeat.thesis.advection import AdvectionPlant
-from tailbeat.thesis.anticipatory import (
+from tailbeat.thesis.chapter7.task import (
     BY_TIME,
     DELTA,
     DELTAS,
@@ -19,10 +19,10 @@ from tailbeat.thesis.anticipatory import (
     law,
     variant,
 )
+from tailbeat.thesis.chapter7.theta import gain_for, promised, theta
 from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Run, Study
 from tailbeat.thesis.heat import CHAPTER7, HORIZON, STEP, heat_plant, times
-from tailbeat.thesis.rodtrials import learn
-from tailbeat.thesis.theta import gain_for, promised, theta
+from tailbeat.thesis.heat_trials import learn
 
 _ACCURATE = 1.0  # epsilon of the example
 _REDUCTION = 0.96

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tailbeat.thesis.example import Run
 from tailbeat.thesis.heat import CHAPTER6, STEP, Doubles, heat_plant, times
+from tailbeat.thesis.heat_trials import last_iteration, learn, slope, window, zero_phase
 from tailbeat.thesis.learner import LearnerConfig
 from tailbeat.thesis.options import Options
-from tailbeat.thesis.rodtrials import last_iteration, learn, slope, window, zero_phase
 
 RHO = 0.7444
 WINDOW = 0.2  # min; N0 = 20 samples of 0.6 s

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from tailbeat.thesis import chapter5_claims as claims
-from tailbeat.thesis import chapter5_figures as figures
-from tailbeat.thesis.chapter5_claims import CASE1_SIGN, CASE1_SMOOTH, CASE2, ITERATIONS
+from tailbeat.thesis.chapter5 import claims, figures
+from tailbeat.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2, ITERATIONS
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
 from tailbeat.thesis.feedback import Chapter5, run_example
 from tailbeat.thesis.options import Options

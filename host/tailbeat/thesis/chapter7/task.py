@@ -9,10 +9,10 @@ import numpy as np
 from tailbeat.thesis.advection import AdvectionPlant, Uptake
 from tailbeat.thesis.example import Run
 from tailbeat.thesis.heat import CHAPTER7, STEP, Doubles, heat_plant, times
+from tailbeat.thesis.heat_trials import Plant, last_iteration, lead_samples, learn, window
 from tailbeat.thesis.learner import LearnerConfig
 from tailbeat.thesis.native import Precision
 from tailbeat.thesis.options import Options
-from tailbeat.thesis.rodtrials import Plant, last_iteration, lead_samples, learn, window
 
 RHO = -1.2041
 DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five

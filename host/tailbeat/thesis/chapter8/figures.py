@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.thesis.chapter8.fish import (
+    AMPLITUDE_MAX_RAD,
+    TABLE_8_1,
+    Fish,
+    Task,
+    trials,
+    wanted_beats,
+)
 from tailbeat.thesis.example import Figure
-from tailbeat.thesis.fish import AMPLITUDE_MAX_RAD, TABLE_8_1, Fish, Task, trials, wanted_beats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
