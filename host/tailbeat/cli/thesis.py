@@ -53,6 +53,10 @@ def thesis(
     m: Annotated[
         int | None, typer.Option("--m", help="Moving average over m + 1 trials (chapter 3).")
     ] = None,
+    beta: Annotated[
+        str | None,
+        typer.Option("--beta", help="Gain of each of these trials; default: 1/(m + 1)."),
+    ] = None,
     delta: Annotated[
         str | None, typer.Option("--delta", metavar="MIN", help="Lead (chapter 7), minutes.")
     ] = None,
@@ -80,7 +84,7 @@ def thesis(
     from tailbeat.thesis.choice import checked, choose
     from tailbeat.thesis.options import Options
 
-    given = checked(lengths, seed, step, iterations, m, delta)
+    given = checked(lengths, seed, step, iterations, m, beta, delta)
     chosen = choose(_examples(), what, given, Options(precision=precision))
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)

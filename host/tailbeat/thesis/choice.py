@@ -64,6 +64,7 @@ def checked(
     step: str | None = None,
     iterations: int | None = None,
     m: int | None = None,
+    beta: str | None = None,
     delta: str | None = None,
 ) -> dict[str, Any]:
     """What was given, as values of ``Options``.
@@ -82,6 +83,7 @@ def checked(
         "step": None if step is None else positive("step", step, STEP_MIN),
         "iterations": iterations,
         "m": m,
+        "beta": None if beta is None else positive("beta", beta),
         "delta": None if delta is None else positive("delta", delta),
     }
     return {name: value for name, value in given.items() if value is not None}

@@ -17,5 +17,6 @@ class Options:
     step: float | None = None  # integration and control step, in the example's unit of time
     iterations: int | None = None  # the last iteration; the first is 0, in chapters 4 and 5 1
     m: int | None = None  # of the moving average (chapter 3): m + 1 trials
+    beta: float | None = None  # gain of each of these trials; None: 1/(m + 1)
     delta: float | None = None  # lead (chapter 7), min
     precision: Precision = "double"  # of the laws; the plants always compute in double

@@ -6,21 +6,23 @@ from dataclasses import replace
 from functools import partial
 
 from tailbeat.thesis.chapter3 import claims, figures
-from tailbeat.thesis.chapter3.tasks import EXAMPLE1, FISH, Moving
+from tailbeat.thesis.chapter3.tasks import EXAMPLE1, FISH, Moving, share
 from tailbeat.thesis.cut import swim
 from tailbeat.thesis.example import Example, Run
 from tailbeat.thesis.options import Options
 
-_KNOWS = frozenset({"lengths", "seed", "iterations", "step", "m"})
+_KNOWS = frozenset({"lengths", "seed", "iterations", "step", "m", "beta"})
 
 
 def _run(setting: Moving, iterations: int, keep: tuple[int, ...], options: Options) -> Run:
-    """The gain of each trial stays with another m: the total grows with it, as the chapter's
-    comparison of m has it."""
+    """Another m shares the same total gain out among its trials, as 1/5 and 1/3 do in the two
+    examples, unless beta says otherwise."""
+    m = setting.m if options.m is None else options.m
     asked = replace(
         setting,
         step=setting.step if options.step is None else options.step,
-        m=setting.m if options.m is None else options.m,
+        m=m,
+        beta=share(m) if options.beta is None else options.beta,
     )
     task = asked.task()
     last = iterations if options.iterations is None else options.iterations

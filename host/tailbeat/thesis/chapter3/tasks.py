@@ -18,6 +18,13 @@ M_MAX = 15  # a learner's window holds 16 trials
 _SAMPLES_MAX = 65535
 
 
+def share(m: int) -> float:
+    """Of each trial in an average over m + 1."""
+    if not 0 <= m <= M_MAX:
+        raise InputError(f"m = {m} is out of range.", f"Give one from 0 to {M_MAX}.")
+    return 1.0 / (m + 1)
+
+
 @dataclass(frozen=True)
 class Moving:
     """An example of the chapter. The derivative is the forward difference of the samples; a cut
@@ -48,9 +55,7 @@ class Moving:
 
     def law(self) -> LearnerConfig:
         """(3.12); (3.43) with ``kp``, which looks at the newest trial only."""
-        if not 0 <= self.m <= M_MAX:
-            raise InputError(f"m = {self.m} is out of range.", f"Give one from 0 to {M_MAX}.")
-        part = 1.0 / (self.m + 1)
+        part = share(self.m)
         return LearnerConfig(
             samples=len(self.times()), step=self.step, kp=self.kp, kd=1.0, low=self.low,
             past="window", history=self.history,
