@@ -19,7 +19,7 @@ from tailbeat.camera.base import Camera
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.crash import CrashReport
 from tailbeat.errors import ConnectError, Refused, TransferError
-from tailbeat.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, refusal
+from tailbeat.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, WRONG_STATE, refusal
 from tailbeat.ftp import FtpClient, FtpError, Progress
 from tailbeat.imu_stream import imu_frames
 from tailbeat.link import Link, Message, text_of
@@ -52,6 +52,7 @@ _VISITS = mavlink.TAILBEAT_AMPLITUDE_SET_VISITS
 _FTP_NOT_FOUND = 10
 _STEADY_TRIES = 5
 _NAME = "tailbeat "
+_STOPPED = ("ABORTED", "FAULT")
 
 Event = dict[str, Any]
 OnEvent = Callable[[Event], None]
@@ -246,6 +247,12 @@ class Fish:
         stop = self.link.subscribe(heard.append)
         try:
             self.link.command(mavlink.TAILBEAT_CMD_LEARN, float(number), timeout_s=LEARN_TIMEOUT_S)
+        except Refused as refused:
+            state = self.status().state if refused.number == WRONG_STATE else ""
+            if state not in _STOPPED:
+                raise
+            meaning, remedy = f"the board is stopped ({state})", "tailbeat clear, then learn."
+            raise Refused(refused.number, refused.name, meaning, remedy) from None
         finally:
             stop()
         for message in heard:

@@ -136,4 +136,10 @@ def _outcome_text(outcome: TrialOutcome) -> str:
     unmeasured = outcome.executed_beats - len(errors)
     missing = f" ({unmeasured} without a speed)" if errors and unmeasured > 0 else ""
     line += f"{outcome.executed_beats} beats{missing}{worst}"
-    return line + ("" if outcome.end == "complete" else "\nnext: tailbeat clear")
+    return line + ("" if outcome.end == "complete" else f"\nnext: {_next_words(bool(errors))}")
+
+
+def _next_words(measured: bool) -> str:
+    """After a trial that did not end by itself."""
+    learn = ", then tailbeat learn (the beats it swam count) or tailbeat trial discard"
+    return "tailbeat clear" + (learn if measured else "")

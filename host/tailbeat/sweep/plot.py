@@ -1,4 +1,4 @@
-"""The picture of a sweep: true max|e| over the iterations, median and 90 % band of every law."""
+"""The picture of a sweep: true max|e| over the iterations, median and (of few laws) 90 % band."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from tailbeat.sweep.summary import Line, Summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 LineStyle = str | tuple[int, tuple[int, ...]]
 
@@ -23,6 +24,8 @@ _STYLES = (
 )  # fmt: skip
 _CORNERS_NAMED = 3  # more corners than that are drawn as one bundle
 _ACROSS, _ACROSS_MAX = 3, 5  # panels in a row, and as many as that if they are the plants
+_LEGENDS_MAX = 6  # panels with a legend each; more of them share one
+_BANDS_MAX = 3  # laws in a panel whose bands can be told apart
 
 
 def render(summary: Summary, path: Path) -> None:
@@ -45,6 +48,7 @@ def render(summary: Summary, path: Path) -> None:
             _panel(grid.flat[i], title, lines)
             if i % across == 0:
                 grid.flat[i].set_ylabel("true max|e|, mm/s")
+        _legends(figure, list(grid.flat[: len(panels)]))
         figure.savefig(path, format="png")
 
 
@@ -60,7 +64,7 @@ def _panels(lines: list[Line]) -> list[tuple[str, list[Line]]]:
         if there:
             reference, noise, plant = key
             words = [plant, *([reference] if len(order[0]) > 1 else [])]
-            words += [f"noise: {noise}"] if len(order[1]) > 1 else []
+            words += [noise] if len(order[1]) > 1 else []
             found.append((", ".join(words), there))
     return found
 
@@ -73,9 +77,10 @@ def _panel(axes: Axes, title: str, lines: list[Line]) -> None:
     for law, (color, dash) in zip(laws, _styles(len(laws)), strict=True):
         bundle = [line for line in lines if line.law == law]
         for j, line in enumerate(bundle):
-            _curve(axes, line, color, dash, _label(law, bundle, j))
+            _curve(axes, line, color, dash, _label(law, bundle, j), len(laws) <= _BANDS_MAX)
     floor = lines[0].floor_lsq_m_s * 1e3
-    axes.axhline(floor, color=_FAINT, lw=1, label=f"floor {floor:.1f} mm/s")
+    axes.axhline(floor, color=_FAINT, lw=1, label="floor")
+    axes.set_title(f"floor {floor:.1f} mm/s", loc="right", fontsize=9, color=_FAINT)
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(
@@ -84,7 +89,18 @@ def _panel(axes: Axes, title: str, lines: list[Line]) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("iteration")
     axes.grid(axis="y", color="0.92", lw=0.8)
-    axes.legend(frameon=False, fontsize=9, loc="best")
+
+
+def _legends(figure: Figure, panels: list[Axes]) -> None:
+    """One for all where the panels are many and draw the same laws."""
+    entries = [panel.get_legend_handles_labels() for panel in panels]
+    same = all(labels == entries[0][1] for _, labels in entries)
+    if same and len(panels) > _LEGENDS_MAX:
+        handles, labels = entries[0]
+        figure.legend(handles, labels, loc="outside lower left", ncols=len(labels), frameon=False)
+        return
+    for panel in panels:
+        panel.legend(frameon=False, fontsize=9, loc="best")
 
 
 def _styles(count: int) -> list[tuple[str, LineStyle]]:
@@ -97,14 +113,15 @@ def _label(law: str, bundle: list[Line], j: int) -> str:
     return f"{law}, {len(bundle)} corners" if j == 0 else ""
 
 
-def _curve(axes: Axes, line: Line, color: str, dash: LineStyle, label: str) -> None:
+def _curve(axes: Axes, line: Line, color: str, dash: LineStyle, label: str, band: bool) -> None:
     first = 1 if line.fixed else 0
     iteration = np.arange(first, len(line.median_m_s))
     median, low, high = (
         values[first:] * 1e3 for values in (line.median_m_s, line.low_m_s, line.high_m_s)
     )
     faint = 0.15 if not line.corner else 0.03
-    axes.fill_between(iteration, low, high, color=color, alpha=faint, lw=0)
+    if band:
+        axes.fill_between(iteration, low, high, color=color, alpha=faint, lw=0)
     axes.plot(
         iteration, median, linestyle=dash, color=color, lw=1.6 if not line.corner else 0.9,
         label=label,

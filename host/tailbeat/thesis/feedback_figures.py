@@ -62,7 +62,7 @@ def inputs(path: Path, name: str, series: dict[str, Doubles], caption: str) -> F
 
 
 def _time(axes: Axes, trace: Doubles) -> None:
-    axes.set_xlabel("t on the common axis")
+    axes.set_xlabel("t")
     axes.set_xlim(0.0, trace[-1, 0])
 
 

@@ -66,7 +66,12 @@ def of_backup(folder: Path) -> Learned:
 def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Learned:
     """The best of the whole trials with a speed in every beat; of several references ``crc``, or
     that of the last such trial. Raises InputError when there is none."""
-    whole = [trial for trial in trials if _is_whole(trial) and crc in (None, trial.reference_crc)]
+    known = list(trials)
+    if not known:
+        raise InputError(
+            f"{where} holds no trial files.", "Name the folder of an experiment, or one with *.ulg."
+        )
+    whole = [trial for trial in known if _is_whole(trial) and crc in (None, trial.reference_crc)]
     if not whole:
         raise InputError(
             f"{where} has no whole trial with a speed in every beat"

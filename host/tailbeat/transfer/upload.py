@@ -94,7 +94,8 @@ def plan(
     by = likeness(learned.reference, new)
     if not by.alike:
         raise InputError(
-            f"{new.name} is no scaled copy of {learned.reference.name}: the best fit misses by "
+            f"{new.name} is no scaled copy of the reference that was learned "
+            f"({_shape(learned.reference)}): the best fit misses by "
             f"{by.residual_m_s * 1e3:.1f} mm/s, {by.residual_m_s / by.peak_m_s:.0%} of its "
             f"largest speed; {TOLERANCE:.0%} are allowed.",
             "Scale speed and time of the old reference only, or leave out --like.",
@@ -212,7 +213,14 @@ def _along(
     from tailbeat.experiment import list_experiments
     from tailbeat.reference import from_text
 
-    old = from_text(text)
+    try:
+        old = from_text(text)
+    except InputError as error:
+        raise InputError(
+            f"'{text}' is nothing to learn from.",
+            "After --like give 'board', a trial's .ulg, the folder of an experiment or of a copy, "
+            "or a reference that was learned.",
+        ) from error
     held = state.reference is not None and record_crc(state.reference) == old.crc
     if held and has_learned(state.learned):
         return of_records(state.reference, state.learned, "the board")
@@ -222,6 +230,11 @@ def _along(
         if _is_along(experiment.raw / "reference.bin", old.crc):
             kept += [trial for trial in experiment.trials() if trial.unique_id == unique_id]
     return of_trials(kept, f"this fish along {old.name}", old.crc)
+
+
+def _shape(reference: Reference) -> str:
+    peak_m_s = float(reference.speed_m_s.max())
+    return f"{len(reference.speed_m_s)} beats, up to {peak_m_s * 1e3:.1f} mm/s"
 
 
 def _is_along(path: Path, crc: int) -> bool:

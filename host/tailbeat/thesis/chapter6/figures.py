@@ -73,15 +73,12 @@ def field_map(path: Path, time: Doubles, field: Doubles, name: str) -> None:
         where = np.linspace(0.0, 1.0, field.shape[1])
         low, high = float(field.min()), float(field.max())
         light = high + 0.9 * (high - low)  # or lines and labels drown in black
-        axes.contourf(time, where, field.T, levels=24, cmap="Greys", vmin=low, vmax=light)
+        shades = axes.contourf(time, where, field.T, levels=24, cmap="Greys", vmin=low, vmax=light)
         lines = axes.contour(
             time, where, field.T, levels=8, colors="0.1", linewidths=1.0, negative_linestyles="--"
         )
-        for label in axes.clabel(lines, fontsize=12, fmt="%g", inline=False):
-            label.set_bbox({"boxstyle": "square,pad=0.1", "facecolor": "white", "lw": 0})
-            at_t, at_x = label.get_position()
-            if not (0.03 < at_t / time[-1] < 0.97 and 0.04 < at_x < 0.96):
-                label.set_visible(False)
+        bar = axes.figure.colorbar(shades, ax=axes, ticks=lines.levels)
+        bar.add_lines(lines)
         axes.grid(False)
         axes.set_xlabel("t, min")
         axes.set_ylabel("x")
