@@ -91,6 +91,8 @@ typedef struct {
     law_weights_t now;   /* of the trial that is learned from; not of PAST_LAST */
     uint32_t newest_crc; /* of the newest record; 0 = the average begins */
     uint16_t trials;     /* in the average so far */
+    bool shortened;      /* earlier trials are missing: lost, damaged, dropped, or learned from
+                            with another law */
 } past_view_t;
 
 /* Adds the weighted earlier trials to zeros in app->scratch. Uses app->record, app->shared and
@@ -105,7 +107,12 @@ fault_t past_keep(app_t *app, const law_t *law, const law_trial_t *errors, const
 /* What past_keep asks of the store beyond its reserve. */
 uint32_t past_room_bytes(const app_t *app);
 
-/* Removes all of them: the average begins anew. False when there was none. */
-bool past_drop(app_t *app);
+/* How many earlier trials the law of the moment reads: files that are worth keeping. */
+uint16_t past_reach(const app_t *app);
+
+/* Removes the oldest file but for the places of the |keep| newest; false when there was none. The
+ * chain is the newest part of what there is, so that this shortens an average and never cuts it in
+ * the middle. */
+bool past_drop(app_t *app, uint16_t keep);
 
 #endif

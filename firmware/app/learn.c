@@ -76,6 +76,7 @@ static fault_t save(app_t *app, const law_t *law, const law_trial_t *errors,
         boot_load_memory(app);
         return FAULT_WRITE_FAILED;
     }
+    app_feed_watchdog(app);
     return learn_save(app);
 }
 
@@ -93,6 +94,9 @@ static fault_t learn_pending(app_t *app) {
         return FAULT_WRITE_FAILED;
     }
     (void)trial_run_forget(&app->run, &app->store);
+    if (view.shortened && !report.rolled_back) {
+        link_text(&app->link, MAV_SEVERITY_NOTICE, "earlier trials are missing in the average");
+    }
     report_learned(app, trial->number, trial->iteration, &report);
     return FAULT_NONE;
 }

@@ -13,15 +13,15 @@
 #include <math.h>
 #include <string.h>
 
-#define MEAN_FILES 2u /* the mean that counts, and the next one */
-#define NUMBER_AT 5u  /* in the path */
+#define NUMBER_AT 5u /* in the path */
 
 _Static_assert(PAST_FILES >= PAST_WINDOW_MAX, "earlier trials and the one to come");
+_Static_assert(MEMORY_ROUND % PAST_FILES == 0, "places go on when the iteration goes round");
 
 /* The place of the trial of |iteration|. */
-static void path_of(past_kind_t kind, uint32_t iteration, char path[sizeof PAST_PATH]) {
+static void path_of(uint32_t iteration, char path[sizeof PAST_PATH]) {
     strcpy(path, PAST_PATH);
-    path[NUMBER_AT] = (char)('0' + iteration % (kind == PAST_MEAN ? MEAN_FILES : PAST_FILES));
+    path[NUMBER_AT] = (char)('0' + iteration % PAST_FILES);
 }
 
 static void forget(app_t *app) { memset(&app->shared.past, 0, sizeof app->shared.past); }
@@ -43,7 +43,7 @@ static bool step_back(app_t *app, walk_t *walk) {
     past_t *past = &app->shared.past;
     char path[sizeof PAST_PATH];
     app_feed_watchdog(app); /* eight long trials take a while */
-    path_of(walk->kind, app->memory.iteration - 1u - walk->back, path);
+    path_of(app->memory.iteration - 1u - walk->back, path);
     const size_t length = boot_load_record(app, path);
     if (length == 0 || record_decode_past(app->record, length, past) != FAULT_NONE) {
         return false;
@@ -92,24 +92,23 @@ static law_result_t add_mean(app_t *app, const law_t *law, past_view_t *view) {
 }
 
 static law_result_t add_window(app_t *app, const law_t *law, past_view_t *view) {
-    const uint16_t window = settings_past_window(&app->params);
-    const uint16_t earlier = count_back(app, PAST_WINDOW, (uint16_t)(window - 1u));
-    view->now = past_average_weight(window, earlier + 1u);
+    const uint16_t most = past_reach(app);
+    const uint16_t earlier = count_back(app, PAST_WINDOW, most);
+    view->now = past_average_weight(most + 1u, earlier + 1u);
+    view->trials = earlier;
     walk_t walk = begin_walk(app, PAST_WINDOW);
     law_result_t result = LAW_OK;
     while (walk.back < earlier && result == LAW_OK) {
         result = step_back(app, &walk) ? add_shared(app, law, &view->now) : LAW_BAD_INPUT;
         if (walk.back == 1u) {
             view->newest_crc = app->shared.past.crc;
-            view->trials = app->shared.past.trials;
+            view->shortened = earlier < most && earlier < app->shared.past.trials;
         }
     }
     return result;
 }
 
-law_result_t past_look_back(app_t *app, const law_t *law, past_view_t *view) {
-    *view = (past_view_t){.kind = settings_past_kind(&app->params)};
-    memset(app->scratch, 0, sizeof app->scratch);
+static law_result_t add_past(app_t *app, const law_t *law, past_view_t *view) {
     switch (view->kind) {
     case PAST_MEAN:
         return add_mean(app, law, view);
@@ -120,6 +119,17 @@ law_result_t past_look_back(app_t *app, const law_t *law, past_view_t *view) {
         break;
     }
     return LAW_OK;
+}
+
+law_result_t past_look_back(app_t *app, const law_t *law, past_view_t *view) {
+    const bool learned = app->memory.iteration > 1u && app->memory.input == MEMORY_INPUT_LAW;
+    *view = (past_view_t){.kind = settings_past_kind(&app->params)};
+    memset(app->scratch, 0, sizeof app->scratch);
+    const law_result_t result = add_past(app, law, view);
+    if (view->kind != PAST_LAST && view->newest_crc == 0) {
+        view->shortened = learned;
+    }
+    return result;
 }
 
 /* Into app->shared.past, where the means of the trials before still are. */
@@ -150,15 +160,13 @@ fault_t past_keep(app_t *app, const law_t *law, const law_trial_t *errors,
     const trial_t *trial = &app->run.trial;
     take_in(app, law, errors, view);
     past->previous_crc = view->newest_crc;
-    past->reference_crc = trial->reference_crc;
-    past->trial = trial->number;
     past->kind = (uint16_t)view->kind;
     past->trials = (uint16_t)(view->trials + (view->trials < UINT16_MAX));
     past->beats = trial->beats;
     (void)record_encode_memory(&app->memory, app->record);
     past->learned_crc = record_crc(app->record);
     char path[sizeof PAST_PATH];
-    path_of(view->kind, app->memory.iteration - 1u, path);
+    path_of(app->memory.iteration - 1u, path);
     const size_t length = record_encode_past(past, app->record);
     return store_replace(&app->store, path, app->record, length) == STORE_OK ? FAULT_NONE
                                                                              : FAULT_WRITE_FAILED;
@@ -168,12 +176,27 @@ uint32_t past_room_bytes(const app_t *app) {
     return settings_past_kind(&app->params) == PAST_LAST ? 0u : PAST_ROOM_BYTES;
 }
 
-bool past_drop(app_t *app) {
-    bool any = false;
-    for (uint32_t i = 0; i < PAST_FILES; i++) {
-        char path[sizeof PAST_PATH];
-        path_of(PAST_WINDOW, i, path);
-        any = store_remove(&app->store, path) == STORE_OK || any;
+uint16_t past_reach(const app_t *app) {
+    switch (settings_past_kind(&app->params)) {
+    case PAST_MEAN:
+        return 1;
+    case PAST_WINDOW:
+        return (uint16_t)(settings_past_window(&app->params) - 1u);
+    case PAST_LAST:
+    case PAST_KIND_COUNT:
+        break;
     }
-    return any;
+    return 0;
+}
+
+bool past_drop(app_t *app, uint16_t keep) {
+    app_feed_watchdog(app);
+    for (uint32_t back = PAST_FILES; back > keep; back--) {
+        char path[sizeof PAST_PATH];
+        path_of(app->memory.iteration - back, path);
+        if (store_remove(&app->store, path) == STORE_OK) {
+            return true;
+        }
+    }
+    return false;
 }

@@ -116,11 +116,15 @@ static uint32_t log_bytes(const app_t *app) {
     return trial_log_size_bound(app->reference.beats, (uint32_t)trial_s(app) + 1u);
 }
 
-/* Past trials go last: they make the average, but a fish that cannot swim learns nothing. */
+/* Past trials that no law reads go ahead of any log, the others after all of them, oldest first: a
+ * fish that cannot swim learns nothing, and a short average is better than none. */
 static store_result_t make_space_step(app_t *app, bool *done) {
+    if (past_drop(app, past_reach(app))) {
+        return STORE_OK;
+    }
     const uint32_t bytes = log_bytes(app) + past_room_bytes(app);
     const store_result_t result = store_make_space_step(&app->store, bytes, 0, done);
-    return result == STORE_NO_SPACE && past_drop(app) ? STORE_OK : result;
+    return result == STORE_NO_SPACE && past_drop(app, 0) ? STORE_OK : result;
 }
 
 /* What fails here fails at the start too, and is told then. */

@@ -69,7 +69,8 @@ static fault_t commit_reference(app_t *app, const link_command_t *command) {
         app->reference = *next;
         boot_load_memory(app);
         fault = learn_save(app);
-        (void)past_drop(app);
+        while (past_drop(app, 0)) {
+        }
     }
     (void)store_remove(&app->store, IN_REFERENCE);
     return fault;

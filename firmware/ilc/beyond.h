@@ -19,9 +19,11 @@ typedef enum {
     BEYOND_COUNT
 } beyond_t;
 
-/* Overwrites the amplitudes of the beats after the last one with visits. |visits|: trials that have
- * corrected each beat. Nothing happens when no beat or the last beat has visits. Holes before the
- * last beat with visits are not touched: their neighbours were swum, too. */
-void beyond_fill(beyond_t policy, uint16_t beats, const uint8_t *visits, number_t *amplitude_rad);
+/* Overwrites the amplitudes of the beats after the last one with visits, up to |until| <= beats
+ * (law_kept_from: the rest is the law's tail, which takes no correction). |visits|: trials that
+ * have corrected each beat. Nothing happens when no beat or the last beat has visits. Holes before
+ * the last beat with visits are not touched: their neighbours were swum, too. */
+void beyond_fill(beyond_t policy, uint16_t beats, uint16_t until, const uint8_t *visits,
+                 number_t *amplitude_rad);
 
 #endif

@@ -146,6 +146,12 @@ bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat) {
            (is_measured(trial, pair.first) || is_measured(trial, pair.second));
 }
 
+uint16_t law_kept_from(const law_t *law, uint16_t beats) {
+    const uint32_t tail = tail_beats(law);
+    const bool keeps = law->tail == LAW_TAIL_KEEP || law->tail == LAW_TAIL_HOLD_OLD;
+    return keeps ? (uint16_t)(beats - (tail < beats ? tail : beats)) : beats;
+}
+
 static number_t error_of(const law_trial_t *trial, pair_t pair) {
     if (pair.first == pair.second) {
         return error_at(trial, pair.first);

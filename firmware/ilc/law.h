@@ -134,6 +134,10 @@ void law_finish(const law_t *law, uint16_t beats, number_t *sum, number_t *ampli
  * beat it holds. Of a law and a trial that law_judge accepts. */
 bool law_corrects(const law_t *law, const law_trial_t *trial, uint32_t beat);
 
+/* The first beat of a tail that takes no correction whatever is measured (LAW_TAIL_KEEP,
+ * _HOLD_OLD); |beats| where there is none. Of a law and a |beats| that law_check accepts. */
+uint16_t law_kept_from(const law_t *law, uint16_t beats);
+
 /* max |e| and RMS without learning; refuses exactly what law_update refuses. */
 law_result_t law_judge(const law_t *law, const law_trial_t *trial, const number_t *amplitude_rad,
                        law_report_t *report);

@@ -1,18 +1,18 @@
 #include "ilc/learner.h"
 
 #include "base/panic.h"
-#include "ilc/past.h"
 
 #include <string.h>
 
 /* Trials kept beside the running one, each with an amplitude and an error per sample. */
 static size_t kept_trials(const learner_config_t *config) {
     switch (config->past) {
-    case LEARNER_MEAN:
+    case PAST_MEAN:
         return 1;
-    case LEARNER_WINDOW:
+    case PAST_WINDOW:
         return config->window - 1u;
-    case LEARNER_LAST:
+    case PAST_LAST:
+    case PAST_KIND_COUNT:
         break;
     }
     return 0;
@@ -45,12 +45,12 @@ static bool inputs_bounded(const learner_config_t *config) {
 }
 
 static bool config_valid(const learner_config_t *config) {
-    const bool window = config->past != LEARNER_WINDOW ||
+    const bool window = config->past != PAST_WINDOW ||
                         (config->window >= 1u && config->window <= LEARNER_WINDOW_MAX &&
                          (unsigned)config->history <= LEARNER_HISTORY_NONE &&
                          weights_finite(config) && inputs_bounded(config));
-    const bool mean = config->past != LEARNER_MEAN || config->law.kd_rad_s2_m == NUMBER(0);
-    return (unsigned)config->past <= LEARNER_WINDOW && window && mean &&
+    return (unsigned)config->past < PAST_KIND_COUNT && window &&
+           past_fits(config->past, &config->law) &&
            law_check(&config->law, config->samples) == LAW_OK;
 }
 
@@ -77,7 +77,7 @@ static void share_out(learner_t *learner, void *memory) {
 
 static void fill_history(learner_t *learner) {
     const learner_config_t *config = &learner->config;
-    if (config->past != LEARNER_WINDOW || config->history != LEARNER_HISTORY_FIRST) {
+    if (config->past != PAST_WINDOW || config->history != LEARNER_HISTORY_FIRST) {
         return;
     }
     const size_t samples = config->samples;
@@ -198,20 +198,21 @@ static void keep_in_mean(learner_t *learner) {
 }
 
 static void keep_trial(learner_t *learner) {
-    if (learner->config.past == LEARNER_WINDOW) {
+    if (learner->config.past == PAST_WINDOW) {
         keep_in_window(learner);
-    } else if (learner->config.past == LEARNER_MEAN) {
+    } else if (learner->config.past == PAST_MEAN) {
         keep_in_mean(learner);
     }
 }
 
 static law_result_t add_all(learner_t *learner) {
     switch (learner->config.past) {
-    case LEARNER_MEAN:
+    case PAST_MEAN:
         return add_mean(learner);
-    case LEARNER_WINDOW:
+    case PAST_WINDOW:
         return add_window(learner);
-    case LEARNER_LAST:
+    case PAST_LAST:
+    case PAST_KIND_COUNT:
         break;
     }
     return add_last(learner);

@@ -29,20 +29,13 @@
 #ifndef ILC_LEARNER_H
 #define ILC_LEARNER_H
 
-#include "ilc/law.h"
+#include "ilc/past.h"
 
 #include <stddef.h>
 
 #define LEARNER_WINDOW_MAX 16u
 /* A window's input weights, added up without their signs, times the larger amplitude limit. */
 #define LEARNER_INPUT_LIMIT (NUMBER(4) * LAW_LIMIT)
-
-typedef enum {
-    LEARNER_LAST = 0,  /* the last trial */
-    LEARNER_MEAN = 1,  /* the mean of all trials, with i+2 times the gain in iteration i (2.10); kd
-                          must be 0: an error that is a mean over gaps has no differences */
-    LEARNER_WINDOW = 2 /* the last |window| trials, weighted */
-} learner_past_t;
 
 /* What a window holds before there were that many trials. */
 typedef enum {
@@ -56,10 +49,10 @@ typedef enum {
 typedef struct {
     law_t law;
     uint16_t samples; /* 1..65535: law.beats */
-    learner_past_t past;
-    learner_history_t history;                /* of LEARNER_WINDOW */
-    uint16_t window;                          /* 1..LEARNER_WINDOW_MAX; of LEARNER_WINDOW */
-    law_weights_t weight[LEARNER_WINDOW_MAX]; /* newest first; of LEARNER_WINDOW */
+    past_kind_t past;
+    learner_history_t history;                /* of PAST_WINDOW */
+    uint16_t window;                          /* 1..LEARNER_WINDOW_MAX; of PAST_WINDOW */
+    law_weights_t weight[LEARNER_WINDOW_MAX]; /* newest first; of PAST_WINDOW */
 } learner_config_t;
 
 /* Everything in here is the module's; it points into the caller's buffer. */

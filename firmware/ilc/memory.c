@@ -72,9 +72,8 @@ static bool rate(memory_t *memory, const law_t *law, float max_abs_error_m_s, bo
 
 static void count_trial(memory_t *memory, uint32_t trial_number) {
     memory->last_trial = trial_number;
-    if (memory->iteration < UINT16_MAX) {
-        memory->iteration++;
-    }
+    memory->iteration = memory->iteration < UINT16_MAX ? (uint16_t)(memory->iteration + 1u)
+                                                       : (uint16_t)(UINT16_MAX + 1u - MEMORY_ROUND);
 }
 
 static void count_visits(memory_t *memory, const law_t *law, const law_trial_t *trial) {
@@ -102,7 +101,8 @@ static void correct(memory_t *memory, const law_t *law, const law_trial_t *trial
                     const memory_rules_t *rules, float *scratch) {
     count_visits(memory, law, trial);
     /* Ahead of filter and step limit, which hold for these beats, too. */
-    beyond_fill(rules->beyond, memory->beats, memory->visits, scratch);
+    const uint16_t until = law_kept_from(law, memory->beats);
+    beyond_fill(rules->beyond, memory->beats, until, memory->visits, scratch);
     law_finish(law, memory->beats, scratch, memory->amplitude_rad);
     memory->input = MEMORY_INPUT_LAW;
 }

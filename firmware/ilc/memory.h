@@ -17,6 +17,10 @@
 #include "ilc/beyond.h"
 #include "ilc/law.h"
 
+/* The largest iteration is followed by the one this many before its successor, so that counting
+ * goes on modulo this, which names the places of past trials (app/past.c). */
+#define MEMORY_ROUND 8u
+
 /* What made the amplitudes; TAILBEAT_INPUT on the wire. */
 typedef enum {
     MEMORY_INPUT_LAW = 0,      /* learned from a trial */
@@ -31,7 +35,8 @@ typedef struct {
     uint32_t last_trial;    /* number of the last trial learned from; 0 = none */
     uint16_t beats;
     uint16_t iteration;      /* of the amplitudes: iteration i swims u_i; 0 = none computed yet.
-                                Counts trials learned from, rolled back or not; stops at 65535 */
+                                Counts trials learned from, rolled back or not; after
+                                65535 comes 65528 (MEMORY_ROUND) */
     uint16_t best_iteration; /* 0 = no best yet */
     uint16_t input;          /* memory_input_t */
     uint16_t worse_streak;   /* trials in a row beyond ratio x best */

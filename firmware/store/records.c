@@ -14,7 +14,7 @@
 #define MEMORY_UNVISITED_BEAT_BYTES (2u * F32_BYTES)
 #define MEMORY_BEAT_BYTES (MEMORY_UNVISITED_BEAT_BYTES + 1u)
 #define TRIAL_FIXED_BYTES 16u
-#define PAST_FIXED_BYTES 20u
+#define PAST_FIXED_BYTES 12u
 #define COUNTER_BODY_BYTES 4u
 #define SPEEDS_FIXED_BYTES 4u
 #define AMPLITUDES_FIXED_BYTES 4u
@@ -282,8 +282,6 @@ size_t record_encode_past(const past_t *past, uint8_t *out) {
     uint8_t *at = begin_record(out, magic_past, past->beats);
     at = bytes_put_u32(at, past->learned_crc);
     at = bytes_put_u32(at, past->previous_crc);
-    at = bytes_put_u32(at, past->reference_crc);
-    at = bytes_put_u32(at, past->trial);
     at = bytes_put_u16(at, past->kind);
     at = bytes_put_u16(at, past->trials);
     at = put_array(at, past->amplitude_rad, past->beats);
@@ -309,18 +307,15 @@ fault_t record_decode_past(const uint8_t *bytes, size_t length, past_t *past) {
     const uint8_t *body = bytes + RECORD_HEADER_BYTES;
     const uint8_t *amplitudes = body + PAST_FIXED_BYTES;
     const uint8_t *errors = amplitudes + F32_BYTES * beats;
-    const uint32_t trial = bytes_get_u32(body + 12);
-    const uint16_t kind = bytes_get_u16(body + 16);
-    const uint16_t trials = bytes_get_u16(body + 18);
-    if (trial == 0u || trials == 0u || kind == PAST_LAST || kind >= PAST_KIND_COUNT ||
+    const uint16_t kind = bytes_get_u16(body + 8);
+    const uint16_t trials = bytes_get_u16(body + 10);
+    if (trials == 0u || kind == PAST_LAST || kind >= PAST_KIND_COUNT ||
         !not_negative(amplitudes, beats) || !errors_plausible(errors, beats)) {
         return FAULT_BAD_DATA;
     }
     past->crc = record_crc(bytes);
     past->learned_crc = bytes_get_u32(body);
     past->previous_crc = bytes_get_u32(body + 4);
-    past->reference_crc = bytes_get_u32(body + 8);
-    past->trial = trial;
     past->kind = kind;
     past->trials = trials;
     past->beats = beats;

@@ -29,7 +29,7 @@
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
 #define RECORD_MAX_BYTES (32u + (2u * 4u + 1u) * BEATS_MAX)
-#define RECORD_PAST_MAX_BYTES (32u + 2u * 4u * BEATS_MAX)
+#define RECORD_PAST_MAX_BYTES (24u + 2u * 4u * BEATS_MAX)
 #define RECORD_KEY_MAX_BYTES 52u
 
 typedef struct {
@@ -60,10 +60,9 @@ typedef struct {
     uint32_t crc;          /* the u32 at offset 8 of its own record */
     uint32_t learned_crc;  /* the same of the learned input that was stored next */
     uint32_t previous_crc; /* the same of the past trial before; 0 = the average begins here */
-    uint32_t reference_crc;
-    uint32_t trial;
-    uint16_t kind;   /* past_kind_t: a trial (PAST_WINDOW) or a mean (PAST_MEAN) */
-    uint16_t trials; /* of the average so far, this one among them */
+    uint16_t kind;         /* past_kind_t: a trial (PAST_WINDOW) or a mean (PAST_MEAN) */
+    uint16_t trials;       /* in the average that was learned, this one among them: the window's at
+                              most; of a mean all, stops at 65535 */
     uint16_t beats;
     float amplitude_rad[BEATS_MAX]; /* as swum (saturated) */
     float error_m_s[BEATS_MAX];     /* NaN = not measured */
@@ -138,7 +137,7 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
 /* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */
 fault_t record_decode_trial(const uint8_t *bytes, size_t length, trial_t *trial);
 
-/* trial, trials > 0, a kind that keeps trials; amplitudes finite and >= 0, errors finite or NaN. */
+/* trials > 0, a kind that keeps trials; amplitudes finite and >= 0, errors finite or NaN. */
 fault_t record_decode_past(const uint8_t *bytes, size_t length, past_t *past);
 
 /* next_trial > 0. */

@@ -108,7 +108,7 @@ def _earlier(fish: Fish, past: laws.Past, iteration: int) -> list[laws.PastTrial
     earlier: list[laws.PastTrial] = []
     wanted = record_crc(learned) if learned is not None else 0
     while len(earlier) < most and wanted:
-        record = fish.past_record(past_path(past.kind, iteration - 1 - len(earlier)))
+        record = fish.past_record(past_path(iteration - 1 - len(earlier)))
         if record is None:
             break
         try:

@@ -87,8 +87,6 @@ class PastRecord:
     crc: int
     learned_crc: int
     previous_crc: int
-    reference_crc: int
-    trial: int
     kind: int
     trials: int
     amplitude_rad: Float32
@@ -166,9 +164,9 @@ def decode_amplitudes(record: bytes) -> AmplitudesRecord:
     return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
 
 
-def past_path(kind: int, iteration: int) -> str:
-    """Where the board keeps the past trial of ``iteration``; a mean is kept in two files."""
-    return f"/past{iteration % (2 if kind == lib.PAST_MEAN else PAST_FILES)}.bin"
+def past_path(iteration: int) -> str:
+    """Where the board keeps the past trial of ``iteration``, or the mean up to it."""
+    return f"/past{iteration % PAST_FILES}.bin"
 
 
 def decode_past(record: bytes) -> PastRecord:
@@ -180,8 +178,6 @@ def decode_past(record: bytes) -> PastRecord:
         crc=int(struct.crc),
         learned_crc=int(struct.learned_crc),
         previous_crc=int(struct.previous_crc),
-        reference_crc=int(struct.reference_crc),
-        trial=int(struct.trial),
         kind=int(struct.kind),
         trials=int(struct.trials),
         amplitude_rad=_array(struct.amplitude_rad, beats),

@@ -152,7 +152,7 @@ static void key_in_bounds(const key_record_t *key) {
 
 static void past_in_bounds(const past_t *past) {
     beats_in_bounds(past->beats);
-    MUST(past->trial > 0 && past->trials > 0);
+    MUST(past->trials > 0);
     MUST(past->kind == PAST_MEAN || past->kind == PAST_WINDOW);
     finite(past->amplitude_rad, past->beats, 0.0f);
     for (unsigned i = 0; i < past->beats; i++) {

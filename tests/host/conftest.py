@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,6 +14,9 @@ from tailbeat import records
 from tailbeat.fish import Fish
 from tailbeat.transport import Transport
 from tailbeat.transport.badline import BadLine, Corrupt, Drop, Duplicate, Fault
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 FRAME_BYTES = 60  # of a usual one, for odds given per frame
 

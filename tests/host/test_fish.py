@@ -116,6 +116,18 @@ def test_speeds_may_come_after_the_swim(ready: Fish) -> None:
     assert ready.learn().measured_beats == 8
 
 
+def test_learning_from_a_stopped_board_says_what_comes_first(ready: Fish) -> None:
+    def guard(what: object) -> str | None:
+        return "enough" if isinstance(what, BeatEvent) and what.beat == 2 else None
+
+    ready.run_trial(guard=guard)
+    with pytest.raises(Refused, match="stopped") as refused:
+        ready.learn()
+    assert refused.value.remedy == "tailbeat clear, then learn."
+    ready.clear()
+    assert ready.learn().measured_beats >= 3
+
+
 def test_a_guard_aborts(ready: Fish) -> None:
     events = []
     seen: list[object] = []

@@ -420,7 +420,7 @@ def test_what_info_tells_a_stranger(owner: Laptop, laptop: Callable[[str], Lapto
     theirs = json.loads(out)
     assert status == 0
     assert theirs.keys() == ours.keys()
-    untold = {"build_id", "version", "board", "simulated", "unique_id", "imu"}
+    untold = {"build_id", "version", "board", "simulated", "unique_id", "imu", "visits"}
     assert {name for name, value in theirs.items() if value is None} == untold
     assert theirs["status"]["state"] == "IDLE"
     assert theirs["status"].keys() == ours["status"].keys()

@@ -20,8 +20,8 @@ def test_a_wrong_declaration_is_noticed(tmp_path: Path) -> None:
         shutil.copy(_native.HERE / name, tmp_path / name)
     cdef = tmp_path / "native.cdef"
     text = cdef.read_text()
-    assert "float kp_rad_s_m;" in text
-    cdef.write_text(text.replace("float kp_rad_s_m;", "double kp_rad_s_m;"))
+    assert "number_t kp_rad_s_m;" in text
+    cdef.write_text(text.replace("number_t kp_rad_s_m;", "double kp_rad_s_m;"))
     assert any(
         line.startswith("law_t: ") for line in _native.layout_mismatches(_native.load(tmp_path))
     )

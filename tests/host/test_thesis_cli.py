@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
 import subprocess
 import sys
 import textwrap
@@ -22,6 +24,7 @@ from functools import partial
 import numpy as np
 
 from tailbeat.errors import InputError
+from tailbeat.thesis import progress
 from tailbeat.thesis.example import Claim, Example, Figure, Run, VERDICTS
 
 LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"
@@ -33,10 +36,14 @@ def run(scale, options):
     if options.step == 0.25:
         raise MemoryError
     last = 3 if options.iterations is None else options.iterations
+    if scale == 1.0 and options.iterations == 666:
+        nothing = np.zeros((0, 2))
+        return Run(np.arange(0), nothing, lengths=nothing[:, 0], diverged=0)
     i = np.arange(last + 1)
     errors = scale / (i + 1.0) * (1 + 0.1 * options.seed)
     if options.m is not None:
         errors = errors + options.m
+    progress.tell(1, 2)
     random = np.random.default_rng(options.seed).normal(size=(300, 300))
     errors[-1] += np.linalg.norm(np.linalg.inv(random) @ random - np.eye(300))  # last bits alone
     if options.precision == "float":
@@ -57,6 +64,7 @@ def claims(study):
         Claim("first", "(2.1)", VERDICTS[0], float(calls.max_abs_error[5])),
         Claim(LONG, "Fig. 2.3 and section 2.4", VERDICTS[1], [0.5, float("nan")], "a note " * 30),
         Claim("third", "(2.3)", VERDICTS[2], "never"),
+        Claim("said by nobody else", "beside (2.3)", VERDICTS[0], 4, ours=True),
     ]
 
 
@@ -87,7 +95,7 @@ def made(name, chapter, run, knows, claims=none, figures=none, weight=1.0):
 
 EXAMPLES = (
     made("ch2-a", 2, partial(run, 1.0), {"seed", "step", "iterations", "lengths"}, claims, figures),
-    made("ch2-b", 2, partial(run, 2.0), {"iterations", "m"}, weight=3.0),
+    made("ch2-b", 2, partial(run, 2.0), {"iterations", "m", "beta"}, weight=3.0),
     made("ch3-c", 3, two, {"delta"}),
 )
 SLOW = (*EXAMPLES, made("ch4-d", 4, forever, set(), weight=9.0))
@@ -129,8 +137,9 @@ def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert first["law"] == "P (2.3)" and first["iterations"] == [0, 1, 2, 3]
     assert first["max_abs_error"][:3] == pytest.approx([1.1, 0.55, 1.1 / 3], rel=1e-7)
     assert [set(claim) for claim in first["claims"]] == [
-        {"text", "source", "verdict", "measured", "note"}
-    ] * 3
+        {"text", "source", "verdict", "measured", "note", "ours"}
+    ] * 4
+    assert [claim["ours"] for claim in first["claims"]] == [False, False, False, True]
     assert first["claims"][0]["measured"] == pytest.approx(1.1 / 6, rel=1e-6)
     assert first["claims"][1]["measured"] == [0.5, None]
     assert second["claims"] == [] and second["executed_max_abs_error"] is None
@@ -138,6 +147,9 @@ def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert third["diverged_at"] == 4 and first["diverged_at"] is None
     assert found["verdicts"] == {
         "comes out": 1, "comes out under a stated reading": 1, "does not come out": 1,
+    }  # fmt: skip
+    assert found["verdicts_ours"] == {
+        "comes out": 1, "comes out under a stated reading": 0, "does not come out": 0,
     }  # fmt: skip
 
 
@@ -149,9 +161,14 @@ def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[
     assert lines[0] == "ch2-a: stub ch2-a; P (2.3)"
     assert lines[1] == "max|e| in iteration 0: 1.1, 1: 0.55, 2: 0.3667, 3: 0.275"
     assert "diverged at 4" in shown and "1: 1/2, 2: -/3, 3: 0.5/-" in shown
-    assert lines[-1] == (
-        "claims: 1 comes out, 1 comes out under a stated reading, 1 does not come out"
-    )
+    assert lines[-2:] == [
+        "claims: 1 comes out, 1 comes out under a stated reading, 1 does not come out",
+        "beside them, not the thesis's: 1 comes out, 0 comes out under a stated reading, 0 does "
+        "not come out",
+    ]
+    beside = lines.index(next(line for line in lines if line.startswith("beside the thesis's")))
+    assert lines[beside + 2].startswith("said by nobody else")
+    assert sum(line.startswith("said by nobody else") for line in lines) == 1
     joined = " ".join(shown.split())
     assert "Fig. 2.3, errors contradicted by the text's own numbers: its numbers" in joined
     assert (stubs / "new" / "drawn" / "fig2-3.png").exists()
@@ -161,17 +178,56 @@ def test_options_reach_those_that_know_them(
     stubs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("2", "--iterations", "2", "--m", "3", "--seed", "0", "--lengths", "full")
-    first, second = document(capsys, *words, "--step", "2*pi/5000", "--no-claims")["examples"]
+    more = ("--beta", "-1/2", "--step", "2*pi/5000", "--no-claims")
+    first, second = document(capsys, *words, *more)["examples"]
     assert first["max_abs_error"] == pytest.approx([1.0, 0.5, 1 / 3], rel=1e-7)
     assert second["max_abs_error"] == pytest.approx([5.2, 4.1, 3 + 2.2 / 3], rel=1e-7)
     assert first["settings"] == {
         "iterations": 2, "lengths": "full", "seed": 0, "step": 2 * 3.141592653589793 / 5000,
         "precision": "double",
     }  # fmt: skip
-    assert second["settings"] == {"iterations": 2, "m": 3, "precision": "double"}
+    assert second["settings"] == {"beta": -0.5, "iterations": 2, "m": 3, "precision": "double"}
     assert first["lengths"] == [1, 2, 3] and first["claims"] == []
     (alone,) = document(capsys, "ch3-c", "--delta", "1/4", "--precision", "float")["examples"]
     assert alone["settings"] == {"delta": 0.25, "precision": "float"}
+
+
+def test_arrays_have_a_row_even_where_the_first_trial_diverges(
+    stubs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (found,) = document(capsys, "ch2-a", "--iterations", "666", "--no-claims")["examples"]
+    assert found["iterations"] == [0] and found["max_abs_error"] == [[None, None]]
+    assert found["lengths"] == [None] and found["executed_max_abs_error"] is None
+    assert found["diverged_at"] == 0
+
+
+@pytest.mark.parametrize(("columns", "width"), [(60, 72), (80, 80), (120, 120), (250, 120)])
+def test_text_is_as_wide_as_the_terminal(
+    stubs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    columns: int, width: int,
+) -> None:  # fmt: skip
+    import shutil
+
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(shutil, "get_terminal_size", lambda: os.terminal_size((columns, 24)))
+    assert run(["thesis", "ch2-a", "--cores", "1", "--iterations", "9"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert width - 8 <= max(map(len, lines)) <= width
+    assert lines[1].startswith("settings: iterations 9, seed 1, precision double")
+
+
+def test_many_numbers_have_a_line_of_their_own(
+    stubs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at: Any = importlib.import_module("thesis_stubs")
+    many = at.Claim("many", "(2.1)", at.VERDICTS[0], [0.1234] * 30, "a note")
+    at.EXAMPLES = (at.made("ch2-a", 2, at.two, (), lambda study: [many]),)
+    assert run(["thesis", "--cores", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    row = next(i for i, line in enumerate(lines) if line.startswith("many"))
+    assert lines[row].endswith("see below") and lines[row + 1].startswith("  measured: 0.1234, ")
+    assert sum(line.count("0.1234") for line in lines[row + 1 : row + 4]) == 30
+    assert "  a note" in lines[row + 3 : row + 5] and max(map(len, lines)) <= 100
 
 
 def test_claims_judge_the_thesiss_settings(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,11 +246,13 @@ def test_chapters_by_number_or_name(stubs: Path, capsys: pytest.CaptureFixture[s
     ("words", "message"),
     [
         (["9"], "there is no '9'. Chapters are 2, 3; examples ch2-a, ch2-b, ch3-c."),
-        (["ch2-b", "--seed", "4"], "ch2-b does not know --seed. It knows --iterations, --m."),
-        (["ch2-b", "--step", "1"], "ch2-b does not know --step. It knows --iterations, --m."),
+        (["ch2-b", "--seed", "4"], "ch2-b does not know --seed. It knows --beta, --iter"),
+        (["ch2-b", "--step", "1"], "ch2-b does not know --step. It knows --beta, --iter"),
         (["3", "--m", "4"], "none of these examples knows --m. They know --delta."),
-        (["--step", "0"], "--step 0 is 0. Give a number at least 1e-07."),
-        (["--step", "1e-9"], "--step 1e-9 is 1e-09."),
+        (["--step", "0"], "--step 0 is 0. Give a number above 0."),
+        (["--beta", "1-1"], "--beta 1-1 is 0. Give any other number."),
+        (["--beta", "1/0"], "'1/0' has no finite value."),
+        (["--uptake", "none"], "'none' is not one of 'monod', 'abs', 'clip'"),
         (["--step", "1-2"], "--step 1-2 is -1."),
         (["--step", "1/0"], "'1/0' has no finite value."),
         (["--step", "exit()"], "'exit()' has 'exit()', which is not allowed."),
@@ -259,7 +317,8 @@ def test_progress_rises_to_the_end(stubs: Path) -> None:
         study.run_many(orders, [1.0, 3.0, 1.0], cores, parts.append)
         assert parts == sorted(parts) and parts[-1] == pytest.approx(1.0)
         if cores == 1:
-            assert 0.1 in [round(part, 6) for part in parts]  # half of the first
+            found = [round(5 * part, 6) for part in parts if part < 0.19]  # of the first
+            assert found == [0.05, 0.55]  # half of its run, half of its claims
 
 
 def script(folder: Path, body: str) -> subprocess.CompletedProcess[str]:
@@ -275,11 +334,7 @@ def script(folder: Path, body: str) -> subprocess.CompletedProcess[str]:
         """
     ) + textwrap.dedent(body)
     path = folder / "script.py"
-    code += (
-        "\nif __name__ == '__main__':\n"
-        "    signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs ignore it\n"
-        "    sys.exit(run(['thesis', '--cores', '2']))\n"
-    )
+    code += "\nif __name__ == '__main__':\n    sys.exit(run(['thesis', '--cores', '2']))\n"
     path.write_text(code)
     return subprocess.run(
         [sys.executable, str(path), str(folder)],

@@ -23,6 +23,7 @@ SPEED_M_S = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS)).astype(np.float32)
 SEED = 3
 SIGMA_M_S = 0.001
 VISION, UPLOAD, IMU, MODEL = range(4)
+WINDOW = 2  # LAW_KIND
 TAPER = 2  # LAW_BEYOND
 REST_S = 3.0
 
@@ -83,6 +84,26 @@ def test_seen_speeds_teach_it_what_the_host_computes_from_the_log(tmp_path: Path
         assert fish.health()["late_ticks"] == 0
     print("max|e| mm/s:", " ".join(f"{e * 1000:.1f}" for e in errors))
     assert errors[-1] < 0.25 * errors[0] < 0.1
+
+
+def test_a_moving_average_on_the_image_is_what_the_dry_run_foretells() -> None:
+    beats = 3
+    with Fish.connect("vboard", seed=SEED) as fish:
+        prepare(fish, UPLOAD, beats)
+        for name, value in {"LAW_KIND": WINDOW, "LAW_WINDOW": 2, "LAW_KD": 0.2}.items():
+            fish.params.set(name, value)
+        for averaged in (1, 2):
+            outcome = fish.run_trial()
+            assert fish.sim is not None
+            fish.upload_speeds(outcome.number, fish.sim.true_beats()[:beats], SIGMA_M_S)
+            foretold = dry_run(fish)
+            fish.learn(outcome.number)
+            assert same_bits(foretold.amplitude_rad, fish.amplitudes().values)
+            record = fish.past_record(records.past_path(fish.status().iteration - 1))
+            assert record is not None
+            assert records.decode_past(record).trials == averaged
+        health = fish.health()
+    assert health["late_ticks"] == health["store_failures"] == 0
 
 
 def refused_without_imu(fish: Fish) -> None:

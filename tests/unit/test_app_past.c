@@ -92,7 +92,7 @@ static void swim_and_learn(uint32_t number) {
     learn();
 }
 
-static void begin_learner(learner_past_t past, uint16_t window) {
+static void begin_learner(past_kind_t past, uint16_t window) {
     learner_config_t config = {
         .law = settings_law(&app.params, 1.0f),
         .samples = BEATS,
@@ -121,7 +121,7 @@ static void expect_same_as_learner(void) {
 }
 
 /* The board restarts in the middle of it. */
-static void check_against_learner(learner_past_t past, uint16_t window) {
+static void check_against_learner(past_kind_t past, uint16_t window) {
     set(PARAM_LAW_KIND, (float)past);
     set(PARAM_LAW_WINDOW, (float)window);
     save_params();
@@ -155,22 +155,22 @@ static void prepare_law(float kd) {
 
 static void test_the_last_trial_gives_the_bits_of_the_learner(void) {
     prepare_law(0.3f);
-    check_against_learner(LEARNER_LAST, 2);
+    check_against_learner(PAST_LAST, 2);
 }
 
 static void test_the_mean_gives_the_bits_of_the_learner(void) {
     prepare_law(0.0f);
-    check_against_learner(LEARNER_MEAN, 2);
+    check_against_learner(PAST_MEAN, 2);
 }
 
 static void test_windows_give_the_bits_of_the_learner(void) {
     prepare_law(0.3f);
-    check_against_learner(LEARNER_WINDOW, 3);
+    check_against_learner(PAST_WINDOW, 3);
 }
 
 static void test_the_longest_window_gives_the_bits_of_the_learner(void) {
     prepare_law(-0.2f);
-    check_against_learner(LEARNER_WINDOW, PAST_WINDOW_MAX);
+    check_against_learner(PAST_WINDOW, PAST_WINDOW_MAX);
 }
 
 static uint32_t past_files(void) {
@@ -191,30 +191,27 @@ static void test_the_last_trial_alone_keeps_no_past(void) {
     TEST_ASSERT_EQUAL(0, past_files());
 }
 
-static void test_a_mean_is_two_files_and_a_window_eight(void) {
-    set(PARAM_LAW_KIND, PAST_MEAN);
-    for (uint32_t number = 1; number <= 4u; number++) {
-        swim_and_learn(number);
-    }
-    TEST_ASSERT_EQUAL(2, past_files());
-    set(PARAM_LAW_KIND, PAST_WINDOW);
-    for (uint32_t number = 1; number <= 10u; number++) {
-        swim_and_learn(number);
-    }
-    TEST_ASSERT_EQUAL(PAST_FILES, past_files());
-}
-
 /* Trials in the average that ends with the one learned last. */
 static uint16_t trials_in_average(void) {
     static past_t past;
-    const uint32_t files = app.params.value[PARAM_LAW_KIND] == (float)PAST_MEAN ? 2u : PAST_FILES;
     char path[] = PAST_PATH;
-    path[5] = (char)('0' + (app.memory.iteration - 1u) % files);
+    path[5] = (char)('0' + (app.memory.iteration - 1u) % PAST_FILES);
     const size_t length = boot_load_record(&app, path);
     TEST_ASSERT_EQUAL(FAULT_NONE, record_decode_past(app.record, length, &past));
-    TEST_ASSERT_EQUAL_UINT32(app.memory.last_trial, past.trial);
-    TEST_ASSERT_EQUAL_UINT32(app.reference.crc, past.reference_crc);
+    (void)record_encode_memory(&app.memory, app.record);
+    TEST_ASSERT_EQUAL_UINT32(record_crc(app.record), past.learned_crc);
     return past.trials;
+}
+
+/* How often the command before, the last to put anything there, told of it. */
+static uint32_t told_missing(void) {
+    static const char text[] = "earlier trials are missing";
+    const mock_queue_t *sent = &hal.tx[HAL_PORT_RADIO];
+    uint32_t count = 0;
+    for (size_t i = 0; i + sizeof text - 1u <= sent->tail; i++) {
+        count += memcmp(sent->bytes + i, text, sizeof text - 1u) == 0;
+    }
+    return count;
 }
 
 static void upload_amplitudes(void) {
@@ -245,9 +242,8 @@ static void a_trial_of_another_law(void) {
 }
 
 static void damage_the_newest(void) {
-    const uint32_t files = app.params.value[PARAM_LAW_KIND] == (float)PAST_MEAN ? 2u : PAST_FILES;
     char path[] = PAST_PATH;
-    path[5] = (char)('0' + (app.memory.iteration - 1u) % files);
+    path[5] = (char)('0' + (app.memory.iteration - 1u) % PAST_FILES);
     const size_t length = boot_load_record(&app, path);
     TEST_ASSERT_GREATER_THAN(0, length);
     app.record[length - 1u] ^= 1u;
@@ -270,6 +266,7 @@ static void check_average_after(void (*event)(void), bool goes_on) {
     for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
         setUp();
         set(PARAM_LAW_KIND, kind);
+        set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
         save_params();
         float all[BEATS];
         for (uint32_t k = 0; k < BEATS; k++) {
@@ -321,7 +318,7 @@ static void test_a_hole_ends_the_window(void) {
     swim_and_learn(1);
     swim_and_learn(2);
     damage_the_newest();
-    begin_learner(LEARNER_WINDOW, PAST_WINDOW_MAX);
+    begin_learner(PAST_WINDOW, PAST_WINDOW_MAX);
     memcpy(learner.amplitude, app.memory.amplitude_rad, BEATS * sizeof(float));
     for (uint32_t number = 1; number <= 2u; number++) {
         float speed_m_s[BEATS];
@@ -428,17 +425,167 @@ static void fill_store(uint32_t free_blocks) {
     TEST_ASSERT_EQUAL(STORE_OK, store_close(&app.store, &file));
 }
 
-static void test_past_trials_make_room_when_there_is_no_other(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
+/* The files the law reads, and the trial learned last. */
+static void test_only_what_the_law_reads_is_kept(void) {
+    set(PARAM_LAW_KIND, PAST_MEAN);
     leave_past_files();
-    fill_store(40);
     swim_and_learn(1);
-    TEST_ASSERT_EQUAL(PAST_FILES, past_files());
+    TEST_ASSERT_EQUAL(2, past_files());
+    for (float window = 2.0f; window <= (float)PAST_WINDOW_MAX; window++) {
+        set(PARAM_LAW_KIND, PAST_WINDOW);
+        set(PARAM_LAW_WINDOW, window);
+        leave_past_files();
+        swim_and_learn(1);
+        TEST_ASSERT_EQUAL((uint32_t)window, past_files());
+    }
+    set(PARAM_LAW_KIND, PAST_LAST);
+    swim_and_learn(1);
+    TEST_ASSERT_EQUAL(0, past_files());
+}
+
+static uint32_t logs;
+
+static bool count_log(void *context, const store_entry_t *entry) {
+    (void)context;
+    (void)entry;
+    logs++;
+    return true;
+}
+
+static uint32_t count_logs(void) {
+    logs = 0;
+    TEST_ASSERT_EQUAL(STORE_OK, store_walk(&app.store, "/trials", 0, count_log, NULL));
+    return logs;
+}
+
+static void test_no_log_goes_for_a_file_that_no_law_reads(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    swim_and_learn(1);
     leave_past_files();
-    fill_store(10);
+    set(PARAM_LAW_KIND, PAST_LAST);
+    fill_store(11); /* with the eight files' blocks enough */
     swim_and_learn(2);
-    TEST_ASSERT_EQUAL(1, past_files());
-    TEST_ASSERT_EQUAL(1, trials_in_average());
+    TEST_ASSERT_EQUAL(0, past_files());
+    TEST_ASSERT_EQUAL(2, count_logs());
+}
+
+static void swim_long(uint16_t beats) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, app.next_trial));
+    run_ms(beats * 1000u + 5000u);
+    TEST_ASSERT_TRUE(app.run.pending);
+}
+
+/* Beside a log of that length there is room for |least| trials of the average at least, less than
+ * |window| or all: it goes on with those, and says so whenever it could be longer. */
+static void check_long(uint16_t beats, uint16_t window, uint32_t least) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_LAW_WINDOW, (float)window);
+    set(PARAM_TANK_LEN_M, 0.0f);
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(beats, SPEED));
+    uint32_t before = 0, trials = 0, told = 0;
+    for (uint32_t number = 1; number <= window + 3u; number++, before = trials) {
+        swim_speed_m_s = 0.03f + 0.001f * (float)number;
+        swim_long(beats);
+        learn();
+        trials = trials_in_average();
+        told += told_missing();
+        TEST_ASSERT_GREATER_OR_EQUAL(number < least ? number : least, trials);
+        TEST_ASSERT_EQUAL(trials < window && trials <= before, told_missing());
+    }
+    TEST_ASSERT_EQUAL(least < window, trials < window);
+    TEST_ASSERT_EQUAL(least<window, told> 0);
+}
+
+static void test_the_longest_reference_goes_on_with_what_there_is_room_for(void) {
+    check_long(BEATS_MAX, 3, 2);
+}
+
+static void test_a_long_reference_goes_on_with_what_there_is_room_for(void) {
+    check_long(480, PAST_WINDOW_MAX, 4);
+}
+
+static void test_what_there_is_room_for_is_all_averaged(void) {
+    check_long(384, PAST_WINDOW_MAX, PAST_WINDOW_MAX);
+}
+
+static void test_the_trials_in_a_record_are_the_windows_at_most(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_LAW_WINDOW, 3.0f);
+    for (uint32_t number = 1; number <= 5u; number++) {
+        swim_and_learn(number);
+        TEST_ASSERT_EQUAL(number < 3u ? number : 3u, trials_in_average());
+        TEST_ASSERT_EQUAL(0, told_missing());
+    }
+    set(PARAM_LAW_WINDOW, 8.0f);
+    swim_and_learn(1);
+    TEST_ASSERT_EQUAL(4, trials_in_average());
+    TEST_ASSERT_EQUAL(0, told_missing());
+}
+
+/* Iterations have 16 bits. */
+static void test_an_average_goes_on_when_the_iteration_goes_round(void) {
+    for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
+        setUp();
+        set(PARAM_LAW_KIND, kind);
+        set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+        swim_and_learn(1);
+        app.memory.iteration = UINT16_MAX - 4u;
+        app.memory.input = MEMORY_INPUT_UPLOADED;
+        TEST_ASSERT_EQUAL(FAULT_NONE, learn_save(&app));
+        for (uint32_t number = 1; number <= 12u; number++) {
+            swim_and_learn(number);
+            const uint32_t most = kind == (float)PAST_MEAN ? 12u : PAST_WINDOW_MAX;
+            TEST_ASSERT_EQUAL(number < most ? number : most, trials_in_average());
+        }
+    }
+}
+
+/* What nobody asked for. */
+static void check_told(void (*event)(void), uint32_t times) {
+    for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
+        setUp();
+        set(PARAM_LAW_KIND, kind);
+        set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+        save_params();
+        for (uint32_t number = 1; number <= 3u; number++) {
+            swim_and_learn(number);
+            TEST_ASSERT_EQUAL(0, told_missing());
+        }
+        event();
+        swim_and_learn(1);
+        TEST_ASSERT_EQUAL(times, told_missing());
+        swim_and_learn(2);
+        TEST_ASSERT_EQUAL(0, told_missing());
+    }
+}
+
+static void lose_all(void) {
+    while (past_drop(&app, 0)) {
+    }
+}
+
+static void test_it_is_told_when_an_average_begins_anew_unasked(void) {
+    check_told(damage_the_newest, 1);
+    check_told(lose_all, 1);
+    check_told(upload_amplitudes, 0);
+    check_told(another_reference_and_back, 0);
+    check_told(just_reboot, 0);
+}
+
+static void test_it_is_told_when_a_window_lacks_a_trial(void) {
+    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+    for (uint32_t number = 1; number <= 3u; number++) {
+        swim_and_learn(number);
+    }
+    TEST_ASSERT_TRUE(past_drop(&app, 0)); /* the oldest of three */
+    swim_and_learn(1);
+    TEST_ASSERT_EQUAL(1, told_missing());
+    TEST_ASSERT_EQUAL(3, trials_in_average());
+    swim_and_learn(2);
+    TEST_ASSERT_EQUAL(0, told_missing());
+    TEST_ASSERT_EQUAL(4, trials_in_average());
 }
 
 static void test_the_mean_goes_without_kd(void) {
@@ -493,7 +640,6 @@ int main(void) {
     RUN_TEST(test_windows_give_the_bits_of_the_learner);
     RUN_TEST(test_the_longest_window_gives_the_bits_of_the_learner);
     RUN_TEST(test_the_last_trial_alone_keeps_no_past);
-    RUN_TEST(test_a_mean_is_two_files_and_a_window_eight);
     RUN_TEST(test_what_ends_an_average);
     RUN_TEST(test_what_does_not_end_an_average);
     RUN_TEST(test_the_kinds_do_not_mix);
@@ -501,7 +647,15 @@ int main(void) {
     RUN_TEST(test_a_whole_record_of_another_trial_is_a_hole_too);
     RUN_TEST(test_a_roll_back_ends_the_average);
     RUN_TEST(test_a_write_that_fails_changes_nothing);
-    RUN_TEST(test_past_trials_make_room_when_there_is_no_other);
+    RUN_TEST(test_only_what_the_law_reads_is_kept);
+    RUN_TEST(test_no_log_goes_for_a_file_that_no_law_reads);
+    RUN_TEST(test_the_longest_reference_goes_on_with_what_there_is_room_for);
+    RUN_TEST(test_a_long_reference_goes_on_with_what_there_is_room_for);
+    RUN_TEST(test_what_there_is_room_for_is_all_averaged);
+    RUN_TEST(test_the_trials_in_a_record_are_the_windows_at_most);
+    RUN_TEST(test_an_average_goes_on_when_the_iteration_goes_round);
+    RUN_TEST(test_it_is_told_when_an_average_begins_anew_unasked);
+    RUN_TEST(test_it_is_told_when_a_window_lacks_a_trial);
     RUN_TEST(test_the_mean_goes_without_kd);
     RUN_TEST(test_laws_that_are_none_for_a_fish_are_refused);
     RUN_TEST(test_a_stored_law_that_is_none_falls_back);

@@ -25,7 +25,7 @@ void setUp(void) {
 
 void tearDown(void) {}
 
-static void fill(beyond_t policy) { beyond_fill(policy, BEATS, visits, amplitude); }
+static void fill(beyond_t policy) { beyond_fill(policy, BEATS, BEATS, visits, amplitude); }
 
 static void assert_untouched(uint32_t end) {
     for (uint32_t k = 0; k < end; k++) {
@@ -86,13 +86,32 @@ static void test_holes_before_the_last_visit_are_left(void) {
 static void test_the_shortest_trials(void) {
     number_t one = NUMBER(0.3);
     const uint8_t never = 0, once = 1;
-    beyond_fill(BEYOND_TAPER, 1, &never, &one);
-    beyond_fill(BEYOND_TAPER, 1, &once, &one);
+    beyond_fill(BEYOND_TAPER, 1, 1, &never, &one);
+    beyond_fill(BEYOND_TAPER, 1, 1, &once, &one);
     TEST_ASSERT_TRUE(one == NUMBER(0.3));
     visits[0] = 1;
     fill(BEYOND_TAPER);
     assert_untouched(1);
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 0.1f / 8.0f, (float)amplitude[BEATS - 1u]);
+}
+
+static void test_the_tail_is_left(void) {
+    visit(3);
+    beyond_fill(BEYOND_TAPER, BEATS, 6, visits, amplitude);
+    assert_untouched(3);
+    for (uint32_t k = 3; k < 6; k++) {
+        const float taper = 0.3f * (float)(BEATS - k) / 6.0f;
+        TEST_ASSERT_FLOAT_WITHIN(1e-6f, taper, (float)amplitude[k]);
+    }
+    for (uint32_t k = 6; k < BEATS; k++) {
+        TEST_ASSERT_TRUE(amplitude[k] == NUMBER(0.1) * (number_t)(k + 1u));
+    }
+}
+
+static void test_a_tail_behind_which_all_lies_is_left(void) {
+    visit(5);
+    beyond_fill(BEYOND_HOLD, BEATS, 2, visits, amplitude);
+    assert_untouched(BEATS);
 }
 
 static void test_an_unknown_policy_keeps(void) {
@@ -124,6 +143,31 @@ static void learn(uint16_t executed, float error_m_s, beyond_t policy) {
 }
 
 static const float FLAT[BEATS] = {0.02f, 0.02f, 0.02f, 0.02f, 0.02f, 0.02f, 0.02f, 0.02f};
+
+/* Whole trials of a tail that takes no correction: no policy may change what it gets. */
+static void test_a_tail_that_takes_no_correction_is_the_laws_alone(void) {
+    for (law_tail_t tail = LAW_TAIL_HOLD; tail < LAW_TAIL_COUNT; tail++) {
+        for (float lead = 0.0f; lead <= 7.5f; lead += 0.5f) {
+            float kept[BEATS];
+            setUp();
+            law.tail = tail;
+            law.lead_beats = lead;
+            for (beyond_t policy = BEYOND_KEEP; policy < BEYOND_COUNT; policy++) {
+                memset(&memory, 0, sizeof memory);
+                begin(FLAT);
+                for (uint32_t k = 0; k < BEATS; k++) {
+                    memory.amplitude_rad[k] = 0.1f + 0.01f * (float)k;
+                }
+                learn(BEATS, 0.01f, policy);
+                learn(BEATS, 0.02f, policy);
+                if (policy == BEYOND_KEEP) {
+                    memcpy(kept, memory.amplitude_rad, sizeof kept);
+                }
+                TEST_ASSERT_EQUAL_MEMORY(kept, memory.amplitude_rad, sizeof kept);
+            }
+        }
+    }
+}
 
 static void test_the_memory_holds_what_no_trial_reached(void) {
     begin(FLAT);
@@ -201,7 +245,10 @@ int main(void) {
     RUN_TEST(test_without_any_visit_or_with_all_nothing_happens);
     RUN_TEST(test_holes_before_the_last_visit_are_left);
     RUN_TEST(test_the_shortest_trials);
+    RUN_TEST(test_the_tail_is_left);
+    RUN_TEST(test_a_tail_behind_which_all_lies_is_left);
     RUN_TEST(test_an_unknown_policy_keeps);
+    RUN_TEST(test_a_tail_that_takes_no_correction_is_the_laws_alone);
     RUN_TEST(test_the_memory_holds_what_no_trial_reached);
     RUN_TEST(test_a_beat_that_was_ever_corrected_stays);
     RUN_TEST(test_a_lead_moves_where_beyond_begins);

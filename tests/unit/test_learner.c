@@ -51,7 +51,7 @@ static void check(const float *expected) {
 }
 
 static void use_window(uint16_t window, learner_history_t history) {
-    config.past = LEARNER_WINDOW;
+    config.past = PAST_WINDOW;
     config.window = window;
     config.history = history;
 }
@@ -77,7 +77,7 @@ static void test_without_a_first_input_it_starts_from_zero(void) {
 /* (2.10) from its sums: u_0 = (.1 .2 .3), L = .5; u_1 = u_0 + 2 L e_0, u_2 = (u_0 + u_1)/2 +
  * 3/2 L (e_0 + e_1), u_3 = (u_0 + u_1 + u_2)/3 + 4/3 L (e_0 + e_1 + e_2). */
 static void test_mean_is_the_iteration_average(void) {
-    config.past = LEARNER_MEAN;
+    config.past = PAST_MEAN;
     config.law.kp_rad_s_m = 0.5f;
     begin((float[]){0.1f, 0.2f, 0.3f});
     swim((float[]){0.4f, -0.2f, 0.0f}, SAMPLES);
@@ -89,7 +89,7 @@ static void test_mean_is_the_iteration_average(void) {
 }
 
 static void test_a_cut_trial_counts_in_the_mean_with_its_input_and_no_error(void) {
-    config.past = LEARNER_MEAN;
+    config.past = PAST_MEAN;
     config.law.kp_rad_s_m = 0.5f;
     begin((float[]){0.1f, 0.2f, 0.3f});
     swim((float[]){0.4f, -0.2f, 50.0f}, 2);
@@ -173,7 +173,7 @@ static void test_a_growing_window(void) {
 static void test_what_is_remembered_is_what_the_plant_got(void) {
     config.law.amplitude_min_rad = 0.0f;
     config.law.amplitude_max_rad = 1.0f;
-    config.past = LEARNER_MEAN;
+    config.past = PAST_MEAN;
     begin((float[]){5.0f, -5.0f, 0.5f});
     check((float[]){1.0f, 0.0f, 0.5f});
     swim((float[]){-0.2f, 0.1f, 0.0f}, SAMPLES);
@@ -191,7 +191,7 @@ static void test_what_is_remembered_is_what_the_plant_got(void) {
 }
 
 static void test_a_trial_with_nothing_valid_changes_no_input_and_counts(void) {
-    config.past = LEARNER_MEAN;
+    config.past = PAST_MEAN;
     config.law.kp_rad_s_m = 0.5f;
     begin((float[]){0.1f, 0.2f, 0.3f});
     swim((float[]){50.0f, 50.0f, 50.0f}, 0);
@@ -264,8 +264,8 @@ static void test_configs_that_do_not_hold_together(void) {
     REFUSED(config.law.q_len = 3);
     REFUSED(config.law.kp_rad_s_m = (float)NAN);
     REFUSED(config.law.beat_s = 0.0f);
-    REFUSED(config.past = (learner_past_t)3);
-    REFUSED(config.past = LEARNER_MEAN; config.law.kd_rad_s2_m = 1.0f);
+    REFUSED(config.past = (past_kind_t)3);
+    REFUSED(config.past = PAST_MEAN; config.law.kd_rad_s2_m = 1.0f);
     REFUSED(use_window(0, LEARNER_HISTORY_ZERO));
     REFUSED(use_window(LEARNER_WINDOW_MAX + 1u, LEARNER_HISTORY_ZERO));
     REFUSED(use_window(1, (learner_history_t)3));
@@ -293,9 +293,9 @@ static void test_first_inputs_that_are_not_finite_are_refused(void) {
 
 /* As many numbers per sample as the header says, and a byte for each trial kept. */
 static size_t bytes_by_hand(void) {
-    const size_t kept = config.past == LEARNER_LAST   ? 0u
-                        : config.past == LEARNER_MEAN ? 1u
-                                                      : config.window - 1u;
+    const size_t kept = config.past == PAST_LAST   ? 0u
+                        : config.past == PAST_MEAN ? 1u
+                                                   : config.window - 1u;
     return (3u + 2u * kept) * config.samples * sizeof(float) + (1u + kept) * config.samples;
 }
 
@@ -323,9 +323,9 @@ static void check_bytes(void) {
 static void test_the_buffer_is_used_to_its_end_and_not_beyond(void) {
     for (uint16_t samples = 1; samples < 12u; samples++) {
         config.samples = samples;
-        config.past = LEARNER_LAST;
+        config.past = PAST_LAST;
         check_bytes();
-        config.past = LEARNER_MEAN;
+        config.past = PAST_MEAN;
         check_bytes();
         for (uint16_t window = 1; window <= LEARNER_WINDOW_MAX; window++) {
             weigh_evenly(window);
@@ -389,7 +389,7 @@ static void test_a_trial_stopped_by_its_error_must_learn_from_it(void) {
     config.law.kp_rad_s_m = 0.5f;
     check_stops(11, 66);
 
-    config.past = LEARNER_MEAN;
+    config.past = PAST_MEAN;
     check_stops(23, 68);
 
     config.law.kp_rad_s_m = 1.0f;

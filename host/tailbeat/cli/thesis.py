@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 import textwrap
 from collections import Counter
 from pathlib import Path
@@ -15,8 +17,9 @@ if TYPE_CHECKING:
     from tailbeat.thesis.example import Claim, Example
     from tailbeat.thesis.study import Result
 
-_WIDTH = 100
-_COLUMNS = (42, 17, 16, 19)  # claim, source, verdict, measured; two spaces between
+_WIDTH, _WIDTH_MIN, _WIDTH_MAX = 100, 72, 120  # of lines; the first where no terminal is
+_SOURCE, _VERDICT = 17, 17  # columns, two spaces between; the claim has the rest
+_MEASURED, _MEASURED_NARROW = 19, 11
 _SHOWN = (0, 1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100, 200, 500, 1000)  # iterations, and the last
 
 
@@ -60,6 +63,10 @@ def thesis(
     delta: Annotated[
         str | None, typer.Option("--delta", metavar="MIN", help="Lead (chapter 7), minutes.")
     ] = None,
+    uptake: Annotated[
+        Literal["monod", "abs", "clip"] | None,
+        typer.Option("--uptake", help="phi below v = 0 (ch7-printed); default: clip."),
+    ] = None,
     precision: Annotated[
         Literal["double", "float"],
         typer.Option("--precision", help="Of the laws; float is what the board computes in."),
@@ -84,7 +91,7 @@ def thesis(
     from tailbeat.thesis.choice import checked, choose
     from tailbeat.thesis.options import Options
 
-    given = checked(lengths, seed, step, iterations, m, beta, delta)
+    given = checked(lengths, seed, step, iterations, m, beta, delta, uptake)
     chosen = choose(_examples(), what, given, Options(precision=precision))
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)
@@ -102,10 +109,11 @@ def thesis(
             raise typer.Exit(130) from None
     found = [(one, result) for (one, _), result in zip(chosen, results, strict=True)]
     document = {
-        "examples": [_document(one, result, set(given)) for one, result in found],
-        "verdicts": _counts(results),
+        "examples": [_document(one, result) for one, result in found],
+        "verdicts": _counts(results, ours=False),
+        "verdicts_ours": _counts(results, ours=True),
     }
-    say(json, document, lambda: _text(found))
+    say(json, document, lambda: _text(found, set(given), _width()))
 
 
 def _examples() -> tuple[Example, ...]:
@@ -117,14 +125,13 @@ def _examples() -> tuple[Example, ...]:
     return examples
 
 
-def _document(example: Example, result: Result, given: set[str]) -> dict[str, Any]:
-    asked = sorted(given & example.knows)
+def _document(example: Example, result: Result) -> dict[str, Any]:
     return {
         "id": example.id,
         "chapter": example.chapter,
         "title": example.title,
         "law": example.law,
-        "settings": {name: getattr(result.options, name) for name in [*asked, "precision"]},
+        "settings": example.settings_of(result.options),
         "iterations": result.iterations,
         "max_abs_error": result.max_abs_error,
         "executed_max_abs_error": result.executed,
@@ -135,27 +142,54 @@ def _document(example: Example, result: Result, given: set[str]) -> dict[str, An
     }
 
 
-def _counts(results: list[Result]) -> dict[str, int]:
+def _counts(results: list[Result], ours: bool) -> dict[str, int]:
+    """By verdict, of the thesis's claims or of those beside them."""
     from tailbeat.thesis.example import VERDICTS
 
-    counted = Counter(claim.verdict for result in results for claim in result.claims)
+    claims = (claim for result in results for claim in result.claims if claim.ours == ours)
+    counted = Counter(claim.verdict for claim in claims)
     return {verdict: counted[verdict] for verdict in VERDICTS}
 
 
-def _text(found: list[tuple[Example, Result]]) -> str:
+def _width() -> int:
+    """Of lines: the terminal's, within what can be read."""
+    if not sys.stdout.isatty():
+        return _WIDTH
+    return min(max(shutil.get_terminal_size().columns, _WIDTH_MIN), _WIDTH_MAX)
+
+
+def _text(found: list[tuple[Example, Result]], given: set[str], width: int) -> str:
     parts = []
     for example, result in found:
-        parts += [*_wrapped(f"{example.id}: {example.title}; {example.law}", "  "), _errors(result)]
+        parts += _wrapped(f"{example.id}: {example.title}; {example.law}", "  ", width)
+        if given & example.knows or result.options.precision != "double":
+            parts += _settings(example, result, width)
+        parts += _errors(result, width)
         if result.claims:
-            parts += ["", *_claims(result.claims)]
-        parts += _figures(result)
+            parts += ["", *_claims(result.claims, width)]
+        parts += _figures(result, width)
         parts.append("")
-    counts = _counts([result for _, result in found])
-    words = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-    return "\n".join([*parts, f"claims: {words if any(counts.values()) else 'none judged'}"])
+    results = [result for _, result in found]
+    judged = _in_words(_counts(results, ours=False)) or "none judged"
+    parts += _wrapped(f"claims: {judged}", "  ", width)
+    if beside := _in_words(_counts(results, ours=True)):
+        parts += _wrapped(f"beside them, not the thesis's: {beside}", "  ", width)
+    return "\n".join(parts)
 
 
-def _errors(result: Result) -> str:
+def _in_words(counts: dict[str, int]) -> str:
+    if not any(counts.values()):
+        return ""
+    return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+
+
+def _settings(example: Example, result: Result, width: int) -> list[str]:
+    found = example.settings_of(result.options).items()
+    words = ", ".join(f"{name} {_figure(value)}" for name, value in found if value is not None)
+    return _wrapped(f"settings: {words}", "  ", width)
+
+
+def _errors(result: Result, width: int) -> list[str]:
     last = int(result.iterations[-1]) if len(result.iterations) else -1
     cells = [
         f"{i}: {_figure(error, '/')}"
@@ -164,42 +198,62 @@ def _errors(result: Result) -> str:
     ]
     if result.diverged is not None:
         cells.append(f"diverged at {result.diverged}")
-    return "\n".join(_wrapped("max|e| in iteration " + ", ".join(cells), "  "))
+    return _wrapped("max|e| in iteration " + ", ".join(cells), "  ", width)
 
 
-def _claims(claims: list[Claim]) -> list[str]:
-    lines = _row(("claim", "source", "verdict", "measured"))
-    lines.append("  ".join("-" * width for width in _COLUMNS))
-    for claim in claims:
-        lines += _row((claim.text, claim.source, claim.verdict, _figure(plain(claim.measured))))
-        if claim.note:
-            lines += textwrap.wrap(claim.note, _WIDTH, initial_indent="  ", subsequent_indent="  ")
+def _claims(claims: list[Claim], width: int) -> list[str]:
+    """The thesis's, then those beside them."""
+    last = _MEASURED if width >= _WIDTH else _MEASURED_NARROW
+    columns = (width - _SOURCE - _VERDICT - last - 6, _SOURCE, _VERDICT, last)
+    lines: list[str] = []
+    for head, ours in (("claim", False), ("beside the thesis's claims", True)):
+        some = [claim for claim in claims if claim.ours == ours]
+        if not some:
+            continue
+        lines += [""] if lines else []
+        lines += _row((head, "source", "verdict", "measured"), columns)
+        lines.append("  ".join("-" * column for column in columns))
+        lines += [line for claim in some for line in _lines(claim, columns, width)]
     return lines
 
 
-def _row(cells: tuple[str, ...]) -> list[str]:
-    wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, _COLUMNS, strict=True)]
+def _lines(claim: Claim, columns: tuple[int, ...], width: int) -> list[str]:
+    """What was measured has a line of its own below where it does not fit beside."""
+    measured = _figure(plain(claim.measured))
+    fits = len(measured) <= columns[-1]
+    beside = measured if fits else "see below"
+    lines = _row((claim.text, claim.source, claim.verdict, beside), columns)
+    if not fits:
+        lines += _wrapped(f"  measured: {measured}", "    ", width)
+    if claim.note:
+        lines += _wrapped(f"  {claim.note}", "  ", width)
+    return lines
+
+
+def _row(cells: tuple[str, ...], columns: tuple[int, ...]) -> list[str]:
+    wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, columns, strict=True)]
     height = max(len(lines) for lines in wrapped)
     return [
         "  ".join(
             (lines[i] if i < len(lines) else "").ljust(width)
-            for lines, width in zip(wrapped, _COLUMNS, strict=True)
+            for lines, width in zip(wrapped, columns, strict=True)
         ).rstrip()
         for i in range(height)
     ]
 
 
-def _figures(result: Result) -> list[str]:
+def _figures(result: Result, width: int) -> list[str]:
     lines = []
     for figure in result.figures:
-        lines += _wrapped(f"figure {figure.path}: {figure.name}, {figure.caption}", "  ")
+        lines += _wrapped(f"figure {figure.path}: {figure.name}, {figure.caption}", "  ", width)
         if figure.contradicts:
-            lines += _wrapped(f"  contradicted by the text's own numbers: {figure.contradicts}")
+            against = f"  contradicted by the text's own numbers: {figure.contradicts}"
+            lines += _wrapped(against, "    ", width)
     return ["", *lines] if lines else []
 
 
-def _wrapped(text: str, indent: str = "    ") -> list[str]:
-    return textwrap.wrap(text, _WIDTH, subsequent_indent=indent, break_on_hyphens=False)
+def _wrapped(text: str, indent: str, width: int) -> list[str]:
+    return textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def _figure(value: Any, between: str = ", ") -> str:

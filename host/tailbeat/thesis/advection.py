@@ -8,11 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tailbeat.thesis.heat import CELLS, STEP, Doubles, times
+from tailbeat.thesis.arrays import Doubles
+from tailbeat.thesis.heat import CELLS, STEP, times
 from tailbeat.thesis.native import load
 
 Uptake = Literal["clip", "abs", "monod", "none"]
-_UPTAKES: tuple[Uptake, ...] = ("clip", "abs", "monod", "none")
+_UPTAKES: tuple[Uptake, ...] = ("clip", "abs", "monod", "none")  # as advection_uptake_t
 
 
 class PlantFailed(ArithmeticError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,11 +10,8 @@ from tailbeat.errors import InputError
 from tailbeat.thesis import lengths
 from tailbeat.thesis.arithmetic import expression
 from tailbeat.thesis.example import Example
+from tailbeat.thesis.limits import ITERATIONS_MAX, M_MAX
 from tailbeat.thesis.options import Options
-
-ITERATIONS_MAX = 10_000
-M_MAX = 15  # of the learner's window, less one
-STEP_MIN = 1e-7  # in any example's unit of time more samples than memory
 
 
 def choose(
@@ -26,17 +22,33 @@ def choose(
 
     Raises:
         InputError: for a chapter or example there is not; for an option that an example asked for
-            by name does not know; for one that none of several knows.
+            by name does not know or has no use for; for one that none of several knows; for
+            settings that an example refuses.
     """
     found = _named(examples, what)
     alone = what is not None and found[0].id == what
     for name in given:
         if not any(name in example.knows for example in found):
             raise _unknown(name, found, alone)
-    return [
+    orders = [
         (one, replace(options, **{n: value for n, value in given.items() if n in one.knows}))
         for one in found
     ]
+    for one, asked in orders:
+        settings = _settings(one, asked)
+        if alone and "seed" in given and settings["seed"] is None:
+            raise InputError(
+                f"{one.id} draws nothing with these lengths, so --seed changes nothing.",
+                "Leave it away, or give --lengths uniform.",
+            )
+    return orders
+
+
+def _settings(example: Example, options: Options) -> Mapping[str, Any]:
+    try:
+        return example.settings_of(options)
+    except InputError as error:
+        raise InputError(f"{example.id}: {error.message}", error.remedy) from error
 
 
 def _named(examples: Sequence[Example], what: str | None) -> list[Example]:
@@ -66,6 +78,7 @@ def checked(
     m: int | None = None,
     beta: str | None = None,
     delta: str | None = None,
+    uptake: str | None = None,
 ) -> dict[str, Any]:
     """What was given, as values of ``Options``.
 
@@ -80,21 +93,28 @@ def checked(
     given = {
         "lengths": lengths_text,
         "seed": seed,
-        "step": None if step is None else positive("step", step, STEP_MIN),
+        "step": None if step is None else positive("step", step),
         "iterations": iterations,
         "m": m,
-        "beta": None if beta is None else positive("beta", beta),
+        "beta": None if beta is None else _nonzero("beta", beta),
         "delta": None if delta is None else positive("delta", delta),
+        "uptake": uptake,
     }
     return {name: value for name, value in given.items() if value is not None}
 
 
-def positive(name: str, text: str, least: float = 0.0) -> float:
+def positive(name: str, text: str) -> float:
     """The value of an arithmetic expression above 0; InputError otherwise."""
     value = expression(text)({})
-    if not (value > 0 and value >= least and math.isfinite(value)):
-        floor = f"at least {least:g}" if least else "above 0"
-        raise InputError(f"--{name} {text} is {value:g}.", f"Give a number {floor}.")
+    if not value > 0:
+        raise InputError(f"--{name} {text} is {value:g}.", "Give a number above 0.")
+    return value
+
+
+def _nonzero(name: str, text: str) -> float:
+    value = expression(text)({})
+    if value == 0:
+        raise InputError(f"--{name} {text} is 0.", "Give any other number.")
     return value
 
 

@@ -10,17 +10,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Run
+from tailbeat.thesis import progress
+from tailbeat.thesis.arrays import Doubles
+from tailbeat.thesis.example import Run
 from tailbeat.thesis.learner import Learner, LearnerConfig, LearnerRefused
 from tailbeat.thesis.lengths import Length, parse
+from tailbeat.thesis.limits import errors_beyond
 from tailbeat.thesis.native import Precision
 
-Doubles = NDArray[np.float64]
 Respond = Callable[[Doubles, int], Doubles]
 """Inputs (series, samples) and the iteration -> outputs (series, samples)."""
 
-_ITERATIONS_MAX = 1_000_000
 _BLOCK = 256  # draws at a time: a generator costs as much as a few hundred of them
 _ROUNDING = 1e-9  # of the whole length: a sample at the very end was reached
 
@@ -79,13 +79,8 @@ def swim(
     when its time is not beyond the trial's length; the plant goes on virtually to the end.
 
     Raises:
-        InputError: for a number of iterations that makes no sense.
         LearnerRefused: when the law does not fit the trial.
     """
-    if not 0 <= iterations <= _ITERATIONS_MAX:
-        raise InputError(
-            f"{iterations} is no last iteration.", f"Give one from 0 to {_ITERATIONS_MAX}."
-        )
     return _Series(task, lengths, iterations, precision).swim(keep)
 
 
@@ -107,7 +102,7 @@ class _Series:
         first = np.full(samples, task.first_input)
         self._task, self._lengths = task, lengths
         self._learners = [Learner(task.law, first, precision) for _ in lengths]
-        self._limit = float(np.abs(task.wanted).max() / np.finfo(np.float64).eps)
+        self._limit = errors_beyond(task.wanted)
         shape = (len(lengths), iterations + 1)
         self._errors, self._executed = np.full(shape, np.nan), np.full(shape, np.nan)
         self._drawn = np.full(shape, np.nan)
@@ -123,6 +118,7 @@ class _Series:
             outputs = self._trial(i, alive)
             if i in keep:
                 kept[i] = self._inputs.copy(), outputs
+            progress.tell(i + 1, self._errors.shape[1])
         return Outcome(self._errors, self._executed, self._drawn, self._diverged, kept)
 
     def _trial(self, i: int, alive: NDArray[np.int64]) -> Doubles:
@@ -168,10 +164,3 @@ def stays_within(errors: Doubles, bound: float) -> Doubles:
     last = errors.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
     start = np.where(above.any(axis=1), last + 1.0, 0.0)
     return np.where(above[:, -1], np.inf, start)
-
-
-def verdict(outright: bool, under_a_reading: bool = False) -> str:
-    """The verdict that two findings amount to."""
-    if outright:
-        return COMES_OUT
-    return UNDER_A_READING if under_a_reading else DOES_NOT

@@ -20,14 +20,24 @@ VERDICTS = (COMES_OUT, UNDER_A_READING, DOES_NOT)
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement of the thesis. ``measured``: the figure that was computed just now, never one
-    written down; ``note``: the reading taken, or why it does not come out."""
+    """One statement of the thesis, or beside it. ``measured``: the figure that was computed just
+    now, never one written down; ``note``: the reading taken, or why it does not come out;
+    ``ours``: the thesis does not say it, so it does not count among its claims."""
 
     text: str
     source: str  # section, equation or figure of the thesis
     verdict: str  # one of VERDICTS
     measured: float | list[float] | str
     note: str = ""
+    ours: bool = False
+
+
+def verdict(plainly: bool, under_a_reading: bool = False) -> str:
+    """Of what was found as it is printed, and of what was found under the reading that the note
+    tells. The first outweighs the second."""
+    if plainly:
+        return COMES_OUT
+    return UNDER_A_READING if under_a_reading else DOES_NOT
 
 
 @dataclass(frozen=True)
@@ -78,3 +88,15 @@ class Example:
     claims: Callable[[Study], list[Claim]]
     figures: Callable[[Study, Path], list[Figure]]
     weight: float = 1.0  # seconds that run and claims take, about
+    settings: Callable[[Options], dict[str, Any]] | None = None
+    """What a run with these options uses of all that the example knows; a seed of None: it draws
+    nothing. Raises InputError as ``run`` does, before anything is computed."""
+
+    def settings_of(self, options: Options) -> dict[str, Any]:
+        """The same with the precision; by default the options as they are."""
+        found = (
+            {name: getattr(options, name) for name in self.knows}
+            if self.settings is None
+            else self.settings(options)
+        )
+        return dict(sorted(found.items())) | {"precision": options.precision}

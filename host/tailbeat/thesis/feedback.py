@@ -8,22 +8,23 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
+from tailbeat.thesis import progress
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.example import Run
+from tailbeat.thesis.limits import Span, errors_beyond, last_iteration
 from tailbeat.thesis.native import Precision, load
 from tailbeat.thesis.options import Options
 
 Scheme = Literal["rk4", "held", "euler"]
-Doubles = NDArray[np.float64]
 
 SCHEMES: dict[Scheme, int] = {"rk4": 0, "held": 1, "euler": 2}
 STATES = 2
 STEPS_MAX = 200_000
-ITERATIONS_MAX = 10_000
+_BUDGET, _BUDGET_SMOOTH = 300_000_000, 80_000_000  # tanh costs four times as much
 NO_LIMIT = 1e30
 TRACE_COLUMNS = ("t", "x1", "x2", "wanted1", "wanted2", "u1", "u2")
+_WANTED = slice(3, 5)  # of these
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class Chapter4:
 
     DURATION = 2.0 * np.pi
 
+    @property
+    def trial(self) -> Span:
+        budget = _BUDGET_SMOOTH if self.smooth else _BUDGET
+        return Span(self.DURATION, "s", STEPS_MAX, budget, typed="2*pi")
+
 
 @dataclass(frozen=True)
 class Chapter5:
@@ -74,6 +80,11 @@ class Chapter5:
 
     DURATION = 0.5
     FIRST_STATE = (1.5, -0.4)
+
+    @property
+    def trial(self) -> Span:
+        budget = _BUDGET_SMOOTH if self.smooth or self.uncertain else _BUDGET
+        return Span(self.DURATION, "s", STEPS_MAX, budget)
 
 
 @dataclass(frozen=True)
@@ -113,18 +124,40 @@ class Trials:
         return float(np.max(self.max_abs_error[first - 1 : last]))
 
 
-def run_example(setting: Chapter4 | Chapter5, options: Options, iterations: int) -> Run:
-    """An example with its own grid and ``iterations`` where the options leave them open. The step
-    becomes the nearest that divides the common axis. ``traces["trials"]`` are the ``Trials``, with
-    traces of the first and the last one.
+def asked(
+    setting: Chapter4 | Chapter5, options: Options, iterations: int
+) -> tuple[Chapter4 | Chapter5, int]:
+    """The example with the grid of the options, or its own, and the last iteration. In chapter 4
+    the step becomes the nearest that divides the trial, as no short number divides 2 pi.
 
     Raises:
-        InputError: as ``steps_of`` and ``last_iteration``.
+        InputError: when they make no sense, or take too long together.
     """
+    trial = setting.trial
+    last = last_iteration(options.iterations, iterations, first=1)
     if options.step is not None:
-        steps = steps_of(setting.DURATION, options.step)
-        setting = replace(setting, grid=Grid(steps, setting.grid.scheme))
-    last = last_iteration(options.iterations, iterations)
+        count = trial.nearest if isinstance(setting, Chapter4) else trial.steps
+        setting = replace(setting, grid=Grid(count(options.step), setting.grid.scheme))
+    trial.afford(setting.grid.steps, last)
+    return setting, last
+
+
+def settings(
+    setting: Chapter4 | Chapter5, iterations: int, options: Options
+) -> dict[str, int | float]:
+    """What ``run_example`` uses."""
+    setting, last = asked(setting, options, iterations)
+    return {"iterations": last, "step": setting.trial.duration / setting.grid.steps}
+
+
+def run_example(setting: Chapter4 | Chapter5, options: Options, iterations: int) -> Run:
+    """An example with its own grid and ``iterations`` where the options leave them open.
+    ``traces["trials"]`` are the ``Trials``, with traces of the first and the last one.
+
+    Raises:
+        InputError: as ``asked``.
+    """
+    setting, last = asked(setting, options, iterations)
     trials = run_trials(setting, last, options.precision, traced={1, last})
     return Run(
         iterations=np.arange(1, len(trials.max_abs_error) + 1),
@@ -141,37 +174,6 @@ def trials_of(run: Run) -> Trials:
     return trials
 
 
-def steps_of(duration: float, step: float) -> int:
-    """The whole number of steps nearest to ``duration / step``.
-
-    Raises:
-        InputError: when the step is not positive, longer than the trial or too short to compute.
-    """
-    fits = np.isfinite(step) and duration / (2 * STEPS_MAX) < step <= duration
-    count = round(duration / step) if fits else 0
-    if not 1 <= count <= STEPS_MAX:
-        raise InputError(
-            f"a step of {step} does not divide a trial of {duration:.4g}.",
-            f"Give one from {duration / STEPS_MAX:.2g} to {duration:.4g}.",
-        )
-    return count
-
-
-def last_iteration(asked: int | None, usual: int) -> int:
-    """``asked``, or ``usual`` when None.
-
-    Raises:
-        InputError: when it is below 1, the first of these chapters, or beyond what is computed.
-    """
-    if asked is None:
-        return usual
-    if not 1 <= asked <= ITERATIONS_MAX:
-        raise InputError(
-            f"{asked} iterations are not what can be run.", f"Give 1 to {ITERATIONS_MAX}."
-        )
-    return asked
-
-
 def run_trials(
     example: Chapter4 | Chapter5,
     iterations: int,
@@ -179,20 +181,25 @@ def run_trials(
     traced: Collection[int] = (),
 ) -> Trials:
     """Trials 1 … ``iterations`` with estimates that begin at zero; ends early where the loop cannot
-    be computed any more. Pure; costs about 0.3 µs per law, estimate and step."""
+    be computed any more, or no digit of what trial 1 wanted is left in the error. Pure; costs about
+    0.3 µs per law, estimate and step."""
     loop = _Loop(example, precision)
     reports: list[tuple[list[float], ...]] = []
     traces: dict[int, Doubles] = {}
     diverged: int | None = None
+    limit = 0.0
     for trial in range(1, iterations + 1):
-        trace = loop.trace() if trial in traced else None
+        trace = loop.trace() if trial in traced or trial == 1 else None
         report = loop.trial(trial, trace)
-        if report is None:
+        if report is not None and trial == 1 and trace is not None:
+            limit = errors_beyond(trace[:, _WANTED])
+        if report is None or not max(report[0]) <= limit:
             diverged = trial
             break
         reports.append(report)
-        if trace is not None:
+        if trial in traced and trace is not None:
             traces[trial] = trace
+        progress.tell(trial, iterations)
     columns = [
         np.array([report[column] for report in reports], dtype=np.float64).reshape(
             len(reports), width

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.example import Figure
-from tailbeat.thesis.feedback import Doubles, Trials
+from tailbeat.thesis.feedback import Trials
 from tailbeat.thesis.picture import LINES, WANTED, legend, picture
 
 if TYPE_CHECKING:

@@ -12,18 +12,17 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from tailbeat.errors import InputError
+from tailbeat.thesis.arrays import Doubles
+from tailbeat.thesis.limits import Span
 
-Doubles = NDArray[np.float64]
 Scheme = Literal["backward-euler", "crank-nicolson", "modal"]
 
 HORIZON = 10.0  # min, T of both chapters
 STEP = 0.01  # min
 CELLS = 100
-SAMPLES_MAX = 20_001
+TRIAL = Span(HORIZON, "min", steps_max=20_000, budget=100_000_000)
 _MODES = 400  # of the modal solution; 100 to 800 agree to 5 digits
 
 
@@ -54,15 +53,9 @@ def times(step: float) -> Doubles:
     """k * step for k = 0 .. T / step.
 
     Raises:
-        InputError: when the step does not divide T, or makes too many samples.
+        InputError: as ``Span.steps``.
     """
-    count = round(HORIZON / step) if np.isfinite(step) and step > 0 else 0
-    if not 2 <= count < SAMPLES_MAX or abs(count * step - HORIZON) > 1e-9 * HORIZON:
-        raise InputError(
-            f"a step of {step:g} min does not fit into {HORIZON:g} min.",
-            f"Give one that divides it into 2 to {SAMPLES_MAX - 1} steps, like 0.02 or 0.005.",
-        )
-    return np.arange(count + 1, dtype=np.float64) * step
+    return np.arange(TRIAL.steps(step) + 1, dtype=np.float64) * step
 
 
 def reference(time: Doubles) -> Doubles:

@@ -8,14 +8,15 @@ from typing import Protocol
 import numpy as np
 
 from tailbeat.errors import InputError
+from tailbeat.thesis import progress
 from tailbeat.thesis.advection import PlantFailed
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.example import Run
-from tailbeat.thesis.heat import HORIZON, STEP, Doubles, reference
+from tailbeat.thesis.heat import HORIZON, STEP, TRIAL, reference
 from tailbeat.thesis.learner import Learner, LearnerConfig, LearnerRefused
+from tailbeat.thesis.limits import errors_beyond, last_iteration
 from tailbeat.thesis.native import Precision, load
-
-ITERATIONS_MAX = 100_000
-OUTPUT_MAX = 1e300  # of an output; more is divergence
+from tailbeat.thesis.options import Options
 
 
 class Plant(Protocol):
@@ -53,16 +54,16 @@ def lead_samples(minutes: float, step: float) -> float:
     return halves / 2
 
 
-def last_iteration(asked: int | None, default: int) -> int:
-    """Of the options.
+def asked(options: Options, usual: int) -> tuple[float, int]:
+    """Step and last iteration of the options; ``usual`` where they say nothing of the latter.
 
     Raises:
-        InputError: when it is negative or endless.
+        InputError: when they make no sense, or take too long together.
     """
-    count = default if asked is None else asked
-    if not 0 <= count <= ITERATIONS_MAX:
-        raise InputError(f"{count} is no last iteration.", f"Give one from 0 to {ITERATIONS_MAX}.")
-    return count
+    step = STEP if options.step is None else options.step
+    last = last_iteration(options.iterations, usual)
+    TRIAL.afford(TRIAL.steps(step), last)
+    return step, last
 
 
 def learn(
@@ -79,6 +80,7 @@ def learn(
     """
     learner = Learner(law, precision=precision)
     wanted = reference(plant.time)
+    limit = errors_beyond(wanted)
     traces: dict[str, Doubles] = {"time": plant.time, "reference": wanted}
     worst: list[float] = []
     rms: list[float] = []
@@ -87,15 +89,16 @@ def learn(
         values = learner.input()
         try:
             output = plant.output(values)
-            if not np.max(np.abs(output)) < OUTPUT_MAX:
-                raise PlantFailed("the output is not finite")
             error = wanted - output
+            if not np.max(np.abs(error)) <= limit:
+                raise PlantFailed("no digit of the reference is left in the error")
             worst.append(float(np.max(np.abs(error))))
             rms.append(float(np.sqrt(np.mean(error**2))))
             traces |= {"input": values, "output": output}
             traces.setdefault("first", output)
             if iteration < iterations:
                 learner.learn(error if prepare is None else prepare(error))
+            progress.tell(iteration + 1, iterations + 1)
         except PlantFailed:
             diverged = iteration
             break

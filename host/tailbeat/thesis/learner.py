@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tailbeat.errors import TailbeatError
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.native import Precision, load
-
-Doubles = NDArray[np.float64]
 
 UNLIMITED = 1e30  # of inputs: LAW_LIMIT
 PASTS = {"last": 0, "mean": 1, "window": 2}

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from tailbeat.errors import InputError
 from tailbeat.thesis.arithmetic import expression
+from tailbeat.thesis.options import Options
 
 Length = Callable[[int], float]
 """Iteration -> length of its trial, in the example's unit (samples, s, beats)."""
 
 _PATTERN = "pattern:"
+_DRAWN = ("uniform", "random")
 _REMEDY = "Lengths are full, uniform or pattern:EXPR of the iteration i, like pattern:45+3*(i%4)."
 
 
@@ -26,11 +29,19 @@ def parse(text: str, full: float, draw: Callable[[int, int], float], seed: int) 
     """
     if text == "full":
         return lambda iteration: full
-    if text in ("uniform", "random"):
+    if text in _DRAWN:
         return lambda iteration: draw(seed, iteration)
     if not text.startswith(_PATTERN):
         raise InputError(f"'{text}' are no lengths of trials.", _REMEDY)
     return _pattern(text.removeprefix(_PATTERN))
+
+
+def settings(options: Options, usual: str) -> dict[str, Any]:
+    """Lengths and seed that ``options`` come to; no seed where nothing is drawn. ``usual``: the
+    lengths where they say nothing."""
+    text = options.lengths or usual
+    drawn = text in _DRAWN
+    return {"lengths": "uniform" if drawn else text, "seed": options.seed if drawn else None}
 
 
 def _pattern(text: str) -> Length:

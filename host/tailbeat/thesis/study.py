@@ -8,7 +8,7 @@ import math
 import multiprocessing
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
@@ -22,12 +22,12 @@ from tailbeat.errors import InputError
 from tailbeat.sweep.onethread import one_thread
 from tailbeat.thesis.example import Claim, Example, Figure, Run
 from tailbeat.thesis.options import Options
+from tailbeat.thesis.progress import Show, heard
 
 REGISTRY = "tailbeat.thesis.examples"  # the module whose EXAMPLES workers look in
-_FIGURES_PART = 0.1  # of an example's time, about
+_RUN_PART = 0.1  # of an example's time, about, where claims are judged
+_FIGURES_PART = 0.1
 _POLL_S = 0.2
-
-Show = Callable[[float], None]  # part of the work done, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,11 @@ def compute(order: Order, tick: Show | None = None) -> Result:
     example = _find(order)
     show = tick or (lambda done: None)
     part = 1 - _FIGURES_PART if order.figures else 1.0
-    study = CachedStudy(example, order.options, lambda done: show(part * done))
+    begun = _RUN_PART if order.claims else part
+    study = CachedStudy(example, order.options, lambda done: show(begun + (part - begun) * done))
     with one_thread(), np.errstate(all="ignore"):
-        run = _run(example, study, order.options)
+        with heard(lambda done: show(begun * done)):
+            run = _told(_run(example, study, order.options))
         claims = example.claims(study) if order.claims else []
         show(part)
         figures = example.figures(study, order.figures) if order.figures else []
@@ -102,6 +104,23 @@ def compute(order: Order, tick: Show | None = None) -> Result:
         diverged=run.diverged,
         claims=claims,
         figures=figures,
+    )
+
+
+def _told(run: Run) -> Run:
+    """With a row even when the very first iteration diverged: nothing finite is known of it."""
+    if len(run.iterations) or run.diverged is None:
+        return run
+
+    def unknown(column: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.full((1, *column.shape[1:]), np.nan)
+
+    return replace(
+        run,
+        iterations=np.array([run.diverged]),
+        max_abs_error=unknown(run.max_abs_error),
+        executed=None if run.executed is None else unknown(run.executed),
+        lengths=None if run.lengths is None else unknown(run.lengths),
     )
 
 

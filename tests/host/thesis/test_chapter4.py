@@ -324,9 +324,25 @@ def test_verdicts_as_printed(id: str, tmp_path: Path) -> None:
         assert figure.path.stat().st_size > 10_000
 
 
+def test_a_line_s_width_is_judged_over_the_trials_about_100() -> None:
+    """References in plain numpy; at i = 100 itself the first state is at 2.985 %, two trials of the
+    twenty are above the threshold."""
+    found = run_trials(Chapter4(Grid(2000, "rk4")), 110, traced={97, 100})
+    shares = []
+    for trial in range(91, 111):
+        peaks = claims._peaks(trial)
+        if trial in found.traces:
+            assert peaks == pytest.approx(np.abs(found.traces[trial][:, 3:5]).max(axis=0), rel=1e-5)
+        shares.append(found.max_abs_error[trial - 1] / peaks)
+    assert shares[9] == pytest.approx([0.02985, 0.00887], abs=2e-5)
+    assert np.max(shares) > 0.07
+    assert claims._apart(found) == pytest.approx([0.01956, 0.01104], abs=2e-5)
+    assert not np.any(np.isfinite(claims._apart(run_trials(Chapter4(Grid(2000, "rk4")), 109))))
+
+
 def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> None:
     bad = run_trials(Chapter4(Grid(500, "rk4")), 100, traced={1})
-    series = np.tile(bad.max_abs_error[:1], (100, 1))
+    series = np.tile(bad.max_abs_error[:1], (110, 1))
     flat = replace(
         bad, max_abs_error=series, input_variation=series, diverged=None,
         traces={100: bad.traces[1]},
@@ -334,12 +350,13 @@ def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> N
 
     class Flat(Coarse):
         def run(self, **changes: Any) -> Run:
-            return Run(np.arange(1, 101), series, traces={"trials": flat})
+            return Run(np.arange(1, 111), series, traces={"trials": flat})
 
     judge = quick(monkeypatch)
     assert judge("ch4-ex1")[0].verdict == COMES_OUT
     ex1, smooth = example("ch4-ex1"), example("ch4-ex2-smooth")
     assert [c.verdict for c in ex1.claims(Flat(ex1))] == [DOES_NOT] * 3
+    assert [c.ours for c in ex1.claims(Flat(ex1))] == [False, False, True]
     sign = example("ch4-ex2-sign")
     assert sign.claims(Flat(sign))[0].verdict == DOES_NOT
     grown = replace(flat, max_abs_error=np.linspace(0.1, 1, 100)[:, np.newaxis] * np.ones(2))

@@ -10,6 +10,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from tailbeat.errors import InputError
 from tailbeat.sweep.onethread import one_thread
@@ -255,10 +256,14 @@ def test_frequencies() -> None:
     omega, wide = np.linspace(0, 10, 10_001), np.linspace(0, 300, 60_001)
     assert frequency.cut_off(20, 0.01, 2) == pytest.approx(10.03, abs=0.005)
     assert frequency.cut_off(20, 0.01, 1) == pytest.approx(13.93, abs=0.005)
-    assert frequency.best_rho(frequency.modelled, 0.01)[0] == pytest.approx(2.8403, rel=1e-3)
+    assert frequency.best_rho(frequency.modelled, 0.01)[0] == pytest.approx(2.84033, abs=1e-5)
     assert frequency.best_rho(frequency.rod, 0.01)[0] == pytest.approx(1, abs=1e-5)
     by_model = frequency.best_rho(frequency.modelled, omega)
-    assert by_model == pytest.approx((2.05252, 0.66767), rel=1e-3)
+    assert by_model == pytest.approx((2.05252, 0.66767), abs=1e-5)
+    unrounded = frequency.modelled_unrounded
+    assert frequency.best_rho(unrounded, 0.01)[0] == pytest.approx(2.84157, abs=1e-5)
+    assert frequency.best_rho(unrounded, omega) == pytest.approx((2.05317, 0.66778), abs=1e-5)
+    assert frequency.widest_band(0.01) == pytest.approx(11.187, abs=5e-4)
     assert frequency.best_rho(frequency.rod, omega) == pytest.approx((0.19406, 0.99141), rel=1e-4)
     with_q = frequency.best_rho(frequency.rod, wide, frequency.zero_phase(wide, 20, 0.01))
     assert with_q == pytest.approx((0.5088, 0.7507), rel=1e-3)
@@ -272,10 +277,37 @@ def test_the_half_differentiator() -> None:
     true = np.sqrt(1j * at)
     off = np.abs(frequency.half_differentiator(at) / true - 1)
     assert off == pytest.approx([2.13, 0.70, 0.40, 0.22, 0.10, 0.49], abs=0.025)
-    assert abs(frequency.half_differentiator(0.0)[0]) == pytest.approx(2.754, rel=1e-3)
+    assert abs(frequency.half_differentiator(0.0)[0]) == pytest.approx(5.302 / 1.925, rel=1e-6)
+    assert abs(frequency.modelled(0.0)[0]) == pytest.approx(0.352, abs=5e-4)
     over, under = frequency.half_differentiator_coefficients()
     assert over == pytest.approx([1, -0.5, 0.1, -0.175, 0.05, -0.1])
     assert under == pytest.approx(np.abs(over))
+    assert np.sqrt(200) * over == pytest.approx(frequency.PRINTED_OVER, rel=2.5e-4)
+    assert under == pytest.approx(frequency.PRINTED_UNDER)
+
+
+def test_what_acts_at_the_ends_and_inside() -> None:
+    """Lemma 6.1 against closed forms, and, as printed, against the slips that it leads to."""
+    s, x = 0.7 - 2.1j, 0.3
+    r = np.sqrt(s)
+    ends = frequency.from_the_ends(x, s)
+    hyperbolic = np.sinh(r)
+    wanted = [
+        [-np.cosh(r * (1 - x)) / (r * hyperbolic), np.cosh(r * x) / (r * hyperbolic)],
+        [np.sinh(r * (1 - x)) / hyperbolic, np.sinh(r * x) / hyperbolic],
+    ]
+    assert ends.ravel() == pytest.approx(np.ravel(wanted), rel=1e-12)
+    assert expm(np.array([[0, 1], [s, 0]]) * x).ravel() == pytest.approx(
+        frequency.along(x, s).ravel(), rel=1e-12
+    )
+    printed = frequency.from_the_ends(x, s, frequency.along_printed)
+    assert printed[:, 0] == pytest.approx([-np.exp(-r * x) / r, 0], abs=1e-12)
+    kernel = frequency.from_inside(0.0, x, s)[0, 1]
+    assert kernel == pytest.approx(-np.cosh(r * (1 - x)) / (r * hyperbolic), rel=1e-12)
+    kernel = frequency.from_inside(0.0, x, s, frequency.along_printed)[0, 1]
+    assert kernel == pytest.approx(-np.sinh(r * (1 - x)) / (r * hyperbolic), rel=1e-12)
+    assert max(frequency.off_at_the_ends(s)) < 1e-4 and frequency.off_inside(s) < 1e-6
+    assert min(frequency.off_at_the_ends(s, frequency.along_printed)) > 0.1
 
 
 @cache
@@ -288,15 +320,17 @@ def claims(precision: Precision) -> dict[str, Claim]:
     ("part", "verdict", "measured"),
     [
         ("cut-off", COMES_OUT, 10.03),
-        ("follows from A(z)", COMES_OUT, 2.8403),
+        ("follows from A(z)", COMES_OUT, [2.84033, 2.84157]),
         ("best gain there", DOES_NOT, 1.0),
-        ("the optimum (6.41)", DOES_NOT, [2.0525, 0.1941, 0.5088]),
+        ("the optimum (6.41)", DOES_NOT, [2.05252, 2.05317, 0.1941, 0.5088]),
         ("meets (6.20)", DOES_NOT, 1.0585),
         ("meets (6.32)", COMES_OUT, 0.7690),
         ("13.20", DOES_NOT, [52.5194, 14.6136]),
         ("0.0371", UNDER_A_READING, 0.01752),
         ("robust", COMES_OUT, [0.0193, 8.827]),
         ("positive real", DOES_NOT, -0.1667),
+        ("h11, h21", DOES_NOT, [0.333311, 1.0]),
+        ("G as printed", DOES_NOT, 0.754493),
         ("(6.39)", DOES_NOT, [8.09, 52.4694]),
     ],
 )
@@ -313,13 +347,18 @@ def test_every_claim_has_a_source_and_a_verdict() -> None:
 
 
 def test_a_verdict_follows_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With another gain the same claims read otherwise."""
-    monkeypatch.setattr("tailbeat.thesis.chapter6.task.RHO", 2.839)
+    """With another gain, and the right exp(Fx), the same claims read otherwise."""
     good = rod.law
     monkeypatch.setattr(rod, "law", lambda step=0.01, rho=2.839, q_len=None: good(step, rho, q_len))
+    monkeypatch.setattr(frequency, "along_printed", frequency.along)
+    monkeypatch.setattr(frequency, "PRINTED_OVER", (20.0, *frequency.PRINTED_OVER[1:]))
     found = {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, Options()))}
     assert found["it is 0.0371 within 7 iterations"].verdict == DOES_NOT
     assert found["each trial shrinks the error"].verdict == DOES_NOT
+    assert found["h11, h21 as printed solve (6.35)"].verdict == COMES_OUT
+    assert found["G as printed solves (6.35)"].verdict == COMES_OUT
+    follows = "rho0 = 2.839 follows from A(z) for the reference's frequency, 0.01"
+    assert found[follows].verdict == DOES_NOT
 
 
 def test_divergence_ends_the_run() -> None:

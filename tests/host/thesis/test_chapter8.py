@@ -25,7 +25,7 @@ from tailbeat.thesis.chapter8.fish import (
     trials,
     wanted_beats,
 )
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example
+from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example, Run
 from tailbeat.thesis.native import Precision
 from tailbeat.thesis.options import Options
 from tailbeat.thesis.study import CachedStudy
@@ -43,6 +43,18 @@ FINE = {
     7: [0.0791, 0.0022, 0.0012, 0.0011, 0.0011, 0.0011, 0.0011],
     10: [0.0791, 0.0489, 0.0375, 0.0248, 0.0183, 0.0125, 0.0090],
 }
+# Recomputed twice, the second time with (8.13) solved in closed form and thrust averaged over 4096
+# angles; agreed to 1e-7. Beat means of gain 7; sampled at 0.1 s with u(k) paired with e(k),
+# iterations 3, 6, 10, 20, 40; way of each trial at gain 10, m.
+BEATS_7 = [0.0791, 0.0020988, 0.0011831, 0.0010350, 0.0009608, 0.0009193, 0.0008963]
+TRAP = {
+    4: [0.0051623, 0.0023441, 0.0123280, 0.0600792, 0.0773323],
+    7: [0.0017264, 0.0108794, 0.0588056, 0.0665706, 0.0836643],
+}
+WAY_10_M = [0.0, 3.4612636, 1.2935722, 2.7808656, 1.7908898, 2.4800388, 2.0082354]
+# Mean and standard deviation of max|e| over 4000 series of an independent program: P with zero
+# fill at 1 Hz, gain 4, trials of 20 to 50 beats, all as likely; iteration -> (mean, deviation).
+RANDOM_LENGTHS = {5: (0.00946, 0.00992), 10: (0.00188, 0.00280), 20: (0.000979, 0.000105)}
 LAGS, LONG_LAGS = Lags(0.3, 0.2, 0.5), Lags(0.5, 0.3, 1.0)
 
 
@@ -75,6 +87,15 @@ def test_golden_fine_samples(gain: int, precision: Precision) -> None:
     run = example(gain).run(options)
     for found, golden in zip(run.max_abs_error, FINE[gain], strict=True):
         assert found == pytest.approx(golden, abs=1.1e-4)
+
+
+def test_goldens_that_were_recomputed_twice() -> None:
+    np.testing.assert_allclose(errors(Task(7, 6)), BEATS_7, rtol=0, atol=2e-5)
+    for gain, golden in TRAP.items():
+        found = at(Task(gain, 0, step_s=0.1, pairing=0), 3, 6, 10, 20, 40)
+        np.testing.assert_allclose(found, golden, rtol=0, atol=2e-5)
+    way = [float(trial.speed_m_s.sum()) for trial in trials(Task(10, 6))]
+    np.testing.assert_allclose(way, WAY_10_M, rtol=0, atol=2e-5)
 
 
 def series_in_numpy(gain: float, step: float | None, iterations: int) -> list[float]:
@@ -121,7 +142,6 @@ def series_in_numpy(gain: float, step: float | None, iterations: int) -> list[fl
 def test_rows_that_are_in_no_table(gain: float, step: float | None, iterations: int) -> None:
     found = errors(Task(gain, iterations, step_s=step))
     wanted = series_in_numpy(gain, step, iterations)
-    print(found, wanted)
     np.testing.assert_allclose(found, wanted, rtol=0.02, atol=5e-5)
 
 
@@ -193,17 +213,16 @@ def test_inputs_of_the_first_trials() -> None:
 
 
 def test_trials_cut_at_random_learn_at_a_mean_rate() -> None:
-    """P with zero fill, sampled at 1 Hz, 20 seeds: mean of max|e| in iterations 5, 10, 20. Of other
-    draws of the same distribution, so only the order of magnitude is certain."""
+    """P with zero fill, sampled at 1 Hz: the mean over the seeds lies within four standard errors
+    of that of the distribution."""
+    seeds = range(1, 101)
     runs = [
         example(4).run(Options(lengths="uniform", seed=seed, step=1.0, iterations=20))
-        for seed in range(1, 21)
+        for seed in seeds
     ]
     means = np.mean([run.max_abs_error for run in runs], axis=0)
-    print(means[[5, 10, 20]])
-    assert means[5] == pytest.approx(0.0111, rel=0.4)
-    assert means[10] == pytest.approx(0.00227, rel=0.6)
-    assert means[20] == pytest.approx(0.00097, rel=0.1)
+    for i, (mean, deviation) in RANDOM_LENGTHS.items():
+        assert means[i] == pytest.approx(mean, abs=4 * deviation / math.sqrt(len(seeds))), i
 
 
 def test_drawn_lengths_are_uniform_and_depend_on_nothing_else() -> None:
@@ -229,7 +248,7 @@ def test_a_cut_trial_learns_to_its_end_and_is_judged_beyond() -> None:
 
 @pytest.mark.parametrize("step", [41.0, 40 / 65536, 1e-7])
 def test_steps_that_make_no_trial_are_refused(step: float) -> None:
-    with pytest.raises(InputError, match=r"Take 1 to 65535: --step 0\.0007 to 40"):
+    with pytest.raises(InputError, match="Give --step 40/N, N from 2 to 65535"):
         example(4).run(Options(step=step, iterations=1))
 
 
@@ -249,14 +268,14 @@ def find(judged: dict[tuple[str, str], Claim], gain: int, words: str) -> Claim:
 @pytest.mark.parametrize(
     ("gain", "words", "verdict", "measured"),
     [
-        (4, "80 %", UNDER_A_READING, None),
+        (4, "80 %", UNDER_A_READING, 0.98747),
         (4, "any gain above 0 converges: gain 4 on", COMES_OUT, [0.05, 0.20]),
         (7, "any gain above 0 converges: gain 7 on", COMES_OUT, [0.40, 0.67]),
         (10, "any gain above 0 converges: gain 10 on", DOES_NOT, [0.99, 1.39]),
         (4, "any gain above 0", UNDER_A_READING, None),
         (10, "any gain above 0", UNDER_A_READING, None),
         (4, "can be tried in the tank", COMES_OUT, 2.20),
-        (10, "can be tried in the tank", DOES_NOT, None),
+        (10, "can be tried in the tank", DOES_NOT, 3.46126),
         (7, "learns faster", COMES_OUT, [2.0, 1.0]),
         (10, "learns faster", DOES_NOT, [2.0, 5.0]),
         (4, "still oscillates", DOES_NOT, None),
@@ -307,6 +326,19 @@ def test_a_fish_that_can_brake_can_swim_the_reference(monkeypatch: pytest.Monkey
     monkeypatch.setattr(fishclaims, "wanted_at", at_rest)
     claim = fishclaims._reference_is_realizable()
     assert (claim.verdict, claim.measured) == (COMES_OUT, "everywhere")
+
+
+def test_eighty_percent_can_fail() -> None:
+    slow = CachedStudy(example(4), Options())
+    slow.run = lambda **changes: Run(np.arange(7), 0.079 * 0.9 ** np.arange(7))  # type: ignore[method-assign]
+    claim = fishclaims._eighty_percent(slow)
+    assert (claim.verdict, claim.measured) == (DOES_NOT, pytest.approx(1 - 0.9**6))
+
+
+def test_which_claims_are_not_the_thesis_s(judged: dict[tuple[str, str], Claim]) -> None:
+    words = ("as it was measured", "can be tried", "learns faster", "winding up")
+    for (_, text), claim in judged.items():
+        assert claim.ours == any(word in text for word in words), text
 
 
 def test_figures_are_drawn_once(tmp_path: Path) -> None:

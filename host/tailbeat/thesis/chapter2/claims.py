@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.chapter2.plants import WANTED
 from tailbeat.thesis.chapter2.tasks import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE, Average
-from tailbeat.thesis.cut import Doubles, Outcome, first_within, stays_within, verdict
-from tailbeat.thesis.example import Claim, Study
+from tailbeat.thesis.cut import Outcome, first_within, stays_within
+from tailbeat.thesis.example import Claim, Study, verdict
 
 SEEDS = range(1, 201)
 LATE = 200  # iterations until errors that do not fall any more have settled

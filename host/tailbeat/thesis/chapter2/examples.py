@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+from tailbeat.thesis import lengths
 from tailbeat.thesis.chapter2 import claims, figures
 from tailbeat.thesis.chapter2.tasks import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE, Average
 from tailbeat.thesis.cut import swim
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
+from tailbeat.thesis.limits import last_iteration
 from tailbeat.thesis.options import Options
 
 ITERATIONS = 80
@@ -19,9 +22,16 @@ _KEPT = (0, 5, 20, 40)
 
 def _run(setting: Average, options: Options) -> Run:
     task = setting.task()
-    iterations = ITERATIONS if options.iterations is None else options.iterations
     length = task.length(options.lengths, options.seed)
-    return swim(task, [length], iterations, options.precision, keep=_KEPT).run()
+    last = last_iteration(options.iterations, ITERATIONS)
+    return swim(task, [length], last, options.precision, keep=_KEPT).run()
+
+
+def _settings(options: Options) -> dict[str, Any]:
+    return {
+        "iterations": last_iteration(options.iterations, ITERATIONS),
+        **lengths.settings(options, "uniform"),
+    }
 
 
 def _example(
@@ -35,6 +45,7 @@ def _example(
     return Example(
         id=id, chapter=2, title=title, law="iteration average, (2.10)", knows=_KNOWS,
         run=partial(_run, setting), claims=judge, figures=draw, weight=weight,
+        settings=_settings,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Doubles = NDArray[np.float64]
+from tailbeat.thesis.arrays import Doubles
 
 LAST = 50  # T_d, samples
 TIMES: NDArray[np.int64] = np.arange(LAST + 1)

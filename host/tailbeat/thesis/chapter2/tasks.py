@@ -11,10 +11,11 @@ from math import comb
 
 import numpy as np
 
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.chapter2 import plants as linear
 from tailbeat.thesis.chapter2.plants import LAST, TIMES, WANTED, LinearPlant
 from tailbeat.thesis.conditions import contraction, reached_probability
-from tailbeat.thesis.cut import Doubles, Outcome, Task, chance, swim
+from tailbeat.thesis.cut import Outcome, Task, chance, swim
 from tailbeat.thesis.learner import LearnerConfig
 
 _START_STREAM = 1

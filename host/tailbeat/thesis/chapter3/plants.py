@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Doubles = NDArray[np.float64]
+from tailbeat.thesis.arrays import Doubles
+
 Rate = Callable[[Doubles, Doubles], Doubles]
 """(state, input) -> time derivative of the state."""
 Method = Literal["euler", "rk4"]

@@ -9,13 +9,15 @@ from statistics import NormalDist
 import numpy as np
 
 from tailbeat.errors import InputError
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.chapter3 import plants as continuous
 from tailbeat.thesis.chapter3.plants import HeldPlant, Method, Rate
-from tailbeat.thesis.cut import Doubles, Outcome, Task, chance, swim
+from tailbeat.thesis.cut import Outcome, Task, chance, swim
 from tailbeat.thesis.learner import UNLIMITED, LearnerConfig
+from tailbeat.thesis.limits import M_MAX, Span
 
-M_MAX = 15  # a learner's window holds 16 trials
-_SAMPLES_MAX = 65535
+_STEPS_MAX = 65_534  # a learner's samples, less one
+_BUDGET = 20_000_000
 
 
 def share(m: int) -> float:
@@ -43,15 +45,13 @@ class Moving:
     history: str = "zero"
     low: float = -UNLIMITED  # of the input
 
+    @property
+    def trial(self) -> Span:
+        return Span(self.duration, "s", _STEPS_MAX, _BUDGET)
+
     def times(self) -> Doubles:
-        steps = round(self.duration / self.step) if self.step > 0.0 else 0
-        fits = abs(steps * self.step - self.duration) <= 1e-9 * self.duration
-        if not fits or not 2 <= steps < _SAMPLES_MAX:
-            raise InputError(
-                f"{self.duration:g} s is no whole number of steps of {self.step:g} s.",
-                f"Give a step that divides it into 2 to {_SAMPLES_MAX - 1}.",
-            )
-        return np.arange(steps + 1, dtype=np.float64) * np.float64(self.step)
+        """Raises InputError for a step that makes no trial."""
+        return np.arange(self.trial.steps(self.step) + 1, dtype=np.float64) * np.float64(self.step)
 
     def law(self) -> LearnerConfig:
         """(3.12); (3.43) with ``kp``, which looks at the newest trial only."""

@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Study
+from tailbeat.thesis.arrays import Doubles
+from tailbeat.thesis.example import Claim, Study, verdict
 from tailbeat.thesis.feedback import Chapter4, Grid, Trials, run_trials, trials_of
 
 ITERATIONS = 100
@@ -18,13 +19,10 @@ EXAMPLE2_SMOOTH = Chapter4(Grid(5000, "rk4"), varying=True, smooth=True)
 
 COARSE = (200, 500, 1000, 2000)  # steps of a held input; example 1
 SAMPLED = ((500, 100), (1000, 200), (2000, 200))  # steps, trials; sign law of example 2
+AROUND = (91, 110)  # trials about i = 100: their references differ, one alone may be the odd one
 _LINE_WIDTH = 0.03  # of the peak: one or two lines' width in a printed figure
 _CHATTER = 10.0  # times the variation of the smooth input
 _GROWTH = 3.0  # times the smallest error so far, from where it is no scatter of the references
-
-
-def _verdict(plainly: bool, under_a_reading: bool = False) -> str:
-    return COMES_OUT if plainly else UNDER_A_READING if under_a_reading else DOES_NOT
 
 
 def sampled_words(trials: Trials, steps: int, last: int) -> str:
@@ -43,7 +41,7 @@ def grows(trials: Trials) -> bool:
 
 
 def example1(study: Study) -> list[Claim]:
-    found = trials_of(study.run())
+    found = trials_of(study.run(iterations=AROUND[1]))
     study.tick(0.5)
     coarse = {n: run_trials(replace(EXAMPLE1, grid=Grid(n, "held")), ITERATIONS) for n in COARSE}
     study.tick(0.6)
@@ -51,21 +49,37 @@ def example1(study: Study) -> list[Claim]:
     return [_indistinguishable(found), _converges(found, coarse), _full(found, block)]
 
 
-def _peaks(trials: Trials, trial: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    return np.asarray(np.abs(trials.traces[trial][:, 3:5]).max(axis=0))
+def _peaks(trial: int) -> Doubles:
+    """Of both references (4.22)."""
+    rate = abs(np.sin(trial)) + 0.5
+    t = np.linspace(0.0, 2.0 * np.pi / rate, 20_001)
+    first = (np.cos(t) + 1.5) * np.sin(rate * t)
+    second = (np.sin(t) + 1.5) * (1.0 - np.cos(rate * t))
+    return np.asarray(np.abs([first, second]).max(axis=1))
+
+
+def _apart(found: Trials) -> Doubles:
+    """Median over the trials ``AROUND`` of each state's largest error by its reference's peak."""
+    first, last = AROUND
+    if len(found.max_abs_error) < last:
+        return np.full(2, np.inf)
+    peaks = np.array([_peaks(trial) for trial in range(first, last + 1)])
+    shares: Doubles = np.median(found.max_abs_error[first - 1 : last] / peaks, axis=0)
+    return shares
 
 
 def _indistinguishable(found: Trials) -> Claim:
-    error = found.error(ITERATIONS)
-    peaks = _peaks(found, ITERATIONS)
+    error, peaks, apart = found.error(ITERATIONS), _peaks(ITERATIONS), _apart(found)
     return Claim(
         "x and its reference are almost indistinguishable at i = 100",
         "ch. 4, example 1",
-        _verdict(bool(np.all(np.array(error) < _LINE_WIDTH * peaks))),
+        verdict(bool(np.all(apart < _LINE_WIDTH))),
         error,
         f"max|e| of both states; the references' peaks are {peaks[0]:.2f} and {peaks[1]:.2f}, "
-        f"the errors of trial 1 {found.error(1)[0]:.3f} and {found.error(1)[1]:.3f}. Errors do not "
-        "fall in every trial: the reference changes.",
+        f"the errors of trial 1 {found.error(1)[0]:.3f} and {found.error(1)[1]:.3f}. Judged by the "
+        f"median of trials {AROUND[0]}-{AROUND[1]}, {apart[0]:.1%} and {apart[1]:.1%} of the peak; "
+        f"below {_LINE_WIDTH:.0%} is a line's width. Every trial has another reference, so errors "
+        "do not fall in each.",
     )
 
 
@@ -77,7 +91,7 @@ def _converges(found: Trials, coarse: dict[int, Trials]) -> Claim:
     return Claim(
         "The errors converge along the trials with (4.5)-(4.6)",
         "ch. 4, (4.5)-(4.6)",
-        _verdict(falls and robust, falls),
+        verdict(falls and robust, falls),
         [early, late],
         "Largest error of trials 1-10 and 91-100, in continuous time. (4.6) acts as a damper of "
         "rate (drho/dt)^2 |f|^2, up to 4 * 2.5^6 here, so a sampled law needs steps below 2 over "
@@ -91,11 +105,12 @@ def _full(found: Trials, block: Trials) -> Claim:
     return Claim(
         "(4.6) learns all of Theta, though Theta is block diagonal",
         "ch. 4, (4.6)",
-        _verdict(full),
+        verdict(full),
         block.error(ITERATIONS),
         "max|e| at i = 100 when only the diagonal is learned, against "
         f"{found.error(ITERATIONS)[0]:.4f} and {found.error(ITERATIONS)[1]:.4f} with all of it; "
         f"{'both converge' if reads and full else 'they differ'}.",
+        ours=True,
     )
 
 
@@ -122,7 +137,7 @@ def _chatters(found: Trials, against: Trials) -> Claim:
     return Claim(
         "The sign law chatters",
         "ch. 4, example 2, (4.15)-(4.17)",
-        _verdict(bool(np.all(ratio > _CHATTER))),
+        verdict(bool(np.all(ratio > _CHATTER))),
         found.variation(ITERATIONS),
         "Total variation of both inputs in trial 100 with 5000 steps, "
         f"{ratio[0]:.0f} and {ratio[1]:.0f} times that of the smooth law.",
@@ -137,7 +152,7 @@ def _sampled(found: Trials, sampled: dict[int, Trials]) -> Claim:
     return Claim(
         "The errors converge along the trials with the sign law",
         "ch. 4, (4.15)-(4.17)",
-        _verdict(well),
+        verdict(well),
         "; ".join(words),
         "Sampled, chatter keeps |e| above zero, lambda's estimate never falls, and the loop "
         "diverges along the trials, later with shorter steps. A dead zone in lambda's update only "
@@ -155,7 +170,7 @@ def _expansion() -> Claim:
     return Claim(
         "theta expands in the basis 1, sin t, cos t, sin 2t, cos 2t with a bounded rest",
         "ch. 4, example 2",
-        _verdict(max(rests) < 0.1),
+        verdict(max(rests) < 0.1),
         rests,
         "Largest rest of a least-squares fit over a period, of theta_1 and theta_2. The basis is "
         "called orthonormal but is not normalised; harmless.",
@@ -166,13 +181,14 @@ def _bounding() -> Claim:
     """g and f are homogeneous: the smallest ratio over all f is that over a circle."""
     angle = np.linspace(0.0, 2.0 * np.pi, 3601)
     ratio = 0.5 * (np.abs(np.cos(angle)) + 2.0 * np.abs(np.sin(angle)))
-    smallest = float(ratio.min())
+    smallest, at = float(ratio.min()), angle[int(ratio.argmin())]
     return Claim(
         "g = 0.5(|f_1| + 2|f_2|) bounds |f|",
         "ch. 4, example 2",
-        _verdict(smallest >= 1.0),
+        verdict(smallest >= 1.0),
         smallest,
-        "Smallest g/|f|, at f = (1, 0). Harmless: lambda's estimate grows to that much more.",
+        f"Smallest g/|f|, at f/|f| = ({np.cos(at):.2g}, {np.sin(at):.2g}). Harmless: lambda's "
+        "estimate grows to that much more.",
     )
 
 
@@ -189,7 +205,7 @@ def _smooth_input(found: Trials, against: Trials) -> Claim:
     return Claim(
         "The tanh law's input is smooth",
         "ch. 4, example 2, (4.18)-(4.20)",
-        _verdict(bool(np.all(ratio > _CHATTER))),
+        verdict(bool(np.all(ratio > _CHATTER))),
         found.variation(ITERATIONS),
         "Total variation of both inputs in trial 100; of the sign law "
         f"{against.variation(ITERATIONS)[0]:.0f} and {against.variation(ITERATIONS)[1]:.0f}.",
@@ -201,7 +217,7 @@ def _slower(found: Trials, against: Trials) -> Claim:
     return Claim(
         "The tanh law converges more slowly than the sign law",
         "ch. 4, example 2",
-        _verdict(all(a > b for a, b in zip(mine, others, strict=True))),
+        verdict(all(a > b for a, b in zip(mine, others, strict=True))),
         mine,
         f"max|e| at i = 100; of the sign law {others[0]:.4f} and {others[1]:.4f} "
         "(its second one is the chatter's, in proportion to the step).",
@@ -213,7 +229,7 @@ def _bounded(found: Trials) -> Claim:
     return Claim(
         "With leakage the errors end within a bound",
         "ch. 4, (4.21)",
-        _verdict(late <= early),
+        verdict(late <= early),
         [early, late],
         "Largest error of trials 1-50 and 51-100. The bound (4.21) itself lacks a factor T: (A.33) "
         "holds at each moment and is integrated over the trial.",

@@ -10,7 +10,7 @@ from pathlib import Path
 from tailbeat.thesis.chapter4 import claims, figures
 from tailbeat.thesis.chapter4.claims import EXAMPLE1, EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, ITERATIONS
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
-from tailbeat.thesis.feedback import Chapter4, run_example
+from tailbeat.thesis.feedback import Chapter4, run_example, settings
 from tailbeat.thesis.options import Options
 
 
@@ -30,6 +30,7 @@ def _example(
     return Example(
         id=id, chapter=4, title=title, law=law, knows=frozenset({"step", "iterations"}),
         run=partial(_run, setting), claims=judge, figures=draw, weight=weight,
+        settings=partial(settings, setting, ITERATIONS),
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from tailbeat.thesis.chapter5 import claims, figures
 from tailbeat.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2, ITERATIONS
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
-from tailbeat.thesis.feedback import Chapter5, run_example
+from tailbeat.thesis.feedback import Chapter5, run_example, settings
 from tailbeat.thesis.options import Options
 
 
@@ -29,6 +29,7 @@ def _example(
     return Example(
         id=id, chapter=5, title=title, law=law, knows=frozenset({"step", "iterations"}),
         run=partial(_run, setting), claims=judge, figures=draw, weight=weight,
+        settings=partial(settings, setting, ITERATIONS),
     )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tailbeat.thesis.chapter6.claims import claims
 from tailbeat.thesis.chapter6.figures import figures
-from tailbeat.thesis.chapter6.task import run
+from tailbeat.thesis.chapter6.task import run, settings
 from tailbeat.thesis.example import Example
 
 EXAMPLES: tuple[Example, ...] = (
@@ -18,5 +18,6 @@ EXAMPLES: tuple[Example, ...] = (
         claims=claims,
         figures=figures,
         weight=2.0,
+        settings=settings,
     ),
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.chapter6.task import (
     LONG,
     with_filter,
@@ -13,7 +14,7 @@ from tailbeat.thesis.chapter6.task import (
     without_filter,
 )
 from tailbeat.thesis.example import Figure, Study
-from tailbeat.thesis.heat import CHAPTER6, Doubles, heat_plant
+from tailbeat.thesis.heat import CHAPTER6, heat_plant
 from tailbeat.thesis.picture import LINES, WANTED, legend, picture
 
 _FIRST_OF_TEXT, _LAST_OF_TEXT = 13.20, 0.0371

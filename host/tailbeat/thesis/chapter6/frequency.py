@@ -9,11 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-Doubles = NDArray[np.float64]
+from tailbeat.thesis.arrays import Doubles
+
 Complexes = NDArray[np.complex128]
 Gain = Callable[[Doubles], Complexes]
 
 BAND = (0.0, 10.0)  # Omega of section 6.6
+PRINTED_OVER = (14.14, -7.07, 1.414, -2.475, 0.707, -1.414)
+PRINTED_UNDER = (1.0, 0.5, 0.1, 0.175, 0.05, 0.1)
+"""A(z) of section 6.6, rising powers of z^-1, rounded to four digits as there."""
 
 
 def _band(frequency: ArrayLike) -> Doubles:
@@ -30,23 +34,62 @@ def rod(frequency: ArrayLike) -> Complexes:
     return loop
 
 
-def h11(x: float, s: complex) -> complex:
-    """From w_x(0) to w(x), as it must be."""
+def along(x: float, s: complex) -> Complexes:
+    """exp(F x) of (6.35), as it must be: what (w, w_x) at 0 makes of them at x, undisturbed."""
     root = np.sqrt(s)
-    return complex(-np.cosh(root * (1 - x)) / (root * np.sinh(root)))
+    slope = np.sinh(root * x)
+    return np.array([[np.cosh(root * x), slope / root], [root * slope, np.cosh(root * x)]])
 
 
-def h11_printed(x: float, s: complex) -> complex:
-    """The same as printed: what sinh for cosh in exp(Fx) gives."""
-    root = np.sqrt(s)
-    return complex(-np.exp(-root * x) / root)
+def along_printed(x: float, s: complex) -> Complexes:
+    """The same as printed, with sinh in place (2, 2)."""
+    matrix = along(x, s)
+    matrix[1, 1] = np.sinh(np.sqrt(s) * x)
+    return matrix
 
 
-def h11_slope_at_the_end(
-    transfer: Callable[[float, complex], complex], s: complex, apart: float = 1e-5
-) -> float:
-    """abs(w_x(1)) that ``transfer`` leads to; the rod is insulated there as far as w_x(0) goes."""
-    return float(abs(transfer(1.0, s) - transfer(1.0 - apart, s)) / apart)
+Along = Callable[[float, complex], Complexes]
+_LEFT = np.array([[0.0, 1.0], [0.0, 0.0]])  # M and N of lemma 6.1, K0 = 1
+_RIGHT = np.array([[0.0, 0.0], [0.0, 1.0]])
+
+
+def from_the_ends(x: float, s: complex, by: Along = along) -> Complexes:
+    """H(x, s) of lemma 6.1: from w_x(0) and w_x(1) to (w, w_x) at x; the first column is h11, h21,
+    the second h12, h22."""
+    ends: Complexes = by(x, s) @ np.linalg.inv(_LEFT + _RIGHT @ by(1.0, s))
+    return ends
+
+
+def from_inside(x: float, at: float, s: complex, by: Along = along) -> Complexes:
+    """G(x, xi, s) of lemma 6.1: from (0, 1) given at xi to (w, w_x) at x."""
+    ends = from_the_ends(x, s, by)
+    if at < x:
+        return np.asarray(ends @ _LEFT @ by(-at, s))
+    return np.asarray(-ends @ _RIGHT @ by(1.0 - at, s))
+
+
+def off_at_the_ends(s: complex, by: Along = along) -> tuple[float, float]:
+    """What h11 and h21 leave at the ends, where w_x(0) is given and the other end is insulated:
+    abs(dh11/dx) at 1, and abs(h21 - 1) at 0."""
+    apart = 1e-5
+    near, end = (from_the_ends(x, s, by)[0, 0] for x in (1.0 - apart, 1.0))
+    return float(abs(end - near) / apart), float(abs(from_the_ends(0.0, s, by)[1, 0] - 1))
+
+
+def off_inside(s: complex, by: Along = along, at: float = 0.4) -> float:
+    """What G leaves of a source at ``at``: the largest of abs(w_x) at both ends, which are
+    insulated, and of abs(jump of w_x - 1) at the source."""
+    apart = 1e-9
+    ends = [abs(from_inside(x, at, s, by)[1, 1]) for x in (0.0, 1.0)]
+    before, after = (from_inside(at + d, at, s, by)[1, 1] for d in (-apart, apart))
+    return float(max(*ends, abs(after - before - 1)))
+
+
+def widest_band(step: float) -> float:
+    """Up to where Re(s * h12) is above 0 from 0 on: no gain meets (6.20) on a wider band."""
+    omega = np.linspace(0.01, np.pi / step, 30_001)
+    first = int(np.argmax(rod(omega).real <= 0))
+    return float(brentq(lambda w: float(rod(w)[0].real), omega[first - 1], omega[first]))
 
 
 def h12(x: float, frequency: ArrayLike) -> Complexes:
@@ -56,12 +99,22 @@ def h12(x: float, frequency: ArrayLike) -> Complexes:
     return gain
 
 
-def half_differentiator(frequency: ArrayLike, step: float = 0.01, order: int = 5) -> Complexes:
-    """A(z) of section 6.6 on the unit circle: sqrt(s) by Tustin's rule with Muir's recursion."""
+def half_differentiator(frequency: ArrayLike, step: float = 0.01) -> Complexes:
+    """A(z) of section 6.6 on the unit circle, its coefficients rounded as there."""
+    return _on_the_circle(PRINTED_OVER, PRINTED_UNDER, frequency, step)
+
+
+def half_differentiator_unrounded(frequency: ArrayLike, step: float = 0.01) -> Complexes:
+    """What A(z) is rounded from: sqrt(s) by Tustin's rule with Muir's recursion."""
+    over, under = half_differentiator_coefficients()
+    return _on_the_circle(np.sqrt(2 / step) * over, under, frequency, step)
+
+
+def _on_the_circle(
+    over: ArrayLike, under: ArrayLike, frequency: ArrayLike, step: float
+) -> Complexes:
     back = np.exp(-1j * _band(frequency) * step)
-    over, under = (np.polyval(_muir(order, r)[::-1], back) for r in (0.5, -0.5))
-    gain: Complexes = np.sqrt(2 / step) * over / under
-    return gain
+    return np.asarray(np.polyval(np.flip(over), back) / np.polyval(np.flip(under), back), complex)
 
 
 def _muir(order: int, r: float) -> Doubles:
@@ -83,6 +136,13 @@ def half_differentiator_coefficients(order: int = 5) -> tuple[Doubles, Doubles]:
 def modelled(frequency: ArrayLike) -> Complexes:
     """``rod`` as the thesis approximates it: A / sinh(A)."""
     root = half_differentiator(frequency)
+    loop: Complexes = root / np.sinh(root)
+    return loop
+
+
+def modelled_unrounded(frequency: ArrayLike) -> Complexes:
+    """The same before A(z) was rounded."""
+    root = half_differentiator_unrounded(frequency)
     loop: Complexes = root / np.sinh(root)
     return loop
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.example import Run
-from tailbeat.thesis.heat import CHAPTER6, STEP, Doubles, heat_plant, times
-from tailbeat.thesis.heat_trials import last_iteration, learn, slope, window, zero_phase
+from tailbeat.thesis.heat import CHAPTER6, STEP, heat_plant, times
+from tailbeat.thesis.heat_trials import asked, learn, slope, window, zero_phase
 from tailbeat.thesis.learner import LearnerConfig
 from tailbeat.thesis.options import Options
 
@@ -27,9 +28,14 @@ def law(step: float = STEP, rho: float = RHO, q_len: int | None = None) -> Learn
 
 def run(options: Options) -> Run:
     """The rod by backward Euler on 100 cells."""
-    step = STEP if options.step is None else options.step
-    iterations = last_iteration(options.iterations, ITERATIONS)
+    step, iterations = asked(options, ITERATIONS)
     return learn(heat_plant(CHAPTER6, step), law(step), iterations, options.precision)
+
+
+def settings(options: Options) -> dict[str, int | float]:
+    """What ``run`` uses."""
+    step, iterations = asked(options, ITERATIONS)
+    return {"iterations": iterations, "step": step}
 
 
 def exact(config: LearnerConfig, iterations: int) -> Run:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from tailbeat.thesis.advection import AdvectionPlant, Uptake
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.example import Run
-from tailbeat.thesis.heat import CHAPTER7, STEP, Doubles, heat_plant, times
-from tailbeat.thesis.heat_trials import Plant, last_iteration, lead_samples, learn, window
+from tailbeat.thesis.heat import CHAPTER7, STEP, heat_plant, times
+from tailbeat.thesis.heat_trials import Plant, asked, lead_samples, learn, window
 from tailbeat.thesis.learner import LearnerConfig
 from tailbeat.thesis.native import Precision
 from tailbeat.thesis.options import Options
@@ -18,6 +20,7 @@ RHO = -1.2041
 DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five
 DELTA = 0.25  # the one that RHO is made for
 ITERATIONS = 5
+UPTAKE: Uptake = "clip"
 
 
 def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> LearnerConfig:
@@ -37,21 +40,43 @@ def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> Lea
 
 
 def printed(options: Options) -> Run:
-    """(7.10) on (7.31) as printed, its phi clipped below v = 0."""
-    step = STEP if options.step is None else options.step
-    return _asked(AdvectionPlant(step), step, options)
+    """(7.10) on (7.31) as printed, its phi below v = 0 as the options have it, or clipped."""
+    given = _asked(options)
+    return _run(AdvectionPlant(given.step, options.uptake or UPTAKE), given, options.precision)
+
+
+def printed_settings(options: Options) -> dict[str, Any]:
+    """What ``printed`` uses."""
+    return {**asdict(_asked(options)), "uptake": options.uptake or UPTAKE}
 
 
 def heat(options: Options) -> Run:
     """(7.10) on the heat equation, F = 0."""
-    step = STEP if options.step is None else options.step
-    return _asked(heat_plant(CHAPTER7, step), step, options)
+    given = _asked(options)
+    return _run(heat_plant(CHAPTER7, given.step), given, options.precision)
 
 
-def _asked(plant: Plant, step: float, options: Options) -> Run:
+def heat_settings(options: Options) -> dict[str, Any]:
+    """What ``heat`` uses."""
+    return asdict(_asked(options))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    delta: float
+    iterations: int
+    step: float
+
+
+def _asked(options: Options) -> _Asked:
+    step, last = asked(options, ITERATIONS)
     delta = DELTA if options.delta is None else options.delta
-    iterations = last_iteration(options.iterations, ITERATIONS)
-    return learn(plant, law(delta, step), iterations, options.precision)
+    lead_samples(delta, step)
+    return _Asked(delta, last, step)
+
+
+def _run(plant: Plant, given: _Asked, precision: Precision) -> Run:
+    return learn(plant, law(given.delta, given.step), given.iterations, precision)
 
 
 def variant(delta: float, carried: float, uptake: Uptake = "clip") -> Run:

@@ -4,9 +4,9 @@ length 1 arrives along it."""
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Doubles = NDArray[np.float64]
+from tailbeat.thesis.arrays import Doubles
 
 _TERMS = 60  # of either sum: far beyond double precision where it is used
 

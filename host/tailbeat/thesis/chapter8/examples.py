@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tailbeat.thesis import lengths
+from tailbeat.thesis import lengths, progress
 from tailbeat.thesis.chapter8 import claims as fishclaims
-from tailbeat.thesis.chapter8.fish import BEATS, Task, Trial, trials
+from tailbeat.thesis.chapter8.fish import BEATS, TRIAL, Task, Trial, trials
 from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
+from tailbeat.thesis.limits import last_iteration
 from tailbeat.thesis.options import Options
 
 ITERATIONS = 20
@@ -31,23 +33,40 @@ def draw(seed: int, iteration: int) -> float:
 
 def run(gain: float, options: Options) -> Run:
     """Raises InputError for a step that makes no trial, or a length that is none."""
+    task = _task(gain, options)
+    return _told(trials(task), task.iterations, cut=task.length_beats is not None)
+
+
+def settings(gain: float, options: Options) -> dict[str, Any]:
+    """What ``run`` uses. A step of None: one amplitude per beat."""
+    task = _task(gain, options)
+    return {
+        "iterations": task.iterations,
+        "step": task.step_s,
+        **lengths.settings(options, "full"),
+    }
+
+
+def _task(gain: float, options: Options) -> Task:
     text = options.lengths
-    length = None if text is None else lengths.parse(text, BEATS, draw, options.seed)
     task = Task(
         gain,
-        ITERATIONS if options.iterations is None else options.iterations,
+        last_iteration(options.iterations, ITERATIONS),
         step_s=options.step,
-        length_beats=length,
+        length_beats=None if text is None else lengths.parse(text, BEATS, draw, options.seed),
         precision=options.precision,
     )
-    return _told(trials(task), cut=length is not None)
+    TRIAL.afford(task.samples(), task.iterations)
+    return task
 
 
-def _told(series: Iterable[Trial], cut: bool) -> Run:
-    rows = [
-        (t.iteration, t.max_abs_error_m_s, t.executed_max_abs_error_m_s, t.length_beats)
-        for t in series
-    ]
+def _told(series: Iterable[Trial], last: int, cut: bool) -> Run:
+    rows = []
+    for t in series:
+        rows.append(
+            (t.iteration, t.max_abs_error_m_s, t.executed_max_abs_error_m_s, t.length_beats)
+        )
+        progress.tell(t.iteration + 1, last + 1)
     iterations, errors, executed, beats = (np.array(column) for column in zip(*rows, strict=True))
     return Run(
         iterations=iterations.astype(np.int64),
@@ -80,6 +99,7 @@ EXAMPLES: tuple[Example, ...] = tuple(
         run=partial(run, gain),
         claims=partial(claims, gain),
         figures=partial(figures, gain),
+        settings=partial(settings, gain),
         weight=2.0,
     )
     for gain in GAINS

@@ -8,21 +8,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
 from tailbeat.reference import THESIS_PLATEAU_M_S, thesis_speed
+from tailbeat.thesis.arrays import Doubles
 from tailbeat.thesis.learner import UNLIMITED, Learner, LearnerConfig
+from tailbeat.thesis.limits import Span
 from tailbeat.thesis.native import Precision
-
-Doubles = NDArray[np.float64]
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 DURATION_S = 40.0
 BEAT_S = 1.0
 BEATS = 40
 TABLE_8_1 = ((math.pi / 4, 0.12762), (7 * math.pi / 36, 0.09282), (5 * math.pi / 36, 0.05117))
-_SAMPLES_MAX = 65535  # of the learner
+TRIAL = Span(DURATION_S, "s", steps_max=65_535, budget=1_000_000_000)
 _SUBSTEP_S = 0.01  # finer ones move the slow growth of badly paired laws by a few percent
 
 
@@ -128,15 +126,7 @@ class Task:
 
     def samples(self) -> int:
         """Raises InputError when no trial can be made of such steps."""
-        if self.step_s is None:
-            return BEATS
-        count = math.floor(DURATION_S / self.step_s + 1e-9)
-        if not 1 <= count <= _SAMPLES_MAX:
-            raise InputError(
-                f"a trial of {DURATION_S:g} s has {count} samples of {self.step_s:g} s.",
-                f"Take 1 to {_SAMPLES_MAX}: --step {DURATION_S / 6e4:.1g} to {DURATION_S:g}.",
-            )
-        return count
+        return BEATS if self.step_s is None else TRIAL.steps(self.step_s)
 
 
 @dataclass(frozen=True)
