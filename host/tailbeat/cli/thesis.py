@@ -86,10 +86,10 @@ def thesis(
 
     Example: tailbeat thesis 8 --figures figures
     """
-    from tailbeat.sweep.runner import cores_here
     from tailbeat.thesis import study
     from tailbeat.thesis.choice import checked, choose
     from tailbeat.thesis.options import Options
+    from tailbeat.workers import cores_here
 
     given = checked(lengths, seed, step, iterations, m, beta, delta, uptake)
     chosen = choose(_examples(), what, given, Options(precision=precision))

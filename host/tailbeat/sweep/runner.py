@@ -6,11 +6,8 @@ from there. Who computes a cell, and when, changes no bit of the results.
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
-import os
 import signal
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -18,10 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tailbeat.errors import InputError, TailbeatError
+from tailbeat.onethread import one_thread
 from tailbeat.sweep.cell import Cell, cells, run_cell
-from tailbeat.sweep.onethread import one_thread
 from tailbeat.sweep.recipe import Recipe
 from tailbeat.sweep.results import Store, to_bytes
+from tailbeat.workers import cores_here, deaf_children
 
 Progress = Callable[[int, int], None]  # cells done, cells in all
 Finished = Iterator[tuple[Cell, bytes]]
@@ -79,13 +77,6 @@ def compute(recipe: Recipe, cell: Cell) -> bytes:
         return to_bytes(run_cell(recipe, cell))
 
 
-def cores_here() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def _computed(
     recipe: Recipe, missing: list[Cell], cores: int | None, scheduler: str | None
 ) -> Finished:
@@ -108,7 +99,7 @@ def _computed_here(recipe: Recipe, missing: list[Cell], cores: int) -> Finished:
     running: dict[Future[bytes], Cell] = {}
     finished = False
     try:
-        with _deaf_children():
+        with deaf_children():
             _fill(pool, recipe, queue, running, 2 * cores)
         while running:
             ready, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -139,18 +130,6 @@ def _fill(
     """Keeps some cells waiting, and not all of them: what is queued has to be cancelled."""
     while len(running) < most and (cell := next(queue, None)) is not None:
         running[pool.submit(compute, recipe, cell)] = cell
-
-
-@contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
-    """New processes inherit deafness to Ctrl-C, which is meant for this process."""
-    main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
-    try:
-        yield
-    finally:
-        if main:
-            signal.signal(signal.SIGINT, handler)
 
 
 def _begin_worker() -> None:

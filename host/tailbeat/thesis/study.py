@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import math
 import multiprocessing
 import signal
-import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -19,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
-from tailbeat.sweep.onethread import one_thread
+from tailbeat.onethread import one_thread
 from tailbeat.thesis.example import Claim, Example, Figure, Run
 from tailbeat.thesis.options import Options
 from tailbeat.thesis.progress import Show, heard
+from tailbeat.workers import deaf_children
 
 REGISTRY = "tailbeat.thesis.examples"  # the module whose EXAMPLES workers look in
 _RUN_PART = 0.1  # of an example's time, about, where claims are judged
@@ -204,7 +203,7 @@ def _in_processes(
     running: dict[Future[Result], int] = {}
     total, finished = math.fsum(weights), False
     try:
-        with _deaf_children():
+        with deaf_children():
             for index in sorted(range(len(orders)), key=lambda one: (-weights[one], one)):
                 running[pool.submit(_work, index, orders[index])] = index
         while running:
@@ -224,15 +223,3 @@ def _in_processes(
             for child in set(multiprocessing.active_children()) - before:
                 child.terminate()
         pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
-    """New processes inherit deafness to Ctrl-C, which is meant for this process."""
-    main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
-    try:
-        yield
-    finally:
-        if main:
-            signal.signal(signal.SIGINT, handler)

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tailbeat.errors import InputError
-from tailbeat.sweep.onethread import one_thread
+from tailbeat.onethread import one_thread
 from tailbeat.thesis.chapter6 import examples as chapter6
 from tailbeat.thesis.chapter6 import frequency
 from tailbeat.thesis.chapter6 import task as rod

@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tailbeat.errors import InputError
-from tailbeat.sweep.onethread import one_thread
+from tailbeat.onethread import one_thread
 from tailbeat.thesis.advection import AdvectionPlant, PlantFailed, Uptake
 from tailbeat.thesis.chapter7 import claims as judging
 from tailbeat.thesis.chapter7 import examples as chapter7
