@@ -178,7 +178,7 @@ def test_a_session_by_the_command_line(
     assert out.startswith("trial 1, iteration 1: aborted:ERROR_LIMIT, 5 beats, max|e| ")
     assert "the speed error of a beat was too large" in err
     code, out, _ = tailbeat("info")
-    assert "Learn from the trial: the beat that was too far off counts." in out
+    assert "Clear it, then learn from the trial: the beat that was too far off counts." in out
     assert tailbeat("clear")[0] == 0
     code, out, _ = tailbeat("trial", "show")
     assert code == 0 and out.splitlines()[1] == "not swum: beats 5-11"
