@@ -162,9 +162,9 @@ def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[
     assert lines[1] == "max|e| in iteration 0: 1.1, 1: 0.55, 2: 0.3667, 3: 0.275"
     assert "diverged at 4" in shown and "1: 1/2, 2: -/3, 3: 0.5/-" in shown
     assert lines[-2:] == [
-        "claims: 1 comes out, 1 comes out under a stated reading, 1 does not come out",
-        "beside them, not the thesis's: 1 comes out, 0 comes out under a stated reading, 0 does "
-        "not come out",
+        "claims: comes out 1, comes out under a stated reading 1, does not come out 1",
+        "beside them, not the thesis's: comes out 1, comes out under a stated reading 0, does not "
+        "come out 0",
     ]
     beside = lines.index(next(line for line in lines if line.startswith("beside the thesis's")))
     assert lines[beside + 2].startswith("said by nobody else")

@@ -180,7 +180,7 @@ def _text(found: list[tuple[Example, Result]], given: set[str], width: int) -> s
 def _in_words(counts: dict[str, int]) -> str:
     if not any(counts.values()):
         return ""
-    return ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    return ", ".join(f"{verdict} {count}" for verdict, count in counts.items())
 
 
 def _settings(example: Example, result: Result, width: int) -> list[str]:
