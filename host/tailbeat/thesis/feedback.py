@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from tailbeat.thesis import progress
 from tailbeat.thesis.arrays import Doubles
-from tailbeat.thesis.example import Run
+from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
 from tailbeat.thesis.limits import Span, errors_beyond, last_iteration
 from tailbeat.thesis.native import Precision, load
 from tailbeat.thesis.options import Options
@@ -165,6 +167,25 @@ def run_example(setting: Chapter4 | Chapter5, options: Options, iterations: int)
         diverged=trials.diverged,
         traces={"trials": trials},
     )
+
+
+def example(
+    chapter: int,
+    iterations: int,
+    id: str,
+    title: str,
+    law: str,
+    setting: Chapter4 | Chapter5,
+    claims: Callable[[Study], list[Claim]],
+    figures: Callable[[Study, Path], list[Figure]],
+    weight: float,
+) -> Example:
+    """An example of these chapters; they differ in what is set, claimed and drawn."""
+    return Example(
+        id=id, chapter=chapter, title=title, law=law, knows=frozenset({"step", "iterations"}),
+        run=partial(run_example, setting, iterations=iterations), claims=claims, figures=figures,
+        weight=weight, settings=partial(settings, setting, iterations),
+    )  # fmt: skip
 
 
 def trials_of(run: Run) -> Trials:

@@ -3,36 +3,14 @@ trial."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from tailbeat.thesis.chapter4 import claims, figures
 from tailbeat.thesis.chapter4.claims import EXAMPLE1, EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, ITERATIONS
-from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
-from tailbeat.thesis.feedback import Chapter4, run_example, settings
-from tailbeat.thesis.options import Options
+from tailbeat.thesis.example import Example
+from tailbeat.thesis.feedback import example
 
-
-def _run(setting: Chapter4, options: Options) -> Run:
-    return run_example(setting, options, ITERATIONS)
-
-
-def _example(
-    id: str,
-    title: str,
-    law: str,
-    setting: Chapter4,
-    judge: Callable[[Study], list[Claim]],
-    draw: Callable[[Study, Path], list[Figure]],
-    weight: float,
-) -> Example:
-    return Example(
-        id=id, chapter=4, title=title, law=law, knows=frozenset({"step", "iterations"}),
-        run=partial(_run, setting), claims=judge, figures=draw, weight=weight,
-        settings=partial(settings, setting, ITERATIONS),
-    )  # fmt: skip
-
+_example = partial(example, 4, ITERATIONS)
 
 EXAMPLES: tuple[Example, ...] = (
     _example(

@@ -2,36 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 from tailbeat.thesis.chapter5 import claims, figures
 from tailbeat.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2, ITERATIONS
-from tailbeat.thesis.example import Claim, Example, Figure, Run, Study
-from tailbeat.thesis.feedback import Chapter5, run_example, settings
-from tailbeat.thesis.options import Options
+from tailbeat.thesis.example import Example
+from tailbeat.thesis.feedback import example
 
-
-def _run(setting: Chapter5, options: Options) -> Run:
-    return run_example(setting, options, ITERATIONS)
-
-
-def _example(
-    id: str,
-    title: str,
-    law: str,
-    setting: Chapter5,
-    judge: Callable[[Study], list[Claim]],
-    draw: Callable[[Study, Path], list[Figure]],
-    weight: float,
-) -> Example:
-    return Example(
-        id=id, chapter=5, title=title, law=law, knows=frozenset({"step", "iterations"}),
-        run=partial(_run, setting), claims=judge, figures=draw, weight=weight,
-        settings=partial(settings, setting, ITERATIONS),
-    )  # fmt: skip
-
+_example = partial(example, 5, ITERATIONS)
 
 EXAMPLES: tuple[Example, ...] = (
     _example(
