@@ -21,17 +21,20 @@ from tailbeat.cli import (
     params,
     progress,
     reference,
+    report,
+    session,
     simulate,
     sweep,
     thesis,
     trial,
+    trim,
+    ui,
     vn100,
 )
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     rich_markup_mode=None,
     help="A robotic fish learns to swim along a speed profile.\n\n"
     "First steps: 'tailbeat demo' shows it in simulation; 'tailbeat sim' starts a simulated fish "
@@ -67,6 +70,8 @@ app.command()(board.arm)
 app.command()(board.disarm)
 app.command()(board.clear)
 app.add_typer(trial.app, name="trial")
+app.add_typer(session.app, name="session")
+app.command()(trim.trim)
 app.add_typer(camera.app, name="camera")
 app.add_typer(learn.speed_app, name="speed")
 app.command()(learn.learn)
@@ -85,3 +90,5 @@ app.command()(sweep.sweep)
 app.command()(thesis.thesis)
 app.command()(simulate.selftest)
 app.add_typer(experiment.app, name="experiment")
+app.command()(report.report)
+app.command()(ui.ui)

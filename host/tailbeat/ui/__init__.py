@@ -1,0 +1,1 @@
+"""The live page: ``tailbeat ui``. Needs the package's extra ``ui``."""
