@@ -44,7 +44,7 @@ def print_(
         float | None,
         typer.Option("--side", metavar="MM", help="Of a marker's black square.", min=1.0),
     ] = None,
-    paper: Annotated[Paper, typer.Option("--paper")] = "a4",
+    paper: Annotated[Paper, typer.Option("--paper", help="Size of the sheet.")] = "a4",
     out: Annotated[
         Path | None, typer.Option("--out", metavar="PDF", help="Default: WHAT.pdf here.")
     ] = None,
@@ -135,7 +135,9 @@ def calibrate(
     camera: Annotated[
         str, typer.Option("--camera", metavar="TEXT", help="Which camera, in your words.")
     ] = "",
-    out: Annotated[Path, typer.Option("--out", metavar="FILE")] = Path("tank.json"),
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Write it there.")] = Path(
+        "tank.json"
+    ),
     check: Annotated[
         Path | None,
         typer.Option("--check", metavar="FILE", help="Check this one by a ruler; write nothing."),

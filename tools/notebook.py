@@ -1,0 +1,64 @@
+"""Executes docs/fish-api.ipynb: ``--write`` stores what comes out, without it what is stored must
+come out again (texts; a picture's bytes depend on the fonts at hand)."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
+
+NOTEBOOK = Path(__file__).parent.parent / "docs" / "fish-api.ipynb"
+
+
+def executed(path: Path) -> Any:
+    """The notebook as it comes out now, with a logbook and keys of its own."""
+    book = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in ("TAILBEAT_LOGBOOK", "TAILBEAT_KEYS", "IPYTHONDIR"):
+            os.environ[name] = folder
+        resources = {"metadata": {"path": folder}}
+        NotebookClient(
+            book, timeout=120, kernel_name="python3", resources=resources, coalesce_streams=True
+        ).execute()
+    for cell in book.cells:
+        cell.metadata = {}  # else it tells when it ran
+    spec = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    book.metadata = {"kernelspec": spec}
+    return book
+
+
+def texts(book: Any) -> list[str]:
+    """What every cell has printed or shown in words, in order."""
+    found = []
+    for cell in book.cells:
+        for output in cell.get("outputs", []):
+            shown = output.get("data", {})
+            words = "" if "image/png" in shown else shown.get("text/plain", "")
+            found.append(output.get("text") or words)
+    return found
+
+
+def main() -> int:
+    """Exit status 1: it does not come out as stored."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="store what comes out")
+    book = executed(NOTEBOOK)
+    if parser.parse_args().write:
+        nbformat.write(book, NOTEBOOK)
+        return 0
+    stored = texts(nbformat.read(NOTEBOOK, as_version=4))
+    for number, (was, now) in enumerate(zip(stored, texts(book), strict=True)):
+        if was != now:
+            sys.stderr.write(f"output {number} was\n{was}\nand is\n{now}\n")
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
