@@ -166,6 +166,7 @@ static void give_orders(app_t *app, uint64_t now_us) {
     const control_orders_t orders = {
         .swim = supervisor_may_swim(&app->supervisor),
         .armed = state_is_armed(app->supervisor.state),
+        .blink_until_us = app->blink_until_us,
         .trial = app->run.trial.number,
         .beats = app->reference.beats,
         .amplitude_rad = app->applied_rad,

@@ -60,6 +60,7 @@ typedef struct {
     uint64_t last_heartbeat_us; /* of the host that armed */
     hal_port_t armed_port;
     uint8_t armed_system;
+    uint64_t blink_until_us; /* the LED, while armed */
 
     uint64_t last_poll_us;
     uint64_t last_link_us; /* when the hosts were last listened to */

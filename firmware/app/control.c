@@ -10,6 +10,8 @@
 
 #include <stddef.h>
 
+#define BLINK_HALF_US 200000u /* twice a symbol of blink.h: nobody takes it for a swim */
+
 void control_init(control_t *control) {
     *control = (control_t){0};
     gait_init(&control->gait);
@@ -93,12 +95,22 @@ static float next_amplitude(const control_t *control) {
     return real_is_finite(amplitude_rad) && amplitude_rad > 0.0f ? amplitude_rad : 0.0f;
 }
 
+/* In halves that end with |blink_until_us|, the last one lit. A swim that is due lights it for the
+ * frame before, so that the code begins with an edge whenever the start comes. */
+static bool is_lit(const control_orders_t *orders, uint64_t now_us) {
+    if (orders->swim || now_us >= orders->blink_until_us) {
+        return orders->armed;
+    }
+    const uint32_t left_us = (uint32_t)(orders->blink_until_us - now_us);
+    return orders->armed && left_us / BLINK_HALF_US % 2u == 0;
+}
+
 /* Before the gait goes on: what it ordered last comes out in the frame that begins now. */
-static void show(const control_t *control, hal_t *hal) {
+static void show(const control_t *control, hal_t *hal, uint64_t now_us) {
     const gait_t *gait = &control->gait;
     const control_report_t *report = &control->report;
     const bool over = report->finished || report->stop != FAULT_NONE;
-    bool on = control->orders.armed && !over;
+    bool on = is_lit(&control->orders, now_us) && !over;
     if (gait->mode == GAIT_SWIM) {
         const uint32_t frame = gait->beat * control->config.frames_per_beat + gait->frame;
         on = blink_on(frame, control->trial);
@@ -109,7 +121,7 @@ static void show(const control_t *control, hal_t *hal) {
 void control_tick_isr(control_t *control, hal_t *hal) {
     const uint64_t now_us = hal_time_us(hal);
     control_report_t *report = &control->report;
-    show(control, hal);
+    show(control, hal, now_us);
     watch_battery(control, now_us);
     const bool swim = decide(control, now_us);
     if (control->gait.mode == GAIT_OFF) {

@@ -3,7 +3,8 @@
  * context on data that the main loop hands over with the interrupt locked.
  *
  * The tick also owns the LED: while the pulses of a swim come out it shows the code of blink.h,
- * otherwise whether the board is armed. It changes at the begin of a frame.
+ * otherwise whether the board is armed, slowly blinking as long as it was asked to (hands out of
+ * the water). It changes at the begin of a frame.
  */
 #ifndef APP_CONTROL_H
 #define APP_CONTROL_H
@@ -23,6 +24,7 @@
 typedef struct {
     bool swim;
     bool armed;                 /* for the LED */
+    uint64_t blink_until_us;    /* the LED, while armed; steady from then on, or from |swim| on */
     uint32_t trial;             /* number of the swim, for the LED; taken over as |gait| is */
     uint16_t beats;             /* of the trial; the tail stops after the last one */
     const float *amplitude_rad; /* saturated, |beats| values; not changed while |swim|.

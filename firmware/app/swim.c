@@ -96,6 +96,7 @@ fault_t swim_arm(app_t *app, const link_command_t *command) {
     app->armed_port = command->port;
     app->armed_system = command->system;
     app->last_heartbeat_us = hal_time_us(app->hal);
+    app->blink_until_us = app->last_heartbeat_us + real_whole_u64(command->blink_s * 1e6f);
     return FAULT_NONE;
 }
 

@@ -8,7 +8,7 @@
  *    7..4  number of the block, modulo 16
  *    3..0  CRC-4 (x^4 + x + 1, initial value 0) of the other twelve, highest first
  * then on to the end of the block. Outside a swim the LED says whether the board is armed, so the
- * first edge, on to off, is the begin of the swim.
+ * edge before the first block, on to off, is the begin of the swim.
  *
  * Pure. May be called from interrupts; some 200 cycles of a Cortex-M3.
  */

@@ -50,6 +50,9 @@ static bool read_arm(const request_t *request, link_command_t *command) {
         return false;
     }
     command->id = ids[choice];
+    /* Written so that NaN is none. */
+    const bool blinks = request->param3 > 0.0f && request->param3 <= LINK_BLINK_MAX_S;
+    command->blink_s = blinks ? request->param3 : 0.0f;
     return true;
 }
 

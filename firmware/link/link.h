@@ -38,10 +38,11 @@
 #define LINK_LINE_MIN_BYTES 559u
 #define LINK_HEARD_US 10000000u
 #define LINK_POLL_US 20000u
+#define LINK_BLINK_MAX_S 60.0f
 
 /* Commands the application decides on. */
 typedef enum {
-    LINK_COMMAND_ARM,
+    LINK_COMMAND_ARM, /* blink_s */
     LINK_COMMAND_DISARM,
     LINK_COMMAND_START,   /* trial, issued_s */
     LINK_COMMAND_ABORT,   /* wall */
@@ -68,6 +69,7 @@ typedef struct {
     link_command_id_t id;
     uint32_t trial;
     float issued_s; /* board time; NaN = not given */
+    float blink_s;  /* 0 to LINK_BLINK_MAX_S */
     bool wall;      /* the fish came too close to one */
     link_file_t file;
     uint32_t length_bytes;

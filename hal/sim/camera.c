@@ -7,6 +7,7 @@
 /* Of a picture period, so that no picture is ever in step with the board's 20 ms frames. */
 #define EXPOSURE_PHASE 0.33
 #define HEADING_NOISE_RAD 0.01
+#define TURN_RAD 6.28318530717958647692
 
 void camera_init(camera_t *camera, const sim_config_t *config) {
     camera->seed = config->seed;
@@ -44,6 +45,10 @@ static void close_shutter(camera_t *camera, uint64_t now_us) {
     }
 }
 
+static double wrapped(double angle_rad) {
+    return fabs(angle_rad) > 0.5 * TURN_RAD ? remainder(angle_rad, TURN_RAD) : angle_rad;
+}
+
 static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
     const uint32_t sample = camera->swim_picture++;
     if (!camera->on ||
@@ -63,11 +68,10 @@ static void expose(camera_t *camera, const fish_t *fish, uint64_t time_us) {
     camera->frames[slot] = (sim_camera_frame_t){
         .time_s = (double)time_us * 1e-6,
         .x_m = moment.x_m + camera->noise_m * noise_normal(camera->noise, 2ull * sample),
-        .y_m = SWAY_M_PER_RAD * moment.tail_rad +
-               camera->noise_m * noise_normal(camera->noise, 2ull * sample + 1u),
+        .y_m = moment.y_m + camera->noise_m * noise_normal(camera->noise, 2ull * sample + 1u),
         .heading_rad =
-            YAW_PER_TAIL * moment.tail_rad +
-            (noisy ? HEADING_NOISE_RAD * noise_normal(camera->noise_heading, sample) : 0),
+            wrapped(moment.heading_rad +
+                    (noisy ? HEADING_NOISE_RAD * noise_normal(camera->noise_heading, sample) : 0)),
         .tail_rad = moment.tail_rad,
     };
 }

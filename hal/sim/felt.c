@@ -8,6 +8,8 @@
 #define SLOPE_MAX_RAD_S 40.0
 /* Somebody who rolls the fish is this quick. */
 #define TILT_RAD_S 20.0
+/* ... and who turns it, so quick. */
+#define TURN_RAD_S 2.0
 
 static double limited(double x, double most) { return x > most ? most : x < -most ? -most : x; }
 
@@ -19,6 +21,17 @@ static double end_rate(const double slope[3]) {
 
 static double tilt_next(const felt_t *felt, double length_s) {
     return felt->tilt_rad + limited(felt->tilt_wanted_rad - felt->tilt_rad, TILT_RAD_S * length_s);
+}
+
+static void follow(felt_t *felt, felt_frame_t *frame, const plant_t *plant, double length_s) {
+    const double from = felt->turned_rad;
+    felt->turned_rad += limited(-from, TURN_RAD_S * length_s);
+    for (unsigned i = 0; i <= SUBSTEPS; i++) {
+        const plant_point_t *at = &plant->trace[i];
+        frame->vx_m_s[i] = at->vx_m_s + felt->carried_m_s[0];
+        frame->vy_m_s[i] = at->vy_m_s + felt->carried_m_s[1];
+        frame->heading_rad[i] = at->heading_rad + from + (felt->turned_rad - from) * i / SUBSTEPS;
+    }
 }
 
 void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double tail_to_rad,
@@ -34,9 +47,7 @@ void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double
     felt->slope_rad_s[0] = limited((tail_to_rad - tail_from_rad) / length_s, SLOPE_MAX_RAD_S);
     frame->begin_us = begin_us;
     frame->end_us = end_us;
-    for (unsigned i = 0; i <= SUBSTEPS; i++) {
-        frame->v_m_s[i] = plant->trace_v_m_s[i] + felt->carried_m_s;
-    }
+    follow(felt, frame, plant, length_s);
     frame->tail_rad[0] = tail_from_rad;
     frame->tail_rad[1] = tail_to_rad;
     frame->tail_rate_rad_s[0] = rate_before;
@@ -45,7 +56,11 @@ void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double
     frame->tilt_rad[1] = felt->tilt_rad = tilt_next(felt, length_s);
 }
 
-void felt_carried(felt_t *felt, double by_m_s) { felt->carried_m_s -= by_m_s; }
+void felt_carried(felt_t *felt, double by_x_m_s, double by_y_m_s, double turn_rad) {
+    felt->carried_m_s[0] -= by_x_m_s;
+    felt->carried_m_s[1] -= by_y_m_s;
+    felt->turned_rad -= turn_rad;
+}
 
 /* The newest frame that begins before |time_us|, or the oldest one held. */
 static const felt_frame_t *frame_at(const felt_t *felt, uint64_t time_us) {
@@ -57,12 +72,15 @@ static const felt_frame_t *frame_at(const felt_t *felt, uint64_t time_us) {
     return &felt->frame[(felt->frames - back) % FELT_FRAMES];
 }
 
+static double along(const double ends[2], double part) {
+    return ends[0] + part * (ends[1] - ends[0]);
+}
+
 /* |part| 0...1 of the frame. */
 static felt_moment_t moment(const felt_frame_t *frame, double part) {
     const double length_s = (double)(frame->end_us - frame->begin_us) * 1e-6;
     const double steps = part * SUBSTEPS;
     const unsigned i = steps < SUBSTEPS - 1 ? (unsigned)steps : SUBSTEPS - 1;
-    const double *v = frame->v_m_s + i;
     const double u = part;
     const double w = 1 - u;
     const double swing = frame->tail_rad[1] - frame->tail_rad[0];
@@ -71,10 +89,13 @@ static felt_moment_t moment(const felt_frame_t *frame, double part) {
     const double tail =
         frame->tail_rad[0] + swing * u * u * (3 - 2 * u) + length_s * u * w * (r0 * w - r1 * u);
     const double rate = 6 * swing / length_s * u * w + r0 * w * (1 - 3 * u) + r1 * u * (3 * u - 2);
+    const double heading = along(frame->heading_rad + i, steps - i);
+    const double side = SWAY_M_PER_RAD * rate;
     return (felt_moment_t){
-        .forward_m_s = v[0] + (steps - i) * (v[1] - v[0]),
-        .side_m_s = SWAY_M_PER_RAD * rate,
-        .yaw_rad = YAW_PER_TAIL * tail,
+        .x_m_s = along(frame->vx_m_s + i, steps - i) - side * sin(heading),
+        .y_m_s = along(frame->vy_m_s + i, steps - i) + side * cos(heading),
+        .heading_rad = heading,
+        .yaw_rad = heading + YAW_PER_TAIL * tail,
         .pitch_rad = PITCH_PER_TAIL2 * tail * tail,
         .roll_rad = frame->tilt_rad[0] + u * (frame->tilt_rad[1] - frame->tilt_rad[0]) +
                     ROLL_PER_TAIL * tail,

@@ -1,10 +1,10 @@
 /*
- * What a sensor in the fish's body takes part in: forward speed, the sway and yaw that go with the
- * tail, roll and pitch. A history, because a sensor averages and sends late.
+ * What a sensor in the fish's body takes part in: velocity and heading, the sway and yaw that go
+ * with the tail, roll and pitch. A history, because a sensor averages and sends late.
  *
  * Angles follow the tail smoothly (cubics with continuous rate between the servo's frames), so that
- * sway has an acceleration. Where somebody puts the fish at the start, its speed over ground jumps;
- * the felt one goes on without a jump.
+ * sway has an acceleration. Where somebody puts the fish at the start, its velocity over ground and
+ * its heading jump; the felt velocity goes on without a jump, the felt heading turns after it.
  */
 #ifndef SIM_FELT_H
 #define SIM_FELT_H
@@ -20,22 +20,25 @@
 
 typedef struct {
     uint64_t begin_us, end_us;
-    double v_m_s[SUBSTEPS + 1];
-    double tail_rad[2], tail_rate_rad_s[2]; /* at the ends */
+    double vx_m_s[SUBSTEPS + 1], vy_m_s[SUBSTEPS + 1], heading_rad[SUBSTEPS + 1];
+    double tail_rad[2], tail_rate_rad_s[2]; /* about the mean, at the ends */
     double tilt_rad[2];
 } felt_frame_t;
 
 typedef struct {
     felt_frame_t frame[FELT_FRAMES];
     uint32_t frames;       /* added; the newest FELT_FRAMES are held */
-    double carried_m_s;    /* felt speed minus speed over ground */
+    double carried_m_s[2]; /* felt velocity minus velocity over ground */
+    double turned_rad;     /* felt heading minus heading */
     double slope_rad_s[3]; /* of the tail in the newest frames, newest first */
     double tilt_rad, tilt_wanted_rad;
 } felt_t;
 
-/* Level frame: x along the swim, y to the right, z down. Angles in rad, yaw against x. */
+/* Level frame: x along the tank, y to the right, z down. Angles in rad, yaw and heading against x;
+ * yaw is the body's, heading that of its path. */
 typedef struct {
-    double forward_m_s, side_m_s;
+    double x_m_s, y_m_s;
+    double heading_rad;
     double yaw_rad, pitch_rad, roll_rad;
 } felt_moment_t;
 
@@ -43,8 +46,8 @@ typedef struct {
 void felt_frame(felt_t *felt, const plant_t *plant, double tail_from_rad, double tail_to_rad,
                 uint64_t begin_us, uint64_t end_us);
 
-/* The speed over ground jumps by |by_m_s| without being felt. */
-void felt_carried(felt_t *felt, double by_m_s);
+/* The velocity over ground jumps without being felt, and the heading by |turn_rad|. */
+void felt_carried(felt_t *felt, double by_x_m_s, double by_y_m_s, double turn_rad);
 
 /* Between the oldest frame held and the newest; beyond them the state at that end. */
 felt_moment_t felt_at(const felt_t *felt, uint64_t time_us);

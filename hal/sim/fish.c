@@ -13,6 +13,9 @@ void fish_init(fish_t *fish, const sim_config_t *config) {
     fish->start_sigma_m_s = config->start_sigma_m_s;
     fish->beat_s = config->beat_s;
     fish->caught_after_us = (uint64_t)(config->caught_after_s * 1e6 + 0.5);
+    fish->placed_after_us = (uint64_t)(config->placed_after_s * 1e6 + 0.5);
+    fish->gain = 1;
+    fish->placed = true;
     fish->seed = config->seed;
     tail_init(&fish->tail, config, tail_frames(config->beat_s));
     plant_init(&fish->plant, config);
@@ -24,26 +27,45 @@ static double disturbance(const fish_t *fish, noise_stream_t stream, double sigm
     return sigma * noise_normal(noise_key(fish->seed, stream, fish->swim_key), 0);
 }
 
-static void begin_swim(fish_t *fish) {
+/* The hand that moves it is not felt as a push; that it was turned is. */
+static void carried_from(fish_t *fish, const plant_point_t *before) {
+    const plant_point_t after = plant_point(&fish->plant);
+    felt_carried(&fish->felt, after.vx_m_s - before->vx_m_s, after.vy_m_s - before->vy_m_s,
+                 after.heading_rad - before->heading_rad);
+}
+
+void fish_place(fish_t *fish, double x_m, double y_m, double heading_rad) {
+    const plant_point_t before = plant_point(&fish->plant);
+    plant_place(&fish->plant, x_m, y_m, heading_rad);
+    fish->placed = true;
+    carried_from(fish, &before);
+}
+
+static void begin_swim(fish_t *fish, uint16_t first_pulse) {
     fish->swims++;
     fish->swim_key = fish->next_swim_key++;
     fish->swim_frame = 0;
     fish->beats = fish->speeds = 0;
     fish->beat_start_m = 0;
     fish->tail_from_rad = fish->tail_to_rad = 0;
-    tail_begin(&fish->tail);
-    const double before_m_s = fish->plant.water_v_m_s + fish->plant.flow_m_s;
+    fish->bias_from_rad = fish->bias_to_rad = fish->tail.bias_rad;
+    tail_begin(&fish->tail, first_pulse);
+    const plant_point_t before = plant_point(&fish->plant);
+    if (!fish->placed) {
+        plant_place(&fish->plant, 0, 0, 0);
+    }
+    fish->placed = false;
     const double drawn_m_s = fabs(disturbance(fish, NOISE_START, fish->start_sigma_m_s));
     plant_begin(&fish->plant, fish->start_known ? fish->start_m_s : drawn_m_s,
-                fmax(0, 1 + disturbance(fish, NOISE_GAIN, fish->gain_sigma)),
+                fish->gain * fmax(0, 1 + disturbance(fish, NOISE_GAIN, fish->gain_sigma)),
                 disturbance(fish, NOISE_FLOW, fish->flow_sigma_m_s));
     fish->start_known = false;
-    felt_carried(&fish->felt, fish->plant.water_v_m_s + fish->plant.flow_m_s - before_m_s);
+    carried_from(fish, &before);
 }
 
 static void record_speed(fish_t *fish) {
     if (fish->swim_frame % FRAMES_PER_SPEED == 0 && fish->speeds < FISH_SPEEDS_MAX) {
-        fish->speed_m_s[fish->speeds++] = fish->plant.water_v_m_s + fish->plant.flow_m_s;
+        fish->speed_m_s[fish->speeds++] = plant_speed_m_s(&fish->plant);
     }
 }
 
@@ -53,15 +75,24 @@ static void record_beat(fish_t *fish) {
         return;
     }
     if (fish->beats < FISH_BEATS_MAX) {
-        fish->beat_m_s[fish->beats++] = (fish->plant.x_m - fish->beat_start_m) / fish->beat_s;
+        fish->beat_m_s[fish->beats++] = (fish->plant.way_m - fish->beat_start_m) / fish->beat_s;
     }
-    fish->beat_start_m = fish->plant.x_m;
+    fish->beat_start_m = fish->plant.way_m;
 }
 
-static void be_caught(fish_t *fish) {
-    if (fish->swims > 0 && fish->caught_after_us > 0 &&
-        fish->time_us - fish->last_pulse_us >= fish->caught_after_us) {
+static bool waited(const fish_t *fish, uint64_t for_us) {
+    return for_us > 0 && fish->time_us - fish->last_pulse_us >= for_us;
+}
+
+static void be_handled(fish_t *fish) {
+    if (fish->swims == 0 || fish->placed) {
+        return;
+    }
+    if (waited(fish, fish->caught_after_us)) {
         plant_catch(&fish->plant, INFINITY);
+    }
+    if (waited(fish, fish->placed_after_us) && plant_stopped(&fish->plant)) {
+        fish_place(fish, 0, 0, 0);
     }
 }
 
@@ -72,12 +103,14 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
         record_speed(fish);
         fish->last_pulse_us = now_us;
     } else {
-        be_caught(fish);
+        be_handled(fish);
     }
     fish->tail_from_rad = fish->tail.servo_rad;
+    fish->bias_from_rad = fish->tail.bias_rad;
     tail_frame(&fish->tail, fish->pulse, next_pulse, frame_s, &fish->drive);
     fish->tail_to_rad = fish->tail.servo_rad;
-    plant_frame(&fish->plant, &fish->drive, frame_s);
+    fish->bias_to_rad = fish->tail.bias_rad;
+    plant_frame(&fish->plant, &fish->drive, fish->bias_to_rad, frame_s);
     if (swimming) {
         record_beat(fish);
     }
@@ -95,8 +128,7 @@ bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse) {
     const bool begins = fish->silent_frames >= SILENT_FRAMES;
     fish->silent_frames = 0;
     if (begins) {
-        begin_swim(fish);
-        fish->tail.angle_rad = tail_angle_rad(next_pulse);
+        begin_swim(fish, next_pulse);
     }
     return begins;
 }
@@ -107,10 +139,24 @@ static double hermite(double x0, double x1, double dv0, double dv1, double u) {
     return x0 * w * w * (1 + 2 * u) + x1 * u * u * (3 - 2 * u) + u * w * (w * dv0 - u * dv1);
 }
 
+static double between(double from, double to, double part) { return from + part * (to - from); }
+
+/* The body at a point of its path. */
+static fish_moment_t body(const plant_point_t *path, double beat_rad, double bias_rad) {
+    const double sway_m = SWAY_M_PER_RAD * beat_rad;
+    return (fish_moment_t){
+        .x_m = path->x_m - sway_m * sin(path->heading_rad),
+        .y_m = path->y_m + sway_m * cos(path->heading_rad),
+        .heading_rad = path->heading_rad + YAW_PER_TAIL * beat_rad,
+        .tail_rad = beat_rad + bias_rad,
+    };
+}
+
 fish_moment_t fish_at(const fish_t *fish, uint64_t time_us) {
     const plant_t *plant = &fish->plant;
     if (fish->frame_us == 0) {
-        return (fish_moment_t){.x_m = plant->x_m, .tail_rad = fish->tail_to_rad};
+        const plant_point_t path = plant_point(plant);
+        return body(&path, fish->tail_to_rad, fish->bias_to_rad);
     }
     const uint64_t begin_us = fish->time_us - fish->frame_us;
     const uint64_t since_us = time_us > begin_us ? time_us - begin_us : 0;
@@ -119,10 +165,12 @@ fish_moment_t fish_at(const fish_t *fish, uint64_t time_us) {
     i = i < SUBSTEPS ? i : SUBSTEPS - 1;
     const double u = part * SUBSTEPS - i;
     const double dt = (double)fish->frame_us * 1e-6 / SUBSTEPS;
-    const double v0 = plant->trace_v_m_s[i];
-    const double v1 = plant->trace_v_m_s[i + 1];
-    return (fish_moment_t){
-        .x_m = hermite(plant->trace_x_m[i], plant->trace_x_m[i + 1], v0 * dt, v1 * dt, u),
-        .tail_rad = fish->tail_from_rad + part * (fish->tail_to_rad - fish->tail_from_rad),
+    const plant_point_t *p = plant->trace + i;
+    const plant_point_t path = {
+        .x_m = hermite(p[0].x_m, p[1].x_m, p[0].vx_m_s * dt, p[1].vx_m_s * dt, u),
+        .y_m = hermite(p[0].y_m, p[1].y_m, p[0].vy_m_s * dt, p[1].vy_m_s * dt, u),
+        .heading_rad = between(p[0].heading_rad, p[1].heading_rad, u),
     };
+    return body(&path, between(fish->tail_from_rad, fish->tail_to_rad, part),
+                between(fish->bias_from_rad, fish->bias_to_rad, part));
 }

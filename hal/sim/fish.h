@@ -1,7 +1,8 @@
 /*
  * The fish in its tank: tail, plant and the swims. A pulse train that begins after 0.2 s of silence
- * means that somebody has put the fish at the start: a new swim. Some time after its last pulse
- * somebody catches it and holds it until then.
+ * means a new swim. Some time after the last pulse somebody catches the fish and holds it, and puts
+ * it back at the start, x = y = heading = 0: later on, or when the next swim begins. Once put
+ * somewhere it lies free, and the next swim begins from where it lies then.
  */
 #ifndef SIM_FISH_H
 #define SIM_FISH_H
@@ -20,6 +21,8 @@
 typedef struct {
     double gain_sigma, flow_sigma_m_s, start_sigma_m_s, beat_s;
     uint64_t caught_after_us; /* 0 = never */
+    uint64_t placed_after_us; /* 0 = when the next swim begins */
+    double gain;              /* of thrust speed, beside each swim's own */
     uint64_t seed;
     tail_t tail;
     plant_t plant;
@@ -33,9 +36,11 @@ typedef struct {
     uint32_t next_swim_key;
     bool start_known; /* the next swim starts at |start_m_s| over water, whatever is drawn */
     double start_m_s;
-    uint32_t swim_frame; /* frames with pulses in this swim */
-    double beat_start_m;
-    double tail_from_rad, tail_to_rad; /* real angle at the ends of the last frame */
+    bool placed;                       /* since the last swim */
+    uint32_t swim_frame;               /* frames with pulses in this swim */
+    double beat_start_m;               /* way */
+    double tail_from_rad, tail_to_rad; /* about its mean, at the ends of the last frame */
+    double bias_from_rad, bias_to_rad; /* the mean */
     drive_t drive;
     felt_t felt;
     size_t beats, speeds;
@@ -43,14 +48,19 @@ typedef struct {
     double speed_m_s[FISH_SPEEDS_MAX]; /* over ground at 0.04*i s */
 } fish_t;
 
+/* Where the body is: it sways and swings about its path. */
 typedef struct {
-    double x_m, tail_rad;
+    double x_m, y_m, heading_rad;
+    double tail_rad; /* real angle against the body */
 } fish_moment_t;
 
 void fish_init(fish_t *fish, const sim_config_t *config);
 
 /* The frame that ends at |now_us|, where |next_pulse| begins. True when a new swim begins there. */
 bool fish_frame(fish_t *fish, uint64_t now_us, uint16_t next_pulse);
+
+/* Somebody carries it there. */
+void fish_place(fish_t *fish, double x_m, double y_m, double heading_rad);
 
 /* At |time_us| within the last frame. */
 fish_moment_t fish_at(const fish_t *fish, uint64_t time_us);

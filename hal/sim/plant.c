@@ -6,6 +6,7 @@
 
 #define CATCH_S 0.3
 #define PUSH_S 0.3
+#define STIR_S 8.0
 
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
@@ -17,14 +18,44 @@ bool plant_config_valid(const sim_config_t *config) {
            within(config->kappa_per_m, 1e-3, 1e4) && within(config->delay_s, 0, DELAY_MAX_S) &&
            within(config->slope_m_s_rad, 0, 100) && within(config->dead_zone_rad, 0, 3) &&
            within(config->map_bend_m_s_rad2, -100, 100) && within(config->servo_lag_s, 0, 10) &&
-           within(config->servo_rate_rad_s, 0, 1e4);
+           within(config->servo_rate_rad_s, 0, 1e4) && within(config->tail_centre_rad, -0.5, 0.5);
 }
 
 void plant_init(plant_t *plant, const sim_config_t *config) {
     plant->kind = config->plant;
     thesis_init(&plant->thesis, config, config->beat_s);
     tank_init(&plant->tank, config);
+    plant->stir_m_s = 0;
+    plant->stir = (plant_stroke_t){0, 0};
+    plant_place(plant, 0, 0, 0);
     plant_begin(plant, 0, 1, 0);
+}
+
+static double current_m_s(const plant_t *plant) { return plant->flow_m_s + plant->stir_m_s; }
+
+double plant_speed_m_s(const plant_t *plant) {
+    return plant->water_v_m_s + current_m_s(plant) * plant->cosine;
+}
+
+static plant_point_t point(const plant_t *plant, double side_m_s) {
+    const double along = plant_speed_m_s(plant);
+    return (plant_point_t){
+        .x_m = plant->x_m,
+        .y_m = plant->y_m,
+        .heading_rad = plant->heading_rad,
+        .vx_m_s = along * plant->cosine - side_m_s * plant->sine,
+        .vy_m_s = along * plant->sine + side_m_s * plant->cosine,
+    };
+}
+
+plant_point_t plant_point(const plant_t *plant) {
+    return point(plant, plant->held ? 0 : -current_m_s(plant) * plant->sine);
+}
+
+static void trace_all(plant_t *plant) {
+    for (unsigned i = 0; i <= SUBSTEPS; i++) {
+        plant->trace[i] = plant_point(plant);
+    }
 }
 
 void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s) {
@@ -32,27 +63,62 @@ void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s)
     plant->gain = gain;
     plant->flow_m_s = flow_m_s;
     plant->water_v_m_s = start_m_s;
-    plant->x_m = 0;
+    plant->way_m = 0;
     plant->held = false;
-    plant->push_left_s = 0;
-    for (unsigned i = 0; i <= SUBSTEPS; i++) {
-        plant->trace_x_m[i] = 0;
-        plant->trace_v_m_s[i] = start_m_s + flow_m_s;
-    }
+    plant->push = (plant_stroke_t){0, 0};
+    trace_all(plant);
+}
+
+void plant_place(plant_t *plant, double x_m, double y_m, double heading_rad) {
+    tank_begin(&plant->tank);
+    plant->x_m = x_m;
+    plant->y_m = y_m;
+    plant->heading_rad = heading_rad;
+    plant->cosine = cos(heading_rad);
+    plant->sine = sin(heading_rad);
+    plant->flow_m_s = 0;
+    plant->water_v_m_s = 0;
+    plant->held = false;
+    plant->push = (plant_stroke_t){0, 0};
+    trace_all(plant);
 }
 
 void plant_catch(plant_t *plant, double hold_s) {
     plant->held_for_s = hold_s;
     if (!plant->held) {
+        const plant_point_t from = plant_point(plant);
         plant->held = true;
         plant->held_s = 0;
-        plant->held_from_m_s = plant->water_v_m_s + plant->flow_m_s;
+        plant->held_from[0] = from.vx_m_s;
+        plant->held_from[1] = from.vy_m_s;
     }
 }
 
+bool plant_stopped(const plant_t *plant) { return plant->held && plant->held_s >= CATCH_S; }
+
 void plant_push(plant_t *plant, double by_m_s) {
-    plant->push_left_s = PUSH_S;
-    plant->push_m_s2 = by_m_s / PUSH_S;
+    plant->push = (plant_stroke_t){PUSH_S, by_m_s / PUSH_S};
+}
+
+void plant_stir(plant_t *plant, double by_m_s) {
+    plant->stir = (plant_stroke_t){PUSH_S, by_m_s / PUSH_S};
+}
+
+/* What it adds to a speed in one substep. */
+static double stroke(plant_stroke_t *stroke, double dt) {
+    if (stroke->left_s <= 0) {
+        return 0;
+    }
+    const double part = dt < stroke->left_s ? dt : stroke->left_s;
+    stroke->left_s -= part;
+    return stroke->m_s2 * part;
+}
+
+static void stir_on(plant_t *plant, double dt) {
+    plant->stir_m_s += stroke(&plant->stir, dt);
+    if (fabs(plant->stir_m_s) > 0) {
+        plant->stir_m_s *= exp(-dt / STIR_S);
+    }
 }
 
 /* Speed and way since the catch, as parts of the speed before and of that times CATCH_S. */
@@ -63,54 +129,71 @@ static void hold(double part, double *speed, double *way) {
 }
 
 static void held_frame(plant_t *plant, double frame_s) {
-    const double from = plant->held_from_m_s;
+    const double from[2] = {plant->held_from[0], plant->held_from[1]};
+    const double along = from[0] * plant->cosine + from[1] * plant->sine;
     double speed, way, way_begin;
     hold(plant->held_s / CATCH_S, &speed, &way_begin);
     for (unsigned i = 0; i <= SUBSTEPS; i++) {
         hold((plant->held_s + frame_s * i / SUBSTEPS) / CATCH_S, &speed, &way);
-        plant->trace_v_m_s[i] = from * speed;
-        plant->trace_x_m[i] = plant->x_m + from * CATCH_S * (way - way_begin);
+        plant->trace[i] = (plant_point_t){
+            .x_m = plant->x_m + from[0] * CATCH_S * (way - way_begin),
+            .y_m = plant->y_m + from[1] * CATCH_S * (way - way_begin),
+            .heading_rad = plant->heading_rad,
+            .vx_m_s = from[0] * speed,
+            .vy_m_s = from[1] * speed,
+        };
+        stir_on(plant, i < SUBSTEPS ? frame_s / SUBSTEPS : 0);
     }
     plant->held_s += frame_s;
-    plant->water_v_m_s = plant->trace_v_m_s[SUBSTEPS] - plant->flow_m_s;
-    plant->x_m = plant->trace_x_m[SUBSTEPS];
+    plant->water_v_m_s = along * speed - current_m_s(plant) * plant->cosine;
+    plant->way_m += along * CATCH_S * (way - way_begin);
+    plant->x_m = plant->trace[SUBSTEPS].x_m;
+    plant->y_m = plant->trace[SUBSTEPS].y_m;
     plant->held = plant->held_s < plant->held_for_s;
 }
 
-/* What the hand adds to the speed in one substep. */
-static double pushed(plant_t *plant, double dt) {
-    if (plant->push_left_s <= 0) {
-        return 0;
+static void turn_by(plant_t *plant, double by_rad) {
+    if (fabs(by_rad) > 0) {
+        plant->heading_rad += by_rad;
+        plant->cosine = cos(plant->heading_rad);
+        plant->sine = sin(plant->heading_rad);
     }
-    const double part = dt < plant->push_left_s ? dt : plant->push_left_s;
-    plant->push_left_s -= part;
-    return plant->push_m_s2 * part;
 }
 
-void plant_frame(plant_t *plant, const drive_t *drive, double frame_s) {
+/* Straight on, halfway through the turn: an arc's chord but for a part in 1e8 at 5 ms. */
+static void advance(plant_t *plant, double distance_m, double bias_rad, double dt) {
+    const double half_rad = 0.5 * TURN_PER_M_RAD * bias_rad * distance_m;
+    turn_by(plant, half_rad);
+    plant->way_m += distance_m;
+    plant->x_m += distance_m * plant->cosine;
+    plant->y_m += distance_m * plant->sine;
+    turn_by(plant, half_rad);
+    plant->way_m += current_m_s(plant) * plant->cosine * dt;
+    plant->x_m += current_m_s(plant) * dt;
+}
+
+static double swim_on(plant_t *plant, const drive_t *drive, unsigned i, double dt) {
+    double *v = &plant->water_v_m_s;
+    return plant->kind == SIM_PLANT_TANK
+               ? tank_step(&plant->tank, v, drive->amplitude_rad[i], drive->ripple[i], plant->gain,
+                           dt)
+               : thesis_step(&plant->thesis, v, drive->amplitude_rad[i], plant->gain, dt);
+}
+
+void plant_frame(plant_t *plant, const drive_t *drive, double bias_rad, double frame_s) {
     if (plant->held) {
         held_frame(plant, frame_s);
         return;
     }
     const double dt = frame_s / SUBSTEPS;
-    double v = plant->water_v_m_s;
-    double x = plant->x_m;
-    plant->trace_x_m[0] = x;
-    plant->trace_v_m_s[0] = v + plant->flow_m_s;
+    plant->trace[0] = plant_point(plant);
     for (unsigned i = 0; i < SUBSTEPS; i++) {
-        if (plant->kind == SIM_PLANT_TANK) {
-            x += tank_step(&plant->tank, &v, drive->amplitude_rad[i], drive->ripple[i], plant->gain,
-                           dt);
-        } else {
-            x += thesis_step(&plant->thesis, &v, drive->amplitude_rad[i], plant->gain, dt);
-        }
-        v += pushed(plant, dt);
-        x += plant->flow_m_s * dt;
-        plant->trace_x_m[i + 1] = x;
-        plant->trace_v_m_s[i + 1] = v + plant->flow_m_s;
+        const double distance_m = swim_on(plant, drive, i, dt);
+        plant->water_v_m_s += stroke(&plant->push, dt);
+        stir_on(plant, dt);
+        advance(plant, distance_m, bias_rad, dt);
+        plant->trace[i + 1] = plant_point(plant);
     }
-    plant->water_v_m_s = v;
-    plant->x_m = x;
 }
 
 static double thesis_beat(plant_t *plant, double amplitude_rad, double beat_s) {

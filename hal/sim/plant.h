@@ -1,6 +1,10 @@
 /*
  * The two models of the fish in the water. Speeds are over water; the tail cannot brake. Only a
  * hand can: a held fish stands still over ground, a pushed one gets faster, or drifts backwards.
+ *
+ * Level frame: x along the tank, y to the right of it; headings clockwise from above. The water
+ * moves along x. A tail that beats about a bent mean is a rudder: the fish turns by so much per
+ * metre over water, whatever its speed. A tip to port turns it to port.
  */
 #ifndef SIM_PLANT_H
 #define SIM_PLANT_H
@@ -11,6 +15,7 @@
 #define DELAY_RING 2048u /* substeps; a power of two */
 #define DELAY_MAX_S 5.0
 #define QUADRATURE 8u
+#define TURN_PER_M_RAD (-3.0) /* heading by metre, per rad of the tail's mean angle */
 
 /* (8.13): thrust is the mean over the beat, for the amplitude of the moment. */
 typedef struct {
@@ -31,26 +36,38 @@ typedef struct {
     double thrust[DELAY_RING]; /* vss^2 by substep */
 } tank_t;
 
+/* Over ground. */
+typedef struct {
+    double x_m, y_m, heading_rad;
+    double vx_m_s, vy_m_s;
+} plant_point_t;
+
+/* A hand or a paddle, at work for so long still. */
+typedef struct {
+    double left_s, m_s2;
+} plant_stroke_t;
+
 typedef struct {
     sim_plant_t kind;
     thesis_t thesis;
     tank_t tank;
     double gain; /* on the speed that thrust settles at */
     double flow_m_s;
+    double stir_m_s; /* what the water moves beyond that, dying down */
     double water_v_m_s;
-    double x_m;                   /* over ground */
-    bool held;                    /* somebody has caught it ... */
-    double held_s, held_from_m_s; /* ... so long ago, at that speed over ground, ... */
-    double held_for_s;            /* ... and lets go after so long */
-    double push_left_s, push_m_s2;
-    /* over ground at the ends of the substeps of the last frame */
-    double trace_x_m[SUBSTEPS + 1], trace_v_m_s[SUBSTEPS + 1];
+    double way_m; /* along the heading, over ground, since plant_begin */
+    double x_m, y_m, heading_rad, cosine, sine;
+    bool held;                   /* somebody has caught it ... */
+    double held_s, held_from[2]; /* ... so long ago, at that velocity over ground, ... */
+    double held_for_s;           /* ... and lets go after so long */
+    plant_stroke_t push, stir;
+    plant_point_t trace[SUBSTEPS + 1]; /* at the ends of the substeps of the last frame */
 } plant_t;
 
 bool plant_config_valid(const sim_config_t *config);
 void plant_init(plant_t *plant, const sim_config_t *config);
 
-/* At x = 0 with |start_m_s| over water, thrust forgotten. */
+/* Where it is, with |start_m_s| over water, thrust forgotten. */
 void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s);
 /* From the next frame on somebody, or something in its way, holds the fish for |hold_s| (INFINITY:
  * until plant_begin); its speed over ground falls smoothly to 0. One that is held already stays so
@@ -58,7 +75,19 @@ void plant_begin(plant_t *plant, double start_m_s, double gain, double flow_m_s)
 void plant_catch(plant_t *plant, double hold_s);
 /* From the next frame on a hand changes its speed by |by_m_s|, within 0.3 s. */
 void plant_push(plant_t *plant, double by_m_s);
-void plant_frame(plant_t *plant, const drive_t *drive, double frame_s);
+/* From the next frame on the water gets faster by |by_m_s|, within 0.3 s; it comes to rest again
+ * with a time constant of 8 s. */
+void plant_stir(plant_t *plant, double by_m_s);
+/* Somebody puts it there, into water that carries no flow but what it was stirred by, at rest in
+ * it. */
+void plant_place(plant_t *plant, double x_m, double y_m, double heading_rad);
+/* Caught, and it has come to a stop. */
+bool plant_stopped(const plant_t *plant);
+/* Along its heading and over ground; the same as a velocity. */
+double plant_speed_m_s(const plant_t *plant);
+plant_point_t plant_point(const plant_t *plant);
+/* |bias_rad|: mean angle of the tail. */
+void plant_frame(plant_t *plant, const drive_t *drive, double bias_rad, double frame_s);
 
 void thesis_init(thesis_t *thesis, const sim_config_t *config, double beat_s);
 double thesis_step(thesis_t *thesis, double *v_m_s, double amplitude_rad, double gain, double dt_s);

@@ -1,7 +1,8 @@
 /*
  * Many simulated fish side by side: water, tail and overhead camera of the simulator, without a
  * board. A fish swims its sines as sim_plant_beats' does, with the disturbances that the whole
- * simulator draws for the same seed and swim. Any number of threads.
+ * simulator draws for the same seed and swim. All tails are trimmed: a shoal swims straight. Any
+ * number of threads.
  */
 #ifndef SIM_SHOAL_H
 #define SIM_SHOAL_H

@@ -288,4 +288,15 @@ void sim_push(sim_t *sim, double by_m_s) { world_push(sim->world, by_m_s); }
 
 void sim_hold(sim_t *sim, double hold_s) { world_hold(sim->world, hold_s); }
 
+void sim_stir(sim_t *sim, double by_m_s) { world_stir(sim->world, by_m_s); }
+
+void sim_place(sim_t *sim, double x_m, double y_m, double heading_rad) {
+    world_place(sim->world, x_m, y_m, heading_rad);
+}
+
+void sim_swap_battery(sim_t *sim, double volts, double gain, double centre_rad) {
+    world_swap_battery(sim->world, volts, gain, centre_rad);
+    sim_power_cycle(sim);
+}
+
 uint8_t *sim_flash(sim_t *sim) { return sim->board.flash; }

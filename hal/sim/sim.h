@@ -41,13 +41,12 @@ size_t sim_camera_read(sim_t *sim, sim_camera_frame_t *out, size_t max);
 sim_truth_t sim_truth(const sim_t *sim);
 
 /* True mean speeds over the whole beats of the present or last swim (from exact distance), and true
- * speeds at 25 Hz: number i at i * 40 ms after the start, while there are pulses. Over ground.
- * Return how many there are; fill at most |max|. */
+ * speeds at 25 Hz: number i at i * 40 ms after the start, while there are pulses. Over ground,
+ * along the heading of the moment. Return how many there are; fill at most |max|. */
 size_t sim_true_beats(const sim_t *sim, double *out, size_t max);
 size_t sim_true_speeds_25hz(const sim_t *sim, double *out, size_t max);
 
-/* A swim begins with the first pulse after 0.2 s without; somebody has put the fish at x = 0 by
- * then, so that pictures from before show it elsewhere.
+/* A swim begins with the first pulse after 0.2 s without, from where the fish was put: see fish.h.
  *
  * Sets the number the next swim's noise is keyed by (1 = first). */
 void sim_set_swim(sim_t *sim, uint32_t next_swim);
@@ -65,9 +64,15 @@ void sim_set_tilt_rad(sim_t *sim, double roll_rad);
  * fish that moved. */
 void sim_set_start(sim_t *sim, double start_m_s);
 /* In mid-swim: a hand changes the speed by |by_m_s| within 0.3 s; something holds the fish for
- * |hold_s| and lets it go. The IMU feels both. */
+ * |hold_s| and lets it go. The IMU feels both. At rest between swims they move a fish that has been
+ * put back. */
 void sim_push(sim_t *sim, double by_m_s);
 void sim_hold(sim_t *sim, double hold_s);
+/* As in world.h. */
+void sim_stir(sim_t *sim, double by_m_s);
+void sim_place(sim_t *sim, double x_m, double y_m, double heading_rad);
+/* Power off, another pack, power on. As in world.h. */
+void sim_swap_battery(sim_t *sim, double volts, double gain, double centre_rad);
 uint8_t *sim_flash(sim_t *sim); /* HAL_FLASH_SIZE_BYTES, owned by the board */
 
 #endif

@@ -24,6 +24,7 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
         .camera_exposure_s = 0.01,
         .camera_latency_s = 0.08,
         .caught_after_s = 1,
+        .placed_after_s = 5,
         .imu_firmware = 3,
         .imu_baud = 115200,
         .imu_port = 2,
@@ -42,11 +43,15 @@ void sim_config_default(sim_config_t *config, sim_plant_t plant) {
 
 static bool within(double x, double low, double high) { return x >= low && x <= high; }
 
-/* A fish is not caught before its swim is over. */
+/* A fish is neither caught nor put back before its swim is over. */
+static bool never_or_later(double after_s) {
+    return within(after_s, 0.2, 1e5) || within(after_s, 0, 0);
+}
+
 static bool water_valid(const sim_config_t *c) {
     return plant_config_valid(c) && tail_frames(c->beat_s) != 0 && within(c->gain_sigma, 0, 1) &&
            within(c->flow_sigma_m_s, 0, 10) && within(c->start_sigma_m_s, 0, 10) &&
-           (within(c->caught_after_s, 0.2, 1e5) || within(c->caught_after_s, 0, 0));
+           never_or_later(c->caught_after_s) && never_or_later(c->placed_after_s);
 }
 
 static bool camera_valid(const sim_config_t *c) {
@@ -65,7 +70,7 @@ static bool imu_valid(const sim_config_t *c) {
 /* A link of 0 bytes per second is not limited. */
 static bool electronics_valid(const sim_config_t *c) {
     return within(c->battery_v, 0, 60) && within(c->battery_sag_v_per_trial, 0, 60) &&
-           within(c->boot_s, 0, 1e5) &&
+           within(c->battery_load_v, 0, 60) && within(c->boot_s, 0, 1e5) &&
            (within(c->link_bytes_per_s, 10, 1e9) || within(c->link_bytes_per_s, 0, 0));
 }
 

@@ -22,6 +22,7 @@ typedef struct {
     double servo_lag_s;       /* first-order lag of the tail angle; 0 = none */
     double servo_rate_rad_s;  /* rate limit; 0 = none */
     double beat_s;            /* tail period of both plants; a multiple of 20 ms */
+    double tail_centre_rad;   /* the tail is mounted askew by this; its mean angle turns the fish */
     /* disturbances */
     double gain_sigma;      /* relative thrust speed, per trial */
     double flow_sigma_m_s;  /* constant per trial */
@@ -32,6 +33,8 @@ typedef struct {
     double camera_exposure_s; /* up to 1 s, cut to a picture's period; 0 = a point in time */
     double camera_latency_s;  /* from mid-exposure to delivery, if over by then; at least 20 ms */
     double caught_after_s; /* after the last pulse somebody catches and holds the fish; 0 = never */
+    double placed_after_s; /* after it somebody has put it back at the start, once it is caught; 0 =
+                              when the next swim begins */
     double imu_noise;      /* scale of the VN-100's specified noise; 0 = none */
     double imu_firmware;   /* its major version: 2, 3; 0 = there is no IMU */
     double imu_baud;       /* that its port on the fish's wires has saved */
@@ -40,6 +43,7 @@ typedef struct {
     double imu_lost_bytes; /* probability per byte */
     double battery_v;      /* fresh pack */
     double battery_sag_v_per_trial;
+    double battery_load_v;   /* pulled down by a tail that beats at 45 degrees */
     double link_bytes_per_s; /* of each direction; 0 = unlimited */
     double boot_s;           /* simulated time at which the board boots (its clock starts) */
 } sim_config_t;

@@ -11,6 +11,9 @@
 /* A tick is 5.8e-4 rad; a sine rounded to ticks stays within one of its fit. */
 #define SINE_TOLERANCE_RAD 1.5e-3
 #define STILL_RAD 1e-6
+#define CENTRE_TICKS 4500
+/* A tail that gets stiff or limp takes its bias up or gives it up no faster than this. */
+#define BIAS_RAD_S 1.0
 
 uint32_t tail_frames(double beat_s) {
     const double frames = beat_s / FRAME_SECONDS;
@@ -29,6 +32,7 @@ void tail_init(tail_t *tail, const sim_config_t *config, uint32_t frames_per_bea
                       (config->servo_lag_s > 0 || config->servo_rate_rad_s > 0);
     tail->lag_s = config->servo_lag_s;
     tail->rate_rad_s = config->servo_rate_rad_s;
+    tail->mounted_rad = config->tail_centre_rad;
     for (uint32_t i = 0; i <= n; i++) {
         tail->sine[i] = 2 * i % n == 0 ? 0.0 : sin(TWO_PI * i / n);
     }
@@ -36,19 +40,33 @@ void tail_init(tail_t *tail, const sim_config_t *config, uint32_t frames_per_bea
         const double c = cos(TWO_PI * (i + 0.5) / (n * SUBSTEPS));
         tail->ripple[i] = 2 * c * c;
     }
-    tail_begin(tail);
+    tail->bias_rad = 0;
+    tail_begin(tail, CENTRE_TICKS);
 }
 
-void tail_begin(tail_t *tail) {
+void tail_begin(tail_t *tail, uint16_t pulse_ticks) {
     tail->frame = 0;
     tail->angle_rad = 0;
     tail->fit_ps = tail->fit_ss = 0;
     tail->off_sine = false;
     tail->servo_rad = 0;
+    tail->centre_ticks = pulse_ticks;
 }
 
-double tail_angle_rad(uint16_t pulse_ticks) {
-    return ((double)pulse_ticks / HAL_SERVO_TICKS_PER_US - CENTRE_US) / US_PER_RAD;
+static double angle_rad(int32_t ticks) {
+    return ((double)ticks / HAL_SERVO_TICKS_PER_US - CENTRE_US) / US_PER_RAD;
+}
+
+/* About the centre, in whole ticks: a trimmed tail beats as one that is mounted straight, bit for
+ * bit. */
+static double beat_angle_rad(const tail_t *tail, uint16_t pulse) {
+    return angle_rad(pulse - tail->centre_ticks + CENTRE_TICKS);
+}
+
+static void follow_bias(tail_t *tail, double wanted_rad, double frame_s) {
+    const double most = BIAS_RAD_S * frame_s;
+    const double by = wanted_rad - tail->bias_rad;
+    tail->bias_rad += by > most ? most : by < -most ? -most : by;
 }
 
 static void drive_hold(drive_t *drive, double amplitude_rad, double ripple) {
@@ -127,11 +145,13 @@ void tail_frame(tail_t *tail, uint16_t pulse, uint16_t next_pulse, double frame_
             drive_hold(drive, 0, 1);
             tail->servo_rad = 0;
         }
-        tail->angle_rad = next_pulse != 0 ? tail_angle_rad(next_pulse) : 0;
+        follow_bias(tail, 0, frame_s);
+        tail->angle_rad = next_pulse != 0 ? beat_angle_rad(tail, next_pulse) : 0;
         tail->frame = 0;
         return;
     }
-    double next = tail_angle_rad(next_pulse);
+    follow_bias(tail, angle_rad(tail->centre_ticks) + tail->mounted_rad, frame_s);
+    double next = beat_angle_rad(tail, next_pulse);
     const double amplitude = fit_beat(tail, next_pulse != 0, &next);
     if (tail->has_servo) {
         servo_frame(tail, tail->angle_rad, next, frame_s, drive);

@@ -181,8 +181,8 @@ static double limited(double x, double most) { return x > most ? most : x < -mos
 
 /* Specific force. */
 static void feel_accel(const span_t *span, const double error[3], double out[3]) {
-    const double level[3] = {(span->to.forward_m_s - span->from.forward_m_s) / span->span_s,
-                             (span->to.side_m_s - span->from.side_m_s) / span->span_s, -G_M_S2};
+    const double level[3] = {(span->to.x_m_s - span->from.x_m_s) / span->span_s,
+                             (span->to.y_m_s - span->from.y_m_s) / span->span_s, -G_M_S2};
     multiply_transposed(span->body, level, out);
     for (unsigned i = 0; i < 3; i++) {
         out[i] = limited(out[i] + error[i], ACCEL_MAX_M_S2);
@@ -217,18 +217,22 @@ static void lean(vn100_sense_t *s, const double level_m_s2[3], uint64_t ticks, d
 }
 
 static double wrapped_deg(double angle) {
-    return angle > 180 ? angle - 360 : angle < -180 ? angle + 360 : angle;
+    return fabs(angle) > 180 ? remainder(angle, 360) : angle;
 }
 
 /* Attitude is computed at 400 Hz: every other sample repeats it. It leans by what the filter takes
- * for gravity: a forward pull looks like the nose up. */
+ * for gravity: a pull along the heading looks like the nose up. */
 static void attitude(vn100_sense_t *s, const felt_moment_t *at, double own_s, bool repeated) {
     if (repeated) {
         return;
     }
     const double settling = own_s < SETTLED_S ? 3 * exp(-own_s) : 0;
-    const double truth[3] = {at->yaw_rad / DEG, (at->pitch_rad + s->lean_m_s2[0] / G_M_S2) / DEG,
-                             (at->roll_rad - s->lean_m_s2[1] / G_M_S2) / DEG};
+    double sine, cosine;
+    sine_cosine(at->heading_rad, &sine, &cosine);
+    const double ahead = s->lean_m_s2[0] * cosine + s->lean_m_s2[1] * sine;
+    const double aside = s->lean_m_s2[1] * cosine - s->lean_m_s2[0] * sine;
+    const double truth[3] = {at->yaw_rad / DEG, (at->pitch_rad + ahead / G_M_S2) / DEG,
+                             (at->roll_rad - aside / G_M_S2) / DEG};
     for (unsigned i = 0; i < 3; i++) {
         const double angle = truth[i] + s->attitude_bias_deg[i] * (1 + settling) - s->tare_deg[i];
         s->ypr_deg[i] = i == 1 ? limited(angle, 90) : wrapped_deg(angle);

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 
 #define IMU_POWER_LATER_US 61000u
+#define LOAD_RAD 0.78539816339744830962
 
 _Static_assert(WORLD_IMU_MESSAGE_MAX == VN100_MESSAGE_MAX, "one message of the IMU");
 
@@ -15,7 +16,8 @@ struct world {
     fish_t fish;
     camera_t camera;
     vn100_t vn100;
-    double battery_v, battery_sag_v_per_trial;
+    double battery_v, battery_sag_v_per_trial, battery_load_v;
+    uint32_t battery_swims; /* begun before this pack was put in */
 };
 
 world_t *world_new(const sim_config_t *config) {
@@ -28,6 +30,7 @@ world_t *world_new(const sim_config_t *config) {
     vn100_init(&world->vn100, config, &world->fish.felt);
     world->battery_v = config->battery_v;
     world->battery_sag_v_per_trial = config->battery_sag_v_per_trial;
+    world->battery_load_v = config->battery_load_v;
     return world;
 }
 
@@ -65,7 +68,11 @@ void world_imu_reboot(world_t *world, uint64_t now_us) { vn100_reboot(&world->vn
 void world_imu_wedge(world_t *world) { vn100_wedge(&world->vn100); }
 
 double world_battery_v(const world_t *world) {
-    const double v = world->battery_v - world->battery_sag_v_per_trial * world->fish.swims;
+    const fish_t *fish = &world->fish;
+    const uint32_t swims = fish->swims - world->battery_swims;
+    const double load = fish->drive.amplitude_rad[SUBSTEPS - 1] / LOAD_RAD;
+    const double v = world->battery_v - world->battery_sag_v_per_trial * swims -
+                     (fish->pulse != 0 ? world->battery_load_v * load : 0);
     return v > 0 ? v : 0;
 }
 
@@ -85,8 +92,10 @@ sim_truth_t world_truth(const world_t *world) {
     return (sim_truth_t){
         .time_s = (double)fish->time_us * 1e-6,
         .x_m = fish->plant.x_m,
-        .v_m_s = fish->plant.water_v_m_s + fish->plant.flow_m_s,
-        .tail_rad = fish->tail_to_rad,
+        .y_m = fish->plant.y_m,
+        .heading_rad = fish->plant.heading_rad,
+        .v_m_s = plant_speed_m_s(&fish->plant),
+        .tail_rad = fish->tail_to_rad + fish->bias_to_rad,
         .amplitude_rad = fish->drive.amplitude_rad[SUBSTEPS - 1],
         .swims = fish->swims,
         .swimming = fish->pulse != 0,
@@ -119,6 +128,19 @@ void world_set_start(world_t *world, double start_m_s) {
 void world_push(world_t *world, double by_m_s) { plant_push(&world->fish.plant, by_m_s); }
 
 void world_hold(world_t *world, double hold_s) { plant_catch(&world->fish.plant, hold_s); }
+
+void world_stir(world_t *world, double by_m_s) { plant_stir(&world->fish.plant, by_m_s); }
+
+void world_place(world_t *world, double x_m, double y_m, double heading_rad) {
+    fish_place(&world->fish, x_m, y_m, heading_rad);
+}
+
+void world_swap_battery(world_t *world, double volts, double gain, double centre_rad) {
+    world_set_battery_v(world, volts);
+    world->battery_swims = world->fish.swims;
+    world->fish.gain *= gain;
+    world->fish.tail.mounted_rad += centre_rad;
+}
 
 void world_set_battery_v(world_t *world, double volts) {
     world->battery_v = volts >= 0 && volts <= 60 ? volts : 0;

@@ -18,8 +18,8 @@
 
 typedef struct world world_t;
 
-/* One overhead picture, processed: where the fish is along the tank, and what else is to be seen.
- */
+/* One overhead picture, processed: where the fish is in the tank, x along it, y to the right, its
+ * heading clockwise from above, and what else is to be seen. */
 typedef struct {
     double time_s; /* simulated time, the middle of the exposure */
     double x_m, y_m, heading_rad;
@@ -28,12 +28,13 @@ typedef struct {
 } sim_camera_frame_t;
 
 typedef struct {
-    double time_s;     /* simulated time of this state: the last servo frame, at most 20 ms ago */
-    double x_m, v_m_s; /* position and speed over ground, along the swim */
-    double tail_rad;   /* real tail angle */
-    double amplitude_rad; /* amplitude the plant feels now */
-    uint32_t swims;       /* swims begun since the world began */
-    bool swimming;        /* pulses are on */
+    double time_s; /* simulated time of this state: the last servo frame, at most 20 ms ago */
+    double x_m, y_m, heading_rad; /* of its path: the body sways and swings about it */
+    double v_m_s;                 /* over ground, along the heading */
+    double tail_rad;              /* real tail angle */
+    double amplitude_rad;         /* amplitude the plant feels now */
+    uint32_t swims;               /* swims begun since the world began */
+    bool swimming;                /* pulses are on */
     uint16_t pulse_ticks;
 } sim_truth_t;
 
@@ -88,13 +89,12 @@ size_t world_camera_read(world_t *world, uint64_t now_us, sim_camera_frame_t *ou
 sim_truth_t world_truth(const world_t *world);
 
 /* True mean speeds over the whole beats of the present or last swim (from exact distance), and true
- * speeds at 25 Hz: number i at i * 40 ms after the start, while there are pulses. Over ground.
- * Return how many there are; fill at most |max|. */
+ * speeds at 25 Hz: number i at i * 40 ms after the start, while there are pulses. Over ground,
+ * along the heading of the moment. Return how many there are; fill at most |max|. */
 size_t world_true_beats(const world_t *world, double *out, size_t max);
 size_t world_true_speeds_25hz(const world_t *world, double *out, size_t max);
 
-/* A swim begins with the first pulse after 0.2 s without; somebody has put the fish at x = 0 by
- * then, so that pictures from before show it elsewhere.
+/* A swim begins with the first pulse after 0.2 s without, from where the fish was put: see fish.h.
  *
  * Sets the number the next swim's noise is keyed by (1 = first). */
 void world_set_swim(world_t *world, uint32_t next_swim);
@@ -103,9 +103,18 @@ void world_set_swim(world_t *world, uint32_t next_swim);
  * fish that moved. */
 void world_set_start(world_t *world, double start_m_s);
 /* In mid-swim: a hand changes the speed by |by_m_s| within 0.3 s; something holds the fish for
- * |hold_s| and lets it go. The IMU feels both. */
+ * |hold_s| and lets it go. The IMU feels both. At rest between swims they move a fish that has been
+ * put back. */
 void world_push(world_t *world, double by_m_s);
 void world_hold(world_t *world, double hold_s);
+/* The water gets faster by |by_m_s| within 0.3 s and comes to rest with a time constant of 8 s; it
+ * carries a fish that nobody holds. */
+void world_stir(world_t *world, double by_m_s);
+/* Somebody puts the fish there, at rest; the next swim begins from there. */
+void world_place(world_t *world, double x_m, double y_m, double heading_rad);
+/* A pack of |volts|, without the sag of the one before. The hull was open: from the next swim on
+ * thrust speed is |gain| times what it was, and the tail's centre is off by |centre_rad| more. */
+void world_swap_battery(world_t *world, double volts, double gain, double centre_rad);
 
 void world_set_battery_v(world_t *world, double volts);
 /* Plugged in while the board has power, the IMU starts at |now_us|. */

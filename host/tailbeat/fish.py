@@ -223,9 +223,10 @@ class Fish:
         record = records.encode_speeds(trial, speed_m_s, sigma_m_s)
         self._upload(records.FILE_SPEEDS, record)
 
-    def arm(self) -> None:
-        """Ready to swim. Refused when a trial is pending, without a reference, …"""
-        self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    def arm(self, blink_s: float = 0.0) -> None:
+        """Ready to swim; the LED blinks for so long (60 s at most) before it is lit for good.
+        Refused when a trial is pending, without a reference, …"""
+        self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0, blink_s)
 
     def disarm(self) -> None:
         """Back to idle; a running trial is aborted."""
@@ -338,11 +339,12 @@ class Fish:
         on_event: OnEvent | None = None,
         guard: Guard | None = None,
         reconnect_s: float = 60.0,
+        direction_rad: float = 0.0,
     ) -> TrialOutcome:
         """Swims the next trial to its end; see trialrun.run_trial."""
         from tailbeat.trialrun import run_trial
 
-        return run_trial(self, camera, on_event, guard, reconnect_s)
+        return run_trial(self, camera, on_event, guard, reconnect_s, direction_rad)
 
     def watch(self) -> Iterator[Event]:
         """Everything the board tells, as it comes, for ever."""

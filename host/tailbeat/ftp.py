@@ -12,11 +12,14 @@ from tailbeat.ftpread import Download, FileChangedError
 from tailbeat.ftpwindow import RoundTrip
 from tailbeat.ftpwire import (
     CRC32,
+    DATA_BYTES,
     END_OF_FILE,
     INVALID_SESSION,
     LIST,
     NO_SESSION,
     NOT_FOUND,
+    OPEN_READ,
+    READ,
     REMOVE,
     RESET,
     TERMINATE,
@@ -89,6 +92,24 @@ class FtpClient:
             taken = bytearray()
             download.fetch(taken, offset, progress, lambda _: None)
             return bytes(taken)
+
+    def head(self, path: str, size: int) -> bytes:
+        """The file's first ``size`` bytes, or all of a shorter one; one after the other, CRC not
+        compared."""
+        session = self.open(OPEN_READ, path).session
+        taken = b""
+        try:
+            while len(taken) < size:
+                wanted = min(size - len(taken), DATA_BYTES)
+                data = self._request(READ, path, session, len(taken), size=wanted).data
+                if not data:
+                    break
+                taken += data
+        except FtpError as error:
+            if error.code != END_OF_FILE:
+                raise
+        self.send(TERMINATE, session)
+        return taken
 
     def pull(self, path: str, local: Path, progress: Progress | None = None) -> None:
         """Copies a file byte for byte, resuming what an earlier call left behind.
@@ -176,10 +197,16 @@ class FtpClient:
         self.link.send(Request(self._seq, session, opcode, offset, data, size).message())
 
     def _request(
-        self, opcode: int, path: str, session: int = 0, offset: int = 0, data: bytes = b""
+        self,
+        opcode: int,
+        path: str,
+        session: int = 0,
+        offset: int = 0,
+        data: bytes = b"",
+        size: int | None = None,
     ) -> Reply:
         self._seq = (self._seq + 1) & 0xFFFF
-        request = Request(self._seq, session, opcode, offset, data)
+        request = Request(self._seq, session, opcode, offset, data, size)
         expected = (self._seq + 1) & 0xFFFF
 
         def fits(message: Message) -> bool:

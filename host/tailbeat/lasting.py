@@ -19,9 +19,9 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def write_whole(path: Path, content: str | bytes) -> None:
+def write_whole(path: Path, content: str | bytes, remedy: str = "Choose another place.") -> None:
     """Writes the file whole or not at all, and so that it lasts. Raises InputError when that cannot
-    be."""
+    be; ``remedy``: what to do then."""
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:
@@ -31,9 +31,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
         part.replace(path)
         sync_folder(path.parent)
     except OSError as error:
-        raise InputError(
-            f"cannot write {path} ({reason(error)})", "Choose another place."
-        ) from error
+        raise InputError(f"cannot write {path} ({reason(error)})", remedy) from error
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)

@@ -3,7 +3,8 @@
 A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``tailbeat/fish`` of
 the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
 ``marks/`` (what is to be known of some of them, named like them), ``proposals/`` (inputs this
-computer made, and why) and ``identified.json``. The model law, the verdict and a second reference
+computer made, and why), ``references.json`` (their names by CRC, which a board does not keep) and
+``identified.json``. The model law, the verdict and a second reference
 draw on it. Several processes may write at once.
 """
 
@@ -19,19 +20,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.errors import InputError, reason
-from tailbeat.lasting import sync_folder
+from tailbeat.lasting import sync_folder, write_whole
 from tailbeat.trial_log import Trial, parse_trial
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
     from tailbeat.model.identified import Identified
     from tailbeat.model.swim import Swim
+    from tailbeat.reference import Reference
 
 FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
 DISCARDED = "discarded"
 RUN = "run"
 _MARKS = (DISCARDED, RUN)
 _IDENTIFIED = "identified.json"
+_REFERENCES = "references.json"
 _PART = ".part"
 _DIGEST_DIGITS = 16
 _ORDERS = 999_999
@@ -164,6 +167,26 @@ class Logbook:
                     found.append(document)
         return found
 
+    def name_reference(self, crc: int, name: str) -> None:
+        """Keeps what a reference is called. Lasting when it returns."""
+        names = self._names()
+        if names.get(f"{crc:08x}") != name:
+            with self._writable():
+                self.folder.mkdir(parents=True, exist_ok=True)
+            document = names | {f"{crc:08x}": name}
+            write_whole(self.folder / _REFERENCES, json.dumps(document, indent=2) + "\n")
+
+    def reference_name(self, crc: int) -> str | None:
+        """None: it was uploaded by another computer, or a tool that kept no names."""
+        return self._names().get(f"{crc:08x}")
+
+    def _names(self) -> dict[str, str]:
+        with contextlib.suppress(OSError, ValueError, RecursionError):
+            document = json.loads((self.folder / _REFERENCES).read_bytes())
+            if isinstance(document, dict):
+                return {str(crc): str(name) for crc, name in document.items()}
+        return {}
+
     @property
     def _trials(self) -> Path:
         return self.folder / "trials"
@@ -228,6 +251,14 @@ def logbook_of(fish: Fish, root: Path | None = None) -> Logbook | None:
     if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
         return None
     return Logbook.of(fish.unique_id(), root)
+
+
+def name_reference(fish: Fish, reference: Reference) -> None:
+    """Keeps the name of a reference the fish has got; a logbook that cannot take it is no reason to
+    fail."""
+    with contextlib.suppress(InputError):
+        if (book := logbook_of(fish)) is not None:
+            book.name_reference(reference.crc, reference.name)
 
 
 def _default_root() -> Path:

@@ -21,6 +21,7 @@ from tailbeat.fade import (
     settled_after,
 )
 from tailbeat.logbook import Kept
+from tailbeat.straight import straightness
 from tailbeat.trial_log import Trial, read_trial
 from tailbeat.verdict import (
     NoiseBand,
@@ -115,8 +116,14 @@ def progress_of(
         floor_m_s=floor_m_s,
         fluctuation=found,
         fade=_fade(series, scores, verdicts[-1], found, identified),
-        problems=list(problems),
+        problems=[*problems, *_crooked(series)],
     )
+
+
+def _crooked(series: Sequence[Trial]) -> list[str]:
+    """A line for each trial that was not swum straight: its errors are not of the wanted way."""
+    found = [(trial.number, straightness(trial)) for trial in series]
+    return [f"trial {number}: {one.text()}" for number, one in found if one and one.crooked]
 
 
 def series_of(

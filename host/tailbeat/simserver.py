@@ -1,5 +1,6 @@
 """A simulated or emulated board as a process: the radio on a TCP port, the camera on the next, the
-wired console on the one after and on a pty, in real time times a factor.
+wired console on the one after and on a pty, the world around the fish on the fourth (simwords.py),
+in real time times a factor.
 
 The board goes on swimming when a client drops, as a real one would, and takes the next client
 without a restart.
@@ -18,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tailbeat.errors import ConnectError, InputError
+from tailbeat.simwords import Lines
 from tailbeat.transport.inprocess import CONSOLE, RADIO, SimulatedBoard
 
 DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
@@ -31,7 +33,7 @@ _STEP_MAX_S = 0.05  # wall time spent on the board before the ports are looked a
 _PIECE_S = 0.02  # simulated time run at once
 _PACE_SPAN_S = 5.0  # wall time over which the pace is judged
 _PACE_MIN = 0.95  # of the wanted one
-_PORTS = 3  # in a row
+_PORTS = 4  # in a row
 _PORT_MAX = 65536 - _PORTS
 
 
@@ -58,6 +60,11 @@ class _Client:
             self.gone = not piece
             pieces.append(piece)
         return b"".join(pieces)
+
+    def answer_gone(self, data: bytes) -> None:
+        """To one that has said its last and may still listen."""
+        with contextlib.suppress(OSError):
+            self.connection.send(data)
 
     def write(self, data: bytes) -> None:
         """Sends what can be sent now; a client that does not read is given up."""
@@ -96,11 +103,22 @@ class _Port:
         """What the client sent. A client that went makes room for one that waits for a moment:
         who connects again may be quicker than the news that the old connection is gone."""
         data = self.client.read() if self.client else b""
+        self._make_room()
+        return data
+
+    def converse(self, hear: Callable[[bytes, bool], bytes]) -> None:
+        """Answers what the client sent: ``hear(data, last)``."""
+        if self.client is not None:
+            data = self.client.read()
+            answer = hear(data, self.client.gone)
+            (self.client.answer_gone if self.client.gone else self.client.write)(answer)
+        self._make_room()
+
+    def _make_room(self) -> None:
         if self.client is not None and self.client.gone:
             self._drop()
         if self._waiting is not None:
             self._admit()
-        return data
 
     def _admit(self) -> None:
         assert self._waiting is not None
@@ -174,6 +192,7 @@ class Addresses:
     camera: str
     console: str
     pty: str | None
+    world: str
 
     def as_dict(self) -> dict[str, str | None]:
         """For ``--json``."""
@@ -182,6 +201,7 @@ class Addresses:
             "camera": self.camera,
             "console": self.console,
             "pty": self.pty,
+            "world": self.world,
         }
 
 
@@ -204,7 +224,8 @@ class SimServer:
         self._board = board
         self._speed = speed
         self._selector = selectors.DefaultSelector()
-        self._radio, self._camera, self._console = _ports(self._selector, host, port)
+        self._radio, self._camera, self._console, self._world = _ports(self._selector, host, port)
+        self._lines = Lines(board)
         self._pty = _Pty(self._selector) if pty else None
         self._wall_s = wall_s
         self._on_slow: Callable[[float], None] | None = on_slow
@@ -220,6 +241,7 @@ class SimServer:
             f"tcp:{self._camera.host}:{self._camera.number}",
             f"tcp:{self._console.host}:{self._console.number}",
             self._pty.path if self._pty else None,
+            f"tcp:{self._world.host}:{self._world.number}",
         )
 
     def serve(self, stop: Callable[[], bool] = lambda: False) -> None:
@@ -235,6 +257,7 @@ class SimServer:
         self._board.write(self._console.read(), CONSOLE)
         if self._pty is not None:
             self._board.write(self._pty.read(), CONSOLE)
+        self._world.converse(self._lines.hear)
         self._advance()
         self._deliver()
         self._camera.read()
@@ -290,7 +313,7 @@ class SimServer:
 
     def close(self) -> None:
         """Gives the ports up."""
-        for port in (self._radio, self._camera, self._console):
+        for port in (self._radio, self._camera, self._console, self._world):
             port.close()
         if self._pty is not None:
             self._pty.close()
@@ -307,7 +330,8 @@ def parse_listen(listen: str) -> tuple[str, int]:
 
 
 def _ports(selector: selectors.BaseSelector, host: str, port: int) -> list[_Port]:
-    """Radio on ``port``, camera and console on the next ones; with port 0 any free neighbours."""
+    """Radio on ``port``, camera, console and world on the next ones; with port 0 any free
+    neighbours."""
     for _ in range(50):
         ports: list[_Port] = []
         try:

@@ -34,6 +34,7 @@ class TrialCamera:
     a camera that was moved) aborts, and is kept in ``failure`` for when the board has stopped.
     ``consult(what)`` asks the guard, with every Frame, and with Unseen when there is none;
     ``abort()`` wants the tail to stop. A picture that stands still shows no fish.
+    ``direction_rad``: of the swim in the tank's frame; speeds are those along it.
     """
 
     def __init__(
@@ -45,8 +46,10 @@ class TrialCamera:
         emit: OnEvent,
         consult: Callable[[object], None],
         abort: Callable[[], None],
+        direction_rad: float = 0.0,
     ) -> None:
         self.fit = BeatFit(window_s, camera.fps)
+        self._along = (math.cos(direction_rad), math.sin(direction_rad))
         self.failure: Exception | None = None
         self._fish, self._camera, self._dispensable = fish, camera, dispensable
         self._emit, self._consult, self._abort = emit, consult, abort
@@ -88,9 +91,14 @@ class TrialCamera:
 
     def _take(self, frame: Frame) -> None:
         self._consult(frame)
-        sample = self.fit.add(frame.t_s, frame.x_m)
+        sample = self.fit.add(frame.t_s, self._way_m(frame))
         if sample is not None and (board_s := self._board_s(sample.t_s)) > 0:
             self._fish.link.send(vision_message(board_s, sample))
+
+    def _way_m(self, frame: Frame) -> float:
+        """Along the swim. A camera that tells no y is right for a swim along x."""
+        across = self._along[1]
+        return frame.x_m * self._along[0] + frame.y_m * across if across else frame.x_m
 
     def _fits(self, t_s: float) -> bool:
         """Whether a frame can be of this time; one from the future would hide those to come."""

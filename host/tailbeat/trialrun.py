@@ -57,6 +57,7 @@ class _Run:
     interrupted: bool = False
     may_swim: bool = False
     restarted: bool = False
+    direction_rad: float = 0.0
 
 
 def run_trial(
@@ -65,11 +66,13 @@ def run_trial(
     on_event: OnEvent | None = None,
     guard: Guard | None = None,
     reconnect_s: float = 60.0,
+    direction_rad: float = 0.0,
 ) -> TrialOutcome:
     """Swims the next trial and returns when the board has stopped and the trial is stored.
 
     Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
-    speeds go to the board as they come. ``guard`` sees every frame and beat, how time passes
+    speeds along ``direction_rad`` (of the fish at its start, in the tank's frame; 0 = along x) go
+    to the board as they come. ``guard`` sees every frame and beat, how time passes
     without a frame (camera.base.Unseen), the beginning (Afresh) and the end (CameraGone), until the
     last beat is swum; it aborts the trial by returning a reason; one that begins with wall.HIT
     leaves the last beats unmeasured. When the camera sees what makes no sense (two fish), the trial
@@ -82,6 +85,7 @@ def run_trial(
     if camera is None:
         camera = own_camera = fish.default_camera()
     run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
+    run.direction_rad = direction_rad
     stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
     heartbeat_period_s = fish.link.heartbeat_period_s
     fish.link.heartbeat_period_s = _HEARTBEAT_S
@@ -139,6 +143,7 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
             emit=run.emit,
             consult=lambda what: _consult(run, what),
             abort=lambda: _want_abort(run),
+            direction_rad=run.direction_rad,
         )
         run.camera.begin()
     fish.clock.sync()

@@ -241,6 +241,27 @@ def visits(trials: Sequence[Trial]) -> NDArray[np.int64]:
     return count
 
 
+def rollback_words(best_trial: int = 0) -> str:
+    """That the board went back to its best input by itself. Every place that shows what was learned
+    says it with these words; ``best_trial`` 0 = not known which."""
+    whose = f"trial {best_trial}'s amplitudes" if best_trial else "the best amplitudes"
+    return f"ROLLED BACK: worse twice in a row, so {whose} swim next"
+
+
+def repeat_limits(before: Sequence[Score], input_crc: int, band: NoiseBand) -> tuple[float, float]:
+    """(low, high) of max|e| that one more swim of an input has in 95 of 100 cases, m/s. ``before``:
+    the series; complete trials of other inputs tell how lucky a single one of this was."""
+    swum = [score.max_abs_error_m_s for score in repeats_of(before, input_crc)]
+    if len(swum) > 1:
+        level, trials = float(np.median(swum)), len(swum)
+    else:
+        complete = np.array([score.max_abs_error_m_s for score in before if score.complete])
+        level, trials = _level(complete[complete >= min(swum, default=0.0)], band)
+    widen = math.sqrt(1 + 1 / trials)
+    down, up = band.widths(level)
+    return max(level - widen * down, 0.0), level + widen * up
+
+
 def best_of(scores: Sequence[Score]) -> Score | None:
     """The complete trial with the smallest max|e|, the first of equals; None = none is complete."""
     complete = [score for score in scores if score.complete]

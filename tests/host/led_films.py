@@ -20,7 +20,8 @@ _SAMPLES = 40  # of an exposure
 @dataclass(frozen=True)
 class LedFilm:
     """``hidden``: part of the pictures in which the LED is covered; ``hidden_s`` long each time.
-    ``before_s`` and ``after_s`` of the swim; negative: the film begins or ends in mid-swim."""
+    ``before_s`` and ``after_s`` of the swim; negative: the film begins or ends in mid-swim.
+    ``blink_s``: length of a countdown before it, until ``steady_s`` before it."""
 
     number: int = 7
     fps: float = 25.0
@@ -33,6 +34,8 @@ class LedFilm:
     glare: float = 0.15
     led: bool = True
     saturation: float = 1.0
+    blink_s: float = 0.0
+    steady_s: float = 0.3
     jitter_s: float = 0.0  # of the time stamps' distances; the stamps are true
 
     def make(self, seed: int) -> tuple[Track, float]:
@@ -65,8 +68,15 @@ class LedFilm:
             moment = since_s + exposure_s * ((k + 0.5) / _SAMPLES - 0.5)
             frame = np.clip((moment / FRAME_S).astype(int), 0, frames - 1)
             swims = np.where(moment < self.swim_s, code[frame], 0.0)
-            lit += np.where(moment < 0, 1.0, swims) / _SAMPLES  # armed before, idle after
+            lit += np.where(moment < 0, self._before(moment), swims) / _SAMPLES  # idle after
         return np.minimum(1.0, lit * self.saturation)
+
+    def _before(self, moment: Floats) -> Floats:
+        """Armed, blinking for a while; dark before that when there was a countdown."""
+        left_s = -moment - self.steady_s
+        blinks = (left_s // 0.2 % 2 == 0) & (left_s < self.blink_s)
+        lit = (left_s < 0) | (self.blink_s == 0) | blinks
+        return lit.astype(float)
 
     def _water(self, rng: np.random.Generator, since_s: Floats) -> Floats:
         """Body texture, the tail's shade at once and twice the beat, flashes of glare."""

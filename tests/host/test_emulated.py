@@ -16,6 +16,7 @@ from tailbeat.errors import InputError
 from tailbeat.transport import find
 from tailbeat.transport.emulated import UNIQUE_ID, EmulatedBoard, EmulationError
 from tailbeat.transport.inprocess import CONSOLE, RADIO
+from tailbeat.transport.simulated import SimBoard
 from tailbeat.transport.world import FRAME_US, World
 from vboard.core.bus import BusViolation
 from vboard.core.clock import TICKS_PER_S, TICKS_PER_US, Clock
@@ -426,6 +427,36 @@ def test_battery_is_on_its_divider(image: Path) -> None:
     assert volts() == pytest.approx(7.9 / 3)
     emulated.set_battery_v(6.3)
     assert volts() == pytest.approx(6.0 / 3)
+
+
+def test_a_fish_is_handled_as_the_simulated_one(image: Path) -> None:
+    simulated, emulated = SimBoard("tank"), EmulatedBoard(image)
+    for board in (simulated, emulated):
+        board.place(0.1, 0.2, 0.3)
+        board.stir(0.02)
+        board.run(1.5)
+        board.hold(1.0)
+        board.run(2.0)
+        board.push(-0.05)
+        board.run(1.0)
+    one, other = simulated.truth(), emulated.truth()
+    assert one.x_m < 0.1 < 0.18 < one.y_m < 0.2
+    assert one.v_m_s < -0.02
+    for name in ("x_m", "y_m", "heading_rad", "v_m_s"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name), abs=2e-3)
+
+
+def test_another_pack_is_a_new_start(image: Path) -> None:
+    emulated = EmulatedBoard(image, battery_v=6.5)
+    emulated.run(1.0)
+    emulated.flash = bytes(1000) + emulated.flash[1000:]
+    before = emulated.board.periph["PWM"]
+    emulated.swap_battery(8.3, 0.97, 0.02)
+    assert emulated.board.periph["PWM"] is not before
+    assert emulated.board.periph["ADC"].volts[7]() == pytest.approx(8.3 / 3)
+    assert emulated.flash[:1000] == bytes(1000)
+    with pytest.raises(InputError):
+        emulated.swap_battery(800.0)
 
 
 def test_address_with_values(image: Path) -> None:

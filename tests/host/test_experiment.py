@@ -6,6 +6,7 @@ import csv
 import hashlib
 import shutil
 import stat
+import subprocess
 from datetime import datetime
 from pathlib import Path
 
@@ -118,7 +119,8 @@ def test_exports_agree(swum: Path, tmp_path: Path) -> None:
     shutil.copytree(swum, copy)
     files = {path.name: path for path in export(Experiment.open(copy))}
     assert set(files) == {
-        "trials.csv", "beats.csv", "slots.csv", "trials.mat", "beats.parquet", "slots.parquet",
+        "trials.csv", "beats.csv", "slots.csv", "trials.mat",
+        "beats.parquet", "slots.parquet", "trials.parquet",
     }  # fmt: skip
     with files["beats.csv"].open() as file:
         rows = list(csv.DictReader(file))
@@ -150,3 +152,74 @@ def test_a_raw_file_whose_sum_was_not_listed_is_listed_next_time(tmp_path: Path)
     assert experiment.add_raw("0001.ulg", b"trial") == path
     assert experiment.add_raw("0001.ulg", b"trial") == path
     assert sums.read_text() == listed
+
+
+def test_a_number_that_is_taken_gets_another_name(tmp_path: Path, swum: Path) -> None:
+    """A board whose storage was made anew counts from 1 again."""
+    experiment = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
+    first, second = swum / "raw" / "0001.ulg", tmp_path / "other.ulg"
+    assert experiment.keep_trial(first).name == "0001.ulg"
+    assert experiment.keep_trial(first).name == "0001.ulg"
+    content = first.read_bytes()
+    second.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert experiment.keep_trial(second).name == "0001-2.ulg"
+    assert experiment.keep_trial(second).name == "0001-2.ulg"
+    assert experiment.keep_trial(swum / "raw" / "0002.ulg").name == "0002.ulg"
+    assert [p.name for p in experiment.trial_files()] == ["0001.ulg", "0001-2.ulg", "0002.ulg"]
+    experiment.journal.add("swum", trial=2, file="0002.ulg")
+    experiment.journal.add("swum", trial=1, file="raw/0001-2.ulg")
+    assert [p.name for p in experiment.trial_files()] == ["0001.ulg", "0002.ulg", "0001-2.ulg"]
+    assert stat.S_IMODE((experiment.raw / "0001-2.ulg").stat().st_mode) == 0o444
+    assert experiment.raw_problems() == []
+    with pytest.raises(InputError, match="not a ULog file"):
+        experiment.keep_trial(swum / "settings.json")
+
+
+def test_the_sums_are_for_sha256sum(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    for name in ("0001.ulg", "with space.bin"):
+        made.add_raw(name, name.encode())
+    command = ["sha256sum", "--strict", "-c", "SHA256SUMS"]
+    done = subprocess.run(command, cwd=made.raw, capture_output=True, check=True, text=True)
+    assert done.stdout == "0001.ulg: OK\nwith space.bin: OK\n"
+
+
+def test_a_full_disk_is_told_and_the_trial_can_be_kept_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make(tmp_path)
+    made.add_raw("0001.ulg", b"swim")
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tailbeat.lasting.os.fsync", full)
+    for write in (
+        lambda: made.add_raw("0002.ulg", b"swim"),
+        lambda: made.write_settings({"fish": "x"}),
+        lambda: made.note("x"),
+    ):
+        with pytest.raises(InputError, match=r"No space left.*Make room"):
+            write()
+    monkeypatch.undo()
+    assert made.settings()["fish"] == "carl the fish"
+    assert sorted(p.name for p in made.raw.iterdir()) == ["0001.ulg", "SHA256SUMS"]
+    assert made.journal.entries() == []
+    made.add_raw("0002.ulg", b"swim")
+    assert made.raw_problems() == []
+
+
+def test_what_nobody_added_is_told(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    (made.raw / "0009.ulg").write_bytes(b"by hand")
+    assert made.raw_problems() == ["raw/0009.ulg is not listed in SHA256SUMS"]
+    made.add_raw("0009.ulg", b"by hand")
+    assert made.raw_problems() == []
+
+
+def test_a_listed_sum_is_never_replaced(tmp_path: Path) -> None:
+    made = make(tmp_path)
+    path = made.add_raw("0001.ulg", b"swim")
+    path.unlink()
+    with pytest.raises(InputError, match="is not what SHA256SUMS says"):
+        made.add_raw("0001.ulg", b"another")

@@ -23,7 +23,7 @@ from tailbeat.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.fish import Fish
 from tailbeat.flashing.backup import Backup
 from tailbeat.floor import plant_beats, plant_config
-from tailbeat.model import guided
+from tailbeat.model import lent
 from tailbeat.model.account import account_of, from_trials
 from tailbeat.model.fishmodel import Conditions, FishModel
 from tailbeat.model.fitting import Prior
@@ -31,7 +31,6 @@ from tailbeat.model.guided import Person, identify_fish, set_params
 from tailbeat.model.runs import Course, Limits, Run, identify_runs
 from tailbeat.model.swim import Swim
 from tailbeat.records import record_crc
-from tailbeat.results import BeatEvent
 from tailbeat.transport.simulated import SimBoard, SimTransport
 
 Array = NDArray[np.float64]
@@ -202,17 +201,6 @@ def test_speeds_that_nobody_measured() -> None:
         identify_runs(blind, Limits(0.5), quick=True)
 
 
-def test_it_stops_a_fish_that_goes_too_far() -> None:
-    stop = guided._Guard(room_m=1.0)
-
-    def beat(number: int, speed: float | None) -> BeatEvent:
-        return BeatEvent(1, number, 0.5, 0.1, speed, 0.001, 25, False, True)
-
-    assert all(stop(beat(k, 0.1)) is None for k in range(7))
-    assert stop(beat(7, None)) is None
-    assert "farther" in (stop(beat(8, 0.1)) or "")  # 0.9 m, and the speeds are 2 beats old
-
-
 # -- on a board -----------------------------------------------------------------------------------
 
 
@@ -307,7 +295,7 @@ def test_when_the_link_stays_away_a_copy_is_left(
 ) -> None:
     before = state(learned)
     record = learned.learned_record()
-    monkeypatch.setattr(guided, "_restore", failing(1, LinkLostError("gone", "")))
+    monkeypatch.setattr(lent, "_restore", failing(1, LinkLostError("gone", "")))
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
         identify_fish(learned, Person(), tmp_path / "safe", quick=True)
     copy = Backup.read(tmp_path / "safe")
@@ -322,7 +310,7 @@ class Killed(BaseException):
 def killed(learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fish:
     """A computer died in the second run; its trial is pending, the copy lies in ``safe``."""
     with monkeypatch.context() as patch:
-        patch.setattr(guided, "_put_back", lambda *_: None)
+        patch.setattr(lent, "_put_back", lambda *_: None)
         with pytest.raises(Killed):
             identify_fish(learned, Person(keep=failing(2, Killed())), tmp_path / "safe", quick=True)
     return learned

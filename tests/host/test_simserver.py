@@ -9,6 +9,8 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
+from typing import TextIO
 
 import pytest
 
@@ -95,6 +97,51 @@ def test_camera_is_on_the_next_port() -> None:
     with running() as server:
         radio = parse_listen(server.addresses.listen)[1]
         assert parse_listen(server.addresses.camera)[1] == radio + 1
+
+
+def test_the_world_is_on_the_fourth_port() -> None:
+    with running() as server:
+        addresses = server.addresses.as_dict()
+        assert list(addresses) == ["listen", "camera", "console", "pty", "world"]
+        radio = parse_listen(server.addresses.listen)[1]
+        assert parse_listen(server.addresses.world)[1] == radio + 3
+        with connect(server.addresses.world) as hand, hand.makefile() as lines:
+            hand.sendall(b"place 0.5 0 0.2\npusch 1\ntruth\n")
+            assert lines.readline() == "ok\n"
+            assert "push" in lines.readline()
+            assert json.loads(lines.readline())["heading_rad"] == 0.2
+        with connect(server.addresses.world) as hand:  # one that has said its last still listens
+            hand.sendall(b"truth\nplace 0.7 0 0")
+            hand.shutdown(socket.SHUT_WR)
+            answers = hand.makefile().read().splitlines()
+        assert json.loads(answers[0])["x_m"] == pytest.approx(0.5, abs=0.01)
+        assert answers[1:] == ["ok"]
+
+
+def test_a_camera_goes_dark_by_a_word() -> None:
+    with (
+        running() as server,
+        connect(server.addresses.camera) as camera,
+        connect(server.addresses.world) as hand,
+    ):
+        pictures, answers = camera.makefile(), hand.makefile()
+        pictures.readline()
+        hand.sendall(b"camera off\n")
+        assert answers.readline() == "ok\n"
+        hand.sendall(b"truth\n")
+        dark_s = json.loads(answers.readline())["time_s"]
+        while json.loads(answers_to(hand, answers))["time_s"] < dark_s + 5:
+            pass
+        hand.sendall(b"camera on\n")
+        times = [json.loads(pictures.readline())["t_board_s"] for _ in range(50)]
+        while max(b - a for a, b in pairwise(times)) < 4:
+            times.append(json.loads(pictures.readline())["t_board_s"])
+            assert times[-1] < dark_s + 60
+
+
+def answers_to(hand: socket.socket, answers: TextIO) -> str:
+    hand.sendall(b"truth\n")
+    return answers.readline()
 
 
 def test_console_is_on_the_port_after_that() -> None:

@@ -143,6 +143,27 @@ def test_pictures_hold_the_light_of_their_exposure(seen: Seen) -> None:
     assert partly > 15
 
 
+def test_a_countdown_blinks_and_then_it_is_lit(new_board: NewBoard, connect: Connect) -> None:
+    """On 0.2 s, off 0.2 s, as long as the arming asked for."""
+    board = new_board()
+    led = PinTrace(board.board.clock, LED_PIN)
+    led.connect(board.board.periph["PIOB"])
+    fish = connect(board)
+    fish.upload_reference(records.encode_reference(1.0, np.full(BEATS, 0.05, np.float32)))
+    armed_us = board.board.clock.now / TICKS_PER_US
+    fish.arm(blink_s=2.0)
+    board.run(3.0)
+    disarmed_us = board.board.clock.now / TICKS_PER_US
+    fish.disarm()
+    board.run(0.5)
+    times_us = [time / TICKS_PER_US for time, _ in led.edges]
+    *blinking, off_us = [time_us for time_us in times_us if time_us > armed_us]
+    assert len(blinking) == 9  # on, off, on, ..., on for good
+    assert np.diff(blinking) == pytest.approx(np.full(8, 200_000.0), abs=TICK_US + AT_ONCE_US)
+    assert blinking[-1] - armed_us == pytest.approx(1.8e6, abs=0.1e6)
+    assert disarmed_us < off_us < disarmed_us + 0.1e6
+
+
 def test_a_reset_puts_it_out_and_the_pull_up_does_not_light_it(
     new_board: NewBoard, connect: Connect
 ) -> None:

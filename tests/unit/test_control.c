@@ -365,6 +365,38 @@ static void the_led_tells_whether_the_board_is_armed(void) {
     TEST_ASSERT_FALSE(hal.led);
 }
 
+/* Armed now, to blink for a second. Bit i of |on|: lit at tick i. */
+static void blink_for_a_second(uint64_t *on, uint32_t count) {
+    orders.swim = false;
+    orders.blink_until_us = hal.now_us + 1000000u;
+    order();
+    *on = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        tick();
+        *on |= (uint64_t)hal.led << i;
+    }
+}
+
+static void the_led_blinks_after_arming_for_as_long_as_asked_then_stays_on(void) {
+    uint64_t on;
+    blink_for_a_second(&on, 60);
+    for (uint32_t i = 0; i < 60; i++) {
+        const bool expected = i >= 50 || i / 10 % 2 == 0; /* 0.2 s on, 0.2 s off */
+        TEST_ASSERT_EQUAL(expected, on >> i & 1u);
+    }
+}
+
+static void disarming_ends_the_blinking_in_the_dark(void) {
+    uint64_t on;
+    blink_for_a_second(&on, 5);
+    orders.armed = false;
+    order();
+    for (uint32_t i = 0; i < 100; i++) {
+        tick();
+        TEST_ASSERT_FALSE(hal.led);
+    }
+}
+
 /* Lit before, and exactly as long as pulses of the swim come out: from |start_us| on, a frame after
  * the tick that ordered the first, |frames| of them. */
 static void expect_led(uint64_t start_us, uint64_t frames) {
@@ -384,6 +416,34 @@ static void the_led_shows_the_code_while_the_swims_pulses_come_out(void) {
     TEST_ASSERT_FALSE(hal.led); /* the edge is the begin */
     for (uint32_t i = 0; i < SWIM_FRAMES + 2u * GLIDE_FRAMES; i++) {
         expect_led(start_us, SWIM_FRAMES);
+        tick();
+    }
+}
+
+/* At whatever time the start comes: lit, then off with the first pulse, then the code. */
+static void a_swim_that_begins_while_the_led_blinks_begins_with_the_edge(void) {
+    uint64_t on;
+    for (uint32_t before = 1; before <= 45; before++) {
+        setUp();
+        blink_for_a_second(&on, before);
+        orders.swim = true;
+        order();
+        const uint64_t start_us = tick().swim_start_us;
+        TEST_ASSERT_TRUE(hal.led);
+        for (uint32_t i = 0; i < 2u * BLINK_BLOCK_FRAMES; i++) {
+            tick();
+            expect_led(start_us, SWIM_FRAMES);
+        }
+    }
+}
+
+static void the_led_stays_dark_after_a_swim_that_ends_while_it_would_blink(void) {
+    orders.blink_until_us = hal.now_us + 60000000u;
+    orders.beats = 1;
+    order();
+    ticks(FRAMES_PER_BEAT + 2u);
+    for (uint32_t i = 0; i < 200; i++) {
+        TEST_ASSERT_FALSE(hal.led);
         tick();
     }
 }
@@ -468,6 +528,10 @@ int main(void) {
     RUN_TEST(silence_is_judged_by_the_orders_times);
     RUN_TEST(the_gait_stays_as_it_began);
     RUN_TEST(the_led_tells_whether_the_board_is_armed);
+    RUN_TEST(the_led_blinks_after_arming_for_as_long_as_asked_then_stays_on);
+    RUN_TEST(disarming_ends_the_blinking_in_the_dark);
+    RUN_TEST(a_swim_that_begins_while_the_led_blinks_begins_with_the_edge);
+    RUN_TEST(the_led_stays_dark_after_a_swim_that_ends_while_it_would_blink);
     RUN_TEST(the_led_shows_the_code_while_the_swims_pulses_come_out);
     RUN_TEST(a_stop_ends_the_code_with_the_last_pulse_of_the_swim);
     RUN_TEST(the_next_swims_number_does_not_show_in_this_one);

@@ -47,6 +47,20 @@ static void test_an_abort_carries_its_reason(void) {
     TEST_ASSERT_FALSE(last_command.wall);
 }
 
+/* Other programs send whatever they like there: they arm as ever. */
+static void test_arming_carries_how_long_to_blink(void) {
+    static const struct {
+        float param3, blink_s;
+    } cases[] = {{0.0f, 0.0f},  {5.0f, 5.0f},  {0.25f, 0.25f}, {60.0f, 60.0f},   {60.001f, 0.0f},
+                 {-1.0f, 0.0f}, {1e30f, 0.0f}, {NAN, 0.0f},    {INFINITY, 0.0f}, {-INFINITY, 0.0f}};
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        send_command3(MAV_CMD_COMPONENT_ARM_DISARM, 1.0f, 0.0f, cases[i].param3);
+        TEST_ASSERT_EQUAL(LINK_COMMAND_ARM, last_command.id);
+        TEST_ASSERT_EQUAL_FLOAT(cases[i].blink_s, last_command.blink_s);
+        expect_answer(MAV_CMD_COMPONENT_ARM_DISARM, MAV_RESULT_ACCEPTED, FAULT_NONE);
+    }
+}
+
 static void test_start_carries_trial_and_time(void) {
     send_command(TAILBEAT_CMD_TRIAL_START, 7, 12.5f);
     TEST_ASSERT_EQUAL(7, last_command.trial);
@@ -268,6 +282,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_commands_reach_the_application);
     RUN_TEST(test_an_abort_carries_its_reason);
+    RUN_TEST(test_arming_carries_how_long_to_blink);
     RUN_TEST(test_start_carries_trial_and_time);
     RUN_TEST(test_values_that_mean_nothing_are_denied);
     RUN_TEST(test_a_refusal_says_why);

@@ -124,6 +124,32 @@ static void test_integrals_are_the_motion(void) {
     check_integrals(SIM_PLANT_THESIS, 1e-3, 2e-4);
 }
 
+/* In the plane: what it says integrates to where the fish went, at which heading. */
+static void test_integrals_are_the_motion_of_a_fish_that_turns(void) {
+    sim_config_t c = vn100_config(0);
+    c.tail_centre_rad = 0.2;
+    c.caught_after_s = 0;
+    wire_open(&wire, &c);
+    wire_stream(&wire);
+    strap_reset();
+    wire.take = integrate;
+    wire_run(&wire, wire.now_us + 1000000);
+    wire.amplitude_rad = 0.6;
+    wire_run(&wire, wire.now_us + 15000000);
+    wire.amplitude_rad = 0;
+    wire_run(&wire, wire.now_us + 2000000);
+    const sim_truth_t *t = &strap.now;
+    const double yaw = atan2(strap.body[3], strap.body[0]);
+    printf("turned by %.4f rad, felt %.4f; at %.4f, %.4f m, felt %.4f, %.4f\n", t->heading_rad, yaw,
+           t->x_m, t->y_m, strap.way_m[0], strap.way_m[1]);
+    TEST_ASSERT_TRUE(t->heading_rad < -0.5);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-3, t->heading_rad, yaw);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-3, t->v_m_s * cos(t->heading_rad), strap.v_m_s[0]);
+    TEST_ASSERT_DOUBLE_WITHIN(1e-3, t->v_m_s * sin(t->heading_rad), strap.v_m_s[1]);
+    TEST_ASSERT_DOUBLE_WITHIN(5e-3, t->x_m, strap.way_m[0]);
+    TEST_ASSERT_DOUBLE_WITHIN(5e-3, t->y_m, strap.way_m[1]);
+}
+
 /* Integrating the body's own x axis goes wrong: sway and yaw belong together. */
 static double body_x_m_s;
 static void sum_body_x(const reading_t *r) { body_x_m_s += 0.01 * r->linear_m_s2[0]; }
@@ -328,6 +354,7 @@ static void test_clock(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_integrals_are_the_motion);
+    RUN_TEST(test_integrals_are_the_motion_of_a_fish_that_turns);
     RUN_TEST(test_body_axis_does_not_integrate);
     RUN_TEST(test_being_put_at_the_start_is_not_felt);
     RUN_TEST(test_linear_acceleration_is_high_passed);

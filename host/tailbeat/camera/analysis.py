@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.camera.base import Frame
 from tailbeat.camera.marker.markers import Marker
 from tailbeat.camera.pictures.picture import PictureSource
 from tailbeat.camera.speed.swimspeed import SpeedCurve, swim_speed, write_speeds
@@ -24,6 +25,7 @@ from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.timing.sync import Sync, sync, sync_by_led
 from tailbeat.camera.tracking.track import BRIDGED, LOST, SEEN, Progress, Track, track, write_track
 from tailbeat.errors import InputError, reason
+from tailbeat.straight import Straightness, straightness_of_frames
 from tailbeat.trial_log import Trial
 
 Floats = NDArray[np.float64]
@@ -49,6 +51,22 @@ class Analysis:
         without a trial: empty."""
         return self.curve.beats(self.trial.executed_beats if self.trial is not None else 0)
 
+    def straight(self) -> Straightness | None:
+        """Whether it swam straight, from the begin of the swim (of the film, if that is not known)
+        to its end; speeds are those along ``curve.direction_rad``."""
+        beat_s, begin_s = self.curve.beat_s, self.curve.start_s
+        if self.trial is not None:
+            beats = self.trial.executed_beats
+        else:
+            beats = int((float(self.track.t_s[-1]) - begin_s) / beat_s)
+        seen = self.track.seen()
+        rows = zip(
+            self.track.t_s[seen], self.track.x_m[seen], self.track.y_m[seen],
+            self.track.heading_rad[seen], strict=True,
+        )  # fmt: skip
+        frames = [Frame(*map(float, row)) for row in rows]
+        return straightness_of_frames(frames, begin_s, beats, beat_s)
+
     def summary(self) -> dict[str, Any]:
         """What summary.json holds: plain values, units in the names, None = not known."""
         state = self.track.state
@@ -70,6 +88,7 @@ class Analysis:
             "mean_speed_m_s": _of_measured(np.mean, mean_of),
             "sigma_median_m_s": _of_measured(np.median, sigma_of),
             "direction_rad": _number(self.curve.direction_rad),
+            "straight": _straight_summary(self.straight()),
             "position_noise_m": _number(self.curve.noise_m),
             "outliers": self.curve.outliers,
             "scale_error": _number(self.calibration.scale_error),
@@ -179,6 +198,17 @@ def _beats_csv(speed: Floats, sigma: Floats) -> str:
     for beat, (v, s) in enumerate(zip(speed, sigma, strict=True)):
         rows.writerow((beat, *(f"{value:.6f}" if math.isfinite(value) else "" for value in (v, s))))
     return out.getvalue()
+
+
+def _straight_summary(found: Straightness | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "mean_yaw_rad": _number(found.mean_yaw_rad),
+        "worst_yaw_rad": _number(found.worst_yaw_rad),
+        "curvature_1_m": _number(found.curvature_1_m),
+        "crooked": found.crooked,
+    }
 
 
 def _sync_summary(found: Sync | None) -> dict[str, Any] | None:

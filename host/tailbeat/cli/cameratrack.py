@@ -154,6 +154,7 @@ def _text(found: Analysis, document: dict[str, Any], folder: Path) -> str:
         f"mean speed {mm(document['mean_speed_m_s'])} mm/s{_of_beats(document)}, "
         f"sigma {_fine_mm(document['sigma_median_m_s'])} mm/s (median)",
         _sync_text(found),
+        _straight_text(found),
         f"written: {folder}/",
     ]
     if document["scale_error"] is None:
@@ -167,6 +168,14 @@ def _text(found: Analysis, document: dict[str, Any], folder: Path) -> str:
             )
         lines.append(f"next: tailbeat speed upload {found.trial.number} {folder / 'speed.csv'}")
     return "\n".join(lines)
+
+
+def _straight_text(found: Analysis) -> str:
+    straight = found.straight()
+    if straight is None:
+        return "straightness not known: too little was seen of it"
+    way = f"speeds are along its way, {math.degrees(found.curve.direction_rad):+.1f} degrees"
+    return f"{straight.text()}; {way}"
 
 
 def _of_beats(document: dict[str, Any]) -> str:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import Enum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from tailbeat.plain import plain as plain  # commands have it from here
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -42,27 +41,6 @@ def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
         if notice and (line := connect_notice(fish)):
             typer.echo(f"tailbeat: {line}", err=True)
         yield fish
-
-
-def plain(value: Any) -> Any:
-    """The value as JSON knows it; NaN and infinities become null."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, Enum):
-        return value.name
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
 
 
 def say(as_json: bool, document: Any, text: str | Callable[[], str] = "") -> None:

@@ -1,54 +1,136 @@
-"""experiment new, list, note, export."""
+"""experiment new, use, set, list, show, note, compare, replay, export."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.cli.experimentwords import (
+    compared_text,
+    folder_or_current,
+    listed,
+    replay_text,
+    show_document,
+    show_text,
+    tell_problems,
+)
 
 app = typer.Typer(no_args_is_help=True, help="Folders that hold everything of a series of trials.")
 
 Root = Annotated[Path, typer.Option("--root", help="Folder that holds the experiments.")]
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The experiment's folder.")]
+FolderOrCurrent = Annotated[
+    Path | None,
+    typer.Argument(metavar="[FOLDER]", help="Default: the one the connected fish is in."),
+]
+Condition = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--condition", metavar="KEY=VALUE", help="Like water_depth_m=0.35 (unit in the name)."
+    ),
+]
+WaterTemp = Annotated[
+    float | None, typer.Option("--water-temp", metavar="C", help="Of the water, degrees Celsius.")
+]
+Configuration = Annotated[
+    str | None, typer.Option("--configuration", help="How the fish is built, in a few words.")
+]
+Operator = Annotated[str | None, typer.Option("--operator", help="Who is at the tank.")]
 
 
 @app.command()
 def new(
     reference: Annotated[str, typer.Option("--reference", help="As in 'reference upload'.")],
     fish_name: Annotated[str | None, typer.Option("--fish", help="Name of the fish.")] = None,
+    water_temp: WaterTemp = None,
+    condition: Condition = None,
+    configuration: Configuration = None,
+    operator: Operator = None,
     root: Root = Path("experiments"),
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Make the folder of a new series, with the settings of the connected board.
 
-    Example: tailbeat experiment new --reference thesis --fish carangi
+    From now on the fish is in it: 'trial run' adds to it.
+
+    Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
-    from tailbeat.experiment import Experiment
-    from tailbeat.laws import Law, Past
+    from tailbeat.experiment.conditions import parse_conditions
+    from tailbeat.experiment.current import make
     from tailbeat.reference import from_text
 
     wanted = from_text(reference)
+    conditions = parse_conditions(condition or [], water_temp)
+    words = _words(configuration, operator)
     with connected(connect) as fish:
-        board = fish.info()
-        params = {name: p.value for name, p in fish.params.list().items()}
-    law = Past.from_params(params).label() + Law.from_params(params, wanted.beat_s).label()
-    made = Experiment.new(root, fish_name or board.board, wanted.name, law)
-    made.write_settings(
-        {
-            "simulated": board.simulated,
-            "params": params,
-            "firmware": board.build_id,
-            "board": board.board,
-            "unique_id": board.unique_id,
-        }
-    )
-    made.add_raw("reference.bin", wanted.record())
-    wanted.to_csv(made.folder / "reference.csv")
-    say(json, {"folder": made.folder}, str(made.folder))
+        made = make(fish, root, wanted, fish_name, conditions, words)
+        same = fish.status().reference_crc == wanted.crc
+    if not same:
+        typer.echo(
+            f"tailbeat: the board has another reference: tailbeat reference upload {reference}",
+            err=True,
+        )
+    say(json, {"folder": made.folder, "board_has_reference": same}, str(made.folder))
+
+
+def _words(configuration: str | None, operator: str | None) -> dict[str, str]:
+    given = {"configuration": configuration, "operator": operator}
+    return {key: value.strip() for key, value in given.items() if value is not None}
+
+
+@app.command()
+def use(folder: Folder, connect: Connect = None, json: Json = False) -> None:
+    """Go on with an experiment: 'trial run' of the connected fish adds to it.
+
+    Example: tailbeat experiment use experiments/2026-05-04_carangi_thesis_p4_01
+    """
+    from tailbeat.experiment import Experiment, require_same
+    from tailbeat.experiment import use as make_current
+    from tailbeat.logbook import logbook_of
+
+    experiment = Experiment.open(folder)
+    with connected(connect) as fish:
+        require_same(fish, experiment)
+        make_current(fish, experiment)
+        remembered = logbook_of(fish) is not None
+        experiment.journal.add("opened", unique_id=fish.unique_id())
+    if not remembered:
+        typer.echo(
+            "tailbeat: a simulated fish in this process is new every time; name the folder in every"
+            " command, or set TAILBEAT_LOGBOOK",
+            err=True,
+        )
+    tell_problems(experiment)
+    say(json, {"folder": folder, "remembered": remembered}, f"the fish is in {experiment.name}")
+
+
+@app.command("set")
+def set_(
+    folder: FolderOrCurrent = None,
+    water_temp: WaterTemp = None,
+    condition: Condition = None,
+    configuration: Configuration = None,
+    operator: Operator = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Set conditions that turned out later; what was set before stays in the journal.
+
+    Example: tailbeat experiment set FOLDER --water-temp 22 --condition salinity_psu=0.3
+    """
+    from tailbeat.experiment.conditions import parse_conditions, set_conditions
+
+    experiment = folder_or_current(folder, connect)
+    conditions = parse_conditions(condition or [], water_temp)
+    set_conditions(experiment, conditions, _words(configuration, operator))
+    now = experiment.settings()
+    text = ", ".join(f"{key} = {value}" for key, value in now["conditions"].items())
+    document = {"folder": experiment.folder, "conditions": now["conditions"]}
+    say(json, document, text or "set")
 
 
 @app.command("list")
@@ -57,41 +139,121 @@ def list_(root: Root = Path("experiments"), json: Json = False) -> None:
 
     Example: tailbeat experiment list
     """
-    from tailbeat.experiment import list_experiments
+    rows, text = listed(root)
+    say(json, {"experiments": rows}, text)
+    if any(row["problems"] for row in rows):
+        raise typer.Exit(1)
 
-    found = list_experiments(root)
-    rows: list[dict[str, Any]] = [
-        {
-            "name": experiment.name,
-            "folder": experiment.folder,
-            "trials": len(list(experiment.raw.glob("*.ulg"))),
-            "damaged": experiment.damaged(),
-        }
-        for experiment in found
-    ]
-    lines = [
-        f"{row['name']}  {row['trials']} trial{'' if row['trials'] == 1 else 's'}"
-        + (f"  DAMAGED: {', '.join(row['damaged'])}" if row["damaged"] else "")
-        for row in rows
-    ]
-    say(json, {"experiments": rows}, "\n".join(lines) or f"no experiments in {root}")
+
+@app.command()
+def show(
+    folder: FolderOrCurrent = None,
+    redo: Annotated[
+        bool, typer.Option("--redo", help="Print how to do it again, and write redo.md.")
+    ] = False,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Print an experiment: conditions, trials with their decisions, notes.
+
+    Example: tailbeat experiment show experiments/2026-05-04_carangi_thesis_p4_01
+    """
+    from tailbeat.experiment.redo import redo_text, write_redo
+
+    experiment = folder_or_current(folder, connect)
+    if redo:
+        text = redo_text(experiment)
+        say(json, {"file": write_redo(experiment), "text": text}, text.rstrip())
+        tell_problems(experiment)
+    else:
+        document = show_document(experiment)
+        say(json, document, lambda: show_text(document))
+    if experiment.raw_problems():
+        raise typer.Exit(1)
 
 
 @app.command()
 def note(
-    folder: Folder,
-    text: Annotated[str, typer.Argument(help="What you want to remember.")],
+    first: Annotated[str, typer.Argument(metavar="[FOLDER] TEXT", help="What to remember.")],
+    second: Annotated[str | None, typer.Argument(hidden=True)] = None,
+    connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Add a line with the time to the experiment's notes.
 
     Example: tailbeat experiment note experiments/2026-05-04_fish_thesis_p4_01 "water 22 °C"
     """
+    from tailbeat.errors import InputError
+
+    text = first if second is None else second
+    if not text.strip():
+        raise InputError("the note is empty.", "Say what is to be remembered.")
+    if second is None and Path(first).is_dir():
+        raise InputError(f"what is to be noted in {first}?", 'Write it behind: note FOLDER "TEXT"')
+    experiment = folder_or_current(None if second is None else Path(first), connect)
+    experiment.note(text)
+    say(json, {"folder": experiment.folder, "notes": experiment.notes()}, "noted")
+
+
+@app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(metavar="A", help="An experiment's folder.")],
+    b: Annotated[Path, typer.Argument(metavar="B", help="Another one, of the same reference.")],
+    what: Annotated[str, typer.Option("--what", metavar="max|rms", help="Which error.")] = "max",
+    iterations: Annotated[
+        str | None,
+        typer.Option("--iterations", metavar="4,5,6", help="Default: repeats of the best input."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Tell whether B did better than A: effect with its confidence interval, repeats needed.
+
+    Example: tailbeat experiment compare experiments/A experiments/B --iterations 4,5,6
+    """
     from tailbeat.experiment import Experiment
+    from tailbeat.experiment.analysis import analyse
+    from tailbeat.experiment.compare import compare as compare_sides
+    from tailbeat.experiment.compare import other_differences
+
+    experiments = [Experiment.open(folder) for folder in (a, b)]
+    sides = [analyse(experiment) for experiment in experiments]
+    found = compare_sides(sides[0], sides[1], what, _numbers(iterations))
+    others = other_differences(experiments[0], experiments[1])
+    document = {**vars(found), "also_different": others}
+    say(json, document, lambda: compared_text(found, others, any(s.simulated for s in sides)))
+    for experiment in experiments:
+        tell_problems(experiment)
+
+
+def _numbers(text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter("--iterations is like 4,5,6") from None
+
+
+@app.command()
+def replay(folder: Folder, json: Json = False) -> None:
+    """Do everything again from the raw files, and tell whether each bit comes out the same.
+
+    Sums of the raw files, speeds and learning by the board's own code, then the analysis and the
+    report's figures and tables.
+
+    Example: tailbeat experiment replay experiments/2026-05-04_carangi_thesis_p4_01
+    """
+    from tempfile import TemporaryDirectory
+
+    from tailbeat.experiment import Experiment
+    from tailbeat.experiment.replay import replay as replay_all
 
     experiment = Experiment.open(folder)
-    experiment.note(text)
-    say(json, {"folder": folder, "notes": experiment.notes()}, "noted")
+    with TemporaryDirectory() as scratch:
+        found = replay_all(experiment, Path(scratch))
+    say(json, {**vars(found), "identical": found.identical}, lambda: replay_text(found))
+    if not found.identical:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -111,5 +273,7 @@ def export(
     from tailbeat.experiment import export as export_files
     from tailbeat.experiment.export import FORMATS
 
-    files = export_files(Experiment.open(folder), formats or list(FORMATS))
+    experiment = Experiment.open(folder)
+    files = export_files(experiment, formats or list(FORMATS))
     say(json, {"files": files}, "\n".join(map(str, files)))
+    tell_problems(experiment)

@@ -160,6 +160,7 @@ def _swum(
     from tailbeat.logbook import logbook_of
     from tailbeat.model.account import account_of, with_drag
     from tailbeat.model.guided import identify_fish, prior_of, set_params
+    from tailbeat.model.lent import safe_folder
     from tailbeat.model.runs import Limits
     from tailbeat.model.table import ThesisFish
     from tailbeat.results import SPEED_SOURCES
@@ -180,7 +181,7 @@ def _swum(
         # a bar would overwrite the questions
         with progress_bar(json or wait or asks, "identify") as show:
             person = _person(limits, book, wait, alone, json, show)
-            safe = book.folder / "before-identify" if book else None
+            safe = safe_folder(book)
             found = identify_fish(fish, person, safe, limits=limits)
         identified = with_drag(found, ThesisFish(length_m=values["FISH_LEN_M"]))
         held = set_params(fish, identified) if params else None

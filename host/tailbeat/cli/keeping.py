@@ -30,12 +30,17 @@ def keep_in_logbook(fish: Fish, path: Path) -> None:
         typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
 
 
-def discard_and_keep(fish: Fish, number: int | None, repeat: bool, quiet: bool) -> None:
+def discard_and_keep(
+    fish: Fish, number: int | None, repeat: bool, quiet: bool, reason: str = ""
+) -> None:
     """Keeps the pending trial, then drops it without learning; only a ``repeat`` counts later. A
-    trial that cannot be kept (told on stderr) is dropped all the same."""
+    trial that the logbook cannot keep (told on stderr) is dropped all the same; one that belongs to
+    an experiment only once it is there, with the ``reason``. Raises InputError (disk full)."""
     from tailbeat.logbook import DISCARDED, logbook_of
 
     pending = fish.status().pending_trial
+    if pending is not None and number in (None, pending):
+        _journal_discard(fish, pending, repeat, reason)
     book, copy = None, None
     try:
         book = logbook_of(fish)
@@ -46,6 +51,27 @@ def discard_and_keep(fish: Fish, number: int | None, repeat: bool, quiet: bool) 
     fish.discard(number)
     if book is not None and copy is not None and not repeat:
         book.mark(copy, DISCARDED)
+
+
+def _journal_discard(fish: Fish, number: int, repeat: bool, reason: str) -> None:
+    """Into the experiment the fish is in, when the trial is of it or somebody says why."""
+    from tailbeat.day.account import Account
+    from tailbeat.day.logs import keep_log, outcome_of
+    from tailbeat.day.person import Decision
+    from tailbeat.day.swums import swum_of
+    from tailbeat.experiment.current import current, require_same
+
+    if (experiment := current(fish)) is None:
+        return
+    account = Account(experiment, experiment.journal)
+    if not reason and account.last_trial() != number:
+        return
+    require_same(fish, experiment)
+    log = keep_log(fish, experiment, number)
+    swum = swum_of(outcome_of(log.trial), log, None)
+    account.swum(swum)
+    why = reason or "by command, no reason given"
+    account.decided(swum, Decision("repeat" if repeat else "discard", why))
 
 
 def verdict_after_learning(

@@ -73,6 +73,7 @@ def learn(
                 text,
             )
             return
+        from tailbeat.verdict import rollback_words
         from tailbeat.visits import never_corrected
 
         report = fish.learn(number)
@@ -84,7 +85,7 @@ def learn(
     document["verdict"] = verdict
     text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
     text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
-    text += "; worse twice, so the best amplitudes swim next" if report.rolled_back else ""
+    text += f"; {rollback_words()}" if report.rolled_back else ""
     missing = never_corrected(visits)
     say(json, document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
 

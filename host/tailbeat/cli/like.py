@@ -28,7 +28,7 @@ def upload_like(
 ) -> None:
     """Uploads the reference and amplitudes for it, or prints them. ``document``, ``line``: what is
     said of the reference itself."""
-    from tailbeat.logbook import logbook_of
+    from tailbeat.logbook import logbook_of, name_reference
     from tailbeat.model.identified import Identified
     from tailbeat.transfer.upload import carry, plan
 
@@ -46,6 +46,7 @@ def upload_like(
     if not dry_run:
         with progress_bar(json, "upload") as show:
             copy = carry(fish, found, book, lambda done, total: show(done / max(total, 1), ""))
+        name_reference(fish, reference)
     document |= {"like": found.as_dict(), "copy": copy, "dry_run": dry_run}
     if dry_run:
         rows = enumerate(found.transferred.amplitude_rad)

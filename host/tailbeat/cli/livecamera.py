@@ -148,7 +148,7 @@ def _video_camera(
 
 
 def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:
-    from tailbeat.camera.tank.wall import WALL_ZONE_M, WallGuard
+    from tailbeat.camera.tank.wall import WallGuard
     from tailbeat.records import decode_reference
 
     walls = calibration is not None and calibration.area_m is not None
@@ -161,7 +161,18 @@ def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) ->
         return None
     record = fish.reference_record()
     beat_s = decode_reference(record).beat_s if record else 1.0
-    return WallGuard(calibration, WALL_ZONE_M if wall_m is None else wall_m, beat_s=beat_s)
+    return WallGuard(calibration, wall_m, beat_s=beat_s, kappa_per_m=_kappa_per_m(fish))
+
+
+def _kappa_per_m(fish: Fish) -> float:
+    """The fish's drag: as identified, else as the board has it."""
+    from tailbeat.logbook import logbook_of
+
+    book = logbook_of(fish)
+    with suppress(InputError):
+        if book is not None and (identified := book.identified()) is not None:
+            return identified.model.kappa_per_m
+    return fish.params.get("MDL_KAPPA").value
 
 
 def camera_report(fish: Fish, camera: VideoCamera, trial: int) -> dict[str, float]:

@@ -50,6 +50,8 @@ def progress(
 
     trials = [one.trial for one in known.kept if not one.mark]
     found = progress_of(trials, _crc(reference), known.identified, known.problems)
+    for problem in found.problems[len(known.problems) :]:
+        typer.echo(f"tailbeat: {problem}", err=True)
     left_out = _discarded(known, found)
     applied = _apply(found, connect) if apply else None
     if plot is not None:

@@ -100,6 +100,7 @@ def upload(
 
     Example: tailbeat reference upload thesis:0.0633,50 --like board
     """
+    from tailbeat.logbook import name_reference
     from tailbeat.reference import from_text
 
     if like is None and (dry_run or identified is not None):
@@ -119,6 +120,7 @@ def upload(
             crc = fish.upload_reference(
                 reference.record(), lambda done, total: show(done / max(total, 1), "")
             )
+        name_reference(fish, reference)
     say(json, _document(reference, crc, []), f"uploaded {reference.name}: {_line(reference)}")
 
 

@@ -2,24 +2,255 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
 import typer
+
+from tailbeat.cli.cameraoptions import (
+    CalibrationOption,
+    LatencyOption,
+    MarkerIdOption,
+    MarkerKindOption,
+    MarkerSideOption,
+    marker_of,
+)
+from tailbeat.cli.common import Connect, Json, connected, say
+
+if TYPE_CHECKING:
+    from tailbeat.cli.display import Display
+    from tailbeat.cli.keys import Keys
+    from tailbeat.cli.person import TerminalPerson
+    from tailbeat.day.first import Step
+    from tailbeat.day.resume import Restored
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.fish import Fish
 
 app = typer.Typer(no_args_is_help=True, help="A day at the tank: first session, battery swap.")
 
+CameraOption = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="DEVICE|tcp:HOST:PORT|rendered",
+        help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
+    ),
+]
+WallOption = Annotated[
+    float | None,
+    typer.Option(
+        "--wall",
+        min=0.0,
+        max=2.0,
+        metavar="M",
+        help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never.",
+    ),
+]
+IntoOption = Annotated[
+    Path | None,
+    typer.Option("--into", metavar="FOLDER", help="The experiment; default: the one it is in."),
+]
+Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
+
 
 @app.command()
-def status() -> None:
-    """Which experiment the fish is in, and where it stands.
+def first(
+    reference: Annotated[
+        str, typer.Option("--reference", help="What it is to swim, as for 'reference upload'.")
+    ] = "thesis",
+    yes: Yes = False,
+    camera: CameraOption = None,
+    calibration: CalibrationOption = None,
+    marker: MarkerKindOption = "aruco",
+    marker_id: MarkerIdOption = None,
+    marker_side: MarkerSideOption = None,
+    latency: LatencyOption = 0.0,
+    wall: WallOption = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """A fish that nobody knows yet: look it over, trim, identify, design, raise its limits.
+
+    Begins with the board's careful defaults. Each limit rises in small steps, each with its reason
+    and after a short swim has proved it; a step that fails leaves the limits where they were. Asks
+    before every swim and before anything is raised.
+
+    Example: tailbeat session first --reference thesis --camera 0 --calibration tank.json
+    """
+    from tailbeat.cli.livecamera import LiveOptions, live_camera
+    from tailbeat.reference import from_text
+
+    wanted = from_text(reference)
+    on_fish = marker_of(marker, marker_id, marker_side)
+    options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
+    with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
+        from tailbeat.day.first import first_session
+
+        display, keys = there
+        person = _person(display, keys, yes)
+        steps = []
+        for step in first_session(fish, wanted, person, live.camera, live.guard):
+            display.keep(_step_text(step))
+            steps.append(step)
+        limits = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
+    well = steps[-1].done
+    say(json, {"ok": well, "steps": steps, "params": limits}, _last_words(steps, limits))
+    if not well:
+        raise typer.Exit(1)
+
+
+@app.command()
+def resume(
+    into: IntoOption = None,
+    another_board: Annotated[
+        bool, typer.Option("--another-board", help="The fish's board was replaced by this one.")
+    ] = False,
+    repeat: Annotated[
+        bool, typer.Option("--repeat/--no-repeat", help="Swim the best once to tell the shift.")
+    ] = True,
+    rest: Annotated[
+        float | None,
+        typer.Option(
+            "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim (30 s)."
+        ),
+    ] = None,
+    yes: Yes = False,
+    camera: CameraOption = None,
+    calibration: CalibrationOption = None,
+    marker: MarkerKindOption = "aruco",
+    marker_id: MarkerIdOption = None,
+    marker_side: MarkerSideOption = None,
+    latency: LatencyOption = 0.0,
+    wall: WallOption = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """After a battery swap: give the board back what it knew, repeat the best, tell the shift.
+
+    The repeat is not learned from; the amplitudes that were to swim next swim next. Exit status 0
+    when learning may go on, 1 when the fish is to be trimmed or identified first.
+
+    Example: tailbeat session resume --camera 0 --calibration tank.json
+    """
+    from tailbeat.cli.livecamera import LiveOptions, live_camera
+
+    on_fish = marker_of(marker, marker_id, marker_side)
+    options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
+    with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
+        from tailbeat.day.resume import restore
+
+        display, keys = there
+        experiment = _experiment(fish, into)
+        restored = restore(fish, experiment, another_board)
+        for line in _restored_lines(restored, experiment):
+            display.keep(line)
+        document: dict[str, Any] = {"experiment": experiment.folder, "restored": restored}
+        if not repeat or fish.status().best_iteration is None:
+            why = "" if repeat else " (--no-repeat)"
+            text = f"nothing to repeat{why}; go on: tailbeat trial run"
+            say(json, document | {"trial": None, "shift": None}, text)
+            return
+        person = _person(display, keys, yes)
+        shift = _repeated(fish, experiment, person, live, rest)
+    lines = [shift.words, f"the amplitudes of iteration {restored.iteration} swim next, as before"]
+    say(json, document | {"trial": shift.repeat_trial, "shift": shift}, "\n".join(lines))
+    if shift.remedy in ("trim", "identify"):
+        raise typer.Exit(1)
+
+
+@app.command()
+def status(into: IntoOption = None, connect: Connect = None, json: Json = False) -> None:
+    """Which experiment the fish is in, and where it stands: best, battery, verdict, limits.
 
     Example: tailbeat session status
     """
-    raise NotImplementedError
+    from tailbeat.day.standing import standing_of, words
+
+    with connected(connect) as fish:
+        found = standing_of(fish, _experiment(fish, into))
+    say(json, found, lambda: "\n".join(words(found)))
 
 
-@app.command()
-def resume() -> None:
-    """After a battery swap: give the board back what it knew, repeat the best, tell the shift.
+def _repeated(
+    fish: Fish, experiment: Experiment, person: TerminalPerson, live: Any, rest: float | None
+) -> Any:
+    from tailbeat.day.resume import repeat_best
+    from tailbeat.day.ritual import Wanted
+    from tailbeat.day.series import Options
 
-    Example: tailbeat session resume
-    """
-    raise NotImplementedError
+    wanted = Wanted() if rest is None else Wanted(rest_s=rest)
+    options = Options(wanted=wanted)
+    return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
+
+
+def _experiment(fish: Fish, into: Path | None) -> Experiment:
+    from tailbeat.errors import InputError
+    from tailbeat.experiment import Experiment
+    from tailbeat.experiment.current import current
+
+    found = Experiment.open(into) if into is not None else current(fish)
+    if found is None:
+        raise InputError(
+            f"this fish ({fish.unique_id()}) is in no experiment.",
+            "Name it: --into FOLDER (tailbeat experiment list), or begin one: tailbeat trial run",
+        )
+    return found
+
+
+class _Terminal:
+    """Display and keys, both put back at the end."""
+
+    def __init__(self, quiet: bool) -> None:
+        from contextlib import ExitStack
+
+        self._quiet, self._stack = quiet, ExitStack()
+
+    def __enter__(self) -> tuple[Display, Keys | None]:
+        from tailbeat.cli.display import Display
+        from tailbeat.cli.keys import terminal_keys
+
+        display = self._stack.enter_context(Display(quiet=self._quiet))
+        keys = self._stack.enter_context(terminal_keys())
+        return display, keys if display.moves else None
+
+    def __exit__(self, *what: Any) -> None:
+        self._stack.__exit__(*what)
+
+
+def _person(display: Display, keys: Keys | None, yes: bool) -> TerminalPerson:
+    from tailbeat.cli.person import TerminalPerson
+
+    class Agreeing(TerminalPerson):
+        def confirm(self, question: str) -> bool:
+            return True
+
+    return (Agreeing if yes else TerminalPerson)(display, keys)
+
+
+def _step_text(step: Step) -> str:
+    return f"{'ok' if step.done else '--'}  {step.name}: {step.words}"
+
+
+def _last_words(steps: list[Step], limits: dict[str, float]) -> str:
+    last = steps[-1]
+    if not last.done:
+        return f"ended at {last.name}; AMP_MAX_RAD is {limits['AMP_MAX_RAD']:.2f}"
+    return (
+        f"ready: AMP_MAX_RAD {limits['AMP_MAX_RAD']:.2f}, DU_MAX_RAD {limits['DU_MAX_RAD']:.2f}, "
+        "saved; swim: tailbeat trial run"
+    )
+
+
+def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
+    given = [f"{name} {value:g}" for name, value in found.params.items()]
+    given += ["the reference"] if found.reference else []
+    given += ["all that was learned"] if found.learned else []
+    what = f"given back, as the experiment last had it: {', '.join(given)}"
+    lines = [what if given else "the board lacks nothing"]
+    lines += [f"tailbeat: {note}" for note in found.notes]
+    lines.append(
+        f"{experiment.name}: iteration {found.iteration} swims next, {found.battery_v:.2f} V"
+    )
+    if found.pending_trial is not None:
+        lines.append(f"trial {found.pending_trial} waits on the board and is left alone")
+    return lines

@@ -123,8 +123,8 @@ def sim(
     settings: Set = None,
     json: Json = False,
 ) -> None:
-    """A simulated fish for other programs, until Ctrl-C; its camera and its wired console are on
-    the next two ports.
+    """A simulated fish for other programs, until Ctrl-C; its camera, its wired console and the
+    world around it are on the next three ports. The world takes lines like "push -0.05"; say help.
 
     Example: tailbeat sim --plant tank --speed 10 --set kappa_per_m=5
     """
@@ -184,10 +184,14 @@ def _serve(
 
 
 def _serve_text(what: str, speed: float, at: Addresses) -> str:
+    from tailbeat.simserver import parse_listen
+
     pace = "" if speed == 1 else f" at {speed:g} x real time"
     line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
     console = at.console + (f" and {at.pty}" if at.pty else "")
-    return f"{line}\nconsole on {console}\ncamera on {at.camera}"
+    host, port = parse_listen(at.world)
+    world = f"{at.world}: echo help | nc {host} {port}"
+    return f"{line}\nconsole on {console}\ncamera on {at.camera}\nworld on {world}"
 
 
 def selftest(

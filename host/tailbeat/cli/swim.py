@@ -17,6 +17,7 @@ from tailbeat.cli.cameraoptions import (
     marker_of,
 )
 from tailbeat.cli.common import Connect, Json, connected, mm, plain, progress_bar, say
+from tailbeat.cli.guided import GuideOptions, run_guided
 from tailbeat.cli.livecamera import (
     Live,
     LiveOptions,
@@ -25,17 +26,11 @@ from tailbeat.cli.livecamera import (
     lateness_warning,
     live_camera,
 )
+from tailbeat.cli.livewords import LINK_NEWS, loud
 
 if TYPE_CHECKING:
-    from tailbeat.fish import Fish
+    from tailbeat.fish import Fish, Guard
     from tailbeat.results import TrialOutcome
-
-SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
-
-_LINK_NEWS = {
-    "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
-    "link_back": "the link is back",
-}
 
 
 def run(
@@ -63,24 +58,74 @@ def run(
             min=0.0,
             max=2.0,
             metavar="M",
-            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never.",
+            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
+            " default: where it can just still stop, by its drag.",
         ),
     ] = None,
+    guide: Annotated[
+        bool | None,
+        typer.Option(
+            "--guide/--no-guide",
+            help="Rest, pose, still water, countdown, swim, keep or not; default: at a terminal.",
+            show_default=False,
+        ),
+    ] = None,
+    rest: Annotated[
+        float | None,
+        typer.Option(
+            "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim (30 s)."
+        ),
+    ] = None,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            "--until", metavar="converged|battery|N", help="Swim on until then (1 kept swim)."
+        ),
+    ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into", metavar="FOLDER", help="The experiment; default: the one the fish is in."
+        ),
+    ] = None,
+    then: Annotated[
+        str | None,
+        typer.Option(
+            "--then",
+            metavar="keep|repeat|discard",
+            help="The answer to every swim, given now; a swim you stop by a key is asked about.",
+        ),
+    ] = None,
+    reason: Annotated[
+        str | None,
+        typer.Option("--reason", metavar="TEXT", help="Why --then repeat or discard."),
+    ] = None,
+    learn: Annotated[
+        bool, typer.Option("--learn/--no-learn", help="Learn from what is kept at once.")
+    ] = True,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Arm if needed, swim the next trial to its end, show how it went. Ctrl-C stops the tail.
 
-    With a camera and its calibration the fish's speed goes to the board as it swims, and the tail
-    stops before the fish meets a wall.
+    At a terminal it guides: rest, start pose, still water, countdown; any key stops the tail; then
+    you keep, repeat or discard the swim, and the log goes into the experiment. Elsewhere it swims
+    once and the trial waits, unless one of --guide, --rest, --until, --into and --then is given.
+    With a camera and its calibration the tail stops before the fish meets a wall.
 
-    Example: tailbeat trial run --camera 0 --calibration tank.json --video swim.mkv
+    Example: tailbeat trial run --until converged --rest 60 --camera 0 --calibration tank.json
     """
     on_fish = marker_of(marker, marker_id, marker_side)
     options = LiveOptions(camera, on_fish, calibration, latency, video, wall)
+    given = GuideOptions(guide, rest, until, into, then, reason, learn)
+    guided = given.wanted()
     with connected(connect) as fish, live_camera(fish, options) as live:
+        if guided:
+            run_guided(fish, live, given, json)
+            return
+        guard = _with_room(fish, live.guard)
         with progress_bar(json, "swimming") as show:
-            outcome = fish.run_trial(live.camera, _follower(fish, live, show), live.guard)
+            outcome = fish.run_trial(live.camera, _follower(fish, live, show), guard)
         report = camera_report(fish, live.video, outcome.number) if live.video else None
         document, text = _told(outcome, report)
         say(json, document, text)
@@ -90,6 +135,17 @@ def run(
         raise typer.Exit(130)
     if outcome.end != "complete":
         raise typer.Exit(1)
+
+
+def _with_room(fish: Fish, guard: Guard | None) -> Guard:
+    """Refuses a swim that the tank has no room for, and ends one that comes farther."""
+    from tailbeat.guards import together
+    from tailbeat.logbook import logbook_of
+    from tailbeat.travel import room_guard, travel_next
+
+    book = logbook_of(fish)
+    travel_next(fish, book).require_room()
+    return together(guard, room_guard(fish, book))
 
 
 def _follower(
@@ -104,12 +160,10 @@ def _follower(
         if event["event"] == "beat":
             speed = mm(event.get("speed_m_s"))
             show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-        elif event["event"] in ("warning", "hold") or _is_warning(event):
-            typer.echo(f"tailbeat: {event['text']}", err=True)
-        elif event["event"] == "guard":
-            typer.echo(f"tailbeat: stopped: {event['reason']}", err=True)
-        elif event["event"] in _LINK_NEWS:
-            typer.echo(f"tailbeat: {_LINK_NEWS[event['event']]}", err=True)
+        elif event["event"] in ("link_lost", "link_back"):
+            typer.echo(f"tailbeat: {LINK_NEWS[event['event']]}", err=True)
+        elif (words := loud(event)) is not None:
+            typer.echo(f"tailbeat: {words}", err=True)
 
     return follow
 
@@ -119,10 +173,6 @@ def _told(outcome: TrialOutcome, report: dict[str, float] | None) -> tuple[Any, 
     if report is None:
         return outcome, _outcome_text(outcome)
     return plain(outcome) | {"camera": report}, f"{_outcome_text(outcome)}\n{camera_text(report)}"
-
-
-def _is_warning(event: dict[str, Any]) -> bool:
-    return bool(event["event"] == "text" and event["severity"] <= SEVERITY_WARNING)
 
 
 def _outcome_text(outcome: TrialOutcome) -> str:

@@ -202,6 +202,7 @@ def _source(trial: Trial) -> str:
 
 def _document(trial: Trial) -> dict[str, Any]:
     from tailbeat.cli.common import plain
+    from tailbeat.straight import straightness
 
     document: dict[str, Any] = plain(trial)
     document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
@@ -209,7 +210,28 @@ def _document(trial: Trial) -> dict[str, Any]:
     document["speed_source"] = _source(trial)
     document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
     document["rms_error_m_s"] = trial.rms_error_m_s()
+    straight = straightness(trial)
+    document["straight"] = plain(straight)
+    document["crooked"] = straight.crooked if straight is not None else None
+    document["battery_start_v"], document["battery_end_v"] = _battery(trial)
     return document
+
+
+def _battery(trial: Trial) -> tuple[float | None, float | None]:
+    """At the begin and at the end of the swim."""
+    volts = [volt for _, volt in trial.battery_v]
+    return (volts[0], volts[-1]) if volts else (None, None)
+
+
+def _conditions_text(trial: Trial) -> str:
+    """Straightness and battery, in one line."""
+    from tailbeat.straight import straightness
+
+    straight = straightness(trial)
+    words = "straightness not known" if straight is None else straight.text()
+    begin_v, end_v = _battery(trial)
+    volts = "not known" if begin_v is None else f"{begin_v:.2f} V to {end_v:.2f} V"
+    return f"{words}; battery {volts}"
 
 
 def _trial_text(trial: Trial) -> str:
@@ -235,6 +257,7 @@ def _trial_text(trial: Trial) -> str:
         f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
         f"RMS {mm(trial.rms_error_m_s())}; speed by "
         f"{_source(trial)}",
+        _conditions_text(trial),
         *([missing] if missing else []),
         *(f"note: {problem}" for problem in trial.problems),
         table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),
@@ -251,17 +274,21 @@ def discard(
     repeat: Annotated[
         bool, typer.Option("--repeat", help="It repeats an input: count it for the noise.")
     ] = False,
+    reason: Annotated[
+        str, typer.Option("--reason", metavar="TEXT", help="Why, for the experiment's journal.")
+    ] = "",
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Drop the pending trial without learning from it; its log stays.
 
     The logbook keeps it, too: without --repeat as a swim that counts for nothing, neither for the
-    model nor for the verdict (the fish touched the wall).
+    model nor for the verdict (the fish touched the wall). So does the experiment the fish is in,
+    with the reason.
 
-    Example: tailbeat trial discard
+    Example: tailbeat trial discard --reason "touched the wall at beat 13"
     """
     with connected(connect) as fish:
-        discard_and_keep(fish, number, repeat, json)
+        discard_and_keep(fish, number, repeat, json, reason)
         status = fish.status()
     say(json, status, f"discarded; iteration {status.iteration} swims next")

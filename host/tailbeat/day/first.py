@@ -7,50 +7,47 @@ has room for. A step that fails leaves the limits where they were.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from tailbeat.day.proof import prove
+from tailbeat.day.raising import RAISE_MAX_RAD, Raise, needed_rad, next_raise, servo_rad
+from tailbeat.day.ritual import GivenUp
+from tailbeat.day.trim import apply, find_centre
+from tailbeat.doctor import PROBLEM, look_at
+from tailbeat.errors import InputError, TailbeatError
+from tailbeat.logbook import RUN, logbook_of, name_reference
+from tailbeat.model.lent import safe_folder, set_for_good
+from tailbeat.results import SPEED_SOURCES
+from tailbeat.straight import straightness
+from tailbeat.trial_log import read_trial
 
+if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
-    from tailbeat.day.person import Person
+    from tailbeat.day.person import Event, Person
+    from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish, Guard
+    from tailbeat.laws import Law
+    from tailbeat.logbook import Logbook
+    from tailbeat.model import guided
     from tailbeat.model.identified import Identified
+    from tailbeat.model.runs import Run
     from tailbeat.reference import Reference
     from tailbeat.straight import Straightness
 
-RAISE_MAX_RAD = 0.1
+__all__ = ["RAISE_MAX_RAD", "Raise", "Step", "advice", "first_session", "next_raise"]
 
-
-@dataclass(frozen=True)
-class Raise:
-    """A limit that may be raised. ``reason``: why that far and no farther, with its figures."""
-
-    name: str
-    was: float
-    to: float
-    reason: str
-
-
-def next_raise(
-    params: Mapping[str, float],
-    reference: Reference,
-    identified: Identified | None,
-    straight: Straightness | None,
-    rolled_back: bool = False,
-) -> Raise | str:
-    """The next step for AMP_MAX_RAD (at most RAISE_MAX_RAD at once), or why there is none: enough
-    for the reference with a margin, not identified, not straight, rolled back, no room in the tank,
-    the servo's range. Pure."""
-    raise NotImplementedError
+_CAMERA_LOOK_S = 1.5  # of board time
+_RAISES_MAX = 8
+_HANDS = "Put the fish at rest at its wall. Ready?"
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step that was taken. ``name``: look, trim, identify, design, limits. ``raises``: what it
-    raised."""
+    """One step that was taken. ``name``: look, trim, identify, design, limits. ``done`` False: it
+    failed or was left out, as ``words`` say. ``raises``: what it raised."""
 
     name: str
     done: bool
@@ -66,5 +63,282 @@ def first_session(
     guard: Guard | None = None,
 ) -> Iterator[Step]:
     """Yields each step when it is done. Asks (person.confirm) before the fish swims and before
-    anything is raised; saves the parameters at the end. Uploads the reference."""
-    raise NotImplementedError
+    anything is raised; saves what it sets. Uploads the reference. Ends early, with a step that is
+    not done, when one fails that the next ones need. Raises LinkLostError."""
+    session = _Session(fish, reference, person, camera, guard)
+    needed: list[tuple[str, Callable[[], Step], bool]] = [
+        ("look", session.look, True),
+        ("trim", session.trim, False),
+        ("identify", session.identify, True),
+        ("design", session.design, True),
+    ]
+    for name, take, must in needed:
+        step = _taken(name, take)
+        yield step
+        if must and not step.done:
+            return
+    for _ in range(_RAISES_MAX):
+        step = _taken("limits", session.raise_limit)
+        yield step
+        if not step.raises:
+            return
+
+
+def advice(fish: Fish, experiment: Experiment) -> list[str]:
+    """What may be raised next, or why nothing may: one line each. Changes nothing."""
+    from tailbeat.boardreference import board_reference
+    from tailbeat.day.account import Account
+
+    reference = board_reference(fish)
+    if reference is None:
+        return []
+    params = _params(fish)
+    trials = Account(experiment, experiment.journal).counting()
+    if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
+        return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
+    straight = straightness(trials[-1]) if trials else None
+    learned = experiment.journal.entries("learned")
+    rolled_back = bool(learned and learned[-1].get("rolled_back"))
+    found = next_raise(params, reference, _identified(fish), straight, rolled_back)
+    if isinstance(found, str):
+        return [found]
+    return [
+        f"AMP_MAX_RAD may go {found.text.removeprefix('AMP_MAX_RAD ')}",
+        f"to do that: tailbeat params set AMP_MAX_RAD {found.to:g}, tailbeat params save "
+        "(trials with another limit are judged as a new series)",
+    ]
+
+
+def _taken(name: str, take: Callable[[], Step]) -> Step:
+    """A step that fails is told, with what to do; the link must be there for the next one."""
+    from tailbeat.errors import LinkLostError
+
+    try:
+        return take()
+    except LinkLostError:
+        raise
+    except TailbeatError as error:
+        return Step(name, False, str(error))
+
+
+@dataclass
+class _Session:
+    """State of one first session. ``straight``: of the last swim that tells."""
+
+    fish: Fish
+    reference: Reference
+    person: Person
+    camera: Camera | None
+    guard: Guard | None
+    straight: Straightness | None = field(default=None, init=False)
+    identified: Identified | None = field(default=None, init=False)
+
+    def look(self) -> Step:
+        """Whether it can swim at all; then the reference."""
+        fish, params = self.fish, _params(self.fish)
+        _require_idle(fish)
+        findings = look_at(fish)
+        problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
+        told = [f"{one.name}: {one.text}" for one in findings if one.status != PROBLEM]
+        source = SPEED_SOURCES[round(params["SPD_SOURCE"])]
+        if source != "vision":
+            told.append(f"speeds by {source}")
+        seen, why = self._seen(source)
+        told.append(seen) if not why else problems.append(why)
+        if problems:
+            return Step("look", False, "; ".join(problems))
+        self._ask(_tank_question(params), "The tank's length was not confirmed")
+        self._give_reference()
+        return Step("look", True, "; ".join(told))
+
+    def _seen(self, source: str) -> tuple[str, str]:
+        """(what the camera sees, what is wrong)."""
+        if source == "upload":
+            return "", (
+                "speeds: SPD_SOURCE is upload, and the first session needs them while it swims;"
+                " set another, or do it by hand: tailbeat identify, tailbeat design"
+            )
+        camera = self.camera or self.fish.default_camera()
+        if camera is None:
+            text = "camera: there is none, and SPD_SOURCE is vision. Give --camera"
+            return ("no camera", "") if source != "vision" else ("", text)
+        try:
+            self.fish.link.run(_CAMERA_LOOK_S / max(self.fish.clock.rate, 1.0))
+            frames = camera.frames()
+        finally:
+            if camera is not self.camera:
+                camera.close()
+        if not frames:
+            return "", "camera: it does not see the fish. Look at light and marker: camera track"
+        return f"camera: it sees the fish ({len(frames)} pictures)", ""
+
+    def _give_reference(self) -> None:
+        from tailbeat.reference import Limits
+
+        problems = self.reference.check(Limits.from_params(_params(self.fish)))
+        if problems:
+            raise InputError(problems[0].meaning, problems[0].remedy)
+        status = self.fish.status()
+        another = status.reference_crc not in (None, self.reference.crc)
+        if another and status.best_iteration is not None:
+            text = "The board has learned along another reference and will forget that. Go on?"
+            self._ask(text, "What the board has learned is kept")
+        self.fish.upload_reference(self.reference)
+        name_reference(self.fish, self.reference)
+
+    def trim(self) -> Step:
+        """Left out where nothing feels a turn."""
+        fish = self.fish
+        if self.camera is None and fish.sim is None and not fish.imu_verdict().problem.well:
+            text = "left out: no IMU and no camera to feel a turn by"
+            self.person.tell({"event": "notice", "text": f"trim {text}"})
+            return Step("trim", False, text)
+        found = find_centre(fish, self.person, self.camera, self.guard)
+        words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
+        if abs(found.centre_us - found.was_us) <= found.sigma_us:
+            return Step("trim", True, f"{words} ({found.source}); {found.was_us:.0f} us stays")
+        self._ask(f"{words}, not at {found.was_us:.0f}. Set it?", "The centre stays")
+        apply(fish, found)
+        return Step("trim", True, f"{words} ({found.source}), was {found.was_us:.0f}; set")
+
+    def identify(self) -> Step:
+        """Within the limits as they are."""
+        from tailbeat.model.guided import identify_fish, set_params
+
+        book = logbook_of(self.fish)
+        found = identify_fish(self.fish, self._guided(book), safe_folder(book), self.camera)
+        self.identified = found
+        if book is not None:
+            book.set_identified(found)
+        set_params(self.fish, found)
+        model = found.model
+        return Step(
+            "identify",
+            True,
+            f"{len(found.swims)} runs: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
+            f"{model.dead_zone_rad:.2f} rad, drag over mass {model.kappa_per_m:.1f} 1/m, delay "
+            f"{model.delay_s:.2f} s",
+        )
+
+    def _guided(self, book: Logbook | None) -> guided.Person:
+        from tailbeat.model import guided
+
+        def before(run: Run) -> None:
+            text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
+            text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
+            self._ask(text, "Not identified")
+
+        return guided.Person(
+            before=before,
+            event=self._event,
+            keep=lambda path: self._keep(path, book),
+            note=lambda text: self.person.tell({"event": "notice", "text": text}),
+        )
+
+    def _event(self, event: Event) -> None:
+        self.person.tell(event)
+        if event["event"] == "beat" and self.person.wants_abort():
+            raise GivenUp(
+                "stopped by hand", "Nothing was raised; begin again when it is put right."
+            )
+
+    def _keep(self, path: Path, book: Logbook | None) -> None:
+        self.straight = straightness(read_trial(path)) or self.straight
+        if book is not None:
+            book.keep(path, RUN)
+
+    def design(self) -> Step:
+        """For the limit that the reference will need."""
+        from tailbeat.model.design import design
+
+        assert self.identified is not None
+        params = _params(self.fish)
+        most = min(needed_rad(self.identified, self.reference), servo_rad(params))
+        found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
+        if found.refused:
+            return Step("design", False, found.refused)
+        set_for_good(self.fish, _law_params(found.law, params))
+        return Step(
+            "design",
+            True,
+            f"{_law_words(found.law)}: errors shrink most surely, steady ones to "
+            f"{found.ratio_dc:.2f} of themselves per trial, the worst to {found.ratio_max:.2f}; "
+            f"gains from {found.static_gain_max:.2f} on would not learn",
+        )
+
+    def raise_limit(self) -> Step:
+        """One step; a swim with it proves it before it is set."""
+        found = next_raise(_params(self.fish), self.reference, self.identified, self.straight)
+        if isinstance(found, str):
+            return Step("limits", True, found)
+        assert self.identified is not None
+        text = f"{found.text}. One short swim proves it. {_HANDS}"
+        self._ask(text, f"{found.name} stays {found.was:.2f}")
+        proof = prove(self.fish, found.to, self.identified, self.person, self.camera, self.guard)
+        self.straight = proof.straight or self.straight
+        if proof.why_not:
+            return Step("limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}")
+        set_for_good(self.fish, {found.name: found.to})
+        return Step("limits", True, f"{found.text}; {proof.words}", (found,))
+
+    def _ask(self, question: str, otherwise: str) -> None:
+        if not self.person.confirm(question):
+            raise GivenUp(
+                f"{otherwise}: the answer was no.",
+                "Begin again with 'tailbeat session first'; --yes answers for a script.",
+            )
+
+
+def _require_idle(fish: Fish) -> None:
+    status = fish.status()
+    if status.pending_trial is not None:
+        raise InputError(
+            f"trial {status.pending_trial} is neither learned nor discarded.",
+            "tailbeat learn, or tailbeat trial discard --reason WHY.",
+        )
+    if status.state != "IDLE":
+        raise InputError(
+            f"the board is {status.state}, not IDLE.", "tailbeat disarm or tailbeat clear."
+        )
+
+
+def _tank_question(params: dict[str, float]) -> str:
+    tank_m, fish_m = params["TANK_LEN_M"], params["FISH_LEN_M"]
+    if tank_m <= 0:
+        return "TANK_LEN_M is 0: nothing keeps the fish from the far wall. Go on all the same?"
+    return (
+        f"By TANK_LEN_M the tank is {tank_m:.2f} m long and by FISH_LEN_M the fish {fish_m:.2f} m: "
+        f"it may swim {tank_m - fish_m:.2f} m. Is that right?"
+    )
+
+
+def _law_params(law: Law, params: dict[str, float]) -> dict[str, float]:
+    """As cli.design sets them: the certificate is for kd = 0, the last error held beyond the end, a
+    gain that stays, the last trial alone."""
+    wanted = {
+        "LAW_KD": law.kd_rad_s2_m,
+        "LAW_GAIN": law.kp_rad_s_m,
+        "LAW_LEAD": law.lead_beats,
+        "LAW_Q_LEN": float(law.q_len),
+        "LAW_TAIL": float(law.tail),
+        "LAW_FADE": law.fade,
+        "LAW_KIND": 0.0,
+    }
+    return {name: value for name, value in wanted.items() if name in params}
+
+
+def _law_words(law: Law) -> str:
+    lead = f"lead {law.lead_beats:g} beat{'' if law.lead_beats == 1 else 's'}"
+    q = f", filter of length {law.q_len}" if law.q_len > 1 else ""
+    return f"gain {law.kp_rad_s_m:g} rad s/m, {lead if law.lead_beats else 'no lead'}{q}"
+
+
+def _params(fish: Fish) -> dict[str, float]:
+    return {name: p.value for name, p in fish.params.list().items()}
+
+
+def _identified(fish: Fish) -> Identified | None:
+    try:
+        return book.identified() if (book := logbook_of(fish)) is not None else None
+    except InputError:
+        return None

@@ -8,84 +8,150 @@ for passed.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from weakref import WeakSet
 
-from tailbeat.errors import TailbeatError
+from tailbeat.day.counting import countdown
+from tailbeat.day.feel import Feel
+from tailbeat.day.pose import pose_now, wait_for_pose, what_to_do
+from tailbeat.day.rest import rested_s, wait_for_rest, watch
+from tailbeat.day.sight import Sight
+from tailbeat.day.step import Step
+from tailbeat.day.stillness import wait_until_still
+from tailbeat.day.wanted import Drift, GivenUp, NotReady, Pose, Ready, Wanted
+from tailbeat.errors import InputError
+from tailbeat.faults import TRIAL_PENDING, fault_info
+from tailbeat.logbook import logbook_of
+from tailbeat.travel import travel_next
 
 if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
     from tailbeat.day.person import Person
     from tailbeat.fish import Fish
+    from tailbeat.results import BoardStatus
     from tailbeat.travel import Travel
 
+__all__ = [
+    "Drift",
+    "GivenUp",
+    "NotReady",
+    "Pose",
+    "Ready",
+    "Wanted",
+    "countdown",
+    "prepare",
+]
 
-class NotReady(TailbeatError):
-    """A swim may not begin; nothing on the board has changed."""
+_ROUNDS = 3  # a fish that turns while the water calms down is put right again
+_RISE_V = 0.2  # once it was too low, by the board's rule (supervisor/battery.h)
 
-
-class GivenUp(NotReady):
-    """The person did not want to wait any longer."""
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What is asked for. Times in s of board time. ``rest_s`` since the last swim's end.
-    ``drift_max_m_s`` over ``still_s``. ``patience_s``: how long a step may take after the rest.
-    ``start_yaw_deg``: of the IMU at an earlier start of the same series; None = not compared."""
-
-    rest_s: float = 30.0
-    still_s: float = 10.0
-    drift_max_m_s: float = 0.002
-    heading_max_rad: float = math.radians(10.0)
-    aside_max_m: float = 0.10
-    countdown_s: float = 5.0
-    patience_s: float = 120.0
-    start_yaw_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where the fish lies: mean over a second. Camera: position and heading in the tank's frame.
-    IMU: only ``yaw_deg`` (VN-100, as mounted); None = not known."""
-
-    source: str
-    x_m: float | None = None
-    y_m: float | None = None
-    heading_rad: float | None = None
-    yaw_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class Drift:
-    """Speed of a fish that nobody touches: over ground by the camera, so that of the water too; by
-    the IMU (``source`` ``imu``) only that nothing moves it, with no speed (NaN)."""
-
-    source: str
-    speed_m_s: float
-    sigma_m_s: float
-    over_s: float
-
-
-@dataclass(frozen=True)
-class Ready:
-    """What the ritual found. ``rested_s``: at least; None = has not swum since it was made."""
-
-    travel: Travel
-    rested_s: float | None
-    pose: Pose | None
-    drift: Drift | None
-    battery_v: float
+_found_low: WeakSet[Fish] = WeakSet()
 
 
 def prepare(fish: Fish, wanted: Wanted, camera: Camera | None, person: Person) -> Ready:
     """Goes through all of it up to the countdown, the board IDLE and unarmed all the time. Raises
-    NotReady, GivenUp (person.wants_abort), CameraGone, InputError (no room), Refused."""
-    raise NotImplementedError
+    NotReady, GivenUp (person.wants_abort), CameraGone, InputError (no room), Refused.
+
+    What needs no waiting comes first: nobody rests for half a minute to hear of an empty battery. A
+    board that is armed is disarmed."""
+    watch(fish)
+    status = _look_at_board(fish, person)
+    travel = _look_at_room(fish, person)
+    sight = Sight(fish, camera, wanted.still_s) if camera is not None else None
+    step = Step(fish, person, "rest")
+    wait_for_rest(step, wanted.rest_s, fish.status(), sight)
+    feel = Feel.of(fish, Step(fish, person, "pose"))
+    try:
+        pose, drift = _lie_still(fish, wanted, person, sight, feel)
+    finally:
+        if feel is not None:
+            feel.close()
+    last = _look_at_board(fish, person)
+    if last.time_s < status.time_s:
+        raise NotReady("the board has restarted meanwhile", "Look at the battery; begin again.")
+    return Ready(travel, rested_s(fish, last), pose, drift, last.battery_v)
 
 
-def countdown(fish: Fish, wanted: Wanted, person: Person) -> None:
-    """Arms, lets the fish's LED blink and counts down; hands must be out at 0. Disarms and raises
-    GivenUp when the person wants it, or whatever else ends it. Returns ARMED."""
-    raise NotImplementedError
+def _lie_still(
+    fish: Fish, wanted: Wanted, person: Person, sight: Sight | None, feel: Feel | None
+) -> tuple[Pose | None, Drift | None]:
+    """Until it lies right and still at the same time."""
+    for _ in range(_ROUNDS):
+        step = Step(fish, person, "pose", wanted.patience_s)
+        pose = wait_for_pose(step, wanted, sight, feel)
+        still = Step(fish, person, "still", wanted.patience_s)
+        drift = wait_until_still(still, wanted, sight, feel)
+        now = pose_now(sight, feel)
+        if now is None and sight is None:
+            now = pose
+        wrong = "it turns" if now is None and pose is not None else None
+        if now is not None:
+            wrong = what_to_do(now, wanted)
+        if wrong is None:
+            return now, drift
+        step.notice(f"it does not lie right any more: {wrong}")
+    raise step.refuse(
+        f"the fish does not stay as it was put: {wrong}",
+        "Look for a current that turns it, or trim its ballast; then begin again.",
+    )
+
+
+def _look_at_board(fish: Fish, person: Person) -> BoardStatus:
+    """IDLE, with nothing pending and enough battery."""
+    step = Step(fish, person, "board")
+    status = fish.status()
+    if status.state == "ARMED":
+        fish.disarm()
+        step.notice("the board was armed; it is disarmed until the countdown")
+        status = fish.status()
+    if status.state in ("ABORTED", "FAULT"):
+        fault = status.fault
+        raise step.refuse(
+            f"the board is stopped ({fault.name}): {fault.meaning}",
+            f"{fault.remedy} To clear it: tailbeat clear",
+        )
+    if status.state != "IDLE":
+        raise step.refuse(
+            f"the board is busy ({status.state})", "Wait until it is idle: tailbeat info"
+        )
+    if status.pending_trial is not None:
+        pending = fault_info(TRIAL_PENDING)
+        raise step.refuse(f"{pending.meaning} (trial {status.pending_trial})", pending.remedy)
+    _look_at_battery(fish, step, status)
+    step.tell(f"idle, battery {status.battery_v:.2f} V", ok=True)
+    return status
+
+
+def _look_at_battery(fish: Fish, step: Step, status: BoardStatus) -> None:
+    """By the rule by which the board refuses to arm. What it remembers of an earlier connection it
+    does not tell, hence the notice."""
+    low_v = fish.params.get("BATT_LOW_V").value
+    least_v = low_v + _RISE_V if fish in _found_low else low_v
+    if low_v <= 0:
+        return
+    if round(status.battery_v * 1e3) < round(least_v * 1e3):
+        _found_low.add(fish)
+        raise step.refuse(
+            f"the battery has {status.battery_v:.2f} V, a swim needs {least_v:.2f} V to begin with",
+            "Swap the battery, then begin again.",
+        )
+    _found_low.discard(fish)
+    if status.battery_v < low_v + _RISE_V:
+        step.notice(f"the battery is nearly empty: {status.battery_v:.2f} V; have a full one ready")
+
+
+def _look_at_room(fish: Fish, person: Person) -> Travel:
+    step = Step(fish, person, "room")
+    travel = travel_next(fish, logbook_of(fish))
+    try:
+        travel.require_room()
+    except InputError as error:
+        step.tell(error.message, ok=False)
+        raise
+    if travel.worst_m > travel.room_m:
+        step.notice(
+            f"there is room for {travel.room_m:.2f} m and it comes about {travel.expected_m:.2f} m,"
+            f" but at worst {travel.worst_m:.2f}: be ready to catch it"
+        )
+    step.tell(travel.text(), ok=True)
+    return travel

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from typing import TYPE_CHECKING
 
 from tailbeat.doctor import board, reach
 from tailbeat.doctor.finding import OK, PROBLEM, WARNING, Finding, worst
 from tailbeat.doctor.patient import gather
 from tailbeat.errors import TailbeatError
 
-__all__ = ["OK", "PROBLEM", "WARNING", "Finding", "examine", "worst"]
+if TYPE_CHECKING:
+    from tailbeat.fish import Fish
+
+__all__ = ["OK", "PROBLEM", "WARNING", "Finding", "examine", "look_at", "worst"]
 
 MEASURE_S = 3.0
 
@@ -26,3 +30,11 @@ def examine(url: str | None = None, measure_s: float = MEASURE_S) -> list[Findin
         except TailbeatError as error:
             return [*findings, Finding("link", PROBLEM, error.message, error.remedy)]
         return findings + [check(patient) for check in board.CHECKS]
+
+
+def look_at(fish: Fish, measure_s: float = 1.0) -> list[Finding]:
+    """Link, IMU and battery of a connected fish: what matters before it swims."""
+    from tailbeat.doctor.patient import of_connected
+
+    patient = of_connected(fish, measure_s)
+    return [check(patient) for check in board.BEFORE_A_SWIM]

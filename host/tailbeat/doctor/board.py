@@ -298,6 +298,7 @@ CHECKS: tuple[Callable[[Patient], Finding], ...] = (
     _restart,
     _radio,
 )
+BEFORE_A_SWIM = (_link, _imu, _battery)
 
 
 def tool_version() -> str:

@@ -84,6 +84,19 @@ def gather(transport: Transport, measure_s: float) -> Patient:
     return patient
 
 
+def of_connected(fish: Fish, measure_s: float) -> Patient:
+    """What matters before a swim, of a fish that is connected: link, battery, IMU."""
+    link = fish.link
+    patient = Patient(
+        by_radio(fish.transport), in_process(fish.transport) is not None, ping(link, measure_s)
+    )
+    patient.status = fish.status()
+    patient.health = fish.health()
+    patient.imu = fish.imu_verdict()
+    patient.parameters = {name: fish.params.get(name).value for name in PARAMETERS}
+    return patient
+
+
 def _read(patient: Patient, link: Link) -> None:
     tries = _TRIES_LOSSY if patient.pings.lost else _TRIES
     messages: dict[str, Message | None] = dict.fromkeys(ASKED)

@@ -1,32 +1,54 @@
 """Everything that is derived from an experiment's raw files: ``analysis.json``.
 
 A pure function of ``raw/``, ``journal.jsonl`` and ``settings.json``, written so that the same
-files give the same bytes on any machine.
+files give the same bytes on any machine: numbers with nine digits, which is what single precision
+holds, for the last bits of a sum or of a fit are another processor's own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.errors import InputError
+from tailbeat.experiment.told import Told, told_of
+from tailbeat.lasting import write_whole
+from tailbeat.plain import canonical, plain
+from tailbeat.progress import scores_of
+from tailbeat.records import decode_reference
+from tailbeat.reference import Reference
+from tailbeat.straight import Straightness, straightness
+from tailbeat.trial_log import Trial, read_trial
+from tailbeat.verdict import Score, score_of
+
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
-    from tailbeat.straight import Straightness
-    from tailbeat.trial_log import Trial
+    from tailbeat.model.identified import Identified
 
 Floats = NDArray[np.float64]
+
+DISCARD = "discard"
+ANALYSIS = "analysis.json"
+_FORMAT = "tailbeat analysis 1"
+_DIGITS = 9
+_BAND = (5.0, 50.0, 95.0)
 
 
 @dataclass(frozen=True)
 class TrialRow:
-    """One swim. ``decision``: keep, repeat, discard, or empty when nobody decided (it counts as
-    kept). ``repeat_of``: the first trial with the same amplitudes, 0 = this is the first.
-    ``contraction``: max|e| over that of the last kept trial of the iteration before, NaN = none.
-    ``learned``, ``rolled_back``: what the board did with it."""
+    """One swim. ``iteration``: of its amplitudes; a repeat of older ones has theirs. ``decision``:
+    keep, repeat, discard, or empty when nobody decided (it counts as kept). ``repeat_of``: the
+    first trial that counts with the same amplitudes, 0 = this is the first. ``contraction``: max|e|
+    over that of the last kept trial of the iteration before; NaN = none, or one of the two is not
+    complete. ``complete``: every beat swum and measured. ``learned``, ``rolled_back``: what the
+    board did with it; where the journal does not tell, by what swam next. Voltages: the first and
+    the last in the log, NaN = none. ``file``: its name in ``raw/``."""
 
     trial: int
     iteration: int
@@ -48,12 +70,19 @@ class TrialRow:
     input: str
     file: str
     time: str
+    complete: bool = False
+
+    @property
+    def counts(self) -> bool:
+        """Whether it may be used for anything."""
+        return self.decision != DISCARD
 
 
 @dataclass(frozen=True)
 class Band:
-    """Per iteration, over its swims that were not discarded: how many, median and 5 to 95 % band of
-    max|e| and RMS; of one swim all three are the same. Shape (iterations,)."""
+    """Per iteration, over its complete swims that were not discarded (max|e| of a part of the beats
+    says nothing of the whole): how many, median and 5 to 95 % band of max|e| and RMS; of one swim
+    all three are the same. Shape (iterations,)."""
 
     iteration: NDArray[np.int64]
     swims: NDArray[np.int64]
@@ -68,8 +97,11 @@ class Band:
 @dataclass(frozen=True)
 class Analysis:
     """``rows``: every swim, discarded ones too, in the order they were swum. ``trials``: the same
-    as read from the files. ``floor_m_s``: max|e| of the best input of the identified fish.
-    ``noise_m_s``: standard deviation of max|e| between repeats, NaN = no repeats."""
+    as read from the files. ``floor_m_s``: max|e| of the best input of the fish, ``floor_lsq_m_s``
+    of the best by least squares; ``floor_by`` says of what: the ``identified`` fish, or the
+    ``simulator`` where nothing was identified; NaN = neither is there. ``noise_m_s``: standard
+    deviation of max|e| between repeats, NaN = no repeats. ``problems``: what is wrong with the
+    folder, and swims that were not straight; one line each."""
 
     name: str
     simulated: bool
@@ -91,17 +123,328 @@ class Analysis:
     noise_m_s: float
     start_error_m_s: float  # of the zero input: the reference's largest speed
     problems: list[str] = field(default_factory=list)
+    floor_by: str = ""
+
+    @property
+    def reference(self) -> Reference:
+        """What was to be swum."""
+        return Reference(
+            self.beat_s, self.reference_m_s.astype(np.float32), self.reference_name or "reference"
+        )
 
     def document(self) -> dict[str, Any]:
         """As plain JSON values, without the trials' samples."""
-        raise NotImplementedError
+        held = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "trials"}
+        found = _rounded({"format": _FORMAT, **held})
+        assert isinstance(found, dict)
+        return found
 
 
 def analyse(experiment: Experiment) -> Analysis:
-    """Reads and derives. Raises InputError: no trials, damaged raw files."""
-    raise NotImplementedError
+    """Reads and derives. A raw file that is damaged is left out, and told in ``problems``. Raises
+    InputError: no trials."""
+    settings = experiment.settings()
+    problems = experiment.raw_problems()
+    files, trials, names = _sound_trials(experiment, problems)
+    identified = _identified(experiment, problems)
+    held, crc = _reference(experiment, trials)
+    told = told_of(experiment.journal.entries(), names)
+    kept = [
+        (path, trial)
+        for path, trial in zip(files, trials, strict=True)
+        if _is_of(trial, crc, path.name, identified, problems)
+    ]
+    if not kept:
+        raise InputError(
+            f"{experiment.name} holds no trials{_because(problems)}.",
+            "Swim one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
+        )
+    swum = [trial for _, trial in kept]
+    rows = _rows(kept, told)
+    limit = swum[-1].params.get("AMP_MAX_RAD", math.pi / 4)
+    floor = _floor(identified, settings, held, limit)
+    problems += [
+        f"trial {row.trial} swam up to {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees"
+        f" off its way: its speed along the way is less than its own"
+        for row in rows
+        if row.straight is not None and row.straight.crooked and row.counts
+    ]
+    return Analysis(
+        name=experiment.stable_name,
+        simulated=bool(settings.get("simulated", swum[-1].board in ("simulated", "emulated"))),
+        board=str(settings.get("board", swum[-1].board)),
+        unique_id=str(settings.get("unique_id", swum[-1].unique_id)),
+        fish=str(settings.get("fish", "")),
+        law=str(settings.get("law", "")),
+        reference_name=str(settings.get("reference", "")),
+        reference_crc=crc,
+        reference_m_s=held.speed_m_s.astype(np.float64),
+        beat_s=held.beat_s,
+        amplitude_max_rad=limit,
+        conditions=dict(settings.get("conditions", {})),
+        rows=rows,
+        trials=swum,
+        band=_band(rows),
+        floor_m_s=floor[0],
+        floor_lsq_m_s=floor[1],
+        noise_m_s=_noise(rows, swum),
+        start_error_m_s=float(np.max(np.abs(held.speed_m_s))),
+        problems=problems,
+        floor_by=floor[2],
+    )
 
 
 def write_analysis(experiment: Experiment) -> Path:
     """``analysis.json``."""
-    raise NotImplementedError
+    path = experiment.folder / ANALYSIS
+    write_whole(path, canonical(analyse(experiment).document()))
+    return path
+
+
+def _because(problems: Sequence[str]) -> str:
+    return f" that can be read ({problems[0]})" if problems else ""
+
+
+def _sound_trials(
+    experiment: Experiment, problems: list[str]
+) -> tuple[list[Path], list[Trial], dict[str, str]]:
+    """Files, trials, and for each raw file the name of its trial's. Files that were tampered with
+    are no data any more."""
+    names: dict[str, str] = {}
+    files, trials = [], []
+    for path, held in _longest(experiment):
+        names |= dict.fromkeys(held, path.name)
+        try:
+            trial = read_trial(path)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        problems += [f"{path.name}: {problem}" for problem in trial.problems]
+        files.append(path)
+        trials.append(trial)
+    return files, trials, names
+
+
+def _longest(experiment: Experiment) -> list[tuple[Path, list[str]]]:
+    """Of each trial its longest file, and the names of all: a log grows when speeds come later, and
+    is kept again. It stays in the place of the first."""
+    bad = set(experiment.damaged())
+    found: list[tuple[Path, list[str]]] = []
+    contents: list[bytes] = []
+    for path in experiment.trial_files():
+        if path.name in bad:
+            continue
+        content = path.read_bytes()
+        for at, other in enumerate(contents):
+            if content.startswith(other) or other.startswith(content):
+                held = [*found[at][1], path.name]
+                longer = len(content) > len(other)
+                found[at] = (path if longer else found[at][0], held)
+                contents[at] = content if longer else other
+                break
+        else:
+            found.append((path, [path.name]))
+            contents.append(content)
+    return found
+
+
+def _identified(experiment: Experiment, problems: list[str]) -> Identified | None:
+    """The last one: a fish may be identified anew on the way."""
+    from tailbeat.model.identified import Identified
+
+    told = [str(entry.get("file", "")) for entry in experiment.journal.entries("identified")]
+    name = Path(told[-1]).name if told else "identified.json"
+    path = experiment.raw / name
+    if not path.is_file() or name in experiment.damaged():
+        return None
+    try:
+        return Identified.load(path)
+    except InputError as error:
+        problems.append(str(error))
+        return None
+
+
+def _reference(experiment: Experiment, trials: Sequence[Trial]) -> tuple[Reference, int]:
+    """The experiment's own and its CRC; in a folder made by hand those of the last trial."""
+    name = str(experiment.settings().get("reference", ""))
+    path = experiment.raw / "reference.bin"
+    if path.is_file() and path.name not in experiment.damaged():
+        record = decode_reference(path.read_bytes())
+        return Reference(record.beat_s, record.speed_m_s, name), record.crc
+    if not trials:
+        raise InputError(
+            f"{experiment.name} holds no trials that can be read.",
+            "Swim one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
+        )
+    last = trials[-1]
+    wanted = np.nan_to_num(last.beats.reference_m_s)
+    return Reference(last.beat_s, wanted, name), last.reference_crc
+
+
+def _is_of(
+    trial: Trial,
+    crc: int,
+    name: str,
+    identified: Identified | None,
+    problems: list[str],
+) -> bool:
+    """Whether a trial is of the series: the runs a fish was identified by are not."""
+    if trial.reference_crc != crc:
+        problems.append(f"{name}: it swam another reference; left out")
+        return False
+    if identified is None or identified.source != "runs":
+        return True
+    from tailbeat.model.provenance import swim_crc
+    from tailbeat.model.swim import swim_of
+
+    return swim_crc(swim_of(trial)) not in {swim_crc(swim) for swim in identified.swims}
+
+
+def _rows(kept: Sequence[tuple[Path, Trial]], told: Mapping[str, Told]) -> list[TrialRow]:
+    rows: list[TrialRow] = []
+    scores = scores_of([trial for _, trial in kept])
+    first: dict[int, int] = {}
+    for at, (path, trial) in enumerate(kept):
+        said = told[path.name]
+        if said.learned is None:
+            said = replace(said, learned=_went_on(kept, at), rolled_back=scores[at].rolled_back)
+        row = _row(path, trial, scores[at], said)
+        original = first.get(scores[at].input_crc, 0)
+        if original and row.decision == "repeat":
+            row = replace(row, iteration=_iteration_of(rows, original))
+        if row.counts:
+            first.setdefault(scores[at].input_crc, trial.number)
+        before = _last_kept(rows, row.iteration - 1)
+        rows.append(replace(row, repeat_of=original, contraction=_contraction(row, before)))
+    return rows
+
+
+def _iteration_of(rows: Sequence[TrialRow], trial: int) -> int:
+    """The newest of that number: a board whose flash was new counts again."""
+    return next(row.iteration for row in reversed(rows) if row.trial == trial)
+
+
+def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
+    assert score.error_m_s is not None
+    error = score.error_m_s[np.isfinite(score.error_m_s)].astype(np.float64)
+    swum = np.arange(len(trial.beats.samples)) < trial.executed_beats
+    limit = np.float32(trial.params.get("AMP_MAX_RAD", math.inf))
+    speed = trial.beats.speed_m_s[swum & np.isfinite(trial.beats.speed_m_s)].astype(np.float64)
+    volts = [volt for _, volt in trial.battery_v] or [math.nan]
+    return TrialRow(
+        trial=trial.number,
+        iteration=trial.iteration,
+        end=trial.end,
+        decision=told.decision,
+        reason=told.reason,
+        repeat_of=0,
+        max_abs_error_m_s=score.max_abs_error_m_s,
+        rms_error_m_s=_rms(error.tolist()),
+        measured_beats=error.size,
+        saturated_beats=int(np.count_nonzero(trial.beats.amplitude_rad[swum] > limit)),
+        distance_m=math.fsum(speed.tolist()) * trial.beat_s,
+        contraction=math.nan,
+        learned=bool(told.learned),
+        rolled_back=told.rolled_back,
+        straight=straightness(trial),
+        battery_start_v=volts[0],
+        battery_end_v=volts[-1],
+        input=trial.input,
+        file=path.name,
+        time=told.time,
+        complete=score.complete,
+    )
+
+
+def _rms(error: Sequence[float]) -> float:
+    """By an exact sum: numpy adds in an order of its own."""
+    if not error:
+        return math.nan
+    return math.sqrt(math.fsum(e * e for e in error) / len(error))
+
+
+def _went_on(kept: Sequence[tuple[Path, Trial]], at: int) -> bool:
+    """Where the journal does not tell: a trial that was learned from is followed by the next
+    iteration."""
+    later = [trial for _, trial in kept[at + 1 :]]
+    return bool(later) and later[0].iteration == kept[at][1].iteration + 1
+
+
+def _last_kept(rows: Sequence[TrialRow], iteration: int) -> TrialRow | None:
+    of_it = [row for row in rows if row.iteration == iteration and row.decision in ("keep", "")]
+    return of_it[-1] if of_it else None
+
+
+def _contraction(row: TrialRow, before: TrialRow | None) -> float:
+    if before is None or not (row.complete and before.complete and row.counts):
+        return math.nan
+    if before.max_abs_error_m_s == 0:
+        return math.nan
+    return row.max_abs_error_m_s / before.max_abs_error_m_s
+
+
+def _band(rows: Sequence[TrialRow]) -> Band:
+    counting = [row for row in rows if row.counts and row.complete]
+    iterations = sorted({row.iteration for row in counting})
+    groups = [[row for row in counting if row.iteration == i] for i in iterations]
+    columns = []
+    for name in ("max_abs_error_m_s", "rms_error_m_s"):
+        values = [np.percentile([getattr(r, name) for r in group], _BAND) for group in groups]
+        columns.append(np.array(values, dtype=np.float64).reshape(-1, len(_BAND)).T)
+    largest, rms = columns
+    return Band(
+        iteration=np.array(iterations, dtype=np.int64),
+        swims=np.array([len(group) for group in groups], dtype=np.int64),
+        max_median_m_s=largest[1],
+        max_low_m_s=largest[0],
+        max_high_m_s=largest[2],
+        rms_median_m_s=rms[1],
+        rms_low_m_s=rms[0],
+        rms_high_m_s=rms[2],
+    )
+
+
+def _noise(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> float:
+    """Deviations from the mean of an input's repeats, pooled over all inputs."""
+    groups: dict[int, list[float]] = {}
+    for row, trial in zip(rows, trials, strict=True):
+        if row.counts and row.complete:
+            groups.setdefault(score_of(trial).input_crc, []).append(row.max_abs_error_m_s)
+    freedom = sum(len(group) - 1 for group in groups.values())
+    if freedom == 0:
+        return math.nan
+    means = {crc: math.fsum(group) / len(group) for crc, group in groups.items()}
+    squares = math.fsum((e - means[crc]) ** 2 for crc, group in groups.items() for e in group)
+    return math.sqrt(squares / freedom)
+
+
+def _floor(
+    identified: Identified | None, settings: Mapping[str, Any], held: Reference, limit: float
+) -> tuple[float, float, str]:
+    """(smallest max|e|, max|e| of the least-squares input, of what)."""
+    from tailbeat.floor import floor, plant_config
+
+    simulator = settings.get("simulator")
+    if identified is not None:
+        found = floor(identified.model, held, limit)
+        return found.minimax_m_s, found.lsq_max_abs_m_s, "identified"
+    if isinstance(simulator, dict) and settings.get("plant"):
+        values = {name: v for name, v in simulator.items() if name not in ("seed", "plant")}
+        try:
+            found = floor(plant_config(str(settings["plant"]), values), held, limit)
+        except InputError:  # a simulator of another version had other settings
+            return math.nan, math.nan, ""
+        return found.minimax_m_s, found.lsq_max_abs_m_s, "simulator"
+    return math.nan, math.nan, ""
+
+
+def _rounded(value: Any) -> Any:
+    """Plain values, floats with nine digits."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    again = plain(value)
+    return again if again is value else _rounded(again)

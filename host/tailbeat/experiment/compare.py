@@ -1,24 +1,53 @@
-"""Whether one experiment did better than another: effect with its confidence interval."""
+"""Whether one experiment did better than another: effect with its confidence interval.
+
+Means by Welch's t, which lets the two sides scatter differently; the effect size over the pooled
+scatter with its interval by the noncentral t distribution (Hedges 1981; Cumming and Finch 2001),
+which is exact for normal scatter also with few swims.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.errors import InputError
+from tailbeat.verdict import best_of, judge_all, score_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tailbeat.experiment.analysis import Analysis
+    from tailbeat.experiment.analysis import Analysis, TrialRow
+    from tailbeat.experiment.folder import Experiment
+
+Array = NDArray[np.float64]
+
+WHAT = {"max": "max_abs_error_m_s", "rms": "rms_error_m_s"}
+_SETTINGS = ("fish", "law", "configuration", "operator", "unique_id", "firmware", "simulated")
+_LEVEL = 0.95
+_POWER = 0.8
+_SWIMS_MIN = 2
+_REPEATS_MIN = 3
+_REPEATS_MAX = 1000
+_NODES = 400  # within 2e-8 of scipy's where that gives a number
+_LARGE_T = 8.0
+_NEGLIGIBLE = 1e-16
+_WIDE_SIGMAS = 9.0
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of ``what`` (``max``: max|e|, ``rms``) over the swims that count on each side. ``difference``:
-    mean of B minus mean of A with its 95 % interval by Welch; ``g``: the same over the pooled
-    standard deviation, Hedges's, with its interval by the noncentral t distribution. ``repeats``:
-    swims needed on each side to see an effect of that size (power 80 %, two-sided 5 %); None = the
-    effect is too small for 1000. ``words``: one line for people, which does not claim more than the
-    interval allows."""
+    """Of ``what`` (``max``: max|e|, ``rms``) over the swims that count on each side.
+
+    ``difference``: mean of B minus mean of A with its 95 % interval by Welch; ``g``: the same over
+    the pooled standard deviation, Hedges's, with the interval of the true effect by the noncentral
+    t distribution (infinite when nothing scatters). ``repeats``: swims needed on each side to see
+    an effect of that size (power 80 %, two-sided 5 %); None = the effect is too small for 1000.
+    ``words``: one line for people, which does not claim more than the interval allows."""
 
     what: str
     a_m_s: tuple[float, ...]
@@ -35,10 +64,31 @@ class Comparison:
 
 
 def counted(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[float]:
-    """max|e| of the swims that count: those of ``iterations``, or by default the repeats of the best
-    input, and where those are fewer than three all complete ones from the iteration on from which
-    the verdict saw no more progress. Never discarded ones."""
-    raise NotImplementedError
+    """max|e| of the swims that count: those of ``iterations``, or by default the repeats of the
+    best input, and where those are fewer than three all complete ones from the iteration on from
+    which the verdict saw no more progress. Never discarded ones, nor such as were cut short."""
+    return [row.max_abs_error_m_s for row in counted_rows(analysis, iterations)]
+
+
+def counted_rows(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[TrialRow]:
+    """The swims of ``counted``."""
+    pairs = [
+        (row, score_of(trial))
+        for row, trial in zip(analysis.rows, analysis.trials, strict=True)
+        if row.counts and row.complete
+    ]
+    if iterations is not None:
+        return [row for row, _ in pairs if row.iteration in iterations]
+    scores = [score for _, score in pairs]
+    best = best_of(scores)
+    if best is None:
+        return []
+    repeats = [row for row, score in pairs if score.input_crc == best.input_crc]
+    if len(repeats) >= _REPEATS_MIN:
+        return repeats
+    verdicts = judge_all(scores, None, None, analysis.start_error_m_s)
+    last = max(at for at, verdict in enumerate(verdicts) if verdict.kind in ("first", "progress"))
+    return [row for row, _ in pairs if row.iteration >= pairs[last][0].iteration]
 
 
 def compare(
@@ -46,4 +96,227 @@ def compare(
 ) -> Comparison:
     """Raises InputError: another reference, or fewer than two swims on a side, with how many more
     are needed."""
-    raise NotImplementedError
+    if what not in WHAT:
+        raise InputError(f"there is no '{what}' to compare.", f"Use {' or '.join(WHAT)}.")
+    if a.reference_crc != b.reference_crc or a.beat_s != b.beat_s:
+        raise InputError(
+            f"{a.name} and {b.name} swam different references: their errors do not compare.",
+            "Compare experiments of one reference.",
+        )
+    sides = [
+        [float(getattr(row, WHAT[what])) for row in counted_rows(one, iterations)] for one in (a, b)
+    ]
+    for one, values in zip((a, b), sides, strict=True):
+        _require_enough(one, values, iterations)
+    return _compared(what, sides[0], sides[1], (a.name, b.name))
+
+
+def _require_enough(
+    analysis: Analysis, values: Sequence[float], iterations: Sequence[int] | None
+) -> None:
+    if len(values) >= _SWIMS_MIN:
+        return
+    of = f" of iterations {', '.join(map(str, iterations))}" if iterations is not None else ""
+    more = _SWIMS_MIN - len(values)
+    raise InputError(
+        f"{analysis.name} has {len(values)} complete swim{'s' * (len(values) != 1)}{of} that "
+        f"count{'s' * (len(values) == 1)}; scatter cannot be told from less than {_SWIMS_MIN}.",
+        f"Swim the same input {more} more time{'s' * (more > 1)} (decide: repeat), or name other "
+        "iterations.",
+    )
+
+
+def _compared(
+    what: str, a: Sequence[float], b: Sequence[float], names: tuple[str, str] = ("A", "B")
+) -> Comparison:
+    """Of the values alone."""
+    difference, low, high, p = welch(a, b)
+    g, g_low, g_high = hedges(a, b)
+    repeats = repeats_needed(g)
+    return Comparison(
+        what=what,
+        a_m_s=tuple(a),
+        b_m_s=tuple(b),
+        difference_m_s=difference,
+        difference_low_m_s=low,
+        difference_high_m_s=high,
+        g=g,
+        g_low=g_low,
+        g_high=g_high,
+        p=p,
+        repeats=repeats,
+        words=_words(what, (difference, low, high), repeats, (len(a), len(b)), names),
+    )
+
+
+def welch(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
+    """(mean of b less mean of a, its 95 % interval, two-sided p); both of two values or more."""
+    from scipy.stats import t
+
+    difference = float(np.mean(b) - np.mean(a))
+    parts = [float(np.var(side, ddof=1)) / len(side) for side in (a, b)]
+    error = math.sqrt(sum(parts))
+    if error == 0:
+        return difference, difference, difference, float(difference == 0)
+    freedom = sum(parts) ** 2 / sum(
+        part**2 / (len(side) - 1) for part, side in zip(parts, (a, b), strict=True)
+    )
+    half = error * float(t.ppf((1 + _LEVEL) / 2, freedom))
+    p = 2 * float(t.sf(abs(difference) / error, freedom))
+    return difference, difference - half, difference + half, p
+
+
+def hedges(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
+    """(g, 95 % interval of the true effect): b less a over the pooled standard deviation."""
+    freedom = len(a) + len(b) - 2
+    squares = sum(float(np.var(side)) * len(side) for side in (a, b))
+    difference = float(np.mean(b) - np.mean(a))
+    if squares == 0:
+        value = math.copysign(math.inf, difference) if difference else 0.0
+        return value, value, value
+    d = difference / math.sqrt(squares / freedom)
+    scale = math.sqrt(len(a) * len(b) / (len(a) + len(b)))
+    tail = (1 - _LEVEL) / 2
+    low, high = (_noncentrality(d * scale, freedom, q) for q in (1 - tail, tail))
+    return d * _unbiased(freedom), low / scale, high / scale
+
+
+def _unbiased(freedom: int) -> float:
+    """What takes the bias of few values out of d (Hedges 1981): J(m) of the gamma function."""
+    return math.exp(
+        math.lgamma(freedom / 2) - math.lgamma((freedom - 1) / 2) - math.log(freedom / 2) / 2
+    )
+
+
+def _noncentrality(t_seen: float, freedom: int, level: float) -> float:
+    """Of the noncentral t distribution that has ``level`` of its mass below what was seen."""
+    from scipy.optimize import brentq
+
+    def above(shift: float) -> float:
+        return noncentral_t(t_seen, freedom, shift) - level
+
+    wide = 4 * math.sqrt(1 + t_seen**2 / (2 * freedom))  # about its standard deviation
+    low, high = t_seen - wide, t_seen + wide
+    while above(low) < 0:  # a small level with few values lies far out
+        low -= wide
+    while above(high) > 0:
+        high += wide
+    return float(brentq(above, low, high, xtol=1e-10))
+
+
+def noncentral_t(limit: float, freedom: int, shift: float) -> float:
+    """P(T <= limit) of T = (Z + shift) / S, Z normal, S the root of chi-squared over ``freedom``.
+
+    By an integral over S, or where ``limit`` is large over Z, as the other factor is smooth then.
+    (scipy 1.17's nct gives NaN far out.)
+    """
+    from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr
+
+    if abs(limit) > _LARGE_T:
+        return _over_normal(limit, freedom, shift)
+    half = freedom / 2
+    ends = [
+        math.sqrt(float(inverse(half, _NEGLIGIBLE)) / half)
+        for inverse in (gammaincinv, gammainccinv)
+    ]
+    s, weights = _nodes(ends[0], ends[1])
+    density = (freedom - 1) * np.log(s) - half * s**2 + half * math.log(half) - gammaln(half)
+    return float(np.sum(weights * 2 * np.exp(density + log_ndtr(limit * s - shift))))
+
+
+def _over_normal(limit: float, freedom: int, shift: float) -> float:
+    """P(S >= (Z + shift) / limit) for a limit above 0; the mirror image below."""
+    from scipy.special import gammaincc
+
+    if limit < 0:
+        return 1 - _over_normal(-limit, freedom, -shift)
+    z, weights = _nodes(-_WIDE_SIGMAS, _WIDE_SIGMAS)
+    s = np.maximum(z + shift, 0.0) / limit
+    beyond = gammaincc(freedom / 2, freedom / 2 * s**2)
+    return float(np.sum(weights * np.exp(-(z**2) / 2) * beyond)) / math.sqrt(2 * math.pi)
+
+
+@cache
+def _legendre() -> tuple[Array, Array]:
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    return nodes, weights
+
+
+def _nodes(low: float, high: float) -> tuple[Array, Array]:
+    """Of an integral from low to high."""
+    nodes, weights = _legendre()
+    return (low + high) / 2 + (high - low) / 2 * nodes, (high - low) / 2 * weights
+
+
+def repeats_needed(g: float) -> int | None:
+    """Swims on each side that see a true effect ``g`` in 80 of 100 cases at 5 %, two-sided; None =
+    more than 1000."""
+    if math.isinf(g):
+        return _SWIMS_MIN
+    if math.isnan(g) or power(g, _REPEATS_MAX) < _POWER:
+        return None
+    low, high = _SWIMS_MIN - 1, _REPEATS_MAX
+    while high - low > 1:  # low is too few, high enough
+        middle = (low + high) // 2
+        if power(g, middle) < _POWER:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def power(g: float, swims: int) -> float:
+    """How often ``swims`` on each side show a true effect ``g``."""
+    from scipy.stats import t
+
+    freedom = 2 * swims - 2
+    limit = float(t.ppf((1 + _LEVEL) / 2, freedom))
+    shift = abs(g) * math.sqrt(swims / 2)
+    return 1 - noncentral_t(limit, freedom, shift) + noncentral_t(-limit, freedom, shift)
+
+
+def _words(
+    what: str,
+    interval: tuple[float, float, float],
+    repeats: int | None,
+    swims: tuple[int, int],
+    names: tuple[str, str],
+) -> str:
+    difference, low, high = (value * 1e3 for value in interval)
+    name = {"max": "max|e|", "rms": "RMS"}[what]
+    of = f"({swims[0]} against {swims[1]} swims)"
+    between = f"95 % interval {low:+.1f} to {high:+.1f}"
+    if low > 0 or high < 0:
+        side = "higher" if difference > 0 else "lower"
+        return (
+            f"{name} of {names[1]} is {side} than that of {names[0]}, by {abs(difference):.1f} mm/s"
+            f" ({between}) {of}"
+        )
+    need = (
+        f"an effect of that size takes {repeats} swims on each side to see"
+        if repeats is not None
+        else f"an effect that small takes more than {_REPEATS_MAX} swims on each side to see"
+    )
+    return (
+        f"no difference in {name} is shown: {names[1]} less {names[0]} is {difference:+.1f} mm/s"
+        f" ({between}) {of}; {need}"
+    )
+
+
+def other_differences(a: Experiment, b: Experiment) -> list[str]:
+    """What else is not the same on both sides: conditions, law, fish, parameters."""
+    settings = [one.settings() for one in (a, b)]
+    sides: list[dict[str, object]] = []
+    for one in settings:
+        flat = {key: one.get(key) for key in _SETTINGS}
+        sides.append({**flat, **one.get("conditions", {}), **one.get("params", {})})
+    names = dict.fromkeys([*sides[0], *sides[1]])
+    return [
+        f"{name} {_text(sides[0].get(name))} against {_text(sides[1].get(name))}"
+        for name in names
+        if sides[0].get(name) != sides[1].get(name)
+    ]
+
+
+def _text(value: object) -> str:
+    return "unknown" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

@@ -2,38 +2,160 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from tailbeat.errors import InputError, reason
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.redo import write_redo
+from tailbeat.faults import NO_REFERENCE, refusal
+from tailbeat.lasting import write_whole
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
+    from tailbeat.reference import Reference
+
+_CURRENT = "experiment.json"
+_IDENTIFIED = "identified.json"
+_REFERENCE = "reference.bin"
+
+Conditions = dict[str, str | float]
 
 
 def current(fish: Fish) -> Experiment | None:
     """The one last made or used with this fish, if its folder is still there; from its logbook."""
-    raise NotImplementedError
+    from tailbeat.logbook import logbook_of
+
+    if (book := logbook_of(fish)) is None:
+        return None
+    try:
+        folder = Path(json.loads((book.folder / _CURRENT).read_text(encoding="utf-8"))["folder"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return Experiment(folder) if Experiment.is_at(folder) else None
 
 
 def use(fish: Fish, experiment: Experiment) -> None:
     """Makes it the current one. Does nothing for a board without a logbook."""
-    raise NotImplementedError
+    from tailbeat.logbook import logbook_of
+
+    if (book := logbook_of(fish)) is None:
+        return
+    try:
+        book.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot write into the logbook {book.folder} ({reason(error)})",
+            "Make the folder writable, or name another one in TAILBEAT_LOGBOOK.",
+        ) from error
+    folder = {"folder": str(experiment.folder.resolve())}
+    write_whole(book.folder / _CURRENT, json.dumps(folder) + "\n")
 
 
 def require_same(fish: Fish, experiment: Experiment) -> None:
     """Raises InputError, with what to do, when the board is another fish than the experiment's (by
     its unique id), or has another reference."""
-    raise NotImplementedError
+    wanted, found = str(experiment.settings().get("unique_id", "")), fish.unique_id()
+    if wanted and wanted != found:
+        raise InputError(
+            f"this is another fish: {experiment.name} is of {wanted}, the board is {found}.",
+            "Connect the right fish, or make an experiment for this one: tailbeat experiment new",
+        )
+    crc, has = reference_crc(experiment), fish.status().reference_crc
+    if crc is not None and crc != has:
+        board = "none" if has is None else f"{has:08x}"
+        raise InputError(
+            f"the board has another reference ({board}) than {experiment.name} ({crc:08x}).",
+            f"tailbeat reference upload {experiment.folder / 'reference.csv'}, or make an "
+            "experiment for the board's: tailbeat experiment new",
+        )
+
+
+def reference_crc(experiment: Experiment) -> int | None:
+    """None: the folder was made by hand and has no reference."""
+    from tailbeat.records import record_crc
+
+    try:
+        return record_crc((experiment.raw / _REFERENCE).read_bytes())
+    except OSError:
+        return None
 
 
 def begin(
     fish: Fish,
     root: Path,
     name: str | None = None,
-    conditions: dict[str, str | float] | None = None,
+    conditions: Conditions | None = None,
 ) -> Experiment:
     """A new experiment of the board's reference, law and parameters, and the current one from now
     on; with a copy of what was identified (``raw/identified.json``) where there is one. ``name``:
-    the fish's. Raises Refused without a reference."""
-    raise NotImplementedError
+    the fish's, by default as in its last experiment. Raises Refused without a reference."""
+    from tailbeat.boardreference import board_reference
+
+    if (held := board_reference(fish)) is None:
+        raise refusal(NO_REFERENCE)
+    return make(fish, root, _named(fish, held), name or _name_before(fish), conditions)
+
+
+def make(
+    fish: Fish,
+    root: Path,
+    reference: Reference,
+    name: str | None = None,
+    conditions: Conditions | None = None,
+    words: dict[str, str] | None = None,
+) -> Experiment:
+    """As ``begin``, of a reference that the board may get later. ``words``: what else is to be set:
+    operator, configuration."""
+    from tailbeat.laws import Law, Past
+
+    info = fish.info()
+    params = {key: p.value for key, p in fish.params.list().items()}
+    label = Past.from_params(params).label() + Law.from_params(params, reference.beat_s).label()
+    experiment = Experiment.new(root, name or info.board, reference.name, label)
+    settings: dict[str, Any] = {
+        "simulated": info.simulated,
+        "params": params,
+        "firmware": info.build_id,
+        "board": info.board,
+        "unique_id": info.unique_id,
+        "conditions": dict(conditions or {}),
+        **(words or {}),
+    }
+    if (sim := fish.sim) is not None:
+        settings |= {"plant": sim.plant, "seed": sim.seed, "simulator": sim.config}
+    experiment.write_settings(settings)
+    experiment.add_raw(_REFERENCE, reference.record())
+    reference.to_csv(experiment.folder / "reference.csv")
+    _copy_identified(fish, experiment)
+    experiment.journal.add("made", **settings)
+    write_redo(experiment)
+    use(fish, experiment)
+    return experiment
+
+
+def _copy_identified(fish: Fish, experiment: Experiment) -> None:
+    from tailbeat.logbook import logbook_of
+
+    book = logbook_of(fish)
+    if book is not None and (path := book.folder / _IDENTIFIED).is_file():
+        experiment.add_raw(_IDENTIFIED, path.read_bytes())
+
+
+def _named(fish: Fish, held: Reference) -> Reference:
+    """A board knows no names: the logbook does, and the thesis's is known by its CRC."""
+    from tailbeat.logbook import logbook_of
+    from tailbeat.reference import Reference, thesis
+
+    book, usual = logbook_of(fish), thesis()
+    name = book.reference_name(held.crc) if book is not None else None
+    if name is None and held.crc == usual.crc:
+        name = usual.name
+    return held if name is None else Reference(held.beat_s, held.speed_m_s, name)
+
+
+def _name_before(fish: Fish) -> str | None:
+    """What the fish was called in the experiment it was in."""
+    before = current(fish)
+    return str(before.settings().get("fish", "")) or None if before is not None else None

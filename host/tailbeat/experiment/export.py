@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tailbeat.errors import InputError
+from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.folder import Experiment
+from tailbeat.lasting import write_whole
 from tailbeat.trial_log import Trial
+
+if TYPE_CHECKING:
+    from tailbeat.experiment.analysis import Analysis, TrialRow
 
 FORMATS = ("csv", "mat", "parquet")
 
@@ -24,25 +31,69 @@ _BEAT_COLUMNS = (
     "error_m_s",
     "samples",
 )
+_ROW_COLUMNS = (
+    "file",
+    "time",
+    "input",
+    "decision",
+    "reason",
+    "repeat_of",
+    "complete",
+    "learned",
+    "rolled_back",
+    "measured_beats",
+    "saturated_beats",
+    "distance_m",
+    "contraction",
+    "battery_start_v",
+    "battery_end_v",
+)
+_STRAIGHT_COLUMNS = ("mean_yaw_rad", "worst_yaw_rad", "curvature_1_m")
+_MAT_COLUMNS = tuple(name for name in _ROW_COLUMNS if name != "time")
+_MAT_HEAD_BYTES = 116
+_MAKE_ROOM = "Make room on this computer, or choose another folder."
+
+Table = dict[str, Any]
 
 
-def export(experiment: Experiment, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Writes ``export/`` in the experiment's folder and returns the files."""
+def export(
+    experiment: Experiment, formats: Sequence[str] = FORMATS, folder: Path | None = None
+) -> list[Path]:
+    """Writes ``export/`` in the experiment's folder (or ``folder``) and returns the files: every
+    swim, discarded ones too, with what was decided. The same experiment gives the same bytes."""
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise InputError(f"there is no format {unknown[0]}.", f"Use {', '.join(FORMATS)}.")
-    trials = experiment.trials()
-    if not trials:
-        raise InputError(
-            f"{experiment.name} holds no trials.", "Pull some: tailbeat trial pull --into FOLDER"
-        )
-    folder = experiment.export_folder
-    folder.mkdir(exist_ok=True)
-    writers = {"csv": _write_csv, "mat": _write_mat, "parquet": _write_parquet}
-    return [path for name in formats for path in writers[name](folder, trials)]
+    analysis = analyse(experiment)
+    folder = folder or experiment.export_folder
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make {folder}.", "Make the place writable.") from error
+    tables = {
+        "trials": _trial_table(analysis),
+        "beats": _beat_table(analysis),
+        "slots": _slot_table(analysis),
+    }
+    writers = {
+        "csv": lambda: _write_csv(folder, tables),
+        "mat": lambda: _write_mat(folder, analysis),
+        "parquet": lambda: _write_parquet(folder, tables),
+    }
+    return [path for name in formats for path in writers[name]()]
 
 
-def _trial_row(trial: Trial) -> dict[str, Any]:
+def _trial_table(analysis: Analysis) -> Table:
+    """One row per trial. What older tools wrote comes first, in their order."""
+    rows = [
+        _trial_row(trial, row, analysis.simulated)
+        for trial, row in zip(analysis.trials, analysis.rows, strict=True)
+    ]
+    return {key: [row[key] for row in rows] for key in rows[0]}
+
+
+def _trial_row(trial: Trial, row: TrialRow, simulated: bool) -> Table:
+    straight = row.straight
     return {
         "trial": trial.number,
         "iteration": trial.iteration,
@@ -53,43 +104,58 @@ def _trial_row(trial: Trial) -> dict[str, Any]:
         "reference_crc": f"{trial.reference_crc:08x}",
         "board": trial.board,
         "build_id": trial.build_id,
+        **{name: getattr(row, name) for name in _ROW_COLUMNS},
+        **{name: getattr(straight, name, math.nan) for name in _STRAIGHT_COLUMNS},
+        "straight_source": straight.source if straight is not None else "",
+        "crooked": straight is not None and straight.crooked,
+        "simulated": simulated,
     }
 
 
-def _beat_table(trials: Sequence[Trial]) -> dict[str, Any]:
+def _beat_table(analysis: Analysis) -> Table:
     """One row per trial and beat."""
+    trials = analysis.trials
     beats = [len(trial.beats.samples) for trial in trials]
-    table: dict[str, Any] = {
+    table: Table = {
         "trial": np.repeat([trial.number for trial in trials], beats),
         "iteration": np.repeat([trial.iteration for trial in trials], beats),
         "beat": np.concatenate([np.arange(count) for count in beats]),
     }
     for name in _BEAT_COLUMNS:
         table[name] = np.concatenate([getattr(trial.beats, name) for trial in trials])
-    return table
+    return table | _beside(analysis, beats)
 
 
-def _slot_table(trials: Sequence[Trial]) -> dict[str, Any]:
+def _slot_table(analysis: Analysis) -> Table:
     """One row per trial and 0.1 s of measured speed."""
+    trials = analysis.trials
     counts = [len(trial.slots.index) for trial in trials]
     tables = [trial.slots.table() for trial in trials]
     return {
         "trial": np.repeat([trial.number for trial in trials], counts),
         **{name: np.concatenate([table[name] for table in tables]) for name in tables[0]},
+        **_beside(analysis, counts),
     }
 
 
-def _write_csv(folder: Path, trials: Sequence[Trial]) -> list[Path]:
-    rows = [_trial_row(trial) for trial in trials]
-    summary = {key: [row[key] for row in rows] for key in rows[0]}
-    tables = {"trials": summary, "beats": _beat_table(trials), "slots": _slot_table(trials)}
+def _beside(analysis: Analysis, counts: list[int]) -> Table:
+    """What is the same along a trial, so that each table can be read alone."""
+    return {
+        "file": np.repeat([row.file for row in analysis.rows], counts),
+        "decision": np.repeat([row.decision for row in analysis.rows], counts),
+        "simulated": np.repeat([analysis.simulated for _ in counts], counts),
+    }
+
+
+def _write_csv(folder: Path, tables: dict[str, Table]) -> list[Path]:
     paths = []
     for name, table in tables.items():
+        text = io.StringIO()
+        out = csv.writer(text, lineterminator="\n")
+        out.writerow(table)
+        out.writerows(map(_cells, zip(*table.values(), strict=True)))
         path = folder / f"{name}.csv"
-        with path.open("w", newline="", encoding="utf-8") as file:
-            out = csv.writer(file, lineterminator="\n")
-            out.writerow(table)
-            out.writerows(map(_cells, zip(*table.values(), strict=True)))
+        write_whole(path, text.getvalue(), _MAKE_ROOM)
         paths.append(path)
     return paths
 
@@ -104,12 +170,13 @@ def _cells(row: tuple[Any, ...]) -> list[Any]:
     return cells
 
 
-def _write_mat(folder: Path, trials: Sequence[Trial]) -> list[Path]:
+def _write_mat(folder: Path, analysis: Analysis) -> list[Path]:
     """Matrices of shape (trials, beats), filled up with NaN, and vectors per trial."""
     from scipy.io import savemat
 
+    trials = analysis.trials
     beats = max(len(trial.beats.samples) for trial in trials)
-    content: dict[str, Any] = {
+    content: Table = {
         "trial": np.array([trial.number for trial in trials], dtype=np.float64),
         "iteration": np.array([trial.iteration for trial in trials], dtype=np.float64),
         "max_abs_error_m_s": np.array([trial.max_abs_error_m_s() for trial in trials]),
@@ -122,18 +189,34 @@ def _write_mat(folder: Path, trials: Sequence[Trial]) -> list[Path]:
             values = getattr(trial.beats, name)
             matrix[i, : len(values)] = values
         content[name] = matrix
+    table = _trial_table(analysis)
+    for name in (*_MAT_COLUMNS, *_STRAIGHT_COLUMNS):
+        words = isinstance(table[name][0], str)
+        content[name] = np.array(table[name], dtype=object if words else np.float64)
+    content["simulated"] = float(analysis.simulated)
+    file = io.BytesIO()
+    savemat(file, content, oned_as="column", do_compression=True)
     path = folder / "trials.mat"
-    savemat(path, content, oned_as="column", do_compression=True)
+    write_whole(path, _headed(file.getvalue(), analysis), _MAKE_ROOM)
     return [path]
 
 
-def _write_parquet(folder: Path, trials: Sequence[Trial]) -> list[Path]:
+def _headed(content: bytes, analysis: Analysis) -> bytes:
+    """scipy puts the time of making into the text that a MATLAB file begins with."""
+    simulated = ", simulated" if analysis.simulated else ""
+    text = f"MATLAB 5.0 MAT-file, tailbeat{simulated}".encode("ascii")
+    return text.ljust(_MAT_HEAD_BYTES) + content[_MAT_HEAD_BYTES:]
+
+
+def _write_parquet(folder: Path, tables: dict[str, Table]) -> list[Path]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     paths = []
-    for name, table in (("beats", _beat_table(trials)), ("slots", _slot_table(trials))):
+    for name in ("beats", "slots", "trials"):
+        file = io.BytesIO()
+        pq.write_table(pa.table(tables[name]), file)
         path = folder / f"{name}.parquet"
-        pq.write_table(pa.table(table), path)
+        write_whole(path, file.getvalue(), _MAKE_ROOM)
         paths.append(path)
     return paths

@@ -1,7 +1,8 @@
 """The folder of an experiment.
 
 ``DATE_fish_reference_law_NN/`` with ``raw/`` (what came from the board, read-only, listed in
-``raw/SHA256SUMS`` as ``sha256sum -c`` reads it), ``notes.md`` and ``settings.json``.
+``raw/SHA256SUMS`` as ``sha256sum -c`` reads it), ``notes.md``, ``settings.json`` and
+``journal.jsonl``; docs/experiment-folder.md says what else may lie in it.
 """
 
 from __future__ import annotations
@@ -11,19 +12,28 @@ import json
 import re
 import shutil
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tailbeat.errors import InputError
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.errors import InputError, reason
+from tailbeat.experiment.journal import Journal
+from tailbeat.lasting import write_whole
+from tailbeat.trial_log import Trial, parse_trial, read_trial
 
 _SETTINGS = "settings.json"
 _NOTES = "notes.md"
+_JOURNAL = "journal.jsonl"
 _RAW = "raw"
 _EXPORT = "export"
 _SUMS = "SHA256SUMS"
+_MADE_FOLDERS = ("board", "report")
+_MADE_FILES = ("report.html", "report.png", "analysis.json", "redo.md", "reference.csv")
+_TAKEN_MAX = 1000
+_MAKE_ROOM = "Make room on this computer and do it again; what is on the board stays there."
+_DIGEST_DIGITS = 64
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,10 @@ class Experiment:
                 folder.mkdir(parents=True)
             except FileExistsError:
                 continue
+            except OSError as error:
+                raise InputError(
+                    f"cannot make {folder} ({reason(error)}).", "Choose another --root."
+                ) from error
             return cls._fill(folder, fish, reference, law, now)
         raise InputError(f"{root} holds 999 of {stem} already.", "Use another root folder.")
 
@@ -68,15 +82,27 @@ class Experiment:
         experiment = cls(folder)
         made = (now or datetime.now()).astimezone().isoformat(timespec="seconds")
         experiment.write_settings(
-            {"made": made, "fish": fish, "reference": reference, "law": law, "tool": _tool()}
+            {
+                "name": folder.name,
+                "made": made,
+                "fish": fish,
+                "reference": reference,
+                "law": law,
+                "tool": _tool(),
+            }
         )
-        (folder / _NOTES).write_text(f"# {folder.name}\n", encoding="utf-8")
+        write_whole(folder / _NOTES, f"# {folder.name}\n")
         return experiment
+
+    @staticmethod
+    def is_at(folder: Path) -> bool:
+        """Whether the folder holds one."""
+        return (folder / _SETTINGS).is_file()
 
     @classmethod
     def open(cls, folder: Path) -> Experiment:
         """An existing experiment."""
-        if not (folder / _SETTINGS).is_file():
+        if not cls.is_at(folder):
             raise InputError(
                 f"{folder} is no experiment.", "List them with: tailbeat experiment list"
             )
@@ -88,6 +114,14 @@ class Experiment:
         return self.folder.name
 
     @property
+    def stable_name(self) -> str:
+        """The name it was given: that of a copy in another folder is the same."""
+        settings = self.settings()
+        told = [str(settings.get(key, "")) for key in ("made", "fish", "reference", "law")]
+        older = "_".join([told[0][:10], *(_slug(text) for text in told[1:])])
+        return str(settings.get("name", older))
+
+    @property
     def raw(self) -> Path:
         """Where the untouched files lie."""
         return self.folder / _RAW
@@ -96,6 +130,11 @@ class Experiment:
     def export_folder(self) -> Path:
         """Where exports go."""
         return self.folder / _EXPORT
+
+    @property
+    def journal(self) -> Journal:
+        """What happened, in order; folders of older tools have an empty one."""
+        return Journal(self.folder / _JOURNAL)
 
     def settings(self) -> dict[str, Any]:
         """What was set when the trials were swum."""
@@ -110,69 +149,131 @@ class Experiment:
 
     def write_settings(self, values: dict[str, Any]) -> None:
         """Adds to the settings; what is there under other keys stays."""
-        path = self.folder / _SETTINGS
-        old = self.settings() if path.exists() else {}
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps(old | values, indent=2) + "\n", encoding="utf-8")
-        part.replace(path)
+        old = self.settings() if (self.folder / _SETTINGS).exists() else {}
+        write_whole(self.folder / _SETTINGS, json.dumps(old | values, indent=2) + "\n", _MAKE_ROOM)
 
     def note(self, text: str, now: datetime | None = None) -> None:
-        """Adds a line with the time to the notes."""
-        stamp = (now or datetime.now()).strftime("%Y-%m-%d %H:%M:%S")
-        with (self.folder / _NOTES).open("a", encoding="utf-8") as file:
-            file.write(f"\n- **{stamp}** {text.strip()}\n")
+        """Adds a line with the time to the notes, and to the journal. Raises InputError."""
+        moment = now or datetime.now()
+        self.journal.add("note", moment, text=text.strip())
+        stamp = moment.strftime("%Y-%m-%d %H:%M:%S")
+        path = self.folder / _NOTES
+        old = path.read_text(encoding="utf-8") if path.exists() else f"# {self.name}\n"
+        write_whole(path, f"{old}\n- **{stamp}** {text.strip()}\n", _MAKE_ROOM)
 
     def notes(self) -> str:
         """All notes, Markdown."""
         return (self.folder / _NOTES).read_text(encoding="utf-8")
 
     def add_raw(self, name: str, content: bytes) -> Path:
-        """Keeps ``content`` unchanged for ever. The same content again does nothing; another
-        content under a name that is taken is refused."""
+        """Keeps ``content`` unchanged for ever, lasting when it returns. The same content again
+        does nothing; another content under a name that is taken is refused."""
         path = self.raw / name
         digest = hashlib.sha256(content).hexdigest()
         if path.exists():
-            if hashlib.sha256(path.read_bytes()).hexdigest() == digest:
+            if _digest_of(path) == digest:
                 self._list_sum(digest, name)  # an earlier call may have ended before it did
                 return path
             raise InputError(
                 f"{path} is there already with other content.",
                 "Raw files are never overwritten; start a new experiment.",
             )
-        part = path.with_name(path.name + ".part")
-        part.write_bytes(content)
-        part.chmod(0o444)
-        part.replace(path)
+        write_whole(path, content, _MAKE_ROOM)
+        path.chmod(0o444)
         self._list_sum(digest, name)
         return path
 
+    def keep_raw(self, name: str, content: bytes) -> Path:
+        """As ``add_raw``, but under the next free name (``NAME-2.EXT``) where the name is taken by
+        another content. What a file already holds, or holds the beginning of, is not kept again."""
+        stem, dot, ending = name.partition(".")
+        for number in range(1, _TAKEN_MAX):
+            path = self.raw / (name if number == 1 else f"{stem}-{number}{dot}{ending}")
+            if not path.exists():
+                return self.add_raw(path.name, content)
+            held = path.read_bytes()
+            if held.startswith(content):
+                return self.add_raw(path.name, held)
+        raise InputError(f"{self.raw} is full of {name}.", "Start a new experiment.")
+
+    def keep_trial(self, path: Path) -> Path:
+        """Copies a trial's file into the raw files, named by the number in it; where it is there.
+        Another trial with a number that is taken (the board began again) becomes ``NNNN-2.ulg``.
+        Raises InputError: not a trial file, or the disk is full."""
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise InputError(
+                f"cannot read {path} ({reason(error)}).", "Pull the trial again."
+            ) from error
+        return self.keep_raw(f"{parse_trial(content, path.name).number:04d}.ulg", content)
+
+    def sums(self) -> dict[str, str]:
+        """SHA-256 of every raw file by name, in the order they were added. A line torn by the end
+        of power says nothing."""
+        try:
+            text = (self.raw / _SUMS).read_text(encoding="utf-8", errors="replace")
+        except FileNotFoundError:
+            return {}
+        found = {}
+        for line in text.splitlines():
+            digest, _, name = line.partition("  ")
+            if len(digest) == _DIGEST_DIGITS and name:
+                found[name] = digest
+        return found
+
     def _list_sum(self, digest: str, name: str) -> None:
-        sums, line = self.raw / _SUMS, f"{digest}  {name}"
-        if sums.exists() and line in sums.read_text(encoding="utf-8").splitlines():
+        listed = self.sums()
+        if listed.get(name) == digest:
             return
-        with sums.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+        if name in listed:
+            raise InputError(
+                f"{self.raw / name} is not what {_SUMS} says it was.",
+                f"Put the right file back, or start a new experiment; {_SUMS} is never changed.",
+            )
+        lines = [f"{sha}  {other}\n" for other, sha in listed.items()]
+        write_whole(self.raw / _SUMS, "".join([*lines, f"{digest}  {name}\n"]), _MAKE_ROOM)
 
     def damaged(self) -> list[str]:
         """Names of raw files that are missing or differ from what was added."""
-        sums = self.raw / _SUMS
-        bad = []
-        for line in sums.read_text(encoding="utf-8").splitlines() if sums.exists() else []:
-            digest, _, name = line.partition("  ")
-            path = self.raw / name
-            if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-                bad.append(name)
-        return bad
+        return [
+            name for name, digest in self.sums().items() if _digest_of(self.raw / name) != digest
+        ]
+
+    def unlisted(self) -> list[str]:
+        """Names of raw files that nobody added through this tool (or the power went just then)."""
+        known = {*self.sums(), _SUMS}
+        there = sorted(path.name for path in self.raw.glob("*") if path.is_file())
+        return [name for name in there if name not in known and not name.endswith(".part")]
+
+    def raw_problems(self) -> list[str]:
+        """One line for each raw file that cannot be trusted; none = all is as it came."""
+        missing = "is missing"
+        changed = "is not what it was when it was added"
+        lines = [
+            f"raw/{name} {changed if (self.raw / name).exists() else missing}"
+            for name in self.damaged()
+        ]
+        return lines + [f"raw/{name} is not listed in {_SUMS}" for name in self.unlisted()]
+
+    def trial_files(self) -> list[Path]:
+        """Every trial's file, in the order they were swum: by the journal, else by number, or by
+        when they were added where numbers came twice."""
+        return _in_order(
+            {path.name: path for path in self.raw.glob("*.ulg")},
+            [str(entry.get("file", "")) for entry in self.journal.entries("swum")],
+            list(self.sums()),
+        )
 
     def trials(self) -> list[Trial]:
-        """Every trial of the series, by number."""
-        return [read_trial(path) for path in sorted(self.raw.glob("*.ulg"))]
+        """Every trial of the series, in order."""
+        return [read_trial(path) for path in self.trial_files()]
 
     def clear(self) -> None:
         """Deletes what belongs to the experiment, raw files too; other files in its folder stay."""
-        for name in (_RAW, _EXPORT):
+        for name in (_RAW, _EXPORT, *_MADE_FOLDERS):
             shutil.rmtree(self.folder / name, ignore_errors=True)
-        for name in (_SETTINGS, _NOTES, "report.html", "report.png"):
+        for name in (_SETTINGS, _NOTES, _JOURNAL, *_MADE_FILES):
             (self.folder / name).unlink(missing_ok=True)
 
 
@@ -181,6 +282,29 @@ def list_experiments(root: Path) -> list[Experiment]:
     if not root.is_dir():
         return []
     return [Experiment(path.parent) for path in sorted(root.glob(f"*/{_SETTINGS}"))]
+
+
+def _digest_of(path: Path) -> str:
+    """Of a file that is not there: empty."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _in_order(files: dict[str, Path], swum: Sequence[str], added: Sequence[str]) -> list[Path]:
+    """Those of ``swum`` in its order; each other one before the first that was swum later."""
+    order = sorted(files)
+    if any("-" in name for name in files):
+        place = {name: at for at, name in enumerate(added)}
+        order.sort(key=lambda name: place.get(name, len(place)))
+    when = {name: at for at, name in enumerate(order)}
+    told = [name for name in dict.fromkeys(Path(file).name for file in swum) if name in files]
+    for name in order:
+        if name not in told:
+            later = (at for at, other in enumerate(told) if when[other] > when[name])
+            told.insert(next(later, len(told)), name)
+    return [files[name] for name in told]
 
 
 def _slug(text: str) -> str:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
 from tailbeat.model import fitting
-from tailbeat.model.fishmodel import Conditions, FishModel
+from tailbeat.model.edge import farthest, way
+from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.fitting import Fit, Prior, Scatter
 from tailbeat.model.identified import Identified
 from tailbeat.model.swim import Swim
@@ -25,12 +26,10 @@ Array = NDArray[np.float64]
 
 CRUISE, COAST = "cruise", "coast-down"
 FRACTIONS = (0.4, 0.7, 1.0)  # of the way from the dead zone to the limit: Table 8.1's, nearly
-PESSIMISM = 2.0  # sigmas
 STILL_M_S = 0.004  # a mean speed below it may be the water's
 _RUNS_MAX = 8
 _MODELS = 50  # from each way of drawing them
 _RAMP_BEATS = 4
-_GLIDE_S = 5.0  # after the last beat, until somebody is at the fish
 _CRUISE_S = (6.0, 16.0)  # shortest and longest time at the cruise amplitude
 _COAST_S = {CRUISE: 8.0, COAST: 14.0}
 _SETTLED = 3.0  # time constants of speed, after which a cruise is steady
@@ -161,11 +160,13 @@ class Course:
 
     def _sized(self, number: int, kind: str, wanted_rad: float) -> Run:
         """As long as fits, and slower only if even the shortest does not."""
-        edge = self._pessimist(self._profile(kind, wanted_rad, self._beats(_CRUISE_S[1])))
+        longest_rad = self._profile(kind, wanted_rad, self._beats(_CRUISE_S[1]))
+        beat_s = self.limits.beat_s
+        edge, day = farthest(self.model, self.covariance, self.scatter, longest_rad, beat_s)
         usable_m = self.limits.usable_m
 
         def worst(amplitude: Array) -> float:
-            return _travel(*edge, amplitude, self.limits.beat_s)
+            return way(edge, amplitude, beat_s, day)
 
         shortest, longest = (self._beats(s) for s in self._cruise_s(kind, wanted_rad))
         amplitude = self._profile(kind, wanted_rad, shortest)
@@ -193,8 +194,8 @@ class Course:
             kind=kind,
             cruise_rad=wanted_rad,
             amplitude_rad=amplitude,
-            predicted_m_s=model.beats(amplitude, self.limits.beat_s),
-            travel_m=_travel(model, Conditions(), amplitude, self.limits.beat_s),
+            predicted_m_s=model.beats(amplitude, beat_s),
+            travel_m=way(model, amplitude, beat_s),
             travel_worst_m=worst(amplitude),
         )
 
@@ -218,57 +219,6 @@ class Course:
         coast = np.zeros(self._beats(_COAST_S[kind]))
         coast[0] = _LAST_SWING * foot
         return np.concatenate([ramp, cruise, coast])
-
-    def _pessimist(self, amplitude: Array) -> tuple[FishModel, Conditions]:
-        """The most probable of the fish and days that travel ``PESSIMISM`` sigmas too far.
-
-        Of all (log kappa, log slope, dead zone, delay, gain, flow) at that distance from the best,
-        in units of what is known of them, the one straight up the slope of the way.
-        """
-        centre = _as_vector(self.model)
-        covariance = np.zeros((6, 6))
-        covariance[:4, :4] = self.covariance
-        covariance[4, 4], covariance[5, 5] = self.scatter.gain**2, self.scatter.flow_m_s**2
-        sigma = np.sqrt(np.diag(covariance))
-
-        def way(x: Array) -> float:
-            return _travel(*_from_vector(x), amplitude, self.limits.beat_s)
-
-        slope = np.zeros(6)
-        for i in np.flatnonzero(sigma > 0):
-            step = np.zeros(6)
-            step[i] = sigma[i]
-            slope[i] = (way(centre + step) - way(centre - step)) / (2 * sigma[i])
-        spread = math.sqrt(float(slope @ covariance @ slope))
-        if spread == 0:
-            return self.model, Conditions()
-        return _from_vector(centre + PESSIMISM * (covariance @ slope) / spread)
-
-
-def _as_vector(model: FishModel) -> Array:
-    return np.array(
-        [
-            math.log(model.kappa_per_m),
-            math.log(model.slope_m_s_rad),
-            model.dead_zone_rad,
-            model.delay_s,
-            1.0,
-            0.0,
-        ]
-    )
-
-
-def _from_vector(x: Array) -> tuple[FishModel, Conditions]:
-    kappa, slope, dead, delay, gain, flow = map(float, x)
-    model = FishModel(math.exp(kappa), math.exp(slope), max(dead, 0.0), max(delay, 0.0))
-    return model, Conditions(gain=max(gain, 0.0), flow_m_s=flow)
-
-
-def _travel(model: FishModel, given: Conditions, amplitude: Array, beat_s: float) -> float:
-    """Way over ground until the glide after the last beat is over, m."""
-    glide = np.zeros(max(1, round(_GLIDE_S / beat_s)))
-    speed = model.beats(np.concatenate([amplitude, glide]), beat_s, given)
-    return float(np.sum(speed)) * beat_s
 
 
 def _moved(swim: Swim, cruise_rad: float) -> bool:

@@ -27,7 +27,10 @@ def put_safe(safe: Path, now: Backup, note: Callable[[str], None]) -> Backup:
     board holds. A copy is never overwritten. ``note``: told what a person should know."""
     left = _left(safe)
     if left is not None and left.unique_id == now.unique_id and _broken_off(safe, left, now):
-        note(f"an identification was broken off; what the board held before it is in {safe}")
+        note(
+            "an identification or a trim was broken off; "
+            f"what the board held before it is in {safe}"
+        )
         return left
     if (safe / _BOARD).exists():
         aside = _aside(safe)

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.errors import InputError, reason
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tailbeat.experiment.analysis import Analysis
     from tailbeat.experiment.folder import Experiment
+    from tailbeat.report.page import Picture
 
 FIGURES = ("learning", "trials", "contraction", "comparison")
+PAGE_NAME = "report.html"
+CAPTIONS_NAME = "captions.txt"
+_FOLDER = "report"
+_TABLES = "tables"
+_COMPARISON_NAME = "comparison.csv"
+_PAPER_KINDS = ("pdf", "svg")
 
 
 @dataclass(frozen=True)
@@ -28,9 +42,180 @@ def write_report(
     against: Sequence[Experiment] = (),
     folder: Path | None = None,
 ) -> Written:
-    """Into ``report/`` of the experiment (or ``folder``): ``report.html``; with ``paper`` also every
-    figure as PDF and SVG in one column's width, and ``tables/`` (CSV, MATLAB, Parquet: trials,
-    beats, slots). ``against``: other experiments of the same reference; then there is the
-    ``comparison``. Everything of a simulated fish carries the word ``simulated``: page, every
-    figure, every table. Also writes ``analysis.json``. Raises InputError."""
-    raise NotImplementedError
+    """Into ``report/`` of the experiment (or ``folder``): ``report.html``; with ``paper`` also
+    every figure as PDF and SVG in one column's width with ``captions.txt``, and ``tables/`` (CSV,
+    MATLAB, Parquet: trials, beats, slots). ``against``: other experiments of the same reference;
+    then there is the ``comparison``. Everything of a simulated fish carries the word ``simulated``:
+    page, every figure, every table. ``report.json`` holds the options and versions, for a replay.
+    Figures for a paper that are there already are made anew, never left behind older than the page.
+    Also writes ``analysis.json``, with ``folder`` in there. The same experiment gives the same
+    bytes. Raises InputError."""
+    from tailbeat.experiment.analysis import analyse
+
+    analyses = [analyse(one) for one in (experiment, *against)]
+    require_one_reference(analyses)
+    target = folder or experiment.folder / _FOLDER
+    paper = paper or any((target / f"{name}.pdf").is_file() for name in FIGURES)
+    try:
+        return _write(experiment, analyses, target, _Options(paper, against, folder is None))
+    except OSError as error:
+        raise InputError(
+            f"cannot write the report into {target} ({reason(error)}).",
+            "Make room on this computer, or name another folder with --out.",
+        ) from error
+
+
+@dataclass(frozen=True)
+class _Options:
+    paper: bool
+    against: Sequence[Experiment]
+    in_place: bool
+
+
+def _write(
+    experiment: Experiment, analyses: Sequence[Analysis], folder: Path, options: _Options
+) -> Written:
+    from tailbeat.experiment.replay import MADE
+    from tailbeat.lasting import write_whole
+    from tailbeat.plain import canonical
+    from tailbeat.report.figures.style import simulated_mark
+    from tailbeat.report.page import material, page
+
+    folder.mkdir(parents=True, exist_ok=True)
+    beside = experiment.folder if options.in_place else folder
+    write_whole(beside / "analysis.json", canonical(analyses[0].document()))
+    drawings = draw_all(analyses)
+    path = folder / PAGE_NAME
+    write_whole(path, page(analyses, material(experiment), [one.picture for one in drawings]))
+    figures: list[Path] = []
+    tables: list[Path] = []
+    if options.paper:
+        _remove_comparison(folder)
+        figures = _paper_figures(drawings, simulated_mark(analyses), folder)
+        tables = _tables(experiment, analyses, folder / _TABLES)
+    write_whole(folder / MADE, json.dumps(_told(experiment, options), indent=2) + "\n")
+    return Written(path, figures, tables)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure for the page, and the same for a paper, of which the narrow picture is made."""
+
+    picture: Picture
+    printed: Figure
+
+
+def draw_all(analyses: Sequence[Analysis]) -> list[Drawing]:
+    """The figures there are of these; a comparison takes two."""
+    from importlib import import_module
+
+    from tailbeat.report.figures.style import PAGE, PAPER, written
+    from tailbeat.report.page import Picture
+
+    drawings = []
+    for name in FIGURES if len(analyses) > 1 else FIGURES[:-1]:
+        module = import_module(f"tailbeat.report.figures.{name}")
+        printed = module.draw(analyses, PAPER)
+        wide = written(module.draw(analyses, PAGE), "svg")
+        picture = Picture(name, wide, written(printed, "svg"), module.caption(analyses))
+        drawings.append(Drawing(picture, printed))
+    return drawings
+
+
+def _remove_comparison(folder: Path) -> None:
+    """An older one may be of other experiments."""
+    old = [folder / f"comparison.{kind}" for kind in _PAPER_KINDS]
+    for path in (*old, folder / _TABLES / _COMPARISON_NAME):
+        path.unlink(missing_ok=True)
+
+
+def _told(experiment: Experiment, options: _Options) -> dict[str, Any]:
+    """Where the others lie seen from this experiment, so that a copy of all of them replays."""
+    from tailbeat.experiment.replay import made_with
+
+    others = [Path(os.path.relpath(one.folder, experiment.folder)) for one in options.against]
+    against = [other.as_posix() for other in others]
+    return {"paper": options.paper, "against": against, "versions": made_with()}
+
+
+def require_one_reference(analyses: Sequence[Analysis]) -> None:
+    """Errors against different references do not compare. Raises InputError."""
+    first = analyses[0]
+    for other in analyses[1:]:
+        if (other.reference_crc, other.beat_s) != (first.reference_crc, first.beat_s):
+            raise InputError(
+                f"{other.name} swam the reference {other.reference_name or 'without a name'} "
+                f"({other.reference_crc:#010x}), {first.name} "
+                f"{first.reference_name or 'one without a name'} ({first.reference_crc:#010x}).",
+                "Compare experiments of one reference.",
+            )
+
+
+def _paper_figures(drawings: Sequence[Drawing], mark: str, folder: Path) -> list[Path]:
+    """``mark``: what the captions say of simulated fish."""
+    from tailbeat.lasting import write_whole
+    from tailbeat.report.figures.style import written
+
+    paths, captions = [], []
+    for drawing in drawings:
+        picture = drawing.picture
+        for kind in _PAPER_KINDS:
+            path = folder / f"{picture.name}.{kind}"
+            is_svg = kind == "svg"
+            write_whole(path, picture.narrow if is_svg else written(drawing.printed, kind))
+            paths.append(path)
+        simulated = f"{mark.capitalize()}. " if mark else ""
+        captions.append(f"{picture.name}\n{simulated}{picture.caption}\n")
+    words = folder / CAPTIONS_NAME
+    write_whole(words, "\n".join(captions))
+    return [*paths, words]
+
+
+def _tables(experiment: Experiment, analyses: Sequence[Analysis], folder: Path) -> list[Path]:
+    from tailbeat.experiment.export import export
+
+    paths = export(experiment, folder=folder)
+    if len(analyses) > 1:
+        paths.append(_comparison_table(analyses, folder / _COMPARISON_NAME))
+    return paths
+
+
+def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
+    """One row per other experiment and measure, this one less the other; none where too few swims
+    count."""
+    import csv
+
+    from tailbeat.experiment.compare import compare
+
+    rows: list[list[Any]] = []
+    for other in analyses[1:]:
+        for what in ("max", "rms"):
+            try:
+                found = compare(other, analyses[0], what)
+            except InputError:
+                continue
+            made_up = other.simulated or analyses[0].simulated
+            rows.append([read(found, other, analyses[0], made_up) for read in _COMPARISON.values()])
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(_COMPARISON)
+        out.writerows(rows)
+    return path
+
+
+_COMPARISON: dict[str, Callable[..., Any]] = {
+    "what": lambda found, *_: found.what,
+    "experiment": lambda _found, _other, this, _: this.name,
+    "against": lambda _found, other, *_: other.name,
+    "swims": lambda found, *_: len(found.b_m_s),
+    "swims_against": lambda found, *_: len(found.a_m_s),
+    "difference_m_s": lambda found, *_: repr(found.difference_m_s),
+    "low_m_s": lambda found, *_: repr(found.difference_low_m_s),
+    "high_m_s": lambda found, *_: repr(found.difference_high_m_s),
+    "hedges_g": lambda found, *_: repr(found.g),
+    "hedges_g_low": lambda found, *_: repr(found.g_low),
+    "hedges_g_high": lambda found, *_: repr(found.g_high),
+    "p": lambda found, *_: repr(found.p),
+    "repeats_needed": lambda found, *_: "" if found.repeats is None else found.repeats,
+    "simulated": lambda *given: given[-1],
+}

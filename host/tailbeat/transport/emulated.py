@@ -262,6 +262,31 @@ class EmulatedBoard:
         """Rolls the fish."""
         self._world.set_tilt_rad(roll_rad)
 
+    def set_start(self, start_m_s: float) -> None:
+        """Speed over water at which the next swim starts."""
+        self._world.set_start(start_m_s)
+
+    def push(self, by_m_s: float) -> None:
+        """A hand changes the fish's speed, within 0.3 s."""
+        self._world.push(by_m_s)
+
+    def hold(self, hold_s: float) -> None:
+        """Something stops the fish dead and lets it go after ``hold_s``."""
+        self._world.hold(hold_s)
+
+    def stir(self, by_m_s: float) -> None:
+        """Moves the water along the tank; it comes to rest with a time constant of 8 s."""
+        self._world.stir(by_m_s)
+
+    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Somebody puts the fish there, at rest; the next swim begins from there."""
+        self._world.place(x_m, y_m, heading_rad)
+
+    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
+        """Power off, another pack, power on; the ballast may have shifted."""
+        self._world.swap_battery(volts, gain, centre_rad)
+        self.power_cycle()
+
     @property
     def flash(self) -> bytes:
         """The storage flash (bank 1) as it is now."""

@@ -18,8 +18,9 @@ FLASH_BYTES = 256 * 1024
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One processed picture: where the fish was at simulated time ``time_s``. ``tail_rad``: angle
-    of the tail against the body; ``led``: part of the exposure in which the board's LED was on."""
+    """One processed picture: where the fish was at simulated time ``time_s``, ``x_m`` along the
+    tank, ``y_m`` to the right, its heading clockwise from above. ``tail_rad``: angle of the tail
+    against the body; ``led``: part of the exposure in which the board's LED was on."""
 
     time_s: float
     x_m: float
@@ -31,10 +32,13 @@ class CameraFrame:
 
 @dataclass(frozen=True)
 class Truth:
-    """The simulator's own state."""
+    """The simulator's own state. Position and heading are those of the fish's path, about which the
+    body sways and swings; ``v_m_s``: over ground, along the heading."""
 
     time_s: float
     x_m: float
+    y_m: float
+    heading_rad: float
     v_m_s: float
     tail_rad: float
     amplitude_rad: float
@@ -112,6 +116,26 @@ class SimulatedBoard(Protocol):
 
     def set_tilt_rad(self, roll_rad: float) -> None:
         """Rolls the fish."""
+
+    def set_start(self, start_m_s: float) -> None:
+        """Speed over water at which the next swim starts."""
+
+    def push(self, by_m_s: float) -> None:
+        """A hand changes the fish's speed, within 0.3 s."""
+
+    def hold(self, hold_s: float) -> None:
+        """Something stops the fish dead and lets it go after ``hold_s``."""
+
+    def stir(self, by_m_s: float) -> None:
+        """The water gets faster by that along the tank, within 0.3 s; it comes to rest again with
+        a time constant of 8 s, and carries a fish that nobody holds."""
+
+    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Somebody puts the fish there, at rest; the next swim begins from there."""
+
+    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
+        """Power off, another pack, power on. The hull was open: from the next swim on thrust speed
+        is ``gain`` times what it was, and the tail's centre is off by ``centre_rad`` more."""
 
     @property
     def flash(self) -> bytes:

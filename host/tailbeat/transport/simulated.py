@@ -20,12 +20,19 @@ from tailbeat.transport.inprocess import (
 )
 from tailbeat.transport.world import (
     PLANTS,
+    SPEED_MAX_M_S,
+    TILT_MAX_RAD,
     config_field,
     config_values,
     make_config,
     read_pictures,
     read_values,
     senseless,
+    sensible,
+    sensible_hold,
+    sensible_pose,
+    sensible_swap,
+    sensible_volts,
     truth_of,
 )
 
@@ -118,7 +125,7 @@ class SimBoard:
 
     def set_battery_v(self, volts: float) -> None:
         """Battery voltage from now on."""
-        lib.sim_set_battery_v(self._sim, volts)
+        lib.sim_set_battery_v(self._sim, sensible_volts(volts))
 
     def set_imu(self, plugged: bool) -> None:
         """Plugs the IMU in or out."""
@@ -142,19 +149,31 @@ class SimBoard:
 
     def set_tilt_rad(self, roll_rad: float) -> None:
         """Rolls the fish."""
-        lib.sim_set_tilt_rad(self._sim, roll_rad)
+        lib.sim_set_tilt_rad(self._sim, sensible("a tilt", roll_rad, TILT_MAX_RAD))
 
     def set_start(self, start_m_s: float) -> None:
         """Speed over water at which the next swim starts."""
-        lib.sim_set_start(self._sim, start_m_s)
+        lib.sim_set_start(self._sim, sensible("a start", start_m_s, SPEED_MAX_M_S))
 
     def push(self, by_m_s: float) -> None:
         """A hand changes the fish's speed, within 0.3 s."""
-        lib.sim_push(self._sim, by_m_s)
+        lib.sim_push(self._sim, sensible("a push", by_m_s, SPEED_MAX_M_S))
 
     def hold(self, hold_s: float) -> None:
         """Something stops the fish dead and lets it go after ``hold_s``."""
-        lib.sim_hold(self._sim, hold_s)
+        lib.sim_hold(self._sim, sensible_hold(hold_s))
+
+    def stir(self, by_m_s: float) -> None:
+        """Moves the water along the tank; it comes to rest with a time constant of 8 s."""
+        lib.sim_stir(self._sim, sensible("a current", by_m_s, SPEED_MAX_M_S))
+
+    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Somebody puts the fish there, at rest; the next swim begins from there."""
+        lib.sim_place(self._sim, *sensible_pose(x_m, y_m, heading_rad))
+
+    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
+        """Power off, another pack, power on; the ballast may have shifted."""
+        lib.sim_swap_battery(self._sim, *sensible_swap(volts, gain, centre_rad))
 
     @property
     def flash(self) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,18 @@ from tailbeat.errors import InputError
 from tailbeat.transport.inprocess import CameraFrame, Truth
 
 PLANTS = {"thesis": 0, "tank": 1}
+SPEED_MAX_M_S = 10.0
+TILT_MAX_RAD = math.pi
 FRAME_US = 20_000  # of the servo
 
 _PICTURES_AT_ONCE = 256
 _IMU_MESSAGE_MAX = 640
 _NEVER = (1 << 64) - 1
+_FAR_M = 100.0
+_HOLD_MAX_S = 1e5
+_VOLTS_MAX = 60.0
+_GAIN_MAX = 10.0
+_CENTRE_MAX_RAD = 0.5
 
 
 class World:
@@ -117,7 +125,7 @@ class World:
 
     def set_battery_v(self, volts: float) -> None:
         """Battery voltage from now on."""
-        lib.world_set_battery_v(self._world, volts)
+        lib.world_set_battery_v(self._world, sensible_volts(volts))
 
     def set_imu(self, now_us: int, plugged: bool) -> None:
         """Plugs the IMU in or out."""
@@ -129,7 +137,31 @@ class World:
 
     def set_tilt_rad(self, roll_rad: float) -> None:
         """Rolls the fish."""
-        lib.world_set_tilt_rad(self._world, roll_rad)
+        lib.world_set_tilt_rad(self._world, sensible("a tilt", roll_rad, TILT_MAX_RAD))
+
+    def set_start(self, start_m_s: float) -> None:
+        """Speed over water at which the next swim starts."""
+        lib.world_set_start(self._world, sensible("a start", start_m_s, SPEED_MAX_M_S))
+
+    def push(self, by_m_s: float) -> None:
+        """A hand changes the fish's speed, within 0.3 s."""
+        lib.world_push(self._world, sensible("a push", by_m_s, SPEED_MAX_M_S))
+
+    def hold(self, hold_s: float) -> None:
+        """Something stops the fish dead and lets it go after ``hold_s``."""
+        lib.world_hold(self._world, sensible_hold(hold_s))
+
+    def stir(self, by_m_s: float) -> None:
+        """Moves the water along the tank; it comes to rest with a time constant of 8 s."""
+        lib.world_stir(self._world, sensible("a current", by_m_s, SPEED_MAX_M_S))
+
+    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Somebody puts the fish there, at rest; the next swim begins from there."""
+        lib.world_place(self._world, *sensible_pose(x_m, y_m, heading_rad))
+
+    def swap_battery(self, volts: float, gain: float, centre_rad: float) -> None:
+        """Another pack; the ballast may have shifted. The board's power is the caller's."""
+        lib.world_swap_battery(self._world, *sensible_swap(volts, gain, centre_rad))
 
 
 def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
@@ -149,6 +181,42 @@ def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
 def senseless() -> InputError:
     """The error for values that fit no world."""
     return InputError("the simulator cannot run with these values", "Check them: SI units.")
+
+
+def sensible(what: str, value: float, most: float, least: float | None = None) -> float:
+    """``value`` from ``least`` (default: ``-most``) to ``most``. Raises InputError otherwise."""
+    low = -most if least is None else least
+    if not low <= value <= most:
+        raise InputError(f"{what} of {value:g} makes no sense", f"From {low:g} to {most:g}, SI.")
+    return value
+
+
+def sensible_hold(hold_s: float) -> float:
+    """How long something holds the fish. Raises InputError."""
+    return sensible("a hold", hold_s, _HOLD_MAX_S, 0.0)
+
+
+def sensible_volts(volts: float) -> float:
+    """Of a pack. Raises InputError."""
+    return sensible("a voltage", volts, _VOLTS_MAX, 0.0)
+
+
+def sensible_pose(x_m: float, y_m: float, heading_rad: float) -> tuple[float, float, float]:
+    """Where somebody may put the fish. Raises InputError."""
+    return (
+        sensible("a place", x_m, _FAR_M),
+        sensible("a place", y_m, _FAR_M),
+        sensible("a heading", heading_rad, math.pi),
+    )
+
+
+def sensible_swap(volts: float, gain: float, centre_rad: float) -> tuple[float, float, float]:
+    """What a swap of the battery may bring. Raises InputError."""
+    return (
+        sensible_volts(volts),
+        sensible("a gain", gain, _GAIN_MAX, 0.0),
+        sensible("a shift of the tail's centre", centre_rad, _CENTRE_MAX_RAD),
+    )
 
 
 def config_values(config: Any) -> dict[str, float]:
@@ -173,7 +241,16 @@ def config_field(name: str) -> str:
 def truth_of(t: Any) -> Truth:
     """From a sim_truth_t."""
     return Truth(
-        t.time_s, t.x_m, t.v_m_s, t.tail_rad, t.amplitude_rad, t.swims, t.swimming, t.pulse_ticks
+        time_s=t.time_s,
+        x_m=t.x_m,
+        y_m=t.y_m,
+        heading_rad=t.heading_rad,
+        v_m_s=t.v_m_s,
+        tail_rad=t.tail_rad,
+        amplitude_rad=t.amplitude_rad,
+        swims=t.swims,
+        swimming=t.swimming,
+        pulse_ticks=t.pulse_ticks,
     )
 
 

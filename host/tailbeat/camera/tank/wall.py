@@ -17,12 +17,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# A fish whose tail stops glides on: ln(v / v_end) / kappa, which from 0.08 down to 0.01 m/s is
-# 0.21 m at a drag of kappa = 10 1/m. Half a second passes before that: picture, radio, and thrust
-# that is under way. A reference of 2.2 m still fits into a tank of 3 m, since a fish that slows
-# down may come closer.
-WALL_ZONE_M = 0.25
 CRUISE_M_S = 0.08
+STOP_S = 0.5  # before the tail rests: picture, radio, and thrust that is under way
+KAPPA_PER_M = 10.0
 TOUCH_M_S = 0.01  # what comes slower than this does no harm
 NOSE_M = 0.20  # from the marker's centre to the tip of the head of a 36 cm fish
 LENGTH_M = 0.36
@@ -39,12 +36,25 @@ _UNSEEN_S = 1.0
 _BLIND_S = 2.0
 
 
+def glide_m(speed_m_s: float, kappa_per_m: float) -> float:
+    """How far a fish goes on after its last thrust until it does no harm any more: drag takes the
+    speed down by exp(-kappa * way)."""
+    return max(math.log(max(speed_m_s, TOUCH_M_S) / TOUCH_M_S) / kappa_per_m, 0.0)
+
+
+def stopping_m(speed_m_s: float, kappa_per_m: float) -> float:
+    """How far it comes from the picture that shows it."""
+    return STOP_S * max(speed_m_s, 0.0) + glide_m(speed_m_s, kappa_per_m)
+
+
 class WallGuard:
     """A guard for run_trial: sees frames, gives a reason to abort.
 
     The fish's nose and tail keep away from the edges of ``calibration.area_m``: from each edge by
-    ``zone_m`` when the fish comes towards it at 0.08 m/s, in proportion to that speed otherwise (so
-    3.1 s before it would be there, by default). An edge that it does not come closer to at 0.01 m/s
+    the way the fish needs to stop, at the speed it comes towards it (``stopping_m``; with
+    ``kappa_per_m`` 10, 0.25 m at 0.08 m/s). So a reference of 2.2 m fits into a tank of 3 m, since
+    a fish that slows down may come closer. ``zone_m``: instead, so far at 0.08 m/s, in proportion
+    to the speed otherwise. An edge that it does not come closer to at 0.01 m/s
     or more does not count: the wall behind it at the start, one that it swims along. Without an
     area, or with ``zone_m`` 0, it never aborts.
 
@@ -61,13 +71,15 @@ class WallGuard:
     def __init__(
         self,
         calibration: Calibration,
-        zone_m: float = WALL_ZONE_M,
+        zone_m: float | None = None,
         nose_m: float = NOSE_M,
         beat_s: float = 1.0,
+        kappa_per_m: float = KAPPA_PER_M,
     ) -> None:
-        area = calibration.area_m if zone_m > 0 else None
+        area = calibration.area_m if zone_m is None or zone_m > 0 else None
         self._walls = None if area is None else _inward(np.asarray(area, dtype=np.float64))
-        self._zone_s = zone_m / CRUISE_M_S
+        self._zone_s = None if zone_m is None else zone_m / CRUISE_M_S
+        self._kappa_per_m = kappa_per_m
         self._ends_m = np.array([nose_m, nose_m - LENGTH_M])
         self._beat_s = beat_s
         self._window_s = beat_s * max(1, round(_WINDOW_S / beat_s))
@@ -186,12 +198,18 @@ class WallGuard:
         place: Floats = np.array([frame.x_m, frame.y_m]) + self._ends_m[:, None] * along
         return place
 
+    def _zone_m(self, towards_m_s: Floats) -> Floats:
+        """How near is too near, for each wall."""
+        if self._zone_s is not None:
+            return self._zone_s * towards_m_s
+        return np.array([stopping_m(float(v), self._kappa_per_m) for v in towards_m_s])
+
     def _judge(self, place: Floats, velocity: Floats, how: str) -> str | None:
         assert self._walls is not None
         inward, offset = self._walls
         left_m = (place @ inward.T - offset).min(axis=0)
         towards_m_s = -(inward @ velocity)
-        near = (towards_m_s >= TOUCH_M_S) & (left_m < self._zone_s * towards_m_s)
+        near = (towards_m_s >= TOUCH_M_S) & (left_m < self._zone_m(towards_m_s))
         if not near.any():
             return None
         worst = int(np.argmin(np.where(near, left_m, np.inf)))

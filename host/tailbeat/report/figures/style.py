@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import io
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.errors import InputError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from tailbeat.experiment.analysis import Analysis
 
 Draw = Callable[["Sequence[Analysis]", "Style"], "Figure"]
+
+TEXT_PT_MIN = 6.0  # what journals ask for, as printed
+INK, GREY, FAINT, BAND = "0.10", "0.40", "0.62", "0.87"
+SIMULATED = "simulated"
+_INCH_M = 0.0254
+_PT_PER_INCH = 72.0
+_NAME_CHARS_MAX = 34
+_HEAD_PT = 11.0  # the strip above everything that says simulated
+_EDGE_PT = 2.0
+_DPI = 300
+_NOTHING_ELSE: dict[str, dict[str, Any]] = {  # matplotlib's version and the date are left out
+    "pdf": {"Creator": "tailbeat", "Producer": None, "CreationDate": None},
+    "svg": {"Creator": None, "Date": None},
+    "png": {"Software": None},
+}
+_EM_PER_CHAR = 0.53  # mean width of a character of DejaVu Sans in text
 
 
 @dataclass(frozen=True)
@@ -24,12 +46,230 @@ class Style:
     width_m: float
     text_pt: float
 
+    @property
+    def width_in(self) -> float:
+        """For matplotlib."""
+        return self.width_m / _INCH_M
+
+    @property
+    def wide(self) -> bool:
+        """Room for two panels side by side."""
+        return self.width_m > 0.12
+
+    @property
+    def small_pt(self) -> float:
+        """Of labels inside the axes."""
+        return max(TEXT_PT_MIN, self.text_pt - 1.5)
+
+    def chars(self, part: float = 1.0) -> int:
+        """How many characters of small text fit into that part of the width."""
+        return int(part * self.width_in * _PT_PER_INCH / (_EM_PER_CHAR * self.small_pt))
+
 
 PAGE = Style("page", 0.190, 9.0)
-PAPER = Style("paper", 0.0889, 8.0)  # one column of an IEEE journal, 3.5 inches
+PAPER = Style("paper", 0.0889, 8.0)  # one column of an IEEE journal, 3.5 inches; phones too
+
+
+@dataclass(frozen=True)
+class Look:
+    """Of one condition. Colours by Okabe and Ito, in an order whose greys differ too."""
+
+    colour: str
+    marker: str
+    dash: Any
+
+
+LOOKS = (
+    Look("#0b0b0b", "o", "-"),
+    Look("#d55e00", "s", (0, (5, 1.6))),
+    Look("#0072b2", "^", (0, (1.2, 1.3))),
+    Look("#e69f00", "D", (0, (6, 1.6, 1.2, 1.6))),
+    Look("#009e73", "v", (0, (3, 1.2, 1.2, 1.2, 1.2, 1.2))),
+    Look("#56b4e9", "P", (0, (8, 2))),
+)
+
+
+@contextmanager
+def drawing(style: Style) -> Iterator[None]:
+    """The settings figures are made with, whatever this computer's own are."""
+    import matplotlib.style as mpl_style
+
+    settings: dict[Any, Any] = {
+        "font.family": "DejaVu Sans",
+        "font.size": style.text_pt,
+        "text.color": INK,
+        "text.parse_math": False,
+        "axes.labelsize": style.text_pt,
+        "axes.labelcolor": INK,
+        "axes.edgecolor": GREY,
+        "axes.linewidth": 0.6,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.axisbelow": True,
+        "axes.unicode_minus": True,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "xtick.labelsize": style.small_pt,
+        "ytick.labelsize": style.small_pt,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "xtick.major.size": 2.5,
+        "ytick.major.size": 2.5,
+        "legend.fontsize": style.small_pt,
+        "legend.frameon": False,
+        "legend.handlelength": 2.2,
+        "legend.handletextpad": 0.5,
+        "legend.columnspacing": 1.2,
+        "legend.borderpad": 0.1,
+        "legend.borderaxespad": 0.2,
+        "legend.labelspacing": 0.25,
+        "lines.linewidth": 1.2,
+        "lines.markersize": 4.0,
+    }
+    with mpl_style.context(["default", settings]):
+        yield
+
+
+def blank(
+    analyses: Sequence[Analysis], style: Style, height_m: float, foot_pt: float = 0
+) -> Figure:
+    """An empty figure of the style's width that says what of it is simulated. ``foot_pt``: room
+    left free at the bottom. Raises InputError when there are too many conditions to tell apart."""
+    from matplotlib.figure import Figure
+
+    if len(analyses) > len(LOOKS):
+        raise InputError(
+            f"{len(analyses)} experiments are more than one figure can tell apart.",
+            f"Compare at most {len(LOOKS)}.",
+        )
+    mark = simulated_mark(analyses)
+    head = _HEAD_PT / _PT_PER_INCH if mark else 0.0
+    foot = foot_pt / _PT_PER_INCH
+    height = height_m / _INCH_M + head + foot
+    figure = Figure(figsize=(style.width_in, height), facecolor="white", layout="constrained")
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(0, foot / height, 1, 1 - (head + foot) / height), w_pad=0.02, h_pad=0.02)
+    if mark:
+        figure.text(
+            1 - _EDGE_PT / (style.width_in * _PT_PER_INCH),
+            1 - _EDGE_PT / (height * _PT_PER_INCH), mark, ha="right", va="top",
+            fontsize=style.small_pt, fontweight="bold", color=GREY, gid=SIMULATED,
+        )  # fmt: skip
+    return figure
+
+
+def head_legend(figure: Figure, entries: Sequence[Any], columns: int) -> None:
+    """A legend above the axes, filled row by row; the figure grows by its height."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    if not entries:
+        return
+    columns = min(columns, len(entries))
+    by_rows = [entry for column in range(columns) for entry in entries[column::columns]]
+    legend = figure.legend(handles=by_rows, loc="upper left", ncols=columns)
+    legend.set_in_layout(False)
+    canvas: Any = FigureCanvasAgg(figure)
+    room = legend.get_window_extent(canvas.get_renderer()).height / figure.dpi
+    mark = [text for text in figure.texts if text.get_gid() == SIMULATED]
+    head = _HEAD_PT / _PT_PER_INCH if mark else 0.0
+    height = figure.get_figheight() + room
+    figure.set_figheight(height)
+    for text in mark:
+        text.set_y(1 - _EDGE_PT / (height * _PT_PER_INCH))
+    legend.set_bbox_to_anchor((0, 0, 1, 1 - head / height), figure.transFigure)
+    engine: Any = figure.get_layout_engine()
+    engine.set(rect=(0, 0, 1, 1 - (head + room) / height))
+
+
+def simulated_mark(analyses: Sequence[Analysis]) -> str:
+    """What a figure of these has to say; empty for real fish."""
+    made_up = [analysis.simulated for analysis in analyses]
+    if not any(made_up):
+        return ""
+    return SIMULATED if all(made_up) else "partly simulated"
+
+
+def labels(analyses: Sequence[Analysis]) -> list[str]:
+    """Short names of conditions: what their folders' names do not share, the simulated ones marked
+    where others are not."""
+    parts = [analysis.name.strip("_").split("_") for analysis in analyses]
+    if len(parts) > 1 and len({len(part) for part in parts}) == 1:
+        differ = [len(set(column)) > 1 for column in zip(*parts, strict=True)]
+        parts = [[p for p, keep in zip(part, differ, strict=True) if keep] for part in parts]
+    names = [textwrap.shorten(" ".join(part) or "?", _NAME_CHARS_MAX) for part in parts]
+    if len(set(names)) < len(names):
+        names = [f"{name} [{at + 1}]" for at, name in enumerate(names)]
+    if simulated_mark(analyses) in ("", SIMULATED):
+        return names
+    made_up = [analysis.simulated for analysis in analyses]
+    return [f"{n} ({SIMULATED})" if s else n for n, s in zip(names, made_up, strict=True)]
+
+
+def log_axis(axes: Axes, values_mm_s: Sequence[float], room: tuple[float, float]) -> None:
+    """Logarithmic, around the values with that room as factors below and above, and with ticks at
+    1, 2, 5 and between where there are few."""
+    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
+
+    low, high = min(values_mm_s) / room[0], max(values_mm_s) * room[1]
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    for steps in ((1, 2, 5), (1, 1.5, 2, 3, 5, 7), (1, 1.2, 1.4, 1.6, 1.8, 2, 2.5, 3, 4, 5, 6, 8)):
+        ticks = [t * 10.0**p for p in range(-6, 7) for t in steps]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) >= 3:
+            break
+    axes.yaxis.set_major_locator(FixedLocator(ticks))
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.grid(axis="y", color="0.93", lw=0.6)
+
+
+def iteration_axis(axes: Axes, iterations: Sequence[int]) -> None:
+    """Whole numbers, with half an iteration of room."""
+    from matplotlib.ticker import MaxNLocator
+
+    first, last = min(iterations, default=1), max(iterations, default=1)
+    axes.set_xlim(first - 0.6, last + 0.6)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=10, min_n_ticks=1))
+    axes.set_xlabel("iteration")
+
+
+def nothing(axes: Axes, words: str, style: Style) -> None:
+    """Says in empty axes why they are."""
+    axes.text(
+        0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center",
+        fontsize=style.small_pt, color=GREY,
+    )  # fmt: skip
+
+
+def mm(value_m_s: float) -> str:
+    """A speed in mm/s with three digits, without unit."""
+    value = value_m_s * 1e3
+    return f"{value:.0f}" if value >= 99.5 else f"{value:.1f}" if value >= 0.95 else f"{value:.2g}"
 
 
 def save(figure: Figure, path: Path) -> None:
     """As PDF, SVG or PNG by the name's ending, the same bytes for the same figure on one machine:
-    no dates, no random ids."""
-    raise NotImplementedError
+    no dates, no random ids. Text stays text in a PDF; in an SVG it is outlines, which look the same
+    on a computer without the font."""
+    kind = path.suffix.removeprefix(".")
+    if kind not in _NOTHING_ELSE:
+        raise InputError(f"figures are not written as '{path.suffix}'.", "Use .pdf, .svg or .png.")
+    path.write_bytes(written(figure, kind))
+
+
+def written(figure: Figure, kind: str) -> bytes:
+    """What ``save`` writes; ``kind``: pdf, svg or png."""
+    import matplotlib.style as mpl_style
+
+    settings: dict[Any, Any] = {
+        "pdf.fonttype": 42,
+        "svg.fonttype": "path",
+        "svg.hashsalt": "tailbeat",
+        "savefig.dpi": _DPI,
+    }
+    out = io.BytesIO()
+    with mpl_style.context(["default", settings]):
+        figure.savefig(out, format=kind, dpi=_DPI, metadata=_NOTHING_ELSE[kind])
+    return out.getvalue()

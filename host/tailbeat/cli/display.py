@@ -1,0 +1,77 @@
+"""Where a guided swim is shown: one line that changes where there is a terminal, plain lines where
+there is none. Everything on stderr; stdout is for results."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.live import Live
+
+
+class Display:
+    """Lines for people. Use as a context manager: the cursor comes back in every case. ``quiet``:
+    only what was not expected."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.moves = sys.stderr.isatty()
+        self.quiet = quiet and not self.moves
+        self._live: Live | None = None
+        self._text = ""
+
+    def __enter__(self) -> Display:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.clear()
+
+    def show(self, text: str) -> None:
+        """The line that changes; nothing without a terminal."""
+        if not self.moves or text == self._text:
+            return
+        from rich.text import Text
+
+        self._text = text
+        if self._live is None:
+            self._live = self._begin()
+        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+    def _begin(self) -> Live:
+        from rich.console import Console
+        from rich.live import Live
+
+        console = Console(stderr=True, highlight=False)
+        live = Live(console=console, auto_refresh=False, transient=True, redirect_stdout=False)
+        live.start()
+        return live
+
+    def keep(self, text: str, loud: bool = False) -> None:
+        """A line that stays. ``loud``: also where it is to be quiet."""
+        self.clear()
+        if loud or not self.quiet:
+            typer.echo(text, err=True)
+
+    def bell(self) -> None:
+        """A sound, where there is somebody to hear it."""
+        if self.moves:
+            typer.echo("\a", err=True, nl=False)
+
+    def ask(self, text: str) -> None:
+        """A question; the answer is typed behind it."""
+        self.clear()
+        typer.echo(text, err=True, nl=False)
+
+    def clear(self) -> None:
+        """Takes the line that changes away."""
+        live, self._live, self._text = self._live, None, ""
+        if live is not None:
+            live.stop()

@@ -1,0 +1,110 @@
+"""What is decided on a swim, carried out: journal and logbook first, then the board."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from tailbeat.day.board import STOPPED, dangerous, stop_words
+from tailbeat.errors import InputError, Refused, TailbeatError
+from tailbeat.experiment.board import copy_state
+from tailbeat.logbook import DISCARDED, logbook_of
+from tailbeat.verdict import rollback_words
+
+if TYPE_CHECKING:
+    from tailbeat.day.account import Account
+    from tailbeat.day.person import Decision, Person
+    from tailbeat.day.swum import Swum
+    from tailbeat.fish import Fish
+    from tailbeat.results import BoardStatus, LearnReport
+
+_ROLLED_BACK = (
+    f"{rollback_words()}. Look before it swims on: did the fish, the water or the battery change?"
+    " If so, one repeat tells; if not, halve the gain"
+)
+
+
+@dataclass(frozen=True)
+class Done:
+    """What became of a decision. ``learned``: nothing was to be learned, or it was learned before,
+    when None. ``left``: the board stopped by a rule of its own and was left so, in words."""
+
+    learned: LearnReport | None = None
+    left: str = ""
+
+
+@dataclass(frozen=True)
+class Office:
+    """Decides with the person and carries it out."""
+
+    fish: Fish
+    person: Person
+    account: Account
+    learn: bool
+
+    def decide(self, swum: Swum) -> Decision:
+        """As it was decided before, else as the person says; journalled when this returns. Raises
+        InputError for what cannot be."""
+        decision = self.account.decision_on(swum.file)
+        if decision is None:
+            decision = self.person.decide(swum)
+            self._require_possible(swum, decision)
+            self.account.decided(swum, decision)
+        told = {"trial": swum.outcome.number, "decision": decision.kind, "reason": decision.reason}
+        self.person.tell({"event": "decided", **told})
+        return decision
+
+    def carry_out(self, swum: Swum, decision: Decision) -> Done:
+        """The board learns from the trial or drops it. Clears what stopped it, unless that was a
+        rule of the board's own. Raises Refused; then it is asked again."""
+        self._file(swum, decision)
+        status = self.fish.status()
+        if status.state in STOPPED:
+            if dangerous(status.fault):
+                return Done(left=stop_words(status))
+            self.fish.clear()
+            status = self.fish.status()
+        try:
+            learned = self._on_board(swum, decision, status)
+        except Refused as refused:
+            self.account.withdrawn(swum, str(refused))
+            raise
+        copy_state(self.fish, self.account.experiment)
+        return Done(learned)
+
+    def write_down(self, report: LearnReport) -> None:
+        """What the board has learned: journalled and told."""
+        self.account.journal.add("learned", **asdict(report))
+        self.person.tell({"event": "learned", **asdict(report)})
+        if report.rolled_back:
+            self.person.tell({"event": "notice", "text": _ROLLED_BACK})
+
+    def _require_possible(self, swum: Swum, decision: Decision) -> None:
+        number = swum.outcome.number
+        if decision.kind == "keep" and swum.measured_beats == 0:
+            raise InputError(
+                f"trial {number} has no speeds, so nothing can be learned from it; it waits",
+                f"Upload them (tailbeat speed upload --trial {number}), or discard it:"
+                " tailbeat trial discard --reason WHY",
+            )
+
+    def _file(self, swum: Swum, decision: Decision) -> None:
+        """Into the fish's logbook; one that cannot take it is no reason to stop."""
+        try:
+            if (book := logbook_of(self.fish)) is not None:
+                book.keep(swum.file, DISCARDED if decision.kind == "discard" else "")
+        except TailbeatError as error:
+            self.person.tell({"event": "notice", "text": f"not kept in the logbook: {error}"})
+
+    def _on_board(self, swum: Swum, decision: Decision, status: BoardStatus) -> LearnReport | None:
+        number = swum.outcome.number
+        if status.pending_trial != number:
+            return None  # cut before a beat was swum, or carried out before
+        if decision.kind != "keep":
+            self.fish.discard(number)
+            return None
+        if not self.learn:
+            return None
+        report = self.fish.learn(number)
+        self.write_down(report)
+        return report

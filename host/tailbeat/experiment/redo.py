@@ -1,0 +1,143 @@
+"""``redo.md``: how to do an experiment again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.lasting import write_whole
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tailbeat.experiment.folder import Experiment
+
+REDO = "redo.md"
+_ABOUT = {
+    "fish": "fish",
+    "configuration": "configuration",
+    "operator": "operator",
+    "board": "board",
+    "unique_id": "unique id",
+    "firmware": "firmware",
+    "reference": "reference",
+    "law": "law",
+    "plant": "simulated plant",
+    "seed": "seed",
+}
+
+
+def write_redo(experiment: Experiment) -> Path:
+    """``redo.md``: one page that says how to do the experiment again: the commands in order with
+    what was set, the conditions, versions, and the command that replays it. From journal and
+    settings alone."""
+    path = experiment.folder / REDO
+    write_whole(path, redo_text(experiment))
+    return path
+
+
+def redo_text(experiment: Experiment) -> str:
+    """The page, Markdown."""
+    settings = experiment.settings()
+    parts = [
+        f"# {experiment.stable_name}, done again",
+        "## What it was\n\n" + "\n".join(_about(settings)),
+        "## Before the first swim\n\n" + _code(_before(settings)),
+        "## What was done, in order\n\n" + "\n".join(_steps(experiment.journal.entries())),
+        "## The same numbers and figures from the raw files\n\n"
+        + _code(["(cd raw && sha256sum -c SHA256SUMS)", "tailbeat experiment replay ."]),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _about(settings: Mapping[str, Any]) -> Iterator[str]:
+    if settings.get("simulated"):
+        yield "- **simulated**: no real fish swam"
+    for key, words in _ABOUT.items():
+        if settings.get(key) not in (None, ""):
+            yield f"- {words}: {settings[key]}"
+    tool = settings.get("tool", {})
+    yield "- tool: " + ", ".join(f"{name} {version}" for name, version in tool.items())
+    for key, value in settings.get("conditions", {}).items():
+        yield f"- {key}: {value}"
+
+
+def _before(settings: Mapping[str, Any]) -> Iterator[str]:
+    """Parameters that are not what a new board has."""
+    if settings.get("plant"):
+        yield f"# connect to: sim:{settings['plant']}?seed={settings.get('seed', 1)}"
+    yield "tailbeat params reset"
+    for name, value in _changed(settings.get("params", {})).items():
+        yield f"tailbeat params set {name} {value:.9g}"
+    yield "tailbeat reference upload reference.csv"
+    yield shlex.join(_new(settings))
+
+
+def _new(settings: Mapping[str, Any]) -> list[str]:
+    """The command that makes the folder."""
+    words = ["tailbeat", "experiment", "new", "--reference", "reference.csv"]
+    for key in ("fish", "configuration", "operator"):
+        if settings.get(key):
+            words += [f"--{key}", str(settings[key])]
+    for key, value in settings.get("conditions", {}).items():
+        words += ["--condition", f"{key}={value}"]
+    return words
+
+
+def _changed(params: Mapping[str, float]) -> dict[str, float]:
+    from tailbeat._native import ffi, lib
+
+    fresh = ffi.new("params_t *")
+    lib.params_reset(fresh)
+    found = {}
+    for name, value in params.items():
+        param = lib.param_find(name.encode().ljust(lib.NATIVE_PARAM_NAME_BYTES, b"\0"))
+        if param >= lib.PARAM_COUNT or fresh.value[param] != value:
+            found[name] = value
+    return found
+
+
+def _steps(entries: list[dict[str, Any]]) -> Iterator[str]:
+    number = 0
+    for entry in entries:
+        if line := _step(entry):
+            number += 1
+            yield f"{number}. {entry['time']}: {line}"
+    if number == 0:
+        yield "The journal is empty: an older tool made this folder. The trials are in `raw/`."
+
+
+def _step(entry: Mapping[str, Any]) -> str:
+    """One line; nothing for what is only of use to the tool."""
+    what, trial = entry["what"], entry.get("trial")
+    if what == "set":
+        values = {**entry.get("params", {}), **entry.get("conditions", {})}
+        values |= {k: entry[k] for k in ("operator", "configuration") if entry.get(k)}
+        return "set " + ", ".join(f"{key} = {value}" for key, value in values.items())
+    if what == "swum":
+        end = entry.get("end", "")
+        iteration = entry.get("iteration")
+        return f"`tailbeat trial run`: trial {trial}, iteration {iteration}, {end}"
+    if what == "decided":
+        reason = f" ({entry['reason']})" if entry.get("reason") else ""
+        return f"trial {trial}: {entry.get('decision')}{reason}"
+    if what == "withdrawn":
+        return f"trial {trial}: decision withdrawn ({entry.get('reason')})"
+    if what == "learned":
+        back = "; rolled back to the best" if entry.get("rolled_back") else ""
+        return f"learned from trial {trial}{back}"
+    if what == "note":
+        return f"note: {' '.join(str(entry.get('text', '')).split())}"
+    return {
+        "made": "`tailbeat experiment new`",
+        "opened": "gone on with",
+        "resumed": "`tailbeat session resume` after a battery swap",
+        "trimmed": f"`tailbeat trim`: centre {entry.get('centre_us')} us",
+        "identified": f"`tailbeat identify`: {entry.get('file')}",
+        "restored": f"the best amplitudes brought back (trial {trial})",
+    }.get(what, "")
+
+
+def _code(lines: list[str] | Iterator[str]) -> str:
+    return "```\n" + "\n".join(lines) + "\n```"

@@ -1,0 +1,253 @@
+"""Learns from an experiment's trials again, with the board's own code, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat import laws
+from tailbeat._native import ffi, lib
+from tailbeat.records import decode_learned
+
+if TYPE_CHECKING:
+    from tailbeat.experiment.analysis import Analysis, TrialRow
+    from tailbeat.experiment.board import BoardState
+    from tailbeat.trial_log import Trial
+
+Floats = NDArray[np.float32]
+
+_BY_THE_BOARD = ("law", "restored", "first", "")  # what makes a trial's amplitudes; "" = not told
+_NOT_HERE = "what the board had learned before is not in the folder"
+
+
+@dataclass
+class Relearned:
+    """``learned``: trials after which the law gives the very amplitudes of the next.
+    ``not_learned``: trials that were learned from, of which that cannot be told, and why."""
+
+    learned: list[int] = field(default_factory=list)
+    not_learned: list[tuple[int, str]] = field(default_factory=list)
+    different: list[str] = field(default_factory=list)
+
+
+def relearn(analysis: Analysis, held: BoardState | None = None) -> Relearned:
+    """Every trial that was learned from, against the amplitudes of the next; the last one against
+    ``held``, the board's state as it was copied last."""
+    found = Relearned()
+    board = _Board(analysis.reference_m_s.astype(np.float32), analysis.beat_s)
+    pending: tuple[TrialRow, Trial] | None = None
+    aside: _Board | None = None
+    for row, trial in zip(analysis.rows, analysis.trials, strict=True):
+        if trial.input in _BY_THE_BOARD:
+            before = board.copy()
+            if aside is not None and aside.same(trial.beats.amplitude_rad):
+                board = aside
+            board = _expected(board, pending, trial, found)
+            aside = before if _only_repeats(row, trial, pending) else None
+            pending = None
+        elif pending is not None:
+            found.not_learned.append((pending[1].number, "the next amplitudes were uploaded"))
+            board, pending = next(board.after(pending[1], trial)), None
+        if row.learned:
+            if trial.input not in _BY_THE_BOARD:
+                board.take_over(trial)
+            pending = row, trial
+    if pending is not None:
+        _against_state(board, pending[1], held, found)
+    return found
+
+
+def _only_repeats(row: TrialRow, trial: Trial, pending: tuple[TrialRow, Trial] | None) -> bool:
+    """Whether the best swam once more for its own sake, as after a battery swap: then what was to
+    swim before may be put back."""
+    return pending is None and trial.input == "restored" and row.decision == "repeat"
+
+
+def _expected(
+    board: _Board, pending: tuple[TrialRow, Trial] | None, trial: Trial, found: Relearned
+) -> _Board:
+    """The board as it was when ``trial`` swam; what it swam is compared."""
+    if board.begins(trial):
+        if pending is not None:
+            found.not_learned.append((pending[1].number, "the board began anew after it"))
+        pending = None
+        board.first(trial)
+    if pending is None:
+        if trial.input == "restored" and board.whole:
+            board.restore_best()
+        if not board.same(trial.beats.amplitude_rad):
+            if board.whole:
+                found.different.append(
+                    f"trial {trial.number} swam other amplitudes than were to swim next"
+                )
+            board.take_over(trial)
+        return board
+    number, rolled_back = pending[1].number, pending[0].rolled_back
+    last: _Board | None = None
+    for candidate in board.after(pending[1], trial):
+        last = candidate
+        if candidate.same(trial.beats.amplitude_rad) and candidate.rolled_back == rolled_back:
+            found.learned.append(number)
+            return candidate
+    assert last is not None
+    if last.refusal:
+        found.not_learned.append((number, last.refusal))
+    elif not board.whole:
+        found.not_learned.append((number, _NOT_HERE))
+    else:
+        found.different.append(
+            f"trial {trial.number} did not swim what the law makes of trial {number}"
+        )
+    last.take_over(trial)
+    return last
+
+
+def _against_state(board: _Board, trial: Trial, held: BoardState | None, found: Relearned) -> None:
+    """Of the last trial: what the board had learned when its state was copied."""
+    why = "no trial swam after it"
+    if held is not None and held.learned is not None and held.last_learned_trial == trial.number:
+        record = decode_learned(held.learned)
+        candidates = list(board.after(trial, trial))
+        if record.input not in (lib.MEMORY_INPUT_LAW, lib.MEMORY_INPUT_RESTORED):
+            why = "the next amplitudes were uploaded"
+        elif any(one.same(record.amplitude_rad) for one in candidates):
+            found.learned.append(trial.number)
+            return
+        elif candidates[-1].refusal or not board.whole:
+            why = candidates[-1].refusal or _NOT_HERE
+        else:
+            found.different.append(
+                f"board/state.json does not hold what the law makes of trial {trial.number}"
+            )
+            return
+    found.not_learned.append((trial.number, why))
+
+
+class _Board:
+    """A board's memory and the trials it looks back on. ``whole``: all of it is known since the
+    first trial."""
+
+    def __init__(self, reference_m_s: Floats, beat_s: float) -> None:
+        self.reference_m_s, self.beat_s = reference_m_s, beat_s
+        self.beats = len(reference_m_s)
+        self.memory: Any = ffi.new("memory_t *")
+        self.past: Any = ffi.new("learn_past_t *")
+        self.whole = False
+        self.past_doubted = False
+        self.rolled_back = False
+        self.refusal = ""
+
+    def copy(self) -> _Board:
+        other = _Board(self.reference_m_s, self.beat_s)
+        ffi.memmove(other.memory, self.memory, ffi.sizeof("memory_t"))
+        ffi.memmove(other.past, self.past, ffi.sizeof("learn_past_t"))
+        other.whole, other.past_doubted = self.whole, self.past_doubted
+        return other
+
+    def begins(self, trial: Trial) -> bool:
+        """Whether the board had learned nothing when ``trial`` swam."""
+        return trial.iteration == 1 and trial.input in ("first", "")
+
+    def first(self, trial: Trial) -> None:
+        """The law applied to rest."""
+        law = laws.Law.from_params(trial.params, self.beat_s)
+        lib.memory_begin(self.memory, 1, self.beats)
+        lib.learn_past_begin(self.past, laws.LAST, 2)
+        wanted = ffi.new("float[]", self.reference_m_s.tolist())
+        scratch = ffi.new("float[]", self.beats)
+        native = law.native(ffi)
+        self.whole = lib.memory_first(self.memory, native, wanted, scratch) == 0
+        self.past_doubted = False
+
+    def take_over(self, trial: Trial) -> None:
+        """The amplitudes of a trial that the board got in another way; they have no past."""
+        swum = trial.beats.amplitude_rad
+        if self.memory.beats != self.beats:
+            lib.memory_begin(self.memory, 1, self.beats)
+        known = np.isfinite(swum)
+        held = np.where(known, swum, self.next_amplitudes()).astype(np.float32)
+        self.memory.amplitude_rad[0 : self.beats] = held.tolist()
+        self.memory.iteration = trial.iteration
+        self.whole = self.whole and bool(known.all())
+        self.past_doubted = True
+
+    def restore_best(self) -> None:
+        """As asked for by the host; what it looks back on is the firmware's to say."""
+        lib.memory_restore_best(self.memory)
+        self.past_doubted = True
+
+    def next_amplitudes(self) -> Floats:
+        values = np.frombuffer(ffi.buffer(self.memory.amplitude_rad), dtype=np.float32)
+        return values[: self.beats].copy()
+
+    def same(self, amplitude_rad: Floats) -> bool:
+        """Bit for bit, where the file tells (a trial that was cut short tells of its beats)."""
+        if self.memory.beats != self.beats or len(amplitude_rad) != self.beats:
+            return False
+        known = np.isfinite(amplitude_rad)
+        mine = self.next_amplitudes()
+        return mine[known].tobytes() == amplitude_rad[known].tobytes()
+
+    def after(self, trial: Trial, following: Trial) -> Iterator[_Board]:
+        """The board when it has learned from ``trial``, the likeliest first: parameters may have
+        been set before or after learning, amplitudes that were brought back may have a past."""
+        settings: list[Mapping[str, float]] = [trial.params]
+        if following.params != trial.params:
+            settings.append(following.params)
+        for params in settings:
+            for forget in (False, True) if self.past_doubted else (False,):
+                board = self.copy()
+                board._learn(trial, params, forget)
+                yield board
+                if following.input == "restored" and not board.rolled_back:
+                    restored = board.copy()
+                    restored.restore_best()
+                    yield restored
+
+    def _learn(self, trial: Trial, params: Mapping[str, float], forget: bool) -> None:
+        law, looks = laws.Law.from_params(params, self.beat_s), laws.Past.from_params(params)
+        if forget or (self.past.kind, self.past.window) != (looks.kind, looks.window):
+            lib.learn_past_begin(self.past, looks.kind, looks.window)
+        error, measured = laws.errors_of(self.reference_m_s, trial.beats.speed_m_s)
+        if not measured.any():
+            self.refusal = "its file has no speeds: they were uploaded after it was pulled"
+            return
+        complete = trial.end_fault == 0 and trial.executed_beats == self.beats
+        self._learn_in_c(law, error, measured, complete, params)
+
+    def _learn_in_c(
+        self,
+        law: laws.Law,
+        error: Floats,
+        measured: NDArray[np.bool_],
+        complete: bool,
+        params: Mapping[str, float],
+    ) -> None:
+        native, report = law.native(ffi), ffi.new("memory_report_t *")
+        arrays = {
+            "error_m_s": ffi.new("float[]", error.tolist()),
+            "measured": ffi.new("uint8_t[]", measured.astype(int).tolist()),
+        }
+        swum = ffi.new("law_trial_t *", {"beats": self.beats, **arrays})
+        rules = ffi.new("memory_rules_t *")
+        rules.rollback_ratio = params.get("ROLLBACK_RATIO", 0.0)
+        rules.beyond = int(params.get("LAW_BEYOND", 0))
+        scratch = ffi.new("float[]", self.beats)
+        swum_rad = ffi.new("float[]", self.next_amplitudes().tolist())
+        result = lib.learn_past_add(self.past, native, self.memory, rules, scratch)
+        if result == 0:
+            result = lib.memory_learn(
+                self.memory, native, swum, 1, complete, rules, scratch, report
+            )
+        if result != 0:
+            self.refusal = "the law refuses it"
+            return
+        self.rolled_back = bool(report.rolled_back)
+        if self.rolled_back:
+            lib.learn_past_begin(self.past, self.past.kind, self.past.window)
+        else:
+            lib.learn_past_keep(self.past, native, swum, swum_rad)

@@ -1,0 +1,229 @@
+"""A board lent for swims of other amplitudes than those it learns: an identification, a trim.
+
+Whatever it had learned, its reference, and the parameters that are to be changed meanwhile are put
+back afterwards, also after Ctrl-C or an error; until then a copy lies on the disk. What was broken
+off (a laptop that died) leaves the copy behind, and the next loan puts that back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat import laws
+from tailbeat.boardreference import REST
+from tailbeat.errors import InputError, TailbeatError
+from tailbeat.flashing.backup import Backup
+from tailbeat.model.safekeeping import forget, is_of_a_run, note_reference, put_safe
+from tailbeat.records import decode_reference, record_crc
+from tailbeat.reference import Reference
+from tailbeat.results import TrialOutcome
+from tailbeat.trial_log import Trial, read_trial
+
+if TYPE_CHECKING:
+    from tailbeat.camera.base import Camera
+    from tailbeat.fish import Fish, Guard, OnEvent
+    from tailbeat.logbook import Logbook
+    from tailbeat.results import BoardStatus
+
+Array = NDArray[np.float64]
+
+_SAFE = "before-identify"  # one folder for all loans: one that was broken off is found by any other
+_PUT_BACK_TRIES = 3
+_STOP_LOOKS, _STOP_LOOK_S = 60, 0.5  # of board time; settling takes no longer
+
+
+@dataclass(frozen=True)
+class Lent:
+    """A board while it is lent. ``held``: what it gets back; ``params``: all it had at the begin,
+    those of ``held`` as they will be again."""
+
+    fish: Fish
+    held: Backup
+    params: dict[str, float]
+    safe: Path | None
+
+    def prepare(self, name: str, amplitude_rad: Array, speed_m_s: ArrayLike) -> None:
+        """Uploads what is to swim next. The reference is ``speed_m_s``, what the model predicts,
+        so that the trial's error is the model's."""
+        speed = np.clip(speed_m_s, 0.0, self.params["REF_MAX_M_S"]).astype(np.float32)
+        limit = np.float32(self.params["AMP_MAX_RAD"])
+        record = Reference(1.0, speed, name).record()
+        if self.safe is not None:
+            note_reference(self.safe, record_crc(record))
+        self.fish.upload_reference(record)
+        self.fish.upload_amplitudes(np.minimum(amplitude_rad.astype(np.float32), limit))
+
+    def swim(
+        self,
+        camera: Camera | None,
+        event: OnEvent,
+        guard: Guard,
+        judge: Callable[[TrialOutcome], None],
+        keep: Callable[[Path], object],
+        direction_rad: float = 0.0,
+    ) -> Trial:
+        """Swims what was prepared; the trial is kept and dropped on the board. ``judge`` may raise
+        for how it ended, or act on the trial that is pending. Ctrl-C stops the tail and leaves."""
+        fish = self.fish
+        outcome = fish.run_trial(camera, event, guard, direction_rad=direction_rad)
+        if outcome.interrupted:
+            raise KeyboardInterrupt
+        judge(outcome)
+        with TemporaryDirectory() as folder:
+            path = fish.pull_trial(outcome.number, Path(folder))
+            keep(path)
+            swum = read_trial(path)
+        fish.discard(outcome.number)
+        return swum
+
+
+@contextmanager
+def lent(
+    fish: Fish,
+    safe: Path | None,
+    note: Callable[[str], None],
+    what: str,
+    changes: Sequence[str] = (),
+) -> Iterator[Lent]:
+    """``safe``: folder for the copy (safe_folder); one that is there already is put back when a
+    loan was broken off, and never overwritten. ``what``: a verb, what it is lent for.
+    ``changes``: parameters that will be set meanwhile. ``note``: told what a person should know.
+    Raises InputError when the board cannot begin."""
+    _require_ready(fish, safe, what)
+    params = {name: p.value for name, p in fish.params.list().items()}
+    held = _held(fish, params, changes)
+    if safe is not None:
+        held = put_safe(safe, held, note)
+    try:
+        _set_params(fish, held.params)  # a loan that was broken off left them changed
+        yield Lent(fish, held, params | held.params, safe)
+    finally:
+        _put_back(fish, held, safe)
+
+
+def safe_folder(book: Logbook | None) -> Path | None:
+    """Where the copy lies."""
+    return None if book is None else book.folder / _SAFE
+
+
+def set_for_good(fish: Fish, wanted: Mapping[str, float]) -> dict[str, float]:
+    """Sets and saves these parameters; others that were changed but not saved stay so. What the
+    board then holds."""
+    now = {name: p.value for name, p in fish.params.list().items()}
+    fish.params.load()
+    stored = {name: p.value for name, p in fish.params.list().items()}
+    for name, value in wanted.items():
+        fish.params.set(name, value)
+    fish.params.save()
+    for name, value in now.items():
+        if name not in wanted and stored[name] != value:
+            fish.params.set(name, value)
+    return {name: fish.params.get(name).value for name in wanted}
+
+
+def _require_ready(fish: Fish, safe: Path | None, what: str) -> None:
+    status = fish.status()
+    if status.pending_trial is not None and is_of_a_run(safe, status.reference_crc):
+        raise InputError(
+            f"trial {status.pending_trial} is a run of an identification that was broken off, "
+            "or of a trim.",
+            f"tailbeat trial discard, then {what} again: it puts back what the board had learned.",
+        )
+    if status.pending_trial is not None:
+        raise InputError(
+            f"trial {status.pending_trial} is neither learned nor discarded.",
+            f"tailbeat learn, or tailbeat trial discard; then {what}.",
+        )
+    if status.state != "IDLE":
+        raise InputError(
+            f"the board is {status.state}, not IDLE.",
+            f"tailbeat disarm or tailbeat clear; then {what}.",
+        )
+
+
+def _held(fish: Fish, params: dict[str, float], changes: Sequence[str]) -> Backup:
+    """What the swims would overwrite."""
+    info = fish.info()
+    reference = fish.reference_record()
+    learned = fish.learned_record()
+    if reference is not None and _is_guess(fish, info.status, reference, params):
+        learned = None  # arming makes it anew, by the gain of that moment
+    return Backup(
+        unique_id=info.unique_id,
+        build_id=info.build_id,
+        params={name: params[name] for name in changes},
+        next_trial=info.status.next_trial,
+        reference=reference,
+        learned=learned,
+    )
+
+
+def _is_guess(fish: Fish, status: BoardStatus, reference: bytes, params: dict[str, float]) -> bool:
+    """Whether the amplitudes are just what the law makes of the reference."""
+    if status.iteration != 1 or status.best_iteration is not None:
+        return False
+    wanted = decode_reference(reference)
+    first = laws.first(laws.Law.from_params(params, wanted.beat_s), wanted.speed_m_s)
+    return np.array_equal(first, fish.amplitudes().values)
+
+
+def _put_back(fish: Fish, held: Backup, safe: Path | None) -> None:
+    """Ctrl-C does not stop it halfway."""
+    for attempt in range(1, _PUT_BACK_TRIES + 1):
+        try:
+            _restore(fish, held, safe)
+        except KeyboardInterrupt:
+            if attempt == _PUT_BACK_TRIES:
+                raise
+            continue
+        except TailbeatError as error:
+            where = f"; a copy is in {safe}" if safe is not None else ""
+            raise TailbeatError(
+                f"what the board had learned could not be put back ({error.message}){where}.",
+                f"Connect again, then: tailbeat flash --restore {safe}" if safe is not None else "",
+            ) from error
+        break
+    if safe is not None:
+        forget(safe)
+
+
+def _restore(fish: Fish, held: Backup, safe: Path | None) -> None:
+    state = _stopped(fish)
+    if state == "ARMED":
+        fish.disarm()
+    elif state in ("ABORTED", "FAULT"):
+        fish.clear()
+    if (pending := fish.status().pending_trial) is not None:
+        fish.discard(pending)
+    _set_params(fish, held.params)
+    if held.reference is None and safe is not None:
+        note_reference(safe, record_crc(REST.record()))
+    fish.upload_reference(held.reference or REST)
+    if held.learned is not None:
+        fish.upload_learned(held.learned)
+
+
+def _set_params(fish: Fish, wanted: Mapping[str, float]) -> None:
+    for name, value in wanted.items():
+        if fish.params.get(name).value != value:
+            fish.params.set(name, value)
+
+
+def _stopped(fish: Fish) -> str:
+    """Ends a swim that nobody waits for any more; the state it leaves."""
+    state = fish.status().state
+    if state == "RUNNING":
+        fish.abort()
+    for _ in range(_STOP_LOOKS):
+        if (state := fish.status().state) not in ("RUNNING", "SETTLING", "LEARNING"):
+            break
+        fish.link.run(_STOP_LOOK_S / max(fish.clock.rate, 1.0))
+    return state

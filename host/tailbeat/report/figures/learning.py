@@ -1,0 +1,208 @@
+"""The error of every swim, iteration by iteration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.report.figures import swims
+from tailbeat.report.figures.style import (
+    BAND,
+    GREY,
+    INK,
+    LOOKS,
+    Look,
+    Style,
+    blank,
+    drawing,
+    head_legend,
+    iteration_axis,
+    labels,
+    log_axis,
+    mm,
+    nothing,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from tailbeat.experiment.analysis import Analysis, Band, TrialRow
+
+BAND_SWIMS_MIN = 3  # fewer have no 5 to 95 % band worth the name
+_SHADE = 0.16
+_DASHED, _DOTTED = (0, (5, 2)), (0, (1.2, 1.6))
+
+
+def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
+    """Two panels, max|e| and RMS, logarithmic: every swim, the median per iteration, the 5 to 95 %
+    band where there are three swims or more, and what any input can reach."""
+    with drawing(style):
+        figure = blank(analyses, style, 0.072 if style.wide else 0.104)
+        shape: dict[str, Any] = {"ncols": 2} if style.wide else {"nrows": 2, "sharex": True}
+        above, below = figure.subplots(squeeze=True, **shape)
+        _panel(above, analyses, "max", style)
+        _panel(below, analyses, "rms", style)
+        if not style.wide:
+            above.set_xlabel("")
+        _legend(figure, analyses, style)
+    return figure
+
+
+def _panel(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -> None:
+    shown: list[float] = []
+    for at, (analysis, look) in enumerate(zip(analyses, LOOKS, strict=False)):
+        shown += _swims(axes, analysis, look, what, (at, len(analyses)))
+    axes.set_ylabel("max|e| (mm/s)" if what == "max" else "RMS error (mm/s)")
+    iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.rows])
+    if not shown:
+        nothing(axes, "no swim was measured", style)
+        return
+    shown += _levels(axes, analyses, what, style)
+    log_axis(axes, shown, (1.22, 1.25))
+
+
+def _swims(
+    axes: Axes, analysis: Analysis, look: Look, what: str, lane: tuple[int, int]
+) -> list[float]:
+    """The values drawn, mm/s."""
+    values = [1e3 * _value(row, what) for row in analysis.rows]
+    where = swims.places(analysis.rows, *lane)
+    shown = []
+    for kind in swims.KINDS:
+        points = [
+            (x, y)
+            for x, y, row in zip(where, values, analysis.rows, strict=True)
+            if swims.kind_of(row) == kind and math.isfinite(y) and y > 0
+        ]
+        if points:
+            axes.plot(*zip(*points, strict=True), gid=f"swims {kind}", **swims.marker(kind, look))
+            shown += [y for _, y in points]
+    _median_and_band(axes, analysis.band, look, what, lane)
+    return shown
+
+
+def _value(row: TrialRow, what: str) -> float:
+    return row.max_abs_error_m_s if what == "max" else row.rms_error_m_s
+
+
+def _median_and_band(axes: Axes, band: Band, look: Look, what: str, lane: tuple[int, int]) -> None:
+    median, low, high = (1e3 * one for one in _of_band(band, what))
+    middle, width = swims.lane(*lane)
+    x = band.iteration + middle
+    good = np.isfinite(median) & (median > 0)
+    line = axes.plot(x[good], median[good], color=look.colour, ls=look.dash, lw=1.1, zorder=2.5)
+    line[0].set_gid(f"median {what}")
+    broad = good & (band.swims >= BAND_SWIMS_MIN) & (low > 0)
+    colour: Any = BAND if lane[1] == 1 else (look.colour, _SHADE)
+    axes.bar(
+        x[broad], (high - low)[broad], 0.56 * width, bottom=low[broad], color=colour, lw=0,
+        zorder=0.5, gid=f"band {what}",
+    )  # fmt: skip
+
+
+def _of_band(band: Band, what: str) -> tuple[NDArray[np.float64], ...]:
+    if what == "max":
+        return band.max_median_m_s, band.max_low_m_s, band.max_high_m_s
+    return band.rms_median_m_s, band.rms_low_m_s, band.rms_high_m_s
+
+
+def _levels(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -> list[float]:
+    """Zero input, floor and least squares: mm/s of those drawn. The last two are known for max|e|
+    alone. Labels lie where the swims are not: early below, late above."""
+    look: dict[str, Any] = {"lw": 0.8, "fontsize": style.small_pt}
+    drawn = []
+    zero = start_m_s(analyses[0], what) * 1e3
+    if math.isfinite(zero) and zero > 0:
+        text = f"zero input {zero:.1f}"
+        swims.level(axes, zero, text, color=GREY, ls=_DOTTED, left=False, above=True, **look)
+        drawn.append(zero)
+    if what == "max":
+        drawn += _floors(axes, analyses, look)
+    return drawn
+
+
+def start_m_s(analysis: Analysis, what: str) -> float:
+    """The error of the zero input."""
+    if what == "max":
+        return analysis.start_error_m_s
+    reference = np.asarray(analysis.reference_m_s, np.float64)
+    return float(np.sqrt(np.mean(reference**2)))
+
+
+def _floors(axes: Axes, analyses: Sequence[Analysis], look: dict[str, Any]) -> list[float]:
+    drawn = []
+    known = {mm(a.floor_m_s): a for a in analyses if math.isfinite(a.floor_m_s)}
+    names = dict(zip(map(id, analyses), labels(analyses), strict=True))
+    for text, analysis in known.items():
+        whose = f" ({names[id(analysis)]})" if len(known) > 1 else ""
+        line = analysis.floor_m_s * 1e3
+        colour = LOOKS[list(analyses).index(analysis)].colour if len(known) > 1 else INK
+        swims.level(
+            axes, line, f"floor {text}{whose}", color=colour, ls=_DASHED, left=True, above=False,
+            **look,
+        )  # fmt: skip
+        drawn.append(line)
+    squares = analyses[0].floor_lsq_m_s
+    if len(analyses) == 1 and math.isfinite(squares):
+        text = f"least squares {mm(squares)}"
+        swims.level(
+            axes, squares * 1e3, text, color=GREY, ls=_DOTTED, left=True, above=True, **look
+        )
+        drawn.append(squares * 1e3)
+    return drawn
+
+
+def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    kinds = swims.legend_of_kinds(analyses)
+    single = len(analyses) == 1
+    median = Line2D([], [], color=INK if single else GREY, lw=1.1, label="median")
+    entries: list[Any] = [*swims.legend_of_conditions(labels(analyses)), *kinds, median]
+    if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
+        entries.append(Patch(color=BAND, lw=0, label="5 to 95 %"))
+    head_legend(figure, entries, (6 if single else 3) if style.wide else 2)
+
+
+def caption(analyses: Sequence[Analysis]) -> str:
+    """What the figure shows, with how many swims and what band and levels are."""
+    rows = [row for analysis in analyses for row in analysis.rows]
+    gone = sum(not row.counts for row in rows)
+    text = (
+        f"Error per iteration over {len(rows)} swims"
+        + (f", {gone} of them discarded and in no statistic" if gone else "")
+        + ". Top: largest |e| over the beats; bottom: root of the mean square; e is the reference "
+        "minus the mean speed of a beat. Every swim is a point, swims of one iteration lie side by "
+        "side in the order they were swum; the line joins their medians"
+    )
+    if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
+        text += (
+            f"; grey, where an iteration has {BAND_SWIMS_MIN} swims or more: 5th to 95th percentile"
+        )
+    if any(swims.kind_of(row) == "incomplete" for row in rows):
+        text += (
+            ". Bars: swims cut short or with beats that were not measured, by the beats they have, "
+            "in no statistic"
+        )
+    text += ". Zero input: a fish that does not move."
+    return text + _floor_words(analyses)
+
+
+def _floor_words(analyses: Sequence[Analysis]) -> str:
+    known = [analysis for analysis in analyses if math.isfinite(analysis.floor_m_s)]
+    if not known:
+        return ""
+    fish = "simulated" if all(a.floor_by == "simulator" for a in known) else "identified"
+    words = (
+        f" Floor: the smallest max|e| any input can reach on the {fish} fish without noise; a "
+        "single swim can be luckier"
+    )
+    if len(analyses) == 1 and math.isfinite(known[0].floor_lsq_m_s):
+        words += "; least squares: max|e| of the input with the smallest RMS"
+    return words + "."

@@ -1,0 +1,197 @@
+"""Who may look at the page, and press its buttons.
+
+Two doors. By default it listens on this computer only, and every request must name this computer
+(a foreign name in ``Host`` is how DNS rebinding looks) and come from its own pages (``Origin``).
+With a token nothing is answered without it: the first visit brings it in the address, after that a
+cookie does that no script can read and no other site makes the browser send.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+_TOKEN_BYTES = 12  # 96 bits, 16 characters: it may have to be typed
+_POLICY_VIOLATION = 1008
+# A foreign page may neither frame the buttons nor learn the token from a link, and whatever a
+# library might ask of another computer is refused by the browser.
+_HEADERS = (
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-content-type-options", b"nosniff"),
+)
+_POLICY = (
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self' ws://{host};"
+    " frame-ancestors 'none'; form-action 'self'; base-uri 'self'"
+)
+_HOST = re.compile(r"[A-Za-z0-9.:\[\]_-]+")
+# Not a redirect: a cookie that is SameSite=Strict would not be sent along one that a link in a
+# mail began.
+_WELCOME = (
+    '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=/">'
+    '<title>tailbeat</title><p><a href="/">tailbeat</a>'
+)
+
+
+def new_token() -> str:
+    """One that nobody guesses."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this computer reaches it."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+@dataclass(frozen=True)
+class Access:
+    """The door before ``app`` (ASGI). ``token`` None: this computer only. ``port`` sets the name of
+    the cookie, which browsers share between the ports of a host."""
+
+    app: App
+    token: str | None
+    port: int
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        request = _Request.of(scope)
+        if why := self._foreign(request):
+            await _refuse(scope, receive, send, why)
+        elif self.token is None or self._knows(request.cookie(self._cookie)):
+            await self.app(scope, receive, _guarded(send, request.host))
+        elif scope["type"] == "http" and self._knows(request.query("token")):
+            await self._welcome(scope, send)
+        else:
+            await _refuse(
+                scope, receive, send, "give the address with its token, as it was printed"
+            )
+
+    @property
+    def _cookie(self) -> str:
+        return f"tailbeat_{self.port}"
+
+    def _knows(self, given: str) -> bool:
+        """Takes as long for a nearly right token as for any other."""
+        return secrets.compare_digest(given.encode(), (self.token or "").encode())
+
+    def _foreign(self, request: _Request) -> str:
+        """Why it comes from elsewhere; empty = it does not."""
+        if not self._is_ours(request.host):
+            return "this page has another name"
+        origin = request.origin
+        if origin is None:  # no browser opens a websocket without
+            return "a websocket without an origin" if request.websocket else ""
+        same = origin.lower() == f"{request.scheme}://{request.host}".lower()
+        return "" if same else "another page may not ask for this"
+
+    def _is_ours(self, host: str) -> bool:
+        """A number cannot be rebound; a name only if it is this computer's."""
+        if not _HOST.fullmatch(host):
+            return False
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        if self.token is None:
+            return is_loopback(name)
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            own = socket.gethostname().lower().partition(".")[0]
+            return name == "localhost" or name.partition(".")[0] == own
+        return True
+
+    async def _welcome(self, scope: Scope, send: Send) -> None:
+        cookie = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+        headers = [(b"set-cookie", cookie.encode())]
+        await _answer(send, 200, _WELCOME, "text/html", headers, scope["method"] == "HEAD")
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What the door looks at."""
+
+    websocket: bool
+    scheme: str
+    host: str
+    origin: str | None
+    cookies: str
+    asked: str
+
+    @classmethod
+    def of(cls, scope: Scope) -> _Request:
+        found: dict[bytes, bytes] = {}
+        for name, value in scope["headers"]:  # a second Host makes one that is no host
+            found[name] = found[name] + b"; " + value if name in found else value
+        origin = found.get(b"origin")
+        scheme = str(scope["scheme"]).replace("ws", "http")
+        return cls(
+            websocket=scope["type"] == "websocket",
+            scheme=scheme,
+            host=found.get(b"host", b"").decode("latin-1"),
+            origin=None if origin is None else origin.decode("latin-1"),
+            cookies=found.get(b"cookie", b"").decode("latin-1"),
+            asked=scope.get("query_string", b"").decode("latin-1"),
+        )
+
+    def cookie(self, name: str) -> str:
+        try:
+            found = SimpleCookie(self.cookies).get(name)
+        except CookieError:
+            return ""
+        return found.value if found is not None else ""
+
+    def query(self, name: str) -> str:
+        return parse_qs(self.asked).get(name, [""])[0]
+
+
+def _guarded(send: Send, host: str) -> Send:
+    """Puts the headers on every answer."""
+    policy = (b"content-security-policy", _POLICY.format(host=host).encode())
+
+    async def guarded(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", []), *_HEADERS, policy]
+        await send(message)
+
+    return guarded
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
+    if scope["type"] == "websocket":
+        await receive()  # websocket.connect; closing before accepting it answers 403
+        await send({"type": "websocket.close", "code": _POLICY_VIOLATION, "reason": why})
+        return
+    await _answer(send, 403, f"tailbeat: {why}\n", "text/plain", [], scope["method"] == "HEAD")
+
+
+async def _answer(
+    send: Send, status: int, text: str, kind: str, headers: list[tuple[bytes, bytes]], bare: bool
+) -> None:
+    body = text.encode()
+    headers = [
+        (b"content-type", f"{kind}; charset=utf-8".encode()),
+        (b"content-length", str(len(body)).encode()),
+        (b"cache-control", b"no-store"),
+        *headers,
+        *_HEADERS,
+    ]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": b"" if bare else body})

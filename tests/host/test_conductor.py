@@ -1,0 +1,399 @@
+"""The thread behind the page: what it shows, what it takes, and that ABORT overtakes. The board is
+simulated in this process; its time passes only while the conductor waits, so that what happens at a
+beat happens at that beat on every machine."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tailbeat import _dialect as mavlink
+from tailbeat.day.ritual import Wanted
+from tailbeat.errors import ConnectError, InputError, LinkLostError
+from tailbeat.experiment.journal import Journal
+from tailbeat.fish import Fish
+from tailbeat.logbook import FOLDER_VARIABLE
+from tailbeat.reference import from_text
+from tailbeat.results import BeatEvent
+from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.simulated import SimBoard
+from tailbeat.ui.asks import Ask, Asks
+from tailbeat.ui.conductor import Conductor, no_eyes
+from tailbeat.ui.snapshot import Snapshot
+
+SHORT = "trapezoid:0.06,2,4"  # 8 beats
+PATIENCE_S = 60.0  # wall time; a bound on what hangs, never waited for when all is well
+
+
+@pytest.fixture(autouse=True)
+def _logbook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "fish"))
+
+
+class Line(SimTransport):
+    """The radio of the board, which can be cut."""
+
+    cut = False
+
+    def read(self) -> bytes:
+        if self.cut:
+            raise LinkLostError("the cable is out.", "Put it in.")
+        return super().read()
+
+
+class Tank:
+    """A board that outlives its connections, and a conductor that was asked for it."""
+
+    def __init__(self, root: Path) -> None:
+        self.board = SimBoard("tank", seed=1)
+        self.lines: list[Line] = []
+        self.gate: Callable[[], None] = lambda: None
+        self.at_start: Callable[[], None] = lambda: None
+        self.on_beat: Callable[[int], None] = lambda beat: None
+        self.conductor = Conductor(self.connect, root, self.eyes, look_s=0.005, retry_s=0.0)
+
+    def connect(self) -> Fish:
+        self.gate()
+        self.lines.append(Line(self.board))
+        fish = Fish(self.lines[-1])
+        fish.clock.sync()
+        return fish
+
+    @contextmanager
+    def eyes(self, fish: Fish) -> Iterator[Any]:
+        self.at_start()
+        with no_eyes(fish) as (camera, _):
+            yield camera, self._guard
+
+    def _guard(self, seen: object) -> None:
+        if isinstance(seen, BeatEvent):
+            self.on_beat(seen.beat)
+
+    def wait(self, until: Callable[[Snapshot], bool]) -> Snapshot:
+        return self.conductor.wait(until, PATIENCE_S)
+
+    def ask(self, what: str, **values: Any) -> Snapshot:
+        """Until it is done, or something has to be decided first."""
+        done, was = self.conductor.now.done, self.conductor.now.swum
+        self.conductor.ask(what, **values)
+        return self.wait(lambda now: now.done > done or (now.swum is not None and was is None))
+
+    def decide(self, kind: str, reason: str = "") -> Snapshot:
+        return self.ask("decide", kind=kind, reason=reason)
+
+    def journal(self, what: str) -> list[dict[str, Any]]:
+        folder = self.conductor.root / self.conductor.now.experiment
+        return Journal(folder / "journal.jsonl").entries(what)
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Iterator[Tank]:
+    made = Tank(tmp_path / "experiments")
+    yield made
+    made.conductor.close()
+
+
+@pytest.fixture
+def ready(tank: Tank) -> Tank:
+    """Connected, with a reference."""
+    tank.conductor.start()
+    tank.wait(lambda now: now.phase == "idle")
+    now = tank.ask("upload", reference=from_text(SHORT))
+    assert (now.problem, len(now.reference_m_s)) == ("", 8)
+    return tank
+
+
+def test_it_connects_and_says_to_what(tank: Tank) -> None:
+    tank.conductor.start()
+    now = tank.wait(lambda now: now.phase == "idle")
+    assert (now.board, now.simulated, now.state) == ("simulated", True, "IDLE")
+    assert now.battery_v == pytest.approx(8.2)
+    assert now.next_trial == 1
+    assert now.imu_well is False  # it has only just been switched on
+
+
+def test_a_swim_from_the_ritual_to_what_was_learned(ready: Tank) -> None:
+    now = ready.ask("swim", until="1", ritual=True)
+    assert (now.phase, now.swum and now.swum.outcome.end) == ("deciding", "complete")
+    assert None not in now.speed_m_s
+    assert [row.decision for row in now.rows] == [""]
+    now = ready.decide("keep")
+    assert (now.phase, now.problem, now.iteration, now.next_trial) == ("idle", "", 2, 2)
+    assert [(row.decision, row.learned) for row in now.rows] == [("keep", True)]
+    assert now.verdict
+    assert any("still" in line for line in now.log)
+    assert ready.wait(lambda now: now.imu_well is True).imu.startswith("VN-100")
+
+
+def test_steps_of_the_ritual_are_shown_in_their_order(ready: Tank) -> None:
+    seen: list[tuple[str, ...]] = []
+    ready.on_beat = lambda beat: seen.append(tuple(s.name for s in ready.conductor.now.steps))
+    ready.ask("swim", until="1", ritual=True)
+    assert seen[0] == tuple(dict.fromkeys(seen[0]))
+    assert {"rest", "room", "pose"} <= set(seen[0]) or len(seen[0]) >= 3
+    assert all(step.ok for step in ready.conductor.now.steps)
+
+
+def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
+    def press(beat: int) -> None:
+        if beat == 3:
+            ready.conductor.ask("abort")
+
+    ready.on_beat = press
+    now = ready.ask("swim", until="10", ritual=False)
+    assert (now.phase, now.state) == ("deciding", "ABORTED")
+    assert now.swum is not None
+    assert now.swum.outcome.end == "aborted:ABORT_COMMAND"
+    assert now.swum.outcome.executed_beats < 8
+    assert ready.board.truth().pulse_ticks == 0
+    with pytest.raises(InputError, match="needs a reason"):
+        ready.conductor.ask("decide", kind="discard")
+    now = ready.decide("discard", "bumped the wall")
+    assert (now.phase, now.iteration, now.next_trial) == ("idle", 1, 2)
+    assert [(row.decision, row.reason) for row in now.rows] == [("discard", "bumped the wall")]
+    assert [entry["reason"] for entry in ready.journal("decided")] == ["bumped the wall"]
+    assert ready.board.truth().swims == 1  # the other nine were not begun
+
+
+def test_one_swim_is_one_swim_whatever_becomes_of_it(ready: Tank) -> None:
+    ready.ask("swim", until="1", ritual=False)
+    assert ready.decide("repeat", "to see the noise").phase == "idle"
+    ready.ask("swim", until="1", ritual=False)
+    assert ready.decide("discard", "a wave").phase == "idle"
+    assert ready.board.truth().swims == 2
+
+
+def test_the_next_swim_is_not_stopped_by_an_old_abort(ready: Tank) -> None:
+    ready.on_beat = lambda beat: ready.conductor.ask("abort") if beat == 2 else None
+    ready.ask("swim", ritual=False)
+    ready.decide("discard", "stopped")
+    ready.on_beat = lambda beat: None
+    now = ready.ask("swim", ritual=False)
+    assert now.swum is not None
+    assert now.swum.outcome.end == "complete"
+
+
+def test_abort_before_the_start_ends_the_waiting(ready: Tank) -> None:
+    ready.at_start = lambda: ready.conductor.ask("abort")
+    now = ready.ask("swim", ritual=True)
+    assert (now.phase, now.state, now.next_trial, now.rows) == ("idle", "IDLE", 1, ())
+    assert ready.board.truth().swims == 0
+
+
+def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
+    somebody = Fish(SimTransport(tank.board))
+    somebody.clock.sync()
+    somebody.upload_reference(from_text("trapezoid:0.06,5,25"))
+    somebody.arm()
+    start = mavlink.TAILBEAT_CMD_TRIAL_START
+    somebody.link.command(start, 1.0, somebody.clock.now_s())
+    somebody.link.run(3.0)
+    assert somebody.status().state == "RUNNING"
+    trying, go = threading.Event(), threading.Event()
+
+    def gate() -> None:
+        trying.set()
+        assert go.wait(PATIENCE_S)
+
+    tank.gate = gate
+    tank.conductor.start()
+    assert trying.wait(PATIENCE_S)
+    assert tank.conductor.now.phase == "connecting"
+    tank.conductor.ask("abort")
+    begun_s = tank.board.time_s
+    go.set()
+    now = tank.wait(lambda now: now.phase == "idle")
+    assert now.state == "ABORTED"
+    assert now.fault
+    assert tank.board.time_s - begun_s < 10.0  # 30 beats would have been swum otherwise
+    tank.wait(lambda now: tank.board.truth().pulse_ticks == 0)  # the glide to the centre is over
+
+
+def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
+    ready.board.set_tilt_rad(1.4)
+    now = ready.ask("swim", ritual=False)
+    while now.phase in ("deciding", "asking"):
+        ready.board.set_tilt_rad(0.0)
+        now = ready.decide("discard", "lifted out") if now.swum else ready.ask("answer", yes=False)
+    assert now.problem or now.fault
+    if now.state in ("ABORTED", "FAULT"):
+        assert now.fault
+        now = ready.ask("clear")
+    assert (now.state, now.fault) == ("IDLE", "")
+
+
+def test_whoever_decides_first_decides(ready: Tank) -> None:
+    ready.ask("swim", ritual=False)
+    outcomes: list[str] = []
+    start = threading.Barrier(4)
+
+    def browser(number: int) -> None:
+        start.wait()
+        try:
+            ready.conductor.ask("decide", kind="discard", reason=f"by {number}")
+            outcomes.append(f"by {number}")
+        except InputError as error:
+            assert "decided already" in str(error)
+
+    done = ready.conductor.now.done
+    browsers = [threading.Thread(target=browser, args=(number,)) for number in range(4)]
+    for thread in browsers:
+        thread.start()
+    for thread in browsers:
+        thread.join()
+    assert len(outcomes) == 1
+    now = ready.wait(lambda now: now.done > done)
+    assert [row.reason for row in now.rows] == outcomes
+
+
+def test_the_second_of_two_wishes_hears_that_it_is_late() -> None:
+    """Also when nobody has had time to look at the first."""
+    asks = Asks()
+    asks.open("decide", "note")
+    asks.offer(Ask("decide", {"kind": "keep"}))
+    with pytest.raises(InputError, match="decided already"):
+        asks.offer(Ask("decide", {"kind": "discard"}))
+    asks.offer(Ask("note", {"text": "one"}))
+    asks.offer(Ask("note", {"text": "two"}))
+    first = asks.take("decide")
+    assert first is not None
+    assert first.values == {"kind": "keep"}
+    asks.open("swim")  # what nobody took is forgotten, but for notes
+    assert [asks.take() is not None for _ in range(3)] == [True, True, False]
+
+
+def test_what_makes_no_sense_now_is_refused(ready: Tank) -> None:
+    ask = ready.conductor.ask
+    with pytest.raises(InputError, match="nothing to decide"):
+        ask("decide", kind="keep")
+    with pytest.raises(InputError, match="no experiment yet"):
+        ask("note", text="hello")
+    with pytest.raises(InputError, match="says no end"):
+        ask("swim", until="for ever")
+    with pytest.raises(InputError, match="nothing to ask for"):
+        ask("dance")
+    refused: list[str] = []
+
+    def press_again(beat: int) -> None:
+        for what, values in (("swim", {}), ("upload", {"reference": None}), ("clear", {})):
+            try:
+                ask(what, **values)
+            except InputError:
+                refused.append(what)
+
+    ready.on_beat = lambda beat: press_again(beat) if beat == 1 else None
+    ready.ask("swim", ritual=False)
+    assert refused == ["swim", "upload", "clear"]
+
+
+def test_notes_are_taken_while_it_waits_for_a_decision(ready: Tank) -> None:
+    ready.ask("swim", ritual=False)
+    ready.conductor.ask("note", text="water 22 degrees")
+    ready.wait(lambda now: any("water 22 degrees" in line for line in now.log))
+    assert [entry["text"] for entry in ready.journal("note")] == ["water 22 degrees"]
+    assert ready.conductor.now.phase == "deciding"
+
+
+def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
+    ready.ask("swim", ritual=False)
+    ready.decide("keep")
+    name = ready.conductor.now.experiment
+    tries: list[int] = []
+
+    def gate() -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            raise ConnectError("nobody answers.", "Switch it on.")
+
+    ready.gate = gate
+    ready.lines[-1].cut = True
+    now = ready.wait(lambda now: now.phase == "connecting" and "nobody" in now.problem)
+    assert now.problem == "nobody answers. Switch it on."
+    with pytest.raises(InputError, match="cannot swim now"):
+        ready.conductor.ask("swim")
+    now = ready.wait(lambda now: now.phase == "idle")
+    assert (now.problem, now.experiment, len(now.rows)) == ("", name, 1)
+    assert ready.ask("swim", ritual=False).swum is not None
+
+
+def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
+    ready.ask("swim", ritual=False)
+    ready.lines[-1].cut = True
+    connected = len(ready.lines)
+    ready.conductor.ask("decide", kind="keep")
+    now = ready.wait(lambda now: now.phase == "idle" and len(ready.lines) > connected)
+    assert now.pending == 1
+    assert ready.journal("decided")[-1]["decision"] == "keep"
+    now = ready.ask("swim", ritual=False)  # the old one is settled without asking again
+    assert now.swum is not None
+    assert now.swum.outcome.number == 2
+    assert now.rows[0].learned
+
+
+def test_closing_in_the_middle_of_a_swim_stops_the_tail(ready: Tank) -> None:
+    ready.on_beat = lambda beat: ready.conductor._asks.close() if beat == 2 else None
+    ready.conductor.ask("swim", ritual=False)
+    ready.conductor._thread.join(PATIENCE_S)
+    assert not ready.conductor._thread.is_alive()
+    assert ready.board.truth().pulse_ticks == 0
+    fish = Fish(SimTransport(ready.board))
+    fish.clock.sync()
+    status = fish.status()
+    assert (status.state, status.pending_trial) == ("ABORTED", 1)
+    assert status.beat < 8
+    raw = ready.conductor.root / ready.conductor.now.experiment / "raw" / "0001.ulg"
+    assert raw.read_bytes() == fish.ftp.read("/trials/0001.ulg")
+
+
+def test_a_board_that_starts_again_is_greeted_anew(ready: Tank) -> None:
+    greeted = sum("connected to" in line for line in ready.conductor.now.log)
+    ready.board.power_cycle()
+    now = ready.wait(lambda now: sum("connected to" in s for s in now.log) > greeted)
+    assert any("restarted" in line for line in now.log)
+    now = ready.wait(lambda now: now.phase == "idle")
+    assert (len(now.reference_m_s), now.problem) == (8, "")
+
+
+def test_a_reference_that_does_not_fit_is_refused(ready: Tank) -> None:
+    now = ready.ask("upload", reference=from_text("trapezoid:0.1,5,60"))
+    assert "tank has 3.00 m" in now.problem
+    assert (now.phase, len(now.reference_m_s)) == ("idle", 8)
+    assert ready.ask("upload", reference=from_text(SHORT)).problem == ""
+
+
+def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
+    clock = [100.0]
+    tank.conductor.wall_s = lambda: clock[0]
+    assert tank.conductor.silent_s() is None
+    tank.conductor.start()
+    tank.wait(lambda now: now.phase == "idle")
+    tank.board.set_radio(False)
+    done = tank.conductor.now.done
+    tank.conductor.ask("set", name="LAW_GAIN", value=3.0)  # a round trip that nothing comes back of
+    clock[0] = 107.0
+    tank.wait(lambda now: now.done > done or now.phase == "connecting")
+    assert tank.conductor.silent_s() == pytest.approx(7.0)
+    tank.board.set_radio(True)
+
+
+def test_only_listed_logs_are_given_out(ready: Tank) -> None:
+    ready.ask("swim", ritual=False)
+    assert ready.conductor.raw_file("0001.ulg") is not None
+    for name in ("SHA256SUMS", "../settings.json", "reference.bin", "0002.ulg", ""):
+        assert ready.conductor.raw_file(name) is None
+
+
+def test_the_ritual_may_be_set(tmp_path: Path) -> None:
+    tank = Tank(tmp_path / "experiments")
+    tank.conductor.wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=1.0)
+    tank.conductor.start()
+    tank.wait(lambda now: now.phase == "idle")
+    tank.ask("upload", reference=from_text(SHORT))
+    now = tank.ask("swim", ritual=True)
+    assert any("over 2 s" in line for line in now.log)
+    tank.conductor.close()

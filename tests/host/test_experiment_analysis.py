@@ -1,0 +1,189 @@
+"""What is derived from an experiment, and that the same files always give the same bytes."""
+
+from __future__ import annotations
+
+import json
+import locale
+import math
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.demo import DemoOptions, run_demo
+from tailbeat.errors import InputError
+from tailbeat.experiment import Experiment
+from tailbeat.experiment.analysis import Analysis, analyse, write_analysis
+from tailbeat.trial_log import read_trial
+
+from .swum_experiment import BEATS, REFERENCE, swim_experiment, writable
+
+_RECORD = b"\x05\x00D\x00\x00\x00\x00\x00"  # of data, as a log has at its end
+
+
+@pytest.fixture(scope="module")
+def swum(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+    return swim_experiment(tmp_path_factory.mktemp("analysis"))
+
+
+@pytest.fixture(scope="module")
+def analysis(swum: Experiment) -> Analysis:
+    return analyse(swum)
+
+
+@pytest.fixture
+def copy(swum: Experiment, tmp_path: Path) -> Experiment:
+    return Experiment(Path(shutil.copytree(swum.folder, tmp_path / "else" / "where")))
+
+
+def test_every_swim_is_a_row(analysis: Analysis) -> None:
+    rows = analysis.rows
+    assert [row.trial for row in rows] == [1, 2, 3, 4, 5, 6]
+    assert [row.iteration for row in rows] == [1, 2, 3, 3, 4, 4]
+    assert [row.decision for row in rows] == ["keep", "keep", "discard", "keep", "repeat", "keep"]
+    assert rows[2].reason == "bumped the wall"
+    assert [row.learned for row in rows] == [True, True, False, True, False, True]
+    assert [row.repeat_of for row in rows] == [0, 0, 0, 0, 0, 5]  # a discarded one is no first
+    assert all(row.complete and row.measured_beats == BEATS for row in rows)
+    assert all(row.file == f"{row.trial:04d}.ulg" and row.time for row in rows)
+    assert analysis.problems == []
+
+
+def test_the_numbers_are_those_of_the_logs(swum: Experiment, analysis: Analysis) -> None:
+    for row in analysis.rows:
+        trial = read_trial(swum.raw / row.file)
+        error = (REFERENCE.speed_m_s - trial.beats.speed_m_s).astype(np.float64)
+        assert row.max_abs_error_m_s == np.abs(error).max()
+        assert row.rms_error_m_s == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
+        assert row.distance_m == pytest.approx(np.sum(trial.beats.speed_m_s), rel=1e-6)
+        assert row.battery_start_v == trial.battery_v[0][1]
+    error_of = {row.trial: row.max_abs_error_m_s for row in analysis.rows}
+    assert [row.contraction for row in analysis.rows[3:]] == [
+        error_of[4] / error_of[2], error_of[5] / error_of[4], error_of[6] / error_of[4],
+    ]  # fmt: skip
+    assert [math.isnan(row.contraction) for row in analysis.rows[:3]] == [True, False, True]
+    assert analysis.noise_m_s == pytest.approx(np.std([error_of[5], error_of[6]], ddof=1))
+    assert analysis.start_error_m_s == REFERENCE.speed_m_s.max()
+
+
+def test_the_band_is_of_what_counts(analysis: Analysis) -> None:
+    band, error_of = analysis.band, {row.trial: row.max_abs_error_m_s for row in analysis.rows}
+    assert band.iteration.tolist() == [1, 2, 3, 4]
+    assert band.swims.tolist() == [1, 1, 1, 2]
+    assert band.max_low_m_s[2] == band.max_median_m_s[2] == band.max_high_m_s[2] == error_of[4]
+    low, high = sorted((error_of[5], error_of[6]))
+    assert band.max_median_m_s[3] == pytest.approx((low + high) / 2)
+    assert band.max_low_m_s[3] == pytest.approx(low + 0.05 * (high - low))
+    assert band.rms_high_m_s.shape == (4,)
+
+
+def test_the_floor_is_the_simulators_without_an_identified_fish(analysis: Analysis) -> None:
+    assert analysis.simulated
+    assert analysis.floor_by == "simulator"
+    assert 0 < analysis.floor_m_s <= analysis.floor_lsq_m_s < analysis.start_error_m_s
+
+
+def test_the_same_bytes_anywhere(
+    swum: Experiment, copy: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    first = write_analysis(swum).read_bytes()
+    assert write_analysis(swum).read_bytes() == first
+    monkeypatch.setenv("TZ", "Pacific/Chatham")
+    time.tzset()
+    for name in ("C", "C.UTF-8"):
+        locale.setlocale(locale.LC_ALL, name)
+        monkeypatch.chdir(tmp_path)
+        assert write_analysis(Experiment(Path("else/where"))).read_bytes() == first
+    monkeypatch.undo()
+    time.tzset()
+    text = first.decode("ascii")
+    assert str(swum.folder.parent) not in text
+    document = json.loads(text)
+    assert list(document) == sorted(document)
+    assert "trials" not in document
+    assert document["rows"][0]["straight"] is None or document["rows"][0]["straight"]["source"]
+
+
+def test_what_is_decided_later_counts(copy: Experiment) -> None:
+    copy.journal.add("decided", trial=6, decision="discard", reason="seen on film", file="0006.ulg")
+    copy.journal.add("withdrawn", trial=3, file="0003.ulg", reason="")
+    found = analyse(copy)
+    assert [row.decision for row in found.rows][2] == ""
+    assert found.band.swims.tolist() == [1, 1, 2, 1]
+
+
+def test_a_damaged_log_is_told_and_the_rest_goes_on(copy: Experiment) -> None:
+    path = copy.raw / "0007.ulg"
+    copy.add_raw(path.name, b"ULog" + bytes(40))
+    found = analyse(copy)
+    assert [row.trial for row in found.rows] == [1, 2, 3, 4, 5, 6]
+    assert any("0007.ulg" in line for line in found.problems)
+
+
+def test_a_tampered_trial_is_no_data(copy: Experiment) -> None:
+    path = writable(copy.raw / "0004.ulg")
+    content = bytearray(path.read_bytes())
+    content[-100] ^= 1
+    path.write_bytes(content)
+    (copy.raw / "0001.ulg").unlink()
+    found = analyse(copy)
+    assert [row.trial for row in found.rows] == [2, 3, 5, 6]
+    assert found.problems == [
+        "raw/0001.ulg is missing",
+        "raw/0004.ulg is not what it was when it was added",
+    ]
+
+
+def test_a_trial_of_another_reference_is_left_out(copy: Experiment) -> None:
+    from tailbeat.records import encode_reference
+
+    other = copy.folder.parent / "other"
+    shutil.copytree(copy.folder, other)
+    writable(other / "raw" / "reference.bin").write_bytes(
+        encode_reference(1.0, REFERENCE.speed_m_s * np.float32(0.5))
+    )
+    (other / "raw" / "SHA256SUMS").unlink()
+    with pytest.raises(InputError, match=r"holds no trials that can be read .*0001.ulg"):
+        analyse(Experiment(other))
+
+
+def test_a_log_that_grew_is_one_trial(copy: Experiment) -> None:
+    """Speeds that come later are appended to the log: it is kept a second time, longer."""
+    short = copy.folder / "short.ulg"
+    short.write_bytes((copy.raw / "0006.ulg").read_bytes()[:-40])
+    (copy.raw / "0006.ulg").unlink()
+    sums = copy.raw / "SHA256SUMS"
+    sums.write_text("".join(line for line in sums.open() if "0006" not in line))
+    assert copy.keep_trial(short).name == "0006.ulg"
+    grown = copy.folder / "grown.ulg"
+    grown.write_bytes(short.read_bytes() + _RECORD)
+    assert copy.keep_trial(grown).name == "0006-2.ulg"
+    assert copy.keep_trial(short).name == "0006.ulg"
+    rows = analyse(copy).rows
+    assert [row.file for row in rows] == [*(f"000{n}.ulg" for n in range(1, 6)), "0006-2.ulg"]
+
+
+def test_folders_without_a_journal(tmp_path: Path) -> None:
+    """Made by the demo, or by an older tool: settings had no name then."""
+    folder = tmp_path / "demo"
+    run_demo(DemoOptions(trials=3, out=folder))
+    settings = json.loads((folder / "settings.json").read_text())
+    settings.pop("name")
+    (folder / "settings.json").write_text(json.dumps(settings))
+    found = analyse(Experiment.open(folder))
+    assert [row.decision for row in found.rows] == ["", "", ""]
+    assert [row.learned for row in found.rows] == [True, True, False]
+    assert found.name == f"{settings['made'][:10]}_sim-tank_thesis_p4-lead1"
+    result_floor = found.floor_m_s
+    assert 0.005 < result_floor < 0.02
+    first = write_analysis(Experiment(folder)).read_bytes()
+    moved = Path(shutil.move(folder, tmp_path / "moved"))
+    assert write_analysis(Experiment(moved)).read_bytes() == first
+
+
+def test_no_trials(tmp_path: Path) -> None:
+    empty = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
+    with pytest.raises(InputError, match="holds no trials"):
+        analyse(empty)

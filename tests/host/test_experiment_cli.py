@@ -1,0 +1,191 @@
+"""The commands of experiments, and which experiment a fish is in."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from tailbeat.cli.app import app
+from tailbeat.errors import InputError, Refused
+from tailbeat.experiment import Experiment, begin, current, require_same, use
+from tailbeat.experiment.board import copy_state, held_state
+from tailbeat.fish import Fish
+from tailbeat.records import encode_reference
+
+from .swum_experiment import REFERENCE, swim_experiment, writable
+
+
+@pytest.fixture(scope="module")
+def swum(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+    return swim_experiment(tmp_path_factory.mktemp("cli"))
+
+
+@pytest.fixture
+def copy(swum: Experiment, tmp_path: Path) -> Experiment:
+    return Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+
+
+@pytest.fixture(autouse=True)
+def book(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
+    return tmp_path / "book"
+
+
+def call(*words: object) -> Result:
+    return CliRunner().invoke(app, ["experiment", *map(str, words)])
+
+
+def document(*words: object, code: int = 0) -> Any:
+    result = call(*words, "--json")
+    assert result.exit_code == code, result.output
+    return json.loads(result.stdout)
+
+
+def test_a_fish_stays_in_its_experiment(tmp_path: Path) -> None:
+    """The conditions from new, set and note without naming the folder."""
+    sim = ("--connect", "sim")
+    new = ("--reference", "thesis", "--water-temp", 21.5, "--condition", "wall=glass")
+    made = document("new", *new, "--operator", "jo", "--root", tmp_path / "e", *sim)
+    assert made["board_has_reference"] is False
+    folder = Path(made["folder"])
+    found = document("set", "--condition", "salinity_psu=0.3", "--water-temp", 22, *sim)
+    assert found["conditions"] == {
+        "water_temperature_degc": 22.0, "wall": "glass", "salinity_psu": 0.3,
+    }  # fmt: skip
+    assert call("note", "fish looks tired", *sim).output.endswith("noted\n")
+    journal = Experiment.open(folder).journal
+    assert [entry["what"] for entry in journal.entries()] == ["made", "set", "note"]
+    changed = journal.entries("set")[0]
+    assert changed["before"]["water_temperature_degc"] == 21.5
+    shown = call("show", *sim)
+    for words in ("operator: jo", "salinity_psu: 0.3", "no trials yet", "fish looks tired"):
+        assert words in shown.output
+    assert "water_temperature_degc: 22.0" in shown.output
+
+
+@pytest.mark.parametrize(
+    "words", [["wall"], ["Wall=x"], ["a b=x"], ["=3"], ["x="], ["x=1", "x=2"], ["é=1"]]
+)
+def test_conditions_that_make_no_sense(copy: Experiment, words: list[str]) -> None:
+    given = [part for word in words for part in ("--condition", word)]
+    result = call("set", copy.folder, *given)
+    assert isinstance(result.exception, InputError)
+    assert copy.settings()["conditions"] == {"water_temperature_degc": 21.5}
+
+
+def test_water_that_is_not_believed(copy: Experiment) -> None:
+    assert isinstance(call("set", copy.folder, "--water-temp", 71).exception, InputError)
+
+
+def test_show_tells_trials_and_decisions(swum: Experiment) -> None:
+    lines = call("show", swum.folder).output.splitlines()
+    assert "simulated" in lines[0]
+    third = next(line for line in lines if line.split()[:2] == ["3", "3"])
+    assert third.endswith("discard: bumped the wall")
+    assert any(line.endswith("keep (repeats trial 5) (learned)") for line in lines)
+    assert len(document("show", swum.folder)["trials"]) == 6
+    assert "tailbeat experiment replay ." in call("show", swum.folder, "--redo").output
+
+
+def test_every_command_tells_of_tampering(copy: Experiment) -> None:
+    path = writable(copy.raw / "0002.ulg")
+    path.write_bytes(path.read_bytes()[:-1])
+    told = "raw/0002.ulg is not what it was when it was added"
+    shown = call("show", copy.folder)
+    assert (shown.exit_code, told in shown.output) == (1, True)
+    listed = call("list", "--root", copy.folder.parent)
+    assert (listed.exit_code, "DAMAGED: 0002.ulg" in listed.output) == (1, True)
+    replayed = call("replay", copy.folder)
+    assert (replayed.exit_code, told in replayed.output) == (1, True)
+    for words in (
+        ("export", copy.folder, "--format", "csv"),
+        ("compare", copy.folder, copy.folder),
+    ):
+        assert told in call(*words).stderr
+
+
+def test_replay_is_quiet_when_all_is_well(swum: Experiment) -> None:
+    result = call("replay", swum.folder)
+    assert result.exit_code == 0
+    assert result.output == (
+        "identical: 7 raw files, speeds of 6 trials, learning from 4, 0 derived files came out the"
+        " same\n"
+    )
+    assert document("replay", swum.folder)["identical"] is True
+
+
+def test_compare(swum: Experiment, copy: Experiment) -> None:
+    copy.write_settings({"conditions": {"water_temperature_degc": 24.0}})
+    result = call("compare", swum.folder, copy.folder, "--iterations", "3,4")
+    assert result.output.startswith("no difference in max|e| is shown")
+    assert "simulated" in result.output
+    assert "they differ in: water_temperature_degc 21.5 against 24" in result.output
+    found = document("compare", swum.folder, copy.folder, "--what", "rms", "--iterations", "3,4")
+    assert (len(found["a_m_s"]), found["difference_m_s"], found["repeats"]) == (3, 0.0, None)
+
+
+def test_exports_hold_what_was_decided(copy: Experiment) -> None:
+    import csv
+
+    files = [Path(path) for path in document("export", copy.folder)["files"]]
+    with (copy.folder / "export" / "trials.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["decision"] for row in rows][2] == "discard"
+    assert [row["repeat_of"] for row in rows] == ["0", "0", "0", "0", "0", "5"]
+    assert {row["simulated"] for row in rows} == {"True"}
+    assert list(rows[0])[:3] == ["trial", "iteration", "end"]
+    assert float(rows[5]["battery_start_v"]) > 6
+    before = {path: path.read_bytes() for path in files}
+    document("export", copy.folder)
+    assert {path: path.read_bytes() for path in files} == before
+    assert b"simulated" in (copy.folder / "export" / "trials.mat").read_bytes()[:116]
+
+
+def test_the_current_experiment_is_the_fishs(tmp_path: Path) -> None:
+    with Fish.connect("sim") as fish:
+        assert current(fish) is None
+        with pytest.raises(Refused):
+            begin(fish, tmp_path)
+        fish.upload_reference(REFERENCE)
+        first, second = begin(fish, tmp_path), begin(fish, tmp_path, "b", {"x_m": 1.0})
+        assert current(fish) == second
+        use(fish, first)
+        assert current(fish) == first
+        require_same(fish, first)
+        shutil.rmtree(first.folder)
+        assert current(fish) is None
+        fish.upload_reference(encode_reference(1.0, [0.01, 0.02]))
+        with pytest.raises(InputError, match=r"another reference .* reference upload"):
+            require_same(fish, second)
+        second.write_settings({"unique_id": "0" * 32})
+        with pytest.raises(InputError, match=r"another fish: .*Connect the right fish"):
+            require_same(fish, second)
+
+
+def test_the_boards_state_comes_back(swum: Experiment, tmp_path: Path) -> None:
+    held = held_state(swum)
+    assert held is not None
+    assert held.last_learned_trial == 6
+    assert held.iteration == 5
+    experiment = Experiment.at(tmp_path / "e", "a", "b", "c")
+    assert held_state(experiment) is None
+    with Fish.connect("sim") as fish:
+        with pytest.raises(Refused):
+            copy_state(fish, experiment)
+        fish.upload_reference(held.reference)
+        assert held.learned is not None
+        fish.upload_learned(held.learned)
+        copied = copy_state(fish, experiment)
+    assert replace(copied, params=held.params, last_learned_trial=6) == held
+    assert held_state(experiment) == copied
+    path = experiment.folder / "board" / "state.json"
+    for spoiled in (b"", b"{}", path.read_bytes().replace(b'"iteration": 5', b'"iteration": 4')):
+        path.write_bytes(spoiled)
+        with pytest.raises(InputError, match="is damaged"):
+            held_state(experiment)

@@ -1,0 +1,830 @@
+"""A series of swims: what is kept in which order, how it ends, and that nothing is ever lost."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tailbeat import records
+from tailbeat.camera.base import CameraGone, Frame
+from tailbeat.camera.simulated import SimulatedCamera
+from tailbeat.day import series as series_module
+from tailbeat.day.battery import Drain, forecast, too_low
+from tailbeat.day.person import Decision, Event
+from tailbeat.day.ritual import GivenUp
+from tailbeat.day.series import Options, SeriesEnd, Until, swim_series
+from tailbeat.day.swum import Swum
+from tailbeat.errors import InputError, TailbeatError
+from tailbeat.experiment import Experiment
+from tailbeat.experiment.current import begin
+from tailbeat.fish import Fish
+from tailbeat.logbook import DISCARDED, Logbook
+from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.trial_log import read_trial
+
+KEEP, AGAIN = Decision("keep"), Decision("repeat", "once more")
+BUMPED = Decision("discard", "bumped the wall")
+SPEEDS = 0.07 * np.sin(np.linspace(0.2, 2.9, 6))
+
+
+class Script:
+    """Somebody who knows beforehand what to say, and keeps what was told."""
+
+    def __init__(self, *answers: Decision, abort_beat: int | None = None) -> None:
+        self.answers = list(answers)
+        self.abort_beat = abort_beat
+        self.yes = True
+        self.told: list[Event] = []
+        self.asked: list[int] = []
+        self.questions: list[str] = []
+        self._beat = -1
+
+    def tell(self, event: Event) -> None:
+        self.told.append(event)
+        if event["event"] == "beat":
+            self._beat = event["beat"]
+        elif event["event"] == "swum":
+            self._beat = -1
+
+    def wants_abort(self) -> bool:
+        return self.abort_beat is not None and self._beat >= self.abort_beat
+
+    def decide(self, swum: Swum) -> Decision:
+        self.asked.append(swum.outcome.number)
+        if self.answers:
+            return self.answers.pop(0)
+        return KEEP if swum.measured_beats else Decision("discard", "did not swim")
+
+    def confirm(self, question: str) -> bool:
+        self.questions.append(question)
+        return self.yes
+
+    def of(self, kind: str) -> list[Event]:
+        return [event for event in self.told if event["event"] == kind]
+
+
+@pytest.fixture
+def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
+    """A fish with a reference that always connects again as the same."""
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
+    simulated = SimBoard("tank", seed=1)
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    with Fish.connect("it") as fish:
+        fish.params.set("LAW_LEAD", 1)
+        fish.upload_reference(records.encode_reference(1.0, SPEEDS))
+    return simulated
+
+
+@pytest.fixture
+def fish(board: SimBoard) -> Iterator[Fish]:
+    with Fish.connect("it") as connected:
+        yield connected
+
+
+@pytest.fixture
+def experiment(fish: Fish, tmp_path: Path) -> Experiment:
+    return begin(fish, tmp_path / "experiments")
+
+
+@pytest.fixture
+def swim(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
+    """A series without a ritual."""
+
+    def call(person: Script, swims: int | None = 1, **options: Any) -> SeriesEnd:
+        options = {"until": Until(swims), "wanted": None, **options}
+        return swim_series(fish, experiment, person, Options(**options))
+
+    return call
+
+
+def kinds(experiment: Experiment) -> list[str]:
+    return [entry["what"] for entry in experiment.journal.entries()]
+
+
+def at_rest(fish: Fish, board: SimBoard) -> bool:
+    """Not armed, the tail still within the stop's own time. (Only some seconds later a trial that
+    was cut is pending.)"""
+    fish.link.run(1.5)
+    still = not board.truth().swimming and fish.status().state not in ("ARMED", "RUNNING")
+    fish.link.run(5.0)
+    return still
+
+
+def require_nothing_lost(fish: Fish, experiment: Experiment) -> None:
+    """Every swim that the board has is pending, or both in the raw files and in the journal."""
+    assert experiment.damaged() == []
+    known = {entry["trial"] for entry in experiment.journal.entries("swum")}
+    files = {trial.number for trial in experiment.trials()}
+    pending = fish.status().pending_trial
+    for trial in fish.trials():
+        assert trial.number == pending or trial.number in known & files
+
+
+# until
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("converged", Until(None, converged=True)),
+        ("battery", Until(None)),
+        (" 12 ", Until(12)),
+        ("1", Until(1)),
+    ],
+)
+def test_until(text: str, wanted: Until) -> None:
+    assert Until.parse(text) == wanted
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "1.5", "soon", "1000", "²"])
+def test_no_end(text: str) -> None:
+    with pytest.raises(InputError, match="converged, battery or a number"):
+        Until.parse(text)
+
+
+# the order of a round
+
+
+def test_a_kept_swim_is_in_the_raw_files_the_journal_the_logbook_and_learned(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    person = Script(KEEP)
+    end = swim(person)
+    assert end.why == "swims" and end.swums[0].outcome.end == "complete"
+    assert [path.name for path in experiment.trial_files()] == ["0001.ulg"]
+    assert kinds(experiment)[-4:] == ["begun", "swum", "decided", "learned"]
+    assert fish.status().last_learned_trial == 1 and fish.status().pending_trial is None
+    assert len(Logbook.of(fish.unique_id()).trials()) == 1
+    assert end.verdict is not None and end.verdict.kind == "first"
+    report = end.rounds[0].learned
+    assert report is not None
+    assert report.max_abs_error_m_s == pytest.approx(end.swums[0].max_abs_error_m_s, rel=1e-5)
+    told = [event["event"] for event in person.told]
+    assert "live" in told
+    order = ["started", "ended", "swum", "decided", "learned", "verdict"]
+    assert [told.index(kind) for kind in order] == sorted(told.index(kind) for kind in order)
+
+
+def test_only_kept_swims_count(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    end = swim(Script(AGAIN, BUMPED, KEEP, KEEP), swims=2)
+    assert [one.decision.kind for one in end.rounds] == ["repeat", "discard", "keep", "keep"]
+    iterations = [swum.outcome.iteration for swum in end.swums]
+    assert iterations == [1, 1, 1, 2]
+    assert fish.status().iteration == 3
+    first, second = (read_trial(end.swums[k].file).beats.applied_rad for k in (0, 2))
+    assert np.array_equal(first, second)
+    marks = [kept.mark for kept in Logbook.of(fish.unique_id()).kept()[0]]
+    assert marks == ["", DISCARDED, "", ""]
+    decided = [(e["decision"], e["reason"]) for e in experiment.journal.entries("decided")]
+    assert decided == [
+        ("repeat", "once more"), ("discard", "bumped the wall"), ("keep", ""), ("keep", "")
+    ]  # fmt: skip
+
+
+def test_the_verdict_knows_repeats_and_no_discarded_swim(swim: Callable[..., SeriesEnd]) -> None:
+    end = swim(Script(BUMPED, KEEP))
+    assert end.verdict is not None and end.verdict.kind == "first"
+    end = swim(Script(AGAIN, KEEP))
+    assert end.verdict is not None and end.verdict.kind != "first"
+
+
+def test_what_counts_can_be_chosen(swim: Callable[..., SeriesEnd]) -> None:
+    end = swim(Script(AGAIN, AGAIN), swims=2, counts=("repeat",))
+    assert end.why == "swims" and len(end.rounds) == 2 and end.verdict is None
+
+
+def test_positions_are_kept_from_the_start_of_the_swim(
+    swim: Callable[..., SeriesEnd], experiment: Experiment, board: SimBoard
+) -> None:
+    swim(Script(KEEP))
+    lines = (experiment.raw / "0001_positions.csv").read_text().splitlines()
+    assert lines[0] == "t_s,x_m,y_m,heading_rad"
+    rows = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    swum = rows[(rows[:, 0] >= 0) & (rows[:, 0] <= 6)]
+    assert 6 * 25 - 5 <= len(swum) <= 6 * 25 + 1  # pictures come a little late, the last too late
+    way_m = swum[-1, 1] - swum[0, 1]
+    assert way_m == pytest.approx(float(board.true_beats().sum()), abs=5e-3)
+    assert not (experiment.folder / ".pulling").exists()
+
+
+def test_a_swim_that_nothing_is_learned_from_yet(
+    swim: Callable[..., SeriesEnd], fish: Fish
+) -> None:
+    end = swim(Script(KEEP), learn=False)
+    assert end.why == "swims" and fish.status().pending_trial == 1
+    with pytest.raises(InputError, match="waits to be learned from"):
+        swim(Script(), learn=False)
+    asked = Script()
+    end = swim(asked)
+    assert asked.asked == [2], "trial 1 was decided on before"
+    assert [one.learned is not None for one in end.rounds] == [True, True]
+
+
+# ends
+
+
+def test_a_person_s_key_stops_it_and_the_series_after_the_decision(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
+) -> None:
+    end = swim(Script(BUMPED, abort_beat=2), swims=5)
+    assert end.why == "interrupted" and len(end.rounds) == 1
+    swum = end.swums[0]
+    assert swum.outcome.end == "aborted:ABORT_COMMAND" and swum.outcome.executed_beats < 6
+    assert any("stopped by hand" in problem for problem in swum.problems)
+    assert fish.status().state == "IDLE" and fish.status().iteration == 1
+    assert swim(Script(KEEP)).swums[0].outcome.end == "complete"
+    require_nothing_lost(fish, experiment)
+
+
+def test_beats_of_an_aborted_swim_can_be_learned_from(
+    swim: Callable[..., SeriesEnd], fish: Fish
+) -> None:
+    end = swim(Script(KEEP, abort_beat=1))
+    assert end.why == "interrupted" and fish.status().last_learned_trial == 1
+
+
+def test_converged_ends_it(swim: Callable[..., SeriesEnd], monkeypatch: pytest.MonkeyPatch) -> None:
+    end = swim(Script(), swims=None, until=Until(None, converged=True))
+    assert end.why == "converged" and end.verdict is not None and end.verdict.stop
+    assert 3 <= len(end.rounds) < 30
+    assert end.verdict.stop_reason in end.words
+
+
+def test_a_low_battery_ends_it_before_anybody_waits(
+    swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
+) -> None:
+    board.set_battery_v(6.3)
+    fish.link.run(3.0)
+    end = swim(Script(), swims=None)
+    assert end.why == "battery" and "6.60 V" in end.words and "session resume" in end.words
+    assert end.rounds == []
+
+
+def test_a_battery_that_is_too_low_once_it_was(
+    swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
+) -> None:
+    """Above the limit, but the board wants 0.2 V more: its refusal ends the series, too."""
+    board.set_battery_v(6.3)
+    fish.link.run(3.0)
+    with pytest.raises(TailbeatError):
+        fish.arm()
+    board.set_battery_v(6.7)
+    fish.link.run(3.0)
+    assert swim(Script()).why == "battery"
+
+
+def test_the_board_s_own_stop_is_left_as_it_is(
+    swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish, experiment: Experiment
+) -> None:
+    class Rolls(Script):
+        def tell(self, event: Event) -> None:
+            super().tell(event)
+            if event["event"] == "beat" and event["beat"] == 2:
+                board.set_tilt_rad(1.4)
+
+    fish.params.set("TILT_MAX_RAD", 0.5)
+    end = swim(Rolls(KEEP), swims=4)
+    assert end.why == "stopped" and "TILT" in end.words and "tailbeat clear" in end.words
+    assert fish.status().state == "ABORTED" and fish.status().pending_trial == 1
+    assert kinds(experiment)[-1] == "decided"
+    board.set_tilt_rad(0.0)
+    refuses = Script()
+    refuses.yes = False
+    end = swim(refuses)
+    assert end.why == "stopped" and len(refuses.questions) == 1 and refuses.asked == []
+    goes_on = Script()
+    end = swim(goes_on)
+    assert end.why == "swims" and goes_on.asked == [2]
+    assert [one.learned.trial for one in end.rounds if one.learned] == [1, 2]
+
+
+def test_a_stopped_board_without_a_trial_is_asked_about(
+    swim: Callable[..., SeriesEnd], fish: Fish
+) -> None:
+    fish.arm()
+    fish.abort()
+    person = Script()
+    assert swim(person).why == "swims"
+    assert len(person.questions) <= 1
+
+
+def test_rollback_is_told_with_what_it_means(
+    swim: Callable[..., SeriesEnd], fish: Fish, board: SimBoard
+) -> None:
+    swim(Script(), swims=3)
+    fish.params.set("ROLLBACK_RATIO", 1.001)
+    board.set_start(0.15)  # every swim begins with a push
+    person = Script()
+    for _ in range(3):
+        board.set_start(0.15)
+        swim(person)
+    learned = person.of("learned")
+    if not any(event["rolled_back"] for event in learned):
+        pytest.fail(f"the set-up makes nothing worse: {learned}")
+    loud = [event["text"] for event in person.of("notice")]
+    assert any(text.startswith("ROLLED BACK") and "best amplitudes" in text for text in loud)
+
+
+# the trial that waits
+
+
+def test_what_was_swum_elsewhere_is_decided_on_first(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    assert fish.run_trial().end == "complete"
+    person = Script(BUMPED, KEEP)
+    end = swim(person)
+    assert person.asked == [1, 2]
+    assert [one.decision.kind for one in end.rounds] == ["discard", "keep"]
+    require_nothing_lost(fish, experiment)
+
+
+def test_another_fish_or_reference_is_refused(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    experiment.write_settings({"unique_id": "00" * 16})
+    with pytest.raises(InputError, match="another fish"):
+        swim(Script())
+    experiment.write_settings({"unique_id": fish.unique_id()})
+    fish.upload_reference(records.encode_reference(1.0, SPEEDS * 0.5))
+    with pytest.raises(InputError, match="another reference"):
+        swim(Script())
+    assert fish.status().next_trial == 1
+
+
+def test_a_fish_that_swims_is_left_alone(
+    fish: Fish, experiment: Experiment, swim: Callable[..., SeriesEnd], board: SimBoard
+) -> None:
+    seen: list[bool] = []
+
+    def meddle(event: Event) -> None:
+        if event["event"] == "beat" and event["beat"] == 1 and not seen:
+            with pytest.raises(TailbeatError, match="swims already"):
+                swim(Script())
+            seen.append(board.truth().swimming)
+
+    assert fish.run_trial(on_event=meddle).end == "complete"
+    assert seen == [True]
+
+
+def test_a_swim_without_speeds_cannot_be_kept(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
+) -> None:
+    fish.params.set("SPD_SOURCE", 1)
+    with pytest.raises(InputError, match="speed upload"):
+        swim(Script(KEEP))
+    assert fish.status().pending_trial == 1 and "decided" not in kinds(experiment)
+    fish.upload_speeds(1, np.full(6, 0.05), np.full(6, 0.001))
+    end = swim(Script(KEEP, BUMPED), counts=("keep", "discard"))
+    assert end.rounds[0].learned is not None and end.rounds[0].learned.trial == 1
+    assert end.rounds[0].swum.file.name == "0001-2.ulg"
+
+
+def test_a_refusal_to_learn_is_asked_about_again(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    fish.run_trial()
+    fish.params.set("LAW_LEAD", 10)
+    with pytest.raises(TailbeatError):
+        swim(Script(KEEP))
+    person = Script(BUMPED, KEEP)
+    fish.params.set("LAW_LEAD", 1)
+    swim(person)
+    assert person.asked == [1, 2]
+
+
+def test_a_board_that_counts_from_one_again(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    swim(Script(KEEP, KEEP), swims=2)
+    board.flash = bytes(len(board.flash))
+    board.power_cycle()
+    fish.link.run(3.0)
+    if fish.status().state in ("ABORTED", "FAULT"):
+        fish.clear()
+    fish.params.set("LAW_LEAD", 1)
+    fish.upload_reference(records.encode_reference(1.0, SPEEDS))
+    person = Script(BUMPED)
+    end = swim(person, counts=("discard",))
+    assert end.swums[0].file.name == "0001-2.ulg" and person.asked == [1]
+    assert [path.name for path in experiment.trial_files()] == [
+        "0001.ulg", "0002.ulg", "0001-2.ulg"
+    ]  # fmt: skip
+
+
+# bad days
+
+
+class Calls:
+    """Raises at the n-th of all calls that go through it, once."""
+
+    def __init__(self, at: int, error: BaseException) -> None:
+        self.at, self.error, self.count = at, error, 0
+
+    def __call__(self) -> None:
+        self.count += 1
+        if self.count == self.at:
+            raise self.error
+
+
+class Interrupting(Script):
+    """Ctrl-C arrives in one of the person's methods."""
+
+    def __init__(self, calls: Calls, *answers: Decision) -> None:
+        super().__init__(*answers)
+        self._calls = calls
+
+    def tell(self, event: Event) -> None:
+        self._calls()
+        super().tell(event)
+
+    def wants_abort(self) -> bool:
+        self._calls()
+        return super().wants_abort()
+
+    def decide(self, swum: Swum) -> Decision:
+        self._calls()
+        return super().decide(swum)
+
+
+def require_goes_on(
+    fish: Fish,
+    board: SimBoard,
+    experiment: Experiment,
+    swim: Callable[..., SeriesEnd],
+    n: int,
+) -> None:
+    """The tail is still, nothing armed or lost, and the next call is a usual one."""
+    assert at_rest(fish, board), f"call {n}: {fish.status()}"
+    require_nothing_lost(fish, experiment)
+    end = swim(Script())
+    assert end.why == "swims", f"call {n}: {end.words}"
+    assert end.swums[-1].outcome.end == "complete", f"call {n}"
+    require_nothing_lost(fish, experiment)
+    assert experiment.raw_problems() == []
+    swum = [entry["file"] for entry in experiment.journal.entries("swum")]
+    assert len(swum) == len(set(swum)), f"call {n}: journalled twice"
+    decided = [entry["file"] for entry in experiment.journal.entries("decided")]
+    assert sorted(decided) == sorted(set(decided)) == sorted(swum), f"call {n}"
+    learned = [entry["trial"] for entry in experiment.journal.entries("learned")]
+    assert len(learned) == len(set(learned)), f"call {n}: learned twice"
+    assert fish.status().iteration == 1 + len(learned), f"call {n}"
+    assert fish.status().state == "IDLE" and fish.status().pending_trial is None
+
+
+def spread(last: int, most: int) -> list[int]:
+    """Numbers of calls from the first to the last; closer where something is decided: the end."""
+    return sorted({1, *(last - np.geomspace(1, last, most).astype(int)).tolist(), last} - {0})
+
+
+FEW = [6, pytest.param(40, marks=pytest.mark.soak)]
+
+
+@pytest.mark.parametrize("most", FEW)
+def test_ctrl_c_in_any_call_of_the_person(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
+) -> None:
+    whole = Calls(0, KeyboardInterrupt())
+    assert swim(Interrupting(whole, KEEP)).why == "swims"
+    for n in spread(whole.count, most):
+        end = swim(Interrupting(Calls(n, KeyboardInterrupt())))
+        assert end.why in ("interrupted", "swims"), f"call {n}"
+        require_goes_on(fish, board, experiment, swim, n)
+
+
+@pytest.mark.parametrize("most", [4, pytest.param(40, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("method", ["read", "write"])
+def test_ctrl_c_in_any_call_of_the_link(
+    fish: Fish,
+    board: SimBoard,
+    experiment: Experiment,
+    swim: Callable[..., SeriesEnd],
+    monkeypatch: pytest.MonkeyPatch,
+    method: str,
+    most: int,
+) -> None:
+    real = getattr(fish.transport, method)
+
+    def run(calls: Calls) -> SeriesEnd:
+        def call(*arguments: Any) -> Any:
+            calls()
+            return real(*arguments)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(fish.transport, method, call)
+            return swim(Script())
+
+    fish.link.transport = fish.transport
+    whole = Calls(0, KeyboardInterrupt())
+    assert run(whole).why == "swims"
+    for n in spread(whole.count, most):
+        try:
+            assert run(Calls(n, KeyboardInterrupt())).why in ("interrupted", "swims"), f"call {n}"
+        except KeyboardInterrupt:
+            assert n < 60, "only before it begins may Ctrl-C come out"
+        require_goes_on(fish, board, experiment, swim, n)
+
+
+def test_a_swim_that_ends_before_its_first_beat(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    person = Script(abort_beat=-1)
+    end = swim(person)
+    assert end.why == "interrupted" and end.rounds == [] and person.asked == []
+    require_goes_on(fish, board, experiment, swim, 0)
+
+
+def test_ctrl_c_once_it_is_armed(
+    fish: Fish,
+    board: SimBoard,
+    experiment: Experiment,
+    swim: Callable[..., SeriesEnd],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from tailbeat.day.ritual import Wanted
+
+    real = series_module.countdown
+
+    def counted(fish: Fish, *rest: Any) -> None:
+        real(fish, *rest)
+        assert fish.status().state == "ARMED"
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(series_module, "countdown", counted)
+        wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=1.0)
+        assert swim(Script(), wanted=wanted).why == "interrupted"
+    require_goes_on(fish, board, experiment, swim, 0)
+
+
+def test_what_was_learned_but_not_written_down(
+    fish: Fish,
+    board: SimBoard,
+    experiment: Experiment,
+    swim: Callable[..., SeriesEnd],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from tailbeat.experiment.journal import Journal
+
+    real = Journal.add
+
+    def add(self: Journal, what: str, *rest: Any, **values: Any) -> dict[str, Any]:
+        if what == "learned":
+            raise InputError("cannot write (No space left on device)", "Make room.")
+        return real(self, what, *rest, **values)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "add", add)
+        with pytest.raises(InputError):
+            swim(Script())
+    assert fish.status().last_learned_trial == 1 and "learned" not in kinds(experiment)
+    require_goes_on(fish, board, experiment, swim, 0)
+    assert [entry["trial"] for entry in experiment.journal.entries("learned")] == [1, 2]
+
+
+def test_ctrl_c_twice_in_mid_swim(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    class Impatient(Script):
+        def tell(self, event: Event) -> None:
+            super().tell(event)
+            beat = event["event"] == "beat" and event["beat"] == 1
+            if beat or event["event"] == "interrupted":
+                raise KeyboardInterrupt
+
+    end = swim(Impatient())
+    assert end.why == "interrupted" and end.rounds == []
+    require_goes_on(fish, board, experiment, swim, 0)
+
+
+class FullDisk:
+    """Writing below a folder fails from the n-th write on."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path, at: int) -> None:
+        self.count, self._at, self._folder = 0, at, folder
+        self._open, self._write = Path.open, os.write
+        monkeypatch.setattr(Path, "open", self.open)
+        monkeypatch.setattr(Path, "write_bytes", self.write_bytes)
+        monkeypatch.setattr(os, "write", self.write)
+
+    def check(self, path: object) -> None:
+        self.count += 1
+        if self.count >= self._at:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    @property
+    def open(self) -> Callable[..., Any]:
+        def opened(path: Path, mode: str = "r", *rest: Any, **named: Any) -> Any:
+            if self._folder in path.parents and set(mode) & set("wax+"):
+                self.check(path)
+            return self._open(path, mode, *rest, **named)
+
+        return opened
+
+    @property
+    def write_bytes(self) -> Callable[..., int]:
+        def write(path: Path, content: bytes) -> int:
+            with path.open("wb") as file:
+                return int(file.write(content))
+
+        return write
+
+    def write(self, descriptor: int, content: bytes) -> int:
+        where = Path(f"/proc/self/fd/{descriptor}").readlink()
+        if self._folder in where.parents:
+            self.check(where)
+        return self._write(descriptor, content)
+
+
+@pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.soak)])
+def test_a_full_disk_at_any_write(
+    fish: Fish,
+    board: SimBoard,
+    experiment: Experiment,
+    swim: Callable[..., SeriesEnd],
+    monkeypatch: pytest.MonkeyPatch,
+    step: int,
+) -> None:
+    with monkeypatch.context() as patch:
+        whole = FullDisk(patch, experiment.folder, at=10**9)
+        swim(Script())
+    assert whole.count > 5
+    for n in range(1, whole.count + 1, step):
+        with monkeypatch.context() as patch:
+            FullDisk(patch, experiment.folder, at=n)
+            with pytest.raises(InputError) as told:
+                swim(Script())
+        assert "No space left on device" in str(told.value), f"write {n}"
+        assert "\n" not in str(told.value) and told.value.remedy, f"write {n}"
+        require_goes_on(fish, board, experiment, swim, n)
+
+
+def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_path: Path) -> None:
+    """The board stops by its own rule; the series learns how it ended, and goes on."""
+    fish.upload_reference(records.encode_reference(1.0, np.full(16, 0.06)))
+    experiment = begin(fish, tmp_path / "longer")
+
+    class Dips(Script):
+        cut_at_s = math.inf
+
+        def tell(self, event: Event) -> None:
+            super().tell(event)
+            if event["event"] == "beat" and event["beat"] == 1 and math.isinf(self.cut_at_s):
+                self.cut_at_s = board.time_s
+                board.set_radio(False)
+
+    person = Dips(KEEP, KEEP)
+    real = fish.transport.wait
+
+    def wait(timeout_s: float) -> None:
+        real(timeout_s)
+        if board.time_s > person.cut_at_s + 20.0:
+            board.set_radio(True)
+
+    fish.link.transport.wait = wait  # type: ignore[method-assign]
+    options = Options(until=Until(2), wanted=None)
+    end = swim_series(fish, experiment, person, options)
+    assert len(person.of("link_lost")) >= 1 and len(person.of("link_back")) == 1
+    assert [swum.outcome.end for swum in end.swums] == ["aborted:LINK_LOST", "complete"]
+    assert [one.learned is not None for one in end.rounds] == [True, True]
+    assert max(event["silent_s"] for event in person.of("live")) > 2.0
+    require_nothing_lost(fish, experiment)
+
+
+def test_a_link_that_does_not_come_back(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    class Cuts(Script):
+        def tell(self, event: Event) -> None:
+            super().tell(event)
+            if event["event"] == "beat":
+                board.set_radio(False)
+
+    with pytest.raises(TailbeatError, match="link broke"):
+        swim(Cuts(), reconnect_s=10.0)
+    board.set_radio(True)
+    assert not board.truth().swimming
+    require_goes_on(fish, board, experiment, swim, 0)
+
+
+def test_a_camera_that_dies(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    class Dies(SimulatedCamera):
+        dead_at_s = math.inf
+
+        def frames(self) -> list[Frame]:
+            if board.time_s > self.dead_at_s:
+                raise CameraGone("cam was unplugged", "Plug it in.")
+            return super().frames()
+
+    camera = Dies(board)
+    camera.dead_at_s = board.time_s + 4.0
+    person = Script(BUMPED)
+    options = Options(until=Until(1), wanted=None, counts=("discard",))
+    end = swim_series(fish, experiment, person, options, camera)
+    assert end.swums[0].outcome.end == "aborted:ABORT_COMMAND"
+    assert any("unplugged" in event["text"] for event in person.of("warning"))
+    require_goes_on(fish, board, experiment, swim, 0)
+
+
+# battery
+
+
+PARAMS = {"BATT_LOW_V": 6.6, "BATT_CRIT_V": 6.0}
+
+
+@pytest.mark.parametrize(
+    ("now_v", "drains", "told"),
+    [
+        (7.4, [], None),
+        (7.4, [Drain(7.5, 7.3, 7.0)], None),
+        (6.7, [Drain(6.9, 6.8, 6.6)], "after this one"),
+        (6.7, [Drain(6.75, 6.5, 5.9)], "will not last"),
+        (6.7, [Drain(6.71, 6.7, 6.65)], None),
+        (7.0, [Drain(6.9, 6.8, 6.6)], None),
+    ],
+)
+def test_the_forecast(now_v: float, drains: list[Drain], told: str | None) -> None:
+    words = forecast(now_v, drains, PARAMS)
+    assert (words is None) == (told is None) and (told is None or told in str(words))
+
+
+def test_too_low() -> None:
+    assert too_low(6.6, PARAMS) is None and too_low(6.59, PARAMS) is not None
+    assert too_low(1.0, {"BATT_LOW_V": 0.0}) is None
+
+
+def test_a_battery_that_falls_is_told_and_journalled(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    for volts in (7.2, 6.95, 6.7):
+        board.set_battery_v(volts)
+        fish.link.run(3.0)
+        person = Script()
+        swim(person)
+    assert any("after this one" in event["text"] for event in person.of("notice"))
+    starts = [entry["battery_start_v"] for entry in experiment.journal.entries("swum")]
+    assert starts == pytest.approx([7.2, 6.95, 6.7], abs=0.15)
+
+
+# the ritual
+
+
+def test_a_ritual_that_is_given_up(
+    fish: Fish,
+    board: SimBoard,
+    experiment: Experiment,
+    swim: Callable[..., SeriesEnd],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def given_up(*_: Any) -> None:
+        raise GivenUp("nobody wanted to wait", "Begin again.")
+
+    from tailbeat.day.ritual import Wanted
+
+    monkeypatch.setattr(series_module, "prepare", given_up)
+    end = swim(Script(), wanted=Wanted())
+    assert end.why == "interrupted" and "nobody wanted to wait" in end.words
+    require_goes_on(fish, board, experiment, swim, 0)
+
+
+def test_with_the_ritual(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
+) -> None:
+    from tailbeat.day.ritual import Wanted
+
+    person = Script()
+    end = swim(person, swims=2, wanted=Wanted(rest_s=20.0, still_s=4.0, countdown_s=3.0))
+    assert end.why == "swims" and len(person.of("countdown")) == 2 * 4
+    ready = end.swums[1].ready
+    assert ready is not None and ready.rested_s is not None and ready.rested_s >= 20.0
+    last = experiment.journal.entries("swum")[-1]
+    assert last["rested_s"] == pytest.approx(ready.rested_s)
+    assert last["travel"]["expected_m"] == pytest.approx(ready.travel.expected_m)
+    assert last["pose"]["heading_rad"] == pytest.approx(0.0, abs=0.1)
+    assert last["drift"]["speed_m_s"] < 0.002
+
+
+@pytest.mark.parametrize("most", [3, pytest.param(60, marks=pytest.mark.soak)])
+def test_ctrl_c_in_any_call_of_the_person_with_the_ritual(
+    fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
+) -> None:
+    from tailbeat.day.ritual import Wanted
+
+    wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=2.0)
+    whole = Calls(0, KeyboardInterrupt())
+    swim(Interrupting(whole), wanted=wanted)
+    for n in spread(whole.count, most):
+        end = swim(Interrupting(Calls(n, KeyboardInterrupt())), wanted=wanted)
+        assert end.why in ("interrupted", "swims"), f"call {n}"
+        require_goes_on(fish, board, experiment, swim, n)

@@ -1,0 +1,363 @@
+"""tailbeat trial run with somebody to guide: options, questions, keys, what is told in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tailbeat import records
+from tailbeat.cli import run
+from tailbeat.cli.display import Display
+from tailbeat.cli.keys import Keys, TerminalGone, terminal_keys
+from tailbeat.cli.person import TerminalPerson, Undecided
+from tailbeat.day.person import Decision
+from tailbeat.day.swum import Swum
+from tailbeat.experiment import Experiment
+from tailbeat.fish import Fish
+from tailbeat.results import TrialOutcome
+from tailbeat.transport.simulated import SimBoard, SimTransport
+
+Command = Callable[..., tuple[int, Any, str]]
+SPEEDS = [0.03, 0.06, 0.07, 0.06, 0.03]
+FAST = ("--rest", "1")
+
+
+@pytest.fixture
+def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
+    monkeypatch.chdir(tmp_path)
+    simulated = SimBoard("tank", seed=1)
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    with Fish.connect("it") as fish:
+        fish.params.set("LAW_LEAD", 1)
+        fish.upload_reference(records.encode_reference(1.0, SPEEDS))
+    return simulated
+
+
+@pytest.fixture
+def trial(board: SimBoard, capsys: pytest.CaptureFixture[str]) -> Command:
+    def command(*words: str) -> tuple[int, Any, str]:
+        status = run(["trial", *words, "--connect", "it"])
+        out, err = capsys.readouterr()
+        return status, json.loads(out) if "--json" in words and out else out, err
+
+    return command
+
+
+def the_experiment() -> Experiment:
+    (folder,) = Path("experiments").iterdir()
+    return Experiment.open(folder)
+
+
+def test_without_anybody_one_swim_waits_as_ever(trial: Command) -> None:
+    status, document, err = trial("run", "--json")
+    assert (status, err, document["end"]) == (0, "", "complete")
+    assert not Path("experiments").exists()
+    with Fish.connect("it") as fish:
+        assert fish.status().pending_trial == 1
+
+
+def test_a_series_as_one_document(trial: Command) -> None:
+    words = ("run", "--until", "2", "--then", "keep", *FAST, "--json")
+    status, document, err = trial(*words)
+    assert status == 0 and document["why"] == "swims"
+    assert err.count("\n") == 1 and "a new experiment begins: experiments" in err
+    first, second = document["swims"]
+    assert [first["trial"], second["trial"]] == [1, 2] and second["decision"] == "keep"
+    assert second["report"]["iteration"] == 2 and second["report"]["rolled_back"] is False
+    assert second["ready"]["pose"]["source"] == "camera"
+    assert abs(second["straight"]["mean_yaw_rad"]) < 0.1
+    assert 6.0 < second["battery_end_v"] <= second["battery_start_v"] + 0.05
+    assert document["verdict"]["kind"] != "first"
+    assert the_experiment().trial_files()[1].name == Path(second["file"]).name
+
+
+def test_words_for_people(trial: Command) -> None:
+    status, out, err = trial("run", "--then", "keep", *FAST)
+    lines = out.splitlines()
+    assert status == 0 and lines[0].startswith("trial 1, iteration 1: keep, max|e| ")
+    assert lines[-1] == "ended (swims): 1 swim"
+    assert "ok  still: " in err and "max|e|" in err and "\x1b" not in err
+    assert "it swims in" not in err, "what changes is not for a file"
+
+
+def test_the_next_call_goes_on_in_the_same_experiment(trial: Command) -> None:
+    trial("run", "--then", "keep", *FAST)
+    status, document, err = trial("run", "--then", "keep", *FAST, "--json")
+    assert (status, err) == (0, "")
+    assert len(the_experiment().trials()) == 2 and document["swims"][0]["trial"] == 2
+
+
+def test_repeats_count_when_they_are_what_was_asked_for(trial: Command) -> None:
+    words = ("run", "--until", "2", "--then", "repeat", "--reason", "noise", *FAST, "--json")
+    status, document, _ = trial(*words)
+    assert status == 0 and [one["iteration"] for one in document["swims"]] == [1, 1]
+    assert {one["reason"] for one in document["swims"]} == {"noise"}
+
+
+def test_nobody_there_keeps_what_is_plainly_good(trial: Command) -> None:
+    status, document, _ = trial("run", "--guide", "--rest", "1", "--json")
+    assert status == 0 and document["swims"][0]["decision"] == "keep"
+
+
+def test_nobody_there_decides_nothing_else(trial: Command, board: SimBoard) -> None:
+    with Fish.connect("it") as fish:
+        fish.params.set("SPD_SOURCE", 1)
+    status, out, err = trial("run", "--guide", *FAST)
+    assert status == 1 and out == ""
+    assert err.splitlines()[-1].startswith("tailbeat: trial 1 waits on the board: ")
+    assert "--then keep|repeat|discard" in err
+    with Fish.connect("it") as fish:
+        assert fish.status().pending_trial == 1
+    status, document, _ = trial(
+        "run", "--until", "1", "--then", "discard", "--reason", "x", "--json"
+    )
+    assert status == 0 and [one["trial"] for one in document["swims"]] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--then", "discard"), "--reason"),
+        (("--then", "drop"), "keep, repeat, discard"),
+        (("--reason", "why"), "--then"),
+        (("--no-guide", "--until", "3"), "--no-guide"),
+        (("--no-guide", "--no-learn"), "--no-guide"),
+    ],
+)
+def test_senseless_options(trial: Command, words: tuple[str, ...], told: str) -> None:
+    status, out, err = trial("run", *words)
+    assert status == 2 and not out and told in err and err.count("\n") == 1
+
+
+def test_no_end(trial: Command) -> None:
+    status, _, err = trial("run", "--until", "never")
+    assert status == 1 and "converged, battery or a number" in err
+    assert not Path("experiments").exists()
+
+
+def test_another_fish_s_experiment(trial: Command) -> None:
+    trial("run", "--then", "keep", *FAST)
+    experiment = the_experiment()
+    experiment.write_settings({"unique_id": "ab" * 16})
+    status, _, err = trial("run", "--into", str(experiment.folder), "--then", "keep")
+    assert status == 1 and err.count("\n") == 1 and "another fish" in err
+
+
+def test_no_room_is_refused_unguided_too(trial: Command) -> None:
+    with Fish.connect("it") as fish:
+        fish.params.set("TANK_LEN_M", 0.66)
+        fish.params.set("DU_MAX_RAD", 0)
+        fish.upload_amplitudes(np.full(5, 0.5, np.float32))
+    status, _, err = trial("run")
+    assert status == 1 and err.count("\n") == 1 and "TANK_LEN_M" in err
+    with Fish.connect("it") as fish:
+        assert fish.status().next_trial == 1 and fish.status().state == "IDLE"
+
+
+def test_discard_with_a_reason_is_journalled(trial: Command) -> None:
+    trial("run", "--then", "keep", *FAST)
+    trial("run", "--no-guide")
+    assert trial("discard", "--reason", "touched the wall")[0] == 0
+    last = the_experiment().journal.entries("decided")[-1]
+    assert (last["trial"], last["decision"], last["reason"]) == (2, "discard", "touched the wall")
+    assert len(the_experiment().trials()) == 2
+
+
+def test_discard_outside_of_an_experiment_is_as_ever(trial: Command) -> None:
+    trial("run")
+    assert trial("discard")[0] == 0 and not Path("experiments").exists()
+
+
+# the person
+
+
+class Typed:
+    """Keys that come one after the other."""
+
+    def __init__(self, keys: str, lines: tuple[str, ...] = (), pressed: bool = False) -> None:
+        self._keys, self._lines, self._pressed = list(keys), list(lines), pressed
+        self.forgotten = 0
+
+    def pressed(self) -> bool:
+        return self._pressed
+
+    def forget(self) -> None:
+        self.forgotten += 1
+
+    def key(self, timeout_s: float) -> str | None:
+        key = self._keys.pop(0)
+        return None if key == "_" else key
+
+    def line(self) -> str:
+        return self._lines.pop(0)
+
+
+def swum(end: str = "complete", measured: int = 5, *problems: str) -> Swum:
+    outcome = TrialOutcome(7, 2, end, 5)
+    return Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, measured, 5, 8.0, 7.9, problems)
+
+
+@pytest.mark.parametrize(
+    ("keys", "lines", "wanted"),
+    [
+        ("k", (), Decision("keep")),
+        ("\n", (), Decision("keep")),
+        ("__xk", (), Decision("keep")),
+        ("d", ("bumped",), Decision("discard", "bumped")),
+        ("r", ("", "", "noise"), Decision("repeat", "noise")),
+    ],
+)
+def test_keys_decide(keys: str, lines: tuple[str, ...], wanted: Decision) -> None:
+    idle = []
+    typed = Typed(keys, lines)
+    person = TerminalPerson(Display(), typed, None, lambda: idle.append(1))
+    assert person.decide(swum()) == wanted
+    assert typed.forgotten == 1, "the key that stopped the tail is no answer"
+    assert len(idle) == len(keys) - 1, "the link goes on while the question waits"
+
+
+def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
+    wall = swum("aborted:WALL", 3, "not complete: aborted:WALL")
+    by_hand = swum("aborted:ABORT_COMMAND", 3, "not complete (stopped by hand)")
+    for one, reason in ((wall, "too close to the wall"), (by_hand, "stopped by hand")):
+        person = TerminalPerson(Display(), Typed("\n", ("",)))
+        assert person.decide(one) == Decision("discard", reason)
+        assert "Enter = discard" in capsys.readouterr().err
+    room = swum("aborted:ABORT_COMMAND", 3, "not complete (room: it has swum 2 m)")
+    assert TerminalPerson(Display(), Typed("\n")).decide(room) == Decision("keep")
+
+
+def test_keep_is_no_answer_for_a_swim_without_speeds() -> None:
+    person = TerminalPerson(Display(), Typed("kd", ("no camera",)))
+    assert person.decide(swum("complete", 0)) == Decision("discard", "no camera")
+
+
+def test_escape_puts_it_off() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        TerminalPerson(Display(), Typed("\x1b")).decide(swum())
+
+
+def test_the_answer_given_beforehand() -> None:
+    nobody = TerminalPerson(Display(), None, Decision("keep"))
+    by_hand = swum("aborted:ABORT_COMMAND", 3, "not complete (stopped by hand)")
+    assert nobody.decide(by_hand) == Decision("keep")
+    somebody = TerminalPerson(Display(), Typed("d", ("bumped",)), Decision("keep"))
+    assert somebody.decide(swum()) == Decision("keep")
+    assert somebody.decide(by_hand) == Decision("discard", "bumped")
+
+
+def test_nobody() -> None:
+    nobody = TerminalPerson(Display(), None)
+    assert nobody.decide(swum()) == Decision("keep")
+    for one in (swum("complete", 5, "not straight"), swum("aborted:WALL")):
+        with pytest.raises(Undecided):
+            nobody.decide(one)
+    assert not nobody.confirm("Clear it?") and not nobody.wants_abort()
+
+
+def test_confirm() -> None:
+    assert TerminalPerson(Display(), Typed("\n_y")).confirm("Clear it?")
+    assert not TerminalPerson(Display(), Typed("n")).confirm("Clear it?")
+
+
+# the keyboard
+
+posix = pytest.mark.skipif(os.name == "nt", reason="a POSIX terminal")
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
+    """(where one types, the program's end)"""
+    hand, program = os.openpty()
+    with os.fdopen(program, closefd=False) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        yield hand, program
+    for descriptor in (hand, program):
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+
+def modes(descriptor: int) -> list[Any]:
+    import termios
+
+    return termios.tcgetattr(descriptor)
+
+
+@posix
+def test_single_keys(terminal: tuple[int, int]) -> None:
+    import termios
+
+    hand, program = terminal
+    usual = modes(program)
+    with terminal_keys() as keys:
+        assert keys is not None and not keys.pressed()
+        assert not modes(program)[3] & (termios.ICANON | termios.ECHO)
+        assert modes(program)[3] & termios.ISIG, "Ctrl-C stays what it is"
+        assert keys.key(0.0) is None
+        os.write(hand, b" ")
+        assert keys.key(5.0) == " "
+        os.write(hand, b"xyz")
+        while not keys.pressed():
+            pass
+        assert keys.pressed(), "until it is asked for, or forgotten"
+        keys.forget()
+        assert not keys.pressed()
+    assert modes(program) == usual
+
+
+@posix
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_the_terminal_is_put_back_whatever_happens(
+    terminal: tuple[int, int], error: type[BaseException]
+) -> None:
+    usual = modes(terminal[1])
+    with pytest.raises(error), terminal_keys():
+        raise error
+    assert modes(terminal[1]) == usual
+
+
+@posix
+def test_a_typed_reason(terminal: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    hand, program = terminal
+    with terminal_keys() as keys:
+        single = modes(program)
+        assert keys is not None
+        type_when_asked(keys, hand, monkeypatch)
+        assert keys.line() == "bumped the wall"
+        assert modes(program) == single
+
+
+def type_when_asked(keys: Keys, hand: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Types once the terminal is back in lines: what came before is forgotten."""
+    real = os.read
+
+    def read(descriptor: int, count: int) -> bytes:
+        os.write(hand, b"bumped the wall\n")
+        return real(descriptor, count)
+
+    monkeypatch.setattr("tailbeat.cli.keys.os.read", read)
+
+
+@posix
+def test_a_terminal_that_is_gone(terminal: tuple[int, int]) -> None:
+    hand, _ = terminal
+    with terminal_keys() as keys:
+        assert keys is not None
+        os.close(hand)
+        assert keys.pressed(), "nobody can stop the tail any more, so it stops"
+        with pytest.raises(TerminalGone):
+            keys.key(1.0)
+
+
+def test_no_terminal_no_keys() -> None:
+    with terminal_keys() as keys:
+        assert keys is None

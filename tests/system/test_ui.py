@@ -1,0 +1,442 @@
+"""The live page in a real browser (headless Chromium), against a simulated fish in a process of its
+own: connect, learn, abort, pull a log. Waits are for conditions, each bounded.
+
+TAILBEAT_NO_BROWSER=1 skips what needs the browser, where there is none.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from tailbeat.fish import Fish
+
+START = "from tailbeat.cli import main; main()"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+LAPTOP, PHONE = (1366, 768), (390, 844)
+PATIENCE_S = 60.0
+SPEED = 10.0
+
+
+@contextmanager
+def page_of(address: str, root: Path, *options: str) -> Iterator[tuple[str, Any]]:
+    """(URL, process) of 'tailbeat ui' on any free port; ended by Ctrl-C."""
+    command = [sys.executable, "-c", START, "ui", "--connect", address, "--port", "0", "--json"]
+    command += ["--root", str(root / "experiments"), *options]
+    own = {"TAILBEAT_LOGBOOK": str(root / "fish"), "TAILBEAT_KEYS": str(root / "keys")}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | own
+    ) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert line, process.stderr and process.stderr.read()
+            yield json.loads(line)["urls"][0], process
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(PATIENCE_S)
+            finally:
+                process.kill()
+
+
+class Browser:
+    """What a person does with it."""
+
+    def __init__(self, driver: Any, downloads: Path) -> None:
+        self.driver = driver
+        self.downloads = downloads
+
+    def size(self, width: int, height: int) -> None:
+        phone = width < 600
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": phone}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+    def ask(self, script: str) -> Any:
+        return self.driver.execute_script(f"return {script}")
+
+    def until(self, script: str, patience_s: float = PATIENCE_S) -> None:
+        from selenium.common.exceptions import TimeoutException
+        from selenium.webdriver.support.ui import WebDriverWait
+
+        try:
+            WebDriverWait(self.driver, patience_s, 0.03).until(lambda _: self.ask(script))
+        except TimeoutException:
+            shown = self.ask("document.body.innerText")
+            raise AssertionError(f"never: {script}\nthe page shows:\n{shown}") from None
+
+    def phase(self, *phases: str) -> str:
+        self.until(f"{json.dumps(phases)}.includes(document.querySelector('.root')?.dataset.phase)")
+        return str(self.ask("document.querySelector('.root').dataset.phase"))
+
+    def click(self, selector: str) -> None:
+        """As soon as it can be: what unfolds or opens moves for a moment."""
+        from selenium.common.exceptions import (
+            ElementClickInterceptedException,
+            ElementNotInteractableException,
+            StaleElementReferenceException,
+        )
+        from selenium.webdriver.common.by import By
+
+        moving = (
+            ElementClickInterceptedException,
+            ElementNotInteractableException,
+            StaleElementReferenceException,
+        )
+        found = f"document.querySelector({json.dumps(selector)})"
+        for _ in range(100):
+            self.until(f"{found}?.checkVisibility() && !{found}.disabled")
+            try:
+                self.driver.find_element(By.CSS_SELECTOR, selector).click()
+                return
+            except moving as error:
+                last = error
+            self.until("new Promise(done => requestAnimationFrame(() => done(true)))")
+        raise last
+
+    def type(self, selector: str, text: str) -> None:
+        from selenium.webdriver.common.by import By
+        from selenium.webdriver.common.keys import Keys
+
+        field = self.driver.find_element(By.CSS_SELECTOR, selector)
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text)
+
+    def text(self, selector: str) -> str:
+        return str(self.ask(f"document.querySelector({json.dumps(selector)}).innerText"))
+
+    def chart(self, name: str, series: int = 0) -> list[Any]:
+        """The data that a chart has drawn."""
+        element = f"document.querySelector('.{name}')"
+        option = f"getElement(+{element}.id.slice(1)).chart.getOption()"
+        return list(self.ask(f"{option}.series[{series}].data"))
+
+    def pictures(self, folder: Path, name: str) -> None:
+        """At both sizes; nothing may stick out to the side, and ABORT is in reach."""
+        for what, (width, height) in (("phone", PHONE), ("laptop", LAPTOP)):
+            self.size(width, height)
+            self.until(f"window.innerWidth === {width}")
+            assert self.ask("document.documentElement.scrollWidth") <= width, name
+            box = self.ask("document.getElementById('abort').getBoundingClientRect().toJSON()")
+            assert box["bottom"] <= height, name
+            assert box["height"] >= 60, name
+            if what == "phone":
+                assert box["top"] > 0.6 * height  # where the thumb is
+            self.driver.save_screenshot(str(folder / f"{name}-{what}.png"))
+
+    def require_large_targets(self) -> None:
+        """Whatever is to be touched is 44 px high and wide, once what opens has opened."""
+        small = (
+            "[...document.querySelectorAll('button, a, .q-toggle, .q-field, .q-item')]"
+            ".filter(e => e.checkVisibility())"
+            ".filter(e => e.getBoundingClientRect().height < 44"
+            " || e.getBoundingClientRect().width < 44).map(e => e.outerHTML.slice(0, 120))"
+        )
+        try:
+            self.until(f"{small}.length === 0", 5.0)
+        except AssertionError:
+            assert self.ask(small) == []
+
+    def download(self, selector: str) -> Path:
+        from selenium.webdriver.support.ui import WebDriverWait
+
+        name = self.ask(f"document.querySelector({json.dumps(selector)}).download")
+        self.click(selector)
+        path = self.downloads / name
+        WebDriverWait(self.driver, PATIENCE_S, 0.05).until(lambda _: path.is_file())
+        return path
+
+    def complaints(self) -> list[str]:
+        """Errors in the console, without those the abrupt end of a server brings."""
+        return [entry["message"] for entry in self.driver.get_log("browser")]
+
+    def strangers(self) -> set[str]:
+        """Hosts other than this computer that anything was asked of."""
+        hosts = set()
+        for entry in self.driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                url = urlsplit(message["params"]["request"]["url"])
+                hosts.add(url.hostname if url.scheme in ("http", "https", "ws") else None)
+            elif message["method"] == "Network.webSocketCreated":
+                hosts.add(urlsplit(message["params"]["url"]).hostname)
+        assert "127.0.0.1" in hosts
+        return {str(host) for host in hosts - {"127.0.0.1", None}}
+
+
+def _programs() -> tuple[str, str]:
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    driver = shutil.which("chromedriver")
+    if browser is None or driver is None:
+        if os.environ.get("TAILBEAT_NO_BROWSER") == "1":
+            pytest.skip("no chromium here, and TAILBEAT_NO_BROWSER=1")
+        pytest.fail(
+            "the page is tested in a real browser, and chromium or chromedriver is missing: run"
+            " tools/bootstrap test, or set TAILBEAT_NO_BROWSER=1 to go without"
+        )
+    return browser, driver
+
+
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Browser]:
+    program, driver = _programs()
+    from selenium import webdriver
+
+    downloads = tmp_path / "downloads"
+    downloads.mkdir()
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
+                     "--hide-scrollbars", "--disable-background-networking"):  # fmt: skip
+        options.add_argument(argument)
+    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
+    options.set_capability("goog:loggingPrefs", {"browser": "SEVERE", "performance": "ALL"})
+    chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    try:
+        yield Browser(chrome, downloads)
+    finally:
+        chrome.quit()
+
+
+def _swim_and(browser: Browser, choice: str) -> None:
+    browser.click(".start")
+    browser.phase("deciding")
+    browser.click(f".choose-{choice}")
+    browser.phase("idle")
+
+
+def _ritual(browser: Browser, wanted: bool) -> None:
+    state = "document.querySelector('.q-toggle').getAttribute('aria-checked')"
+    if (browser.ask(state) == "true") is not wanted:
+        browser.click(".q-toggle")
+        browser.until(f"{state} === '{str(wanted).lower()}'")
+
+
+def test_a_session(simulator: Any, browser: Browser, tmp_path: Path) -> None:
+    with (
+        simulator(SPEED) as (address, fish),
+        page_of(address, tmp_path) as (url, page),
+    ):
+        browser.size(*LAPTOP)
+        browser.driver.get(url)
+        browser.phase("idle")
+        assert "SIMULATED" in browser.text(".top")
+        assert "8.2 V" in browser.text(".chip.battery")
+        assert browser.ask("document.querySelector('.start').disabled")  # nothing to swim yet
+        browser.pictures(tmp_path, "fresh")
+        _learn(browser, tmp_path)
+        log = browser.download("a.file[download='0002.ulg']")
+        _begin_anew(browser)
+        _abort(browser, tmp_path)
+        _silence(browser, fish)
+        assert browser.complaints() == []
+        assert browser.strangers() == set()
+        (raw,) = (tmp_path / "experiments").glob("*/raw/0002.ulg")
+        assert log.read_bytes() == raw.read_bytes()
+        _end_in_a_swim(browser, page)
+        with Fish.connect(address) as board:
+            assert board.ftp.read("/trials/0002.ulg") == log.read_bytes()
+            status = board.status()
+            assert (status.state, status.fault.name) == ("ABORTED", "ABORT_COMMAND")
+            assert status.pending_trial == status.next_trial - 1  # nothing is lost
+    decided = [
+        (entry["trial"], entry["decision"], entry["reason"])
+        for journal in sorted((tmp_path / "experiments").glob("*/journal.jsonl"))
+        for entry in map(json.loads, journal.read_text().splitlines())
+        if entry["what"] == "decided"
+    ]
+    assert sorted(decided) == [
+        (1, "keep", ""), (2, "keep", ""), (3, "keep", ""), (4, "discard", "bumped the wall"),
+    ]  # fmt: skip
+
+
+def _learn(browser: Browser, folder: Path) -> None:
+    """Three swims that are kept; the first with all that comes before a swim."""
+    browser.type(".shape input", "trapezoid:0.065,6,24")
+    browser.click(".use")
+    browser.until("document.querySelector('.next').innerText.startsWith('START: trial 1')")
+    assert len(browser.chart("speed-chart")) == 36
+    browser.click(".start")
+    browser.phase("ritual")
+    browser.until("document.querySelectorAll('.steps .done').length >= 3")
+    browser.pictures(folder, "ritual")
+    browser.phase("deciding")
+    browser.pictures(folder, "deciding")
+    browser.require_large_targets()
+    browser.click(".choose-keep")
+    browser.phase("idle")
+    assert all(isinstance(v, float | int) for v in browser.chart("speed-chart", 1))
+    _ritual(browser, False)
+    _swim_and(browser, "keep")
+    _swim_and(browser, "keep")
+    browser.until("document.querySelectorAll('.trial.keep').length === 3")
+    points = browser.chart("error-chart")
+    assert [x for x, _ in points] == [1, 2, 3]
+    assert points[2][1] < points[0][1]  # it has learned something
+    browser.require_large_targets()
+    browser.pictures(folder, "learned")
+
+
+def _begin_anew(browser: Browser) -> None:
+    """With a reference so long that even a starved browser is in time to stop it; it asks first."""
+    browser.click(".reference .q-item")
+    browser.click(".use")  # until it is unfolded; the same reference as before
+    browser.click(".dialog .sure + button")
+    browser.until("!document.querySelector('.sure')?.checkVisibility()")
+    browser.type(".shape input", "trapezoid:0.01,5,180")
+    browser.click(".use")
+    browser.click(".sure")
+    browser.until("document.querySelector('.next').innerText.includes('trial 4, iteration 1')")
+    assert len(browser.chart("speed-chart")) == 190
+
+
+def _abort(browser: Browser, folder: Path) -> None:
+    """In the middle of the fourth, with the key of a laptop; dropped with a reason."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    browser.click(".start")
+    browser.phase("swimming")
+    browser.until("/beat ([4-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
+    ActionChains(browser.driver).send_keys(Keys.ESCAPE).perform()
+    browser.phase("deciding")
+    assert browser.ask("document.querySelector('.root').dataset.state") == "ABORTED"
+    assert "stopped by hand" in browser.text(".deciding")
+    browser.pictures(folder, "aborted")
+    _second_browser(browser)
+    browser.type(".deciding .reason input", " ")
+    browser.click(".choose-discard")
+    browser.until("document.body.innerText.includes('needs a reason')")
+    browser.click(".reasons button")
+    browser.click(".choose-discard")
+    browser.phase("idle")
+    browser.until("document.querySelectorAll('.trial.discard').length === 1")
+    assert "bumped the wall" in browser.text(".trial.discard")
+    assert browser.chart("error-chart") == []  # a new experiment, with nothing kept
+
+
+def _second_browser(browser: Browser) -> None:
+    """Sees the same question, and may go away."""
+    first = browser.driver.current_window_handle
+    url = browser.driver.current_url
+    browser.driver.switch_to.new_window("window")
+    browser.driver.get(url)
+    browser.phase("deciding")
+    browser.until("document.querySelector('.deciding')?.checkVisibility()")
+    browser.driver.close()
+    browser.driver.switch_to.window(first)
+
+
+def _silence(browser: Browser, fish: Any) -> None:
+    """A board that says nothing is not taken for one that is well."""
+    fish.send_signal(signal.SIGSTOP)
+    try:
+        browser.until("document.querySelector('.root').classList.contains('stale')")
+        assert browser.text(".chip.link").startswith("silent for ")
+    finally:
+        fish.send_signal(signal.SIGCONT)
+    browser.until("document.querySelector('.root').classList.contains('fresh')")
+    browser.phase("idle")
+
+
+def _end_in_a_swim(browser: Browser, page: Any) -> None:
+    """Ctrl-C while the tail beats; the page says that it hears nothing any more."""
+    browser.click(".start")
+    browser.phase("swimming")
+    browser.until("/beat ([3-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
+    page.send_signal(signal.SIGINT)
+    assert page.wait(PATIENCE_S) == 0
+    assert page.stderr.read() == ""
+    browser.until("document.body.classList.contains('cut')")
+    assert "ABORT may not arrive" in browser.text("#cut")
+
+
+Get = Callable[..., tuple[int, dict[str, str], bytes]]
+
+
+def _getter(url: str) -> Get:
+    where = urlsplit(url)
+
+    def get(path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", where.port, timeout=PATIENCE_S)
+        try:
+            names = {name.replace("_", "-"): value for name, value in headers.items()}
+            connection.request(method, path, headers=names)
+            answer = connection.getresponse()
+            found = {name.lower(): value for name, value in answer.getheaders()}
+            return answer.status, found, b"" if answer.status == 101 else answer.read()
+        finally:
+            connection.close()
+
+    return get
+
+
+WEBSOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+UPGRADE = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    "Sec_WebSocket_Version": "13",
+}
+
+
+def test_the_network_needs_the_token(simulator: Any, tmp_path: Path) -> None:
+    """Plain clients against the real server."""
+    with (
+        simulator(SPEED) as (address, _),
+        page_of(address, tmp_path, "--host", "0.0.0.0") as (url, _),
+    ):
+        get, port = _getter(url), urlsplit(url).port
+        token = urlsplit(url).query.removeprefix("token=")
+        origin = {"Origin": f"http://127.0.0.1:{port}"}
+        assert len(token) >= 16
+        for path in ("/", "/?token=wrong", "/raw/0001.ulg", "/favicon.ico", WEBSOCKET):
+            status, _, body = get(path)
+            assert (status, b"<script" in body) == (403, False), path
+        assert get("/abort", "POST", **origin)[0] == 403
+        assert get(WEBSOCKET, **UPGRADE, **origin)[0] == 403
+        status, headers, _ = get(f"/?token={token}")
+        cookie = headers["set-cookie"].partition(";")[0]
+        status, headers, body = get("/", Cookie=cookie)
+        assert (status, b"tailbeat" in body) == (200, True)
+        assert token.encode() not in body
+        assert get(WEBSOCKET, Cookie=cookie, **UPGRADE, **origin)[0] == 101
+        foreign = {"Origin": "http://evil.example"}
+        assert get(WEBSOCKET, Cookie=cookie, **UPGRADE, **foreign)[0] == 403
+        assert get("/abort", "POST", Cookie=cookie, **foreign)[0] == 403
+        assert get("/abort", "POST", Cookie=cookie, **origin)[0] == 200
+        assert get("/", Cookie=cookie, Host="evil.example")[0] == 403
+
+
+def test_this_computer_only(simulator: Any, tmp_path: Path) -> None:
+    with simulator(SPEED) as (address, _), page_of(address, tmp_path) as (url, _):
+        get = _getter(url)
+        assert urlsplit(url).hostname == "127.0.0.1"
+        assert get("/")[0] == 200
+        assert get("/", Host="evil.example")[0] == 403
+        assert get(WEBSOCKET, **UPGRADE, Origin="http://evil.example")[0] == 403
+        assert get("/raw/..%2fsettings.json")[0] == 404
+
+
+def test_a_taken_port_is_told(simulator: Any, tmp_path: Path) -> None:
+    with simulator(SPEED) as (address, _), page_of(address, tmp_path) as (url, _):
+        port = str(urlsplit(url).port)
+        command = [sys.executable, "-c", START, "ui", "--connect", address, "--port", port]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "--port" in done.stderr
