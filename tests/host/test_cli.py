@@ -288,7 +288,7 @@ def test_a_pull_that_was_broken_off_does_not_disturb_the_next(board: Shell, tmp_
     board.text("reference", "upload", "trapezoid:0.05,1,1")
     number = board.json("trial", "run")["number"]
     board.text("trial", "discard")
-    words = ("experiment", "new", "--reference", "thesis", "--root", str(tmp_path))
+    words = ("experiment", "new", "--reference", "trapezoid:0.05,1,1", "--root", str(tmp_path))
     folder = Path(board.json(*words)["folder"])
     (folder / ".pulling").mkdir()
     (folder / ".pulling" / "9999.ulg.part").write_bytes(b"ULog")

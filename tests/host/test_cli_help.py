@@ -65,6 +65,7 @@ def complete(shell: str, line: str) -> str:
         "COMP_WORDS": line,
         "COMP_CWORD": str(len(words) - 1),
         "_TYPER_COMPLETE_ARGS": line,
+        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
     }
     code = "from tailbeat.cli import main; main()"
     done = subprocess.run(

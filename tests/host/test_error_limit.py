@@ -181,7 +181,7 @@ def test_a_session_by_the_command_line(
     assert "Clear it, then learn from the trial: the beat that was too far off counts." in out
     assert tailbeat("clear")[0] == 0
     code, out, _ = tailbeat("trial", "show")
-    assert code == 0 and out.splitlines()[1] == "not swum: beats 5-11"
+    assert code == 0 and "not swum: beats 5-11" in out.splitlines()
     code, out, _ = tailbeat("learn")
     line = "beats 5-11 have never been corrected: LAW_BEYOND decides what the last ones do"
     assert code == 0 and out.splitlines()[1] == line
