@@ -188,10 +188,12 @@ class _Demo:
         self.info = fish.info()
 
     def _identify(self, progress: Progress) -> None:
-        from tailbeat.model.guided import Person, identify_fish
+        from tailbeat.model.guided import Attendant, identify_fish
 
-        person = Person(before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}"))
-        self.identified = identify_fish(self.fish, person, quick=True)
+        attendant = Attendant(
+            before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}")
+        )
+        self.identified = identify_fish(self.fish, attendant, quick=True)
 
     def _begin(self, experiment: Experiment) -> None:
         """The reference, and with the model law the first amplitudes."""

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from tailbeat.errors import InputError, reason
 
+MAKE_ROOM = "Make room on this computer, then go on; nothing is lost."
+
 
 def sync_folder(folder: Path) -> None:
     """Makes the names in it last, as fsync does contents; Windows neither needs nor allows it."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -25,6 +25,7 @@ Antiderivative = Callable[[Array], Array]
 BEATS_MAX = 512
 THESIS_PLATEAU_M_S = 0.0791
 _ROUNDING = 1e-9  # of a beat: what float arithmetic may add to a whole number of beats
+_UNEVEN = 1e-3  # of a beat: what other programs may round off
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,8 @@ class Reference:
         return int.from_bytes(self.record()[8:12], "little")
 
     def to_csv(self, path: Path) -> None:
-        """Writes ``beat,t_s,v_m_s``: the beat means, t_s the middle of each beat."""
+        """Writes ``beat,t_s,v_m_s``: the beat means, t_s the middle of each beat; ``from_csv``
+        reads the very same reference."""
         with path.open("w", newline="") as file:
             out = csv.writer(file, lineterminator="\n")
             out.writerow(["beat", "t_s", "v_m_s"])
@@ -243,12 +245,15 @@ def curve(t_s: Array, v_m_s: Array, beat_s: float, name: str) -> Reference:
 
 
 def from_csv(path: Path, beat_s: float = 1.0) -> Reference:
-    """Reads columns ``t_s,v_m_s`` (a header is required, further columns are ignored).
+    """Reads columns ``t_s,v_m_s`` (a header is required, further columns are ignored), or what
+    ``Reference.to_csv`` has written: with a column ``beat`` they are beat means as they are.
 
     The curve is straight between the points; time starts at 0 and rises. A last beat that has begun
     is filled up with the last speed.
     """
-    time, speed = _read_points(path)
+    time, speed, has_beats = _read_points(path)
+    if has_beats:
+        return _of_beat_means(path, time, speed)
     if time[0] != 0:
         raise InputError(
             f"{path.name}, row 2, column t_s: the first time is {time[0]:g}, not 0.",
@@ -264,7 +269,41 @@ def from_csv(path: Path, beat_s: float = 1.0) -> Reference:
     return curve(time, speed, beat_s, path.stem)
 
 
-def _read_points(path: Path) -> tuple[Array, Array]:
+def _of_beat_means(path: Path, middle_s: Array, speed: Array) -> Reference:
+    """Twice the middle of the first beat is the length of all."""
+    beat_s = 2 * float(middle_s[0])
+    off_s = np.abs(middle_s - (np.arange(len(middle_s)) + 0.5) * beat_s)
+    even = off_s < _UNEVEN * beat_s
+    if not even.all():
+        beat = int(np.argmin(even))
+        raise InputError(
+            f"{path.name}, column t_s: {middle_s[beat]:g} is not the middle of beat {beat}.",
+            "With a column beat the rows are beat means, t_s in the middle of each; take that"
+            " column out if they are points of a curve.",
+        )
+    if len(speed) > BEATS_MAX:
+        raise InputError(
+            f"{path.name} has {len(speed)} beats, more than {BEATS_MAX}.", "Shorten it."
+        )
+    return _named(path, Reference(beat_s, speed.astype(np.float32), path.stem))
+
+
+def _named(path: Path, reference: Reference) -> Reference:
+    """As in the experiment whose ``reference.csv`` it is; its own name says nothing."""
+    from tailbeat.experiment.current import reference_crc
+    from tailbeat.experiment.folder import Experiment
+
+    folder = path.resolve().parent
+    if not Experiment.is_at(folder):
+        return reference
+    experiment = Experiment(folder)
+    if reference_crc(experiment) != reference.crc:
+        return reference
+    return replace(reference, name=str(experiment.settings().get("reference", reference.name)))
+
+
+def _read_points(path: Path) -> tuple[Array, Array, bool]:
+    """Times, speeds, and whether they are of beats."""
     rows = read_table(path, "t_s,v_m_s")
     if not rows:
         raise InputError(f"{path.name} is empty.", "It needs a header t_s,v_m_s and numbers.")
@@ -289,7 +328,7 @@ def _read_points(path: Path) -> tuple[Array, Array]:
         speed.append(v)
     if not time:
         raise InputError(f"{path.name} has a header but no numbers.", "Add rows of t_s,v_m_s.")
-    return np.array(time), np.array(speed)
+    return np.array(time), np.array(speed), "beat" in header
 
 
 def _number(path: Path, number: int, row: list[str], column: str, index: int) -> float:

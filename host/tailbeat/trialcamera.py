@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tailbeat import _dialect as mavlink
 from tailbeat.camera.base import Afresh, Camera, CameraGone, Frame, Unseen
 from tailbeat.camera.speed.beatfit import BeatFit, SpeedSample
-from tailbeat.camera.tracking.repeats import Repeats
+from tailbeat.camera.tracking.repeats import Repeats, is_computed
 from tailbeat.errors import LinkLostError
 from tailbeat.link import Message
 from tailbeat.results import BeatEvent
@@ -22,6 +23,9 @@ _BLIND_S = 1.0  # of board time without a picture, after which somebody should l
 _STAMP_MAX_S = 1e6  # of board time: eleven days
 _STAMP_AHEAD_S = 10.0  # more than the clocks of a hurried simulation differ by
 _SURE_RAD = 0.3  # a fish sets out at 0.2
+# A board takes a run of zeros for a tracker that stands still (firmware/speed/doubt.h); a fish that
+# was not yet set going, before a camera without noise, is none.
+_AT_REST_M_S = 1e-9
 _NO_COVARIANCE = (math.nan,) * 8
 
 
@@ -53,7 +57,7 @@ class TrialCamera:
         self.failure: Exception | None = None
         self._fish, self._camera, self._dispensable = fish, camera, dispensable
         self._emit, self._consult, self._abort = emit, consult, abort
-        self._repeats = Repeats()
+        self._repeats = Repeats(camera)
         self._gone = self._blind = self._frozen = False
         self._seen_at_s = 0.0
 
@@ -92,6 +96,8 @@ class TrialCamera:
     def _take(self, frame: Frame) -> None:
         self._consult(frame)
         sample = self.fit.add(frame.t_s, self._way_m(frame))
+        if sample is not None and sample.speed_m_s == 0 and is_computed(self._camera):
+            sample = replace(sample, speed_m_s=_AT_REST_M_S)
         if sample is not None and (board_s := self._board_s(sample.t_s)) > 0:
             self._fish.link.send(vision_message(board_s, sample))
 

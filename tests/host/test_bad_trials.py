@@ -69,6 +69,8 @@ class Trouble:
 class SpoiltCamera(SimulatedCamera):
     """The simulated camera, and a clock for all that goes wrong."""
 
+    computed = False  # like one that looks at pictures
+
     def __init__(self, board: SimBoard, trouble: Trouble) -> None:
         super().__init__(board)
         self.board, self.trouble = board, trouble

@@ -15,7 +15,7 @@ from tailbeat.camera.speed.swimspeed import swim_speed
 from tailbeat.camera.timing.sync import sync
 from tailbeat.fish import Fish
 from tailbeat.model.design import design
-from tailbeat.model.guided import Person, identify_fish
+from tailbeat.model.guided import Attendant, identify_fish
 from tailbeat.reference import Reference, thesis
 
 from .rendered_tank import drawn_camera, swim_before_the_camera
@@ -31,7 +31,7 @@ def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
     fish = Fish.connect(f"sim:tank?seed={seed}", **overrides)
     fish.params.set("AMP_MAX_RAD", math.pi / 4)
     fish.params.set("DU_MAX_RAD", 0.0)
-    identified = identify_fish(fish, Person(), quick=True)
+    identified = identify_fish(fish, Attendant(), quick=True)
     law = design(identified, reference, math.pi / 4).law
     for name, value in {"LAW_GAIN": law.kp_rad_s_m, "LAW_LEAD": law.lead_beats}.items():
         fish.params.set(name, value)

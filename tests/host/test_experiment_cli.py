@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +12,16 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from tailbeat.cli import run
 from tailbeat.cli.app import app
 from tailbeat.errors import InputError, Refused
 from tailbeat.experiment import Experiment, begin, current, require_same, use
 from tailbeat.experiment.board import copy_state, held_state
 from tailbeat.fish import Fish
 from tailbeat.records import encode_reference
+from tailbeat.reference import from_text
+from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.simulated import SimBoard
 
 from .swum_experiment import REFERENCE, swim_experiment, writable
 
@@ -45,6 +50,39 @@ def document(*words: object, code: int = 0) -> Any:
     result = call(*words, "--json")
     assert result.exit_code == code, result.output
     return json.loads(result.stdout)
+
+
+def test_done_again_as_redo_says(
+    copy: Experiment, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The commands as they are, in their order, from the experiment's folder, with a new board."""
+    _, _, text = call("show", copy.folder, "--redo").output.partition("## Before the first swim")
+    typed = [shlex.split(line, comments=True) for line in text.split("```")[1].splitlines()]
+    board = SimTransport(SimBoard("tank", seed=1))
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: board)
+    monkeypatch.chdir(copy.folder)
+    before = set(copy.folder.rglob("*"))
+    for program, *words in filter(None, typed):
+        assert program == "tailbeat" and run([*words, "--connect", "it"]) == 0, words
+    assert "the board has another reference" not in capsys.readouterr().err
+    assert set(copy.folder.rglob("*")) == before, "nothing new in the old folder"
+    with Fish.connect("it") as fish:
+        again = current(fish)
+        assert again is not None and again.folder.parent == copy.folder.parent
+        params = {name: param.value for name, param in fish.params.list().items()}
+        require_same(fish, again)
+    old, new = copy.settings(), again.settings()
+    assert params == old["params"] and new["reference"] == old["reference"] == REFERENCE.name
+    assert new["conditions"] == old["conditions"] and new["fish"] == old["fish"]
+    assert (again.raw / "reference.bin").read_bytes() == (copy.raw / "reference.bin").read_bytes()
+    assert document("replay", ".")["identical"]
+
+
+def test_a_reference_that_was_changed_by_hand_has_another_name(copy: Experiment) -> None:
+    path = copy.folder / "reference.csv"
+    assert from_text(str(path)).name == REFERENCE.name
+    path.write_text(path.read_text().replace(",0.0", ",0.01", 1))
+    assert from_text(str(path)).name == "reference"
 
 
 def test_a_fish_stays_in_its_experiment(tmp_path: Path) -> None:

@@ -180,11 +180,22 @@ def test_nothing_to_compare(tmp_path: Path) -> None:
         again(empty, tmp_path)
 
 
+def test_redo_tells_what_the_simulated_fish_was(tmp_path: Path) -> None:
+    with Fish.connect("sim:thesis?seed=7", tail_centre_rad=0.08) as fish:
+        text = write_redo(make(fish, tmp_path, REFERENCE)).read_text()
+    (line,) = [line for line in text.splitlines() if "tailbeat sim " in line]
+    begin, _, value = line.rpartition("=")
+    assert begin == (
+        "# in another terminal: tailbeat sim --plant thesis --seed 7 --set tail_centre_rad"
+    )
+    assert np.float32(value) == np.float32(0.08)
+
+
 def test_redo_tells_the_day(swum: Experiment, tmp_path: Path) -> None:
     text = write_redo(swum).read_text()
     for words in (
         "**simulated**",
-        "sim:tank?seed=1",
+        "# in another terminal: tailbeat sim --plant tank --seed 1\n",
         "tailbeat params set LAW_LEAD 1\n",
         "--condition water_temperature_degc=21.5",
         "trial 3: discard (bumped the wall)",

@@ -208,6 +208,10 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         steps = list(first_session(fish, THESIS, somebody))
         assert [step.name for step in steps[:4]] == ["look", "trim", "identify", "design"]
         assert all(step.done for step in steps), steps
+        counted = sum(e["event"] == "countdown" and e["left_s"] == 0 for e in somebody.told)
+        swims = sum(e["event"] == "started" for e in somebody.told)
+        rests = sum(e.get("step") == "rest" and e["ok"] is True for e in somebody.told)
+        assert swims >= 8 and counted == rests == swims  # the ritual goes before every one
         raises = [one for step in steps for one in step.raises]
         assert [one.was for one in raises] == pytest.approx([0.5, 0.6])
         assert limit(fish) == pytest.approx(raises[-1].to)

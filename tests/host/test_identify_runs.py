@@ -16,21 +16,25 @@ import pytest
 from numpy.typing import NDArray
 
 from tailbeat import reference
+from tailbeat.camera.base import Frame
+from tailbeat.camera.tank.wall import HIT
 from tailbeat.cli import run
 from tailbeat.cli.board import _reference
-from tailbeat.cli.identify import _person
+from tailbeat.cli.identify import _attendant
 from tailbeat.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.fish import Fish
+from tailbeat.fish import Event, Fish
 from tailbeat.flashing.backup import Backup
 from tailbeat.floor import plant_beats, plant_config
 from tailbeat.model import lent
 from tailbeat.model.account import account_of, from_trials
 from tailbeat.model.fishmodel import Conditions, FishModel
 from tailbeat.model.fitting import Prior
-from tailbeat.model.guided import Person, identify_fish, set_params
+from tailbeat.model.guided import Attendant, identify_fish, set_params
 from tailbeat.model.runs import Course, Limits, Run, identify_runs
+from tailbeat.model.safekeeping import put_safe
 from tailbeat.model.swim import Swim
 from tailbeat.records import record_crc
+from tailbeat.results import BeatEvent
 from tailbeat.transport.simulated import SimBoard, SimTransport
 
 Array = NDArray[np.float64]
@@ -248,7 +252,7 @@ def test_the_board_has_everything_back(learned: Fish, tmp_path: Path) -> None:
     def keep(path: Path) -> None:
         files.append(Path(shutil.copy(path, tmp_path)))
 
-    found = identify_fish(learned, Person(keep=keep), tmp_path / "safe", quick=True)
+    found = identify_fish(learned, Attendant(keep=keep), tmp_path / "safe", quick=True)
     assert state(learned) == before
     assert not (tmp_path / "safe").exists()
     assert found.unique_id == learned.unique_id()
@@ -284,10 +288,43 @@ def test_after_a_failure_too(
     calls = 70 if where == "event" else 2
     with pytest.raises(type(error)):
         identify_fish(
-            learned, Person(**{where: failing(calls, error)}), tmp_path / "safe", quick=True
+            learned, Attendant(**{where: failing(calls, error)}), tmp_path / "safe", quick=True
         )
     assert state(learned) == before
     assert where != "event" or len(board.true_beats()) < 20  # the tail stopped at once
+
+
+def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
+    """At once, not with the next beat; nothing is fitted to half a run."""
+    before = state(learned)
+    pressed: list[Event] = []
+
+    def event(event: Event) -> None:
+        if event["event"] == "beat" and event["beat"] == 3:
+            pressed.append(event)
+
+    attendant = Attendant(event=event, wants_abort=lambda: bool(pressed))
+    with pytest.raises(TailbeatError, match="run 1 was stopped by hand"):
+        identify_fish(learned, attendant, quick=True)
+    assert state(learned) == before
+    assert len(board.true_beats()) <= 6
+
+
+def test_the_wall_guard_is_asked(learned: Fish) -> None:
+    """What it stops has told enough, and the next run is swum."""
+    seen: list[object] = []
+    runs: list[Run] = []
+
+    def guard(what: object) -> str | None:
+        seen.append(what)
+        beats = sum(isinstance(one, BeatEvent) for one in seen)
+        return f"{HIT} 0.2 m left" if len(runs) == 1 and beats >= 20 else None
+
+    identified = identify_fish(learned, Attendant(before=runs.append, guard=guard), quick=True)
+    assert any(isinstance(one, Frame) for one in seen)
+    assert len(runs) == 4 and len(identified.swims) == 4
+    first = identified.swims[0]
+    assert first.swum_beats is not None and first.swum_beats < runs[0].beats
 
 
 def test_when_the_link_stays_away_a_copy_is_left(
@@ -297,7 +334,7 @@ def test_when_the_link_stays_away_a_copy_is_left(
     record = learned.learned_record()
     monkeypatch.setattr(lent, "_restore", failing(1, LinkLostError("gone", "")))
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
-        identify_fish(learned, Person(), tmp_path / "safe", quick=True)
+        identify_fish(learned, Attendant(), tmp_path / "safe", quick=True)
     copy = Backup.read(tmp_path / "safe")
     assert (copy.reference, copy.learned) == (before["reference"], record)
 
@@ -312,7 +349,9 @@ def killed(learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fi
     with monkeypatch.context() as patch:
         patch.setattr(lent, "_put_back", lambda *_: None)
         with pytest.raises(Killed):
-            identify_fish(learned, Person(keep=failing(2, Killed())), tmp_path / "safe", quick=True)
+            identify_fish(
+                learned, Attendant(keep=failing(2, Killed())), tmp_path / "safe", quick=True
+            )
     return learned
 
 
@@ -321,14 +360,36 @@ def test_after_a_computer_died_the_first_copy_is_put_back(
 ) -> None:
     before = state(learned)
     fish = request.getfixturevalue("killed")
-    with pytest.raises(InputError, match="run of an identification that was broken off"):
-        identify_fish(fish, Person(), tmp_path / "safe", quick=True)
-    fish.discard()
+    assert fish.status().pending_trial is not None
     heard: list[str] = []
-    identify_fish(fish, Person(note=heard.append), tmp_path / "safe", quick=True)
+    identify_fish(fish, Attendant(note=heard.append), tmp_path / "safe", quick=True)
     assert state(fish) == before
     assert len(heard) == 1 and "broken off" in heard[0] and str(tmp_path / "safe") in heard[0]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_another_swim_it_is_put_back_too(
+    learned: Fish, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """By 'session resume'; the run that waits on the board goes."""
+    before = state(learned)
+    fish = request.getfixturevalue("killed")
+    trials = len(fish.trials())
+    heard: list[str] = []
+    assert lent.put_back_left(fish, tmp_path / "safe", heard.append)
+    assert state(fish) == before and len(fish.trials()) == trials
+    assert len(heard) == 1 and "gets back" in heard[0]
+    assert not (tmp_path / "safe").exists()
+    assert not lent.put_back_left(fish, tmp_path / "safe", heard.append) and len(heard) == 1
+
+
+def test_a_trial_is_no_run_after_all(learned: Fish, tmp_path: Path) -> None:
+    """A copy that lies there says nothing while the board has its own reference."""
+    learned.run_trial()
+    before = state(learned)
+    put_safe(tmp_path / "safe", lent._held(learned, {}, ()), print)
+    assert not lent.put_back_left(learned, tmp_path / "safe", print)
+    assert state(learned) == before
 
 
 def test_a_computer_that_died_while_putting_back(
@@ -338,7 +399,7 @@ def test_a_computer_that_died_while_putting_back(
     fish = request.getfixturevalue("killed")
     fish.discard()
     fish.upload_reference(before["reference"])  # what was learned did not follow
-    identify_fish(fish, Person(), tmp_path / "safe", quick=True)
+    identify_fish(fish, Attendant(), tmp_path / "safe", quick=True)
     assert state(fish) == before
 
 
@@ -355,7 +416,7 @@ def test_an_older_copy_neither_comes_back_nor_goes(
     fish.learn()
     before = state(fish)
     heard: list[str] = []
-    identify_fish(fish, Person(note=heard.append), tmp_path / "safe", quick=True)
+    identify_fish(fish, Attendant(note=heard.append), tmp_path / "safe", quick=True)
     assert state(fish) == before
     assert Backup.read(tmp_path / "safe-1") == copy
     assert str(tmp_path / "safe-1") in heard[0]
@@ -367,7 +428,7 @@ def test_a_guess_is_made_anew(tank: Fish) -> None:
     tank.arm()
     tank.disarm()
     assert tank.status().iteration == 1
-    identify_fish(tank, Person(), quick=True)
+    identify_fish(tank, Attendant(), quick=True)
     assert tank.status().iteration == 0
     tank.params.set("LAW_GAIN", 5.0)
     tank.arm()
@@ -377,7 +438,7 @@ def test_a_guess_is_made_anew(tank: Fish) -> None:
 
 
 def test_no_reference_before_and_no_run_after(tank: Fish) -> None:
-    identify_fish(tank, Person(), quick=True)
+    identify_fish(tank, Attendant(), quick=True)
     status = tank.status()
     assert (status.iteration, status.beats, status.pending_trial) == (0, 1, None)
     assert _reference(status).startswith("none; upload one")
@@ -387,25 +448,25 @@ def test_refused_while_a_trial_is_pending(learned: Fish) -> None:
     learned.run_trial()
     before = state(learned)
     with pytest.raises(InputError, match="trial 3 is neither learned nor discarded"):
-        identify_fish(learned, Person())
+        identify_fish(learned, Attendant())
     assert state(learned) == before
 
 
 def test_speeds_by_hand(tank: Fish, board: SimBoard) -> None:
     tank.params.set("SPD_SOURCE", 1)
     with pytest.raises(InputError, match="SPD_SOURCE is upload"):
-        identify_fish(tank, Person())
+        identify_fish(tank, Attendant())
 
     def by_video(trial: int, beats: int, beat_s: float) -> Array:
         del trial, beat_s
         return board.true_beats()[:beats]
 
-    found = identify_fish(tank, Person(speeds=by_video), quick=True)
+    found = identify_fish(tank, Attendant(speeds=by_video), quick=True)
     assert found.model.kappa_per_m == pytest.approx(10, rel=0.15)
 
 
 def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> None:
-    found = identify_fish(learned, Person(), quick=True)
+    found = identify_fish(learned, Attendant(), quick=True)
     learned.params.set("LAW_GAIN", 5.5)
     held = set_params(learned, found)
     assert held["MDL_KAPPA"] == pytest.approx(found.model.kappa_per_m, rel=1e-6)
@@ -460,11 +521,11 @@ def test_who_is_asked_what(capsys: pytest.CaptureFixture[str]) -> None:
     """A simulated fish waits for nobody; its runs are told, and speeds by hand are asked for."""
     still = np.zeros(3)
     first = Run(1, "cruise", 0.3, still, still, 0.2, 0.4)
-    told = _person(Limits(0.75), None, False, alone=False, json=False, show=lambda *_: None)
+    told = _attendant(Limits(0.75), None, False, alone=False, json=False, show=lambda *_: None)
     told.before(first)
     assert capsys.readouterr().err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
     assert told.speeds is not None
-    silent = _person(Limits(0.75), None, False, alone=True, json=True, show=lambda *_: None)
+    silent = _attendant(Limits(0.75), None, False, alone=True, json=True, show=lambda *_: None)
     silent.before(first)
     assert capsys.readouterr().err == "" and silent.speeds is None
 

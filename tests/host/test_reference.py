@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from tailbeat import reference
@@ -97,6 +99,9 @@ def test_csv_with_byte_order_mark_and_blank_lines(tmp_path: Path) -> None:
         ("t_s,v_m_s\n5,0\n6,0.1\n", "row 2, column t_s: the first time is 5"),
         ("t_s,v_m_s\n0,0\n", "one point only"),
         ("t_s,v_m_s\n0,0\n1e9,0.1\n", "more than 512 beats"),
+        ("beat,t_s,v_m_s\n0,0,0\n1,1,0.1\n", "column t_s: 0 is not the middle of beat 0"),
+        ("beat,t_s,v_m_s\n0,0.5,0\n2,2.5,0.1\n", "column t_s: 2.5 is not the middle of beat 1"),
+        ("beat,t_s,v_m_s\n" + "".join(f"{k},{k + 0.5},0\n" for k in range(513)), "513 beats"),
     ],
 )
 def test_csv_that_is_refused(tmp_path: Path, text: str, words: str) -> None:
@@ -104,6 +109,28 @@ def test_csv_that_is_refused(tmp_path: Path, text: str, words: str) -> None:
         reference.from_csv(csv(tmp_path, text))
     assert words in caught.value.message
     assert caught.value.remedy
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    beat_s=st.one_of(st.sampled_from([1.0, 0.7, 1 / 3]), st.floats(0.1, 10.0)),
+    speeds=st.lists(st.floats(0.0, 0.5, width=32), min_size=1, max_size=512),
+)
+def test_what_is_written_is_read_again(
+    tmp_path_factory: pytest.TempPathFactory, beat_s: float, speeds: list[float]
+) -> None:
+    made = Reference(beat_s, np.array(speeds, np.float32), "made")
+    path = tmp_path_factory.mktemp("csv") / "swim.csv"
+    made.to_csv(path)
+    found = reference.from_text(str(path))
+    assert found.record() == made.record() and found.crc == made.crc
+    assert (found.beat_s, found.name) == (beat_s, "swim")
+
+
+def test_beat_means_that_another_program_has_rounded(tmp_path: Path) -> None:
+    found = reference.from_csv(csv(tmp_path, "t_s,beat,v_m_s\n0.25,0,0.05\n0.7502,1,0.06\n"))
+    assert found.beat_s == 0.5
+    np.testing.assert_array_equal(found.speed_m_s, np.array([0.05, 0.06], np.float32))
 
 
 def test_missing_and_binary_files(tmp_path: Path) -> None:

@@ -10,22 +10,32 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tailbeat import records, reference
-from tailbeat.day import resume
+from tailbeat.cli import keeping
+from tailbeat.cli.display import Display
+from tailbeat.cli.session import _person
+from tailbeat.day.account import Account
+from tailbeat.day.logs import keep_log, outcome_of
 from tailbeat.day.person import Decision, Event
-from tailbeat.day.resume import Restored, repeat_best, restore
+from tailbeat.day.repeat import Plan, repeat_best
+from tailbeat.day.restore import Restored, restore
 from tailbeat.day.series import Options, Until, swim_series
 from tailbeat.day.shift import Shift
 from tailbeat.day.swum import Swum
+from tailbeat.day.swums import swum_of
+from tailbeat.day.trim import find_centre
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment
 from tailbeat.experiment.board import copy_state, held_state
-from tailbeat.experiment.current import begin, current
+from tailbeat.experiment.current import begin, current, use
 from tailbeat.fish import Fish
+from tailbeat.model import lent
+from tailbeat.model.lent import broken_off
 from tailbeat.transport.simulated import SimBoard, SimTransport
 
 from .conftest import BadRadio
@@ -277,6 +287,78 @@ def test_a_centre_found_since_stays(swapped: Fish, experiment: Experiment) -> No
     assert restore(swapped, experiment).params == {"SERVO_CENTRE_US": 1533.0}
 
 
+def test_what_was_set_on_purpose_since_stays(swapped: Fish, experiment: Experiment) -> None:
+    """By the advice of status, of trim, of design; with the others lost."""
+    swapped.params.set("AMP_MAX_RAD", 0.6)
+    swapped.params.set("SERVO_CENTRE_US", 1480.0)
+    swapped.params.save()
+    found = restore(swapped, experiment)
+    assert set(found.params) == set(PARAMS) - {"AMP_MAX_RAD"}
+    assert swapped.params.get("AMP_MAX_RAD").value == pytest.approx(0.6)
+    assert any(
+        n == "AMP_MAX_RAD is 0.6, and was 0.7 when the copy was made; it stays" for n in found.notes
+    )
+    assert any(n.startswith("SERVO_CENTRE_US is 1480") for n in found.notes)
+    assert restore(swapped, experiment).notes == ()  # the copy has it now
+
+
+def test_a_replaced_board_gets_every_parameter(experiment: Experiment) -> None:
+    new = after_a_swap(SimBoard("tank", seed=77).flash, seed=77)
+    new.params.set("LAW_LEAD", 2.0)
+    assert restore(new, experiment, another_board=True).params["LAW_LEAD"] == 1.0
+
+
+@pytest.mark.parametrize("another_board", [False, True])
+def test_a_refusal_has_changed_nothing(
+    another_board: bool, experiment: Experiment, pool: Pool
+) -> None:
+    seed = 77 if another_board else SEED
+    fish = after_a_swap(SimBoard("tank", seed=seed).flash, seed=seed)
+    fish.upload_reference(WANTED)
+    fish.upload_learned(_record_with(pool.learned or b"", last_trial=2, iteration=9))
+    before = {name: p.value for name, p in fish.params.list().items()}
+    settings = experiment.settings()
+    with pytest.raises(InputError, match=r"Nothing was changed\."):
+        restore(fish, experiment, another_board)
+    assert {name: p.value for name, p in fish.params.list().items()} == before
+    assert experiment.settings() == settings
+
+
+def test_a_trim_that_was_broken_off_is_put_back(
+    swapped: Fish, experiment: Experiment, pool: Pool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And is nothing the experiment knows of; until then nothing else may swim."""
+
+    class Killed(BaseException):
+        """As by kill -9."""
+
+    class Dying(Somebody):
+        def tell(self, event: Event) -> None:
+            if event["event"] == "beat" and event["beat"] == 2:
+                raise Killed
+
+    restore(swapped, experiment)
+    before = {name: p.value for name, p in swapped.params.list().items()}
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(lent, "_put_back", lambda *_: None)
+        find_centre(swapped, Dying())
+    assert broken_off(swapped) == "tailbeat session resume"
+    swapped.link.run(10.0)
+    assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
+    swapped.clear()
+    use(swapped, experiment)
+    keeping.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
+    assert broken_off(swapped) is not None
+    assert experiment.journal.decisions().get(5) is None
+    found = restore(swapped, experiment)
+    assert "broken off" in found.notes[0]
+    assert found.pending_trial is None and not found.reference and not found.learned
+    assert swapped.learned_record() == pool.learned
+    assert {name: p.value for name, p in swapped.params.list().items()} == before
+    assert broken_off(swapped) is None
+    assert repeat_best(swapped, experiment, Somebody(), ONE)[0].outcome.number == 6
+
+
 def test_no_copy_no_resume(swapped: Fish, experiment: Experiment) -> None:
     (experiment.folder / "board" / "state.json").unlink()
     with pytest.raises(InputError, match="no copy of a board"):
@@ -368,10 +450,10 @@ def test_a_fish_that_turns_is_trimmed_again(pool: Pool, experiment: Experiment) 
 
 @pytest.mark.soak
 def test_how_often_it_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """20 fish along the thesis's reference."""
+    """20 fish along the thesis's reference, of seeds that nothing was tuned on."""
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     right = dict.fromkeys((1.0, 0.93), 0)
-    for seed in range(1, 21):
+    for seed in range(101, 121):
         board = SimBoard("tank", seed=seed)
         fish = connect(board)
         for name, value in PARAMS.items():
@@ -467,20 +549,20 @@ def test_ctrl_c_at_many_points(
 def test_the_laptop_dies_between(swapped: Fish, experiment: Experiment, pool: Pool) -> None:
     """The best is on the board and nobody is there to put the other back."""
     restore(swapped, experiment)
-    plan = resume._Plan(pool.learned or b"", swapped.status().next_trial)
+    plan = Plan(pool.learned or b"", swapped.status().next_trial)
     plan.write(experiment)
     swapped.restore_best()
     copy_state(swapped, experiment)
     assert swapped.learned_record() != pool.learned
     restore(swapped, experiment)
     assert swapped.learned_record() == pool.learned
-    assert not resume._Plan.path(experiment).exists()
+    assert not Plan.path(experiment).exists()
 
 
 def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, pool: Pool) -> None:
     """The repeat waits on the board: it is taken, not swum again, and not learned from."""
     restore(swapped, experiment)
-    resume._Plan(pool.learned or b"", 5).write(experiment)
+    Plan(pool.learned or b"", 5).write(experiment)
     swapped.restore_best()
     swapped.run_trial()
     restore(swapped, experiment)
@@ -488,14 +570,62 @@ def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, p
     somebody = Somebody()
     swum, shift = repeat_best(swapped, experiment, somebody, ONE)
     assert swum.outcome.number == 5 and somebody.count("started") == 0
+    assert len(_decided(experiment, 5)) == 1
     assert shift.best_trial in (1, 2, 3, 4)
     assert swapped.learned_record() == pool.learned
+
+
+def test_the_laptop_dies_after_the_decision(
+    swapped: Fish, experiment: Experiment, pool: Pool
+) -> None:
+    """It is neither asked nor written down again."""
+    restore(swapped, experiment)
+    Plan(pool.learned or b"", 5).write(experiment)
+    swapped.restore_best()
+    swapped.run_trial()
+    log = keep_log(swapped, experiment, 5)
+    account = Account(experiment, experiment.journal)
+    swum = swum_of(outcome_of(log.trial), log, None)
+    account.swum(swum)
+    account.decided(swum, Decision("repeat", "battery swap"))
+    repeat_best(swapped, experiment, Somebody(Decision("discard", "asked again")), ONE)
+    assert [entry["decision"] for entry in _decided(experiment, 5)] == ["repeat"]
+
+
+def _decided(experiment: Experiment, trial: int) -> list[dict[str, Any]]:
+    return [e for e in experiment.journal.entries("decided") if e["trial"] == trial]
+
+
+def test_of_a_repeat_only_whether_it_counts_is_asked(
+    swapped: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Typed:
+        """Presses c."""
+
+        def pressed(self) -> bool:
+            return False
+
+        def forget(self) -> None: ...
+
+        def key(self, timeout_s: float) -> str | None:
+            return "c"
+
+        def line(self) -> str:
+            raise AssertionError
+
+    asked: list[str] = []
+    display = Display()
+    monkeypatch.setattr(display, "ask", asked.append)
+    restore(swapped, experiment)
+    repeat_best(swapped, experiment, _person(display, Typed(), False, repeats=True), ONE)
+    assert asked == ["c = it counts, d = discard, Enter = it counts: "]
+    assert experiment.journal.decisions()[5]["decision"] == "repeat"
 
 
 def test_a_board_that_learned_since_is_left_alone(
     swapped: Fish, experiment: Experiment, pool: Pool
 ) -> None:
-    resume._Plan(pool.learned or b"", 5).write(experiment)
+    Plan(pool.learned or b"", 5).write(experiment)
     swapped.restore_best()
     swapped.run_trial()
     swapped.learn()

@@ -259,10 +259,20 @@ def test_a_fish_that_is_not_seen(ready: Fish) -> None:
 
 
 def test_a_picture_that_stands_still_is_no_still_fish(ready: Fish) -> None:
-    with pytest.raises(NotReady, match="picture stands still"):
-        prepare(
-            ready, replace(QUICK, patience_s=5.0), Overhead(ready, lies(), noise_m=0.0), Script()
-        )
+    camera = Overhead(ready, lies(), noise_m=0.0)
+    with pytest.raises(NotReady, match=r"^the camera's picture stands still") as caught:
+        prepare(ready, replace(QUICK, patience_s=5.0), camera, Script())
+    assert caught.value.remedy.startswith("Look at the camera: it sends the same picture")
+
+
+def test_a_picture_that_stops_moving_while_the_fish_comes_to_rest(ready: Fish) -> None:
+    def way(t_s: float) -> tuple[float, float, float]:
+        return (0.005 * math.sin(9.0 * t_s) if t_s < 4.0 else 0.0, 0.0, 0.0)
+
+    camera = Overhead(ready, way, noise_m=0.0)
+    with pytest.raises(NotReady, match=r"^the camera's picture stands still") as caught:
+        prepare(ready, replace(QUICK, patience_s=8.0), camera, Script())
+    assert "it sends the same picture" in caught.value.remedy
 
 
 def test_without_camera_the_yaw_is_compared_across_the_seam(ready: Fish) -> None:

@@ -414,6 +414,9 @@ def test_a_board_that_counts_from_one_again(
     fish.params.set("LAW_LEAD", 1)
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     person = Script(BUMPED)
+    with pytest.raises(InputError, match="has lost what it had learned.*session resume"):
+        swim(person, counts=("discard",))
+    (experiment.folder / "board" / "state.json").unlink()  # nobody wants it back
     end = swim(person, counts=("discard",))
     assert end.swums[0].file.name == "0001-2.ulg" and person.asked == [1]
     assert [path.name for path in experiment.trial_files()] == [

@@ -126,6 +126,7 @@ def test_remote_camera_takes_lines_with_more_than_it_needs() -> None:
         peer, _ = listener.accept()
         with peer:
             lines = [line, {**line, "tail_rad": 0.3, "led": 0.5}, {**line, "led": None}]
+            assert not camera.computed
             peer.sendall("".join(json.dumps(one) + "\n" for one in lines).encode())
         frames: list[Frame] = []
         deadline = time.monotonic() + 5.0
@@ -133,6 +134,7 @@ def test_remote_camera_takes_lines_with_more_than_it_needs() -> None:
             frames += camera.frames()
         camera.close()
     assert frames == [Frame(1.5, 0.25, -0.01, 0.1)] * 3
+    assert camera.computed  # a simulator's line was among them
 
 
 @pytest.mark.parametrize("how", ["closes", "resets"])

@@ -201,6 +201,16 @@ class Typed:
         return self._lines.pop(0)
 
 
+class Typing(Typed):
+    """Keys are pressed as long as they are not taken."""
+
+    def pressed(self) -> bool:
+        return bool(self._keys)
+
+    def types(self, keys: str) -> None:
+        self._keys += keys
+
+
 def swum(end: str = "complete", measured: int = 5, *problems: str) -> Swum:
     outcome = TrialOutcome(7, 2, end, 5)
     return Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, measured, 5, 8.0, 7.9, problems)
@@ -242,7 +252,7 @@ def test_keep_is_no_answer_for_a_swim_without_speeds() -> None:
 
 
 def test_escape_puts_it_off() -> None:
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match="put off"):
         TerminalPerson(Display(), Typed("\x1b")).decide(swum())
 
 
@@ -262,6 +272,35 @@ def test_nobody() -> None:
         with pytest.raises(Undecided):
             nobody.decide(one)
     assert not nobody.confirm("Clear it?") and not nobody.wants_abort()
+
+
+def test_the_enter_after_a_letter_stops_nothing() -> None:
+    for letter, events, typed_later, stops in (
+        ("k", [], "\n", False),
+        ("k", [], "x", True),
+        ("k", [{"event": "countdown", "left_s": 5}], "\n", True),
+        ("k", [{"event": "started", "trial": 8}], "\n", True),
+        ("\n", [], "\n", True),
+    ):
+        keys = Typing(letter)
+        person = TerminalPerson(Display(), keys)
+        assert person.decide(swum()) == Decision("keep") and not person.wants_abort()
+        for event in events:
+            person.tell(event)
+        keys.types(typed_later)
+        assert person.wants_abort() == stops, (letter, events, typed_later)
+        if not stops:
+            assert not person.wants_abort()
+            keys.types("\n")
+            assert person.wants_abort(), "one is forgiven, not two"
+
+
+def test_what_was_typed_before_the_ritual_is_forgotten() -> None:
+    keys = Typed("")
+    TerminalPerson(Display(), keys).tell(
+        {"event": "step", "step": "board", "text": "idle", "ok": True, "left_s": None}
+    )
+    assert keys.forgotten == 1
 
 
 def test_confirm() -> None:
@@ -312,6 +351,17 @@ def test_single_keys(terminal: tuple[int, int]) -> None:
         keys.forget()
         assert not keys.pressed()
     assert modes(program) == usual
+
+
+@posix
+def test_an_arrow_is_no_escape(terminal: tuple[int, int]) -> None:
+    hand, _ = terminal
+    with terminal_keys() as keys:
+        assert keys is not None
+        os.write(hand, b"\x1b[A")
+        assert keys.key(5.0) is None
+        os.write(hand, b"\x1b")
+        assert keys.key(5.0) == "\x1b"
 
 
 @posix

@@ -33,6 +33,7 @@ class SimulatedCamera:
     """Frames of a board in this process, in simulated time (the clock of its transport)."""
 
     clock: Literal["host", "board"] = "host"
+    computed = True  # camera.tracking.repeats
 
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
@@ -65,6 +66,7 @@ class RemoteCamera:
         self.name = f"tcp:{host}:{port}"
         self.fps = fps
         self.exposure_s = 0.01
+        self.computed = False  # until a simulator's line has come; a program may track pictures
         self._rest = b""
         self._open = True
         self._told = False
@@ -86,7 +88,9 @@ class RemoteCamera:
         while self._open and (piece := self._receive()):
             self._rest += piece
         *lines, self._rest = self._rest.split(b"\n")
-        moments = [moment for line in lines if (moment := _moment(line)) is not None]
+        told = [(line, moment) for line in lines if (moment := _moment(line)) is not None]
+        self.computed |= any(b'"tail_rad"' in line for line, _ in told)
+        moments = [moment for _, moment in told]
         if moments or self._open or self._told:
             return moments
         self._told = True

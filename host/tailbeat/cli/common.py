@@ -33,11 +33,13 @@ Connect = Annotated[
 
 @contextmanager
 def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
-    """A fish for the length of a command. ``notice``: tell on stderr when its key is missing."""
+    """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
+    tell on stderr when its key is missing."""
+    from tailbeat.cli.ending import ended_as_by_ctrl_c
     from tailbeat.fish import Fish
     from tailbeat.provision import connect_notice
 
-    with Fish.connect(url) as fish:
+    with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
         if notice and (line := connect_notice(fish)):
             typer.echo(f"tailbeat: {line}", err=True)
         yield fish

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tailbeat.fish import Fish
 
 _ROOT = Path("experiments")
-_GOOD_ENDS = ("swims", "converged", "battery")
+_GOOD_ENDS = ("swims", "converged")
 
 
 @dataclass(frozen=True)
@@ -98,19 +98,21 @@ def run_guided(fish: Fish, live: Live, given: GuideOptions, json: bool) -> None:
         if live.recorder is not None:
             person = _Filming(person, live)
         end = swim_series(fish, experiment, person, options, live.camera, live.guard)
-    say(json, _document(end, experiment), _text(end))
-    if end.why == "interrupted":
-        raise typer.Exit(130)
-    if end.why not in _GOOD_ENDS:
-        raise typer.Exit(1)
+    until = options.until
+    good = (*_GOOD_ENDS, "battery") if until.swims is None and not until.converged else _GOOD_ENDS
+    say(json, _document(end, experiment), _text(end, told=end.why in good))
+    if end.why not in good:
+        typer.echo(f"tailbeat: {end.words}", err=True)
+        raise typer.Exit(130 if end.why == "interrupted" else 1)
 
 
 def experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) -> Experiment:
     """The folder that was named, else the one this fish is in, else a new one, told. Raises
     InputError."""
     from tailbeat.experiment import Experiment
-    from tailbeat.experiment.current import begin, current, require_same, use
+    from tailbeat.experiment.current import begin, current, require_own, require_same, use
 
+    require_own(fish)
     if into is not None:
         named = Experiment.open(into)
         require_same(fish, named)
@@ -121,6 +123,8 @@ def experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) -
             require_same(fish, found)
             return found
         except InputError:
+            if fish.status().reference_crc is None:
+                raise
             tell(f"{found.folder} is of another reference")
     made = begin(fish, _ROOT)
     tell(f"a new experiment begins: {made.folder}")
@@ -139,15 +143,15 @@ def _keep_alive(fish: Fish) -> Callable[[], None]:
 
 @dataclass(frozen=True)
 class _Filming:
-    """Somebody, and the film that is wanted once a swim has begun."""
+    """Somebody, and the film that is wanted while it swims."""
 
     person: Person
     live: Live
 
     def tell(self, event: Event) -> None:
         """Passes it on."""
-        if event["event"] == "started" and self.live.recorder is not None:
-            self.live.recorder.wanted = True
+        if event["event"] in ("started", "swum") and self.live.recorder is not None:
+            self.live.recorder.wanted = event["event"] == "started"
         self.person.tell(event)
 
     def wants_abort(self) -> bool:
@@ -196,7 +200,8 @@ def _swim_document(one: Round) -> dict[str, Any]:
     }
 
 
-def _text(end: SeriesEnd) -> str:
+def _text(end: SeriesEnd, told: bool) -> str:
+    """``told``: with how it ended; otherwise that is said as an error."""
     lines = [
         f"trial {one.swum.outcome.number}, iteration {one.swum.outcome.iteration}: "
         f"{one.decision.kind}, max|e| {mm(one.swum.max_abs_error_m_s)} mm/s"
@@ -204,4 +209,6 @@ def _text(end: SeriesEnd) -> str:
     ]
     if end.verdict is not None:
         lines.append(end.verdict.words)
-    return "\n".join([*lines, f"ended ({end.why}): {end.words}"])
+    if told:
+        lines.append(f"ended ({end.why}): {end.words}")
+    return "\n".join(lines)

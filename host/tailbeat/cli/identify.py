@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tailbeat.cli.cameraoptions import (
+    CalibrationOption,
+    LatencyOption,
+    MarkerIdOption,
+    MarkerKindOption,
+    MarkerSideOption,
+    marker_of,
+)
 from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say, table
 from tailbeat.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from tailbeat.cli.display import Display
+    from tailbeat.cli.livecamera import Live, LiveOptions
+    from tailbeat.cli.person import TerminalPerson
+    from tailbeat.fish import Fish
     from tailbeat.logbook import Logbook
     from tailbeat.model.account import Account
-    from tailbeat.model.guided import Person
+    from tailbeat.model.guided import Attendant
     from tailbeat.model.identified import Identified
     from tailbeat.model.runs import Limits, Run
     from tailbeat.model.table import Table
@@ -50,7 +65,7 @@ def identify(
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="PNG", help="Draw map, runs and residuals.")
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not wait for Enter before a run.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Neither wait nor ask before a run.")] = False,
     margin_m: Annotated[
         float, typer.Option("--margin", min=0.0, help="Of the tank's length, left free, m.")
     ] = 0.15,
@@ -63,13 +78,42 @@ def identify(
         float | None,
         typer.Option("--area", help=_FISH + "tail area, m2; default pi*0.165^2/4."),
     ] = None,
+    rest: Annotated[
+        float,
+        typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each run."),
+    ] = 30.0,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            metavar="DEVICE|tcp:HOST:PORT|rendered",
+            help="A camera, for the speeds and the walls.",
+        ),
+    ] = None,
+    calibration: CalibrationOption = None,
+    marker: MarkerKindOption = "aruco",
+    marker_id: MarkerIdOption = None,
+    marker_side: MarkerSideOption = None,
+    latency: LatencyOption = 0.0,
+    wall: Annotated[
+        float | None,
+        typer.Option(
+            "--wall",
+            min=0.0,
+            max=2.0,
+            metavar="M",
+            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never.",
+        ),
+    ] = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Find out what the fish is like: drag, speed over amplitude, dead zone, delay.
 
     Swims three cruises and a coast-down, gentlest first, within the tank; the board gets back what
-    it had learned. With --table, --trials or --experiment nothing is swum.
+    it had learned. At a terminal each run begins with the ritual of 'trial run' (rest, pose, still
+    water, countdown) and any key stops the tail; --yes leaves the ritual out. With --table,
+    --trials or --experiment nothing is swum.
 
     Example: tailbeat identify --plot fish.png
     """
@@ -85,7 +129,12 @@ def identify(
     elif any(sources):
         _from_trials([*(trials or []), *(files or [])], experiment, out, logbook, plot, json)
     else:
-        _swum(connect, yes, margin_m, out, logbook, params, plot, json)
+        from tailbeat.cli.livecamera import LiveOptions
+
+        on_fish = marker_of(marker, marker_id, marker_side)
+        options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
+        asked = _Asked(yes, json, margin_m, rest, options)
+        _swum(connect, asked, out, logbook, params, plot)
 
 
 def _from_table(path: Path, about: Any, out: Path | None, plot: Path | None, json: bool) -> None:
@@ -144,58 +193,148 @@ def _from_trials(
     _finish(account_of(identified), None, book, out, plot, simulated, None, json)
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What was given on the command line for the swims."""
+
+    yes: bool
+    json: bool
+    margin_m: float
+    rest_s: float
+    camera: LiveOptions
+
+    @property
+    def alone(self) -> bool:
+        """Nobody is asked anything."""
+        return self.yes or self.json
+
+
 def _swum(
     connect: str | None,
-    yes: bool,
-    margin_m: float,
+    asked: _Asked,
     out: Path | None,
     logbook: Path | None,
     params: bool,
     plot: Path | None,
-    json: bool,
 ) -> None:
-    from dataclasses import replace
-
     from tailbeat.boardreference import board_reference
+    from tailbeat.cli.livecamera import live_camera
     from tailbeat.logbook import logbook_of
     from tailbeat.model.account import account_of, with_drag
-    from tailbeat.model.guided import identify_fish, prior_of, set_params
-    from tailbeat.model.lent import safe_folder
+    from tailbeat.model.guided import prior_of, set_params
+    from tailbeat.model.lent import put_back_left, safe_folder
     from tailbeat.model.runs import Limits
     from tailbeat.model.table import ThesisFish
-    from tailbeat.results import SPEED_SOURCES
 
-    with connected(connect) as fish:
+    with connected(connect) as fish, live_camera(fish, asked.camera) as live:
         simulated = fish.info().simulated
         book = logbook_of(fish, logbook)
+        put_back_left(fish, safe_folder(book), _note)
         values = {name: p.value for name, p in fish.params.list().items()}
-        limits = replace(Limits.from_params(values), margin_m=margin_m)
-        alone = yes or json
-        wait = not (yes or simulated)
-        if wait and json:
-            raise InputError(
-                "nobody can be asked before each run with --json.",
-                "Add --yes when the fish is free to swim four times by itself.",
-            )
-        asks = not alone and SPEED_SOURCES[round(values["SPD_SOURCE"])] == "upload"
-        # a bar would overwrite the questions
-        with progress_bar(json or wait or asks, "identify") as show:
-            person = _person(limits, book, wait, alone, json, show)
-            safe = safe_folder(book)
-            found = identify_fish(fish, person, safe, limits=limits)
+        limits = replace(Limits.from_params(values), margin_m=asked.margin_m)
+        found = _found(fish, live, book, limits, asked, values)
         identified = with_drag(found, ThesisFish(length_m=values["FISH_LEN_M"]))
         held = set_params(fish, identified) if params else None
         bare = board_reference(fish) is None
     account = account_of(identified, prior_of(values))
-    _finish(account, held, book, out, plot, simulated, limits, json, bare)
+    _finish(account, held, book, out, plot, simulated, limits, asked.json, bare)
 
 
-def _person(
-    limits: Limits, book: Logbook | None, wait: bool, alone: bool, json: bool, show: Any
-) -> Person:
-    """Whoever sits at the terminal. ``alone``: nobody who could be asked for speeds."""
+def _found(
+    fish: Fish,
+    live: Live,
+    book: Logbook | None,
+    limits: Limits,
+    asked: _Asked,
+    values: dict[str, float],
+) -> Identified:
+    from tailbeat.cli.display import Display
+    from tailbeat.cli.keys import terminal_keys
+    from tailbeat.cli.person import TerminalPerson
+    from tailbeat.model.guided import identify_fish
+    from tailbeat.model.lent import safe_folder
+    from tailbeat.results import SPEED_SOURCES
+
+    wait = not (asked.yes or fish.info().simulated)
+    if wait and asked.json:
+        raise InputError(
+            "nobody can be asked before each run with --json.",
+            "Add --yes when the fish is free to swim four times by itself.",
+        )
+    by_hand = not asked.alone and SPEED_SOURCES[round(values["SPD_SOURCE"])] == "upload"
+    with ExitStack() as stack:
+        display = stack.enter_context(Display(quiet=asked.json))
+        there = None
+        if display.moves and sys.stdin.isatty():
+            # the names of files with speeds are typed in lines
+            keys = None if by_hand else stack.enter_context(terminal_keys())
+            there = _There(fish, live, display, TerminalPerson(display, keys), not by_hand, asked)
+        # a bar would overwrite the questions
+        quiet = asked.json or wait or by_hand or (there is not None and not asked.alone)
+        show = stack.enter_context(progress_bar(quiet, "identify"))
+        attendant = _attendant(limits, book, wait, asked.alone, asked.json, show, there)
+        attendant = replace(attendant, guard=live.guard)
+        return identify_fish(fish, attendant, safe_folder(book), live.camera, limits)
+
+
+@dataclass(frozen=True)
+class _There:
+    """Somebody at the terminal, who sees each run and, with ``keys``, stops it with one."""
+
+    fish: Fish
+    live: Live
+    display: Display
+    person: TerminalPerson
+    keys: bool
+    asked: _Asked
+
+    def ready(self, wait: bool) -> None:
+        """What goes before a run; nothing with --yes."""
+        from tailbeat.day.ritual import GivenUp, Wanted, countdown, prepare
+
+        if self.asked.alone:
+            return
+        if not self.keys:
+            _wait_for_enter(wait)
+        elif wait and not self.person.confirm("Put the fish at rest at its wall. Ready?"):
+            raise GivenUp("not identified: the answer was no.", "The board has back what it held.")
+        wanted = Wanted(rest_s=self.asked.rest_s)
+        prepare(self.fish, wanted, self.live.camera, self.person)
+        countdown(self.fish, wanted, self.person)
+
+    def follow(self, event: dict[str, Any], run: Run) -> None:
+        """Shows it."""
+        if event["event"] == "beat":
+            stops = "; any key stops it" if self.keys else ""
+            self.display.show(f"run {run.number}, beat {event['beat'] + 1}{stops}")
+        else:
+            self.person.tell(event)
+
+
+def _wait_for_enter(wait: bool) -> None:
+    if wait:
+        typer.prompt(
+            "Put the fish at rest at its wall, then press Enter (Ctrl-C ends it)",
+            default="", show_default=False, prompt_suffix=" ", err=True,
+        )  # fmt: skip
+
+
+def _note(text: str) -> None:
+    typer.echo(f"tailbeat: {text}", err=True)
+
+
+def _attendant(
+    limits: Limits,
+    book: Logbook | None,
+    wait: bool,
+    alone: bool,
+    json: bool,
+    show: Any,
+    there: _There | None = None,
+) -> Attendant:
+    """Whoever sees to it. ``alone``: nobody who could be asked for speeds."""
     from tailbeat.logbook import RUN
-    from tailbeat.model.guided import Person
+    from tailbeat.model.guided import Attendant
     from tailbeat.model.runs import FRACTIONS
 
     now: list[Run] = []
@@ -204,18 +343,19 @@ def _person(
         now.append(run)
         if not json:
             typer.echo(_run_text(run, limits), err=True)
-        if wait:
-            typer.prompt(
-                "Put the fish at rest at its wall, then press Enter (Ctrl-C ends it)",
-                default="", show_default=False, prompt_suffix=" ", err=True,
-            )  # fmt: skip
+        if there is not None:
+            there.ready(wait)
+        else:
+            _wait_for_enter(wait)
 
     def follow(event: dict[str, Any]) -> None:
-        if event["event"] == "beat" and now:
+        if there is not None and not alone:
+            there.follow(event, now[-1])
+        elif event["event"] == "beat" and now:
             done = (len(now) - 1 + (event["beat"] + 1) / now[-1].beats) / (len(FRACTIONS) + 1)
             show(min(done, 1.0), f"run {now[-1].number}, beat {event['beat'] + 1}")
         elif event["event"] in ("warning", "hold", "guard"):
-            typer.echo(f"tailbeat: {event.get('text') or event.get('reason')}", err=True)
+            _note(event.get("text") or event.get("reason") or "")
 
     def speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
         from tailbeat.speedcsv import read_speeds
@@ -231,10 +371,8 @@ def _person(
         if book is not None:
             book.keep(path, RUN)
 
-    def note(text: str) -> None:
-        typer.echo(f"tailbeat: {text}", err=True)
-
-    return Person(before, None if alone else speeds, follow, keep, note)
+    stop = there.person.wants_abort if there is not None else lambda: False
+    return Attendant(before, None if alone else speeds, follow, keep, _note, wants_abort=stop)
 
 
 def _run_text(run: Run, limits: Limits) -> str:

@@ -54,17 +54,20 @@ def discard_and_keep(
 
 
 def _journal_discard(fish: Fish, number: int, repeat: bool, reason: str) -> None:
-    """Into the experiment the fish is in, when the trial is of it or somebody says why."""
+    """Into the experiment the fish is in, when the trial is of it or somebody says why. One of
+    another reference is none of its trials."""
     from tailbeat.day.account import Account
     from tailbeat.day.logs import keep_log, outcome_of
     from tailbeat.day.person import Decision
     from tailbeat.day.swums import swum_of
-    from tailbeat.experiment.current import current, require_same
+    from tailbeat.experiment.current import current, reference_crc, require_same
 
     if (experiment := current(fish)) is None:
         return
     account = Account(experiment, experiment.journal)
     if not reason and account.last_trial() != number:
+        return
+    if reference_crc(experiment) not in (None, fish.status().reference_crc):
         return
     require_same(fish, experiment)
     log = keep_log(fish, experiment, number)

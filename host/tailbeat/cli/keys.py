@@ -11,6 +11,9 @@ from typing import Protocol
 from tailbeat.errors import TailbeatError
 
 _CTRL_C = "\x03"
+_SPECIAL = ("\0", "\xe0")  # Windows
+_ESCAPE = b"\x1b"
+_ARROW_S = 0.05  # the rest of its sequence follows at once, also over a network
 
 
 class TerminalGone(TailbeatError):
@@ -33,7 +36,8 @@ class Keys(Protocol):
         """What was typed before a question is no answer to it."""
 
     def key(self, timeout_s: float) -> str | None:
-        """The next key, in small letters; None when none comes in time. Raises TerminalGone."""
+        """The next key, in small letters; None when none comes in time, or one that is no letter
+        (an arrow). Raises TerminalGone."""
 
     def line(self) -> str:
         """What is typed up to Enter, seen as it is typed."""
@@ -60,6 +64,9 @@ if sys.platform == "win32":
                     return None
                 time.sleep(0.02)
             key = msvcrt.getwch().lower()
+            if key in _SPECIAL:  # of two characters, the second often a letter
+                msvcrt.getwch()
+                return None
             if key == _CTRL_C:
                 raise KeyboardInterrupt
             return key
@@ -110,7 +117,12 @@ else:
         def key(self, timeout_s: float) -> str | None:
             if not self._gone and not self._ready(timeout_s):
                 return None
-            return self._read().decode(errors="replace")[:1].lower()
+            piece = self._read()
+            if piece == _ESCAPE and self._ready(_ARROW_S):
+                piece += self._read()
+            if piece.startswith(_ESCAPE) and len(piece) > 1:
+                return None
+            return piece.decode(errors="replace")[:1].lower()
 
         def line(self) -> str:
             self.restore()

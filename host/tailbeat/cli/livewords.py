@@ -14,11 +14,20 @@ SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
 _SILENT_S = 1.5  # of board time: it says something every second
 _MARKS = {True: "ok", False: "no", None: ".."}
 
-LINK_NEWS = {
+_LINK_NEWS = {
     "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
     "link_back": "the link is back",
     "interrupted": "Ctrl-C: the tail is being stopped",
 }
+
+
+def link_news(event: Event) -> str | None:
+    """What happened to the connection; None for everything else."""
+    words = _LINK_NEWS.get(event["event"])
+    if words is None or event["event"] != "link_back":
+        return words
+    swims = event["state"] == "RUNNING"
+    return f"{words}; {'it swims on' if swims else 'the board has stopped the tail meanwhile'}"
 
 
 def loud(event: Event) -> str | None:

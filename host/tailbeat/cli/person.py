@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+from tailbeat.cli.ending import ended
 from tailbeat.cli.livewords import (
-    LINK_NEWS,
     countdown_text,
     decided_text,
     learned_text,
+    link_news,
     live_text,
     loud,
     step_text,
@@ -26,9 +27,11 @@ if TYPE_CHECKING:
     from tailbeat.day.swum import Swum
 
 _LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
-_KINDS = {"k": "keep", "r": "repeat", "d": "discard"}
+KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}
+COUNTS = {"c": ("keep", "it counts"), "d": ("discard", "discard")}  # of a repeat
 _ENTER = ("\r", "\n")
 _ESCAPE = "\x1b"
+_FIRST_STEP = "board"  # of the ritual: what was typed before it is not meant for it
 
 
 class Undecided(TailbeatError):
@@ -38,7 +41,8 @@ class Undecided(TailbeatError):
 class TerminalPerson:
     """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
     who is there and stopped the swim is asked all the same, before it is learned from. ``idle`` is
-    called again and again while a question waits."""
+    called again and again while a question waits. ``kinds``: letter to kind of decision and its
+    word."""
 
     def __init__(
         self,
@@ -46,12 +50,19 @@ class TerminalPerson:
         keys: Keys | None,
         then: Decision | None = None,
         idle: Callable[[], None] = lambda: None,
+        kinds: Mapping[str, tuple[str, str]] = KINDS,
     ) -> None:
+        self._kinds = kinds
         self._display, self._keys, self._then, self._idle = display, keys, then, idle
+        self._enter_may_follow = False  # the one that many type after a letter
 
     def tell(self, event: Event) -> None:
         """Shows it."""
         kind, display = event["event"], self._display
+        if self._keys is not None and kind == "step" and event["step"] == _FIRST_STEP:
+            self._keys.forget()
+        if kind in ("countdown", "started"):
+            self._enter_may_follow = False
         if kind == "step":
             line = step_text(event)
             display.show(line) if event["ok"] is None else display.keep(line)
@@ -69,14 +80,18 @@ class TerminalPerson:
             display.keep(learned_text(event))
         elif kind == "verdict":
             display.keep(event["words"])
-        elif kind in LINK_NEWS:
-            display.keep(f"tailbeat: {LINK_NEWS[kind]}", loud=True)
-        elif (words := loud(event)) is not None:
+        elif (words := link_news(event) or loud(event)) is not None:
             display.keep(f"tailbeat: {words}", loud=True)
 
     def wants_abort(self) -> bool:
-        """Any key."""
-        return self._keys is not None and self._keys.pressed()
+        """Any key, but for the Enter after an answer."""
+        keys = self._keys
+        if keys is None or not keys.pressed():
+            return False
+        if self._enter_may_follow:
+            self._enter_may_follow = False
+            return keys.key(0.0) not in _ENTER
+        return True
 
     def decide(self, swum: Swum) -> Decision:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
@@ -106,14 +121,17 @@ class TerminalPerson:
         return key == "y"
 
     def _ask(self, keys: Keys, swum: Swum, proposal: Decision) -> Decision:
-        letters = tuple(k for k in _KINDS if k != "k" or swum.measured_beats > 0)
-        words = ", ".join(f"{letter} = {_KINDS[letter]}" for letter in letters)
+        letters = [
+            k for k, (kind, _) in self._kinds.items() if kind != "keep" or swum.measured_beats
+        ]
+        words = ", ".join(f"{letter} = {self._kinds[letter][1]}" for letter in letters)
+        usual = next(pair for pair in self._kinds.values() if pair[0] == proposal.kind)
         keys.forget()  # the key that stopped the tail is no answer
         self._display.bell()
-        self._display.ask(f"{words}, Enter = {proposal.kind}: ")
+        self._display.ask(f"{words}, Enter = {usual[1]}: ")
         key = self._key(keys, (*letters, *_ENTER))
-        kind = proposal.kind if key in _ENTER else _KINDS[key]
-        self._display.keep(kind)
+        kind, word = usual if key in _ENTER else self._kinds[key]
+        self._display.keep(word)
         if kind == "keep":
             return Decision("keep")
         return Decision(kind, self._reason(keys, proposal.reason))  # type: ignore[arg-type]
@@ -122,14 +140,18 @@ class TerminalPerson:
         while True:
             self._display.ask(f"why? [{usual}] " if usual else "why? ")
             if reason := keys.line() or usual:
+                self._enter_may_follow = False
                 return reason
 
     def _key(self, keys: Keys, wanted: tuple[str, ...]) -> str:
         """One of ``wanted``, however long it takes; Escape puts the question off, as Ctrl-C."""
         while True:
             key = keys.key(_LOOK_S)
+            if why := ended():
+                raise KeyboardInterrupt(why)
             if key == _ESCAPE:
-                raise KeyboardInterrupt
+                raise KeyboardInterrupt("put off")
             if key is not None and key in wanted:
+                self._enter_may_follow = key not in _ENTER
                 return key
             self._idle()

@@ -29,7 +29,7 @@ What = Annotated[
     typer.Argument(
         metavar="REFERENCE",
         help="thesis[:V,DURATION_S], trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV "
-        "with t_s,v_m_s.",
+        "with t_s,v_m_s (a curve's points) or beat,t_s,v_m_s (beat means, as written here).",
     ),
 ]
 

@@ -16,13 +16,14 @@ from tailbeat.cli.cameraoptions import (
     marker_of,
 )
 from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.errors import InputError
 
 if TYPE_CHECKING:
     from tailbeat.cli.display import Display
     from tailbeat.cli.keys import Keys
     from tailbeat.cli.person import TerminalPerson
     from tailbeat.day.first import Step
-    from tailbeat.day.resume import Restored
+    from tailbeat.day.restore import Restored
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish
 
@@ -50,6 +51,12 @@ IntoOption = Annotated[
     Path | None,
     typer.Option("--into", metavar="FOLDER", help="The experiment; default: the one it is in."),
 ]
+RestOption = Annotated[
+    float | None,
+    typer.Option(
+        "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim (30 s)."
+    ),
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
 
 
@@ -58,6 +65,7 @@ def first(
     reference: Annotated[
         str, typer.Option("--reference", help="What it is to swim, as for 'reference upload'.")
     ] = "thesis",
+    rest: RestOption = None,
     yes: Yes = False,
     camera: CameraOption = None,
     calibration: CalibrationOption = None,
@@ -85,11 +93,13 @@ def first(
     options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
         from tailbeat.day.first import first_session
+        from tailbeat.day.ritual import Wanted
 
         display, keys = there
+        ritual = Wanted() if rest is None else Wanted(rest_s=rest)
         person = _person(display, keys, yes)
         steps = []
-        for step in first_session(fish, wanted, person, live.camera, live.guard):
+        for step in first_session(fish, wanted, person, live.camera, live.guard, ritual):
             display.keep(_step_text(step))
             steps.append(step)
         limits = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
@@ -108,12 +118,7 @@ def resume(
     repeat: Annotated[
         bool, typer.Option("--repeat/--no-repeat", help="Swim the best once to tell the shift.")
     ] = True,
-    rest: Annotated[
-        float | None,
-        typer.Option(
-            "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim (30 s)."
-        ),
-    ] = None,
+    rest: RestOption = None,
     yes: Yes = False,
     camera: CameraOption = None,
     calibration: CalibrationOption = None,
@@ -137,10 +142,12 @@ def resume(
     on_fish = marker_of(marker, marker_id, marker_side)
     options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
-        from tailbeat.day.resume import restore
+        from tailbeat.day.restore import restore
 
         display, keys = there
-        experiment = _experiment(fish, into)
+        if (experiment := _found(fish, into)) is None:
+            _put_back_alone(fish, json)
+            return
         restored = restore(fish, experiment, another_board)
         for line in _restored_lines(restored, experiment):
             display.keep(line)
@@ -150,7 +157,7 @@ def resume(
             text = f"nothing to repeat{why}; go on: tailbeat trial run"
             say(json, document | {"trial": None, "shift": None}, text)
             return
-        person = _person(display, keys, yes)
+        person = _person(display, keys, yes, repeats=True)
         shift = _repeated(fish, experiment, person, live, rest)
     lines = [shift.words, f"the amplitudes of iteration {restored.iteration} swim next, as before"]
     say(json, document | {"trial": shift.repeat_trial, "shift": shift}, "\n".join(lines))
@@ -174,7 +181,7 @@ def status(into: IntoOption = None, connect: Connect = None, json: Json = False)
 def _repeated(
     fish: Fish, experiment: Experiment, person: TerminalPerson, live: Any, rest: float | None
 ) -> Any:
-    from tailbeat.day.resume import repeat_best
+    from tailbeat.day.repeat import repeat_best
     from tailbeat.day.ritual import Wanted
     from tailbeat.day.series import Options
 
@@ -183,18 +190,35 @@ def _repeated(
     return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
 
 
-def _experiment(fish: Fish, into: Path | None) -> Experiment:
-    from tailbeat.errors import InputError
+def _found(fish: Fish, into: Path | None) -> Experiment | None:
     from tailbeat.experiment import Experiment
     from tailbeat.experiment.current import current
 
-    found = Experiment.open(into) if into is not None else current(fish)
-    if found is None:
-        raise InputError(
-            f"this fish ({fish.unique_id()}) is in no experiment.",
-            "Name it: --into FOLDER (tailbeat experiment list), or begin one: tailbeat trial run",
-        )
+    return Experiment.open(into) if into is not None else current(fish)
+
+
+def _experiment(fish: Fish, into: Path | None) -> Experiment:
+    if (found := _found(fish, into)) is None:
+        raise _in_none(fish)
     return found
+
+
+def _in_none(fish: Fish) -> InputError:
+    return InputError(
+        f"this fish ({fish.unique_id()}) is in no experiment.",
+        "Name it: --into FOLDER (tailbeat experiment list), or begin one: tailbeat trial run",
+    )
+
+
+def _put_back_alone(fish: Fish, json: bool) -> None:
+    """A fish in no experiment: only what a trim or an identification has left can be put back."""
+    from tailbeat.logbook import logbook_of
+    from tailbeat.model.lent import put_back_left, safe_folder
+
+    notes: list[str] = []
+    if not put_back_left(fish, safe_folder(logbook_of(fish)), notes.append):
+        raise _in_none(fish)
+    say(json, {"experiment": None, "notes": notes}, f"{notes[0]}\nit has it back")
 
 
 class _Terminal:
@@ -217,14 +241,20 @@ class _Terminal:
         self._stack.__exit__(*what)
 
 
-def _person(display: Display, keys: Keys | None, yes: bool) -> TerminalPerson:
-    from tailbeat.cli.person import TerminalPerson
+def _person(
+    display: Display, keys: Keys | None, yes: bool, repeats: bool = False
+) -> TerminalPerson:
+    """``yes``: every answer is yes. ``repeats``: of a swim only whether it counts is asked."""
+    from tailbeat.cli.person import COUNTS, KINDS, TerminalPerson
+    from tailbeat.day.person import Decision
 
     class Agreeing(TerminalPerson):
         def confirm(self, question: str) -> bool:
             return True
 
-    return (Agreeing if yes else TerminalPerson)(display, keys)
+    then = Decision("keep") if yes and repeats else None
+    kinds = COUNTS if repeats else KINDS
+    return (Agreeing if yes else TerminalPerson)(display, keys, then, kinds=kinds)
 
 
 def _step_text(step: Step) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,7 +27,7 @@ from tailbeat.cli.livecamera import (
     lateness_warning,
     live_camera,
 )
-from tailbeat.cli.livewords import LINK_NEWS, loud
+from tailbeat.cli.livewords import link_news, loud
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish, Guard
@@ -119,7 +120,7 @@ def run(
     options = LiveOptions(camera, on_fish, calibration, latency, video, wall)
     given = GuideOptions(guide, rest, until, into, then, reason, learn)
     guided = given.wanted()
-    with connected(connect) as fish, live_camera(fish, options) as live:
+    with _ctrl_c_told(), connected(connect) as fish, live_camera(fish, options) as live:
         if guided:
             run_guided(fish, live, given, json)
             return
@@ -137,12 +138,26 @@ def run(
         raise typer.Exit(1)
 
 
+@contextmanager
+def _ctrl_c_told() -> Iterator[None]:
+    """Also before anything swims, and when somebody is impatient."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        why = str(interrupt) or "stopped by Ctrl-C"
+        typer.echo(f"tailbeat: {why}; nothing is lost", err=True)
+        raise typer.Exit(130) from None
+
+
 def _with_room(fish: Fish, guard: Guard | None) -> Guard:
-    """Refuses a swim that the tank has no room for, and ends one that comes farther."""
+    """Refuses a swim along what is not the fish's own, and one that the tank has no room for; ends
+    one that comes farther."""
+    from tailbeat.experiment.current import require_own
     from tailbeat.guards import together
     from tailbeat.logbook import logbook_of
     from tailbeat.travel import room_guard, travel_next
 
+    require_own(fish)
     book = logbook_of(fish)
     travel_next(fish, book).require_room()
     return together(guard, room_guard(fish, book))
@@ -160,9 +175,7 @@ def _follower(
         if event["event"] == "beat":
             speed = mm(event.get("speed_m_s"))
             show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-        elif event["event"] in ("link_lost", "link_back"):
-            typer.echo(f"tailbeat: {LINK_NEWS[event['event']]}", err=True)
-        elif (words := loud(event)) is not None:
+        elif (words := link_news(event) or loud(event)) is not None:
             typer.echo(f"tailbeat: {words}", err=True)
 
     return follow

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.day.battery import Drain
 from tailbeat.day.person import KINDS, Decision
 from tailbeat.errors import InputError
+from tailbeat.experiment.current import reference_crc
 from tailbeat.trial_log import read_trial
 
 if TYPE_CHECKING:
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from tailbeat.trial_log import Trial
 
 Entry = dict[str, Any]
+_CLOCKS_AGREE_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -31,19 +34,54 @@ class Account:
     experiment: Experiment
     journal: Journal
 
-    def begun(self, trial: int, iteration: int, ready: Ready | None, battery_v: float) -> None:
-        """Before the countdown: whatever happens from now on, this trial is asked for."""
+    def begun(
+        self, trial: int, iteration: int, ready: Ready | None, battery_v: float, board_s: float
+    ) -> None:
+        """Before the countdown: whatever happens from now on, this trial is asked for. ``board_s``:
+        now, by the board's clock."""
         self.journal.add(
-            "begun", trial=trial, iteration=iteration, **_found(ready), battery_start_v=battery_v
+            "begun",
+            trial=trial,
+            iteration=max(1, iteration),  # a board that was never armed counts from 0
+            **_found(ready),
+            battery_start_v=battery_v,
+            board_s=board_s,
         )
 
-    def open_trial(self) -> int | None:
-        """A trial that was begun and is not known to have been swum."""
+    def is_begun(self, trial: Trial) -> bool:
+        """Whether a log is of the swim that was begun last: by its number, its reference, and that
+        it started later."""
         last = self._last(("begun", "swum", "void"))
-        return int(last["trial"]) if last is not None and last["what"] == "begun" else None
+        crc = reference_crc(self.experiment)
+        if (
+            last is None
+            or last.get("trial") != trial.number
+            or crc not in (None, trial.reference_crc)
+        ):
+            return False
+        begun_s = last.get("board_s") if last["what"] == "begun" else None
+        return begun_s is None or trial.start_us * 1e-6 >= begun_s - _CLOCKS_AGREE_S
+
+    def first_yaw_deg(self, since: datetime) -> float | None:
+        """Of the IMU at the first start after ``since`` and after the battery was last changed:
+        the IMU counts its yaw anew when it is switched on."""
+        found = None
+        for entry in self.journal.entries():
+            if entry["what"] == "resumed":
+                found = None
+            pose = entry.get("pose") if entry["what"] == "begun" else None
+            if found is None and pose and datetime.fromisoformat(entry["time"]) >= since:
+                found = pose.get("yaw_deg")
+        return found
+
+    def open_trial(self) -> int | None:
+        """A trial that was begun and is not known to have been swum, or on which nobody decided."""
+        last = self._last(("begun", "swum", "void", "decided", "learned"))
+        is_open = last is not None and last["what"] in ("begun", "swum")
+        return int(last["trial"]) if is_open and last is not None else None
 
     def void(self, trial: int, end: str) -> None:
-        """It ended before its first beat; the board has no log of it."""
+        """Given up, or ended before its first beat; the board has no log of it."""
         self.journal.add("void", trial=trial, end=end)
 
     def last_trial(self) -> int | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from tailbeat.day.board import STOPPED, dangerous, stop_words
+from tailbeat.day.board import STOPPED, dangerous, settled, stop_words
+from tailbeat.day.person import Decision
 from tailbeat.errors import InputError, Refused, TailbeatError
 from tailbeat.experiment.board import copy_state
 from tailbeat.logbook import DISCARDED, logbook_of
@@ -13,7 +14,7 @@ from tailbeat.verdict import rollback_words
 
 if TYPE_CHECKING:
     from tailbeat.day.account import Account
-    from tailbeat.day.person import Decision, Person
+    from tailbeat.day.person import Person
     from tailbeat.day.swum import Swum
     from tailbeat.fish import Fish
     from tailbeat.results import BoardStatus, LearnReport
@@ -47,7 +48,7 @@ class Office:
         InputError for what cannot be."""
         decision = self.account.decision_on(swum.file)
         if decision is None:
-            decision = self.person.decide(swum)
+            decision = self._of_itself(swum) or self.person.decide(swum)
             self._require_possible(swum, decision)
             self.account.decided(swum, decision)
         told = {"trial": swum.outcome.number, "decision": decision.kind, "reason": decision.reason}
@@ -59,6 +60,9 @@ class Office:
         rule of the board's own. Raises Refused; then it is asked again."""
         self._file(swum, decision)
         status = self.fish.status()
+        number = swum.outcome.number
+        if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
+            status = settled(self.fish, number)
         if status.state in STOPPED:
             if dangerous(status.fault):
                 return Done(left=stop_words(status))
@@ -69,6 +73,7 @@ class Office:
         except Refused as refused:
             self.account.withdrawn(swum, str(refused))
             raise
+        self._require_done(swum, decision)
         copy_state(self.fish, self.account.experiment)
         return Done(learned)
 
@@ -79,6 +84,15 @@ class Office:
         if report.rolled_back:
             self.person.tell({"event": "notice", "text": _ROLLED_BACK})
 
+    def _of_itself(self, swum: Swum) -> Decision | None:
+        """Of a swim without a speed that the board does not hold: nobody can bring it any."""
+        number, end = swum.outcome.number, swum.outcome.end
+        if swum.measured_beats or self.fish.status().pending_trial == number:
+            return None
+        text = f"trial {number} ({end}) has no speeds: discarded, it counts for nothing"
+        self.person.tell({"event": "notice", "text": text})
+        return Decision("discard", f"{end}, no speeds")
+
     def _require_possible(self, swum: Swum, decision: Decision) -> None:
         number = swum.outcome.number
         if decision.kind == "keep" and swum.measured_beats == 0:
@@ -87,6 +101,27 @@ class Office:
                 f"Upload them (tailbeat speed upload --trial {number}), or discard it:"
                 " tailbeat trial discard --reason WHY",
             )
+
+    def _require_done(self, swum: Swum, decision: Decision) -> None:
+        """Another program may have answered while this one asked. Raises TailbeatError."""
+        number, status = swum.outcome.number, self.fish.status()
+        waits = status.pending_trial == number
+        learned = status.last_learned_trial == number
+        if decision.kind != "keep" and learned:
+            what, remedy = (
+                "has learned from it",
+                "To swim the best so far next: tailbeat learn --restore-best",
+            )
+        elif decision.kind == "keep" and swum.measured_beats and not (learned or waits):
+            what, remedy = "does not hold it any more and has not learned from it", "Swim it again"
+        else:
+            return
+        self.account.withdrawn(swum, f"the board {what}")
+        raise TailbeatError(
+            f"trial {number} was decided on ({decision.kind}), but the board {what}: another "
+            "program was quicker; the decision is withdrawn",
+            f"{remedy}. See that only one program swims this fish.",
+        )
 
     def _file(self, swum: Swum, decision: Decision) -> None:
         """Into the fish's logbook; one that cannot take it is no reason to stop."""

@@ -14,24 +14,24 @@ from typing import TYPE_CHECKING
 
 from tailbeat.day.proof import prove
 from tailbeat.day.raising import RAISE_MAX_RAD, Raise, needed_rad, next_raise, servo_rad
-from tailbeat.day.ritual import GivenUp
+from tailbeat.day.ritual import GivenUp, Wanted, countdown, prepare
 from tailbeat.day.trim import apply, find_centre
 from tailbeat.doctor import PROBLEM, look_at
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.logbook import RUN, logbook_of, name_reference
-from tailbeat.model.lent import safe_folder, set_for_good
+from tailbeat.model.lent import put_back_left, safe_folder, set_for_good
 from tailbeat.results import SPEED_SOURCES
 from tailbeat.straight import straightness
 from tailbeat.trial_log import read_trial
 
 if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
-    from tailbeat.day.person import Event, Person
+    from tailbeat.day.person import Person
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish, Guard
     from tailbeat.laws import Law
     from tailbeat.logbook import Logbook
-    from tailbeat.model import guided
+    from tailbeat.model.guided import Attendant
     from tailbeat.model.identified import Identified
     from tailbeat.model.runs import Run
     from tailbeat.reference import Reference
@@ -61,11 +61,13 @@ def first_session(
     person: Person,
     camera: Camera | None = None,
     guard: Guard | None = None,
+    wanted: Wanted | None = None,
 ) -> Iterator[Step]:
     """Yields each step when it is done. Asks (person.confirm) before the fish swims and before
-    anything is raised; saves what it sets. Uploads the reference. Ends early, with a step that is
-    not done, when one fails that the next ones need. Raises LinkLostError."""
-    session = _Session(fish, reference, person, camera, guard)
+    anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
+    reference. Ends early, with a step that is not done, when one fails that the next ones need.
+    Raises LinkLostError."""
+    session = _Session(fish, reference, person, camera, guard, wanted or Wanted())
     needed: list[tuple[str, Callable[[], Step], bool]] = [
         ("look", session.look, True),
         ("trim", session.trim, False),
@@ -130,13 +132,16 @@ class _Session:
     person: Person
     camera: Camera | None
     guard: Guard | None
+    wanted: Wanted
     straight: Straightness | None = field(default=None, init=False)
     identified: Identified | None = field(default=None, init=False)
 
     def look(self) -> Step:
         """Whether it can swim at all; then the reference."""
-        fish, params = self.fish, _params(self.fish)
+        fish = self.fish
+        put_back_left(fish, safe_folder(logbook_of(fish)), self._note)
         _require_idle(fish)
+        params = _params(fish)
         findings = look_at(fish)
         problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
         told = [f"{one.name}: {one.text}" for one in findings if one.status != PROBLEM]
@@ -191,9 +196,9 @@ class _Session:
         fish = self.fish
         if self.camera is None and fish.sim is None and not fish.imu_verdict().problem.well:
             text = "left out: no IMU and no camera to feel a turn by"
-            self.person.tell({"event": "notice", "text": f"trim {text}"})
+            self._note(f"trim {text}")
             return Step("trim", False, text)
-        found = find_centre(fish, self.person, self.camera, self.guard)
+        found = find_centre(fish, self.person, self.camera, self.guard, self.wanted)
         words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
         if abs(found.centre_us - found.was_us) <= found.sigma_us:
             return Step("trim", True, f"{words} ({found.source}); {found.was_us:.0f} us stays")
@@ -206,7 +211,8 @@ class _Session:
         from tailbeat.model.guided import identify_fish, set_params
 
         book = logbook_of(self.fish)
-        found = identify_fish(self.fish, self._guided(book), safe_folder(book), self.camera)
+        attendant = self._attendant(book)
+        found = identify_fish(self.fish, attendant, safe_folder(book), self.camera)
         self.identified = found
         if book is not None:
             book.set_identified(found)
@@ -220,27 +226,27 @@ class _Session:
             f"{model.delay_s:.2f} s",
         )
 
-    def _guided(self, book: Logbook | None) -> guided.Person:
-        from tailbeat.model import guided
+    def _attendant(self, book: Logbook | None) -> Attendant:
+        from tailbeat.model.guided import Attendant
 
         def before(run: Run) -> None:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
             text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
             self._ask(text, "Not identified")
+            prepare(self.fish, self.wanted, self.camera, self.person)
+            countdown(self.fish, self.wanted, self.person)
 
-        return guided.Person(
+        return Attendant(
             before=before,
-            event=self._event,
+            event=self.person.tell,
             keep=lambda path: self._keep(path, book),
-            note=lambda text: self.person.tell({"event": "notice", "text": text}),
+            note=self._note,
+            guard=self.guard,
+            wants_abort=self.person.wants_abort,
         )
 
-    def _event(self, event: Event) -> None:
-        self.person.tell(event)
-        if event["event"] == "beat" and self.person.wants_abort():
-            raise GivenUp(
-                "stopped by hand", "Nothing was raised; begin again when it is put right."
-            )
+    def _note(self, text: str) -> None:
+        self.person.tell({"event": "notice", "text": text})
 
     def _keep(self, path: Path, book: Logbook | None) -> None:
         self.straight = straightness(read_trial(path)) or self.straight
@@ -274,7 +280,9 @@ class _Session:
         assert self.identified is not None
         text = f"{found.text}. One short swim proves it. {_HANDS}"
         self._ask(text, f"{found.name} stays {found.was:.2f}")
-        proof = prove(self.fish, found.to, self.identified, self.person, self.camera, self.guard)
+        proof = prove(
+            self.fish, found.to, self.identified, self.person, self.camera, self.guard, self.wanted
+        )
         self.straight = proof.straight or self.straight
         if proof.why_not:
             return Step("limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}")

@@ -46,6 +46,23 @@ def trial_is_safe(number: int, experiment: Experiment) -> Iterator[None]:
         ) from error
 
 
+def peek_log(fish: Fish, experiment: Experiment, number: int) -> Trial:
+    """Pulls the log and keeps nothing. Raises InputError (disk full)."""
+    with trial_is_safe(number, experiment):
+        folder = experiment.folder / ".pulling"
+        folder.mkdir(exist_ok=True)
+        return read_trial(fish.pull_trial(number, folder))
+
+
+def drop_peeked(experiment: Experiment, number: int) -> None:
+    """Of a log that is not to be kept, and what the camera may have seen of a swim before it."""
+    folder = experiment.folder / ".pulling"
+    with contextlib.suppress(OSError):
+        (folder / f"{number:04d}.ulg").unlink(missing_ok=True)
+        stash_of(experiment, number).drop()
+        folder.rmdir()
+
+
 def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
     """Pulls the log (an interrupted pull goes on), and keeps it and the positions of the camera.
     Raises InputError (disk full)."""

@@ -43,6 +43,8 @@ def wait_for_pose(
             return pose
         wrong = wrong or "asks the IMU, too"
         if step.is_late:
+            if sight is not None and not sight.frames:
+                raise step.refuse(wrong, sight.blind_remedy())
             raise step.refuse(f"the fish does not lie as it should: {wrong}", _REMEDY)
         step.tell(wrong)
         step.wait()

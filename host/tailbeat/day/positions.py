@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tailbeat.camera.base import Frame
-from tailbeat.lasting import write_whole
+from tailbeat.lasting import MAKE_ROOM, write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,7 +51,7 @@ class Stash:
             for frame in frames
         ]
         self.path.parent.mkdir(exist_ok=True)
-        write_whole(self.path, as_csv(rows, 0.0))
+        write_whole(self.path, as_csv(rows, 0.0), MAKE_ROOM)
 
     def take(self, trial: Trial) -> list[Frame]:
         """Those of this very swim, time from its start; none when they are of another one that had

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.day.raising import AMP_MAX
+from tailbeat.day.ritual import countdown, prepare
 from tailbeat.day.shift import slope_of
 from tailbeat.errors import TailbeatError
 from tailbeat.guards import RoomGuard, together, when
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from tailbeat.camera.base import Camera
     from tailbeat.day.person import Person
+    from tailbeat.day.ritual import Wanted
     from tailbeat.fish import Fish, Guard
     from tailbeat.model.identified import Identified
     from tailbeat.results import TrialOutcome
@@ -56,9 +58,11 @@ def prove(
     person: Person,
     camera: Camera | None = None,
     guard: Guard | None = None,
+    wanted: Wanted | None = None,
 ) -> Proof:
     """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
-    afterwards, also when it fails. Raises TailbeatError when the swim ends early."""
+    afterwards, also when it fails. ``wanted``: of the ritual before it; None = none. Raises
+    TailbeatError when the swim ends early."""
     book = logbook_of(fish)
 
     def note(text: str) -> None:
@@ -73,9 +77,13 @@ def prove(
         amplitude = profile(amplitude_rad, identified, allowed)
         if amplitude is None:
             return Proof("", "the tank is too short even for the shortest swim with it", None)
-        fish.params.set(AMP_MAX, amplitude_rad)
         predicted = identified.model.beats(amplitude, 1.0)
-        replace(board, params=allowed).prepare("first session", amplitude, predicted)
+        replace(board, params=allowed).prepare(
+            "first session", amplitude, predicted, {AMP_MAX: amplitude_rad}
+        )
+        if wanted is not None:
+            prepare(fish, wanted, camera, person)
+            countdown(fish, wanted, person)
         watch = together(
             guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
             when(person.wants_abort, _BY_HAND),

@@ -18,7 +18,7 @@ from tailbeat.day.rest import rested_s, wait_for_rest, watch
 from tailbeat.day.sight import Sight
 from tailbeat.day.step import Step
 from tailbeat.day.stillness import wait_until_still
-from tailbeat.day.wanted import Drift, GivenUp, NotReady, Pose, Ready, Wanted
+from tailbeat.day.wanted import BatteryLow, Drift, GivenUp, NotReady, Pose, Ready, Wanted
 from tailbeat.errors import InputError
 from tailbeat.faults import TRIAL_PENDING, fault_info
 from tailbeat.logbook import logbook_of
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from tailbeat.travel import Travel
 
 __all__ = [
+    "BatteryLow",
     "Drift",
     "GivenUp",
     "NotReady",
@@ -131,10 +132,11 @@ def _look_at_battery(fish: Fish, step: Step, status: BoardStatus) -> None:
         return
     if round(status.battery_v * 1e3) < round(least_v * 1e3):
         _found_low.add(fish)
-        raise step.refuse(
+        refused = step.refuse(
             f"the battery has {status.battery_v:.2f} V, a swim needs {least_v:.2f} V to begin with",
             "Swap the battery, then begin again.",
         )
+        raise BatteryLow(refused.message, refused.remedy)
     _found_low.discard(fish)
     if status.battery_v < low_v + _RISE_V:
         step.notice(f"the battery is nearly empty: {status.battery_v:.2f} V; have a full one ready")

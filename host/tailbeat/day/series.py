@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING
 
 from tailbeat.day.account import Account
@@ -10,22 +12,24 @@ from tailbeat.day.battery import forecast, too_low
 from tailbeat.day.board import STOPPED, dangerous, make_safe, require_still, settled, stop_words
 from tailbeat.day.deciding import Done, Office
 from tailbeat.day.judging import judged, told
-from tailbeat.day.logs import keep_log, outcome_of
-from tailbeat.day.ritual import GivenUp, Wanted, countdown, prepare
+from tailbeat.day.logs import drop_peeked, keep_log, outcome_of, peek_log
+from tailbeat.day.person import Decision
+from tailbeat.day.ritual import BatteryLow, GivenUp, Wanted, countdown, prepare
 from tailbeat.day.swimming import Around, swim
 from tailbeat.day.swums import BY_HAND, swum_of
 from tailbeat.day.until import Until
 from tailbeat.errors import InputError, Refused
-from tailbeat.experiment.board import copy_state
-from tailbeat.experiment.current import require_same
+from tailbeat.experiment.board import copy_state, require_not_lost
+from tailbeat.experiment.current import require_own, require_same
+from tailbeat.experiment.lock import alone
 from tailbeat.experiment.redo import write_redo
-from tailbeat.faults import BATTERY_CRITICAL, BATTERY_LOW
+from tailbeat.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
 from tailbeat.logbook import logbook_of
 from tailbeat.travel import room_guard, travel_next
 
 if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
-    from tailbeat.day.person import Decision, DecisionKind, Person
+    from tailbeat.day.person import DecisionKind, Person
     from tailbeat.day.ritual import Ready
     from tailbeat.day.swum import Swum
     from tailbeat.experiment.folder import Experiment
@@ -35,18 +39,22 @@ if TYPE_CHECKING:
 
 __all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
 
+GOES_ON = "nothing is lost, the same command goes on from here"
+BY_CTRL_C = f"stopped by Ctrl-C; {GOES_ON}"
+
 
 @dataclass(frozen=True)
 class Options:
     """``wanted`` None: no ritual. ``learn``: kept swims are learned from at once; otherwise the
     series ends with the first, which waits. ``counts``: what a swim must have become to count for
-    ``until.swims``."""
+    ``until.swims``. ``of_best``: these are the repeats of the best after a battery swap."""
 
     until: Until = field(default_factory=Until)
     wanted: Wanted | None = field(default_factory=Wanted)
     learn: bool = True
     reconnect_s: float = 60.0
     counts: tuple[DecisionKind, ...] = ("keep",)
+    of_best: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,10 +97,41 @@ def swim_series(
     the way (disk full, link gone, Ctrl-C) the next call goes on where this one stopped and nothing
     is lost.
 
+    Raises InputError, and touches nothing, when the board holds what is not its own (a trim or a
+    repeat that was broken off), has lost what the copy of its state knows, or another program swims
+    in this experiment.
+
     A swim stopped by the person is decided on like any other; then the series ends. Raises what the
     ritual, the swim and the disk raise; the tail is still then."""
+    require_own(fish)
     require_same(fish, experiment)
-    require_still(fish)
+    with alone(experiment):
+        require_still(fish)
+        if not options.of_best:
+            _require_no_repeat(experiment)
+        require_not_lost(fish, experiment)
+        return _swim_series(fish, experiment, person, options, camera, guard)
+
+
+def _require_no_repeat(experiment: Experiment) -> None:
+    from tailbeat.day.repeat import AGAIN, Plan
+
+    if Plan.of(experiment) is not None:
+        raise InputError(
+            "a repeat of the best after a battery swap was broken off, and the board still has the"
+            " best amplitudes in place of those that swim next.",
+            f"To finish it: {AGAIN}",
+        )
+
+
+def _swim_series(
+    fish: Fish,
+    experiment: Experiment,
+    person: Person,
+    options: Options,
+    camera: Camera | None,
+    guard: Guard | None,
+) -> SeriesEnd:
     around = Around(fish, person, camera, guard, options.reconnect_s)
     account = Account(experiment, experiment.journal)
     series = _Series(around, account, options, Office(fish, person, account, options.learn))
@@ -101,9 +140,9 @@ def swim_series(
     except GivenUp as given_up:
         make_safe(fish)
         return series.end("interrupted", str(given_up))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         make_safe(fish)
-        return series.end("interrupted", "stopped by Ctrl-C; what was swum waits on the board")
+        return series.end("interrupted", f"{interrupt}; {GOES_ON}" if str(interrupt) else BY_CTRL_C)
     except BaseException:
         make_safe(fish)
         raise
@@ -143,21 +182,33 @@ class _Series:
         number = status.pending_trial or (open_trial if begun else None)
         if status.pending_trial is None:
             self._write_down_owed(status.last_learned_trial)
-        if number is not None and (number == status.pending_trial or self._has_log(number)):
+        if number is not None and (number == status.pending_trial or self._was_left(number)):
+            where = "waits on the board" if number == status.pending_trial else "was left undecided"
+            self._notice(f"trial {number} {where}; it is decided on first")
             return self._finish_old(number)
+        last = open_trial is not None and open_trial >= status.next_trial - 1
+        if last and status.fault.number == ABORT_COMMAND:
+            fish.clear()  # it was stopped before its first beat, most likely from here
         return self._cleared()
 
     def _finish_old(self, number: int) -> SeriesEnd | None:
         fish = self.around.fish
-        self._notice(f"trial {number} waits on the board; it is decided on first")
         log = keep_log(fish, self.account.experiment, number)
         swum = swum_of(outcome_of(log.trial), log, None)
         self._take(swum)
+        status = fish.status()
+        if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
+            self._gone(swum)
         decision = self.office.decide(swum)
         status = fish.status()
         if dangerous(status.fault) and (end := self._cleared()) is not None:
             return end
         return self._settle(swum, decision, counts=False)
+
+    def _gone(self, swum: Swum) -> None:
+        """It could have been learned from, and does not wait any more: somebody has dropped it."""
+        if self.account.decision_on(swum.file) is None:
+            self.account.decided(swum, Decision("discard", "dropped by another program"))
 
     def _cleared(self) -> SeriesEnd | None:
         """The board is not stopped, or the person lets it go on."""
@@ -169,6 +220,19 @@ class _Series:
             return self.end("stopped", f"{words} Then: tailbeat clear")
         self.around.fish.clear()
         return None
+
+    def _was_left(self, number: int) -> bool:
+        """Whether the board has the log of the swim that was begun last; one that another program
+        swam in its place, or before it, is none of this experiment's."""
+        if not self._has_log(number):
+            return False
+        fish, experiment = self.around.fish, self.account.experiment
+        if self.account.is_begun(peek_log(fish, experiment, number)):
+            return True
+        drop_peeked(experiment, number)
+        self.account.void(number, "another swim")
+        self._notice(f"trial {number} on the board is not the one that was begun here; it is left")
+        return False
 
     def _has_log(self, number: int) -> bool:
         return any(trial.number == number for trial in self.around.fish.trials())
@@ -214,6 +278,8 @@ class _Series:
         try:
             around = replace(self.around, camera=camera or own)
             swam = self._swim(around, *self._prepare(around))
+        except BatteryLow as low:
+            return self.end("battery", f"{low}")
         except Refused as refused:
             if refused.number != BATTERY_LOW:
                 raise
@@ -226,6 +292,8 @@ class _Series:
         swum, by_hand = swam
         decision = self.office.decide(swum)
         end = self._settle(swum, decision, counts=True)
+        if end is None and swum.outcome.end.endswith(f":{fault_info(REBOOT).name}"):
+            return self.end("stopped", _restart_words(swum.outcome.number))
         if end is None and by_hand:
             return self.end("interrupted", f"trial {swum.outcome.number} was {BY_HAND}")
         return end
@@ -244,13 +312,28 @@ class _Series:
                 self.yaw_deg = ready.pose.yaw_deg
         room, status = room_guard(fish, book), fish.status()
         volts = ready.battery_v if ready is not None else status.battery_v
-        self.account.begun(status.next_trial, status.iteration, ready, volts)
+        board_s = fish.clock.now_s()
+        self.account.begun(status.next_trial, status.iteration, ready, volts, board_s)
         if wanted is not None:
-            countdown(fish, wanted, person)
+            self._count_down(wanted, status.next_trial)
         return ready, room
 
+    def _count_down(self, wanted: Wanted, number: int) -> None:
+        try:
+            countdown(self.around.fish, wanted, self.around.person)
+        except BaseException:
+            with contextlib.suppress(InputError):  # what ended the countdown is what is told
+                self.account.void(number, "not started")
+            raise
+
     def _start_yaw_deg(self, wanted: Wanted) -> float | None:
-        return self.yaw_deg if wanted.start_yaw_deg is None else wanted.start_yaw_deg
+        """Of the first start of this call, else of the first one since the board was switched
+        on."""
+        if wanted.start_yaw_deg is not None or self.yaw_deg is not None:
+            return self.yaw_deg if wanted.start_yaw_deg is None else wanted.start_yaw_deg
+        fish = self.around.fish
+        on_s = fish.clock.now_s()
+        return self.account.first_yaw_deg(datetime.now().astimezone() - timedelta(seconds=on_s))
 
     def _swim(
         self, around: Around, ready: Ready | None, room: Guard
@@ -265,6 +348,9 @@ class _Series:
         stopped = BY_HAND if swam.outcome.interrupted else swam.stopped
         if swam.outcome.executed_beats == 0 and not self._has_log(number):
             self.account.void(number, swam.outcome.end)
+            status = fish.status()
+            if status.state in STOPPED and not dangerous(status.fault):
+                fish.clear()
             words = f"trial {number} ended before its first beat ({stopped or swam.outcome.end})"
             return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
         log = keep_log(fish, experiment, number)
@@ -287,12 +373,21 @@ class _Series:
             told(self.around.person, self.verdict)
         if not done.left:
             return None
-        critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
-        then = "session resume" if critical else "clear"
-        return self.end("stopped", f"{done.left} Then: tailbeat {then}")
+        status = self.around.fish.status()
+        then = "tailbeat clear"
+        if status.fault.number == BATTERY_CRITICAL:
+            held = "learn" if decision.kind == "keep" else "trial discard --reason WHY"
+            first = f"tailbeat {held}, and " if status.pending_trial is not None else ""
+            then = f"{first}tailbeat session resume"
+        return self.end("stopped", f"{done.left} Then: {then}")
 
     def _notice(self, text: str) -> None:
         self.around.person.tell({"event": "notice", "text": text})
+
+
+def _restart_words(number: int) -> str:
+    fault = fault_info(REBOOT)
+    return f"trial {number}: {fault.meaning}. {fault.remedy}"
 
 
 def _counted_words(count: int) -> str:

@@ -19,20 +19,25 @@ BLIND_S = 1.0  # without a frame that shows the fish, after which it counts as n
 _JUMP_M = 0.05  # from one frame to the next; no water carries a fish so fast
 _AGREEING = 3  # frames in a row make a jump true: the fish was carried
 _KEPT_MORE_S = 2.0
+_LOOK = "Look at the camera, the light and the marker on the fish, then begin again."
+_MOVE = (
+    "Look at the camera: it sends the same picture again and again. Restart it, plug it in anew;"
+    " then begin again."
+)
 
 
 class Sight:
     """``frames``: believed, oldest first, ``keep_s`` of them and a little more; their time in s of
     board time from some moment on. None is older than the last time the fish was carried (it
     jumped) or out of sight for longer than BLIND_S. A picture that stands still to the last bit
-    shows no fish: every camera has noise.
+    shows no fish: every camera has noise, but one that is simulated.
     """
 
     def __init__(self, fish: Fish, camera: Camera, keep_s: float) -> None:
         self.frames: deque[Frame] = deque()
         self._fish, self._camera = fish, camera
         self._keep_s = keep_s + _KEPT_MORE_S
-        self._repeats = Repeats()
+        self._repeats = Repeats(camera)
         self._doubted: list[Frame] = []
         self._seen_at_s = fish.transport.now_s()
         camera.frames()  # what it saw before does not count
@@ -63,6 +68,10 @@ class Sight:
             return "the camera's picture stands still"
         words = getattr(self._camera, "blind_words", "the camera does not see the fish")
         return str(words)
+
+    def blind_remedy(self) -> str:
+        """What to do about that."""
+        return _MOVE if self._repeats.frozen else _LOOK
 
     def last(self, duration_s: float) -> list[Frame]:
         """The frames of that time before the newest one."""

@@ -55,6 +55,8 @@ def _watch(step: Step, wanted: Wanted, sight: Sight) -> Drift:
             return drift
         words = _how_it_moves(sight, drift, wanted)
         if step.is_late:
+            if not sight.frames:
+                raise step.refuse(words, sight.blind_remedy())
             raise step.refuse(f"water and fish do not come to rest: {words}", _REMEDY)
         step.tell(words, left_s=None if whole else wanted.still_s - covered_s)
         step.wait()

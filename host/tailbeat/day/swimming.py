@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from tailbeat.day.logs import trial_is_safe
 from tailbeat.day.positions import stash_of
 from tailbeat.day.swums import BY_HAND
 from tailbeat.guards import Seen, together, when
@@ -115,7 +116,8 @@ def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float
             camera, on_event, guard, around.reconnect_s, direction_rad=heading_rad
         )
         if camera is not None:
-            stash_of(experiment, outcome.number).put(seen.frames, camera, fish.clock)
+            with trial_is_safe(outcome.number, experiment):
+                stash_of(experiment, outcome.number).put(seen.frames, camera, fish.clock)
     finally:
         stop_listening()
     return Swim(outcome, stopped[0] if stopped else "")

@@ -249,8 +249,9 @@ class _Swimmer:
     def swim(self, number: int, centre_us: float, planned: Plan) -> _Log:
         """Asks, swims, keeps."""
         fish = self.board.fish
-        self.board.prepare(f"trim {number}", planned.amplitude_rad, _reference(planned))
-        fish.params.set(CENTRE, centre_us)
+        self.board.prepare(
+            f"trim {number}", planned.amplitude_rad, _reference(planned), {CENTRE: centre_us}
+        )
         self._ask(number, centre_us, planned)
         room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
         seen = Seen()

@@ -16,6 +16,10 @@ class NotReady(TailbeatError):
     """A swim may not begin; nothing on the board has changed."""
 
 
+class BatteryLow(NotReady):
+    """Before anything has swum; the board would not arm."""
+
+
 class GivenUp(NotReady):
     """The person did not want to wait any longer."""
 

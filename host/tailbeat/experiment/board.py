@@ -2,19 +2,20 @@
 learned, so that another battery, or another board, can go on.
 
 One file, ``board/state.json``, replaced in one step: half of a state would be worse than none.
+``state-N.json`` is one that knew more than what replaced it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.errors import InputError
 from tailbeat.faults import NO_REFERENCE, refusal
-from tailbeat.lasting import write_whole
+from tailbeat.lasting import MAKE_ROOM, write_whole
 from tailbeat.plain import canonical
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from tailbeat.fish import Fish
 
 _FORMAT = "tailbeat board 1"
+_ASIDE_MAX = 999
 
 
 @dataclass(frozen=True)
@@ -35,10 +37,19 @@ class BoardState:
     learned: bytes | None
     last_learned_trial: int | None
 
+    def knows_more(self, than: BoardState) -> bool:
+        """Whether ``than`` has learned less: a board whose storage was erased counts iterations
+        and trials from the beginning, one that got its reference again only iterations."""
+        if self.learned is None or self.learned == than.learned:
+            return False
+        last, its_last = self.last_learned_trial or 0, than.last_learned_trial or 0
+        ahead = self.iteration - max(1, than.iteration)
+        return (last > its_last and ahead >= 0) or (last == its_last and ahead > 0)
+
 
 def copy_state(fish: Fish, experiment: Experiment) -> BoardState:
-    """Reads it from the board and writes it whole, lasting. Raises InputError (disk full), Refused
-    without a reference."""
+    """Reads it from the board and writes it whole, lasting; a copy that knows more stays beside it.
+    Raises InputError (disk full), Refused without a reference."""
     reference = fish.reference_record()
     if reference is None:
         raise refusal(NO_REFERENCE)
@@ -56,8 +67,31 @@ def copy_state(fish: Fish, experiment: Experiment) -> BoardState:
         path.parent.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make {path.parent}.", "Make the folder writable.") from error
-    write_whole(path, canonical(_document(state)))
+    _set_aside(experiment, state)
+    write_whole(path, canonical(_document(state)), MAKE_ROOM)
     return state
+
+
+def require_not_lost(fish: Fish, experiment: Experiment) -> None:
+    """Raises InputError when the board has forgotten what the copy holds (its storage was erased,
+    or its reference was uploaded again): what it swims and learns next would take its place."""
+    held, status = held_state(experiment), fish.status()
+    if held is None:
+        return
+    now = replace(
+        held,
+        iteration=status.iteration,
+        last_learned_trial=status.last_learned_trial,
+        learned=None,
+    )
+    if not held.knows_more(now) or fish.learned_record() == held.learned:
+        return
+    first = "" if status.pending_trial is None else "tailbeat trial discard --reason WHY, then "
+    raise InputError(
+        f"the board has lost what it had learned: it is at iteration {max(1, now.iteration)}, and "
+        f"{experiment.name} has a copy of iteration {held.iteration}.",
+        f"To give it back: {first}tailbeat session resume. To begin anew: tailbeat experiment new",
+    )
 
 
 def held_state(experiment: Experiment) -> BoardState | None:
@@ -78,6 +112,23 @@ def held_state(experiment: Experiment) -> BoardState | None:
             "Put a copy back, or delete it and go on with what the board itself has.",
         ) from error
     return state
+
+
+def _set_aside(experiment: Experiment, state: BoardState) -> None:
+    try:
+        held = held_state(experiment)
+    except InputError:
+        return  # what cannot be read cannot be given back
+    if held is None or not held.knows_more(state):
+        return
+    content, path = canonical(_document(held)), _path(experiment)
+    for number in range(1, _ASIDE_MAX):
+        aside = path.with_name(f"state-{number}.json")
+        if not aside.exists():
+            write_whole(aside, content, MAKE_ROOM)
+            return
+        if aside.read_bytes() == content:
+            return
 
 
 def _path(experiment: Experiment) -> Path:

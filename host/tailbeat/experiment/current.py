@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.errors import InputError, reason
+from tailbeat.experiment.board import held_state
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.redo import write_redo
 from tailbeat.faults import NO_REFERENCE, refusal
@@ -63,12 +65,30 @@ def require_same(fish: Fish, experiment: Experiment) -> None:
             "Connect the right fish, or make an experiment for this one: tailbeat experiment new",
         )
     crc, has = reference_crc(experiment), fish.status().reference_crc
+    if crc is not None and has is None and held_state(experiment) is not None:
+        raise InputError(
+            "the board has lost its reference and all that it had learned.",
+            f"{experiment.name} has a copy of both, and gives them back: tailbeat session resume",
+        )
     if crc is not None and crc != has:
         board = "none" if has is None else f"{has:08x}"
+        csv = quote(str(experiment.folder / "reference.csv"))
         raise InputError(
             f"the board has another reference ({board}) than {experiment.name} ({crc:08x}).",
-            f"tailbeat reference upload {experiment.folder / 'reference.csv'}, or make an "
-            "experiment for the board's: tailbeat experiment new",
+            f"tailbeat reference upload {csv}, or make an experiment for the board's: tailbeat"
+            " experiment new",
+        )
+
+
+def require_own(fish: Fish) -> None:
+    """Raises InputError when the board still holds the reference of a run that was broken off:
+    what it swam along that would be learned as if it were the fish's own."""
+    from tailbeat.model.lent import broken_off
+
+    if (puts_back := broken_off(fish)) is not None:
+        raise InputError(
+            "a trim or an identification was broken off, and the board still has its reference.",
+            f"To give it back what it held before: {puts_back}",
         )
 
 
@@ -90,9 +110,11 @@ def begin(
 ) -> Experiment:
     """A new experiment of the board's reference, law and parameters, and the current one from now
     on; with a copy of what was identified (``raw/identified.json``) where there is one. ``name``:
-    the fish's, by default as in its last experiment. Raises Refused without a reference."""
+    the fish's, by default as in its last experiment. Raises Refused without a reference, InputError
+    with one that is not its own (``require_own``)."""
     from tailbeat.boardreference import board_reference
 
+    require_own(fish)
     if (held := board_reference(fish)) is None:
         raise refusal(NO_REFERENCE)
     return make(fish, root, _named(fish, held), name or _name_before(fish), conditions)

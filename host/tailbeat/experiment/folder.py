@@ -30,7 +30,9 @@ _RAW = "raw"
 _EXPORT = "export"
 _SUMS = "SHA256SUMS"
 _MADE_FOLDERS = ("board", "report")
-_MADE_FILES = ("report.html", "report.png", "analysis.json", "redo.md", "reference.csv")
+_MADE_FILES = (
+    "report.html", "report.png", "analysis.json", "redo.md", "reference.csv", ".lock"
+)  # fmt: skip
 _TAKEN_MAX = 1000
 _MAKE_ROOM = "Make room on this computer and do it again; what is on the board stays there."
 _DIGEST_DIGITS = 64

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.lasting import write_whole
+from tailbeat.lasting import MAKE_ROOM, write_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,7 +33,7 @@ def write_redo(experiment: Experiment) -> Path:
     what was set, the conditions, versions, and the command that replays it. From journal and
     settings alone."""
     path = experiment.folder / REDO
-    write_whole(path, redo_text(experiment))
+    write_whole(path, redo_text(experiment), MAKE_ROOM)
     return path
 
 
@@ -64,9 +64,10 @@ def _about(settings: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _before(settings: Mapping[str, Any]) -> Iterator[str]:
-    """Parameters that are not what a new board has."""
+    """Parameters that are not what a new board has, the reference, a new folder beside this one."""
+    yield "# in this folder"
     if settings.get("plant"):
-        yield f"# connect to: sim:{settings['plant']}?seed={settings.get('seed', 1)}"
+        yield f"# in another terminal: {shlex.join(_simulator(settings))}"
     yield "tailbeat params reset"
     for name, value in _changed(settings.get("params", {})).items():
         yield f"tailbeat params set {name} {value:.9g}"
@@ -74,9 +75,22 @@ def _before(settings: Mapping[str, Any]) -> Iterator[str]:
     yield shlex.join(_new(settings))
 
 
+def _simulator(settings: Mapping[str, Any]) -> list[str]:
+    """The command that makes the fish: one in the tool itself is new in every command."""
+    from tailbeat.transport.world import PLANTS, config_values, make_config
+
+    plant, seed = str(settings["plant"]), settings.get("seed", 1)
+    words = ["tailbeat", "sim", "--plant", plant, "--seed", str(seed)]
+    usual = config_values(make_config(plant, seed, {})) if plant in PLANTS else {}
+    for name, value in (settings.get("simulator") or {}).items():
+        if name not in ("plant", "seed") and usual.get(name) != value:
+            words += ["--set", f"{name}={value!r}"]
+    return words
+
+
 def _new(settings: Mapping[str, Any]) -> list[str]:
     """The command that makes the folder."""
-    words = ["tailbeat", "experiment", "new", "--reference", "reference.csv"]
+    words = ["tailbeat", "experiment", "new", "--root", "..", "--reference", "reference.csv"]
     for key in ("fish", "configuration", "operator"):
         if settings.get(key):
             words += [f"--{key}", str(settings[key])]

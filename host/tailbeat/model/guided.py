@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.errors import InputError, TailbeatError
-from tailbeat.guards import RoomGuard
+from tailbeat.guards import RoomGuard, together, when
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.fitting import Prior
 from tailbeat.model.identified import Identified
@@ -24,7 +24,7 @@ from tailbeat.results import SPEED_SOURCES, TrialOutcome
 
 if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
-    from tailbeat.fish import Event, Fish
+    from tailbeat.fish import Event, Fish, Guard
 
 Array = NDArray[np.float64]
 
@@ -35,26 +35,33 @@ MODEL_PARAMS = {
     "MDL_DELAY_S": "delay_s",
 }
 _SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
+_NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
+_BY_HAND = "stopped by hand"
 _GLIDES_ON = 0.5  # of the drag that is believed: a fish nobody knows may glide twice as far
 
 
 @dataclass(frozen=True)
-class Person:
-    """Who stands at the tank. ``before``: told of each run, returns when it may begin, raises to
-    end it all. ``speeds``: (trial, beats, beat_s) to speeds measured after the swim, NaN = not
-    measured, one per beat; None: nobody can give any. ``event``: what happens meanwhile. ``keep``:
-    gets every trial's file. ``note``: told what else a person should know."""
+class Attendant:
+    """Who sees to an identification. ``before``: told of each run once the board has its
+    amplitudes, returns when it may begin, raises to end it all. ``speeds``: (trial, beats, beat_s)
+    to speeds measured after the swim, NaN = not measured, one per beat; None: nobody can give any.
+    ``event``: what happens meanwhile. ``keep``: gets every trial's file. ``note``: told what else a
+    person should know. ``guard``: of the walls; what it stops has told enough once it has swum a
+    little. ``wants_abort``: whether to stop the tail and end it all, asked some ten times a
+    second."""
 
     before: Callable[[Run], None] = lambda run: None
     speeds: Callable[[int, int, float], ArrayLike] | None = None
     event: Callable[[Event], None] = lambda event: None
     keep: Callable[[Path], object] = lambda path: None
     note: Callable[[str], None] = lambda text: None
+    guard: Guard | None = None
+    wants_abort: Callable[[], bool] = lambda: False
 
 
 def identify_fish(
     fish: Fish,
-    person: Person,
+    attendant: Attendant,
     safe: Path | None = None,
     camera: Camera | None = None,
     limits: Limits | None = None,
@@ -64,13 +71,13 @@ def identify_fish(
     held; a copy that is there already is put back when a run was broken off, and never overwritten.
     Raises InputError when the board cannot begin, TailbeatError when a run goes wrong."""
     source = SPEED_SOURCES[round(fish.params.get("SPD_SOURCE").value)]
-    if source == "upload" and person.speeds is None:
+    if source == "upload" and attendant.speeds is None:
         raise InputError(
             "SPD_SOURCE is upload, and nobody is asked for the speeds.",
             "Leave out --yes and --json, or swim by hand and give the files with --trials.",
         )
-    with lent(fish, safe, person.note, "identify") as board:
-        swimmer = _Swimmer(board, person, source, camera)
+    with lent(fish, safe, attendant.note, "identify") as board:
+        swimmer = _Swimmer(board, attendant, source, camera)
         return identify_runs(
             swimmer.swim,
             limits or Limits.from_params(board.params),
@@ -104,24 +111,31 @@ class _Swimmer:
     """Swims runs on the board."""
 
     board: Lent
-    person: Person
+    attendant: Attendant
     source: str
     camera: Camera | None
     run: Run | None = field(default=None)
+    stopped: bool = field(default=False, init=False)
 
     def begin(self, run: Run) -> None:
         self.run = run
-        self.person.before(run)
 
     def swim(self, amplitude: Array) -> Swim:
         run = self.run
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
-        guard = self._guard(run)
-        swum = self.board.swim(self.camera, self.person.event, guard, self._judge, self.person.keep)
+        self.attendant.before(run)
+        guard = together(self.attendant.guard, self._room(run), when(self._stop, _BY_HAND))
+        swum = self.board.swim(
+            self.camera, self.attendant.event, guard, self._judge, self.attendant.keep
+        )
         return swim_of(swum)
 
-    def _guard(self, run: Run) -> RoomGuard:
+    def _stop(self) -> bool:
+        self.stopped = self.stopped or self.attendant.wants_abort()
+        return self.stopped
+
+    def _room(self, run: Run) -> RoomGuard:
         """A run ends in its coast-down, so that what is predicted of it is all there is."""
         kappa = self.board.params["MDL_KAPPA"] * _GLIDES_ON
         return RoomGuard.of_params(self.board.params, 1.0, kappa, run.predicted_m_s)
@@ -136,7 +150,12 @@ class _Swimmer:
     def _judge_end(self, run: Run, end: str, beats: int) -> None:
         """A run that was stopped for lack of room has told enough."""
         self.board.fish.clear()
-        if end == "aborted:ABORT_COMMAND" and beats > 2:
+        if self.stopped:
+            raise TailbeatError(
+                f"run {run.number} was {_BY_HAND}.",
+                "The board has back what it held; begin again when it is put right.",
+            )
+        if end in _NO_ROOM and beats > 2:
             return
         raise TailbeatError(
             f"run {run.number} ended with {end} after {beats} beats.",
@@ -144,6 +163,6 @@ class _Swimmer:
         )
 
     def _upload_speeds(self, trial: int) -> None:
-        assert self.run is not None and self.person.speeds is not None
-        speeds = self.person.speeds(trial, self.run.beats, 1.0)
+        assert self.run is not None and self.attendant.speeds is not None
+        speeds = self.attendant.speeds(trial, self.run.beats, 1.0)
         self.board.fish.upload_speeds(trial, speeds, np.full(self.run.beats, _SPEED_SIGMA_M_S))

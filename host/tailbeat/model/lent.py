@@ -2,7 +2,8 @@
 
 Whatever it had learned, its reference, and the parameters that are to be changed meanwhile are put
 back afterwards, also after Ctrl-C or an error; until then a copy lies on the disk. What was broken
-off (a laptop that died) leaves the copy behind, and the next loan puts that back.
+off (a laptop that died) leaves the copy behind; the next loan puts that back first, and so does
+'session resume'.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from tailbeat import laws
 from tailbeat.boardreference import REST
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.flashing.backup import Backup
-from tailbeat.model.safekeeping import forget, is_of_a_run, note_reference, put_safe
+from tailbeat.model.safekeeping import forget, is_of_a_run, left_in, note_reference, put_safe
 from tailbeat.records import decode_reference, record_crc
 from tailbeat.reference import Reference
 from tailbeat.results import TrialOutcome
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+PUTS_BACK = "tailbeat session resume"
+
 _SAFE = "before-identify"  # one folder for all loans: one that was broken off is found by any other
 _PUT_BACK_TRIES = 3
 _STOP_LOOKS, _STOP_LOOK_S = 60, 0.5  # of board time; settling takes no longer
@@ -42,23 +45,31 @@ _STOP_LOOKS, _STOP_LOOK_S = 60, 0.5  # of board time; settling takes no longer
 
 @dataclass(frozen=True)
 class Lent:
-    """A board while it is lent. ``held``: what it gets back; ``params``: all it had at the begin,
-    those of ``held`` as they will be again."""
+    """A board while it is lent. ``held``: what it gets back; ``params``: all it had at the
+    begin."""
 
     fish: Fish
     held: Backup
     params: dict[str, float]
     safe: Path | None
 
-    def prepare(self, name: str, amplitude_rad: Array, speed_m_s: ArrayLike) -> None:
+    def prepare(
+        self,
+        name: str,
+        amplitude_rad: Array,
+        speed_m_s: ArrayLike,
+        changes: Mapping[str, float] | None = None,
+    ) -> None:
         """Uploads what is to swim next. The reference is ``speed_m_s``, what the model predicts,
-        so that the trial's error is the model's."""
+        so that the trial's error is the model's. ``changes``: parameters, set only once the
+        reference tells that the board is lent."""
         speed = np.clip(speed_m_s, 0.0, self.params["REF_MAX_M_S"]).astype(np.float32)
         limit = np.float32(self.params["AMP_MAX_RAD"])
         record = Reference(1.0, speed, name).record()
         if self.safe is not None:
             note_reference(self.safe, record_crc(record))
         self.fish.upload_reference(record)
+        _set_params(self.fish, changes or {})
         self.fish.upload_amplitudes(np.minimum(amplitude_rad.astype(np.float32), limit))
 
     def swim(
@@ -97,16 +108,60 @@ def lent(
     loan was broken off, and never overwritten. ``what``: a verb, what it is lent for.
     ``changes``: parameters that will be set meanwhile. ``note``: told what a person should know.
     Raises InputError when the board cannot begin."""
-    _require_ready(fish, safe, what)
+    put_back_left(fish, safe, note)
+    _require_ready(fish, what)
     params = {name: p.value for name, p in fish.params.list().items()}
     held = _held(fish, params, changes)
     if safe is not None:
-        held = put_safe(safe, held, note)
+        put_safe(safe, held, note)
     try:
-        _set_params(fish, held.params)  # a loan that was broken off left them changed
-        yield Lent(fish, held, params | held.params, safe)
+        yield Lent(fish, held, params, safe)
     finally:
         _put_back(fish, held, safe)
+
+
+def broken_off(fish: Fish) -> str | None:
+    """The command that gives the board back what it held before a loan that was broken off; None =
+    there was none. Until then its reference and amplitudes are a run's: no trial may begin."""
+    from tailbeat.logbook import logbook_of
+
+    safe = safe_folder(logbook_of(fish))
+    return None if safe is None or _left(fish, safe) is None else PUTS_BACK
+
+
+def put_back_left(fish: Fish, safe: Path | None, note: Callable[[str], None]) -> bool:
+    """Gives the board what it held before a loan that was broken off; whether there was one. A run
+    that waits to be decided on is dropped. Raises InputError while the tail beats."""
+    left = None if safe is None else _left(fish, safe)
+    if safe is None or left is None:
+        return False
+    status = fish.status()
+    if status.state == "RUNNING":
+        raise InputError(
+            "the board swims a run of an identification or a trim.",
+            f"If nobody waits for it: tailbeat abort, then {PUTS_BACK}",
+        )
+    stopped = f" (it was stopped: {status.fault.name})" if status.fault.number else ""
+    note(
+        f"an identification or a trim was broken off{stopped}: the board gets back what it held "
+        f"before, of which a copy is in {safe}"
+    )
+    _put_back(fish, left, safe)
+    return True
+
+
+def _left(fish: Fish, safe: Path) -> Backup | None:
+    """The copy, when the board still has a run's reference, or, between the two steps of putting
+    back, its own without what it had learned along it."""
+    left = left_in(safe)
+    if left is None or left.unique_id != fish.unique_id():
+        return None
+    crc = fish.status().reference_crc
+    if is_of_a_run(safe, crc):
+        return left
+    own = left.reference is not None and crc == record_crc(left.reference)
+    halfway = own and left.learned is not None and fish.learned_record() is None
+    return left if halfway else None
 
 
 def safe_folder(book: Logbook | None) -> Path | None:
@@ -129,14 +184,8 @@ def set_for_good(fish: Fish, wanted: Mapping[str, float]) -> dict[str, float]:
     return {name: fish.params.get(name).value for name in wanted}
 
 
-def _require_ready(fish: Fish, safe: Path | None, what: str) -> None:
+def _require_ready(fish: Fish, what: str) -> None:
     status = fish.status()
-    if status.pending_trial is not None and is_of_a_run(safe, status.reference_crc):
-        raise InputError(
-            f"trial {status.pending_trial} is a run of an identification that was broken off, "
-            "or of a trim.",
-            f"tailbeat trial discard, then {what} again: it puts back what the board had learned.",
-        )
     if status.pending_trial is not None:
         raise InputError(
             f"trial {status.pending_trial} is neither learned nor discarded.",
@@ -188,7 +237,9 @@ def _put_back(fish: Fish, held: Backup, safe: Path | None) -> None:
             where = f"; a copy is in {safe}" if safe is not None else ""
             raise TailbeatError(
                 f"what the board had learned could not be put back ({error.message}){where}.",
-                f"Connect again, then: tailbeat flash --restore {safe}" if safe is not None else "",
+                f"Connect again, then: {PUTS_BACK} (or: tailbeat flash --restore {safe})"
+                if safe is not None
+                else "",
             ) from error
         break
     if safe is not None:

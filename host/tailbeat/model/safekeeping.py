@@ -14,30 +14,28 @@ from pathlib import Path
 from tailbeat.errors import InputError
 from tailbeat.flashing.backup import Backup
 from tailbeat.lasting import sync_folder
-from tailbeat.records import record_crc
 
 _BOARD = "board.json"
 _REFERENCES = "references.txt"
 _ASIDE_MAX = 999
 
 
-def put_safe(safe: Path, now: Backup, note: Callable[[str], None]) -> Backup:
-    """What is to be put back, with a copy of it in ``safe``: the copy that a broken-off
-    identification left there while the board still has a run's reference, else ``now``, what the
-    board holds. A copy is never overwritten. ``note``: told what a person should know."""
-    left = _left(safe)
-    if left is not None and left.unique_id == now.unique_id and _broken_off(safe, left, now):
-        note(
-            "an identification or a trim was broken off; "
-            f"what the board held before it is in {safe}"
-        )
-        return left
+def put_safe(safe: Path, now: Backup, note: Callable[[str], None]) -> None:
+    """Writes a copy of ``now``, what the board holds. One that is there already is set aside, never
+    overwritten. ``note``: told what a person should know."""
     if (safe / _BOARD).exists():
         aside = _aside(safe)
         note(f"an older copy of what the board held is kept in {aside} (tailbeat flash --restore)")
     (safe / _REFERENCES).unlink(missing_ok=True)
     now.write(safe)
-    return now
+
+
+def left_in(safe: Path) -> Backup | None:
+    """The copy in there; None = no whole one."""
+    try:
+        return Backup.read(safe)
+    except InputError:
+        return None
 
 
 def note_reference(safe: Path, crc: int) -> None:
@@ -63,20 +61,6 @@ def forget(safe: Path) -> None:
     """The board has it back. ``board.json`` goes first: without it the rest is no copy."""
     (safe / _BOARD).unlink(missing_ok=True)
     shutil.rmtree(safe, ignore_errors=True)
-
-
-def _left(safe: Path) -> Backup | None:
-    try:
-        return Backup.read(safe)
-    except InputError:
-        return None
-
-
-def _broken_off(safe: Path, left: Backup, now: Backup) -> bool:
-    """Also between the two steps of putting back: the reference is there, the rest is not."""
-    crc = record_crc(now.reference) if now.reference is not None else None
-    halfway = left.reference == now.reference and now.learned is None and left.learned is not None
-    return is_of_a_run(safe, crc) or halfway
 
 
 def _aside(safe: Path) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tailbeat.camera.base import Frame
+from tailbeat.camera.base import Camera, Frame
 
 FROZEN_S = 1.0
 
@@ -14,12 +14,13 @@ class Repeats:
     board's own rule, firmware/speed/doubt.h). So a run of equal ones is held back, until another
     shows that the camera was only coarse, or until it has lasted for a second: then it is dropped
     as ``frozen``. Not so before a change was seen: a fish that rests looks the same to a camera
-    without noise; unless must_move() was said.
+    without noise; unless must_move() was said. Never of a ``camera`` that is ``computed``.
     """
 
     frozen: bool  # the last position is one of a picture that stands still
 
-    def __init__(self) -> None:
+    def __init__(self, camera: Camera | None = None) -> None:
+        self._camera = camera
         self.forget()
 
     def forget(self) -> None:
@@ -34,6 +35,8 @@ class Repeats:
 
     def new(self, frames: list[Frame]) -> list[Frame]:
         """Of ``frames`` and those held back what may be believed now, in order."""
+        if is_computed(self._camera):
+            return frames
         believed: list[Frame] = []
         for frame in frames:
             believed += self._take(frame)
@@ -50,6 +53,11 @@ class Repeats:
         self.frozen = frame.t_s - first.t_s > FROZEN_S
         self._held = [] if self.frozen else [*held, frame]
         return []
+
+
+def is_computed(camera: Camera | None) -> bool:
+    """Whether its positions come from a plant: with fresh stamps they are fresh, however equal."""
+    return bool(getattr(camera, "computed", False))
 
 
 def _position(frame: Frame) -> tuple[float, float, float]:

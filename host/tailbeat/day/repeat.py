@@ -1,10 +1,8 @@
-"""After the hull was open: the board gets back what it knew, and one repeat of the best tells how
-far the fish has shifted."""
+"""One repeat of the best after the hull was open: it tells how far the fish has shifted."""
 
 from __future__ import annotations
 
 import json
-import struct
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,13 +14,12 @@ from tailbeat.day.person import Decision
 from tailbeat.day.series import Until, swim_series
 from tailbeat.day.shift import Shift, require_best, shift_of
 from tailbeat.day.swums import proposed, swum_of
-from tailbeat.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.experiment.board import copy_state, held_state
-from tailbeat.experiment.current import use
+from tailbeat.errors import InputError, TailbeatError
+from tailbeat.experiment.board import copy_state
 from tailbeat.faults import NO_BEST, refusal
 from tailbeat.lasting import write_whole
 from tailbeat.logbook import logbook_of
-from tailbeat.records import decode_learned, record_crc
+from tailbeat.records import decode_learned
 from tailbeat.results import BoardStatus
 from tailbeat.trial_log import read_trial
 from tailbeat.verdict import input_crc
@@ -32,195 +29,31 @@ if TYPE_CHECKING:
     from tailbeat.day.person import Event, Person
     from tailbeat.day.series import Options
     from tailbeat.day.swum import Swum
-    from tailbeat.experiment.board import BoardState
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish, Guard
     from tailbeat.model.fishmodel import FishModel
     from tailbeat.model.identified import Identified
     from tailbeat.trial_log import Trial
 
-__all__ = ["Restored", "Shift", "repeat_best", "restore"]
+__all__ = ["Plan", "Shift", "end_repeat", "idle", "repeat_best"]
 
 REASON = "battery swap"
-_AGAIN = "tailbeat session resume"
+AGAIN = "tailbeat session resume"
 _RESTORED_INPUT = 3  # what made the amplitudes that swim next, memory_input_t
 _TRIES = 3
 _DISCARDS_MAX = 3
 
 
-@dataclass(frozen=True)
-class Restored:
-    """What the board got back. ``params``: names that differed; ``reference``, ``learned``: whether
-    it had to be given again. ``iteration`` swims next. ``pending_trial``: waits to be decided on,
-    and is left alone. ``notes``: what else a person should know, one line each."""
-
-    params: dict[str, float]
-    reference: bool
-    learned: bool
-    iteration: int
-    battery_v: float
-    pending_trial: int | None = None
-    notes: tuple[str, ...] = ()
-
-
-def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> Restored:
-    """Compares the board with ``experiment.board`` and gives it back what it lacks: parameters
-    (saved, so that the next battery does not lose them), reference, all that was learned. A board
-    that is ahead of the copy keeps what it has, and the copy is made anew. A trial that waits on
-    the board is left alone. ``another_board``: it was replaced, and takes the other's place. Raises
-    InputError: another fish, nothing held, not idle."""
-    held = _held(experiment)
-    pending = _idle(fish).pending_trial
-    _check_fish(fish, experiment, held, another_board)
-    given, notes = _params(fish, experiment, held)
-    reference = learned = False
-    if pending is None:
-        _end_repeat(fish, experiment)
-        reference = _reference(fish, held, experiment)
-        learned = _learned(fish, held, notes)
-        copy_state(fish, experiment)
-    status = fish.status()
-    found = Restored(
-        params=given,
-        reference=reference,
-        learned=learned,
-        iteration=status.iteration,
-        battery_v=status.battery_v,
-        pending_trial=pending,
-        notes=tuple(notes),
-    )
-    experiment.journal.add("resumed", **asdict(found))
-    return found
-
-
-def _held(experiment: Experiment) -> BoardState:
-    held = held_state(experiment)
-    if held is None:
-        raise InputError(
-            f"{experiment.name} has no copy of a board: no trial of it was swum yet.",
-            "tailbeat trial run makes one after every swim; name another experiment, or go on.",
-        )
-    return held
-
-
-def _idle(fish: Fish) -> BoardStatus:
-    """A board that has just been switched on is not at once."""
+def idle(fish: Fish) -> BoardStatus:
+    """Its status; a board that has just been switched on is not IDLE at once. Raises InputError."""
     status = settled(fish)
     if status.state != "IDLE":
         what = f" ({status.fault.name}: {status.fault.meaning})" if status.fault.number else ""
         raise InputError(
             f"the board is {status.state}{what}, not IDLE.",
-            f"tailbeat clear or tailbeat disarm, then: {_AGAIN}",
+            f"tailbeat clear or tailbeat disarm, then: {AGAIN}",
         )
     return status
-
-
-def _check_fish(fish: Fish, experiment: Experiment, held: BoardState, another_board: bool) -> None:
-    wanted = str(experiment.settings().get("unique_id") or held.unique_id)
-    found = fish.unique_id()
-    if wanted == found:
-        return
-    if not another_board:
-        raise InputError(
-            f"this is another fish: {experiment.name} is of {wanted}, the board is {found}.",
-            f"Connect the right one; if its board was replaced: {_AGAIN} --another-board",
-        )
-    # Before anything is given: a second call then finds the board it is about.
-    experiment.write_settings({"unique_id": found, "board_before": wanted})
-    use(fish, experiment)
-
-
-def _params(
-    fish: Fish, experiment: Experiment, held: BoardState
-) -> tuple[dict[str, float], list[str]]:
-    """(what was given back, notes). Some fit only once others are set: what is refused is tried
-    again after the rest."""
-    now = {name: p.value for name, p in fish.params.list().items()}
-    centre_us = _trimmed_us(experiment)
-    wanted = {
-        name: value
-        for name, value in held.params.items()
-        if name in now
-        and not _same(now[name], value)
-        and not (name == "SERVO_CENTRE_US" and _same(now[name], centre_us))
-    }
-    given: dict[str, float] = {}
-    refused: dict[str, str] = {}
-    for name, value in [*wanted.items(), *wanted.items()]:
-        if name in given:
-            continue
-        try:
-            given[name] = fish.params.set(name, value).value
-            refused.pop(name, None)
-        except LinkLostError:
-            raise
-        except TailbeatError as error:
-            refused[name] = error.message
-    if given:
-        fish.params.save()
-    notes = [f"{name} = {wanted[name]:g} was refused: {why}" for name, why in refused.items()]
-    if missing := sorted(set(held.params) - set(now)):
-        notes.append(f"this firmware has no {', '.join(missing)}")
-    return given, notes
-
-
-def _trimmed_us(experiment: Experiment) -> float | None:
-    """The centre that was found last: trimmed after the copy was made, it is the newer one."""
-    trimmed = experiment.journal.entries("trimmed")
-    centre_us = trimmed[-1].get("centre_us") if trimmed else None
-    return float(centre_us) if isinstance(centre_us, int | float) else None
-
-
-def _same(value: float, other: float | None) -> bool:
-    """As the board holds them."""
-    return other is not None and struct.pack("<f", value) == struct.pack("<f", other)
-
-
-def _reference(fish: Fish, held: BoardState, experiment: Experiment) -> bool:
-    status, crc = fish.status(), record_crc(held.reference)
-    if status.reference_crc == crc:
-        return False
-    if status.best_iteration is not None:
-        raise InputError(
-            f"the board has another reference ({status.reference_crc:08x}) than {experiment.name} "
-            f"({crc:08x}) and has learned along it; giving it this one would lose that.",
-            "Name that reference's experiment, or upload this one's yourself: tailbeat reference "
-            f"upload {experiment.folder / 'reference.csv'}",
-        )
-    fish.upload_reference(held.reference)
-    return True
-
-
-def _learned(fish: Fish, held: BoardState, notes: list[str]) -> bool:
-    """Whether the board was behind the copy, and is no more."""
-    mine = fish.learned_record()
-    if held.learned is None or mine == held.learned:
-        return False
-    status = fish.status()
-    last, held_last = status.last_learned_trial or 0, held.last_learned_trial or 0
-    if last > held_last or (last == held_last and status.iteration >= held.iteration):
-        if mine is not None and last == held_last and status.iteration == held.iteration:
-            notes.append("the board's next amplitudes are not the copy's; the board's stay")
-        elif mine is not None:
-            notes.append(
-                f"the board has learned more than the copy knew (iteration {status.iteration}, not "
-                f"{held.iteration}); it keeps that, and the copy is new"
-            )
-        return False
-    if status.best_iteration is not None and status.iteration > held.iteration:
-        raise InputError(
-            f"the board and the copy have both learned without each other: the board is at "
-            f"iteration {status.iteration} and last learned from trial {last}, the copy at "
-            f"{held.iteration} and from trial {held_last}.",
-            "Nothing was changed. Begin a new experiment for what the board has: tailbeat "
-            "experiment new",
-        )
-    fish.upload_learned(held.learned)
-    if fish.learned_record() != held.learned:
-        raise TailbeatError(
-            "the board does not hold what it was given back.", f"Do it again: {_AGAIN}"
-        )
-    return True
 
 
 def repeat_best(
@@ -237,15 +70,15 @@ def repeat_best(
     GivenUp, and InputError when there is no best, or nothing of it to compare with."""
     account = Account(experiment, experiment.journal)
     before = account.counting()
-    plan = _Plan.of(experiment)
-    status = _idle(fish)
+    plan = Plan.of(experiment)
+    status = idle(fish)
     if status.pending_trial is not None and not _swam_the_best(fish, plan, status.pending_trial):
         raise InputError(
             f"trial {status.pending_trial} waits on the board, neither learned nor discarded.",
-            f"tailbeat learn, or tailbeat trial discard --reason WHY; then: {_AGAIN}",
+            f"tailbeat learn, or tailbeat trial discard --reason WHY; then: {AGAIN}",
         )
     if status.pending_trial is None:
-        _end_repeat(fish, experiment)
+        end_repeat(fish, experiment)
         plan = _begin_repeat(fish, experiment, before, status)
     assert plan is not None
     try:
@@ -262,7 +95,7 @@ def repeat_best(
 
 
 @dataclass(frozen=True)
-class _Plan:
+class Plan:
     """What is to swim next once the repeat is swum, and the repeat's number: on the disk from
     before the board's amplitudes change until they are back."""
 
@@ -274,7 +107,7 @@ class _Plan:
         return experiment.folder / "board" / "repeat.json"
 
     @classmethod
-    def of(cls, experiment: Experiment) -> _Plan | None:
+    def of(cls, experiment: Experiment) -> Plan | None:
         """None: no repeat is under way, or its file is torn (it is written in one step)."""
         try:
             raw = json.loads(cls.path(experiment).read_bytes())
@@ -293,12 +126,12 @@ class _Plan:
 
 def _begin_repeat(
     fish: Fish, experiment: Experiment, before: list[Trial], status: BoardStatus
-) -> _Plan:
+) -> Plan:
     learned = fish.learned_record()
     if status.best_iteration is None or learned is None:
         raise refusal(NO_BEST)
     require_best(_series(fish, before), input_crc(fish.amplitudes(best=True).values))
-    plan = _Plan(learned, status.next_trial)
+    plan = Plan(learned, status.next_trial)
     plan.write(experiment)
     return plan
 
@@ -312,13 +145,13 @@ def _swum(
     guard: Guard | None,
 ) -> Swum:
     """One swim that counts, by the machinery of a series."""
-    one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",))
+    one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",), of_best=True)
     end = swim_series(fish, experiment, _Repeating(person), one, camera, guard)
     if end.why == "swims" and end.rounds:
         return end.rounds[-1].swum
     from tailbeat.day.ritual import GivenUp
 
-    raise GivenUp(f"no repeat was swum: {end.words}", f"When it is put right: {_AGAIN}")
+    raise GivenUp(f"no repeat was swum: {end.words}", f"When it is put right: {AGAIN}")
 
 
 @dataclass
@@ -350,7 +183,7 @@ class _Repeating:
         if self.discards >= _DISCARDS_MAX:
             raise TailbeatError(
                 f"{self.discards} repeats came to nothing, the last one: {decision.reason}.",
-                f"Put it right, then: {_AGAIN}",
+                f"Put it right, then: {AGAIN}",
             )
         return decision
 
@@ -365,16 +198,18 @@ def _left_over(fish: Fish, experiment: Experiment, account: Account, person: Per
     swum = swum_of(outcome_of(log.trial), log, None)
     account.swum(swum)
     person.tell({"event": "swum", "trial": number, **vars(swum)})
-    decision = account.decision_on(swum.file) or _Repeating(person).decide(swum)
-    account.decided(swum, decision)
+    decision = account.decision_on(swum.file)
+    if decision is None:
+        decision = _Repeating(person).decide(swum)
+        account.decided(swum, decision)
     if decision.kind == "discard":
-        raise TailbeatError(f"the repeat was discarded: {decision.reason}.", f"Again: {_AGAIN}")
+        raise TailbeatError(f"the repeat was discarded: {decision.reason}.", f"Again: {AGAIN}")
     if (book := logbook_of(fish)) is not None:
         book.keep(swum.file)
     return swum
 
 
-def _put_back(fish: Fish, experiment: Experiment, plan: _Plan) -> None:
+def _put_back(fish: Fish, experiment: Experiment, plan: Plan) -> None:
     """Ctrl-C does not stop it halfway. What fails is done by the next call: the plan stays."""
     for attempt in range(1, _TRIES + 1):
         try:
@@ -386,12 +221,12 @@ def _put_back(fish: Fish, experiment: Experiment, plan: _Plan) -> None:
         except TailbeatError as error:
             raise TailbeatError(
                 "the amplitudes that were to swim next could not be put back "
-                f"({error.message.rstrip('.')}); they are kept in {_Plan.path(experiment)}",
-                f"Connect again, then: {_AGAIN}",
+                f"({error.message.rstrip('.')}); they are kept in {Plan.path(experiment)}",
+                f"Connect again, then: {AGAIN}",
             ) from error
 
 
-def _undo(fish: Fish, experiment: Experiment, plan: _Plan) -> None:
+def _undo(fish: Fish, experiment: Experiment, plan: Plan) -> None:
     make_safe(fish)
     status = settled(fish)
     if status.state in STOPPED:
@@ -404,15 +239,15 @@ def _undo(fish: Fish, experiment: Experiment, plan: _Plan) -> None:
     if fish.learned_record() != plan.learned:
         fish.upload_learned(plan.learned)
     copy_state(fish, experiment)
-    _Plan.path(experiment).unlink(missing_ok=True)
+    Plan.path(experiment).unlink(missing_ok=True)
 
 
-def _swam_the_best(fish: Fish, plan: _Plan | None, pending: int) -> bool:
+def _swam_the_best(fish: Fish, plan: Plan | None, pending: int) -> bool:
     """Whether the trial that waits is a repeat of ``plan``, which nobody has learned from."""
     return plan is not None and pending >= plan.trial and _has_the_best(fish, plan)
 
 
-def _has_the_best(fish: Fish, plan: _Plan) -> bool:
+def _has_the_best(fish: Fish, plan: Plan) -> bool:
     """Whether the best amplitudes are still in the place of those that were to swim next."""
     mine = fish.learned_record()
     if mine is None:
@@ -422,15 +257,15 @@ def _has_the_best(fish: Fish, plan: _Plan) -> bool:
     return same and now.input == _RESTORED_INPUT
 
 
-def _end_repeat(fish: Fish, experiment: Experiment) -> None:
+def end_repeat(fish: Fish, experiment: Experiment) -> None:
     """What a repeat that was broken off has left: the best as the next to swim. A board that has
     learned since, or was given something else, is left alone."""
-    if (plan := _Plan.of(experiment)) is None:
+    if (plan := Plan.of(experiment)) is None:
         return
     if _has_the_best(fish, plan):
         fish.upload_learned(plan.learned)
         copy_state(fish, experiment)
-    _Plan.path(experiment).unlink(missing_ok=True)
+    Plan.path(experiment).unlink(missing_ok=True)
 
 
 def _judged(fish: Fish, before: list[Trial], swum: Swum) -> Shift:
