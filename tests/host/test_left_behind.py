@@ -131,6 +131,18 @@ def test_a_trim_that_was_broken_off(
     assert says(*KEEP)[0] == 0 and len(experiment().trials()) == 1 + begun
 
 
+def test_the_page_does_not_go_on_either(says: Says, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It calls the library."""
+    assert says(*KEEP)[0] == 0
+    made = experiment()
+    break_off_a_trim(monkeypatch)
+    with connected() as fish:
+        with pytest.raises(InputError, match="was broken off.*session resume"):
+            begin(fish, Path("experiments"))
+        with pytest.raises(InputError, match="was broken off.*session resume"):
+            swim_series(fish, made, Script(), ONCE)
+
+
 def erase(board: SimBoard) -> None:
     board.flash = bytes(len(board.flash))
     board.power_cycle()

@@ -600,7 +600,10 @@ def test_of_a_repeat_only_whether_it_counts_is_asked(
     swapped: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Typed:
-        """Presses c."""
+        """Presses c, once."""
+
+        def __init__(self) -> None:
+            self.left = ["c"]
 
         def pressed(self) -> bool:
             return False
@@ -608,7 +611,7 @@ def test_of_a_repeat_only_whether_it_counts_is_asked(
         def forget(self) -> None: ...
 
         def key(self, timeout_s: float) -> str | None:
-            return "c"
+            return self.left.pop()  # a key that is no answer is asked for again
 
         def line(self) -> str:
             raise AssertionError
