@@ -137,9 +137,9 @@ def test_the_page_does_not_go_on_either(says: Says, monkeypatch: pytest.MonkeyPa
     made = experiment()
     break_off_a_trim(monkeypatch)
     with connected() as fish:
-        with pytest.raises(InputError, match="was broken off.*session resume"):
+        with pytest.raises(InputError, match=r"was broken off.*session resume"):
             begin(fish, Path("experiments"))
-        with pytest.raises(InputError, match="was broken off.*session resume"):
+        with pytest.raises(InputError, match=r"was broken off.*session resume"):
             swim_series(fish, made, Script(), ONCE)
 
 

@@ -414,7 +414,7 @@ def test_a_board_that_counts_from_one_again(
     fish.params.set("LAW_LEAD", 1)
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     person = Script(BUMPED)
-    with pytest.raises(InputError, match="has lost what it had learned.*session resume"):
+    with pytest.raises(InputError, match=r"has lost what it had learned.*session resume"):
         swim(person, counts=("discard",))
     (experiment.folder / "board" / "state.json").unlink()  # nobody wants it back
     end = swim(person, counts=("discard",))
