@@ -187,3 +187,25 @@ def test_no_trials(tmp_path: Path) -> None:
     empty = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
     with pytest.raises(InputError, match="holds no trials"):
         analyse(empty)
+
+
+def test_a_file_that_only_the_journal_knows_is_missed(swum: Experiment, tmp_path: Path) -> None:
+    copy = Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+    gone = copy.trial_files()[2].name
+    (copy.raw / gone).unlink()
+    sums = copy.raw / "SHA256SUMS"
+    sums.chmod(0o644)
+    kept = [line for line in sums.read_text().splitlines() if not line.endswith(gone)]
+    sums.write_text("\n".join(kept) + "\n")
+    assert f"raw/{gone} is in the journal and not in the folder" in copy.raw_problems()
+
+
+def test_what_a_simulated_board_swam_is_simulated_whatever_the_settings_say(
+    swum: Experiment, tmp_path: Path
+) -> None:
+    copy = Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+    copy.write_settings({"simulated": False, "unique_id": "ab" * 16, "conditions": None})
+    found = analyse(copy)
+    assert found.simulated
+    assert found.conditions == {}
+    assert sum("is of another fish" in problem for problem in found.problems) == len(found.rows)

@@ -16,6 +16,7 @@ from tailbeat.cli import run
 from tailbeat.cli.app import app
 from tailbeat.errors import InputError, Refused
 from tailbeat.experiment import Experiment, begin, current, require_same, use
+from tailbeat.experiment.analysis import write_analysis
 from tailbeat.experiment.board import copy_state, held_state
 from tailbeat.fish import Fish
 from tailbeat.records import encode_reference
@@ -152,7 +153,14 @@ def test_replay_is_quiet_when_all_is_well(swum: Experiment) -> None:
     result = call("replay", swum.folder)
     assert result.exit_code == 0
     assert result.output == (
-        "identical: 7 raw files, speeds of 6 trials, learning from 4, 0 derived files came out the"
+        "nothing differs, but not all was compared: 7 raw files, speeds of 6 trials, learning from"
+        " 4, 0 derived files came out the same\n"
+        "not compared: analysis.json: it is not there; make it: tailbeat report\n"
+    )
+    write_analysis(swum)
+    result = call("replay", swum.folder)
+    assert result.output == (
+        "identical: 7 raw files, speeds of 6 trials, learning from 4, 1 derived files came out the"
         " same\n"
     )
     assert document("replay", swum.folder)["identical"] is True

@@ -18,6 +18,7 @@ from tailbeat.experiment.compare import (
     _unbiased,
     compare,
     counted,
+    counted_rows,
     hedges,
     noncentral_t,
     other_differences,
@@ -169,7 +170,22 @@ def test_by_default_the_repeats_of_the_best_then_what_came_after_progress(
     more = replace(
         analysis, rows=[*analysis.rows, third], trials=[*analysis.trials, analysis.trials[-1]]
     )
-    assert counted(more) == [errors[5], errors[6], errors[6]]
+    assert counted(more) == [errors[5], errors[6]]  # not the one that made it the best
+
+
+def test_the_swim_that_made_an_input_the_best_does_not_count_among_its_repeats(
+    analysis: Analysis,
+) -> None:
+    at = min(
+        (n for n, row in enumerate(analysis.rows) if row.counts and row.complete),
+        key=lambda n: analysis.rows[n].max_abs_error_m_s,
+    )
+    rows = [replace(analysis.rows[at], trial=number) for number in (21, 22)]
+    trials = [replace(analysis.trials[at], number=number) for number in (21, 22)]
+    more = replace(analysis, rows=[*analysis.rows, *rows], trials=[*analysis.trials, *trials])
+    swum = [row.trial for row in counted_rows(more)]
+    assert analysis.rows[at].trial not in swum
+    assert {21, 22} <= set(swum)
 
 
 def test_too_few_and_another_reference_are_refused(analysis: Analysis) -> None:

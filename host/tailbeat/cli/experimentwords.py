@@ -138,6 +138,8 @@ def compared_text(found: Comparison, others: list[str], simulated: bool) -> str:
 def replay_text(found: Replay) -> str:
     """One quiet line when all is well."""
     head = "identical" if found.identical else "NOT identical"
+    if found.identical and found.not_drawn:
+        head = "nothing differs, but not all was compared"
     counts = [
         f"{found.raw} raw files",
         f"speeds of {len(found.recomputed)} trials",

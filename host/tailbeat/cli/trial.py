@@ -107,8 +107,11 @@ def _which(fish: Fish, number: int | None) -> int:
 def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
     """Into an experiment's raw files, where there is one; otherwise just into the folder."""
     from tailbeat.experiment import Experiment
+    from tailbeat.experiment.current import require_fish
 
     experiment = Experiment(into) if (into / "settings.json").is_file() else None
+    if experiment is not None:
+        require_fish(fish, experiment)
     folder = into / ".pulling" if experiment else into
     folder.mkdir(exist_ok=True)
     with progress_bar(quiet, f"trial {number}") as show:

@@ -23,6 +23,7 @@ from tailbeat.plain import canonical, plain
 from tailbeat.progress import scores_of
 from tailbeat.records import decode_reference
 from tailbeat.reference import Reference
+from tailbeat.results import SIMULATED_FISH
 from tailbeat.straight import Straightness, straightness
 from tailbeat.trial_log import Trial, read_trial
 from tailbeat.verdict import Score, score_of
@@ -169,9 +170,10 @@ def analyse(experiment: Experiment) -> Analysis:
         for row in rows
         if row.straight is not None and row.straight.crooked and row.counts
     ]
+    problems += _of_others(str(settings.get("unique_id", "")), rows, swum)
     return Analysis(
         name=experiment.stable_name,
-        simulated=bool(settings.get("simulated", swum[-1].board in ("simulated", "emulated"))),
+        simulated=bool(settings.get("simulated")) or any(t.board in SIMULATED_FISH for t in swum),
         board=str(settings.get("board", swum[-1].board)),
         unique_id=str(settings.get("unique_id", swum[-1].unique_id)),
         fish=str(settings.get("fish", "")),
@@ -181,7 +183,7 @@ def analyse(experiment: Experiment) -> Analysis:
         reference_m_s=held.speed_m_s.astype(np.float64),
         beat_s=held.beat_s,
         amplitude_max_rad=limit,
-        conditions=dict(settings.get("conditions", {})),
+        conditions=dict(settings.get("conditions") or {}),
         rows=rows,
         trials=swum,
         band=_band(rows),
@@ -192,6 +194,15 @@ def analyse(experiment: Experiment) -> Analysis:
         problems=problems,
         floor_by=floor[2],
     )
+
+
+def _of_others(unique_id: str, rows: Sequence[TrialRow], trials: Sequence[Trial]) -> list[str]:
+    """One line for each trial of another fish than the experiment's."""
+    return [
+        f"{row.file} is of another fish ({trial.unique_id})"
+        for row, trial in zip(rows, trials, strict=True)
+        if unique_id and trial.unique_id and trial.unique_id != unique_id
+    ]
 
 
 def write_analysis(experiment: Experiment) -> Path:

@@ -65,7 +65,8 @@ class Comparison:
 
 def counted(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[float]:
     """max|e| of the swims that count: those of ``iterations``, or by default the repeats of the
-    best input, and where those are fewer than three all complete ones from the iteration on from
+    best input, without the swim that made it the best (a lucky one more often than not), and where
+    those are fewer than two all complete ones from the iteration on from
     which the verdict saw no more progress. Never discarded ones, nor such as were cut short."""
     return [row.max_abs_error_m_s for row in counted_rows(analysis, iterations)]
 
@@ -85,7 +86,7 @@ def counted_rows(analysis: Analysis, iterations: Sequence[int] | None = None) ->
         return []
     repeats = [row for row, score in pairs if score.input_crc == best.input_crc]
     if len(repeats) >= _REPEATS_MIN:
-        return repeats
+        return [row for row in repeats if row.trial != best.trial]
     verdicts = judge_all(scores, None, None, analysis.start_error_m_s)
     last = max(at for at, verdict in enumerate(verdicts) if verdict.kind in ("first", "progress"))
     return [row for row, _ in pairs if row.iteration >= pairs[last][0].iteration]

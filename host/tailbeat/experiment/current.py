@@ -55,15 +55,20 @@ def use(fish: Fish, experiment: Experiment) -> None:
     write_whole(book.folder / _CURRENT, json.dumps(folder) + "\n")
 
 
-def require_same(fish: Fish, experiment: Experiment) -> None:
-    """Raises InputError, with what to do, when the board is another fish than the experiment's (by
-    its unique id), or has another reference."""
+def require_fish(fish: Fish, experiment: Experiment) -> None:
+    """Raises InputError when the board is another fish than the experiment's, by its unique id."""
     wanted, found = str(experiment.settings().get("unique_id", "")), fish.unique_id()
     if wanted and wanted != found:
         raise InputError(
             f"this is another fish: {experiment.name} is of {wanted}, the board is {found}.",
             "Connect the right fish, or make an experiment for this one: tailbeat experiment new",
         )
+
+
+def require_same(fish: Fish, experiment: Experiment) -> None:
+    """Raises InputError, with what to do, when the board is another fish than the experiment's (by
+    its unique id), or has another reference."""
+    require_fish(fish, experiment)
     crc, has = reference_crc(experiment), fish.status().reference_crc
     if crc is not None and has is None and held_state(experiment) is not None:
         raise InputError(

@@ -256,7 +256,16 @@ class Experiment:
             f"raw/{name} {changed if (self.raw / name).exists() else missing}"
             for name in self.damaged()
         ]
-        return lines + [f"raw/{name} is not listed in {_SUMS}" for name in self.unlisted()]
+        lines += [f"raw/{name} is not listed in {_SUMS}" for name in self.unlisted()]
+        return lines + [
+            f"raw/{name} is in the journal and not in the folder" for name in self._gone()
+        ]
+
+    def _gone(self) -> list[str]:
+        """Swims that the journal tells of, whose files nobody lists any more."""
+        told = {Path(str(entry.get("file") or "")).name for entry in self.journal.entries("swum")}
+        unlisted = told - set(self.sums())
+        return sorted(name for name in unlisted if name and not (self.raw / name).exists())
 
     def trial_files(self) -> list[Path]:
         """Every trial's file, in the order they were swum: by the journal, else by number, or by

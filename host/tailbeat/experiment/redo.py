@@ -59,7 +59,7 @@ def _about(settings: Mapping[str, Any]) -> Iterator[str]:
             yield f"- {words}: {settings[key]}"
     tool = settings.get("tool", {})
     yield "- tool: " + ", ".join(f"{name} {version}" for name, version in tool.items())
-    for key, value in settings.get("conditions", {}).items():
+    for key, value in (settings.get("conditions") or {}).items():
         yield f"- {key}: {value}"
 
 
@@ -94,7 +94,7 @@ def _new(settings: Mapping[str, Any]) -> list[str]:
     for key in ("fish", "configuration", "operator"):
         if settings.get(key):
             words += [f"--{key}", str(settings[key])]
-    for key, value in settings.get("conditions", {}).items():
+    for key, value in (settings.get("conditions") or {}).items():
         words += ["--condition", f"{key}={value}"]
     return words
 
@@ -126,7 +126,7 @@ def _step(entry: Mapping[str, Any]) -> str:
     """One line; nothing for what is only of use to the tool."""
     what, trial = entry["what"], entry.get("trial")
     if what == "set":
-        values = {**entry.get("params", {}), **entry.get("conditions", {})}
+        values = {**(entry.get("params") or {}), **(entry.get("conditions") or {})}
         values |= {k: entry[k] for k in ("operator", "configuration") if entry.get(k)}
         return "set " + ", ".join(f"{key} = {value}" for key, value in values.items())
     if what == "swum":

@@ -85,6 +85,8 @@ def replay(experiment: Experiment, scratch: Path) -> Replay:
     if (experiment.folder / ANALYSIS).is_file():
         write_analysis(copy)
         _compare(experiment.folder, copy.folder, [ANALYSIS], found)
+    else:
+        found.not_drawn.append((ANALYSIS, "it is not there; make it: tailbeat report"))
     _redraw(experiment, copy, scratch, found)
     return Replay(
         raw=len(experiment.sums()),

@@ -96,6 +96,8 @@ class Access:
         if not self._is_ours(request.host):
             return "this page has another name"
         origin = request.origin
+        if request.cross_site:
+            return "another page may not ask for this"
         if origin is None:  # no browser opens a websocket without
             return "a websocket without an origin" if request.websocket else ""
         same = origin.lower() == f"{request.scheme}://{request.host}".lower()
@@ -132,6 +134,7 @@ class _Request:
     scheme: str
     host: str
     origin: str | None
+    cross_site: bool  # something in another site's page, not somebody who follows a link
     cookies: str
     asked: str
 
@@ -147,6 +150,8 @@ class _Request:
             scheme=scheme,
             host=found.get(b"host", b"").decode("latin-1"),
             origin=None if origin is None else origin.decode("latin-1"),
+            cross_site=found.get(b"sec-fetch-site") == b"cross-site"
+            and found.get(b"sec-fetch-dest") != b"document",
             cookies=found.get(b"cookie", b"").decode("latin-1"),
             asked=scope.get("query_string", b"").decode("latin-1"),
         )
