@@ -51,7 +51,7 @@ def _watch(step: Step, wanted: Wanted, sight: Sight) -> Drift:
         covered_s = 0.0 if drift is None else drift.over_s
         whole = covered_s >= wanted.still_s
         if drift is not None and whole and _passes(drift, wanted):
-            step.tell(f"still: {_words(drift)}", ok=True)
+            step.tell(_words(drift), ok=True)
             return drift
         words = _how_it_moves(sight, drift, wanted)
         if step.is_late:
