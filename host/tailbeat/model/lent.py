@@ -139,7 +139,7 @@ def put_back_left(fish: Fish, safe: Path | None, note: Callable[[str], None]) ->
     if status.state == "RUNNING":
         raise InputError(
             "the board swims a run of an identification or a trim.",
-            f"If nobody waits for it: tailbeat abort, then {PUTS_BACK}",
+            f"If nobody waits for it: tailbeat trial abort, then {PUTS_BACK}",
         )
     stopped = f" (it was stopped: {status.fault.name})" if status.fault.number else ""
     note(
