@@ -15,13 +15,12 @@ from tailbeat.camera.tank.wall import glide_m
 from tailbeat.results import BeatEvent
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tailbeat.fish import Guard
 
 Array = NDArray[np.float64]
 
 TOO_FAR = "room:"  # how its reasons begin
+BY_HAND = "stopped by hand"  # the reason of a person who wants it to end
 
 _LATE_S = 2.0  # SPD_LATE_S + SPD_GAP_S as they are by default
 _STOP_S = 0.5  # radio, the glide to the centre, thrust that is under way
@@ -172,13 +171,3 @@ class Seen:
         elif isinstance(seen, Frame):
             self.frames.append(seen)
         return None
-
-    def write(self, path: Path, start_s: float = 0.0) -> None:
-        """As CSV t_s,x_m,y_m,heading_rad; time from ``start_s``."""
-        from tailbeat.lasting import write_whole
-
-        rows = [
-            f"{f.t_s - start_s:.4f},{f.x_m:.5f},{f.y_m:.5f},{f.heading_rad:.5f}"
-            for f in self.frames
-        ]
-        write_whole(path, "\n".join(["t_s,x_m,y_m,heading_rad", *rows, ""]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -120,14 +119,12 @@ def test_when() -> None:
     assert guard("x") == "a key"
 
 
-def test_seen_keeps_the_frames_of_this_swim(tmp_path: Path) -> None:
+def test_seen_keeps_the_frames_of_this_swim() -> None:
     seen = Seen()
     seen(Frame(1.0, 0.5))
     seen(Afresh())
     assert seen(Frame(102.0, 0.1, -0.2, 0.3)) is None and seen("x") is None
-    seen.write(tmp_path / "seen.csv", 100.0)
-    rows = (tmp_path / "seen.csv").read_text().splitlines()
-    assert rows == ["t_s,x_m,y_m,heading_rad", "2.0000,0.10000,-0.20000,0.30000"]
+    assert seen.frames == [Frame(102.0, 0.1, -0.2, 0.3)]
 
 
 # -- with a fish ----------------------------------------------------------------------------------

@@ -30,6 +30,26 @@ LatencyOption = Annotated[
     typer.Option("--latency", metavar="S", help="How late a picture of the device arrives."),
 ]
 
+CameraOption = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="DEVICE|tcp:HOST:PORT|rendered",
+        help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
+    ),
+]
+WallOption = Annotated[
+    float | None,
+    typer.Option(
+        "--wall",
+        min=0.0,
+        max=2.0,
+        metavar="M",
+        help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
+        " default: where it can just still stop, by its drag.",
+    ),
+]
+
 
 def marker_of(kind: str, number: int | None = None, side_m: float | None = None) -> Marker:
     """What the options say. Raises typer.BadParameter."""

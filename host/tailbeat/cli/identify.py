@@ -12,10 +12,12 @@ import typer
 
 from tailbeat.cli.cameraoptions import (
     CalibrationOption,
+    CameraOption,
     LatencyOption,
     MarkerIdOption,
     MarkerKindOption,
     MarkerSideOption,
+    WallOption,
     marker_of,
 )
 from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say, table
@@ -82,29 +84,13 @@ def identify(
         float,
         typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each run."),
     ] = 30.0,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="DEVICE|tcp:HOST:PORT|rendered",
-            help="A camera, for the speeds and the walls.",
-        ),
-    ] = None,
+    camera: CameraOption = None,
     calibration: CalibrationOption = None,
     marker: MarkerKindOption = "aruco",
     marker_id: MarkerIdOption = None,
     marker_side: MarkerSideOption = None,
     latency: LatencyOption = 0.0,
-    wall: Annotated[
-        float | None,
-        typer.Option(
-            "--wall",
-            min=0.0,
-            max=2.0,
-            metavar="M",
-            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never.",
-        ),
-    ] = None,
+    wall: WallOption = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:

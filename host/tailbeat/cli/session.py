@@ -9,10 +9,12 @@ import typer
 
 from tailbeat.cli.cameraoptions import (
     CalibrationOption,
+    CameraOption,
     LatencyOption,
     MarkerIdOption,
     MarkerKindOption,
     MarkerSideOption,
+    WallOption,
     marker_of,
 )
 from tailbeat.cli.common import Connect, Json, connected, say
@@ -29,24 +31,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="A day at the tank: first session, battery swap.")
 
-CameraOption = Annotated[
-    str | None,
-    typer.Option(
-        "--camera",
-        metavar="DEVICE|tcp:HOST:PORT|rendered",
-        help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
-    ),
-]
-WallOption = Annotated[
-    float | None,
-    typer.Option(
-        "--wall",
-        min=0.0,
-        max=2.0,
-        metavar="M",
-        help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never.",
-    ),
-]
 IntoOption = Annotated[
     Path | None,
     typer.Option("--into", metavar="FOLDER", help="The experiment; default: the one it is in."),

@@ -11,10 +11,12 @@ import typer
 
 from tailbeat.cli.cameraoptions import (
     CalibrationOption,
+    CameraOption,
     LatencyOption,
     MarkerIdOption,
     MarkerKindOption,
     MarkerSideOption,
+    WallOption,
     marker_of,
 )
 from tailbeat.cli.common import Connect, Json, connected, mm, plain, progress_bar, say
@@ -35,14 +37,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="DEVICE|tcp:HOST:PORT|rendered",
-            help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
-        ),
-    ] = None,
+    camera: CameraOption = None,
     calibration: CalibrationOption = None,
     marker: MarkerKindOption = "aruco",
     marker_id: MarkerIdOption = None,
@@ -52,17 +47,7 @@ def run(
         Path | None,
         typer.Option("--video", metavar="FILM.mkv", help="Film what the camera sees."),
     ] = None,
-    wall: Annotated[
-        float | None,
-        typer.Option(
-            "--wall",
-            min=0.0,
-            max=2.0,
-            metavar="M",
-            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
-            " default: where it can just still stop, by its drag.",
-        ),
-    ] = None,
+    wall: WallOption = None,
     guide: Annotated[
         bool | None,
         typer.Option(

@@ -9,6 +9,7 @@ import typer
 
 from tailbeat.cli.cameraoptions import (
     CalibrationOption,
+    CameraOption,
     LatencyOption,
     MarkerIdOption,
     MarkerKindOption,
@@ -41,14 +42,7 @@ def trim(
         float,
         typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each swim."),
     ] = 30.0,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="DEVICE|tcp:HOST:PORT|rendered",
-            help="A camera, for the way, the walls, and the turns where the IMU feels none.",
-        ),
-    ] = None,
+    camera: CameraOption = None,
     calibration: CalibrationOption = None,
     marker: MarkerKindOption = "aruco",
     marker_id: MarkerIdOption = None,

@@ -12,6 +12,7 @@ import typer
 
 from tailbeat.cli.cameraoptions import (
     CalibrationOption,
+    CameraOption,
     LatencyOption,
     MarkerIdOption,
     MarkerKindOption,
@@ -45,14 +46,7 @@ def ui(
     root: Annotated[Path, typer.Option("--root", help="Folder for new experiments.")] = Path(
         "experiments"
     ),
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="DEVICE|tcp:HOST:PORT|rendered",
-            help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
-        ),
-    ] = None,
+    camera: CameraOption = None,
     calibration: CalibrationOption = None,
     marker: MarkerKindOption = "aruco",
     marker_id: MarkerIdOption = None,

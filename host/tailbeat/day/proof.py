@@ -17,7 +17,7 @@ from tailbeat.day.raising import AMP_MAX
 from tailbeat.day.ritual import countdown, prepare
 from tailbeat.day.shift import slope_of
 from tailbeat.errors import TailbeatError
-from tailbeat.guards import RoomGuard, together, when
+from tailbeat.guards import BY_HAND, RoomGuard, together, when
 from tailbeat.logbook import RUN, logbook_of
 from tailbeat.model.lent import lent, safe_folder
 from tailbeat.straight import Straightness, straightness
@@ -39,7 +39,6 @@ Array = NDArray[np.float64]
 AS_TOLD = 0.15  # of the speed the model tells: beyond it the model is not this fish up there
 _RAMP_BEATS, _CRUISE_BEATS, _CRUISE_LEAST, _COAST_BEATS = 4, 10, 4, 4
 _MARGIN_M = 0.15  # of the tank, left free, as identify does
-_BY_HAND = "stopped by hand"
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def prove(
             countdown(fish, wanted, person)
         watch = together(
             guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
-            when(person.wants_abort, _BY_HAND),
+            when(person.wants_abort, BY_HAND),
         )  # fmt: skip
         trial = board.swim(camera, person.tell, watch, lambda o: _judge(fish, o), keep)
     return judged(trial, identified)

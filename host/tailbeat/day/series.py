@@ -16,7 +16,7 @@ from tailbeat.day.logs import drop_peeked, keep_log, outcome_of, peek_log
 from tailbeat.day.person import Decision
 from tailbeat.day.ritual import BatteryLow, GivenUp, Wanted, countdown, prepare
 from tailbeat.day.swimming import Around, swim
-from tailbeat.day.swums import BY_HAND, swum_of
+from tailbeat.day.swums import swum_of
 from tailbeat.day.until import Until
 from tailbeat.errors import InputError, Refused
 from tailbeat.experiment.board import copy_state, require_not_lost
@@ -24,6 +24,7 @@ from tailbeat.experiment.current import require_own, require_same
 from tailbeat.experiment.lock import alone
 from tailbeat.experiment.redo import write_redo
 from tailbeat.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
+from tailbeat.guards import BY_HAND
 from tailbeat.logbook import logbook_of
 from tailbeat.travel import room_guard, travel_next
 

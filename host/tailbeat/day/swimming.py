@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from tailbeat.day.logs import trial_is_safe
 from tailbeat.day.positions import stash_of
-from tailbeat.day.swums import BY_HAND
-from tailbeat.guards import Seen, together, when
+from tailbeat.guards import BY_HAND, Seen, together, when
 from tailbeat.results import SIMULATED_FISH
 
 if TYPE_CHECKING:

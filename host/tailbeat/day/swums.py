@@ -9,6 +9,7 @@ import numpy as np
 
 from tailbeat.day.person import Decision
 from tailbeat.day.swum import Swum
+from tailbeat.guards import BY_HAND
 
 if TYPE_CHECKING:
     from tailbeat.day.logs import Log
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from tailbeat.results import TrialOutcome
     from tailbeat.trial_log import Trial
 
-BY_HAND = "stopped by hand"
 _WALL = "aborted:WALL"
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tailbeat.day.ritual import GivenUp
 from tailbeat.errors import InputError, TailbeatError
-from tailbeat.guards import RoomGuard, Seen, together, when
+from tailbeat.guards import BY_HAND, RoomGuard, Seen, together, when
 from tailbeat.logbook import RUN, logbook_of
 from tailbeat.model.fitting import Scatter
 from tailbeat.model.lent import Lent, lent, safe_folder, set_for_good
@@ -45,7 +45,6 @@ _MARGIN_M = 0.15  # of the tank's length, left free
 _ALIKE_SIGMAS = 5.0  # two turns that differ by less tell no centre
 _FAR_RAD = 0.35  # a tail mounted further askew is no matter of trim
 _BEATS_MIN = 8  # swum of both, to tell anything
-_BY_HAND = "stopped by hand"
 _NOTHING = "Nothing was changed; tailbeat trim"
 _REST_S, _PATIENCE_S, _LOOK_S = 20.0, 90.0, 0.2  # of board time
 
@@ -255,7 +254,7 @@ class _Swimmer:
         self._ask(number, centre_us, planned)
         room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
         seen = Seen()
-        guards = together(self.guard, room, when(self.person.wants_abort, _BY_HAND), seen)
+        guards = together(self.guard, room, when(self.person.wants_abort, BY_HAND), seen)
         trial = self.board.swim(self.camera, self.person.tell, guards, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.errors import InputError, TailbeatError
-from tailbeat.guards import RoomGuard, together, when
+from tailbeat.guards import BY_HAND, RoomGuard, together, when
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.fitting import Prior
 from tailbeat.model.identified import Identified
@@ -36,7 +36,6 @@ MODEL_PARAMS = {
 }
 _SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
 _NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
-_BY_HAND = "stopped by hand"
 _GLIDES_ON = 0.5  # of the drag that is believed: a fish nobody knows may glide twice as far
 
 
@@ -125,7 +124,7 @@ class _Swimmer:
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
         self.attendant.before(run)
-        guard = together(self.attendant.guard, self._room(run), when(self._stop, _BY_HAND))
+        guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
         swum = self.board.swim(
             self.camera, self.attendant.event, guard, self._judge, self.attendant.keep
         )
@@ -152,7 +151,7 @@ class _Swimmer:
         self.board.fish.clear()
         if self.stopped:
             raise TailbeatError(
-                f"run {run.number} was {_BY_HAND}.",
+                f"run {run.number} was {BY_HAND}.",
                 "The board has back what it held; begin again when it is put right.",
             )
         if end in _NO_ROOM and beats > 2:
