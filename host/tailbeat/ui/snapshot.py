@@ -200,7 +200,7 @@ def _words(kind: str, event: Event) -> str:
     if kind == "text":
         return str(event["text"]) if event["severity"] <= _WARNING else ""
     if kind == "step":
-        return str(event["text"]) if event.get("ok") is not None else ""
+        return f"{event['step']}: {event['text']}" if event.get("ok") is not None else ""
     words = _SAID.get(kind)
     return words(event) if words else ""
 
