@@ -127,6 +127,16 @@ class BadDay(Day):
             assert there or trial.number in (waiting, open_trial), f"trial {trial.number}"
         assert experiment.damaged() == []
 
+    def require_resume(self, differs: str) -> None:
+        """It was switched off: nothing swims or is learned before 'session resume'."""
+        before, swims = self.experiment().folder / "board" / "state.json", self.board.truth().swims
+        held = before.read_bytes() if before.exists() else b""
+        assert self.says(*KEEP)[0] == 1 and len(self.lines) == 1, self.lines
+        words_of(differs, "tailbeat session resume", self.lines)
+        assert self.board.truth().swims == swims
+        assert (before.read_bytes() if before.exists() else b"") == held
+        assert self.says("session", "resume", "--no-repeat")[0] == 0, self.lines
+
     def require_goes_on(self) -> None:
         """The same command again ends with a kept swim, and all that was swum is accounted for."""
         self.require_nothing_lost()
@@ -352,12 +362,28 @@ def test_the_battery_sags_in_mid_swim(day: BadDay) -> None:
     day.require_goes_on()
 
 
-def test_a_new_battery_without_any_ceremony(day: BadDay) -> None:
+def test_a_new_battery_is_not_gone_on_with_unasked(day: BadDay) -> None:
     day.goes_wrong(3, lambda: day.board.set_battery_v(5.5))
     assert day.says(*KEEP)[0] == 1
     day.board.swap_battery(8.2)
+    assert day.says("learn")[0] == 1 and "session resume" in day.lines[0]
+    day.require_resume("LAW_LEAD is 0, was 1")
     day.require_goes_on()
     assert [e["trial"] for e in day.experiment().journal.entries("learned")] == [1, 2]
+
+
+def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
+    """Its parameters were saved: only its clock tells."""
+    assert day.says("params", "save")[0] == 0
+    assert day.says(*KEEP)[0] == 0
+    day.board.swap_battery(8.2)
+    day.fish().link.run(1.0)
+    swims = day.board.truth().swims
+    assert day.says(*KEEP)[0] == 1 and len(day.lines) == 1
+    words_of("the board was switched off since trial 1", "tailbeat session resume", day.lines)
+    assert day.board.truth().swims == swims
+    assert day.says("session", "resume", "--no-repeat")[0] == 0
+    day.require_goes_on()
 
 
 def test_the_battery_is_too_low_for_another_swim(day: BadDay) -> None:
@@ -383,6 +409,7 @@ def test_power_is_cut_in_mid_swim(day: BadDay) -> None:
     assert len(day.lines) == 2, day.lines
     words_of("the board restarted during a trial", "Check the battery and its switch", day.lines)
     words_of("trial 2 (aborted:REBOOT) has no speeds", "discarded", day.lines)
+    day.require_resume("LAW_LEAD is 0, was 1")
     day.require_goes_on()
     assert day.lines == []
 
@@ -399,6 +426,7 @@ def test_power_is_cut_and_nobody_waits_for_the_end(
     with monkeypatch.context() as patch:
         patch.setattr("tailbeat.day.deciding.Office.decide", press)
         assert day.says(*KEEP)[0] == 130
+    day.require_resume("LAW_LEAD is 0, was 1")
     day.require_goes_on()
     words_of("trial 1 was left undecided", "decided on first", day.lines)
 

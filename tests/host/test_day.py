@@ -107,6 +107,10 @@ def abort_and_bump(day: Day) -> None:
 
 def swap_battery(day: Day) -> None:
     day.board.swap_battery(8.2, 0.99, 0.0)
+    swims = day.swims()
+    refused = day.types("trial", "run", "--then", "keep", status=1)
+    assert "TLM_RATE_HZ" in str(refused) and "session resume" in str(refused)
+    assert day.swims() == swims
     resumed = day.types("session", "resume", "--yes")
     assert resumed["restored"]["params"] == {"TLM_RATE_HZ": 10}
     assert resumed["restored"]["iteration"] == 3

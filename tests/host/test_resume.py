@@ -33,6 +33,7 @@ from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment
 from tailbeat.experiment.board import copy_state, held_state
 from tailbeat.experiment.current import begin, current, use
+from tailbeat.experiment.meant import note_set, strayed
 from tailbeat.fish import Fish
 from tailbeat.model import lent
 from tailbeat.model.lent import broken_off
@@ -279,27 +280,27 @@ def test_a_reference_nothing_was_learned_along_gives_way(
     assert swapped.learned_record() == pool.learned
 
 
-def test_a_centre_found_since_stays(swapped: Fish, experiment: Experiment) -> None:
-    swapped.params.set("SERVO_CENTRE_US", 1533.0)
-    experiment.journal.add("trimmed", centre_us=1533.0)
-    assert "SERVO_CENTRE_US" not in restore(swapped, experiment).params
+def test_what_was_set_on_purpose_since_stays(swapped: Fish, experiment: Experiment) -> None:
+    """By a command: status's advice, trim, design. With the others, which are lost."""
+    for name, value in (("AMP_MAX_RAD", 0.6), ("SERVO_CENTRE_US", 1533.0)):
+        note_set(swapped, {name: swapped.params.set(name, value).value}, experiment)
+    found = restore(swapped, experiment)
+    assert set(found.params) == set(PARAMS) - {"AMP_MAX_RAD"}
+    assert swapped.params.get("AMP_MAX_RAD").value == pytest.approx(0.6)
+    assert swapped.params.get("SERVO_CENTRE_US").value == 1533.0
     swapped.params.set("SERVO_CENTRE_US", 1500.0)
     assert restore(swapped, experiment).params == {"SERVO_CENTRE_US": 1533.0}
 
 
-def test_what_was_set_on_purpose_since_stays(swapped: Fish, experiment: Experiment) -> None:
-    """By the advice of status, of trim, of design; with the others lost."""
-    swapped.params.set("AMP_MAX_RAD", 0.6)
-    swapped.params.set("SERVO_CENTRE_US", 1480.0)
-    swapped.params.save()
+def test_a_value_that_was_saved_long_ago_is_not_what_it_was(
+    swapped: Fish, experiment: Experiment
+) -> None:
+    """Saved 4, set 3, not saved, switched off: what comes back is no default."""
+    swapped.params.set("LAW_GAIN", 2.5)
     found = restore(swapped, experiment)
-    assert set(found.params) == set(PARAMS) - {"AMP_MAX_RAD"}
-    assert swapped.params.get("AMP_MAX_RAD").value == pytest.approx(0.6)
-    assert any(
-        n == "AMP_MAX_RAD is 0.6, and was 0.7 when the copy was made; it stays" for n in found.notes
-    )
-    assert any(n.startswith("SERVO_CENTRE_US is 1480") for n in found.notes)
-    assert restore(swapped, experiment).notes == ()  # the copy has it now
+    held = held_state(experiment)
+    assert held is not None and found.params["LAW_GAIN"] == held.params["LAW_GAIN"]
+    assert found.params_before["LAW_GAIN"] == 2.5
 
 
 def test_a_replaced_board_gets_every_parameter(experiment: Experiment) -> None:
@@ -359,9 +360,20 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert repeat_best(swapped, experiment, Somebody(), ONE)[0].outcome.number == 6
 
 
-def test_no_copy_no_resume(swapped: Fish, experiment: Experiment) -> None:
+def test_without_a_copy_it_gets_what_the_experiment_was_made_with(
+    swapped: Fish, experiment: Experiment
+) -> None:
     (experiment.folder / "board" / "state.json").unlink()
-    with pytest.raises(InputError, match="no copy of a board"):
+    made = experiment.settings()["params"]
+    found = restore(swapped, experiment)
+    assert found.params == {name: made[name] for name in found.params} and found.params
+    assert not strayed(swapped, experiment)
+
+
+def test_a_folder_made_by_hand_has_nothing_to_give(swapped: Fish, experiment: Experiment) -> None:
+    (experiment.folder / "board" / "state.json").unlink()
+    (experiment.raw / "reference.bin").unlink()
+    with pytest.raises(InputError, match="no copy of a board, and no reference"):
         restore(swapped, experiment)
 
 

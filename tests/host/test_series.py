@@ -21,9 +21,10 @@ from tailbeat.day.person import Decision, Event
 from tailbeat.day.ritual import GivenUp
 from tailbeat.day.series import Options, SeriesEnd, Until, swim_series
 from tailbeat.day.swum import Swum
-from tailbeat.errors import InputError, TailbeatError
+from tailbeat.errors import InputError, Refused, TailbeatError
 from tailbeat.experiment import Experiment
 from tailbeat.experiment.current import begin
+from tailbeat.experiment.meant import note_set
 from tailbeat.fish import Fish
 from tailbeat.logbook import DISCARDED, Logbook
 from tailbeat.transport.simulated import SimBoard, SimTransport
@@ -106,6 +107,11 @@ def swim(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
 
 def kinds(experiment: Experiment) -> list[str]:
     return [entry["what"] for entry in experiment.journal.entries()]
+
+
+def set_meant(fish: Fish, experiment: Experiment, name: str, value: float) -> None:
+    """As 'params set' does it for a fish that is in the experiment."""
+    note_set(fish, {name: fish.params.set(name, value).value}, experiment)
 
 
 def at_rest(fish: Fish, board: SimBoard) -> bool:
@@ -291,7 +297,7 @@ def test_the_board_s_own_stop_is_left_as_it_is(
             if event["event"] == "beat" and event["beat"] == 2:
                 board.set_tilt_rad(1.4)
 
-    fish.params.set("TILT_MAX_RAD", 0.5)
+    set_meant(fish, experiment, "TILT_MAX_RAD", 0.5)
     end = swim(Rolls(KEEP), swims=4)
     assert end.why == "stopped" and "TILT" in end.words and "tailbeat clear" in end.words
     assert fish.status().state == "ABORTED" and fish.status().pending_trial == 1
@@ -318,10 +324,10 @@ def test_a_stopped_board_without_a_trial_is_asked_about(
 
 
 def test_rollback_is_told_with_what_it_means(
-    swim: Callable[..., SeriesEnd], fish: Fish, board: SimBoard
+    swim: Callable[..., SeriesEnd], fish: Fish, board: SimBoard, experiment: Experiment
 ) -> None:
     swim(Script(), swims=3)
-    fish.params.set("ROLLBACK_RATIO", 1.001)
+    set_meant(fish, experiment, "ROLLBACK_RATIO", 1.001)
     board.set_start(0.15)  # every swim begins with a push
     person = Script()
     for _ in range(3):
@@ -379,7 +385,7 @@ def test_a_fish_that_swims_is_left_alone(
 def test_a_swim_without_speeds_cannot_be_kept(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
 ) -> None:
-    fish.params.set("SPD_SOURCE", 1)
+    set_meant(fish, experiment, "SPD_SOURCE", 1)
     with pytest.raises(InputError, match="speed upload"):
         swim(Script(KEEP))
     assert fish.status().pending_trial == 1 and "decided" not in kinds(experiment)
@@ -393,11 +399,11 @@ def test_a_refusal_to_learn_is_asked_about_again(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     fish.run_trial()
-    fish.params.set("LAW_LEAD", 10)
-    with pytest.raises(TailbeatError):
+    set_meant(fish, experiment, "LAW_LEAD", 10)
+    with pytest.raises(Refused):
         swim(Script(KEEP))
     person = Script(BUMPED, KEEP)
-    fish.params.set("LAW_LEAD", 1)
+    set_meant(fish, experiment, "LAW_LEAD", 1)
     swim(person)
     assert person.asked == [1, 2]
 

@@ -127,17 +127,19 @@ def _reference(text: str | None, fish: Fish | None) -> Reference:
 def _apply(fish: Fish, found: Design) -> None:
     """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
     last trial alone, so those go with it."""
+    from tailbeat.experiment.meant import meant
     from tailbeat.laws import LAST
 
     law = found.law
-    fish.params.set("LAW_KD", law.kd_rad_s2_m)
-    fish.params.set("LAW_GAIN", law.kp_rad_s_m)
-    fish.params.set("LAW_LEAD", law.lead_beats)
-    fish.params.set("LAW_Q_LEN", law.q_len)
-    fish.params.set("LAW_TAIL", law.tail)
-    fish.params.set("LAW_FADE", law.fade)
-    if "LAW_KIND" in fish.params.list():  # older firmware has no other
-        fish.params.set("LAW_KIND", LAST)
+    with meant(fish):
+        fish.params.set("LAW_KD", law.kd_rad_s2_m)
+        fish.params.set("LAW_GAIN", law.kp_rad_s_m)
+        fish.params.set("LAW_LEAD", law.lead_beats)
+        fish.params.set("LAW_Q_LEN", law.q_len)
+        fish.params.set("LAW_TAIL", law.tail)
+        fish.params.set("LAW_FADE", law.fade)
+        if "LAW_KIND" in fish.params.list():  # older firmware has no other
+            fish.params.set("LAW_KIND", LAST)
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:

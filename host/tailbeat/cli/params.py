@@ -47,7 +47,10 @@ def set_(
     Example: tailbeat params set LAW_GAIN 4.6
     """
     with connected(connect) as fish:
+        from tailbeat.experiment.meant import note_set
+
         held = fish.params.set(name.upper(), value)
+        note_set(fish, {held.name: held.value})
     say(json, _one(held), f"{held.name} = {_number(held.value)} {held.unit}".rstrip())
 
 
@@ -75,13 +78,18 @@ def list_(connect: Connect = None, json: Json = False) -> None:
 
 @app.command()
 def save(connect: Connect = None, json: Json = False) -> None:
-    """Keep the present values through a power cycle.
+    """Keep the present values through a power cycle; an experiment goes on with them.
 
     Example: tailbeat params save
     """
     with connected(connect) as fish:
+        from tailbeat.experiment.meant import accept
+
         fish.params.save()
-    say(json, {"saved": True}, "saved")
+        accepted = accept(fish)
+    words = ", ".join(f"{name} {_number(value)}" for name, value in accepted.items())
+    text = f"saved; the experiment goes on with {words}" if words else "saved"
+    say(json, {"saved": True, "accepted": accepted}, text)
 
 
 @app.command()
@@ -91,7 +99,10 @@ def load(connect: Connect = None, json: Json = False) -> None:
     Example: tailbeat params load
     """
     with connected(connect) as fish:
-        fish.params.load()
+        from tailbeat.experiment.meant import meant
+
+        with meant(fish):
+            fish.params.load()
     say(json, {"loaded": True}, "loaded")
 
 
@@ -102,5 +113,8 @@ def reset(connect: Connect = None, json: Json = False) -> None:
     Example: tailbeat params reset
     """
     with connected(connect) as fish:
-        fish.params.reset()
+        from tailbeat.experiment.meant import meant
+
+        with meant(fish):
+            fish.params.reset()
     say(json, {"reset": True}, "all parameters at their defaults")

@@ -148,6 +148,7 @@ def _crc(text: str | None) -> int | None:
 
 def _apply(found: Progress, connect: str | None) -> dict[str, float]:
     from tailbeat.errors import InputError
+    from tailbeat.experiment.meant import note_set
 
     if found.fade is None:
         raise InputError(
@@ -156,7 +157,9 @@ def _apply(found: Progress, connect: str | None) -> dict[str, float]:
         )
     wanted = {"LAW_FADE": found.fade.fade, "LAW_FADE_FROM": float(found.fade.fade_from)}
     with connected(connect) as fish:
-        return {name: fish.params.set(name, value).value for name, value in wanted.items()}
+        held = {name: fish.params.set(name, value).value for name, value in wanted.items()}
+        note_set(fish, held)
+    return held
 
 
 def _document(found: Progress) -> dict[str, Any]:

@@ -256,7 +256,8 @@ def _last_words(steps: list[Step], limits: dict[str, float]) -> str:
 
 
 def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
-    given = [f"{name} {value:g}" for name, value in found.params.items()]
+    before = found.params_before
+    given = [f"{name} {value:g} (it had {before[name]:g})" for name, value in found.params.items()]
     given += ["the reference"] if found.reference else []
     given += ["all that was learned"] if found.learned else []
     what = f"given back, as the experiment last had it: {', '.join(given)}"

@@ -135,14 +135,16 @@ def _ctrl_c_told() -> Iterator[None]:
 
 
 def _with_room(fish: Fish, guard: Guard | None) -> Guard:
-    """Refuses a swim along what is not the fish's own, and one that the tank has no room for; ends
-    one that comes farther."""
+    """Refuses a swim along what is not the fish's own or with parameters nobody meant, and one that
+    the tank has no room for; ends one that comes farther."""
     from tailbeat.experiment.current import require_own
+    from tailbeat.experiment.meant import require_meant_here
     from tailbeat.guards import together
     from tailbeat.logbook import logbook_of
     from tailbeat.travel import room_guard, travel_next
 
     require_own(fish)
+    require_meant_here(fish)
     book = logbook_of(fish)
     travel_next(fish, book).require_room()
     return together(guard, room_guard(fish, book))

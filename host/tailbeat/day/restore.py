@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from tailbeat.day.repeat import AGAIN, end_repeat, idle
 from tailbeat.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.experiment.board import copy_state, held_state
-from tailbeat.experiment.current import use
+from tailbeat.experiment.board import BoardState, copy_state, expected_params, held_state
+from tailbeat.experiment.current import reference_of, use
+from tailbeat.experiment.meant import strayed
 from tailbeat.logbook import logbook_of
 from tailbeat.model.lent import put_back_left, safe_folder
 from tailbeat.records import record_crc
 
 if TYPE_CHECKING:
-    from tailbeat.experiment.board import BoardState
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish
-    from tailbeat.parameters import Parameter
 
 __all__ = ["Restored", "restore"]
 
 
 @dataclass(frozen=True)
 class Restored:
-    """What the board got back. ``params``: names that differed; ``reference``, ``learned``: whether
-    it had to be given again. ``iteration`` swims next. ``pending_trial``: waits to be decided on,
-    and is left alone. ``notes``: what else a person should know, one line each."""
+    """What the board got back. ``params``: those that differed, ``params_before`` what it had of
+    them; ``reference``, ``learned``: whether it had to be given again. ``iteration`` swims next.
+    ``pending_trial``: waits to be decided on, and is left alone. ``notes``: what else a person
+    should know, one line each."""
 
     params: dict[str, float]
+    params_before: dict[str, float]
     reference: bool
     learned: bool
     iteration: int
@@ -39,13 +39,13 @@ class Restored:
 
 
 def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> Restored:
-    """Compares the board with ``experiment.board`` and gives it back what it lacks: parameters it
-    holds at their defaults (saved, so that the next battery does not lose them), reference, all
-    that was learned. What was set on purpose since stays, and so does a board that is ahead of the
-    copy, which is made anew. What an identification or a trim that was broken off has left is put
-    back first. A trial that waits on the board is left alone. ``another_board``: it was replaced,
-    takes the other's place and all its parameters. Raises InputError before anything is written:
-    another fish, nothing held, not idle, both have learned."""
+    """Compares the board with what the experiment had last and gives it back what it lacks:
+    parameters (saved, so that the next battery does not lose them; what a command has set since is
+    meant, see experiment.meant), reference, all that was learned. A board that is ahead of the copy
+    keeps what it has, and the copy is made anew. What an identification or a trim that was broken
+    off has left is put back first. A trial that waits on the board is left alone.
+    ``another_board``: it was replaced and takes the other's place. Raises InputError before
+    anything is written: another fish, nothing held, not idle, both have learned."""
     notes: list[str] = []
     put_back_left(fish, safe_folder(logbook_of(fish)), notes.append)
     held = _held(experiment)
@@ -55,14 +55,16 @@ def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> 
     if before is not None:  # first: a second call then finds the board it is about
         experiment.write_settings({"unique_id": fish.unique_id(), "board_before": before})
         use(fish, experiment)
-    given = _give_params(fish, _lost(fish, experiment, held, another_board, notes), notes)
+    found = _strayed(fish, experiment, notes)
+    given = _give_params(fish, {name: meant for name, (_, meant) in found.items()}, notes)
     if pending is None:
         end_repeat(fish, experiment)
         _give(fish, held, lacks)
         copy_state(fish, experiment)
     status = fish.status()
-    found = Restored(
+    restored = Restored(
         params=given,
+        params_before={name: found[name][0] for name in given},
         reference=lacks.reference,
         learned=lacks.learned,
         iteration=status.iteration,
@@ -70,18 +72,27 @@ def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> 
         pending_trial=pending,
         notes=tuple(notes),
     )
-    experiment.journal.add("resumed", **asdict(found))
-    return found
+    experiment.journal.add("resumed", **asdict(restored), board_s=fish.clock.now_s())
+    return restored
 
 
 def _held(experiment: Experiment) -> BoardState:
-    held = held_state(experiment)
-    if held is None:
+    """The copy; before the first swim what the experiment was made with."""
+    if (held := held_state(experiment)) is not None:
+        return held
+    if (reference := reference_of(experiment)) is None:
         raise InputError(
-            f"{experiment.name} has no copy of a board: no trial of it was swum yet.",
-            "tailbeat trial run makes one after every swim; name another experiment, or go on.",
+            f"{experiment.name} has no copy of a board, and no reference.",
+            "Name another experiment (--into), or begin one: tailbeat experiment new",
         )
-    return held
+    return BoardState(
+        unique_id=str(experiment.settings().get("unique_id") or ""),
+        params=expected_params(experiment),
+        iteration=0,
+        reference=reference,
+        learned=None,
+        last_learned_trial=None,
+    )
 
 
 def _other_board(
@@ -100,32 +111,13 @@ def _other_board(
     return wanted
 
 
-def _lost(
-    fish: Fish, experiment: Experiment, held: BoardState, every: bool, notes: list[str]
-) -> dict[str, float]:
-    """Parameters the board holds at their defaults and the copy does not: those it has lost. Any
-    other that differs was set since and stays, as a note tells. ``every``: all that differ."""
-    now = fish.params.list()
-    centre_us = _trimmed_us(experiment)
-    lost: dict[str, float] = {}
-    for name, value in held.params.items():
-        if name not in now or _same(now[name].value, value):
-            continue
-        if name == "SERVO_CENTRE_US" and _same(now[name].value, centre_us):
-            continue
-        if every or _at_default(now[name]):
-            lost[name] = value
-        else:
-            notes.append(
-                f"{name} is {now[name].value:g}, and was {value:g} when the copy was made; it stays"
-            )
-    if missing := sorted(set(held.params) - set(now)):
+def _strayed(
+    fish: Fish, experiment: Experiment, notes: list[str]
+) -> dict[str, tuple[float, float]]:
+    found, wanted = strayed(fish, experiment), expected_params(experiment)
+    if missing := sorted(set(wanted) - set(fish.params.list())):
         notes.append(f"this firmware has no {', '.join(missing)}")
-    return lost
-
-
-def _at_default(held: Parameter) -> bool:
-    return _same(held.value, held.default)
+    return found
 
 
 def _give_params(fish: Fish, wanted: dict[str, float], notes: list[str]) -> dict[str, float]:
@@ -147,18 +139,6 @@ def _give_params(fish: Fish, wanted: dict[str, float], notes: list[str]) -> dict
         fish.params.save()
     notes += [f"{name} = {wanted[name]:g} was refused: {why}" for name, why in refused.items()]
     return given
-
-
-def _trimmed_us(experiment: Experiment) -> float | None:
-    """The centre that was found last: trimmed after the copy was made, it is the newer one."""
-    trimmed = experiment.journal.entries("trimmed")
-    centre_us = trimmed[-1].get("centre_us") if trimmed else None
-    return float(centre_us) if isinstance(centre_us, int | float) else None
-
-
-def _same(value: float, other: float | None) -> bool:
-    """As the board holds them."""
-    return other is not None and struct.pack("<f", value) == struct.pack("<f", other)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from tailbeat.day.deciding import Done, Office
 from tailbeat.day.judging import judged, told
 from tailbeat.day.logs import drop_peeked, keep_log, outcome_of, peek_log
 from tailbeat.day.person import Decision
+from tailbeat.day.power import accepted, switched_off_since
 from tailbeat.day.ritual import BatteryLow, GivenUp, Wanted, countdown, prepare
 from tailbeat.day.swimming import Around, swim
 from tailbeat.day.swums import swum_of
@@ -22,6 +23,7 @@ from tailbeat.errors import InputError, Refused
 from tailbeat.experiment.board import copy_state, require_not_lost
 from tailbeat.experiment.current import require_own, require_same
 from tailbeat.experiment.lock import alone
+from tailbeat.experiment.meant import require_meant
 from tailbeat.experiment.redo import write_redo
 from tailbeat.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
 from tailbeat.guards import BY_HAND
@@ -99,8 +101,10 @@ def swim_series(
     is lost.
 
     Raises InputError, and touches nothing, when the board holds what is not its own (a trim or a
-    repeat that was broken off), has lost what the copy of its state knows, or another program swims
-    in this experiment.
+    repeat that was broken off), has lost what the copy of its state knows, has other parameters
+    than it is meant to have (``experiment.meant``), or another program swims in this experiment. A
+    board that was switched off and has all that needs a person's consent: the fish may have
+    shifted.
 
     A swim stopped by the person is decided on like any other; then the series ends. Raises what the
     ritual, the swim and the disk raise; the tail is still then."""
@@ -111,6 +115,7 @@ def swim_series(
         if not options.of_best:
             _require_no_repeat(experiment)
         require_not_lost(fish, experiment)
+        require_meant(fish, experiment)
         return _swim_series(fish, experiment, person, options, camera, guard)
 
 
@@ -167,7 +172,7 @@ class _Series:
         return SeriesEnd(why, words, self.rounds, self.verdict)
 
     def swim(self) -> SeriesEnd:
-        end = self._catch_up() or self._enough()
+        end = self._catch_up() or self._switched_off() or self._enough()
         while end is None:
             end = self._battery() or self._round() or self._enough()
         return end
@@ -191,6 +196,20 @@ class _Series:
         if last and status.fault.number == ABORT_COMMAND:
             fish.clear()  # it was stopped before its first beat, most likely from here
         return self._cleared()
+
+    def _switched_off(self) -> SeriesEnd | None:
+        """The hull may have been open: whether the best is repeated first is the person's to say.
+        Before there is a best nothing can tell a shift."""
+        fish, journal = self.around.fish, self.account.journal
+        if self.options.of_best or fish.status().best_iteration is None:
+            return None
+        if (trial := switched_off_since(fish, journal)) is None:
+            return None
+        words = f"the board was switched off since trial {trial}, and the fish may have shifted."
+        if not self.around.person.confirm(f"{words} Go on without a repeat of the best?"):
+            return self.end("stopped", f"{words} Then: tailbeat session resume")
+        accepted(fish, journal)
+        return None
 
     def _finish_old(self, number: int) -> SeriesEnd | None:
         fish = self.around.fish
@@ -388,7 +407,7 @@ class _Series:
 
 def _restart_words(number: int) -> str:
     fault = fault_info(REBOOT)
-    return f"trial {number}: {fault.meaning}. {fault.remedy}"
+    return f"trial {number}: {fault.meaning}. {fault.remedy} Then: tailbeat session resume"
 
 
 def _counted_words(count: int) -> str:

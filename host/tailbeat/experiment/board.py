@@ -19,6 +19,8 @@ from tailbeat.lasting import MAKE_ROOM, write_whole
 from tailbeat.plain import canonical
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish
 
@@ -49,14 +51,15 @@ class BoardState:
 
 def copy_state(fish: Fish, experiment: Experiment) -> BoardState:
     """Reads it from the board and writes it whole, lasting; a copy that knows more stays beside it.
-    Raises InputError (disk full), Refused without a reference."""
+    The parameters are those it is meant to have: a board that restarted has lost what was not
+    saved. Raises InputError (disk full), Refused without a reference."""
     reference = fish.reference_record()
     if reference is None:
         raise refusal(NO_REFERENCE)
     status = fish.status()
     state = BoardState(
         unique_id=fish.unique_id(),
-        params={name: p.value for name, p in fish.params.list().items()},
+        params=expected_params(experiment) or _params(fish),
         iteration=status.iteration,
         reference=reference,
         learned=fish.learned_record(),
@@ -114,6 +117,24 @@ def held_state(experiment: Experiment) -> BoardState | None:
     return state
 
 
+def expected_params(experiment: Experiment) -> dict[str, float]:
+    """What its board is meant to have: what the copy has, which follows what commands set; without
+    one what the experiment was made with, and what was set since. Empty = made by hand."""
+    if (held := held_state(experiment)) is not None:
+        return held.params
+    params = dict(experiment.settings().get("params") or {})
+    for entry in experiment.journal.entries("set"):
+        params |= entry.get("params") or {}
+    return {str(name): float(value) for name, value in params.items()}
+
+
+def set_held_params(experiment: Experiment, params: Mapping[str, float]) -> None:
+    """These were set on purpose since the copy was made; without a copy nothing is done."""
+    if (held := held_state(experiment)) is not None:
+        new = replace(held, params=held.params | dict(params))
+        write_whole(_path(experiment), canonical(_document(new)), MAKE_ROOM)
+
+
 def _set_aside(experiment: Experiment, state: BoardState) -> None:
     try:
         held = held_state(experiment)
@@ -129,6 +150,10 @@ def _set_aside(experiment: Experiment, state: BoardState) -> None:
             return
         if aside.read_bytes() == content:
             return
+
+
+def _params(fish: Fish) -> dict[str, float]:
+    return {name: p.value for name, p in fish.params.list().items()}
 
 
 def _path(experiment: Experiment) -> Path:

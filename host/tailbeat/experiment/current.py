@@ -97,14 +97,20 @@ def require_own(fish: Fish) -> None:
         )
 
 
-def reference_crc(experiment: Experiment) -> int | None:
-    """None: the folder was made by hand and has no reference."""
-    from tailbeat.records import record_crc
-
+def reference_of(experiment: Experiment) -> bytes | None:
+    """Its record; None: the folder was made by hand and has none."""
     try:
-        return record_crc((experiment.raw / _REFERENCE).read_bytes())
+        return (experiment.raw / _REFERENCE).read_bytes()
     except OSError:
         return None
+
+
+def reference_crc(experiment: Experiment) -> int | None:
+    """Of ``reference_of``."""
+    from tailbeat.records import record_crc
+
+    record = reference_of(experiment)
+    return None if record is None else record_crc(record)
 
 
 def begin(

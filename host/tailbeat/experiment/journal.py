@@ -6,8 +6,9 @@ Every line has ``time`` (ISO 8601 with zone, local) and ``what``:
 {trial, iteration, end, file, rested_s, pose, drift, travel, battery_start_v, battery_end_v,
 board_s}; ``void`` {trial, end}: begun, but not swum;
 ``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason}; ``learned``
-{trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {...}; ``trimmed`` {...}; ``identified``
-{file}; ``restored`` {trial}
+{trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {..., board_s}; ``restarted`` {board_s}: the
+board was switched off, and somebody said to go on; ``trimmed`` {...}; ``identified`` {file};
+``restored`` {trial}
 
 A line that the end of power has torn is never removed: it is ended with ``#torn`` and not read.
 """

@@ -170,8 +170,10 @@ def safe_folder(book: Logbook | None) -> Path | None:
 
 
 def set_for_good(fish: Fish, wanted: Mapping[str, float]) -> dict[str, float]:
-    """Sets and saves these parameters; others that were changed but not saved stay so. What the
-    board then holds."""
+    """Sets and saves these parameters, and notes it in the experiment the fish is in; others that
+    were changed but not saved stay so. What the board then holds."""
+    from tailbeat.experiment.meant import note_set
+
     now = {name: p.value for name, p in fish.params.list().items()}
     fish.params.load()
     stored = {name: p.value for name, p in fish.params.list().items()}
@@ -181,7 +183,9 @@ def set_for_good(fish: Fish, wanted: Mapping[str, float]) -> dict[str, float]:
     for name, value in now.items():
         if name not in wanted and stored[name] != value:
             fish.params.set(name, value)
-    return {name: fish.params.get(name).value for name in wanted}
+    held = {name: fish.params.get(name).value for name in wanted}
+    note_set(fish, held)
+    return held
 
 
 def _require_ready(fish: Fish, what: str) -> None:
