@@ -36,7 +36,8 @@ def _was_off(last: dict[str, Any], now_s: float) -> bool:
     """Whether the board counts less time since then than the computer."""
     passed = datetime.now().astimezone() - datetime.fromisoformat(last["time"])
     passed_s = passed.total_seconds()
-    return passed_s - (now_s - last["board_s"]) > _CLOCKS_S + _CLOCKS_PART * abs(passed_s)
+    counted_s = now_s - float(last["board_s"])
+    return passed_s - counted_s > _CLOCKS_S + _CLOCKS_PART * abs(passed_s)
 
 
 def accepted(fish: Fish, journal: Journal) -> None:

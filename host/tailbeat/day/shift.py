@@ -30,7 +30,7 @@ Remedy = Literal["go on", "learn on", "trim", "identify"]
 
 IDENTIFY_AGAIN = 0.10  # of the thrust: beyond it the law was designed for another fish
 _LIKE_RAD = 0.05  # RMS over beats: inputs so alike are missed by a model alike
-_FIT_SIGMA = 0.008  # of one swim's thrust, measured on the tank plant without other scatter
+_BEAT_SIGMA_M_S = 0.0013  # so that it makes 0.008 in 40 beats of the thesis, 0.03 in 8 (tank plant)
 _PRIOR_FREEDOM = 4  # as verdict.noise_band has it
 _TAIL = 0.025
 
@@ -155,22 +155,38 @@ def _thrust(
     if not (math.isfinite(now) and math.isfinite(usual) and usual > 0):
         return _Thrust(1.0, -math.inf, math.inf, 0)  # too little was measured to tell
     scatter = identified.scatter if identified is not None else Scatter()
-    half = _half_width(np.array(before) / usual, math.hypot(scatter.gain, _FIT_SIGMA))
+    fit_sigma = _BEAT_SIGMA_M_S / _lever_m_s(repeat, model)
+    half = _half_width(np.array(before) / usual, math.hypot(scatter.gain, fit_sigma))
     return _Thrust(now / usual, 1 - half, 1 + half, len(before))
 
 
 def slope_of(trial: Trial, model: FishModel) -> float:
     """Measured speeds over the model's, as the slope of a line with an offset, which takes the
     flow. NaN: fewer than three beats were measured, or nothing was to move."""
-    beats = trial.beats
-    speed = beats.speed_m_s.astype(np.float64)
-    known = np.isfinite(speed) & (np.arange(len(speed)) < trial.executed_beats)
-    if np.count_nonzero(known) < 3:
-        return math.nan
-    told = model.beats(np.nan_to_num(beats.applied_rad.astype(np.float64)), trial.beat_s)[known]
-    spread = told - told.mean()
+    speed = trial.beats.speed_m_s.astype(np.float64)
+    known = _known(trial)
+    spread = _spread(trial, model, known)
     square = float(spread @ spread)
-    return float(spread @ speed[known]) / square if square > 0 else math.nan
+    if np.count_nonzero(known) < 3 or not square > 0:
+        return math.nan
+    return float(spread @ speed[known]) / square
+
+
+def _lever_m_s(trial: Trial, model: FishModel) -> float:
+    """By which a beat's scatter is divided to make the slope's: a short or slow swim tells less."""
+    return float(np.linalg.norm(_spread(trial, model, _known(trial))))
+
+
+def _known(trial: Trial) -> NDArray[np.bool_]:
+    speed = trial.beats.speed_m_s
+    return np.isfinite(speed) & (np.arange(len(speed)) < trial.executed_beats)
+
+
+def _spread(trial: Trial, model: FishModel, known: NDArray[np.bool_]) -> Array:
+    """The model's speeds of the known beats, less their mean."""
+    amplitude_rad = np.nan_to_num(trial.beats.applied_rad.astype(np.float64))
+    told = np.asarray(model.beats(amplitude_rad, trial.beat_s), dtype=np.float64)[known]
+    return told - told.mean() if told.size else told
 
 
 def _alike(trial: Trial, repeat: Trial) -> bool:
