@@ -32,6 +32,7 @@ from tailbeat.cli.app import app
 from tailbeat.experiment import Experiment
 from tailbeat.experiment.current import begin
 from tailbeat.fish import Fish
+from tailbeat.model.lent import set_for_good
 from tailbeat.transport.inprocess import CONSOLE, SimTransport
 from tailbeat.transport.simulated import SimBoard
 
@@ -383,6 +384,19 @@ def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
     words_of("the board was switched off since trial 1", "tailbeat session resume", day.lines)
     assert day.board.truth().swims == swims
     assert day.says("session", "resume", "--no-repeat")[0] == 0
+    day.require_goes_on()
+
+
+def test_only_what_a_command_sets_is_meant(day: BadDay) -> None:
+    assert day.says(*KEEP)[0] == 0
+    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    assert day.says(*KEEP)[0] == 0, "a command of this tool set it"
+    set_for_good(day.fish(), {"LAW_GAIN": 3.5})
+    assert day.says(*KEEP)[0] == 0, "as trim, identify and the first session do"
+    day.fish().params.set("LAW_GAIN", 2.5)  # from a ground station
+    assert day.says(*KEEP)[0] == 1
+    words_of("LAW_GAIN is 2.5, was 3.5", "tailbeat params save", day.lines)
+    assert day.says("params", "save")[1] == {"saved": True, "accepted": {"LAW_GAIN": 2.5}}
     day.require_goes_on()
 
 
