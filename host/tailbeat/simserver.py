@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from tailbeat.errors import ConnectError, InputError
 from tailbeat.simwords import Lines
 from tailbeat.transport.inprocess import CONSOLE, RADIO, SimulatedBoard
+from tailbeat.transport.tcp import taken_line
 
 DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
 
@@ -86,6 +87,7 @@ class _Port:
         self._listener = _listener(host, port)
         self.host, self.number = self._listener.getsockname()[:2]
         self.client: _Client | None = None
+        self.turn_away = b""  # what a second client is told
         self._waiting: socket.socket | None = None
         self._turn_away_s = 0.0
         selector.register(self._listener, selectors.EVENT_READ, self._accept)
@@ -94,7 +96,7 @@ class _Port:
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()
             if self._waiting is not None:
-                connection.close()
+                _hang_up(connection, self.turn_away)
                 return
             self._waiting = connection
             self._turn_away_s = time.monotonic() + _TURN_AWAY_S
@@ -126,7 +128,7 @@ class _Port:
             self.client = _Client(self._waiting)
             self._selector.register(self._waiting, selectors.EVENT_READ, _nothing)
         elif time.monotonic() > self._turn_away_s:
-            self._waiting.close()
+            _hang_up(self._waiting, self.turn_away)
         else:
             return
         self._waiting = None
@@ -149,6 +151,18 @@ class _Port:
             self._waiting.close()
         self._selector.unregister(self._listener)
         self._listener.close()
+
+
+def _hang_up(connection: socket.socket, last: bytes) -> None:
+    """With last words. What came is read first: a connection closed with bytes unread is torn down
+    at once, and some systems then throw the words away."""
+    with contextlib.suppress(OSError):
+        connection.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            connection.recv(_CHUNK_BYTES)
+        connection.send(last)
+        connection.shutdown(socket.SHUT_WR)
+    connection.close()
 
 
 class _Pty:
@@ -225,6 +239,8 @@ class SimServer:
         self._speed = speed
         self._selector = selectors.DefaultSelector()
         self._radio, self._camera, self._console, self._world = _ports(self._selector, host, port)
+        self._radio.turn_away = taken_line(self._console.number)
+        self._console.turn_away = taken_line(None)
         self._lines = Lines(board)
         self._pty = _Pty(self._selector) if pty else None
         self._wall_s = wall_s

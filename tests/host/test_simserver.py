@@ -19,6 +19,7 @@ from tailbeat.errors import ConnectError, InputError, Refused
 from tailbeat.fish import Fish
 from tailbeat.provision import connect_notice, set_key
 from tailbeat.simserver import SimServer, parse_listen
+from tailbeat.transport import find
 from tailbeat.transport.simulated import SimBoard
 
 SPEED = 40.0
@@ -66,10 +67,30 @@ def test_the_board_lives_on_when_a_client_drops() -> None:
 
 def test_a_second_client_is_turned_away() -> None:
     with running() as server, Fish.connect(server.addresses.listen) as fish:
-        with connect(server.addresses.listen) as second:
-            second.settimeout(PATIENCE_S)
-            assert second.recv(1) == b""
+        with pytest.raises(ConnectError) as told:
+            Fish.connect(server.addresses.listen)
+        console = server.addresses.console
+        assert str(told.value) == (
+            f"another program is connected to {server.addresses.listen}. Go on in that program; any"
+            f" key there stops a swim, and so does: tailbeat trial abort --connect {console}."
+        )
         assert fish.info().simulated
+        with Fish.connect(console) as wired:  # which is there for both
+            assert wired.info().simulated
+            with pytest.raises(ConnectError, match=f"another program is connected to {console}"):
+                Fish.connect(console)
+
+
+def test_a_second_program_that_seeks_the_fish_is_told_who_has_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(find, "likely_ports", lambda: iter(()))
+    with running() as server, Fish.connect(server.addresses.listen):
+        host, port = parse_listen(server.addresses.listen)
+        monkeypatch.setattr(find, "DEFAULT_HOST", host)
+        monkeypatch.setattr(find, "DEFAULT_PORT", port)
+        with pytest.raises(ConnectError, match=r"another program is connected.*trial abort"):
+            find.find_board()
 
 
 def test_camera_speaks_json_lines_in_board_time() -> None:

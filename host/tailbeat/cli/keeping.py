@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from tailbeat.cli.common import progress_bar
 from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
+    from tailbeat.day.person import DecisionKind
     from tailbeat.fish import Fish
     from tailbeat.logbook import Logbook
     from tailbeat.model.identified import Identified
@@ -35,46 +37,34 @@ def discard_and_keep(
 ) -> None:
     """Keeps the pending trial, then drops it without learning; only a ``repeat`` counts later. A
     trial that the logbook cannot keep (told on stderr) is dropped all the same; one that belongs to
-    an experiment only once it is there, with the ``reason``. Raises InputError (disk full)."""
+    an experiment only once it is there, with the ``reason``. Raises InputError (disk full), and
+    Refused of a stopped board before anything is written."""
+    from tailbeat.day.bycommand import noted_decision, pending_of, withdrawn_if_refused
     from tailbeat.logbook import DISCARDED, logbook_of
 
-    pending = fish.status().pending_trial
-    if pending is not None and number in (None, pending):
-        _journal_discard(fish, pending, repeat, reason)
+    pending = pending_of(fish, number, f"trial discard{_given(number, repeat, reason)}")
+    noted = None
+    if pending is not None:
+        kind: DecisionKind = "repeat" if repeat else "discard"
+        noted = noted_decision(fish, pending, kind, reason)
     book, copy = None, None
     try:
         book = logbook_of(fish)
-        if book is not None and pending is not None and number in (None, pending):
+        if book is not None and pending is not None:
             copy = _pulled(fish, book, pending, quiet)
     except TailbeatError as error:
         typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
-    fish.discard(number)
+    with withdrawn_if_refused(noted):
+        fish.discard(number)
     if book is not None and copy is not None and not repeat:
         book.mark(copy, DISCARDED)
 
 
-def _journal_discard(fish: Fish, number: int, repeat: bool, reason: str) -> None:
-    """Into the experiment the fish is in, when the trial is of it or somebody says why. One of
-    another reference is none of its trials."""
-    from tailbeat.day.account import Account
-    from tailbeat.day.logs import keep_log, outcome_of
-    from tailbeat.day.person import Decision
-    from tailbeat.day.swums import swum_of
-    from tailbeat.experiment.current import current, reference_crc, require_same
-
-    if (experiment := current(fish)) is None:
-        return
-    account = Account(experiment, experiment.journal)
-    if not reason and account.last_trial() != number:
-        return
-    if reference_crc(experiment) not in (None, fish.status().reference_crc):
-        return
-    require_same(fish, experiment)
-    log = keep_log(fish, experiment, number)
-    swum = swum_of(outcome_of(log.trial), log, None)
-    account.swum(swum)
-    why = reason or "by command, no reason given"
-    account.decided(swum, Decision("repeat" if repeat else "discard", why))
+def _given(number: int | None, repeat: bool, reason: str) -> str:
+    """What was typed behind the command."""
+    words = [] if number is None else [str(number)]
+    words += ["--repeat"] * repeat + (["--reason", quote(reason)] if reason else [])
+    return "".join(f" {word}" for word in words)
 
 
 def verdict_after_learning(

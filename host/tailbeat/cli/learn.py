@@ -39,7 +39,8 @@ def learn(
     """Let the board learn from the trial that waits for it.
 
     With --law model the next amplitudes come from the identified fish, re-fitted on all its swims;
-    without a trial that waits they are planned from what is known.
+    without a trial that waits they are planned from what is known. In an experiment the trial is
+    kept: its log, the decision and what was learned are written down there.
 
     Example: tailbeat learn --law model
     """
@@ -64,7 +65,9 @@ def learn(
             say(json, found.as_dict(), found.text)
             return
         if restore_best:
-            fish.restore_best()
+            from tailbeat.day.bycommand import restore_best_noted
+
+            restore_best_noted(fish)
             held = fish.amplitudes()
             text = f"the best amplitudes swim next, as iteration {held.iteration}"
             say(
@@ -73,10 +76,11 @@ def learn(
                 text,
             )
             return
+        from tailbeat.day.bycommand import learn_noted
         from tailbeat.verdict import rollback_words
         from tailbeat.visits import never_corrected
 
-        report = fish.learn(number)
+        report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
         held, visits = fish.amplitudes(), fish.visits()
         verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
     document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}

@@ -34,6 +34,7 @@ def learn_with_model(
     fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool, json: bool
 ) -> None:
     """The pending trial, if there is one, then the amplitudes that swim next."""
+    from tailbeat.day.bycommand import learn_noted, state_noted
     from tailbeat.logbook import logbook_of
     from tailbeat.modelstep import (
         next_of,
@@ -60,13 +61,14 @@ def learn_with_model(
     if dry_run:
         _say(step, pending, None, None, None, json)
         return
-    report = fish.learn(pending) if pending is not None else None
+    report = None if pending is None else learn_noted(fish, pending, "learn --law model")
     restored = report.rolled_back if report else fish.amplitudes().input == _RESTORED
     following = next_of(step.proposal, restored, fish.status().best_max_abs_error_m_s)
     if following.upload:
         if book is not None:
             book.add_proposal(step.document)
         upload(fish, setting, step.proposal)
+        state_noted(fish)
     verdict = None
     if report is not None:
         verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json, kept)

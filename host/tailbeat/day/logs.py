@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.day.positions import as_csv, stash_of
+from tailbeat.day.swums import stopped_by
 from tailbeat.errors import InputError, reason
 from tailbeat.results import BeatEvent, TrialOutcome
 from tailbeat.straight import straightness, straightness_of_frames
@@ -26,11 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Log:
-    """A swim's raw file, and what is in it and beside it."""
+    """A swim's raw file, and what is in it and beside it. ``stopped``: why this program stopped it,
+    as the journal has it; empty = it did not, or the journal does not know the swim yet."""
 
     path: Path
     trial: Trial
     straight: Straightness | None
+    stopped: str = ""
 
 
 @contextlib.contextmanager
@@ -80,7 +83,12 @@ def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # the beginning of another trial may lie there
             folder.rmdir()
-    return Log(kept, trial, _straight(trial, frames))
+    return Log(kept, trial, _straight(trial, frames), _stopped(experiment, kept))
+
+
+def _stopped(experiment: Experiment, kept: Path) -> str:
+    told = [entry for entry in experiment.journal.entries("swum") if entry.get("file") == kept.name]
+    return stopped_by(map(str, told[-1].get("problems") or ())) if told else ""
 
 
 def _straight(trial: Trial, frames: Sequence[Frame]) -> Straightness | None:

@@ -393,12 +393,8 @@ class _Series:
             told(self.around.person, self.verdict)
         if not done.left:
             return None
-        status = self.around.fish.status()
-        then = "tailbeat clear"
-        if status.fault.number == BATTERY_CRITICAL:
-            held = "learn" if decision.kind == "keep" else "trial discard --reason WHY"
-            first = f"tailbeat {held}, and " if status.pending_trial is not None else ""
-            then = f"{first}tailbeat session resume"
+        critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
+        then = "tailbeat session resume" if critical else "tailbeat clear"
         return self.end("stopped", f"{done.left} Then: {then}")
 
     def _notice(self, text: str) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tailbeat.bump import bump_of
 from tailbeat.day.person import Decision
 from tailbeat.day.swum import Swum
+from tailbeat.day.unmeasured import unmeasured
+from tailbeat.faults import ABORT_COMMAND, WALL, fault_info
 from tailbeat.guards import BY_HAND
+from tailbeat.model.swim import swim_of
 
 if TYPE_CHECKING:
     from tailbeat.day.logs import Log
@@ -17,11 +22,12 @@ if TYPE_CHECKING:
     from tailbeat.results import TrialOutcome
     from tailbeat.trial_log import Trial
 
-_WALL = "aborted:WALL"
+NOT_COMPLETE = "not complete:"
 
 
 def swum_of(outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: str = "") -> Swum:
-    """``stopped``: the reason of whoever stopped it from here; empty = nobody, or not known."""
+    """``stopped``: the reason of whoever stopped it from here; empty = nobody, or what the journal
+    says."""
     trial = log.trial
     measured = int(np.isfinite(trial.beats.speed_m_s).sum())
     volts = [volt for t_s, volt in trial.battery_v if t_s >= 0] or [
@@ -38,7 +44,7 @@ def swum_of(outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: str =
         beats=len(trial.beats.samples),
         battery_start_v=ready.battery_v if ready else (volts[0] if volts else None),
         battery_end_v=volts[-1] if volts else None,
-        problems=tuple(_problems(outcome, log, measured, stopped)),
+        problems=tuple(_problems(outcome, log, measured, stopped or log.stopped)),
     )
 
 
@@ -46,28 +52,47 @@ def _problems(outcome: TrialOutcome, log: Log, measured: int, stopped: str) -> l
     trial, problems = log.trial, []
     if outcome.end != "complete":
         by = f" ({stopped})" if stopped else ""
-        problems.append(f"not complete: {outcome.end}{by}")
+        problems.append(f"{NOT_COMPLETE} {outcome.end}{by}")
     problems += _unmeasured(trial, measured)
     if log.straight is not None and log.straight.crooked:
         off_deg = math.degrees(log.straight.worst_yaw_rad)
         problems.append(f"not straight: {off_deg:+.0f} degrees off ({log.straight.source})")
+    if (bump := bump_of(swim_of(trial))) is not None:
+        problems.append(bump.words())
     return problems + list(trial.problems)
 
 
 def _unmeasured(trial: Trial, measured: int) -> list[str]:
     if measured == 0:
         return ["no beat has a speed: there is nothing to learn from"]
-    if (missing := trial.executed_beats - measured) > 0:
-        return [f"{missing} of {trial.executed_beats} beats have no speed"]
-    return []
+    words = unmeasured(trial)
+    return [words] if words else []
+
+
+def stopped_by(problems: Iterable[str]) -> str:
+    """The reason of whoever stopped a swim from here, out of what was said of it; empty = nobody
+    did, or nobody said."""
+    for problem in problems:
+        if problem.startswith(NOT_COMPLETE) and problem.endswith(")"):
+            return problem.partition(" (")[2].removesuffix(")")
+    return ""
 
 
 def proposed(swum: Swum) -> Decision:
-    """What a careful person would say; the one who is there decides."""
-    if swum.outcome.end == _WALL:
+    """What a careful person would say; the one who is there decides. It follows from the swim's
+    end and its problems, which are in its log and in the journal: asked again later it is the
+    same."""
+    stopped = stopped_by(swum.problems)
+    if swum.outcome.end == _ended(WALL):
         return Decision("discard", "too close to the wall")
-    if swum.outcome.interrupted or any(BY_HAND in problem for problem in swum.problems):
+    if stopped == BY_HAND:
         return Decision("discard", BY_HAND)
+    if swum.outcome.end == _ended(ABORT_COMMAND) and not stopped:  # no guard of this program's
+        return Decision("discard", "stopped by a command")
     if swum.measured_beats == 0:
         return Decision("discard", "no speeds")
     return Decision("keep")
+
+
+def _ended(fault: int) -> str:
+    return f"aborted:{fault_info(fault).name}"

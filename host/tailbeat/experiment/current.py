@@ -38,6 +38,15 @@ def current(fish: Fish) -> Experiment | None:
     return Experiment(folder) if Experiment.is_at(folder) else None
 
 
+def swims_for(fish: Fish) -> Experiment | None:
+    """The current one, if it is of this board and of the reference the board has now."""
+    crc = fish.status().reference_crc
+    if crc is None or (experiment := current(fish)) is None:
+        return None
+    ours = experiment.settings().get("unique_id") in (None, "", fish.unique_id())
+    return experiment if ours and reference_crc(experiment) in (None, crc) else None
+
+
 def use(fish: Fish, experiment: Experiment) -> None:
     """Makes it the current one. Does nothing for a board without a logbook."""
     from tailbeat.logbook import logbook_of

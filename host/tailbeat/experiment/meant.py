@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from tailbeat.errors import InputError
 from tailbeat.experiment.board import expected_params, set_held_params
-from tailbeat.experiment.current import current, reference_crc
+from tailbeat.experiment.current import swims_for
 
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
@@ -25,7 +25,7 @@ _NAMED_MAX = 3
 def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | None = None) -> None:
     """What was set on purpose, into ``experiment``, by default the one the fish swims for; without
     one nothing is noted. Raises InputError (disk full); the board then counts as strayed."""
-    experiment = experiment or _swims_for(fish)
+    experiment = experiment or swims_for(fish)
     if experiment is not None and params:
         experiment.journal.add("set", params=dict(params))
         set_held_params(experiment, params)
@@ -69,7 +69,7 @@ def require_meant(fish: Fish, experiment: Experiment) -> None:
 
 def accept(fish: Fish) -> dict[str, float]:
     """What has strayed in the experiment the fish swims for is meant so from now on; what it is."""
-    if (experiment := _swims_for(fish)) is None:
+    if (experiment := swims_for(fish)) is None:
         return {}
     found = {name: now for name, (now, _) in strayed(fish, experiment).items()}
     note_set(fish, found, experiment)
@@ -78,22 +78,13 @@ def accept(fish: Fish) -> dict[str, float]:
 
 def require_meant_here(fish: Fish) -> None:
     """As ``require_meant``, in the experiment the fish swims for."""
-    if (experiment := _swims_for(fish)) is not None:
+    if (experiment := swims_for(fish)) is not None:
         require_meant(fish, experiment)
 
 
 def same(value: float, other: float) -> bool:
     """As a board holds them."""
     return struct.pack("<f", value) == struct.pack("<f", other)
-
-
-def _swims_for(fish: Fish) -> Experiment | None:
-    """The one it is in, when that is of this board and of the reference it has now."""
-    if (experiment := current(fish)) is None:
-        return None
-    crc, of = reference_crc(experiment), experiment.settings().get("unique_id")
-    ours = of in (None, "", fish.unique_id()) and crc == fish.status().reference_crc
-    return experiment if ours else None
 
 
 def _values(fish: Fish) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,7 +111,9 @@ def _against_state(board: _Board, trial: Trial, held: BoardState | None, found: 
     why = "no trial swam after it"
     if held is not None and held.learned is not None and held.last_learned_trial == trial.number:
         record = decode_learned(held.learned)
-        candidates = list(board.after(trial, trial))
+        back = record.input == lib.MEMORY_INPUT_RESTORED
+        following = replace(trial, input="restored") if back else trial
+        candidates = list(board.after(trial, following))
         if record.input not in (lib.MEMORY_INPUT_LAW, lib.MEMORY_INPUT_RESTORED):
             why = "the next amplitudes were uploaded"
         elif any(one.same(record.amplitude_rad) for one in candidates):

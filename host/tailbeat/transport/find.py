@@ -63,13 +63,19 @@ def find_board(listen_s: float = LISTEN_S) -> Transport:
         try:
             transport = opener()
         except ConnectError as error:
-            tried.append(f"{name} ({error.message})")
-            if not name.startswith("tcp:"):
+            simulator = name.startswith("tcp:")
+            tried.append(f"no simulator at {name}" if simulator else f"{name} ({error.message})")
+            if not simulator:
                 remedies.append(error.remedy)
             continue
         hearing = Hearing(transport.name)
         try:
             heard = hear_board(transport, listen_s, hearing)
+        except ConnectError as error:  # another program has it
+            transport.close()
+            tried.append(f"{name} ({error.message})")
+            remedies.append(error.remedy)
+            continue
         except TailbeatError:
             heard = None
         if heard is not None:
@@ -81,14 +87,12 @@ def find_board(listen_s: float = LISTEN_S) -> Transport:
     if garbled is not None:
         raise ConnectError(*garbled.words())
     if len(tried) == 1:
-        tried.insert(0, "serial ports (none is called like a radio or has a Due's USB ids)")
+        tried.insert(0, "no serial port is called like a radio or has a Due's USB ids")
     remedies.append(
-        "Switch the fish on and pair its radio, say where it is with --connect,"
-        " or start a simulated one: tailbeat sim"
+        "Switch the fish on, pair its radio, or say where it is: --connect; without a fish:"
+        " tailbeat sim"
     )
-    raise ConnectError(
-        f"no fish found; tried {', '.join(tried)}", " ".join(dict.fromkeys(remedies))
-    )
+    raise ConnectError(f"no fish found: {', '.join(tried)}", " ".join(dict.fromkeys(remedies)))
 
 
 def require_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message:

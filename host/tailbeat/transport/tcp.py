@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import select
 import socket
 import time
 
-from tailbeat.errors import ConnectError, LinkLostError, reason
+from tailbeat.errors import ConnectError, LinkLostError, TailbeatError, reason
 
 _CHUNK_BYTES = 65536
 _QUEUE_MAX_BYTES = 1 << 20
+_HEAD_MAX_BYTES = 80
+_TAKEN = b"tailbeat: another program is connected here"
+_TAKEN_LINE = re.compile(re.escape(_TAKEN) + rb"(?:; wired console on port (\d+))?\n")
+
+
+def taken_line(console: int | None) -> bytes:
+    """What a simulator says to a second client before it hangs up. ``console``: the port that
+    reaches the same board."""
+    there = "" if console is None else f"; wired console on port {console}"
+    return _TAKEN + there.encode() + b"\n"
 
 
 class TcpTransport:
@@ -22,6 +33,7 @@ class TcpTransport:
         self.port = port
         self._connect_timeout_s = connect_timeout_s
         self._out = bytearray()
+        self._head = b""  # the first bytes that came
         self._socket: socket.socket | None = None
         self.reopen()
 
@@ -37,10 +49,10 @@ class TcpTransport:
             ) from error
         new.setblocking(False)
         new.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = new
+        self._socket, self._head = new, b""
 
     def read(self) -> bytes:
-        """All that has arrived."""
+        """All that has arrived. Raises ConnectError when another program has the port."""
         pieces: list[bytes] = []
         while True:
             try:
@@ -56,7 +68,10 @@ class TcpTransport:
             pieces.append(piece)
             if len(piece) < _CHUNK_BYTES:
                 break
-        return b"".join(pieces)
+        data = b"".join(pieces)
+        if (taken := self._taken(data)) is not None:
+            raise taken
+        return data
 
     def write(self, data: bytes) -> None:
         """Sends what the socket takes; the rest goes out in later waits."""
@@ -99,7 +114,30 @@ class TcpTransport:
             raise self._lost()
         return self._socket
 
-    def _lost(self) -> LinkLostError:
+    def _taken(self, data: bytes) -> ConnectError | None:
+        """The error when ``data`` ends a line by which the other end turns us away."""
+        if len(self._head) >= _HEAD_MAX_BYTES:
+            return None
+        self._head = (self._head + data)[:_HEAD_MAX_BYTES]
+        if (line := _TAKEN_LINE.fullmatch(self._head)) is None:
+            return None
+        remedy = "Go on in that program; any key there stops a swim"
+        if line[1] is not None:
+            console = f"tcp:{self.host}:{int(line[1])}"
+            remedy += f", and so does: tailbeat trial abort --connect {console}"
+        return ConnectError(f"another program is connected to {self.name}", remedy + ".")
+
+    def _lost(self) -> TailbeatError:
+        if self._socket is not None:  # it may have said why before it hung up
+            with contextlib.suppress(OSError):
+                if (taken := self._taken(self._socket.recv(_HEAD_MAX_BYTES))) is not None:
+                    return taken
+        if self._socket is not None and not self._head:
+            return LinkLostError(
+                f"{self.name} closed the connection without a word",
+                "It may serve one program at a time: end the other one. Or the board has ended:"
+                " start it, connect again.",
+            )
         return LinkLostError(
             f"the connection to {self.name} broke", "See that the board still runs; connect again."
         )

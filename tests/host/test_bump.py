@@ -1,0 +1,116 @@
+"""A swim in which something moved the fish: told of every one, of no other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tailbeat.bump import bump_of
+from tailbeat.day.logs import Log, outcome_of
+from tailbeat.day.swums import swum_of
+from tailbeat.fish import Fish
+from tailbeat.model.swim import Swim, swim_of
+from tailbeat.reference import Reference, thesis
+from tailbeat.results import BeatEvent
+from tailbeat.trial_log import Trial, read_trial
+
+PUSH_M_S = 0.05
+BEATS = 16
+HILL = Reference(
+    1.0, (0.07 * np.sin(np.linspace(0.2, 2.9, BEATS))).astype(np.float32), "hill"
+)  # fmt: skip
+
+
+class Tank:
+    """A simulated fish that learns; what happens to it happens when a beat is heard of."""
+
+    def __init__(self, folder: Path, seed: int, reference: Reference) -> None:
+        self.fish, self.folder = Fish.connect("sim:", seed=seed), folder
+        self.fish.upload_reference(reference)
+
+    def swims(self, push_m_s: float = 0.0, at: int = 0, dark_s: float = 0.0) -> Trial:
+        board = self.fish.sim
+        assert board is not None
+        heard_s: list[float] = []
+
+        def look(seen: object) -> None:
+            if isinstance(seen, BeatEvent) and seen.beat == at and not heard_s:
+                heard_s.append(board.time_s)
+                board.push(push_m_s)
+                board.set_camera(not dark_s)
+            if heard_s and board.time_s - heard_s[0] > dark_s:
+                board.set_camera(True)
+
+        self.fish.arm()
+        number = self.fish.run_trial(guard=look).number
+        return read_trial(self.fish.pull_trial(number, self.folder))
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Iterator[Tank]:
+    made = Tank(tmp_path, 3, HILL)
+    yield made
+    made.fish.close()
+
+
+def problems(trial: Trial) -> tuple[str, ...]:
+    return swum_of(outcome_of(trial), Log(Path("x.ulg"), trial, None), None).problems
+
+
+def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:
+    for at in (2, 7, 11):
+        clean = tank.swims()
+        assert bump_of(swim_of(clean)) is None and problems(clean) == ()
+        tank.fish.learn()
+        pushed = tank.swims(PUSH_M_S if at == 7 else -PUSH_M_S, at)
+        tank.fish.discard()
+        found = bump_of(swim_of(pushed))
+        assert found is not None and (found.by_m_s > 0) == (at == 7)
+        assert 0.012 < abs(found.by_m_s) <= PUSH_M_S
+        assert at < found.beats.start <= at + 4  # beats are heard of 2.5 s after their end
+        assert problems(pushed) == (found.words(),)
+
+
+def test_what_is_said() -> None:
+    speed = np.r_[np.full(10, 0.05), 0.09, 0.07, np.full(8, 0.05)]
+    swim = Swim(np.full(20, 0.4253), speed, np.full(20, 0.0005))
+    found = bump_of(swim)
+    assert found is not None
+    assert found.words() == "beats 10-11 jump by +40 mm/s: a bump or a wave?"
+    noisy = Swim(swim.amplitude_rad, speed, np.full(20, 0.007))
+    assert bump_of(noisy) is None, "the camera is no better than that"
+
+
+def test_too_little_to_tell() -> None:
+    speed = np.full(20, np.nan)
+    assert bump_of(Swim(np.full(20, 0.4), speed, np.full(20, 0.001))) is None
+    speed[3:8] = (0.05, 0.05, 0.05, 0.05, 0.15)
+    assert bump_of(Swim(np.full(20, 0.4), speed, np.full(20, 0.001))) is None
+
+
+def test_a_camera_that_was_away_is_the_reason_of_missing_speeds(tank: Tank) -> None:
+    trial = tank.swims(at=4, dark_s=3.0)
+    (told,) = problems(trial)
+    missing = np.count_nonzero(~np.isfinite(trial.beats.speed_m_s))
+    assert told.startswith(f"{missing} of {BEATS} beats have no speed: none came from the camera")
+    seconds = float(told.partition("camera for ")[2].partition(" s")[0])
+    assert 2.5 < seconds < 5.0
+    tank.fish.discard()
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(1, 21))
+def test_many_fish(tmp_path: Path, seed: int) -> None:
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    tank = Tank(tmp_path, seed, thesis())
+    for _ in range(10):
+        assert bump_of(swim_of(tank.swims())) is None
+        tank.fish.learn()
+        at, by = int(rng.integers(0, 36)), float(rng.choice([-PUSH_M_S, PUSH_M_S]))
+        assert bump_of(swim_of(tank.swims(by, at))) is not None, (at, by)
+        tank.fish.discard()
+    tank.fish.close()

@@ -1,0 +1,221 @@
+"""Commands that decide on a swim and let the board learn, in the experiment the fish is in."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from tailbeat.cli.app import app
+from tailbeat.day.account import Account
+from tailbeat.day.logs import keep_log, outcome_of
+from tailbeat.day.person import Decision
+from tailbeat.day.swums import proposed, swum_of
+from tailbeat.errors import InputError, Refused
+from tailbeat.experiment import Experiment
+from tailbeat.experiment.analysis import analyse
+from tailbeat.experiment.board import held_state
+from tailbeat.experiment.current import begin
+from tailbeat.experiment.relearn import relearn
+from tailbeat.fish import Fish
+from tailbeat.guards import BY_HAND, when
+from tailbeat.reference import Reference
+from tailbeat.transport.inprocess import SimTransport
+from tailbeat.transport.simulated import SimBoard
+
+HILL = Reference(1.0, (0.07 * np.sin(np.linspace(0.2, 2.9, 6))).astype(np.float32), "hill")
+
+
+@pytest.fixture
+def fish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fish]:
+    """A fish with a reference that every command connects to."""
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
+    board = SimBoard("tank", seed=1)
+    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    with Fish.connect("it") as fish:
+        fish.params.set("LAW_LEAD", 1)
+        fish.upload_reference(HILL)
+        yield fish
+
+
+@pytest.fixture
+def experiment(fish: Fish, tmp_path: Path) -> Experiment:
+    return begin(fish, tmp_path / "experiments")
+
+
+def types(*words: str) -> Result:
+    return CliRunner().invoke(app, [*words, "--connect", "it"])
+
+
+def swims(fish: Fish, until_beat: int | None = None) -> int:
+    """The next trial, as ``trial run`` in a script swims it; its number."""
+    fish.arm()
+    reached = False
+
+    def hear(event: dict[str, object]) -> None:
+        nonlocal reached
+        reached = reached or (event["event"] == "beat" and event["beat"] == until_beat)
+
+    return fish.run_trial(on_event=hear, guard=when(lambda: reached, BY_HAND)).number
+
+
+def whats(experiment: Experiment) -> list[str]:
+    return [entry["what"] for entry in experiment.journal.entries()][1:]
+
+
+def test_what_learn_learns_is_in_the_experiment(fish: Fish, experiment: Experiment) -> None:
+    for _ in range(2):
+        swims(fish)
+        assert types("learn").exit_code == 0
+    assert whats(experiment) == ["swum", "decided", "learned"] * 2
+    assert experiment.journal.decisions()[2]["decision"] == "keep"
+    assert sorted(path.name for path in experiment.raw.glob("*.ulg")) == ["0001.ulg", "0002.ulg"]
+    analysis = analyse(experiment)
+    assert [(row.decision, row.learned) for row in analysis.rows] == [("keep", True)] * 2
+    held = held_state(experiment)
+    assert held is not None and held.learned == fish.learned_record()
+    assert Account(experiment, experiment.journal).open_trial() is None
+
+
+def test_the_best_brought_back_is_in_the_experiment(fish: Fish, experiment: Experiment) -> None:
+    for _ in range(2):
+        swims(fish)
+        assert types("learn").exit_code == 0
+    assert types("learn", "--restore-best").exit_code == 0
+    assert experiment.journal.entries("restored")[0]["trial"] in (1, 2)
+    held = held_state(experiment)
+    assert held is not None and held.learned == fish.learned_record()
+    again = relearn(analyse(experiment), held)
+    assert again.learned == [1, 2] and not again.different
+
+
+def test_what_was_kept_to_be_learned_later_is_decided_once(
+    fish: Fish, experiment: Experiment
+) -> None:
+    account = Account(experiment, experiment.journal)
+    log = keep_log(fish, experiment, swims(fish))
+    swum = swum_of(outcome_of(log.trial), log, None)
+    account.swum(swum)
+    account.decided(swum, Decision("keep"))
+    assert types("learn").exit_code == 0
+    assert whats(experiment) == ["swum", "decided", "learned"]
+
+
+def test_a_swim_along_another_reference_is_none_of_the_experiments(
+    fish: Fish, experiment: Experiment
+) -> None:
+    fish.upload_reference(Reference(1.0, HILL.speed_m_s * np.float32(0.9), "lower"))
+    swims(fish)
+    assert types("learn").exit_code == 0
+    assert types("learn", "--restore-best").exit_code == 0
+    assert whats(experiment) == [] and not list(experiment.raw.glob("*.ulg"))
+
+
+def test_nothing_is_learned_on_a_full_disk_before_it_is_written_down(
+    fish: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    number = swims(fish)
+    full = _FullDisk(monkeypatch, allowed=0)
+    result = types("learn")
+    assert isinstance(result.exception, InputError)
+    assert fish.status().pending_trial == number
+    full.allowed = 2  # for swum and decided; what was learned finds no room
+    assert isinstance(types("learn").exception, InputError)
+    assert fish.status().last_learned_trial == number
+    full.allowed = 100
+    assert types("learn").exit_code == 0, "what is owed is written down"
+    assert whats(experiment) == ["swum", "decided", "learned"]
+    assert isinstance(types("learn").exception, Refused)
+
+
+class _FullDisk:
+    """The journal takes so many lines more."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, allowed: int) -> None:
+        self.allowed = allowed
+        append = "tailbeat.experiment.journal.Journal._append"
+        from tailbeat.experiment.journal import Journal
+
+        real = Journal._append
+
+        def limited(journal: Journal, line: bytes) -> None:
+            if self.allowed <= 0:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self.allowed -= 1
+            real(journal, line)
+
+        monkeypatch.setattr(append, limited)
+
+
+@pytest.mark.parametrize("words", [("trial", "discard", "--reason", "a wave"), ("learn",)])
+def test_a_stopped_board_is_told_before_anything_is_written(
+    fish: Fish, experiment: Experiment, words: tuple[str, ...]
+) -> None:
+    number = swims(fish, until_beat=1)
+    assert fish.status().state == "ABORTED"
+    before = whats(experiment)
+    refused = types(*words).exception
+    assert isinstance(refused, Refused)
+    typed = " ".join(words).replace("a wave", "'a wave'")
+    assert str(refused) == (
+        "the board is stopped (ABORT_COMMAND: trial aborted by command)."
+        f" tailbeat clear, then again: tailbeat {typed}"
+    )
+    assert whats(experiment) == before
+    fish.clear()
+    assert types(*words).exit_code == 0
+    assert fish.status().pending_trial is None
+    assert experiment.journal.decisions()[number]["decision"] == (
+        "keep" if words == ("learn",) else "discard"
+    )
+
+
+@pytest.mark.parametrize("words", [("trial", "discard", "--reason", "a wave"), ("learn",)])
+def test_what_the_board_refuses_is_withdrawn(
+    fish: Fish, experiment: Experiment, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    number = swims(fish)
+
+    def refuses(self: Fish, trial: int | None = None) -> None:
+        raise Refused(52, "WRITE_FAILED", "storage could not be written", "Try again.")
+
+    for name in ("discard", "learn"):
+        monkeypatch.setattr(Fish, name, refuses)
+    assert isinstance(types(*words).exception, Refused)
+    assert whats(experiment) == ["swum", "decided", "withdrawn"]
+    account = Account(experiment, experiment.journal)
+    assert account.decision_on(experiment.raw / f"{number:04d}.ulg") is None
+
+
+def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
+    fish: Fish, experiment: Experiment
+) -> None:
+    """``trial abort`` from elsewhere: no program here knows of it but by the log."""
+    log = keep_log(fish, experiment, swims(fish, until_beat=1))
+    now = swum_of(outcome_of(log.trial), log, None, BY_HAND)
+    later = swum_of(outcome_of(log.trial), log, None)
+    assert proposed(now) == Decision("discard", BY_HAND)
+    assert proposed(later).kind == "discard"
+
+
+@pytest.mark.parametrize(
+    ("stopped", "wanted"),
+    [(BY_HAND, Decision("discard", BY_HAND)), ("room: it has swum 1.9 m", Decision("keep"))],
+)
+def test_who_stopped_it_is_known_after_a_restart(
+    fish: Fish, experiment: Experiment, stopped: str, wanted: Decision
+) -> None:
+    """The room's guard ends a swim with the same command as a key."""
+    number = swims(fish, until_beat=1)
+    log = keep_log(fish, experiment, number)
+    at_once = swum_of(outcome_of(log.trial), log, None, stopped)
+    Account(experiment, experiment.journal).swum(at_once)
+    again = keep_log(fish, experiment, number)
+    later = swum_of(outcome_of(again.trial), again, None)
+    assert proposed(at_once) == proposed(later) == wanted
+    assert later.problems == at_once.problems
