@@ -2,11 +2,11 @@
 
 The swim is its own measure: a fish in four numbers (model.fishmodel) is fitted to it without the
 beats that do not fit, and what it misses must not jump from one beat to the next. Nothing need be
-known of the fish. On the simulated tank, seeds 1 to 20, trials 1 to 10 from a first input near the dead
-zone, the largest jump of 200 swims was 2.6 mm/s; of 200 that were pushed by 50 mm/s at any beat,
-22.9 to 39.6, all flagged. Of 78 swims of 13 other fish, references and cameras none was flagged
-(noise 5 mm, every third picture lost: 15.9 mm/s, of 34 allowed). A push whose trace is gone within
-the beat is not found: at kappa 30 / m and 90 mm/s one of 50 mm/s leaves 8 mm/s.
+known of the fish. On the simulated tank, seeds 1 to 20, trials 1 to 10 from a first input near
+the dead zone, the largest jump of 200 swims was 2.6 mm/s; of 200 that were pushed by 50 mm/s at
+any beat, 22.9 to 39.6, all flagged. Of 78 swims of 13 other fish, references and cameras none was
+flagged (noise 5 mm, every third picture lost: 15.9 mm/s, of 34 allowed). A push whose trace is
+gone within the beat is not found: at kappa 30 / m and 90 mm/s one of 50 mm/s leaves 8 mm/s.
 """
 
 from __future__ import annotations

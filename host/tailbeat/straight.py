@@ -80,11 +80,12 @@ class Course:
         way, heading = self.way_m[seen], self.heading_rad[seen]
         if len(way) < 4 or float(np.ptp(way)) < _WAY_MIN_M:
             return math.nan, math.nan
-        off = way - way.mean()
-        slope = float(off @ (heading - heading.mean()) / (off @ off))
-        left = heading - heading.mean() - slope * off
-        scatter = math.sqrt(float(left @ left) / (len(way) - 2))
-        return slope, max(scatter, _SIGMA_MIN_RAD) / math.sqrt(float(off @ off))
+        off, turned = way - _mean(way), heading - _mean(heading)
+        squares = math.fsum(off * off)
+        slope = math.fsum(off * turned) / squares
+        left = turned - slope * off
+        scatter = math.sqrt(math.fsum(left * left) / (len(way) - 2))
+        return slope, max(scatter, _SIGMA_MIN_RAD) / math.sqrt(squares)
 
     def straightness(self, source: str) -> Straightness | None:
         """None when too little is known."""
@@ -92,11 +93,16 @@ class Course:
             return None
         headings = self.heading_rad[np.isfinite(self.heading_rad)]
         return Straightness(
-            mean_yaw_rad=float(headings.mean()),
+            mean_yaw_rad=_mean(headings),
             worst_yaw_rad=float(headings[np.argmax(np.abs(headings))]),
             curvature_1_m=self.turn_rad_m()[0],
             source=source,
         )
+
+
+def _mean(values: Array) -> float:
+    """By an exact sum: what a fish turned is written down, and is the same on any processor."""
+    return math.fsum(values) / len(values)
 
 
 def straightness(trial: Trial) -> Straightness | None:
@@ -183,7 +189,7 @@ def _whole(turn_rad: Array, beat_slots: float) -> Array:
             for at in [round(hole + beat * beat_slots)]
             if 0 <= at < len(turn_rad) and not math.isnan(turn_rad[at])
         ]
-        filled[hole] = float(np.mean(alike)) if alike else 0.0
+        filled[hole] = math.fsum(alike) / len(alike) if alike else 0.0
     return filled
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.experiment.analysis import Analysis, Band, TrialRow
+from tailbeat.experiment.analysis import Analysis, Band, TrialRow, with_noise
 from tailbeat.straight import Straightness
 from tailbeat.trial_log import Beats, Slots, Trial
 
@@ -133,8 +133,12 @@ def analysis(swims: Sequence[Trial], rows: Sequence[TrialRow], **fields: Any) ->
         noise_m_s=0.0015,
         start_error_m_s=float(reference(beats).max()),
         floor_by="identified",
+        noise_freedom=4,
     )
-    return replace(made, **fields)
+    made = replace(made, **fields)
+    freedom = made.noise_freedom if math.isfinite(made.noise_m_s) else 0
+    noisy = with_noise(made.rows, made.noise_m_s, freedom)
+    return replace(made, rows=noisy, noise_freedom=freedom)
 
 
 def series(errors: Sequence[float], **fields: Any) -> Analysis:

@@ -7,6 +7,7 @@ import locale
 import math
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,20 @@ import pytest
 from tailbeat.demo import DemoOptions, run_demo
 from tailbeat.errors import InputError
 from tailbeat.experiment import Experiment
-from tailbeat.experiment.analysis import Analysis, analyse, write_analysis
-from tailbeat.trial_log import read_trial
+from tailbeat.experiment.analysis import (
+    Analysis,
+    TrialRow,
+    _band,
+    _begun_anew,
+    _noise,
+    _rows,
+    analyse,
+    write_analysis,
+)
+from tailbeat.experiment.told import Told
+from tailbeat.trial_log import Trial, read_trial
 
+from . import made_analyses as made
 from .swum_experiment import BEATS, REFERENCE, swim_experiment, writable
 
 _RECORD = b"\x05\x00D\x00\x00\x00\x00\x00"  # of data, as a log has at its end
@@ -61,10 +73,14 @@ def test_the_numbers_are_those_of_the_logs(swum: Experiment, analysis: Analysis)
         assert row.battery_start_v == trial.battery_v[0][1]
     error_of = {row.trial: row.max_abs_error_m_s for row in analysis.rows}
     assert [row.contraction for row in analysis.rows[3:]] == [
-        error_of[4] / error_of[2], error_of[5] / error_of[4], error_of[6] / error_of[4],
+        error_of[4] / error_of[2], pytest.approx(math.nan, nan_ok=True), error_of[6] / error_of[4],
     ]  # fmt: skip
     assert [math.isnan(row.contraction) for row in analysis.rows[:3]] == [True, False, True]
     assert analysis.noise_m_s == pytest.approx(np.std([error_of[5], error_of[6]], ddof=1))
+    assert analysis.noise_freedom == 1
+    half = 12.7062 * np.sqrt(2) * analysis.noise_m_s / error_of[2]
+    assert analysis.rows[3].noise_high == pytest.approx(1 + half)
+    assert analysis.rows[3].noise_low == pytest.approx(max(0.05, 1 - half))
     assert analysis.start_error_m_s == REFERENCE.speed_m_s.max()
 
 
@@ -82,6 +98,8 @@ def test_the_band_is_of_what_counts(analysis: Analysis) -> None:
 def test_the_floor_is_the_simulators_without_an_identified_fish(analysis: Analysis) -> None:
     assert analysis.simulated
     assert analysis.floor_by == "simulator"
+    for value in (analysis.floor_m_s, analysis.floor_lsq_m_s):
+        assert value == float(f"{value:.6g}")  # its further digits are the processor's own
     assert 0 < analysis.floor_m_s <= analysis.floor_lsq_m_s < analysis.start_error_m_s
 
 
@@ -111,7 +129,78 @@ def test_what_is_decided_later_counts(copy: Experiment) -> None:
     copy.journal.add("withdrawn", trial=3, file="0003.ulg", reason="")
     found = analyse(copy)
     assert [row.decision for row in found.rows][2] == ""
-    assert found.band.swims.tolist() == [1, 1, 2, 1]
+    assert [row.undecided for row in found.rows] == [False, False, True, False, False, False]
+    assert found.band.swims.tolist() == [1, 1, 1, 1]
+    copy.journal.add("learned", trial=3, file="0003.ulg", rolled_back=False)
+    assert not any(row.undecided for row in analyse(copy).rows)
+
+
+def test_a_swim_that_the_journal_does_not_know_is_undecided(copy: Experiment) -> None:
+    """As one that was pulled by hand into the folder of a day."""
+    path = copy.folder / "journal.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if '"trial": 6' not in line))
+    last = analyse(copy).rows[-1]
+    assert (last.trial, last.decision, last.undecided, last.counts) == (6, "", True, False)
+
+
+def rows_of(*swims: Trial, decision: str = "keep", learned: bool | None = True) -> list[TrialRow]:
+    """Made of swims that were never in the water."""
+    kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
+    said = Told(decision=decision, learned=learned, swum=True)
+    return _rows(kept, {path.name: said for path, _ in kept})
+
+
+def swum_by(
+    number: int, iteration: int, error_m_s: float, by: str = "law", rad: float = 0
+) -> Trial:
+    swim = made.trial(number, iteration, error_m_s, wanted_rad=rad or 0.1 + 0.01 * iteration)
+    return replace(swim, input=by)
+
+
+def contractions(rows: list[TrialRow]) -> list[float | None]:
+    return [None if math.isnan(row.contraction) else round(row.contraction, 6) for row in rows]
+
+
+def test_contraction_is_of_the_laws_steps_alone() -> None:
+    first = swum_by(1, 1, 0.04, "first")
+    learned = rows_of(first, swum_by(2, 2, 0.02), swum_by(3, 3, 0.01))
+    assert contractions(learned) == [None, 0.5, 0.5]
+    for by in ("restored", "uploaded", "first"):
+        assert contractions(rows_of(first, swum_by(2, 2, 0.02, by))) == [None, None]
+    told = rows_of(first, swum_by(2, 2, 0.02, ""), swum_by(3, 3, 0.04, "", rad=0.11))
+    assert contractions(told) == [None, 0.5, None]  # the last swam trial 1's amplitudes
+    undecided = rows_of(first, swum_by(2, 2, 0.02), decision="", learned=False)
+    assert contractions(undecided) == [None, None]
+    repeats = rows_of(first, swum_by(2, 2, 0.02), decision="repeat", learned=False)
+    assert contractions(repeats) == [None, None]
+
+
+def test_a_board_that_began_anew_is_another_epoch() -> None:
+    """Its first amplitudes are the old ones: no repeats of swims under other numbers."""
+    day = [swum_by(1, 1, 0.04, "first"), swum_by(2, 2, 0.02), swum_by(3, 3, 0.01)]
+    anew = [swum_by(1, 1, 0.05, "first"), swum_by(2, 2, 0.03)]
+    rows = rows_of(*day, *anew)
+    assert [row.epoch for row in rows] == [0, 0, 0, 1, 1]
+    assert contractions(rows) == [None, 0.5, 0.5, None, 0.6]
+    assert [row.repeat_of for row in rows] == [0] * 5
+    band = _band(rows)
+    assert band.swims.tolist() == [1, 1]
+    assert band.max_median_m_s == pytest.approx([0.05, 0.03])
+    assert _noise(rows, [*day, *anew])[1] == 0
+    (told,) = _begun_anew(rows)
+    assert told.startswith("the board began anew with trial 1 (0003.ulg)")
+    at_first = rows_of(day[0], anew[0])
+    assert [row.epoch for row in at_first] == [0, 1]
+    given_back = rows_of(*day, swum_by(1, 4, 0.01, "restored"))  # another board, the same learning
+    assert [row.epoch for row in given_back] == [0, 0, 0, 0]
+
+
+def test_a_ratio_never_spans_two_epochs() -> None:
+    late = [swum_by(1, 1, 0.04, "first"), swum_by(2, 2, 0.02), swum_by(3, 3, 0.01)]
+    rows = rows_of(*late, swum_by(4, 2, 0.005))
+    assert [row.epoch for row in rows] == [0, 0, 0, 1]
+    assert contractions(rows)[-1] is None
 
 
 def test_a_damaged_log_is_told_and_the_rest_goes_on(copy: Experiment) -> None:

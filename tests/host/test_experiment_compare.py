@@ -17,6 +17,7 @@ from tailbeat.experiment.compare import (
     _noncentrality,
     _unbiased,
     compare,
+    count,
     counted,
     counted_rows,
     hedges,
@@ -27,6 +28,7 @@ from tailbeat.experiment.compare import (
     welch,
 )
 
+from . import made_analyses as made
 from .swum_experiment import REPEAT, swim_experiment
 
 # Rosetta Code, "Welch's t-test": samples and two-sided p
@@ -145,11 +147,18 @@ def test_what_does_not_scatter() -> None:
 def test_words_claim_no_more_than_the_interval() -> None:
     unclear = _compared("max", [0.010, 0.014, 0.012], [0.011, 0.013, 0.0125], ("old", "new"))
     assert unclear.difference_low_m_s < 0 < unclear.difference_high_m_s
-    assert unclear.words.startswith("no difference in max|e| is shown")
+    assert unclear.words.startswith(
+        "no difference in max|e| is shown: new is 0.2 mm/s worse than old (95 %: 4.0 better to 4.3"
+        " worse; 3 swims against 3); "
+    )
     assert "swims on each side to see" in unclear.words
     clear = _compared("rms", [0.020, 0.021, 0.0205], [0.010, 0.011, 0.0105], ("old", "new"))
-    assert clear.words.startswith("RMS of new is lower than that of old, by 10.0 mm/s")
-    assert "-11.1 to -8.9" in clear.words
+    assert clear.words == (
+        "new is 10.0 mm/s better than old in RMS (95 %: 8.9 to 11.1 mm/s; 3 swims against 3)"
+    )
+    worse = _compared("max", [0.010, 0.011], [0.020, 0.021, 0.0205], ("old", "new"), (1, 0))
+    assert worse.words.startswith("new is 10.0 mm/s worse than old in max|e| (95 %: ")
+    assert worse.words.endswith("3 swims against 2, 0 and 1 of them worse than noise explains)")
     assert "no difference" not in clear.words
 
 
@@ -186,6 +195,32 @@ def test_the_swim_that_made_an_input_the_best_does_not_count_among_its_repeats(
     swum = [row.trial for row in counted_rows(more)]
     assert analysis.rows[at].trial not in swum
     assert {21, 22} <= set(swum)
+
+
+def test_swims_that_stand_out_since_progress_ended_count_and_are_told() -> None:
+    """Worse than noise explains with amplitudes of their own, or rolled back; not the best's."""
+    errors = [0.06, 0.02, 0.021, 0.04, 0.0205, 0.0215, 0.021]
+    analysis = made.series(errors)
+    rolled = [replace(row, rolled_back=row.trial == 6) for row in analysis.rows]
+    found = count(replace(analysis, rows=rolled))
+    assert [row.trial for row in found.rows] == [2, 3, 4, 5, 6, 7]
+    assert found.worse == 2
+    again = [replace(trial, beats=analysis.trials[1].beats) for trial in analysis.trials]
+    slow = analysis.trials[3].beats.speed_m_s
+    bad = replace(again[3], beats=replace(again[3].beats, speed_m_s=slow))
+    trials = [*analysis.trials[:3], bad, *analysis.trials[4:]]
+    assert count(replace(analysis, trials=trials)).worse == 0
+    assert count(analysis, [4]).worse == 0
+    both = compare(analysis, replace(analysis, rows=rolled))
+    assert both.worse == (1, 2)
+
+
+def test_only_swims_since_the_board_began_anew_count() -> None:
+    analysis = made.series([0.06, 0.01, 0.011, 0.06, 0.03, 0.031])
+    rows = [replace(row, epoch=int(row.trial > 3)) for row in analysis.rows]
+    again = replace(analysis, rows=rows)
+    assert [row.trial for row in counted_rows(again)] == [5, 6]
+    assert counted_rows(again, [1, 2, 3]) == []
 
 
 def test_too_few_and_another_reference_are_refused(analysis: Analysis) -> None:

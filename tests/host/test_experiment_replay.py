@@ -10,13 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tailbeat.errors import InputError
 from tailbeat.experiment import Experiment
-from tailbeat.experiment.analysis import write_analysis
+from tailbeat.experiment.analysis import Analysis, write_analysis
 from tailbeat.experiment.current import make
 from tailbeat.experiment.replay import Replay, replay, write_redo
 from tailbeat.fish import Fish
+from tailbeat.report.page import Picture
+from tailbeat.report.paper import Drawing, write_report
 
 from .swum_experiment import BEATS, REFERENCE, swim_experiment, writable
 
@@ -55,9 +58,8 @@ def test_everything_comes_out_the_same(swum: Experiment, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "params",
     [
-        {"LAW_KIND": 1.0},
+        {"LAW_KIND": 1.0, "LAW_FADE": 1.0, "LAW_FADE_FROM": 1.0},
         {"LAW_KIND": 2.0, "LAW_WINDOW": 3.0},
-        {"LAW_FADE": 1.0, "LAW_FADE_FROM": 1.0},
         {"LAW_GAIN": 12.0, "ROLLBACK_RATIO": 1.01, "LAW_LEAD": 8.0, "DU_MAX_RAD": 0.0},
     ],
 )
@@ -72,16 +74,21 @@ def test_every_law_is_learned_again(params: dict[str, float], tmp_path: Path) ->
 
 
 def test_one_flipped_bit_in_any_raw_file_is_found(copy: Experiment, tmp_path: Path) -> None:
+    """In every other file at a time: with none whole there is nothing to replay."""
     dice = random.Random(3)
-    for name in sorted(copy.sums()):
-        path = writable(copy.raw / name)
-        content = path.read_bytes()
-        at, bit = dice.randrange(len(content)), 1 << dice.randrange(8)
-        path.write_bytes(content[:at] + bytes([content[at] ^ bit]) + content[at + 1 :])
-        found = again(copy, tmp_path / name)
-        told = f"raw/{name} is not what it was when it was added"
-        assert told in found.different, (name, at, bit)
-        path.write_bytes(content)
+    names = sorted(copy.sums())
+    for half in (names[::2], names[1::2]):
+        contents = {name: writable(copy.raw / name).read_bytes() for name in half}
+        for name, content in contents.items():
+            at, bit = dice.randrange(len(content)), 1 << dice.randrange(8)
+            flipped = bytes([content[at] ^ bit])
+            (copy.raw / name).write_bytes(content[:at] + flipped + content[at + 1 :])
+        found = again(copy, tmp_path / half[0])
+        told = [line for line in found.different if line.startswith("raw/")]
+        was = "is not what it was when it was added"
+        assert sorted(told) == [f"raw/{name} {was}" for name in half]
+        for name, content in contents.items():
+            (copy.raw / name).write_bytes(content)
     assert again(copy, tmp_path / "last").identical
 
 
@@ -147,18 +154,52 @@ def test_uploaded_speeds_are_told_not_counted(tmp_path: Path) -> None:
     assert found.identical
 
 
-def test_the_page_is_made_again(copy: Experiment, tmp_path: Path) -> None:
-    from tailbeat.report.paper import write_report
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report with one picture that takes no time; all are drawn twice in a soak test."""
 
+    def drawn(analyses: list[Analysis]) -> list[Drawing]:
+        errors = str([row.max_abs_error_m_s for row in analyses[0].rows]).encode()
+        return [Drawing(Picture("learning", errors, b"<svg/>", "caption"), Figure())]
+
+    monkeypatch.setattr("tailbeat.report.paper.draw_all", drawn)
+
+
+def test_the_page_is_made_again(copy: Experiment, tmp_path: Path, undrawn: None) -> None:
     write_report(copy)
+    assert again(copy, tmp_path / "same").identical
     (copy.folder / "report" / "report.html").write_text("another page")
     assert [line.split()[0] for line in again(copy, tmp_path).different] == ["report/report.html"]
 
 
+def test_a_report_file_that_is_gone_is_missed(
+    copy: Experiment, tmp_path: Path, undrawn: None
+) -> None:
+    write_report(copy, paper=True)
+    for name in ("learning.pdf", "tables/trials.csv"):
+        (copy.folder / "report" / name).unlink()
+    assert again(copy, tmp_path).different == [
+        f"report/{name} is missing; make it again: tailbeat report"
+        for name in ("learning.pdf", "tables/trials.csv")
+    ]
+
+
+def test_a_comparison_whose_other_side_is_gone_is_not_identical(
+    copy: Experiment, tmp_path: Path, undrawn: None
+) -> None:
+    other = Experiment(Path(shutil.copytree(copy.folder, tmp_path / "other")))
+    write_report(copy, against=[other])
+    assert again(copy, tmp_path / "there").identical
+    shutil.rmtree(other.folder)
+    found = again(copy, tmp_path / "gone")
+    assert not found.identical
+    (line,) = found.different
+    assert line.startswith("report cannot be made again: ../other, which it compares with, is gone")
+    assert ("report/report.html", "../other is gone") in found.not_drawn
+
+
 @pytest.mark.soak
 def test_the_whole_report_is_drawn_again(copy: Experiment, tmp_path: Path) -> None:
-    from tailbeat.report.paper import write_report
-
     write_report(copy, paper=True)
     found = again(copy, tmp_path / "a")
     assert found.identical, found.different
@@ -189,6 +230,36 @@ def test_redo_tells_what_the_simulated_fish_was(tmp_path: Path) -> None:
         "# in another terminal: tailbeat sim --plant thesis --seed 7 --set tail_centre_rad"
     )
     assert np.float32(value) == np.float32(0.08)
+
+
+def test_redo_tells_numbers_as_the_board_holds_them(tmp_path: Path) -> None:
+    with Fish.connect("sim") as fish:
+        fish.params.set("AMP_MAX_RAD", 0.68)
+        fish.params.set("LAW_LEAD", 2)
+        made = make(fish, tmp_path, REFERENCE)
+        held = fish.params.get("AMP_MAX_RAD").value
+    made.journal.add("set", params={"AMP_MAX_RAD": held})
+    text = write_redo(made).read_text()
+    assert held != 0.68, "single precision"
+    assert "tailbeat params set AMP_MAX_RAD 0.68\n" in text
+    assert "tailbeat params set LAW_LEAD 2\n" in text and ": set AMP_MAX_RAD = 0.68\n" in text
+
+
+def test_redo_tells_what_is_not_known(tmp_path: Path) -> None:
+    """Of a simulated board in another process; and of the options."""
+    with Fish.connect("sim") as fish:
+        made = make(fish, tmp_path, REFERENCE)
+    settings = made.settings()
+    del settings["plant"], settings["seed"], settings["simulator"]
+    (made.folder / "settings.json").write_text(json.dumps(settings))
+    made.journal.add(
+        "swum", trial=1, iteration=1, end="complete", rested_s=31.4, pose={"source": "camera"}
+    )
+    text = write_redo(made).read_text()
+    assert "- simulated plant: unknown\n- seed: unknown\n" in text
+    assert "tailbeat sim, with the plant and the seed of then (unknown)" in text
+    assert "iteration 1, complete, rested 31 s, pose by camera\n" in text
+    assert "is not recorded (`--rest`, `--until`" in text
 
 
 def test_redo_tells_the_day(swum: Experiment, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from tailbeat.guards import Seen
 from tailbeat.reference import thesis
 from tailbeat.straight import (
     CROOKED_RAD,
+    Course,
     Straightness,
     straightness,
     straightness_of_frames,
@@ -261,3 +262,17 @@ def test_a_swim_along_x_is_bit_for_bit_what_it_was(tmp_path: Path) -> None:
         number = fish.run_trial(NoSides(SimulatedCamera(fish.sim), 0.0)).number
         found = read_trial(fish.pull_trial(number, tmp_path / "1")).beats.speed_m_s
     assert found.tobytes() == plain.tobytes()
+
+
+def test_what_is_written_down_does_not_depend_on_the_order_of_sums() -> None:
+    """Nor, then, on the processor: a product of matrices adds up as that likes best."""
+    random = np.random.default_rng(4)
+    heading, way = random.normal(0, 0.1, 37), np.cumsum(random.uniform(0.02, 0.08, 37))
+    found = Course(heading, way).turn_rad_m()
+    for _ in range(20):
+        order = random.permutation(37)
+        shuffled = Course(heading[order], way[order])
+        assert shuffled.turn_rad_m() == found
+        one, other = (c.straightness("imu") for c in (shuffled, Course(heading, way)))
+        assert one is not None and other is not None
+        assert one.mean_yaw_rad == other.mean_yaw_rad

@@ -78,12 +78,16 @@ def show_document(experiment: Experiment) -> dict[str, Any]:
         except InputError as error:
             return document | {"problems": [*document["problems"], str(error)]}
         document |= {"trials": found["rows"], "problems": found["problems"]}
-        document |= {key: found[key] for key in ("floor_m_s", "floor_by", "noise_m_s")}
+        document |= {
+            key: found[key] for key in ("floor_m_s", "floor_by", "noise_m_s", "noise_freedom")
+        }
     return document
 
 
 def show_text(document: dict[str, Any]) -> str:
     """The same for people."""
+    from tailbeat.report.figures.style import freedom_words
+
     settings = document["settings"]
     simulated = ", simulated" if settings.get("simulated") else ""
     head = f"{document['name']}: {settings.get('fish')}, reference {settings.get('reference')}"
@@ -96,7 +100,9 @@ def show_text(document: dict[str, Any]) -> str:
     if document.get("floor_m_s") is not None:
         lines.append(f"floor {mm(document['floor_m_s'])} mm/s ({document['floor_by']})")
     if document.get("noise_m_s") is not None:
-        lines.append(f"repeats scatter by {mm(document['noise_m_s'])} mm/s (standard deviation)")
+        freedom = freedom_words(document["noise_freedom"])
+        scatter = f"{mm(document['noise_m_s'])} mm/s (standard deviation, {freedom})"
+        lines.append(f"repeats scatter by {scatter}")
     lines += [f"problem: {line}" for line in document["problems"]]
     notes = document["notes"].partition("\n")[2].strip()
     return "\n".join([*lines, *([notes] if notes else [])])

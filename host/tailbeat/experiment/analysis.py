@@ -1,8 +1,9 @@
 """Everything that is derived from an experiment's raw files: ``analysis.json``.
 
 A pure function of ``raw/``, ``journal.jsonl`` and ``settings.json``, written so that the same
-files give the same bytes on any machine: numbers with nine digits, which is what single precision
-holds, for the last bits of a sum or of a fit are another processor's own.
+files give the same bytes on any machine: sums are exact (``math.fsum``), and numbers have nine
+digits, which is what single precision holds, for the last bits are another processor's own. The
+floors have six: they come from a fit by matrix algebra, in which processors differ by 5e-12.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,18 +40,27 @@ DISCARD = "discard"
 ANALYSIS = "analysis.json"
 _FORMAT = "tailbeat analysis 1"
 _DIGITS = 9
+_FLOOR_DIGITS = 6
 _BAND = (5.0, 50.0, 95.0)
+_CONFIDENCE = 0.95
+_RATIO_MIN = 0.05  # where a band of noise ends below: an error is no less than nothing
+_BY_THE_LAW = ("law", "")  # "" = not told: a log of an older board
 
 
 @dataclass(frozen=True)
 class TrialRow:
     """One swim. ``iteration``: of its amplitudes; a repeat of older ones has theirs. ``decision``:
-    keep, repeat, discard, or empty when nobody decided (it counts as kept). ``repeat_of``: the
-    first trial that counts with the same amplitudes, 0 = this is the first. ``contraction``: max|e|
-    over that of the last kept trial of the iteration before; NaN = none, or one of the two is not
-    complete. ``complete``: every beat swum and measured. ``learned``, ``rolled_back``: what the
-    board did with it; where the journal does not tell, by what swam next. Voltages: the first and
-    the last in the log, NaN = none. ``file``: its name in ``raw/``."""
+    keep, repeat, discard, or empty when nobody decided. ``repeat_of``: the first trial of its epoch
+    that counts with the same amplitudes, 0 = this is the first. ``contraction``: what a step of the
+    law did, max|e| of a kept trial over that of the last kept trial of the iteration before; NaN =
+    its amplitudes are not the law's (first, uploaded, restored), or one of the two is not complete.
+    ``noise_low``, ``noise_high``: ratios between which 95 % lie when nothing but noise differs, NaN
+    = there is no contraction or there are no repeats. ``complete``: every beat swum and measured.
+    ``learned``, ``rolled_back``: what the board did with it; where the journal does not tell, by
+    what swam next. Voltages: the first and the last in the log, NaN = none. ``file``: its name in
+    ``raw/``. ``undecided``: nobody decided, nothing was learned from it, and the journal tells of
+    swims (in a folder without a journal all count as kept). ``epoch``: 0, and one more each time
+    the board began anew and counted iterations from the beginning again."""
 
     trial: int
     iteration: int
@@ -72,18 +83,27 @@ class TrialRow:
     file: str
     time: str
     complete: bool = False
+    undecided: bool = False
+    epoch: int = 0
+    noise_low: float = math.nan
+    noise_high: float = math.nan
 
     @property
     def counts(self) -> bool:
-        """Whether it may be used for anything."""
-        return self.decision != DISCARD
+        """Whether it may be used for any statistic."""
+        return self.decision != DISCARD and not self.undecided
+
+    @property
+    def kept(self) -> bool:
+        """Decided so, or learned from; in a folder without a journal all are."""
+        return self.counts and (self.decision in ("keep", "") or self.learned)
 
 
 @dataclass(frozen=True)
 class Band:
-    """Per iteration, over its complete swims that were not discarded (max|e| of a part of the beats
-    says nothing of the whole): how many, median and 5 to 95 % band of max|e| and RMS; of one swim
-    all three are the same. Shape (iterations,)."""
+    """Per iteration of the last epoch, over its complete swims that count (max|e| of a part of the
+    beats says nothing of the whole): how many, median and 5 to 95 % band of max|e| and RMS; of one
+    swim all three are the same. Shape (iterations,)."""
 
     iteration: NDArray[np.int64]
     swims: NDArray[np.int64]
@@ -101,8 +121,9 @@ class Analysis:
     as read from the files. ``floor_m_s``: max|e| of the best input of the fish, ``floor_lsq_m_s``
     of the best by least squares; ``floor_by`` says of what: the ``identified`` fish, or the
     ``simulator`` where nothing was identified; NaN = neither is there. ``noise_m_s``: standard
-    deviation of max|e| between repeats, NaN = no repeats. ``problems``: what is wrong with the
-    folder, and swims that were not straight; one line each."""
+    deviation of max|e| between repeats with ``noise_freedom`` degrees of freedom, NaN = no repeats.
+    ``problems``: what is wrong with the folder, swims that were not straight, and where the board
+    began anew; one line each."""
 
     name: str
     simulated: bool
@@ -125,6 +146,17 @@ class Analysis:
     start_error_m_s: float  # of the zero input: the reference's largest speed
     problems: list[str] = field(default_factory=list)
     floor_by: str = ""
+    noise_freedom: int = 0
+
+    @property
+    def epoch(self) -> int:
+        """The last one."""
+        return max((row.epoch for row in self.rows), default=0)
+
+    @property
+    def last_rows(self) -> list[TrialRow]:
+        """Those of the last epoch: iterations of two do not go together."""
+        return [row for row in self.rows if row.epoch == self.epoch]
 
     @property
     def reference(self) -> Reference:
@@ -162,6 +194,8 @@ def analyse(experiment: Experiment) -> Analysis:
         )
     swum = [trial for _, trial in kept]
     rows = _rows(kept, told)
+    noise = _noise(rows, swum)
+    rows = with_noise(rows, *noise)
     limit = swum[-1].params.get("AMP_MAX_RAD", math.pi / 4)
     floor = _floor(identified, settings, held, limit)
     problems += [
@@ -171,6 +205,7 @@ def analyse(experiment: Experiment) -> Analysis:
         if row.straight is not None and row.straight.crooked and row.counts
     ]
     problems += _of_others(str(settings.get("unique_id", "")), rows, swum)
+    problems += _begun_anew(rows)
     return Analysis(
         name=experiment.stable_name,
         simulated=bool(settings.get("simulated")) or any(t.board in SIMULATED_FISH for t in swum),
@@ -189,11 +224,22 @@ def analyse(experiment: Experiment) -> Analysis:
         band=_band(rows),
         floor_m_s=floor[0],
         floor_lsq_m_s=floor[1],
-        noise_m_s=_noise(rows, swum),
+        noise_m_s=noise[0],
         start_error_m_s=float(np.max(np.abs(held.speed_m_s))),
         problems=problems,
         floor_by=floor[2],
+        noise_freedom=noise[1],
     )
+
+
+def _begun_anew(rows: Sequence[TrialRow]) -> list[str]:
+    """One line for each time the board did."""
+    return [
+        f"the board began anew with trial {row.trial} ({row.file}): iterations count from"
+        f" {row.iteration} again, and figures and comparisons are of the swims since the last time"
+        for before, row in pairwise(rows)
+        if row.epoch != before.epoch
+    ]
 
 
 def _of_others(unique_id: str, rows: Sequence[TrialRow], trials: Sequence[Trial]) -> list[str]:
@@ -314,25 +360,37 @@ def _is_of(
 def _rows(kept: Sequence[tuple[Path, Trial]], told: Mapping[str, Told]) -> list[TrialRow]:
     rows: list[TrialRow] = []
     scores = scores_of([trial for _, trial in kept])
-    first: dict[int, int] = {}
+    journalled = any(one.swum for one in told.values())
+    epochs = _epochs([trial for _, trial in kept])
+    first: dict[tuple[int, int], TrialRow] = {}
     for at, (path, trial) in enumerate(kept):
         said = told[path.name]
         if said.learned is None:
             said = replace(said, learned=_went_on(kept, at), rolled_back=scores[at].rolled_back)
-        row = _row(path, trial, scores[at], said)
-        original = first.get(scores[at].input_crc, 0)
+        row = replace(_row(path, trial, scores[at], said), epoch=epochs[at])
+        row = replace(row, undecided=journalled and not (row.decision or row.learned))
+        name = (row.epoch, scores[at].input_crc)
+        original = first.get(name)
+        came_back = original is not None and original.iteration < row.iteration
         if original and row.decision == "repeat":
-            row = replace(row, iteration=_iteration_of(rows, original))
+            row = replace(row, iteration=original.iteration)
         if row.counts:
-            first.setdefault(scores[at].input_crc, trial.number)
-        before = _last_kept(rows, row.iteration - 1)
-        rows.append(replace(row, repeat_of=original, contraction=_contraction(row, before)))
+            first.setdefault(name, row)
+        row = replace(row, repeat_of=original.trial if original else 0)
+        rows.append(replace(row, contraction=_contraction(row, rows, came_back)))
     return rows
 
 
-def _iteration_of(rows: Sequence[TrialRow], trial: int) -> int:
-    """The newest of that number: a board whose flash was new counts again."""
-    return next(row.iteration for row in reversed(rows) if row.trial == trial)
+def _epochs(trials: Sequence[Trial]) -> list[int]:
+    """Of each: one more where a board began anew. Its iterations fall back, or its trial numbers do
+    while it is still at the first; those of another board that was given all that this one had
+    learned go on."""
+    epochs = [0] * len(trials)
+    for at, (before, now) in enumerate(pairwise(trials), 1):
+        fell_back = now.iteration < before.iteration
+        from_first = now.iteration == 1 and now.number <= before.number
+        epochs[at] = epochs[at - 1] + (fell_back or from_first)
+    return epochs
 
 
 def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
@@ -381,21 +439,48 @@ def _went_on(kept: Sequence[tuple[Path, Trial]], at: int) -> bool:
     return bool(later) and later[0].iteration == kept[at][1].iteration + 1
 
 
-def _last_kept(rows: Sequence[TrialRow], iteration: int) -> TrialRow | None:
-    of_it = [row for row in rows if row.iteration == iteration and row.decision in ("keep", "")]
-    return of_it[-1] if of_it else None
+def _contraction(row: TrialRow, earlier: Sequence[TrialRow], came_back: bool) -> float:
+    """Only of a step that the law made. ``came_back``: its amplitudes swam in an earlier iteration;
+    where the log does not tell what made them, they were brought back."""
+    if not (row.kept and row.complete) or row.input not in _BY_THE_LAW:
+        return math.nan
+    if came_back and not row.input:
+        return math.nan
+    before = [
+        one
+        for one in earlier
+        if (one.epoch, one.iteration) == (row.epoch, row.iteration - 1) and one.kept
+    ]
+    if not before or not before[-1].complete or before[-1].max_abs_error_m_s == 0:
+        return math.nan
+    return row.max_abs_error_m_s / before[-1].max_abs_error_m_s
 
 
-def _contraction(row: TrialRow, before: TrialRow | None) -> float:
-    if before is None or not (row.complete and before.complete and row.counts):
-        return math.nan
-    if before.max_abs_error_m_s == 0:
-        return math.nan
-    return row.max_abs_error_m_s / before.max_abs_error_m_s
+def with_noise(rows: Sequence[TrialRow], noise_m_s: float, freedom: int) -> list[TrialRow]:
+    """With the band of noise beside each contraction: 1 ± t·√2·σ over the error before, t of
+    Student's distribution, as σ itself is known from a few repeats only."""
+    if freedom < 1:
+        return list(rows)
+    half_m_s = student_t(freedom) * math.sqrt(2) * noise_m_s
+    found = []
+    for row in rows:
+        if math.isfinite(row.contraction) and row.contraction > 0:
+            half = half_m_s * row.contraction / row.max_abs_error_m_s
+            row = replace(row, noise_low=max(_RATIO_MIN, 1 - half), noise_high=1 + half)
+        found.append(row)
+    return found
+
+
+def student_t(freedom: int) -> float:
+    """Student's t that 95 % stay within: 12.7 for one pair of repeats, 1.96 for many."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, (1 + _CONFIDENCE) / 2))
 
 
 def _band(rows: Sequence[TrialRow]) -> Band:
-    counting = [row for row in rows if row.counts and row.complete]
+    last = max((row.epoch for row in rows), default=0)
+    counting = [row for row in rows if row.counts and row.complete and row.epoch == last]
     iterations = sorted({row.iteration for row in counting})
     groups = [[row for row in counting if row.iteration == i] for i in iterations]
     columns = []
@@ -415,18 +500,20 @@ def _band(rows: Sequence[TrialRow]) -> Band:
     )
 
 
-def _noise(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> float:
-    """Deviations from the mean of an input's repeats, pooled over all inputs."""
-    groups: dict[int, list[float]] = {}
+def _noise(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> tuple[float, int]:
+    """(standard deviation, degrees of freedom) of deviations from the mean of an input's repeats in
+    one epoch, pooled over all."""
+    groups: dict[tuple[int, int], list[float]] = {}
     for row, trial in zip(rows, trials, strict=True):
         if row.counts and row.complete:
-            groups.setdefault(score_of(trial).input_crc, []).append(row.max_abs_error_m_s)
+            name = (row.epoch, score_of(trial).input_crc)
+            groups.setdefault(name, []).append(row.max_abs_error_m_s)
     freedom = sum(len(group) - 1 for group in groups.values())
     if freedom == 0:
-        return math.nan
-    means = {crc: math.fsum(group) / len(group) for crc, group in groups.items()}
-    squares = math.fsum((e - means[crc]) ** 2 for crc, group in groups.items() for e in group)
-    return math.sqrt(squares / freedom)
+        return math.nan, 0
+    means = {name: math.fsum(group) / len(group) for name, group in groups.items()}
+    squares = math.fsum((e - means[name]) ** 2 for name, group in groups.items() for e in group)
+    return math.sqrt(squares / freedom), freedom
 
 
 def _floor(
@@ -438,15 +525,25 @@ def _floor(
     simulator = settings.get("simulator")
     if identified is not None:
         found = floor(identified.model, held, limit)
-        return found.minimax_m_s, found.lsq_max_abs_m_s, "identified"
+        return (*_of_a_fit(found.minimax_m_s, found.lsq_max_abs_m_s), "identified")
     if isinstance(simulator, dict) and settings.get("plant"):
         values = {name: v for name, v in simulator.items() if name not in ("seed", "plant")}
         try:
             found = floor(plant_config(str(settings["plant"]), values), held, limit)
         except InputError:  # a simulator of another version had other settings
             return math.nan, math.nan, ""
-        return found.minimax_m_s, found.lsq_max_abs_m_s, "simulator"
+        return (*_of_a_fit(found.minimax_m_s, found.lsq_max_abs_m_s), "simulator")
     return math.nan, math.nan, ""
+
+
+def _of_a_fit(largest_m_s: float, squares_m_s: float) -> tuple[float, float]:
+    """Without the digits that are another processor's own."""
+    return round_to(largest_m_s, _FLOOR_DIGITS), round_to(squares_m_s, _FLOOR_DIGITS)
+
+
+def round_to(value: float, digits: int = _DIGITS) -> float:
+    """That many digits; NaN stays."""
+    return float(f"{value:.{digits}g}")
 
 
 def _rounded(value: Any) -> Any:
@@ -456,6 +553,6 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_rounded(item) for item in value]
     if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+        return round_to(value) if math.isfinite(value) else None
     again = plain(value)
     return again if again is value else _rounded(again)

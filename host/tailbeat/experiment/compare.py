@@ -47,6 +47,7 @@ class Comparison:
     the pooled standard deviation, Hedges's, with the interval of the true effect by the noncentral
     t distribution (infinite when nothing scatters). ``repeats``: swims needed on each side to see
     an effect of that size (power 80 %, two-sided 5 %); None = the effect is too small for 1000.
+    ``worse``: how many of the swims were worse than noise explains, on each side (``count``).
     ``words``: one line for people, which does not claim more than the interval allows."""
 
     what: str
@@ -61,35 +62,56 @@ class Comparison:
     p: float
     repeats: int | None
     words: str
+    worse: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True)
+class Counted:
+    """``rows``: the swims that count; ``worse``: how many of those since progress ended had other
+    amplitudes than the best and did worse than noise explains, or made the board roll back. They
+    count: what was chosen by its result would flatter the law that fluctuates most."""
+
+    rows: list[TrialRow]
+    worse: int = 0
 
 
 def counted(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[float]:
-    """max|e| of the swims that count: those of ``iterations``, or by default the repeats of the
-    best input, without the swim that made it the best (a lucky one more often than not), and where
-    those are fewer than two all complete ones from the iteration on from
-    which the verdict saw no more progress. Never discarded ones, nor such as were cut short."""
+    """max|e| of ``counted_rows``."""
     return [row.max_abs_error_m_s for row in counted_rows(analysis, iterations)]
 
 
 def counted_rows(analysis: Analysis, iterations: Sequence[int] | None = None) -> list[TrialRow]:
-    """The swims of ``counted``."""
+    """The swims of ``count``."""
+    return count(analysis, iterations).rows
+
+
+def count(analysis: Analysis, iterations: Sequence[int] | None = None) -> Counted:
+    """The swims that count, of the last epoch: those of ``iterations``, or by default the repeats
+    of the best input, without the swim that made it the best (a lucky one more often than not), and
+    where those are fewer than two all complete ones from the iteration on from which the verdict
+    saw no more progress. Never discarded or undecided swims, nor such as were cut short."""
     pairs = [
         (row, score_of(trial))
         for row, trial in zip(analysis.rows, analysis.trials, strict=True)
-        if row.counts and row.complete
+        if row.counts and row.complete and row.epoch == analysis.epoch
     ]
     if iterations is not None:
-        return [row for row, _ in pairs if row.iteration in iterations]
+        return Counted([row for row, _ in pairs if row.iteration in iterations])
     scores = [score for _, score in pairs]
     best = best_of(scores)
     if best is None:
-        return []
+        return Counted([])
     repeats = [row for row, score in pairs if score.input_crc == best.input_crc]
     if len(repeats) >= _REPEATS_MIN:
-        return [row for row in repeats if row.trial != best.trial]
-    verdicts = judge_all(scores, None, None, analysis.start_error_m_s)
-    last = max(at for at, verdict in enumerate(verdicts) if verdict.kind in ("first", "progress"))
-    return [row for row, _ in pairs if row.iteration >= pairs[last][0].iteration]
+        return Counted([row for row in repeats if row.trial != best.trial])
+    kinds = [one.kind for one in judge_all(scores, None, None, analysis.start_error_m_s)]
+    last = max(at for at, kind in enumerate(kinds) if kind in ("first", "progress"))
+    since = [
+        (row, (row.rolled_back or kind == "worse") and score.input_crc != best.input_crc)
+        for (row, score), kind in zip(pairs, kinds, strict=True)
+        if row.iteration >= pairs[last][0].iteration
+    ]
+    return Counted([row for row, _ in since], sum(worse for _, worse in since))
 
 
 def compare(
@@ -104,12 +126,12 @@ def compare(
             f"{a.name} and {b.name} swam different references: their errors do not compare.",
             "Compare experiments of one reference.",
         )
-    sides = [
-        [float(getattr(row, WHAT[what])) for row in counted_rows(one, iterations)] for one in (a, b)
-    ]
+    found = [count(one, iterations) for one in (a, b)]
+    sides = [[float(getattr(row, WHAT[what])) for row in one.rows] for one in found]
     for one, values in zip((a, b), sides, strict=True):
         _require_enough(one, values, iterations)
-    return _compared(what, sides[0], sides[1], (a.name, b.name))
+    worse = found[0].worse, found[1].worse
+    return _compared(what, sides[0], sides[1], (a.name, b.name), worse)
 
 
 def _require_enough(
@@ -128,7 +150,11 @@ def _require_enough(
 
 
 def _compared(
-    what: str, a: Sequence[float], b: Sequence[float], names: tuple[str, str] = ("A", "B")
+    what: str,
+    a: Sequence[float],
+    b: Sequence[float],
+    names: tuple[str, str] = ("A", "B"),
+    worse: tuple[int, int] = (0, 0),
 ) -> Comparison:
     """Of the values alone."""
     difference, low, high, p = welch(a, b)
@@ -146,32 +172,45 @@ def _compared(
         g_high=g_high,
         p=p,
         repeats=repeats,
-        words=_words(what, (difference, low, high), repeats, (len(a), len(b)), names),
+        words=_words(
+            what, (difference, low, high), repeats, names, _swims((len(a), len(b)), worse)
+        ),
+        worse=worse,
     )
 
 
 def welch(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
     """(mean of b less mean of a, its 95 % interval, two-sided p); both of two values or more."""
-    from scipy.stats import t
+    from scipy.special import stdtr, stdtrit
 
-    difference = float(np.mean(b) - np.mean(a))
-    parts = [float(np.var(side, ddof=1)) / len(side) for side in (a, b)]
+    difference = _mean(b) - _mean(a)
+    parts = [_squares(side) / (len(side) - 1) / len(side) for side in (a, b)]
     error = math.sqrt(sum(parts))
     if error == 0:
         return difference, difference, difference, float(difference == 0)
     freedom = sum(parts) ** 2 / sum(
         part**2 / (len(side) - 1) for part, side in zip(parts, (a, b), strict=True)
     )
-    half = error * float(t.ppf((1 + _LEVEL) / 2, freedom))
-    p = 2 * float(t.sf(abs(difference) / error, freedom))
+    half = error * float(stdtrit(freedom, (1 + _LEVEL) / 2))
+    p = 2 * float(stdtr(freedom, -abs(difference) / error))
     return difference, difference - half, difference + half, p
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values)
+
+
+def _squares(values: Sequence[float]) -> float:
+    """Of the deviations from their mean, added up."""
+    mean = _mean(values)
+    return math.fsum((value - mean) ** 2 for value in values)
 
 
 def hedges(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
     """(g, 95 % interval of the true effect): b less a over the pooled standard deviation."""
     freedom = len(a) + len(b) - 2
-    squares = sum(float(np.var(side)) * len(side) for side in (a, b))
-    difference = float(np.mean(b) - np.mean(a))
+    squares = sum(_squares(side) for side in (a, b))
+    difference = _mean(b) - _mean(a)
     if squares == 0:
         value = math.copysign(math.inf, difference) if difference else 0.0
         return value, value, value
@@ -268,10 +307,10 @@ def repeats_needed(g: float) -> int | None:
 
 def power(g: float, swims: int) -> float:
     """How often ``swims`` on each side show a true effect ``g``."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     freedom = 2 * swims - 2
-    limit = float(t.ppf((1 + _LEVEL) / 2, freedom))
+    limit = float(stdtrit(freedom, (1 + _LEVEL) / 2))
     shift = abs(g) * math.sqrt(swims / 2)
     return 1 - noncentral_t(limit, freedom, shift) + noncentral_t(-limit, freedom, shift)
 
@@ -280,28 +319,36 @@ def _words(
     what: str,
     interval: tuple[float, float, float],
     repeats: int | None,
-    swims: tuple[int, int],
     names: tuple[str, str],
+    swims: str,
 ) -> str:
+    """Errors: less is better."""
     difference, low, high = (value * 1e3 for value in interval)
     name = {"max": "max|e|", "rms": "RMS"}[what]
-    of = f"({swims[0]} against {swims[1]} swims)"
-    between = f"95 % interval {low:+.1f} to {high:+.1f}"
+    a, b = names
     if low > 0 or high < 0:
-        side = "higher" if difference > 0 else "lower"
+        side = "worse" if difference > 0 else "better"
+        near, far = sorted((abs(low), abs(high)))
         return (
-            f"{name} of {names[1]} is {side} than that of {names[0]}, by {abs(difference):.1f} mm/s"
-            f" ({between}) {of}"
+            f"{b} is {abs(difference):.1f} mm/s {side} than {a} in {name}"
+            f" (95 %: {near:.1f} to {far:.1f} mm/s; {swims})"
         )
     need = (
         f"an effect of that size takes {repeats} swims on each side to see"
         if repeats is not None
         else f"an effect that small takes more than {_REPEATS_MAX} swims on each side to see"
     )
+    middle = f"{abs(difference):.1f} mm/s {'worse' if difference > 0 else 'better'}"
     return (
-        f"no difference in {name} is shown: {names[1]} less {names[0]} is {difference:+.1f} mm/s"
-        f" ({between}) {of}; {need}"
+        f"no difference in {name} is shown: {b} is {middle} than {a}"
+        f" (95 %: {abs(low):.1f} better to {abs(high):.1f} worse; {swims}); {need}"
     )
+
+
+def _swims(swims: tuple[int, int], worse: tuple[int, int]) -> str:
+    """How many, and how many of them stand out."""
+    of = f", {worse[1]} and {worse[0]} of them worse than noise explains" if any(worse) else ""
+    return f"{swims[1]} swims against {swims[0]}{of}"
 
 
 def other_differences(a: Experiment, b: Experiment) -> list[str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.errors import InputError
-from tailbeat.experiment.analysis import analyse
+from tailbeat.experiment.analysis import analyse, round_to
 from tailbeat.experiment.folder import Experiment
 from tailbeat.lasting import write_whole
 from tailbeat.trial_log import Trial
@@ -32,6 +32,8 @@ _BEAT_COLUMNS = (
     "samples",
 )
 _ROW_COLUMNS = (
+    "epoch",
+    "undecided",
     "file",
     "time",
     "input",
@@ -45,10 +47,22 @@ _ROW_COLUMNS = (
     "saturated_beats",
     "distance_m",
     "contraction",
+    "noise_low",
+    "noise_high",
     "battery_start_v",
     "battery_end_v",
 )
 _STRAIGHT_COLUMNS = ("mean_yaw_rad", "worst_yaw_rad", "curvature_1_m")
+# Of more than single precision: nine digits, for the last ones are another processor's own.
+_COMPUTED = (
+    "rms_error_m_s",
+    "distance_m",
+    "contraction",
+    "noise_low",
+    "noise_high",
+    "noise_m_s",
+    *_STRAIGHT_COLUMNS,
+)
 _MAT_COLUMNS = tuple(name for name in _ROW_COLUMNS if name != "time")
 _MAT_HEAD_BYTES = 116
 _MAKE_ROOM = "Make room on this computer, or choose another folder."
@@ -86,21 +100,21 @@ def export(
 def _trial_table(analysis: Analysis) -> Table:
     """One row per trial. What older tools wrote comes first, in their order."""
     rows = [
-        _trial_row(trial, row, analysis.simulated)
+        _trial_row(trial, row, analysis)
         for trial, row in zip(analysis.trials, analysis.rows, strict=True)
     ]
     return {key: [row[key] for row in rows] for key in rows[0]}
 
 
-def _trial_row(trial: Trial, row: TrialRow, simulated: bool) -> Table:
+def _trial_row(trial: Trial, row: TrialRow, analysis: Analysis) -> Table:
     straight = row.straight
-    return {
+    found = {
         "trial": trial.number,
         "iteration": trial.iteration,
         "end": trial.end,
         "executed_beats": trial.executed_beats,
         "max_abs_error_m_s": trial.max_abs_error_m_s(),
-        "rms_error_m_s": trial.rms_error_m_s(),
+        "rms_error_m_s": row.rms_error_m_s,
         "reference_crc": f"{trial.reference_crc:08x}",
         "board": trial.board,
         "build_id": trial.build_id,
@@ -108,8 +122,11 @@ def _trial_row(trial: Trial, row: TrialRow, simulated: bool) -> Table:
         **{name: getattr(straight, name, math.nan) for name in _STRAIGHT_COLUMNS},
         "straight_source": straight.source if straight is not None else "",
         "crooked": straight is not None and straight.crooked,
-        "simulated": simulated,
+        "noise_m_s": analysis.noise_m_s,
+        "noise_freedom": analysis.noise_freedom,
+        "simulated": analysis.simulated,
     }
+    return found | {name: round_to(found[name]) for name in _COMPUTED}
 
 
 def _beat_table(analysis: Analysis) -> Table:
@@ -142,6 +159,7 @@ def _beside(analysis: Analysis, counts: list[int]) -> Table:
     """What is the same along a trial, so that each table can be read alone."""
     return {
         "file": np.repeat([row.file for row in analysis.rows], counts),
+        "epoch": np.repeat([row.epoch for row in analysis.rows], counts),
         "decision": np.repeat([row.decision for row in analysis.rows], counts),
         "simulated": np.repeat([analysis.simulated for _ in counts], counts),
     }
@@ -180,7 +198,6 @@ def _write_mat(folder: Path, analysis: Analysis) -> list[Path]:
         "trial": np.array([trial.number for trial in trials], dtype=np.float64),
         "iteration": np.array([trial.iteration for trial in trials], dtype=np.float64),
         "max_abs_error_m_s": np.array([trial.max_abs_error_m_s() for trial in trials]),
-        "rms_error_m_s": np.array([trial.rms_error_m_s() for trial in trials]),
         "end": np.array([trial.end for trial in trials], dtype=object),
     }
     for name in _BEAT_COLUMNS:
@@ -190,9 +207,10 @@ def _write_mat(folder: Path, analysis: Analysis) -> list[Path]:
             matrix[i, : len(values)] = values
         content[name] = matrix
     table = _trial_table(analysis)
-    for name in (*_MAT_COLUMNS, *_STRAIGHT_COLUMNS):
+    for name in (*_MAT_COLUMNS, *_COMPUTED):
         words = isinstance(table[name][0], str)
         content[name] = np.array(table[name], dtype=object if words else np.float64)
+    content["noise_freedom"] = float(analysis.noise_freedom)
     content["simulated"] = float(analysis.simulated)
     file = io.BytesIO()
     savemat(file, content, oned_as="column", do_compression=True)

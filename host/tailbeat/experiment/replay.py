@@ -44,7 +44,7 @@ class Replay:
     ``learned``: trials after which the law, applied again, gives the very amplitudes of the next,
     ``not_learned``: those of which that cannot be told, and why; ``figures``: files that were made
     again, the analysis among them, ``not_drawn``: those that were not compared, and why;
-    ``different``: what did not come out the same, one line each."""
+    ``different``: what did not come out the same or is missing, one line each."""
 
     raw: int
     recomputed: list[int]
@@ -176,12 +176,18 @@ def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: _Fou
     made = _made(folder / MADE)
     files = _files(folder)
     others = _others(experiment, made)
-    if others is None:
-        found.not_drawn += [
-            (f"{REPORT}/{name}", "an experiment beside it is gone") for name in files
-        ]
+    if isinstance(others, str):
+        found.different.append(
+            f"{REPORT} cannot be made again: {others}, which it compares with, is gone; put it"
+            " back, or make the report without it: tailbeat report"
+        )
+        found.not_drawn += [(f"{REPORT}/{name}", f"{others} is gone") for name in files]
         return
     write_report(copy, bool(made.get("paper")), others, scratch / REPORT)
+    missing = [name for name in _files(scratch / REPORT) if name not in (*files, ANALYSIS)]
+    found.different += [
+        f"{REPORT}/{name} is missing; make it again: tailbeat report" for name in missing
+    ]
     if changed := _changed_makers(made):
         drawn = [name for name in files if name.endswith(_DRAWN)]
         found.not_drawn += [(f"{REPORT}/{name}", f"made with {changed}") for name in drawn]
@@ -201,12 +207,13 @@ def _made(path: Path) -> dict[str, Any]:
     return made
 
 
-def _others(experiment: Experiment, made: dict[str, Any]) -> list[Experiment] | None:
-    """The experiments it was compared with, which lie beside it; None = one is gone."""
+def _others(experiment: Experiment, made: dict[str, Any]) -> list[Experiment] | str:
+    """The experiments it was compared with, which lie beside it; or where one that is gone lay."""
     from tailbeat.experiment.folder import Experiment
 
-    folders = [experiment.folder / str(name) for name in made.get("against", [])]
-    return [Experiment(path) for path in folders] if all(map(Experiment.is_at, folders)) else None
+    names = [str(name) for name in made.get("against", [])]
+    gone = [name for name in names if not Experiment.is_at(experiment.folder / name)]
+    return gone[0] if gone else [Experiment(experiment.folder / name) for name in names]
 
 
 def made_with() -> dict[str, str]:

@@ -11,13 +11,14 @@ from typing import Any
 @dataclass(frozen=True)
 class Told:
     """Of one trial's file. ``decision`` empty: nobody decided. ``learned`` None: the journal does
-    not tell (an older tool, or commands without a series)."""
+    not tell (an older tool, or commands without a series). ``swum``: it tells of the swim."""
 
     decision: str = ""
     reason: str = ""
     learned: bool | None = None
     rolled_back: bool = False
     time: str = ""
+    swum: bool = False
 
 
 def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> dict[str, Told]:
@@ -40,11 +41,11 @@ def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> d
 
 def _with(told: Told, entry: Mapping[str, Any]) -> Told:
     if entry["what"] == "swum":
-        return replace(told, time=str(entry["time"]))
+        return replace(told, time=str(entry["time"]), swum=True)
     if entry["what"] == "decided":
         decision, reason = str(entry.get("decision", "")), str(entry.get("reason") or "")
-        # one that says nothing about learning: it has not happened, or not yet
-        return replace(told, decision=decision, reason=reason, learned=told.learned or False)
+        learned = told.learned or False  # a decision alone: it has not happened, or not yet
+        return replace(told, decision=decision, reason=reason, learned=learned, swum=True)
     if entry["what"] == "withdrawn":
         return replace(told, decision="", reason="")
     if entry["what"] == "learned":

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.report.figures.style import PAGE, SIMULATED, mm, simulated_mark
+from tailbeat.experiment.conditions import WATER_TEMPERATURE
+from tailbeat.report.figures.style import PAGE, SIMULATED, freedom_words, mm, simulated_mark
 
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import Analysis, TrialRow
@@ -29,23 +30,28 @@ padding:.1rem .5rem;white-space:nowrap}
 .head{font-size:1.1rem}.problems{border-left:.3rem solid #b35900;padding-left:.8rem}
 figure{margin:1.2rem 0}figcaption{font-size:.85rem;color:#444;line-height:1.45;margin-top:.4rem}
 picture img{display:block;width:100%;height:auto}
-.scroll{overflow-x:auto;border:1px solid #ddd;border-radius:.3rem}
+.scroll{overflow-x:auto;border:1px solid #ddd;border-radius:.3rem;background:
+linear-gradient(90deg,#fff 1.5rem,#fff0) 0 0/3rem 100% local,
+linear-gradient(270deg,#fff 1.5rem,#fff0) 100% 0/3rem 100% local,
+linear-gradient(90deg,#0004,#0000) 0 0/.8rem 100% scroll,
+linear-gradient(270deg,#0004,#0000) 100% 0/.8rem 100% scroll #fff;background-repeat:no-repeat}
 .scroll:focus-visible{outline:3px solid #0072b2}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.85rem}
 caption{text-align:left;color:#444;padding:.3rem .6rem}
 th,td{padding:.3rem .6rem;text-align:right;border-bottom:1px solid #e2e2e2;vertical-align:top}
 td,thead th{white-space:nowrap}thead th{border-bottom:2px solid #333}.l{text-align:left}
 td.text{text-align:left;white-space:normal;min-width:9rem}
-.pairs th{text-align:left;font-weight:400;color:#444}.pairs td{text-align:left;white-space:normal}
+.pairs th{text-align:left;font-weight:400;color:#444}.pairs td{text-align:left;white-space:normal;
+overflow-wrap:anywhere}
 tbody th time{font-weight:400}
-tr.gone td,tr.gone th{color:#5c5c5c;background:#f4f4f4}tr.best td,tr.best th{font-weight:700}
+tr.gone td,tr.gone th{color:#5c5c5c;background:#0000000b}tr.best td,tr.best th{font-weight:700}
 ul.notes{padding-left:1.1rem}ul.params{columns:15rem;padding:0;list-style:none;font-size:.85rem}
 @media screen and (min-width:960px){.trials{width:min(96vw,1500px);margin-left:50%;
 transform:translateX(-50%)}}time{color:#444;font-variant-numeric:tabular-nums}
 code,pre{font-size:.85rem}pre{background:#f4f4f4;padding:.7rem;overflow-x:auto;border-radius:.3rem}
 .cols{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,19rem),1fr));gap:0 2rem}
 @media print{@page{margin:12mm}body{margin:0;max-width:none;font-size:10pt}
-.scroll{overflow:visible;border:0}table{font-size:6pt}th,td{padding:1pt 2pt}
+.scroll{overflow:visible;border:0;background:none}table{font-size:6pt}th,td{padding:1pt 2pt}
 td,thead th{white-space:normal}td.text{min-width:0}td.l{overflow-wrap:anywhere}
 figure,tr{break-inside:avoid}
 h2{break-after:avoid}.mark{color:#000;background:none;border:1.5pt solid #000}}
@@ -105,7 +111,7 @@ def page(analyses: Sequence[Analysis], given: Material, pictures: Sequence[Pictu
 {_trials(analysis)}
 <div class="cols">
 <section><h2>Conditions</h2>
-{_pairs(_conditions(analysis), analysis, "conditions")}</section>
+{_pairs(_conditions(analysis, given.settings), analysis, "conditions")}</section>
 <section><h2>Versions</h2>
 {_pairs(_versions(analysis, given.settings), analysis, "versions")}</section>
 </div>
@@ -127,20 +133,16 @@ def _title(analysis: Analysis) -> str:
 
 def headline(analysis: Analysis) -> str:
     """The result in one sentence: from, to, over how many swims, the floor, the noise."""
-    from tailbeat.experiment.compare import counted_rows
+    from tailbeat.experiment.compare import count
 
-    whole = [row for row in analysis.rows if row.counts and row.complete]
+    whole = [row for row in analysis.last_rows if row.counts and row.complete]
     if not whole:
-        gone = sum(not row.counts for row in analysis.rows)
-        cut = len(analysis.rows) - gone
-        return (
-            f"No result: none of {_swims(len(analysis.rows))} is complete and counts "
-            f"({gone} discarded, {cut} incomplete)."
-        )
-    rows = counted_rows(analysis)
+        return _no_result(analysis.last_rows)
+    counting = count(analysis)
+    rows = counting.rows
     words = (
         f"Largest error over the beats: from {mm(whole[0].max_abs_error_m_s)} mm/s in the first "
-        f"complete swim to {_reached(rows)}"
+        f"complete swim to {_reached(rows, counting.worse)}"
     )
     mean = sum(row.max_abs_error_m_s for row in rows) / len(rows)
     if analysis.start_error_m_s > 0:
@@ -151,16 +153,30 @@ def headline(analysis: Analysis) -> str:
         )
     words += _floor(analysis)
     if math.isfinite(analysis.noise_m_s):
-        words += f"; repeats scatter by {mm(analysis.noise_m_s)} mm/s (standard deviation)"
+        words += (
+            f"; repeats scatter by {mm(analysis.noise_m_s)} mm/s (standard deviation, "
+            f"{freedom_words(analysis.noise_freedom)})"
+        )
     return words + "."
 
 
-def _reached(rows: Sequence[TrialRow]) -> str:
+def _no_result(rows: Sequence[TrialRow]) -> str:
+    undecided = sum(row.undecided for row in rows)
+    gone = sum(not row.counts for row in rows) - undecided
+    cut = len(rows) - gone - undecided
+    return (
+        f"No result: none of {_swims(len(rows))} is complete and counts ({gone} discarded, "
+        f"{undecided} not decided on, {cut} incomplete)."
+    )
+
+
+def _reached(rows: Sequence[TrialRow], worse: int) -> str:
     values = [row.max_abs_error_m_s for row in rows]
     if len(rows) == 1:
         return f"{mm(values[0])} mm/s in one swim, trial {rows[0].trial}, that was never repeated"
     inputs = {row.repeat_of or row.trial for row in rows}
     of = "of the best input" if len(inputs) == 1 else "since progress ended"
+    of += f", {worse} of them worse than noise explains" if worse else ""
     mean = sum(values) / len(values)
     return (
         f"{mm(mean)} mm/s (mean of {len(rows)} swims {of}, {mm(min(values))} to {mm(max(values))})"
@@ -240,12 +256,15 @@ _HEAD = (
 
 
 def _trials(analysis: Analysis) -> str:
-    whole = [row for row in analysis.rows if row.counts and row.complete]
+    whole = [row for row in analysis.last_rows if row.counts and row.complete]
     best = min(whole, key=lambda row: row.max_abs_error_m_s, default=None)
     head = "".join(f'<th scope="col"{_class(kind)}>{escape(name)}</th>' for name, kind in _HEAD)
     beats = len(analysis.reference_m_s)
     body = "".join(_trial(row, row is best, beats) for row in analysis.rows)
-    words = f"{_swims(len(analysis.rows))}; the best is bold, discarded ones are grey"
+    words = (
+        f"{_swims(len(analysis.rows))}; the best is bold, those that do not count are grey; "
+        "in brackets: what noise alone does to the ratio, 95 %"
+    )
     return _scroll(
         f"<caption>{_caption(words, analysis)}</caption>"
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>",
@@ -257,12 +276,12 @@ def _trials(analysis: Analysis) -> str:
 def _trial(row: TrialRow, best: bool, beats: int) -> str:
     did = "rolled back to the best" if row.rolled_back else "learned" if row.learned else "–"
     cells = (
-        (str(row.iteration), ""),
+        (f"{row.iteration}{f' (epoch {row.epoch})' if row.epoch else ''}", ""),
         (_mm(row.max_abs_error_m_s), ""),
         (_mm(row.rms_error_m_s), ""),
         (row.decision or "not decided", "l"),
         (row.reason, "text"),
-        (_number(row.contraction, 2), ""),
+        (_contraction(row), ""),
         (str(row.repeat_of or ""), ""),
         (did, "l"),
         (row.end, "l"),
@@ -280,6 +299,13 @@ def _trial(row: TrialRow, best: bool, beats: int) -> str:
     return f'<tr{_class(kind)}><th scope="row">{row.trial}</th>{body}</tr>'
 
 
+def _contraction(row: TrialRow) -> str:
+    text = _number(row.contraction, 2)
+    if math.isfinite(row.noise_low):
+        text += f" ({row.noise_low:.2f} to {row.noise_high:.2f})"
+    return text
+
+
 def _straight(row: TrialRow) -> str:
     if row.straight is None:
         return "not known"
@@ -291,16 +317,22 @@ def _straight(row: TrialRow) -> str:
     return f"{worst:+d}°, mean {mean:+d}°{flag}"
 
 
-def _conditions(analysis: Analysis) -> dict[str, str]:
+def _conditions(analysis: Analysis, settings: Mapping[str, Any]) -> dict[str, str]:
     peak = max((float(value) for value in analysis.reference_m_s), default=math.nan)
+    conditions = dict(analysis.conditions)
+    water = conditions.pop(WATER_TEMPERATURE, None)
     return {
+        "fish": analysis.fish or "not told",
+        "operator": _plain(settings.get("operator") or "not told"),
+        "configuration": _plain(settings.get("configuration") or "not told"),
+        "water temperature": "not told" if water is None else f"{_plain(water)} °C",
         "reference": f"{analysis.reference_name or 'without a name'}, "
         f"{len(analysis.reference_m_s)} beats of {analysis.beat_s:g} s, up to {mm(peak)} mm/s, "
         f"CRC {analysis.reference_crc:#010x}",
         "law": analysis.law or "not told",
         "amplitude limit": f"{analysis.amplitude_max_rad:.3f} rad "
         f"({math.degrees(analysis.amplitude_max_rad):.0f}°)",
-        **{key: _plain(value) for key, value in analysis.conditions.items()},
+        **{key: _plain(value) for key, value in conditions.items()},
     }
 
 
@@ -387,11 +419,15 @@ def _redo(analyses: Sequence[Analysis]) -> str:
 
 def _words(entry: Mapping[str, Any]) -> str:
     rest = {key: value for key, value in entry.items() if key not in ("time", "what")}
-    text = "; ".join(f"{key} {_plain(value)}" for key, value in rest.items() if value is not None)
+    text = "; ".join(
+        f"{key} {_plain(value)}" for key, value in rest.items() if value not in (None, {})
+    )
     return text if len(text) <= _VALUE_CHARS_MAX else text[: _VALUE_CHARS_MAX - 1] + "…"
 
 
 def _plain(value: Any) -> str:
+    if value is None:
+        return "not told"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.errors import InputError
+from tailbeat.experiment.analysis import student_t
 from tailbeat.experiment.compare import compare, counted
 from tailbeat.report.figures.style import (
     LOOKS,
     Style,
     blank,
     drawing,
+    earlier_words,
     labels,
     nothing,
 )
@@ -46,13 +48,12 @@ def verdicts(analyses: Sequence[Analysis]) -> list[str]:
 
 def mean_and_interval(values: Sequence[float]) -> tuple[float, float]:
     """(mean, half of its 95 % interval by Student's t); the second is NaN for fewer than two."""
-    from scipy.stats import t
-
     n = len(values)
     if n < 2:
-        return (float(np.mean(values)) if n else math.nan), math.nan
-    half = float(t.ppf(0.975, n - 1)) * float(np.std(values, ddof=1)) / math.sqrt(n)
-    return float(np.mean(values)), half
+        return (values[0] if n else math.nan), math.nan
+    mean = math.fsum(values) / n
+    squares = math.fsum((value - mean) ** 2 for value in values)
+    return mean, student_t(n - 1) * math.sqrt(squares / (n - 1) / n)
 
 
 def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
@@ -122,5 +123,5 @@ def caption(analyses: Sequence[Analysis]) -> str:
     return (
         f"Comparison of conditions ({sizes}). Open: every swim that counts; filled: mean with its "
         f"95 % interval (Student's t). {' '.join(verdicts(analyses))} Intervals of differences by "
-        "Welch."
+        f"Welch.{earlier_words(analyses)}"
     )

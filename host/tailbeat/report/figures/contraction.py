@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.experiment.analysis import student_t
 from tailbeat.report.figures import swims
 from tailbeat.report.figures.style import (
     BAND,
@@ -14,6 +15,8 @@ from tailbeat.report.figures.style import (
     Style,
     blank,
     drawing,
+    earlier_words,
+    freedom_words,
     head_legend,
     iteration_axis,
     labels,
@@ -25,10 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tailbeat.experiment.analysis import Analysis, TrialRow
+    from tailbeat.experiment.analysis import Analysis
 
-_SIGMAS = 1.96 * math.sqrt(2)  # 95 % of the difference of two swims of one input
-_LEAST = 0.05
 _SHOWN = (0.5, 2.0)  # ratios; a band of noise is shown as far as that, swims always
 _ROLLED: dict[str, Any] = {
     "marker": "X",
@@ -40,14 +41,6 @@ _ROLLED: dict[str, Any] = {
 }
 
 
-def noise_of(analysis: Analysis, row: TrialRow) -> tuple[float, float]:
-    """Ratios between which 95 % lie when nothing but noise differs, around 1 at the error that
-    ``row`` is compared with; NaN without repeats."""
-    before_m_s = row.max_abs_error_m_s / row.contraction
-    half = _SIGMAS * analysis.noise_m_s / before_m_s
-    return max(_LEAST, 1 - half), 1 + half
-
-
 def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
     """max|e| of every swim over that of the iteration before, with what noise alone does."""
     with drawing(style):
@@ -56,7 +49,7 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
         shown = [1.0]
         for at, analysis in enumerate(analyses):
             shown += _swims(axes, analysis, at, len(analyses))
-        iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.rows])
+        iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.last_rows])
         axes.set_ylabel("max|e| over that of\nthe iteration before")
         if len(shown) == 1:
             nothing(axes, "one iteration has nothing to be compared with", style)
@@ -68,20 +61,21 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
 
 def _swims(axes: Axes, analysis: Analysis, at: int, of: int) -> list[float]:
     """The ratios drawn."""
-    where = swims.places(analysis.rows, at, of)
+    rows = analysis.last_rows
+    where = swims.places(rows, at, of)
     middle, width = swims.lane(at, of)
     shown = []
     bands: dict[int, tuple[float, float]] = {}
-    for x, row in zip(where, analysis.rows, strict=True):
+    for x, row in zip(where, rows, strict=True):
         if not math.isfinite(row.contraction) or row.contraction <= 0 or not row.counts:
             continue
-        style = swims.marker(swims.kind_of(row), LOOKS[at])
+        style = swims.marker("kept", LOOKS[at])
         axes.plot([x], [row.contraction], gid=f"contraction {row.trial}", **style)
         shown.append(row.contraction)
         if row.rolled_back:
             axes.plot([x], [row.contraction], zorder=6, gid=f"rolled {row.trial}", **_ROLLED)
-        if math.isfinite(analysis.noise_m_s):
-            bands[row.iteration] = noise_of(analysis, row)
+        if math.isfinite(row.noise_low):
+            bands[row.iteration] = row.noise_low, row.noise_high
     colour: Any = BAND if of == 1 else (LOOKS[at].colour, 0.16)
     for iteration, (low, high) in bands.items():
         axes.bar(
@@ -96,12 +90,13 @@ def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    counted = [row for analysis in analyses for row in analysis.rows if row.counts]
-    kinds = [one for one in swims.legend_of_kinds(analyses) if one.get_label() != "discarded"]
-    entries: list[Any] = [*swims.legend_of_conditions(labels(analyses)), *kinds]
-    if any(math.isfinite(analysis.noise_m_s) for analysis in analyses):
-        entries.append(Patch(color=BAND, lw=0, label="noise alone, 95 %"))
-    if any(row.rolled_back for row in counted):
+    drawn = [row for one in analyses for row in one.last_rows if math.isfinite(row.contraction)]
+    entries: list[Any] = [*swims.legend_of_conditions(labels(analyses))]
+    freedoms = [one.noise_freedom for one in analyses if one.noise_freedom]
+    if freedoms and any(math.isfinite(row.noise_low) for row in drawn):
+        words = f"noise alone, 95 %, {freedom_words(*freedoms)}"
+        entries.append(Patch(color=BAND, lw=0, label=words))
+    if any(row.rolled_back for row in drawn):
         entries.append(Line2D([], [], label="rolled back to the best", **_ROLLED))
     head_legend(figure, entries, 6 if style.wide else 2)
 
@@ -109,14 +104,20 @@ def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
 def caption(analyses: Sequence[Analysis]) -> str:
     """What the figure shows and where a ratio means nothing."""
     text = (
-        "Contraction: max|e| of a swim over that of the last kept swim of the iteration before; "
-        "below 1 the error shrank. "
+        "Contraction: max|e| of a kept swim over that of the last kept swim of the iteration "
+        "before, where its amplitudes are what the law learned from that; below 1 the error "
+        "shrank. "
     )
-    known = [a for a in analyses if math.isfinite(a.noise_m_s)]
+    known = [a for a in analyses if a.noise_freedom]
     if not known:
-        return text + "No input was repeated, so it is not known what noise alone does."
-    sigma = ", ".join(f"{a.noise_m_s * 1e3:.1f}" for a in known)
-    return text + (
-        "Grey: where 95 % of the ratios of two swims of one input lie, 1 ± 1.96·√2·σ over the "
-        f"error before, with σ = {sigma} mm/s between repeats; a ratio in there proves nothing."
+        text += "No input was repeated, so it is not known what noise alone does."
+        return text + earlier_words(analyses)
+    sigma = "; ".join(
+        f"σ = {a.noise_m_s * 1e3:.1f} mm/s between repeats, t = {student_t(a.noise_freedom):.3g} "
+        f"({freedom_words(a.noise_freedom)})"
+        for a in known
+    )
+    return (
+        f"{text}Grey: where 95 % of the ratios of two swims of one input lie, 1 ± t·√2·σ over the "
+        f"error before, {sigma}; a ratio in there proves nothing.{earlier_words(analyses)}"
     )

@@ -19,6 +19,7 @@ from tailbeat.report.figures.style import (
     Style,
     blank,
     drawing,
+    earlier_words,
     head_legend,
     iteration_axis,
     labels,
@@ -58,7 +59,7 @@ def _panel(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) ->
     for at, (analysis, look) in enumerate(zip(analyses, LOOKS, strict=False)):
         shown += _swims(axes, analysis, look, what, (at, len(analyses)))
     axes.set_ylabel("max|e| (mm/s)" if what == "max" else "RMS error (mm/s)")
-    iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.rows])
+    iteration_axis(axes, [row.iteration for analysis in analyses for row in analysis.last_rows])
     if not shown:
         nothing(axes, "no swim was measured", style)
         return
@@ -70,13 +71,14 @@ def _swims(
     axes: Axes, analysis: Analysis, look: Look, what: str, lane: tuple[int, int]
 ) -> list[float]:
     """The values drawn, mm/s."""
-    values = [1e3 * _value(row, what) for row in analysis.rows]
-    where = swims.places(analysis.rows, *lane)
+    rows = analysis.last_rows
+    values = [1e3 * _value(row, what) for row in rows]
+    where = swims.places(rows, *lane)
     shown = []
     for kind in swims.KINDS:
         points = [
             (x, y)
-            for x, y, row in zip(where, values, analysis.rows, strict=True)
+            for x, y, row in zip(where, values, rows, strict=True)
             if swims.kind_of(row) == kind and math.isfinite(y) and y > 0
         ]
         if points:
@@ -130,8 +132,8 @@ def start_m_s(analysis: Analysis, what: str) -> float:
     """The error of the zero input."""
     if what == "max":
         return analysis.start_error_m_s
-    reference = np.asarray(analysis.reference_m_s, np.float64)
-    return float(np.sqrt(np.mean(reference**2)))
+    squares = [float(speed) ** 2 for speed in analysis.reference_m_s]
+    return math.sqrt(math.fsum(squares) / len(squares))
 
 
 def _floors(axes: Axes, analyses: Sequence[Analysis], look: dict[str, Any]) -> list[float]:
@@ -172,14 +174,12 @@ def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
 
 def caption(analyses: Sequence[Analysis]) -> str:
     """What the figure shows, with how many swims and what band and levels are."""
-    rows = [row for analysis in analyses for row in analysis.rows]
-    gone = sum(not row.counts for row in rows)
+    rows = [row for analysis in analyses for row in analysis.last_rows]
     text = (
-        f"Error per iteration over {len(rows)} swims"
-        + (f", {gone} of them discarded and in no statistic" if gone else "")
-        + ". Top: largest |e| over the beats; bottom: root of the mean square; e is the reference "
-        "minus the mean speed of a beat. Every swim is a point, swims of one iteration lie side by "
-        "side in the order they were swum; the line joins their medians"
+        f"Error per iteration over {len(rows)} swim{'s' * (len(rows) != 1)}{_left_out(rows)}. Top: "
+        "largest |e| over the beats; bottom: root of the mean square; e is the reference minus the "
+        "mean speed of a beat. Every swim is a point, swims of one iteration lie side by side in "
+        "the order they were swum; the line joins their medians"
     )
     if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
         text += (
@@ -191,7 +191,16 @@ def caption(analyses: Sequence[Analysis]) -> str:
             "in no statistic"
         )
     text += ". Zero input: a fish that does not move."
-    return text + _floor_words(analyses)
+    return text + _floor_words(analyses) + earlier_words(analyses)
+
+
+def _left_out(rows: Sequence[TrialRow]) -> str:
+    """Which swims are drawn and no more."""
+    discarded = sum(not row.counts and not row.undecided for row in rows)
+    undecided = sum(row.undecided for row in rows)
+    parts = [f"{discarded} discarded"] * bool(discarded)
+    parts += [f"{undecided} not decided on"] * bool(undecided)
+    return f", of which in no statistic: {', '.join(parts)}" if parts else ""
 
 
 def _floor_words(analyses: Sequence[Analysis]) -> str:

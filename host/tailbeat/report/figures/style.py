@@ -181,6 +181,28 @@ def head_legend(figure: Figure, entries: Sequence[Any], columns: int) -> None:
     engine.set(rect=(0, 0, 1, 1 - (head + room) / height))
 
 
+def freedom_words(*freedoms: int) -> str:
+    """How well scatter is known: ``from 1 pair: rough``, ``5 degrees of freedom``; of several
+    conditions in their order."""
+    if set(freedoms) == {1}:
+        return "from 1 pair: rough"
+    alike = freedoms[:1] if len(set(freedoms)) == 1 else freedoms
+    return f"{', '.join(map(str, alike))} degrees of freedom"
+
+
+def earlier_words(analyses: Sequence[Analysis]) -> str:
+    """For captions: which swims a figure does not show because the board began anew after them."""
+    parts = [
+        f"{len(analysis.rows) - len(analysis.last_rows)}"
+        + (f" of {name}" if len(analyses) > 1 else "")
+        for analysis, name in zip(analyses, labels(analyses), strict=True)
+        if analysis.epoch
+    ]
+    if not parts:
+        return ""
+    return f" The board began anew; swims before that, not in this figure: {', '.join(parts)}."
+
+
 def simulated_mark(analyses: Sequence[Analysis]) -> str:
     """What a figure of these has to say; empty for real fish."""
     made_up = [analysis.simulated for analysis in analyses]

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
 
     from tailbeat.experiment.analysis import Analysis, TrialRow
 
-KINDS = ("kept", "repeat", "incomplete", "discarded")
+KINDS = ("kept", "repeat", "undecided", "incomplete", "discarded")
 _WORDS = {
     "kept": "kept",
     "repeat": "repeat, not learned from",
+    "undecided": "not decided on",
     "incomplete": "incomplete",
     "discarded": "discarded",
 }
@@ -29,6 +30,8 @@ _LANES = 0.6  # of an iteration, over which conditions lie side by side
 def kind_of(row: TrialRow) -> str:
     """One of ``KINDS``. A swim whose amplitudes swam before, and that nothing was learned from, is
     a repeat; one that was cut short, or has beats without a speed, is incomplete."""
+    if row.undecided:
+        return "undecided"
     if not row.counts:
         return "discarded"
     if not row.complete:
@@ -61,6 +64,8 @@ def marker(kind: str, look: Look, size: float = 4.0) -> dict[str, Any]:
     """How a swim of that kind is drawn."""
     if kind == "discarded":
         return {"marker": "x", "ms": size, "mec": FAINT, "mew": 0.8, "ls": "", "zorder": 2}
+    if kind == "undecided":
+        return {"marker": "+", "ms": 1.4 * size, "mec": GREY, "mew": 1.0, "ls": "", "zorder": 2}
     shape: dict[str, Any] = {"marker": look.marker, "ms": size, "mew": 0.9, "ls": "", "zorder": 4}
     shape |= {"mec": look.colour, "mfc": look.colour}
     if kind == "repeat":
@@ -74,7 +79,7 @@ def legend_of_kinds(analyses: Sequence[Analysis]) -> list[Line2D]:
     """One entry for every kind that there is, if there is more than one; conditions in grey."""
     from matplotlib.lines import Line2D
 
-    there = {kind_of(row) for analysis in analyses for row in analysis.rows}
+    there = {kind_of(row) for analysis in analyses for row in analysis.last_rows}
     if there <= {"kept"}:
         return []
     look = LOOKS[0] if len(analyses) == 1 else Look(GREY, "o", "-")

@@ -43,13 +43,14 @@ _ROLES = {
 
 
 def chosen(analysis: Analysis) -> list[tuple[str, TrialRow, Trial]]:
-    """(role, row, trial) of the first, a middle, the last and the best swim that count, each once,
-    in the order they were swum. The middle one is halfway, by iterations, from the first to the
-    best. The best is complete; without a complete one there is none."""
+    """(role, row, trial) of the first, a middle, the last and the best swim that count since the
+    board began anew, each once, in the order they were swum. The middle one is halfway, by
+    iterations, from the first to the best. The best is complete; without a complete one there is
+    none."""
     both = [
         (row, trial)
         for row, trial in zip(analysis.rows, analysis.trials, strict=True)
-        if row.counts and np.isfinite(trial.beats.speed_m_s).any()
+        if row.counts and row.epoch == analysis.epoch and np.isfinite(trial.beats.speed_m_s).any()
     ]
     if not both:
         return []
@@ -176,7 +177,8 @@ def caption(analyses: Sequence[Analysis]) -> str:
     picked = chosen(analysis)
     which = ", ".join(f"{row.trial} (iteration {row.iteration})" for _, row, _ in picked)
     text = (
-        f"Trials {which or 'none'} of {len(analysis.rows)}. Top: mean speed of every beat and the "
+        f"{'Trial' if len(picked) == 1 else 'Trials'} {which or 'none'} of "
+        f"{len(analysis.last_rows)}. Top: mean speed of every beat and the "
         "reference; the numbers are max|e|. Bottom: tail amplitude as swum; circles: beats "
         f"that wanted more than the limit of {math.degrees(analysis.amplitude_max_rad):.0f}°. "
         "Beats without a measured speed are gaps"
