@@ -19,7 +19,7 @@ class TailbeatError(Exception):
         remedy = " ".join(self.remedy.split())
         if not remedy:
             return message
-        return f"{message.rstrip('.')}. {remedy}"
+        return f"{sentence(message)} {remedy}"
 
 
 class ConnectError(TailbeatError):
@@ -47,6 +47,11 @@ class Refused(TailbeatError):
         self.number = number
         self.name = name
         self.meaning = meaning
+
+
+def sentence(text: str) -> str:
+    """With a full stop, unless it ends in another mark."""
+    return text if text.endswith(("?", "!")) else f"{text.rstrip('.')}."
 
 
 def reason(error: Exception) -> str:

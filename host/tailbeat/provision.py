@@ -29,6 +29,10 @@ _LOOK_S = 0.05
 _SHORT_LIVED = (b"sim-fish".hex(), b"tailbeat vboard ".hex())
 _COUNTERS = ("refused_unsigned", "refused_wrong", "refused_stale")
 
+NO_KEY = (
+    "no key: anyone in radio range can move this tail. Set one over the wired port:"
+    " tailbeat key set"
+)
 OPEN, HELD, MISSING = "open", "held", "missing"
 
 
@@ -96,25 +100,23 @@ def trust_of(fish: Fish) -> str:
 def connect_notice(fish: Fish) -> str | None:
     """What a person who connects has to know about the board's key; None when all is well.
 
-    That a board in this process has no key is well: nobody else can reach it."""
+    That a simulated board has no key is well: no tail moves."""
     trust = trust_of(fish)
     if trust == HELD:
         return None
     if trust == MISSING:
         return _missing_words(fish.link.signing.store)
-    lost = _lost_key(fish) if fish.link.signing.store else None
+    board = fish.unique_id()
+    lost = _lost_key(fish, board) if fish.link.signing.store else None
     if lost is not None:
         return (
             f"this board does not sign, but this computer has its key {lost.fingerprint}: the key"
             " was erased, or somebody pretends to be this board. Set it again over the wired port:"
             " tailbeat key set"
         )
-    if in_process(fish.transport) is not None:
+    if in_process(fish.transport) is not None or board.startswith(_SHORT_LIVED):
         return None
-    return (
-        "no key: anyone in radio range can move this tail. Set one over the wired port:"
-        " tailbeat key set"
-    )
+    return NO_KEY
 
 
 def _missing_words(store: KeyStore) -> str:

@@ -190,9 +190,11 @@ def test_nothing_connected(
     monkeypatch.setattr(find, "DEFAULT_PORT", 1)
     assert run(["doctor"]) == 1
     line = capsys.readouterr().out
-    assert line.startswith("problem  port  no fish found; tried serial ports (none is called like")
-    assert "tcp:127.0.0.1:1 (nothing answers" in line
-    assert "tailbeat sim" in line
+    assert line == (
+        "problem  port  no fish found: no serial port is called like a radio or has a Due's USB"
+        " ids, no simulator at tcp:127.0.0.1:1. Switch the fish on, pair its radio, or say where it"
+        " is: --connect; without a fish: tailbeat sim\n"
+    )
 
 
 def test_a_senseless_address() -> None:

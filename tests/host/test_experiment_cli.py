@@ -10,17 +10,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer import Context
+from typer.core import TyperGroup
+from typer.main import get_command
 from typer.testing import CliRunner, Result
 
 from tailbeat.cli import run
 from tailbeat.cli.app import app
+from tailbeat.cli.completing import reference_names
 from tailbeat.errors import InputError, Refused
 from tailbeat.experiment import Experiment, begin, current, require_same, use
 from tailbeat.experiment.analysis import write_analysis
 from tailbeat.experiment.board import copy_state, held_state
+from tailbeat.experiment.conditions import set_conditions
+from tailbeat.experiment.current import make
+from tailbeat.experiment.untouched import made_before
 from tailbeat.fish import Fish
 from tailbeat.records import encode_reference
 from tailbeat.reference import from_text
+from tailbeat.report.paper import Written
 from tailbeat.transport.inprocess import SimTransport
 from tailbeat.transport.simulated import SimBoard
 
@@ -108,6 +116,91 @@ def test_a_fish_stays_in_its_experiment(tmp_path: Path) -> None:
     assert "water_temperature_degc: 22.0" in shown.output
 
 
+def test_the_same_again_makes_no_second_folder(tmp_path: Path) -> None:
+    root = tmp_path / "e"
+    sim = ("--connect", "sim", "--root", root)
+    new = ("new", "--reference", "thesis", "--water-temp", 21.5)
+    (first,) = {document(*new, *sim)["folder"] for _ in range(2)}
+    corrected = call("new", "--reference", "thesis", "--water-temp", 22, *sim)
+    assert isinstance(corrected.exception, InputError)
+    assert f"tailbeat experiment set {first}" in str(corrected.exception)
+    assert [path.name for path in root.iterdir()] == [Path(first).name]
+    second = document(*new, "--another", *sim)["folder"]
+    assert second != first and len(list(root.iterdir())) == 2
+    other = document("new", "--reference", "thesis:0.06,40", *sim)["folder"]
+    assert other not in (first, second)
+
+
+@pytest.mark.parametrize("touch", ["note", "set", "swim", "params"])
+def test_one_that_was_begun_is_left_alone(tmp_path: Path, touch: str) -> None:
+    root, wanted = tmp_path / "e", from_text("thesis")
+    with Fish.connect("sim") as fish:
+        made = make(fish, root, wanted)
+        assert made_before(fish, root, wanted, {"conditions": {}}) is not None
+        assert made_before(fish, tmp_path, wanted, {"conditions": {}}) is None
+        if touch == "note":
+            made.note("it is cold")
+        elif touch == "set":
+            set_conditions(made, {"wall": "glass"})
+        elif touch == "params":
+            fish.params.set("LAW_LEAD", 1)
+        else:
+            (made.raw / "0001.ulg").touch()
+        assert made_before(fish, root, wanted, {"conditions": {}}) is None
+
+
+def test_one_experiment_is_not_compared_with_itself(swum: Experiment) -> None:
+    found = call("compare", swum.folder, swum.folder / ".." / swum.name)
+    assert isinstance(found.exception, InputError)
+    assert "the same experiment" in str(found.exception)
+
+
+def test_the_way_to_redo_it_stays_true(copy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = copy.folder / "redo.md"
+    call("note", copy.folder, "it is cold")
+    assert "note: it is cold" in path.read_text()
+    call("set", copy.folder, "--condition", "wall=glass")
+    assert "--condition wall=glass" in path.read_text()
+    path.unlink()
+    written = Written(copy.folder / "report.html", [], [])
+    monkeypatch.setattr("tailbeat.report.paper.write_report", lambda *_: written)
+    assert run(["report", str(copy.folder)]) == 0
+    assert "note: it is cold" in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("begun", "names"),
+    [
+        ("", ["thesis", "thesis:", "trapezoid:", "cosine:", "mine.csv", "more/"]),
+        ("t", ["thesis", "thesis:", "trapezoid:"]),
+        ("m", ["mine.csv", "more/"]),
+        ("more/", ["more/hers.CSV"]),
+        ("nowhere/x", []),
+    ],
+)
+def test_the_shell_completes_references(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: str, names: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "more").mkdir()
+    for name in ("mine.csv", "more/hers.CSV", "notes.txt", "more/a.md"):
+        (tmp_path / name).touch()
+    assert reference_names(begun) == names
+
+
+@pytest.mark.parametrize(
+    "command", ["reference upload", "reference check", "session first", "experiment new", "design"]
+)
+def test_each_reference_is_completed(command: str) -> None:
+    found = get_command(app)
+    for word in command.split():
+        assert isinstance(found, TyperGroup)
+        found = found.commands[word]
+    (param,) = (one for one in found.params if one.name in ("what", "reference"))
+    values = param.shell_complete(Context(found), "tra")
+    assert [value.value for value in values] == ["trapezoid:"]
+
+
 @pytest.mark.parametrize(
     "words", [["wall"], ["Wall=x"], ["a b=x"], ["=3"], ["x="], ["x=1", "x=2"], ["é=1"]]
 )
@@ -132,7 +225,7 @@ def test_show_tells_trials_and_decisions(swum: Experiment) -> None:
     assert "tailbeat experiment replay ." in call("show", swum.folder, "--redo").output
 
 
-def test_every_command_tells_of_tampering(copy: Experiment) -> None:
+def test_every_command_tells_of_tampering(copy: Experiment, swum: Experiment) -> None:
     path = writable(copy.raw / "0002.ulg")
     path.write_bytes(path.read_bytes()[:-1])
     told = "raw/0002.ulg is not what it was when it was added"
@@ -144,7 +237,7 @@ def test_every_command_tells_of_tampering(copy: Experiment) -> None:
     assert (replayed.exit_code, told in replayed.output) == (1, True)
     for words in (
         ("export", copy.folder, "--format", "csv"),
-        ("compare", copy.folder, copy.folder),
+        ("compare", copy.folder, swum.folder),
     ):
         assert told in call(*words).stderr
 

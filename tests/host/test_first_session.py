@@ -315,7 +315,7 @@ def test_status_before_and_after_a_swim(
     copy_state(fish, experiment)
     lines = words(standing_of(fish, experiment))
     assert any("no swim on it yet" in line for line in lines)
-    assert any("no complete trial yet" in line for line in lines)
+    assert "learning    0 swims, nothing learned yet" in lines
     assert lines[-1].startswith("limits      AMP_MAX_RAD stays 0.50: nobody knows yet")
 
 

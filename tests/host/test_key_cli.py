@@ -562,7 +562,7 @@ def test_a_simulated_board_may_forget_its_key(
         assert (status, err, 'lost": {' in out) == (0, "", False), words
     monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
     with Fish.connect("sim") as fish:
-        assert str(connect_notice(fish)).startswith("no key: anyone")
+        assert connect_notice(fish) is None
 
 
 def test_the_emulated_boards_id_is_known() -> None:
@@ -605,15 +605,51 @@ def test_the_wired_port_of_a_board_in_this_process() -> None:
 def test_notices_at_connect(
     laptop: Callable[[str], Laptop], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A board in this process can be reached by nobody else; any other without a key is told."""
+    """A simulated board moves no tail; any other without a key is told."""
     owner = laptop("owner")
     with owner.fish() as fish:
         assert connect_notice(fish) is None
         monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
+        assert connect_notice(fish) is None, "nor by TCP"
+        monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # it stands for a real one
         notice = connect_notice(fish)
         assert notice is not None
         assert notice.startswith("no key: anyone in radio range can move this tail")
         assert "tailbeat key set" in notice
+
+
+def test_no_key_is_told_once_a_day(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
+    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # it stands for a real one
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
+
+    def is_told() -> bool:
+        assert run(["params", "get", "LAW_LEAD", "--connect", "sim"]) == 0
+        return "no key: anyone in radio range" in capsys.readouterr().err
+
+    assert [is_told(), is_told()] == [True, False]
+    (day,) = (tmp_path / "logbook").glob("*/no-key-told")
+    day.write_text("2001-01-01")
+    assert [is_told(), is_told()] == [True, False]
+    day.write_bytes(b"\xff")
+    assert is_told()
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "file"))
+    assert [is_told(), is_told()] == [True, True], "no logbook is no reason to fail"
+
+
+def test_a_lost_key_is_told_every_time(
+    owner: Laptop, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())
+    monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path))
+    owner.board.flash = b"\xff" * FLASH_BYTES
+    owner.board.power_cycle()
+    for _ in range(2):
+        _, _, err = owner.call("params", "get", "LAW_LEAD", "--connect", "radio")
+        assert "this computer has its key" in err
 
 
 def test_a_board_behind_a_bad_line_is_in_this_process() -> None:

@@ -144,6 +144,41 @@ def test_no_end(trial: Command) -> None:
     assert not Path("experiments").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("trial", "run", "--until", "never"), "'never' says no end of a series"),
+        (("trial", "run", "--into", "nowhere"), "nowhere is no experiment"),
+        (("trial", "run", "--camera", "0"), "a camera needs a calibration"),
+        (("trial", "run", "--camera", "tcp:there"), "tcp:there has no port number"),
+        (("trial", "run", "--video", "a.mkv"), "--video films what a camera sees"),
+        (("session", "first", "--calibration", "none.json"), "none.json"),
+        (("session", "first", "--camera", "0"), "a camera needs a calibration"),
+        (("session", "resume", "--into", "nowhere"), "nowhere is no experiment"),
+        (("session", "resume", "--camera", "0"), "a camera needs a calibration"),
+        (("session", "status", "--into", "nowhere"), "nowhere is no experiment"),
+        (("trim", "--camera", "0"), "a camera needs a calibration"),
+        (("identify", "--camera", "0"), "a camera needs a calibration"),
+        (("identify", "--out", "nowhere/a.json"), "there is no folder nowhere"),
+        (("identify", "--plot", "nowhere/a.png"), "there is no folder nowhere"),
+        (("session", "frist"), "Did you mean 'first'? Try: "),
+    ],
+)
+def test_what_can_be_told_before_there_is_a_board(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    told: str,
+) -> None:
+    def connect(url: str | None) -> None:
+        raise AssertionError("nobody is to be called")
+
+    monkeypatch.setattr("tailbeat.fish.open_transport", connect)
+    assert run(list(words)) in (1, 2)
+    err = capsys.readouterr().err
+    assert told in err and err.count("\n") == 1
+
+
 def test_another_fish_s_experiment(trial: Command) -> None:
     trial("run", "--then", "keep", *FAST)
     experiment = the_experiment()
@@ -237,12 +272,14 @@ def test_keys_decide(keys: str, lines: tuple[str, ...], wanted: Decision) -> Non
 
 def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
     wall = swum("aborted:WALL", 3, "not complete: aborted:WALL")
-    by_hand = swum("aborted:ABORT_COMMAND", 3, "not complete (stopped by hand)")
+    by_hand = swum(
+        "aborted:ABORT_COMMAND", 3, "not complete: aborted:ABORT_COMMAND (stopped by hand)"
+    )
     for one, reason in ((wall, "too close to the wall"), (by_hand, "stopped by hand")):
         person = TerminalPerson(Display(), Typed("\n", ("",)))
         assert person.decide(one) == Decision("discard", reason)
         assert "Enter = discard" in capsys.readouterr().err
-    room = swum("aborted:ABORT_COMMAND", 3, "not complete (room: it has swum 2 m)")
+    room = swum("aborted:ABORT_COMMAND", 3, "not complete: aborted:ABORT_COMMAND (room: 2 m)")
     assert TerminalPerson(Display(), Typed("\n")).decide(room) == Decision("keep")
 
 
@@ -258,7 +295,9 @@ def test_escape_puts_it_off() -> None:
 
 def test_the_answer_given_beforehand() -> None:
     nobody = TerminalPerson(Display(), None, Decision("keep"))
-    by_hand = swum("aborted:ABORT_COMMAND", 3, "not complete (stopped by hand)")
+    by_hand = swum(
+        "aborted:ABORT_COMMAND", 3, "not complete: aborted:ABORT_COMMAND (stopped by hand)"
+    )
     assert nobody.decide(by_hand) == Decision("keep")
     somebody = TerminalPerson(Display(), Typed("d", ("bumped",)), Decision("keep"))
     assert somebody.decide(swum()) == Decision("keep")

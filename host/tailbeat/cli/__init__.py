@@ -49,10 +49,12 @@ def _discard_stdout() -> None:
 
 
 def _usage(error: object) -> str:
+    from tailbeat.errors import sentence
+
     message = " ".join(str(getattr(error, "format_message", lambda: error)()).split())
     context = getattr(error, "ctx", None)
     command = getattr(context, "command_path", "tailbeat")
-    return f"{message.rstrip('.')}. Try: {command} --help"
+    return f"{sentence(message)} Try: {command} --help"
 
 
 def _fail(line: str, status: int) -> int:

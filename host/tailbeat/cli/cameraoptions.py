@@ -19,7 +19,7 @@ MarkerIdOption = Annotated[
 ]
 MarkerSideOption = Annotated[
     float | None,
-    typer.Option("--marker-side", metavar="M", help="Side of its black square; is checked."),
+    typer.Option("--marker-side", metavar="M", help="Side of its black square, to check it."),
 ]
 CalibrationOption = Annotated[
     Path | None,

@@ -34,13 +34,13 @@ Connect = Annotated[
 @contextmanager
 def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
     """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
-    tell on stderr when its key is missing."""
+    tell on stderr when its key is missing; that it has none once a day."""
     from tailbeat.cli.ending import ended_as_by_ctrl_c
+    from tailbeat.cli.keynotice import notice_today
     from tailbeat.fish import Fish
-    from tailbeat.provision import connect_notice
 
     with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
-        if notice and (line := connect_notice(fish)):
+        if notice and (line := notice_today(fish)):
             typer.echo(f"tailbeat: {line}", err=True)
         yield fish
 

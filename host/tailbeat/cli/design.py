@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tailbeat.cli.common import Connect, Json, connected, mm, plain, say
+from tailbeat.cli.completing import reference_names
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -32,6 +33,7 @@ def design(
         typer.Option(
             "--reference",
             help="As for 'reference upload'; default: the board's, or thesis without a board.",
+            autocompletion=reference_names,
             show_default=False,
         ),
     ] = None,

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.live import Live
+
+
+_WIDTH = 80
 
 
 class Display:
@@ -21,6 +25,7 @@ class Display:
         self.moves = sys.stderr.isatty()
         self.quiet = quiet and not self.moves
         self._live: Live | None = None
+        self._terminal: Console | None = None
         self._text = ""
 
     def __enter__(self) -> Display:
@@ -45,11 +50,22 @@ class Display:
             self._live = self._begin()
         self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
 
-    def _begin(self) -> Live:
+    @property
+    def width(self) -> int:
+        """Columns of the line that changes, as wide as the window is now."""
+        return self._console().width if self.moves else _WIDTH
+
+    def _console(self) -> Console:
         from rich.console import Console
+
+        if self._terminal is None:
+            self._terminal = Console(stderr=True, highlight=False)
+        return self._terminal
+
+    def _begin(self) -> Live:
         from rich.live import Live
 
-        console = Console(stderr=True, highlight=False)
+        console = self._console()
         live = Live(console=console, auto_refresh=False, transient=True, redirect_stdout=False)
         live.start()
         return live

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.cli.completing import reference_names
 from tailbeat.cli.experimentwords import (
     compared_text,
     folder_or_current,
@@ -24,7 +25,7 @@ Root = Annotated[Path, typer.Option("--root", help="Folder that holds the experi
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The experiment's folder.")]
 FolderOrCurrent = Annotated[
     Path | None,
-    typer.Argument(metavar="[FOLDER]", help="Default: the one the connected fish is in."),
+    typer.Argument(metavar="FOLDER", help="Default: the one the connected fish is in."),
 ]
 Condition = Annotated[
     list[str] | None,
@@ -43,31 +44,44 @@ Operator = Annotated[str | None, typer.Option("--operator", help="Who is at the 
 
 @app.command()
 def new(
-    reference: Annotated[str, typer.Option("--reference", help="As in 'reference upload'.")],
+    reference: Annotated[
+        str,
+        typer.Option(
+            "--reference", help="As in 'reference upload'.", autocompletion=reference_names
+        ),
+    ],
     fish_name: Annotated[str | None, typer.Option("--fish", help="Name of the fish.")] = None,
     water_temp: WaterTemp = None,
     condition: Condition = None,
     configuration: Configuration = None,
     operator: Operator = None,
+    another: Annotated[
+        bool, typer.Option("--another", help="Also when nothing was swum in the last one.")
+    ] = False,
     root: Root = Path("experiments"),
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Make the folder of a new series, with the settings of the connected board.
 
-    From now on the fish is in it: 'trial run' adds to it.
+    From now on the fish is in it: 'trial run' adds to it. The same command again before anything
+    was swum makes no second one.
 
     Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
     from tailbeat.experiment.conditions import parse_conditions
     from tailbeat.experiment.current import make
+    from tailbeat.experiment.untouched import made_before
     from tailbeat.reference import from_text
 
     wanted = from_text(reference)
     conditions = parse_conditions(condition or [], water_temp)
     words = _words(configuration, operator)
     with connected(connect) as fish:
-        made = make(fish, root, wanted, fish_name, conditions, words)
+        given = {"conditions": conditions, **words, **({"fish": fish_name} if fish_name else {})}
+        made = None if another else made_before(fish, root, wanted, given)
+        if made is None:
+            made = make(fish, root, wanted, fish_name, conditions, words)
         same = fish.status().reference_crc == wanted.crc
     if not same:
         typer.echo(
@@ -123,10 +137,12 @@ def set_(
     Example: tailbeat experiment set FOLDER --water-temp 22 --condition salinity_psu=0.3
     """
     from tailbeat.experiment.conditions import parse_conditions, set_conditions
+    from tailbeat.experiment.redo import write_redo
 
     experiment = folder_or_current(folder, connect)
     conditions = parse_conditions(condition or [], water_temp)
     set_conditions(experiment, conditions, _words(configuration, operator))
+    write_redo(experiment)
     now = experiment.settings()
     text = ", ".join(f"{key} = {value}" for key, value in now["conditions"].items())
     document = {"folder": experiment.folder, "conditions": now["conditions"]}
@@ -184,6 +200,7 @@ def note(
     Example: tailbeat experiment note experiments/2026-05-04_fish_thesis_p4_01 "water 22 °C"
     """
     from tailbeat.errors import InputError
+    from tailbeat.experiment.redo import write_redo
 
     text = first if second is None else second
     if not text.strip():
@@ -192,6 +209,7 @@ def note(
         raise InputError(f"what is to be noted in {first}?", 'Write it behind: note FOLDER "TEXT"')
     experiment = folder_or_current(None if second is None else Path(first), connect)
     experiment.note(text)
+    write_redo(experiment)
     say(json, {"folder": experiment.folder, "notes": experiment.notes()}, "noted")
 
 
@@ -210,12 +228,15 @@ def compare(
 
     Example: tailbeat experiment compare experiments/A experiments/B --iterations 4,5,6
     """
+    from tailbeat.errors import InputError
     from tailbeat.experiment import Experiment
     from tailbeat.experiment.analysis import analyse
     from tailbeat.experiment.compare import compare as compare_sides
     from tailbeat.experiment.compare import other_differences
 
     experiments = [Experiment.open(folder) for folder in (a, b)]
+    if a.resolve() == b.resolve():
+        raise InputError(f"{a} and {b} are the same experiment.", "Name two.")
     sides = [analyse(experiment) for experiment in experiments]
     found = compare_sides(sides[0], sides[1], what, _numbers(iterations))
     others = other_differences(experiments[0], experiments[1])

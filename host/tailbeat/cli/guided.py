@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tailbeat.day.person import Decision, Event, Person
     from tailbeat.day.series import Options, Round, SeriesEnd
     from tailbeat.day.swum import Swum
+    from tailbeat.day.until import Until
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish
 
@@ -41,7 +42,8 @@ class GuideOptions:
     learn: bool
 
     def wanted(self) -> bool:
-        """Whether it is guided. Raises typer.BadParameter for what contradicts itself."""
+        """Whether it is guided. Raises typer.BadParameter for what contradicts itself, InputError
+        for what is none."""
         given = [self.rest_s, self.until, self.into, self.then]
         asked = any(value is not None for value in given)
         if self.guide is False and (asked or not self.learn or self.reason is not None):
@@ -51,6 +53,9 @@ class GuideOptions:
         if self.reason is not None and self.then is None:
             raise typer.BadParameter("--reason belongs to --then repeat or --then discard")
         self.answer()
+        self._until()
+        if self.into is not None:
+            _require_folder(self.into)
         if self.guide is not None:
             return self.guide
         return asked or not self.learn or (sys.stdin.isatty() and sys.stderr.isatty())
@@ -69,18 +74,29 @@ class GuideOptions:
         except InputError as error:
             raise typer.BadParameter(f"--then {kind} needs --reason WHY") from error
 
+    def _until(self) -> Until:
+        from tailbeat.day.until import Until
+
+        return Until() if self.until is None else Until.parse(self.until)
+
     def options(self) -> Options:
         """As the series takes them."""
         from tailbeat.day.ritual import Wanted
-        from tailbeat.day.series import Options, Until
+        from tailbeat.day.series import Options
 
         answer = self.answer()
         return Options(
-            until=Until() if self.until is None else Until.parse(self.until),
+            until=self._until(),
             wanted=Wanted() if self.rest_s is None else Wanted(rest_s=self.rest_s),
             learn=self.learn,
             counts=("keep",) if answer is None else (answer.kind,),
         )
+
+
+def _require_folder(into: Path) -> None:
+    from tailbeat.experiment.folder import Experiment
+
+    Experiment.open(into)
 
 
 def run_guided(fish: Fish, live: Live, given: GuideOptions, json: bool) -> None:

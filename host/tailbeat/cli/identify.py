@@ -42,7 +42,7 @@ _FISH = "With --table: the fish's "
 
 def identify(
     files: Annotated[
-        list[Path] | None, typer.Argument(metavar="[FILE]...", help="More files for --trials.")
+        list[Path] | None, typer.Argument(metavar="FILE", help="More files for --trials.")
     ] = None,
     table_: Annotated[
         Path | None,
@@ -106,6 +106,9 @@ def identify(
     sources = [table_ is not None, bool(trials or files), experiment is not None]
     if sum(sources) > 1:
         raise typer.BadParameter("--table, --trials and --experiment exclude each other")
+    for option, path in (("--out", out), ("--plot", plot)):
+        if path is not None and not path.parent.is_dir():
+            raise InputError(f"{option}: there is no folder {path.parent}.", "Make it, then again.")
     if table_ is not None:
         from tailbeat.model.table import ThesisFish
 
@@ -118,7 +121,7 @@ def identify(
         from tailbeat.cli.livecamera import LiveOptions
 
         on_fish = marker_of(marker, marker_id, marker_side)
-        options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
+        options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
         asked = _Asked(yes, json, margin_m, rest, options)
         _swum(connect, asked, out, logbook, params, plot)
 

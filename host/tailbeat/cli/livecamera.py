@@ -38,6 +38,35 @@ class LiveOptions:
     video: Path | None
     wall_m: float | None
 
+    def check(self) -> LiveOptions:
+        """Itself; what can be told before there is a fish. Raises InputError."""
+        from tailbeat.camera.tank.calibration import load_calibration
+        from tailbeat.transport.find import tcp_address
+
+        if self.calibration is not None:
+            load_calibration(self.calibration)
+        positions = self.address is None or self.address.startswith("tcp:")
+        if self.address is not None and positions:
+            tcp_address(self.address)
+        if self.video is not None:
+            _require_film(self.video, positions)
+        if self.calibration is None and not positions and self.address != RENDERED:
+            raise InputError(
+                "a camera needs a calibration",
+                "Give --calibration TANK.json; make one: tailbeat camera calibrate",
+            )
+        return self
+
+
+def _require_film(film: Path, positions: bool) -> None:
+    if positions:
+        raise InputError(
+            "--video films what a camera sees, and here there are only positions",
+            "Give the camera itself: --camera DEVICE",
+        )
+    if film.exists():
+        raise InputError(f"{film} is there already", "Give --video another name.")
+
 
 @dataclass(frozen=True)
 class Live:
@@ -54,17 +83,13 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
     """The camera for the length of a swim. Raises InputError, ConnectError."""
     from tailbeat.camera.tank.calibration import load_calibration
 
+    options.check()
     file = options.calibration
     known = None if file is None else load_calibration(file)
     if options.address is None or options.address.startswith("tcp:"):
         with _positions(fish, options) as positions:
             yield Live(positions, _guard(fish, known, options.wall_m), None)
         return
-    if known is None and options.address != RENDERED:
-        raise InputError(
-            "a camera needs a calibration",
-            "Give --calibration TANK.json; make one: tailbeat camera calibrate",
-        )
     with ExitStack() as stack:
         source, calibration = _source(fish, options, known)
         stack.callback(source.close)
@@ -84,19 +109,12 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
 def _recorder(film: Path, source: PictureSource) -> Recorder:
     from tailbeat.camera.pictures.recorder import Recorder
 
-    if film.exists():
-        raise InputError(f"{film} is there already", "Give --video another name.")
     return Recorder(film, source.size_px, source.fps)
 
 
 @contextmanager
 def _positions(fish: Fish, options: LiveOptions) -> Iterator[Camera | None]:
     """A camera that others look through; None = that of a simulated board, if it is one."""
-    if options.video is not None:
-        raise InputError(
-            "--video films what a camera sees, and here there are only positions",
-            "Give the camera itself: --camera DEVICE",
-        )
     if options.address is None:
         yield None
         return

@@ -14,6 +14,10 @@ SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
 _SILENT_S = 1.5  # of board time: it says something every second
 _MARKS = {True: "ok", False: "no", None: ".."}
 
+_SHORTER = (  # the first first
+    "amplitude", "speed", "beat", "amplitude", "battery", "link", "speed", "speed"
+)  # fmt: skip
+
 _LINK_NEWS = {
     "link_lost": "the link broke; trying to get it back (without it the board stops by itself)",
     "link_back": "the link is back",
@@ -32,11 +36,16 @@ def link_news(event: Event) -> str | None:
 
 def loud(event: Event) -> str | None:
     """What must be told whatever else is kept quiet; None for everything else."""
+    from tailbeat.guards import BY_HAND
+
     if event["event"] in ("warning", "hold", "notice"):
         return str(event["text"])
     if event["event"] == "text" and event["severity"] <= SEVERITY_WARNING:
         return str(event["text"])
-    return f"stopped: {event['reason']}" if event["event"] == "guard" else None
+    if event["event"] != "guard":
+        return None
+    reason = str(event["reason"])
+    return reason if reason == BY_HAND else f"stopped: {reason}"
 
 
 def step_text(event: Event) -> str:
@@ -52,34 +61,65 @@ def countdown_text(event: Event) -> str:
     return f"it swims in {left_s} s: hands out (any key stops)" if left_s > 0 else "it swims"
 
 
-def live_text(event: Event, keys: bool) -> str:
-    """The line while it swims."""
+def live_text(event: Event, keys: bool, width: int) -> str:
+    """The line while it swims, in ``width`` columns: of what has no room the least needed is
+    shortened, or goes, first. What it is, how to stop it and the link stay."""
+    parts = _live_parts(event)
+    fixed = ["simulated"] if event["simulated"] else []
+    fixed += ["any key stops"] if keys else []
+    used = dict.fromkeys(parts, 0)
+
+    def line() -> str:
+        chosen = [forms[used[name]] for name, forms in parts.items()]
+        return "  ".join(part for part in (*fixed, *chosen) if part)
+
+    for name in _SHORTER:
+        if len(line()) <= width:
+            break
+        used[name] = min(used[name] + 1, len(parts[name]) - 1)
+    return line()
+
+
+def _live_parts(event: Event) -> dict[str, tuple[str, ...]]:
+    """In order on the line, each from its long form to its short one."""
     at, of = event["beat"], event["beats"]
-    beat = f"beat {at + 1}/{of}" if at is not None and of else "starting"
-    parts = [beat, f"v {mm(event['speed_m_s'])} mm/s", f"wanted {mm(event['reference_m_s'])}"]
-    if event["amplitude_rad"] is not None:
-        parts.append(f"amplitude {math.degrees(event['amplitude_rad']):.1f} deg")
-    if event["battery_v"] is not None:
-        parts.append(f"{event['battery_v']:.2f} V")
-    silent_s = event["silent_s"]
+    beat = (f"beat {at + 1}/{of}", f"{at + 1}/{of}") if at is not None and of else ("starting",)
+    speed, wanted = mm(event["speed_m_s"]), mm(event["reference_m_s"])
+    silent_s, volts, angle_rad = event["silent_s"], event["battery_v"], event["amplitude_rad"]
     silent = silent_s is not None and silent_s > _SILENT_S
-    parts.append(f"link silent {silent_s:.0f} s" if silent else "link ok")
-    if keys:
-        parts.append("any key stops")
-    return ("simulated  " if event["simulated"] else "") + "  ".join(parts)
+    late = (f"link silent {silent_s:.0f} s", f"silent {silent_s:.0f} s") if silent else ("link ok",)
+    angle = "" if angle_rad is None else f"{math.degrees(angle_rad):.1f} deg"
+    return {
+        "link": late,
+        "beat": beat,
+        "speed": (
+            f"v {speed} mm/s  wanted {wanted}",
+            f"{speed} of {wanted} mm/s",
+            f"{speed}/{wanted} mm/s",
+            f"{speed}/{wanted}",
+        ),
+        "amplitude": (f"amplitude {angle}" if angle else "", angle, ""),
+        "battery": ("" if volts is None else f"{volts:.2f} V", ""),
+    }
 
 
 def swum_lines(event: Event) -> list[str]:
     """What a person needs to decide."""
+    from tailbeat.day.swums import NOT_COMPLETE
+
     outcome, straight = event["outcome"], event["straight"]
     measured = f"{event['measured_beats']} of {event['beats']} beats measured"
+    cut = f"{NOT_COMPLETE} {outcome.end}"
+    ends = [problem.removeprefix(f"{NOT_COMPLETE} ") for problem in event["problems"]]
+    end = next((one for one in ends if one.startswith(outcome.end)), outcome.end)
     lines = [
-        f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
+        f"trial {outcome.number}, iteration {outcome.iteration}: {end}, "
         f"{outcome.executed_beats} beats, {measured}",
         f"  max|e| {mm(event['max_abs_error_m_s'])} mm/s, RMS {mm(event['rms_error_m_s'])}; "
         f"{_straight_text(straight)}; {_battery_text(event)}",
     ]
-    return lines + [f"  ! {problem}" for problem in event["problems"]]
+    others = [problem for problem in event["problems"] if not problem.startswith(cut)]
+    return lines + [f"  ! {problem}" for problem in others]
 
 
 def _straight_text(straight: object) -> str:

@@ -19,6 +19,8 @@ from tailbeat.cli.livewords import (
 from tailbeat.day.person import Decision
 from tailbeat.day.swums import proposed
 from tailbeat.errors import TailbeatError
+from tailbeat.faults import ABORT_COMMAND, fault_info
+from tailbeat.guards import BY_HAND
 
 if TYPE_CHECKING:
     from tailbeat.cli.display import Display
@@ -31,6 +33,7 @@ KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "dis
 COUNTS = {"c": ("keep", "it counts"), "d": ("discard", "discard")}  # of a repeat
 _ENTER = ("\r", "\n")
 _ESCAPE = "\x1b"
+_ABORTED = fault_info(ABORT_COMMAND).meaning
 _FIRST_STEP = "board"  # of the ritual: what was typed before it is not meant for it
 
 
@@ -55,6 +58,7 @@ class TerminalPerson:
         self._kinds = kinds
         self._display, self._keys, self._then, self._idle = display, keys, then, idle
         self._enter_may_follow = False  # the one that many type after a letter
+        self._stopped_by_hand = False
 
     def tell(self, event: Event) -> None:
         """Shows it."""
@@ -62,7 +66,11 @@ class TerminalPerson:
         if self._keys is not None and kind == "step" and event["step"] == _FIRST_STEP:
             self._keys.forget()
         if kind in ("countdown", "started"):
-            self._enter_may_follow = False
+            self._enter_may_follow = self._stopped_by_hand = False
+        if kind == "guard" and event["reason"] == BY_HAND:
+            self._stopped_by_hand = True
+        if kind == "text" and self._stopped_by_hand and event["text"] == _ABORTED:
+            return  # whoever pressed the key knows
         if kind == "step":
             line = step_text(event)
             display.show(line) if event["ok"] is None else display.keep(line)
@@ -70,7 +78,7 @@ class TerminalPerson:
             display.bell()
             display.show(countdown_text(event))
         elif kind == "live":
-            display.show(live_text(event, keys=self._keys is not None))
+            display.show(live_text(event, self._keys is not None, display.width))
         elif kind == "swum":
             for line in swum_lines(event):
                 display.keep(line)
@@ -137,14 +145,16 @@ class TerminalPerson:
         return Decision(kind, self._reason(keys, proposal.reason))  # type: ignore[arg-type]
 
     def _reason(self, keys: Keys, usual: str) -> str:
-        while True:
-            self._display.ask(f"why? [{usual}] " if usual else "why? ")
-            if reason := keys.line() or usual:
-                self._enter_may_follow = False
-                return reason
+        self._display.ask(f"why? [{usual}] " if usual else "why? ")
+        while not (reason := keys.line() or usual):
+            self._display.ask("a reason is needed, one word is enough: ")
+        self._enter_may_follow = False
+        return reason
 
     def _key(self, keys: Keys, wanted: tuple[str, ...]) -> str:
-        """One of ``wanted``, however long it takes; Escape puts the question off, as Ctrl-C."""
+        """One of ``wanted``, however long it takes; what else there is to press is said once.
+        Escape puts the question off, as Ctrl-C."""
+        reminded = False
         while True:
             key = keys.key(_LOOK_S)
             if why := ended():
@@ -154,4 +164,14 @@ class TerminalPerson:
             if key is not None and key in wanted:
                 self._enter_may_follow = key not in _ENTER
                 return key
+            if key is not None and not reminded:
+                reminded = True
+                self._display.ask(f"({_named(wanted)}) ")
             self._idle()
+
+
+def _named(keys: tuple[str, ...]) -> str:
+    """``k, r, d or Enter``."""
+    names = [key for key in keys if key not in _ENTER]
+    names += ["Enter"] if len(names) < len(keys) else []
+    return f"{', '.join(names[:-1])} or {names[-1]}"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say
+from tailbeat.cli.completing import reference_names
 from tailbeat.cli.floorwords import (
     advice,
     floor_document,
@@ -28,6 +29,7 @@ What = Annotated[
     str,
     typer.Argument(
         metavar="REFERENCE",
+        autocompletion=reference_names,
         help="thesis[:V,DURATION_S], trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV "
         "with t_s,v_m_s (a curve's points) or beat,t_s,v_m_s (beat means, as written here).",
     ),

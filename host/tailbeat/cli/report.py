@@ -20,7 +20,7 @@ def report(
     folder: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FOLDER]",
+            metavar="FOLDER",
             help="The experiment's folder; default: the newest below --root.",
             show_default=False,
         ),
@@ -48,11 +48,13 @@ def report(
     Example: tailbeat report --paper
     """
     from tailbeat.experiment.folder import Experiment
+    from tailbeat.experiment.redo import write_redo
     from tailbeat.report.paper import write_report
 
     chosen = Experiment.open(folder) if folder else newest(root)
     others = [Experiment.open(one) for one in against or []]
     written = write_report(chosen, paper, others, out)
+    write_redo(chosen)
     document = {
         "experiment": chosen.folder,
         "page": written.page,

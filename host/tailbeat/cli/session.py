@@ -18,6 +18,7 @@ from tailbeat.cli.cameraoptions import (
     marker_of,
 )
 from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.cli.completing import reference_names
 from tailbeat.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ IntoOption = Annotated[
 RestOption = Annotated[
     float | None,
     typer.Option(
-        "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim (30 s)."
+        "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim; default: 30."
     ),
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
@@ -47,7 +48,12 @@ Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes
 @app.command()
 def first(
     reference: Annotated[
-        str, typer.Option("--reference", help="What it is to swim, as for 'reference upload'.")
+        str,
+        typer.Option(
+            "--reference",
+            help="What it is to swim, as for 'reference upload'.",
+            autocompletion=reference_names,
+        ),
     ] = "thesis",
     rest: RestOption = None,
     yes: Yes = False,
@@ -74,7 +80,7 @@ def first(
 
     wanted = from_text(reference)
     on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
+    options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
         from tailbeat.day.first import first_session
         from tailbeat.day.ritual import Wanted
@@ -123,8 +129,9 @@ def resume(
     """
     from tailbeat.cli.livecamera import LiveOptions, live_camera
 
+    _require_folder(into)
     on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, None, wall)
+    options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
         from tailbeat.day.restore import restore
 
@@ -157,6 +164,7 @@ def status(into: IntoOption = None, connect: Connect = None, json: Json = False)
     """
     from tailbeat.day.standing import standing_of, words
 
+    _require_folder(into)
     with connected(connect) as fish:
         found = standing_of(fish, _experiment(fish, into))
     say(json, found, lambda: "\n".join(words(found)))
@@ -172,6 +180,14 @@ def _repeated(
     wanted = Wanted() if rest is None else Wanted(rest_s=rest)
     options = Options(wanted=wanted)
     return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
+
+
+def _require_folder(into: Path | None) -> None:
+    """Before anything is connected."""
+    from tailbeat.experiment import Experiment
+
+    if into is not None:
+        Experiment.open(into)
 
 
 def _found(fish: Fish, into: Path | None) -> Experiment | None:

@@ -21,7 +21,7 @@ _FAILURES_SHOWN = 5
 
 def sweep(
     recipe: Annotated[
-        str | None, typer.Argument(metavar="[RECIPE]", help="Name of one, or a TOML file.")
+        str | None, typer.Argument(metavar="RECIPE", help="Name of one, or a TOML file.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder of the results; default: sweeps/RECIPE.")

@@ -59,13 +59,19 @@ def run(
     rest: Annotated[
         float | None,
         typer.Option(
-            "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim (30 s)."
+            "--rest",
+            min=0.0,
+            max=3600.0,
+            metavar="S",
+            help="Rest since the last swim; default: 30.",
         ),
     ] = None,
     until: Annotated[
         str | None,
         typer.Option(
-            "--until", metavar="converged|battery|N", help="Swim on until then (1 kept swim)."
+            "--until",
+            metavar="converged|battery|N",
+            help="Swim on until then; default: 1 kept swim.",
         ),
     ] = None,
     into: Annotated[
@@ -79,7 +85,7 @@ def run(
         typer.Option(
             "--then",
             metavar="keep|repeat|discard",
-            help="The answer to every swim, given now; a swim you stop by a key is asked about.",
+            help="Answer for every swim, given now; one you stop by a key is asked about.",
         ),
     ] = None,
     reason: Annotated[
@@ -102,7 +108,7 @@ def run(
     Example: tailbeat trial run --until converged --rest 60 --camera 0 --calibration tank.json
     """
     on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, video, wall)
+    options = LiveOptions(camera, on_fish, calibration, latency, video, wall).check()
     given = GuideOptions(guide, rest, until, into, then, reason, learn)
     guided = given.wanted()
     with _ctrl_c_told(), connected(connect) as fish, live_camera(fish, options) as live:

@@ -27,7 +27,7 @@ def thesis(
     what: Annotated[
         str | None,
         typer.Argument(
-            metavar="[CHAPTER|EXAMPLE]", help="2 to 8, or an example like ch2-ex1; default: all."
+            metavar="CHAPTER|EXAMPLE", help="2 to 8, or an example like ch2-ex1; default: all."
         ),
     ] = None,
     figures: Annotated[

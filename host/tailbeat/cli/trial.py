@@ -32,7 +32,7 @@ _SAME = "recomputed: the same speeds and sigmas, bit for bit"
 
 Number = Annotated[
     int | None,
-    typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the last one."),
+    typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="Default: the last one."),
 ]
 
 
@@ -129,7 +129,7 @@ def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
 
 @app.command()
 def show(
-    what: Annotated[str | None, typer.Argument(metavar="[TRIAL|FILE]")] = None,
+    what: Annotated[str | None, typer.Argument(metavar="TRIAL|FILE")] = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
     recompute: Annotated[
         bool,
@@ -272,7 +272,7 @@ def _trial_text(trial: Trial) -> str:
 def discard(
     number: Annotated[
         int | None,
-        typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the pending one."),
+        typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="Default: the pending one."),
     ] = None,
     repeat: Annotated[
         bool, typer.Option("--repeat", help="It repeats an input: count it for the noise.")

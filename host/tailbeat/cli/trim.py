@@ -59,7 +59,7 @@ def trim(
     Example: tailbeat trim
     """
     on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, None, None)
+    options = LiveOptions(camera, on_fish, calibration, latency, None, None).check()
     with connected(connect) as fish, live_camera(fish, options) as live:
         found, held = _trimmed(fish, live, _Asked(apply, yes, rest, json))
         document = _document(found, held)

@@ -111,8 +111,7 @@ def words(found: Standing) -> list[str]:
     lines = [
         f"experiment  {found.experiment}",
         f"fish        {found.unique_id}{simulated}, {found.state}{pending}",
-        f"learning    {found.swims} swim{'' if found.swims == 1 else 's'}, "
-        f"iteration {found.iteration} swims next{_best(found)}",
+        f"learning    {found.swims} swim{'' if found.swims == 1 else 's'}, {_next(found)}",
         f"battery     {_battery(found)}",
     ]
     if found.verdict is not None:
@@ -120,6 +119,13 @@ def words(found: Standing) -> list[str]:
     elif found.problem:
         lines.append(f"verdict     none: {found.problem}")
     return lines + [f"limits      {line}" for line in found.advice]
+
+
+def _next(found: Standing) -> str:
+    """A board counts from 1 once it was armed; 0 is no number to tell anybody."""
+    if found.iteration == 0 and not found.best_trial:
+        return "nothing learned yet"
+    return f"iteration {found.iteration} swims next{_best(found)}"
 
 
 def _best(found: Standing) -> str:

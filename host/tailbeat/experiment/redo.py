@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
 
 REDO = "redo.md"
+_UNRECORDED = (
+    "Which options the commands above were given is not recorded (`--rest`, `--until`, `--then`,"
+    " `--wall`, `--camera` and what goes with it); what came of them is, behind a swim and in"
+    " `journal.jsonl`."
+)
+_UNKNOWN_SIMULATOR = ("simulated plant", "seed")  # a board in another process does not tell
 _ABOUT = {
     "fish": "fish",
     "configuration": "configuration",
@@ -45,6 +51,7 @@ def redo_text(experiment: Experiment) -> str:
         "## What it was\n\n" + "\n".join(_about(settings)),
         "## Before the first swim\n\n" + _code(_before(settings)),
         "## What was done, in order\n\n" + "\n".join(_steps(experiment.journal.entries())),
+        _UNRECORDED,
         "## The same numbers and figures from the raw files\n\n"
         + _code(["(cd raw && sha256sum -c SHA256SUMS)", "tailbeat experiment replay ."]),
     ]
@@ -57,6 +64,8 @@ def _about(settings: Mapping[str, Any]) -> Iterator[str]:
     for key, words in _ABOUT.items():
         if settings.get(key) not in (None, ""):
             yield f"- {words}: {settings[key]}"
+    if settings.get("simulated") and not settings.get("plant"):
+        yield from (f"- {words}: unknown" for words in _UNKNOWN_SIMULATOR)
     tool = settings.get("tool", {})
     yield "- tool: " + ", ".join(f"{name} {version}" for name, version in tool.items())
     for key, value in (settings.get("conditions") or {}).items():
@@ -68,9 +77,11 @@ def _before(settings: Mapping[str, Any]) -> Iterator[str]:
     yield "# in this folder"
     if settings.get("plant"):
         yield f"# in another terminal: {shlex.join(_simulator(settings))}"
+    elif settings.get("simulated"):
+        yield "# in another terminal: tailbeat sim, with the plant and the seed of then (unknown)"
     yield "tailbeat params reset"
     for name, value in _changed(settings.get("params", {})).items():
-        yield f"tailbeat params set {name} {value:.9g}"
+        yield f"tailbeat params set {name} {_number(value)}"
     yield "tailbeat reference upload reference.csv"
     yield shlex.join(_new(settings))
 
@@ -126,13 +137,14 @@ def _step(entry: Mapping[str, Any]) -> str:
     """One line; nothing for what is only of use to the tool."""
     what, trial = entry["what"], entry.get("trial")
     if what == "set":
-        values = {**(entry.get("params") or {}), **(entry.get("conditions") or {})}
+        params = {key: _number(value) for key, value in (entry.get("params") or {}).items()}
+        values = {**params, **(entry.get("conditions") or {})}
         values |= {k: entry[k] for k in ("operator", "configuration") if entry.get(k)}
         return "set " + ", ".join(f"{key} = {value}" for key, value in values.items())
     if what == "swum":
         end = entry.get("end", "")
         iteration = entry.get("iteration")
-        return f"`tailbeat trial run`: trial {trial}, iteration {iteration}, {end}"
+        return f"`tailbeat trial run`: trial {trial}, iteration {iteration}, {end}{_found(entry)}"
     if what == "decided":
         reason = f" ({entry['reason']})" if entry.get("reason") else ""
         return f"trial {trial}: {entry.get('decision')}{reason}"
@@ -147,10 +159,26 @@ def _step(entry: Mapping[str, Any]) -> str:
         "made": "`tailbeat experiment new`",
         "opened": "gone on with",
         "resumed": "`tailbeat session resume` after a battery swap",
+        "restarted": "the board had been switched off; gone on with, without a repeat of the best",
         "trimmed": f"`tailbeat trim`: centre {entry.get('centre_us')} us",
         "identified": f"`tailbeat identify`: {entry.get('file')}",
-        "restored": f"the best amplitudes brought back (trial {trial})",
+        "restored": "`tailbeat learn --restore-best`: the best amplitudes swim next"
+        + (f" (trial {trial})" if trial else ""),
     }.get(what, "")
+
+
+def _found(entry: Mapping[str, Any]) -> str:
+    """What the ritual found, as far as it was journalled."""
+    rested_s, pose = entry.get("rested_s"), entry.get("pose") or {}
+    rested = "" if rested_s is None else f", rested {rested_s:.0f} s"
+    return rested + (f", pose by {pose['source']}" if pose.get("source") else "")
+
+
+def _number(value: float) -> str:
+    """The fewest digits that give the board's single precision number again."""
+    import numpy as np
+
+    return np.format_float_positional(np.float32(value), trim="-")
 
 
 def _code(lines: list[str] | Iterator[str]) -> str:
