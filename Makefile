@@ -11,7 +11,8 @@ PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.
 C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native -name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
-PYTEST := $(BIN)/pytest -n auto --dist worksteal
+# Without what it has compiled kept, each process compiles all tests anew, for 15 s.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware flash size check clean lock bootstrap package \
 	unit coverage toolchain fuzz
@@ -45,7 +46,7 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts
 	WEAR_TRIALS=10000 build/unit/tests/test_wear
 	WALK_STEPS=10000000 WALK_SEED=2 build/unit/tests/test_supervisor_walk
-	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host
+	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host tests/system
 	@for recipe in $$($(BIN)/tailbeat sweep --list --json | $(PYTHON) -c \
 		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
 		$(BIN)/tailbeat sweep $$recipe --out build/sweeps/$$recipe --check || exit 1; done

@@ -502,7 +502,7 @@ def moments(last: int, most: int) -> list[int]:
     return sorted({1, *np.linspace(2, last, most - 1).astype(int).tolist()})
 
 
-@pytest.mark.parametrize("most", [12, pytest.param(250, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("most", [7, pytest.param(250, marks=pytest.mark.soak)])
 def test_ctrl_c_at_any_moment(fresh: Callable[[], BadDay], most: int) -> None:
     whole = fresh()
     begin_at = whole.tank.waits

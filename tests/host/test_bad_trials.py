@@ -458,8 +458,12 @@ KINDS: dict[str, Kind] = {
 }
 
 
-MILDER = ("NaN speeds, 3 s", "camera lost, 1 s", "camera lost, 3 s", "one huge sample backwards")
-SAMPLE = [name for name in KINDS if name not in MILDER and "3 s" not in name]
+SAMPLE = [
+    "abort at any beat", "abort in beat 1", "start at -0.05 m/s", "NaN speeds, all", "bad sigmas",
+    "frozen position, 10 s", "0.5 s of huge samples", "one wrong picture, 40 cm", "collision, 1 s",
+    "camera lost, 10 s", "reset at any beat", "repeated and late samples",
+    "samples of other times",
+]  # fmt: skip
 
 
 def mixed(seed: int) -> dict[int, Trouble]:

@@ -21,7 +21,7 @@ from tailbeat.reference import Reference, thesis
 from .rendered_tank import drawn_camera, swim_before_the_camera
 
 SMALL = Scene(size_px=(960, 540))
-SHORT = Reference(1.0, thesis().speed_m_s[:12], "short")
+SHORT = Reference(1.0, thesis().speed_m_s[:8], "short")
 SEEDS = int(os.environ.get("CAMERA_SESSION_SEEDS", "4"))
 UPLOAD = 1
 
@@ -98,7 +98,7 @@ def compared(reference: Reference, seeds: range, trials: int, ways) -> dict[str,
 
 
 def test_a_fish_learns_from_pictures_as_from_the_truth() -> None:
-    found = compared(SHORT, range(1, 2), 3, {"live": live(SMALL)})
+    found = compared(SHORT, range(1, 2), 2, {"live": live(SMALL)})
     assert found["live"] < 1.15
 
 

@@ -362,7 +362,10 @@ def study(
         return best, fresh, swim(fish, 1)[0]
 
 
-@pytest.mark.parametrize(("speed", "duration_s"), [(0.0791, 50), (0.0791 * 1.25, 32)])
+@pytest.mark.parametrize(
+    ("speed", "duration_s"),
+    [pytest.param(0.0791, 50, marks=pytest.mark.soak), (0.0791 * 1.25, 32)],
+)
 def test_the_first_trial_is_as_good_as_a_learned_one(speed: float, duration_s: float) -> None:
     """Measured 10.2 and 14.4 mm/s (its own floor); a fresh start 68.5, 29.9, 17.3, 11.6 and 73.3,
     27.3, 15.3, 14.2."""

@@ -14,7 +14,7 @@ from tailbeat.fish import Fish
 from tailbeat.trial_log import Trial, read_trial
 
 VISION, _, IMU, MODEL = range(4)
-SEEDS = 40
+SEEDS = [12, pytest.param(40, marks=pytest.mark.soak)]
 REST_S = 9.0  # the IMU is found, and the fish has been still for REST_MIN_S
 Floats = NDArray[np.float64]
 
@@ -69,18 +69,20 @@ def swims(folder: Path, seeds: int, **params: float) -> Swims:
     return Swims(np.array(errors, dtype=float), np.array(sigmas, dtype=float))
 
 
-def test_imu_between_two_rests(tmp_path: Path) -> None:
-    found = swims(tmp_path, SEEDS, SPD_SOURCE=IMU)
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_imu_between_two_rests(seeds: int, tmp_path: Path) -> None:
+    found = swims(tmp_path, seeds, SPD_SOURCE=IMU)
     print(f"imu: {found.text()}")
     found.assert_honest()
     assert found.mean_rms() <= 0.010
 
 
+@pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("wrong", [0.6, 1.0, 1.4])
-def test_model_with_the_wrong_drag(wrong: float, tmp_path: Path) -> None:
+def test_model_with_the_wrong_drag(wrong: float, seeds: int, tmp_path: Path) -> None:
     found = swims(
         tmp_path,
-        SEEDS // 4,
+        seeds // 4,
         SPD_SOURCE=MODEL,
         MDL_KAPPA=10 * wrong,
         MDL_SLOPE=0.219 / np.sqrt(wrong),

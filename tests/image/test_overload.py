@@ -129,7 +129,8 @@ def prepared(board: EmulatedBoard, connect: Connect, imu_rate_hz: int, imu_baud:
 
 @pytest.mark.parametrize(
     ("imu_rate_hz", "imu_baud", "page_us"),
-    [(100, 115200, TYPICAL_PAGE_US), (400, 460800, TYPICAL_PAGE_US),
+    [pytest.param(100, 115200, TYPICAL_PAGE_US, marks=pytest.mark.soak),
+     pytest.param(400, 460800, TYPICAL_PAGE_US, marks=pytest.mark.soak),
      (400, 460800, SLOWEST_PAGE_US)],
 )  # fmt: skip
 def test_nothing_is_lost_and_nothing_is_late(

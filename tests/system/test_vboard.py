@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 from tailbeat import records
+from tailbeat import reference as references
+from tailbeat.demo import DemoOptions, run_demo
 from tailbeat.fish import Fish
 
 IMAGE = Path(__file__).parents[2] / "build" / "firmware" / "tailbeat.elf"
 START = "from tailbeat.cli import main; main()"
-BEATS = 5
+BEATS = 3
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +113,7 @@ def test_info_command(image: Path) -> None:
     assert found["status"]["state"] == "IDLE"
 
 
+@pytest.mark.soak
 def test_demo_command_tells_all_a_simulator_knows(image: Path, tmp_path: Path) -> None:
     url = f"vboard:{image}"
     given = ("--trials", "1", "--plant", "thesis", "--seed", "7", "--out", tmp_path)
@@ -121,6 +124,21 @@ def test_demo_command_tells_all_a_simulator_knows(image: Path, tmp_path: Path) -
     assert trial["true_max_abs_error_m_s"] == pytest.approx(trial["max_abs_error_m_s"], abs=2e-4)
     assert "emulated board" in (tmp_path / "report.html").read_text()
     assert json.loads((tmp_path / "settings.json").read_text())["board"] == "emulated"
+
+
+def test_a_short_demo_knows_it_is_emulated(image: Path, tmp_path: Path) -> None:
+    reference = references.Reference(1.0, references.thesis().speed_m_s[:4], "short")
+    options = DemoOptions(
+        plant="thesis", trials=1, seed=7, connect=f"vboard:{image}", out=tmp_path / "out"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tailbeat.demo.reference.thesis", lambda: reference)
+        found = run_demo(options)
+    assert (found.plant, found.seed, found.lead) == ("thesis", 7, 0)
+    true = found.trials[1].true_max_abs_error_m_s
+    assert true == pytest.approx(found.trials[1].max_abs_error_m_s, abs=2e-4)
+    assert "emulated board" in found.report.read_text()
+    assert json.loads((tmp_path / "out" / "settings.json").read_text())["board"] == "emulated"
 
 
 def test_vboard_command_serves_the_board(image: Path) -> None:
