@@ -148,3 +148,6 @@ def what_the_folder_says(folder: Path) -> None:
     assert analysis["conditions"] == {"water_depth_m": 0.5, "water_temperature_degc": 21.5}
     assert "a new tail fin" in (folder / "notes.md").read_text()
     assert "Simulated" in (folder / "report" / "captions.txt").read_text()
+    redo = (folder / "redo.md").read_text()
+    assert ": `tailbeat trial run --until 2 --then keep --json" in redo
+    assert ": `tailbeat session resume --yes --json" in redo

@@ -259,7 +259,10 @@ def test_redo_tells_what_is_not_known(tmp_path: Path) -> None:
     assert "- simulated plant: unknown\n- seed: unknown\n" in text
     assert "tailbeat sim, with the plant and the seed of then (unknown)" in text
     assert "iteration 1, complete, rested 31 s, pose by camera\n" in text
-    assert "is not recorded (`--rest`, `--until`" in text
+    assert "options are not known (`--rest`, `--until`" in text
+    made.journal.add("typed", command="tailbeat trial run --until 3")
+    text = write_redo(made).read_text()
+    assert ": `tailbeat trial run --until 3`\n" in text and "are not known" not in text
 
 
 def test_redo_tells_the_day(swum: Experiment, tmp_path: Path) -> None:

@@ -19,8 +19,10 @@ def run(arguments: list[str] | None = None) -> int:
     import typer
 
     from tailbeat.cli.app import app
+    from tailbeat.cli.common import typed_words
     from tailbeat.errors import TailbeatError, reason
 
+    typed_words.set(tuple(sys.argv[1:] if arguments is None else arguments))
     try:
         result = app(arguments, prog_name="tailbeat", standalone_mode=False)
         sys.stdout.flush()  # here a full disk can still be told

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,6 +18,7 @@ from tailbeat.plain import plain as plain  # commands have it from here
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
 
+typed_words: ContextVar[tuple[str, ...]] = ContextVar("typed_words", default=())
 TRIAL_MAX = 2**24 - 1  # trials travel as single precision numbers
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, nothing else.")]
@@ -43,6 +46,12 @@ def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
         if notice and (line := notice_today(fish)):
             typer.echo(f"tailbeat: {line}", err=True)
         yield fish
+
+
+def command_typed() -> str:
+    """The command that runs, as it was typed; empty when something else called it."""
+    words = typed_words.get()
+    return shlex.join(["tailbeat", *words]) if words else ""
 
 
 def say(as_json: bool, document: Any, text: str | Callable[[], str] = "") -> None:

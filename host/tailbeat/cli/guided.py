@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from tailbeat.cli.common import mm, say
+from tailbeat.cli.common import command_typed, mm, say
 from tailbeat.errors import InputError, TailbeatError
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ class GuideOptions:
             wanted=Wanted() if self.rest_s is None else Wanted(rest_s=self.rest_s),
             learn=self.learn,
             counts=("keep",) if answer is None else (answer.kind,),
+            typed=command_typed(),
         )
 
 

@@ -17,7 +17,7 @@ from tailbeat.cli.cameraoptions import (
     WallOption,
     marker_of,
 )
-from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.cli.common import Connect, Json, command_typed, connected, say
 from tailbeat.cli.completing import reference_names
 from tailbeat.errors import InputError
 
@@ -178,7 +178,7 @@ def _repeated(
     from tailbeat.day.series import Options
 
     wanted = Wanted() if rest is None else Wanted(rest_s=rest)
-    options = Options(wanted=wanted)
+    options = Options(wanted=wanted, typed=command_typed())
     return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
 
 

@@ -50,7 +50,8 @@ BY_CTRL_C = f"stopped by Ctrl-C; {GOES_ON}"
 class Options:
     """``wanted`` None: no ritual. ``learn``: kept swims are learned from at once; otherwise the
     series ends with the first, which waits. ``counts``: what a swim must have become to count for
-    ``until.swims``. ``of_best``: these are the repeats of the best after a battery swap."""
+    ``until.swims``. ``of_best``: these are the repeats of the best after a battery swap. ``typed``:
+    the command, for the journal."""
 
     until: Until = field(default_factory=Until)
     wanted: Wanted | None = field(default_factory=Wanted)
@@ -58,6 +59,7 @@ class Options:
     reconnect_s: float = 60.0
     counts: tuple[DecisionKind, ...] = ("keep",)
     of_best: bool = False
+    typed: str = ""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,8 @@ def swim_series(
             _require_no_repeat(experiment)
         require_not_lost(fish, experiment)
         require_meant(fish, experiment)
+        if options.typed:
+            experiment.journal.add("typed", command=options.typed)
         return _swim_series(fish, experiment, person, options, camera, guard)
 
 

@@ -2,13 +2,13 @@
 
 Every line has ``time`` (ISO 8601 with zone, local) and ``what``:
 
-``made``, ``opened``; ``set`` {params, conditions, ...}: what is new of them; ``begun`` and ``swum``
-{trial, iteration, end, file, rested_s, pose, drift, travel, battery_start_v, battery_end_v,
-board_s}; ``void`` {trial, end}: begun, but not swum;
-``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason}; ``learned``
-{trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {..., board_s}; ``restarted`` {board_s}: the
-board was switched off, and somebody said to go on; ``trimmed`` {...}; ``identified`` {file};
-``restored`` {trial}
+``made``, ``opened``; ``typed`` {command}: what makes the fish swim; ``set`` {params, conditions,
+...}: what is new of them; ``begun`` and ``swum`` {trial, iteration, end, file, rested_s, pose,
+drift, travel, battery_start_v, battery_end_v, board_s}; ``void`` {trial, end}: begun, but not
+swum; ``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason};
+``learned`` {trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {..., board_s}; ``restarted``
+{board_s}: the board was switched off, and somebody said to go on; ``trimmed`` {...};
+``identified`` {file}; ``restored`` {trial}
 
 A line that the end of power has torn is never removed: it is ended with ``#torn`` and not read.
 """

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 REDO = "redo.md"
 _UNRECORDED = (
-    "Which options the commands above were given is not recorded (`--rest`, `--until`, `--then`,"
-    " `--wall`, `--camera` and what goes with it); what came of them is, behind a swim and in"
-    " `journal.jsonl`."
+    "No command that swam was written down (the live page, a script, an older tool), so its options"
+    " are not known (`--rest`, `--until`, `--camera` and what goes with it); what came of them is,"
+    " behind a swim and in `journal.jsonl`."
 )
 _UNKNOWN_SIMULATOR = ("simulated plant", "seed")  # a board in another process does not tell
 _ABOUT = {
@@ -45,13 +45,14 @@ def write_redo(experiment: Experiment) -> Path:
 
 def redo_text(experiment: Experiment) -> str:
     """The page, Markdown."""
-    settings = experiment.settings()
+    settings, entries = experiment.settings(), experiment.journal.entries()
+    unknown = [] if any(one["what"] == "typed" for one in entries) else [_UNRECORDED]
     parts = [
         f"# {experiment.stable_name}, done again",
         "## What it was\n\n" + "\n".join(_about(settings)),
         "## Before the first swim\n\n" + _code(_before(settings)),
-        "## What was done, in order\n\n" + "\n".join(_steps(experiment.journal.entries())),
-        _UNRECORDED,
+        "## What was done, in order\n\n" + "\n".join(_steps(entries)),
+        *unknown,
         "## The same numbers and figures from the raw files\n\n"
         + _code(["(cd raw && sha256sum -c SHA256SUMS)", "tailbeat experiment replay ."]),
     ]
@@ -144,7 +145,7 @@ def _step(entry: Mapping[str, Any]) -> str:
     if what == "swum":
         end = entry.get("end", "")
         iteration = entry.get("iteration")
-        return f"`tailbeat trial run`: trial {trial}, iteration {iteration}, {end}{_found(entry)}"
+        return f"trial {trial} swam, iteration {iteration}, {end}{_found(entry)}"
     if what == "decided":
         reason = f" ({entry['reason']})" if entry.get("reason") else ""
         return f"trial {trial}: {entry.get('decision')}{reason}"
@@ -158,7 +159,8 @@ def _step(entry: Mapping[str, Any]) -> str:
     return {
         "made": "`tailbeat experiment new`",
         "opened": "gone on with",
-        "resumed": "`tailbeat session resume` after a battery swap",
+        "typed": f"`{entry.get('command')}`",
+        "resumed": "after a battery swap the board was given back what it lacked",
         "restarted": "the board had been switched off; gone on with, without a repeat of the best",
         "trimmed": f"`tailbeat trim`: centre {entry.get('centre_us')} us",
         "identified": f"`tailbeat identify`: {entry.get('file')}",
