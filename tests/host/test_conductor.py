@@ -14,6 +14,7 @@ import pytest
 
 from tailbeat import _dialect as mavlink
 from tailbeat.day.ritual import Wanted
+from tailbeat.day.series import SeriesEnd
 from tailbeat.errors import ConnectError, InputError, LinkLostError
 from tailbeat.experiment.journal import Journal
 from tailbeat.fish import Fish
@@ -49,8 +50,8 @@ class Line(SimTransport):
 class Tank:
     """A board that outlives its connections, and a conductor that was asked for it."""
 
-    def __init__(self, root: Path) -> None:
-        self.board = SimBoard("tank", seed=1)
+    def __init__(self, root: Path, board: SimBoard | None = None) -> None:
+        self.board = board or SimBoard("tank", seed=1)
         self.lines: list[Line] = []
         self.gate: Callable[[], None] = lambda: None
         self.at_start: Callable[[], None] = lambda: None
@@ -214,6 +215,23 @@ def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
     tank.wait(lambda now: tank.board.truth().pulse_ticks == 0)  # the glide to the centre is over
 
 
+def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A board that was switched off may have a fish that shifted: nobody says yes by ABORT."""
+    answers: list[bool] = []
+
+    def series(fish: Fish, experiment: object, person: Any, *_: object) -> SeriesEnd:
+        answers.append(person.confirm("go on?"))
+        return SeriesEnd("stopped", "not now.", [], None)
+
+    monkeypatch.setattr("tailbeat.day.series.swim_series", series)
+    ready.conductor.ask("swim", ritual=False)
+    ready.wait(lambda now: now.phase == "asking" and now.question == "go on?")
+    done = ready.conductor.now.done
+    ready.conductor.ask("abort")
+    now = ready.wait(lambda now: now.done > done)
+    assert (answers, now.phase, now.question, now.problem) == ([False], "idle", "", "not now.")
+
+
 def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
     ready.board.set_tilt_rad(1.4)
     now = ready.ask("swim", ritual=False)
@@ -271,8 +289,8 @@ def test_what_makes_no_sense_now_is_refused(ready: Tank) -> None:
     ask = ready.conductor.ask
     with pytest.raises(InputError, match="nothing to decide"):
         ask("decide", kind="keep")
-    with pytest.raises(InputError, match="no experiment yet"):
-        ask("note", text="hello")
+    with pytest.raises(InputError, match="note is empty"):
+        ask("note", text=" ")
     with pytest.raises(InputError, match="says no end"):
         ask("swim", until="for ever")
     with pytest.raises(InputError, match="nothing to ask for"):
@@ -299,16 +317,56 @@ def test_notes_are_taken_while_it_waits_for_a_decision(ready: Tank) -> None:
     assert ready.conductor.now.phase == "deciding"
 
 
+def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -> None:
+    """On disk: also for the next time, if nothing is swum today."""
+    board = SimBoard("tank", seed=1)
+    for text in ("water 21 degrees", "fish was repaired"):
+        before = Tank(tmp_path / "experiments", board)
+        before.conductor.start()
+        before.wait(lambda now: now.phase == "idle")
+        now = before.ask("note", text=text)
+        assert (now.problem, now.experiment) == ("", "")
+        assert text in now.log[-1]
+        before.conductor.close()
+    (waiting,) = (tmp_path / "experiments").glob("notes-*.jsonl")
+    written = [entry["time"] for entry in Journal(waiting).entries("note")]
+    tank = Tank(tmp_path / "experiments", board)
+    tank.conductor.start()
+    tank.wait(lambda now: now.phase == "idle")
+    tank.ask("upload", reference=from_text(SHORT))
+    tank.ask("swim", ritual=False)
+    tank.decide("keep")
+    found = [(entry["text"], entry["time"]) for entry in tank.journal("note")]
+    assert found == [("water 21 degrees", written[0]), ("fish was repaired", written[1])]
+    assert not waiting.exists()
+    tank.conductor.close()
+
+
+def test_a_note_that_cannot_be_written_stops_nothing(
+    ready: Tank, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise InputError("the disk is full.", "Make room.")
+
+    ready.ask("swim", ritual=False)
+    monkeypatch.setattr("tailbeat.experiment.folder.Experiment.note", full)
+    ready.conductor.ask("note", text="water 22 degrees")
+    ready.wait(lambda now: "disk is full" in now.problem)
+    assert ready.decide("keep").iteration == 2
+
+
 def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     ready.ask("swim", ritual=False)
     ready.decide("keep")
     name = ready.conductor.now.experiment
     tries: list[int] = []
+    go = threading.Event()
 
     def gate() -> None:
         tries.append(1)
         if len(tries) == 1:
             raise ConnectError("nobody answers.", "Switch it on.")
+        assert go.wait(PATIENCE_S)
 
     ready.gate = gate
     ready.lines[-1].cut = True
@@ -316,6 +374,7 @@ def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     assert now.problem == "nobody answers. Switch it on."
     with pytest.raises(InputError, match="cannot swim now"):
         ready.conductor.ask("swim")
+    go.set()
     now = ready.wait(lambda now: now.phase == "idle")
     assert (now.problem, now.experiment, len(now.rows)) == ("", name, 1)
     assert ready.ask("swim", ritual=False).swum is not None
@@ -357,6 +416,17 @@ def test_a_board_that_starts_again_is_greeted_anew(ready: Tank) -> None:
     assert any("restarted" in line for line in now.log)
     now = ready.wait(lambda now: now.phase == "idle")
     assert (len(now.reference_m_s), now.problem) == (8, "")
+
+
+def test_a_board_that_has_lost_all_is_not_begun_anew_in_silence(ready: Tank) -> None:
+    ready.ask("swim", ritual=False)
+    ready.decide("keep")
+    ready.board = SimBoard("tank", seed=1)  # the same fish, with nothing in its memory
+    connected = len(ready.lines)
+    ready.lines[-1].cut = True
+    now = ready.wait(lambda now: now.phase == "idle" and len(ready.lines) > connected)
+    assert "session resume" in now.problem
+    assert (now.reference_m_s, now.experiment) == ((), "")
 
 
 def test_a_reference_that_does_not_fit_is_refused(ready: Tank) -> None:

@@ -27,9 +27,11 @@ async def _inside(scope: Any, receive: Any, send: Any) -> None:
 
 
 class Answer:
-    """What came back. ``status`` of a websocket: 101 when it was let in."""
+    """What came back. ``status`` of a websocket: 101 when it was let in. ``aborted``: the tail was
+    stopped."""
 
-    def __init__(self, sent: list[dict[str, Any]]) -> None:
+    def __init__(self, sent: list[dict[str, Any]], aborted: bool = False) -> None:
+        self.aborted = aborted
         first = sent[0]
         kinds = {"websocket.accept": 101, "websocket.close": 403}
         self.status = kinds.get(first["type"]) or first["status"]
@@ -44,6 +46,7 @@ def knock(
     query: str = "",
     path: str = "/",
     more: tuple[tuple[bytes, bytes], ...] = (),
+    method: str = "GET",
 ) -> Answer:
     """One request to a page on port 8080."""
     sent: list[dict[str, Any]] = []
@@ -51,7 +54,7 @@ def knock(
     scope = {
         "type": kind,
         "scheme": "ws" if kind == "websocket" else "http",
-        "method": "GET",
+        "method": method,
         "path": path,
         "query_string": query.encode(),
         "headers": [*raw, *more],
@@ -63,8 +66,14 @@ def knock(
     async def send(message: Any) -> None:
         sent.append(message)
 
-    asyncio.run(Access(_inside, token, 8080)(scope, receive, send))
-    return Answer(sent)
+    aborts: list[bool] = []
+    door = Access(_inside, token, 8080, lambda: aborts.append(True))
+    asyncio.run(door(scope, receive, send))
+    return Answer(sent, bool(aborts))
+
+
+def abort(token: str | None, headers: Headers) -> Answer:
+    return knock(token, headers, path="/abort", method="POST")
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "LOCALHOST"])
@@ -138,6 +147,28 @@ def test_the_first_visit_leaves_a_cookie_that_opens() -> None:
     known = {**LAN, "Cookie": f"other=1; {cookie.partition(';')[0]}"}
     assert knock(TOKEN, known).body == b"the tank"
     assert knock(TOKEN, known, "websocket").status == 101
+
+
+def test_abort_is_answered_at_the_door() -> None:
+    own = {"Host": "127.0.0.1:8080", "Origin": "http://127.0.0.1:8080"}
+    known = {**LAN, "Cookie": f"tailbeat_8080={TOKEN}"}
+    for answer in (abort(None, own), abort(TOKEN, known)):
+        assert (answer.status, answer.aborted, answer.body) == (200, True, b'{"asked":true}')
+    assert not knock(None, own, path="/abort").aborted  # a link that is followed stops nothing
+
+
+def test_nobody_aborts_who_may_not_come_in() -> None:
+    own = {"Host": "127.0.0.1:8080"}
+    for token, headers in (
+        (None, {**own, "Origin": "http://evil.example"}),
+        (None, {"Host": "evil.example"}),
+        (None, {**own, "Sec-Fetch-Site": "cross-site"}),
+        (TOKEN, LAN),
+        (TOKEN, {**LAN, "Cookie": "tailbeat_8080=wrong"}),
+        (TOKEN, {**LAN, "Cookie": f"tailbeat_8080={TOKEN}", "Origin": "http://evil.example"}),
+    ):
+        answer = abort(token, headers)
+        assert (answer.status, answer.aborted) == (403, False)
 
 
 def test_the_cookie_of_another_port_does_not_open() -> None:

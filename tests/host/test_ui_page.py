@@ -100,6 +100,14 @@ def test_silence_is_said_and_greyed() -> None:
     assert words.is_stale(NOW, None)
 
 
+def test_nothing_is_well_that_is_not_heard_of() -> None:
+    assert [look for _, look in words.chips(NOW, 0.4)] == ["well"] * 3
+    for now, silent_s in ((NOW, 12.3), (replace(NOW, phase="connecting"), 0.1)):
+        link, *of_board = words.chips(now, silent_s)
+        assert link[1] == "low"
+        assert of_board == [("battery 7.9 V", "unknown"), ("motion sensor ok", "unknown")]
+
+
 def test_start_says_what_it_will_do() -> None:
     text = words.next_line(replace(NOW, travel="it will come about 1.96 m of 2.64 m"))
     assert text == "START: trial 4, iteration 3; it will come about 1.96 m of 2.64 m"

@@ -26,7 +26,7 @@ def running(speed: float) -> Iterator[tuple[str, subprocess.Popen[str]]]:
             server.kill()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def simulator() -> Callable[[float], AbstractContextManager[tuple[str, subprocess.Popen[str]]]]:
     """``with simulator(speed) as (address, process)``."""
     return running

@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -27,7 +28,9 @@ START = "from tailbeat.cli import main; main()"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LAPTOP, PHONE = (1366, 768), (390, 844)
 PATIENCE_S = 60.0
-SPEED = 10.0
+SPEED = 10.0  # much faster, and a starved page loses the link by the board's own clock
+NOBODY = "tcp:127.0.0.1:1"
+FOLDER = "TAILBEAT_PICTURES"  # of the pictures, where somebody wants to look at them
 
 
 @contextmanager
@@ -98,6 +101,7 @@ class Browser:
         found = f"document.querySelector({json.dumps(selector)})"
         for _ in range(100):
             self.until(f"{found}?.checkVisibility() && !{found}.disabled")
+            self.ask(f"{found}?.scrollIntoView({{block: 'nearest'}})")
             try:
                 self.driver.find_element(By.CSS_SELECTOR, selector).click()
                 return
@@ -117,13 +121,15 @@ class Browser:
     def text(self, selector: str) -> str:
         return str(self.ask(f"document.querySelector({json.dumps(selector)}).innerText"))
 
-    def chart(self, name: str, series: int = 0) -> list[Any]:
-        """The data that a chart has drawn."""
+    def chart(self, name: str, series: int = 0, length: int = 0) -> list[Any]:
+        """The data that a chart has drawn; ``length``: once so many of them are there."""
         element = f"document.querySelector('.{name}')"
         option = f"getElement(+{element}.id.slice(1)).chart.getOption()"
-        return list(self.ask(f"{option}.series[{series}].data"))
+        data = f"{option}.series[{series}].data"
+        self.until(f"{data}.filter(v => v !== null).length >= {length}", 20.0)
+        return list(self.ask(data))
 
-    def pictures(self, folder: Path, name: str) -> None:
+    def looks(self, name: str) -> None:
         """At both sizes; nothing may stick out to the side, and ABORT is in reach."""
         for what, (width, height) in (("phone", PHONE), ("laptop", LAPTOP)):
             self.size(width, height)
@@ -134,7 +140,8 @@ class Browser:
             assert box["height"] >= 60, name
             if what == "phone":
                 assert box["top"] > 0.6 * height  # where the thumb is
-            self.driver.save_screenshot(str(folder / f"{name}-{what}.png"))
+            if folder := os.environ.get(FOLDER):
+                self.driver.save_screenshot(str(Path(folder) / f"{name}-{what}.png"))
 
     def require_large_targets(self) -> None:
         """Whatever is to be touched is 44 px high and wide, once what opens has opened."""
@@ -154,7 +161,7 @@ class Browser:
 
         name = self.ask(f"document.querySelector({json.dumps(selector)}).download")
         self.click(selector)
-        path = self.downloads / name
+        path = self.downloads / str(name)
         WebDriverWait(self.driver, PATIENCE_S, 0.05).until(lambda _: path.is_file())
         return path
 
@@ -210,6 +217,102 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
         chrome.quit()
 
 
+@dataclass(frozen=True)
+class Page:
+    """'tailbeat ui' of a simulated fish. ``fish``, ``process``: of the two."""
+
+    address: str
+    fish: Any
+    url: str
+    process: Any
+    root: Path
+
+    def journalled(self, what: str) -> list[dict[str, Any]]:
+        """Of all experiments."""
+        journals = sorted((self.root / "experiments").glob("*/journal.jsonl"))
+        entries = [json.loads(line) for j in journals for line in j.read_text().splitlines()]
+        return [entry for entry in entries if entry["what"] == what]
+
+
+@pytest.fixture(scope="module")
+def page(simulator: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    root = tmp_path_factory.mktemp("page")
+    with simulator(SPEED) as (address, fish), page_of(address, root) as (url, process):
+        yield Page(address, fish, url, process, root)
+
+
+Get = Callable[..., tuple[int, dict[str, str], bytes]]
+
+
+def _getter(url: str) -> Get:
+    where = urlsplit(url)
+
+    def get(path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", where.port, timeout=PATIENCE_S)
+        try:
+            names = {name.replace("_", "-"): value for name, value in headers.items()}
+            connection.request(method, path, headers=names)
+            answer = connection.getresponse()
+            found = {name.lower(): value for name, value in answer.getheaders()}
+            return answer.status, found, b"" if answer.status == 101 else answer.read()
+        finally:
+            connection.close()
+
+    return get
+
+
+WEBSOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+UPGRADE = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    "Sec_WebSocket_Version": "13",
+}
+
+
+def test_the_network_needs_the_token(tmp_path: Path) -> None:
+    """Plain clients against the real server, which finds no fish."""
+    with page_of(NOBODY, tmp_path, "--host", "0.0.0.0") as (url, _):
+        get, port = _getter(url), urlsplit(url).port
+        token = urlsplit(url).query.removeprefix("token=")
+        origin = {"Origin": f"http://127.0.0.1:{port}"}
+        assert len(token) >= 16
+        for path in ("/", "/?token=wrong", "/raw/0001.ulg", "/favicon.ico", WEBSOCKET):
+            status, _, body = get(path)
+            assert (status, b"<script" in body) == (403, False), path
+        assert get("/abort", "POST", **origin)[0] == 403
+        assert get(WEBSOCKET, **UPGRADE, **origin)[0] == 403
+        status, headers, _ = get(f"/?token={token}")
+        cookie = headers["set-cookie"].partition(";")[0]
+        status, headers, body = get("/", Cookie=cookie)
+        assert (status, b"tailbeat" in body) == (200, True)
+        assert token.encode() not in body
+        assert get(WEBSOCKET, Cookie=cookie, **UPGRADE, **origin)[0] == 101
+        foreign = {"Origin": "http://evil.example"}
+        assert get(WEBSOCKET, Cookie=cookie, **UPGRADE, **foreign)[0] == 403
+        assert get("/abort", "POST", Cookie=cookie, **foreign)[0] == 403
+        assert get("/abort", "POST", Cookie=cookie, **origin)[0] == 200
+        assert get("/", Cookie=cookie, Host="evil.example")[0] == 403
+
+
+def test_this_computer_only(page: Page) -> None:
+    get = _getter(page.url)
+    assert urlsplit(page.url).hostname == "127.0.0.1"
+    assert get("/")[0] == 200
+    assert get("/", Host="evil.example")[0] == 403
+    assert get(WEBSOCKET, **UPGRADE, Origin="http://evil.example")[0] == 403
+    assert get("/raw/..%2fsettings.json")[0] == 404
+
+
+def test_a_taken_port_is_told(page: Page) -> None:
+    port = str(urlsplit(page.url).port)
+    command = [sys.executable, "-c", START, "ui", "--connect", NOBODY, "--port", port]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "--port" in done.stderr
+
+
 def _swim_and(browser: Browser, choice: str) -> None:
     browser.click(".start")
     browser.phase("deciding")
@@ -224,60 +327,61 @@ def _ritual(browser: Browser, wanted: bool) -> None:
         browser.until(f"{state} === '{str(wanted).lower()}'")
 
 
-def test_a_session(simulator: Any, browser: Browser, tmp_path: Path) -> None:
-    with (
-        simulator(SPEED) as (address, fish),
-        page_of(address, tmp_path) as (url, page),
-    ):
-        browser.size(*LAPTOP)
-        browser.driver.get(url)
-        browser.phase("idle")
-        assert "SIMULATED" in browser.text(".top")
-        assert "8.2 V" in browser.text(".chip.battery")
-        assert browser.ask("document.querySelector('.start').disabled")  # nothing to swim yet
-        browser.pictures(tmp_path, "fresh")
-        _learn(browser, tmp_path)
-        log = browser.download("a.file[download='0002.ulg']")
-        _begin_anew(browser)
-        _abort(browser, tmp_path)
-        _silence(browser, fish)
-        assert browser.complaints() == []
-        assert browser.strangers() == set()
-        (raw,) = (tmp_path / "experiments").glob("*/raw/0002.ulg")
-        assert log.read_bytes() == raw.read_bytes()
-        _end_in_a_swim(browser, page)
-        with Fish.connect(address) as board:
-            assert board.ftp.read("/trials/0002.ulg") == log.read_bytes()
-            status = board.status()
-            assert (status.state, status.fault.name) == ("ABORTED", "ABORT_COMMAND")
-            assert status.pending_trial == status.next_trial - 1  # nothing is lost
-    decided = [
-        (entry["trial"], entry["decision"], entry["reason"])
-        for journal in sorted((tmp_path / "experiments").glob("*/journal.jsonl"))
-        for entry in map(json.loads, journal.read_text().splitlines())
-        if entry["what"] == "decided"
-    ]
+def test_a_session(page: Page, browser: Browser) -> None:
+    """Last of all in here: it ends the page."""
+    browser.size(*LAPTOP)
+    browser.driver.get(page.url)
+    browser.phase("idle")
+    assert "SIMULATED" in browser.text(".top")
+    assert "8.2 V" in browser.text(".chip.battery")
+    assert browser.ask("document.querySelector('.start').disabled")  # nothing to swim yet
+    browser.looks("fresh")
+    _note(browser)
+    _learn(browser)
+    log = browser.download("a.file[download='0002.ulg']")
+    _begin_anew(browser)
+    _abort(browser)
+    _silence(browser, page.fish)
+    assert browser.complaints() == []
+    assert browser.strangers() == set()
+    (raw,) = (page.root / "experiments").glob("*/raw/0002.ulg")
+    assert log.read_bytes() == raw.read_bytes()
+    _end_in_a_swim(browser, page.process)
+    with Fish.connect(page.address) as board:
+        assert board.ftp.read("/trials/0002.ulg") == log.read_bytes()
+        status = board.status()
+        assert (status.state, status.fault.name) == ("ABORTED", "ABORT_COMMAND")
+        assert status.pending_trial == status.next_trial - 1  # nothing is lost
+    decided = [(e["trial"], e["decision"], e["reason"]) for e in page.journalled("decided")]
     assert sorted(decided) == [
         (1, "keep", ""), (2, "keep", ""), (3, "keep", ""), (4, "discard", "bumped the wall"),
     ]  # fmt: skip
+    assert [entry["text"] for entry in page.journalled("note")] == ["water 21 degrees"]
 
 
-def _learn(browser: Browser, folder: Path) -> None:
+def _note(browser: Browser) -> None:
+    """Before there is an experiment."""
+    browser.type(".note input", "water 21 degrees")
+    browser.click(".add")
+    browser.until("document.querySelector('.log').innerText.includes('water 21 degrees')")
+
+
+def _learn(browser: Browser) -> None:
     """Three swims that are kept; the first with all that comes before a swim."""
-    browser.type(".shape input", "trapezoid:0.065,6,24")
+    browser.type(".shape input", "trapezoid:0.065,6,10")
     browser.click(".use")
     browser.until("document.querySelector('.next').innerText.startsWith('START: trial 1')")
-    assert len(browser.chart("speed-chart")) == 36
+    assert len(browser.chart("speed-chart")) == 22
     browser.click(".start")
     browser.phase("ritual")
     browser.until("document.querySelectorAll('.steps .done').length >= 3")
-    browser.pictures(folder, "ritual")
+    browser.looks("ritual")
     browser.phase("deciding")
-    browser.pictures(folder, "deciding")
+    browser.looks("deciding")
     browser.require_large_targets()
     browser.click(".choose-keep")
     browser.phase("idle")
-    assert all(isinstance(v, float | int) for v in browser.chart("speed-chart", 1))
+    assert len(browser.chart("speed-chart", 1, 22)) == 22
     _ritual(browser, False)
     _swim_and(browser, "keep")
     _swim_and(browser, "keep")
@@ -286,7 +390,7 @@ def _learn(browser: Browser, folder: Path) -> None:
     assert [x for x, _ in points] == [1, 2, 3]
     assert points[2][1] < points[0][1]  # it has learned something
     browser.require_large_targets()
-    browser.pictures(folder, "learned")
+    browser.looks("learned")
 
 
 def _begin_anew(browser: Browser) -> None:
@@ -302,7 +406,7 @@ def _begin_anew(browser: Browser) -> None:
     assert len(browser.chart("speed-chart")) == 190
 
 
-def _abort(browser: Browser, folder: Path) -> None:
+def _abort(browser: Browser) -> None:
     """In the middle of the fourth, with the key of a laptop; dropped with a reason."""
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys
@@ -314,11 +418,17 @@ def _abort(browser: Browser, folder: Path) -> None:
     browser.phase("deciding")
     assert browser.ask("document.querySelector('.root').dataset.state") == "ABORTED"
     assert "stopped by hand" in browser.text(".deciding")
-    browser.pictures(folder, "aborted")
+    browser.looks("aborted")
     _second_browser(browser)
     browser.type(".deciding .reason input", " ")
     browser.click(".choose-discard")
-    browser.until("document.body.innerText.includes('needs a reason')")
+    browser.until("document.querySelector('.deciding .refusal').checkVisibility()")
+    assert "needs a reason" in browser.text(".deciding .refusal")
+    browser.looks("refused")
+    edge = "document.querySelector('.deciding .refusal').getBoundingClientRect().bottom"
+    browser.size(*PHONE)
+    browser.until(f"{edge} <= document.getElementById('stop-bar').getBoundingClientRect().top")
+    browser.size(*LAPTOP)
     browser.click(".reasons button")
     browser.click(".choose-discard")
     browser.phase("idle")
@@ -358,85 +468,7 @@ def _end_in_a_swim(browser: Browser, page: Any) -> None:
     browser.until("/beat ([3-9]|[0-9]{2,}) of/.test(document.querySelector('.headline').innerText)")
     page.send_signal(signal.SIGINT)
     assert page.wait(PATIENCE_S) == 0
-    assert page.stderr.read() == ""
+    asked_for = [line for line in page.stderr if not line.endswith("/settings.json not found\n")]
+    assert asked_for == []
     browser.until("document.body.classList.contains('cut')")
     assert "ABORT may not arrive" in browser.text("#cut")
-
-
-Get = Callable[..., tuple[int, dict[str, str], bytes]]
-
-
-def _getter(url: str) -> Get:
-    where = urlsplit(url)
-
-    def get(path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
-        connection = http.client.HTTPConnection("127.0.0.1", where.port, timeout=PATIENCE_S)
-        try:
-            names = {name.replace("_", "-"): value for name, value in headers.items()}
-            connection.request(method, path, headers=names)
-            answer = connection.getresponse()
-            found = {name.lower(): value for name, value in answer.getheaders()}
-            return answer.status, found, b"" if answer.status == 101 else answer.read()
-        finally:
-            connection.close()
-
-    return get
-
-
-WEBSOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
-UPGRADE = {
-    "Upgrade": "websocket",
-    "Connection": "Upgrade",
-    "Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ==",
-    "Sec_WebSocket_Version": "13",
-}
-
-
-def test_the_network_needs_the_token(simulator: Any, tmp_path: Path) -> None:
-    """Plain clients against the real server."""
-    with (
-        simulator(SPEED) as (address, _),
-        page_of(address, tmp_path, "--host", "0.0.0.0") as (url, _),
-    ):
-        get, port = _getter(url), urlsplit(url).port
-        token = urlsplit(url).query.removeprefix("token=")
-        origin = {"Origin": f"http://127.0.0.1:{port}"}
-        assert len(token) >= 16
-        for path in ("/", "/?token=wrong", "/raw/0001.ulg", "/favicon.ico", WEBSOCKET):
-            status, _, body = get(path)
-            assert (status, b"<script" in body) == (403, False), path
-        assert get("/abort", "POST", **origin)[0] == 403
-        assert get(WEBSOCKET, **UPGRADE, **origin)[0] == 403
-        status, headers, _ = get(f"/?token={token}")
-        cookie = headers["set-cookie"].partition(";")[0]
-        status, headers, body = get("/", Cookie=cookie)
-        assert (status, b"tailbeat" in body) == (200, True)
-        assert token.encode() not in body
-        assert get(WEBSOCKET, Cookie=cookie, **UPGRADE, **origin)[0] == 101
-        foreign = {"Origin": "http://evil.example"}
-        assert get(WEBSOCKET, Cookie=cookie, **UPGRADE, **foreign)[0] == 403
-        assert get("/abort", "POST", Cookie=cookie, **foreign)[0] == 403
-        assert get("/abort", "POST", Cookie=cookie, **origin)[0] == 200
-        assert get("/", Cookie=cookie, Host="evil.example")[0] == 403
-
-
-def test_this_computer_only(simulator: Any, tmp_path: Path) -> None:
-    with simulator(SPEED) as (address, _), page_of(address, tmp_path) as (url, _):
-        get = _getter(url)
-        assert urlsplit(url).hostname == "127.0.0.1"
-        assert get("/")[0] == 200
-        assert get("/", Host="evil.example")[0] == 403
-        assert get(WEBSOCKET, **UPGRADE, Origin="http://evil.example")[0] == 403
-        assert get("/raw/..%2fsettings.json")[0] == 404
-
-
-def test_a_taken_port_is_told(simulator: Any, tmp_path: Path) -> None:
-    with simulator(SPEED) as (address, _), page_of(address, tmp_path) as (url, _):
-        port = str(urlsplit(url).port)
-        command = [sys.executable, "-c", START, "ui", "--connect", address, "--port", port]
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-        )
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert "--port" in done.stderr

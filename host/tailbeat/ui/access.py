@@ -4,6 +4,8 @@ Two doors. By default it listens on this computer only, and every request must n
 (a foreign name in ``Host`` is how DNS rebinding looks) and come from its own pages (``Origin``).
 With a token nothing is answered without it: the first visit brings it in the address, after that a
 cookie does that no script can read and no other site makes the browser send.
+
+ABORT is answered here, by nobody behind the door: however much there is to do behind it.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import ipaddress
 import re
 import secrets
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, MutableMapping, Sequence
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -61,11 +63,13 @@ def is_loopback(host: str) -> bool:
 @dataclass(frozen=True)
 class Access:
     """The door before ``app`` (ASGI). ``token`` None: this computer only. ``port`` sets the name of
-    the cookie, which browsers share between the ports of a host."""
+    the cookie, which browsers share between the ports of a host. ``abort`` stops the tail and never
+    blocks."""
 
     app: App
     token: str | None
     port: int
+    abort: Callable[[], None]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -75,7 +79,11 @@ class Access:
         if why := self._foreign(request):
             await _refuse(scope, receive, send, why)
         elif self.token is None or self._knows(request.cookie(self._cookie)):
-            await self.app(scope, receive, _guarded(send, request.host))
+            if request.aborts:
+                self.abort()
+                await answer(send, 200, '{"asked":true}', "application/json")
+            else:
+                await self.app(scope, receive, _guarded(send, request.host))
         elif scope["type"] == "http" and self._knows(request.query("token")):
             await self._welcome(scope, send)
         else:
@@ -123,7 +131,7 @@ class Access:
     async def _welcome(self, scope: Scope, send: Send) -> None:
         cookie = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
         headers = [(b"set-cookie", cookie.encode())]
-        await _answer(send, 200, _WELCOME, "text/html", headers, scope["method"] == "HEAD")
+        await answer(send, 200, _WELCOME, "text/html", headers, scope["method"] == "HEAD")
 
 
 @dataclass(frozen=True)
@@ -131,6 +139,7 @@ class _Request:
     """What the door looks at."""
 
     websocket: bool
+    aborts: bool
     scheme: str
     host: str
     origin: str | None
@@ -147,6 +156,7 @@ class _Request:
         scheme = str(scope["scheme"]).replace("ws", "http")
         return cls(
             websocket=scope["type"] == "websocket",
+            aborts=scope.get("method") == "POST" and scope["path"] == "/abort",
             scheme=scheme,
             host=found.get(b"host", b"").decode("latin-1"),
             origin=None if origin is None else origin.decode("latin-1"),
@@ -184,19 +194,25 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
         await receive()  # websocket.connect; closing before accepting it answers 403
         await send({"type": "websocket.close", "code": _POLICY_VIOLATION, "reason": why})
         return
-    await _answer(send, 403, f"tailbeat: {why}\n", "text/plain", [], scope["method"] == "HEAD")
+    await answer(send, 403, f"tailbeat: {why}\n", "text/plain", (), scope["method"] == "HEAD")
 
 
-async def _answer(
-    send: Send, status: int, text: str, kind: str, headers: list[tuple[bytes, bytes]], bare: bool
+async def answer(
+    send: Send,
+    status: int,
+    text: str,
+    kind: str,
+    headers: Sequence[tuple[bytes, bytes]] = (),
+    bare: bool = False,
 ) -> None:
+    """A whole answer with the headers of the door. ``bare``: to HEAD."""
     body = text.encode()
-    headers = [
+    all_headers = [
         (b"content-type", f"{kind}; charset=utf-8".encode()),
         (b"content-length", str(len(body)).encode()),
         (b"cache-control", b"no-store"),
         *headers,
         *_HEADERS,
     ]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.start", "status": status, "headers": all_headers})
     await send({"type": "http.response.body", "body": b"" if bare else body})

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from tailbeat.errors import ConnectError, InputError, LinkLostError, TailbeatError, reason
 from tailbeat.logbook import name_reference
 from tailbeat.results import BeatEvent, BoardStatus, imu_health
+from tailbeat.ui import early
 from tailbeat.ui.asks import Ask, Asks
 from tailbeat.ui.snapshot import Phase, Snapshot, after, by_beat, by_status, logged
 from tailbeat.ui.words import travel_line
@@ -96,7 +97,7 @@ class Conductor:
         if what == "abort":
             self._asks.want_abort()
             return
-        self._asks.offer(_sensible(what, values, self._experiment is not None))
+        self._asks.offer(_sensible(what, values))
 
     def silent_s(self) -> float | None:
         """Since when the board has said nothing; None = it has not been heard yet."""
@@ -246,7 +247,10 @@ class Conductor:
         elif ask.kind == "upload":
             self._upload(fish, values["reference"])
         elif ask.kind == "set":
-            fish.params.set(values["name"], values["value"])
+            from tailbeat.experiment.meant import note_set
+
+            held = fish.params.set(values["name"], values["value"])
+            note_set(fish, {held.name: held.value}, self._experiment)
             self._say(f"{values['name']} is {values['value']:g} now")
         elif ask.kind == "clear":
             fish.clear()
@@ -339,13 +343,15 @@ class Conductor:
             if found is not None:
                 require_same(fish, found)
         except InputError as another:
-            self._say(f"not going on in {found.name if found else ''}: {another}")
+            if fish.status().reference_crc is None:  # what it has learned is to be given back
+                self._trouble(another)
+            else:
+                self._say(f"not going on in {found.name if found else ''}: {another}")
             found = None
         if found is not None and self._swam_before(fish, found):
             self._say(f"not going on in {found.name}: this board has begun anew since")
             found = None
-        self._experiment = found
-        self._look_at_trials()
+        self._go_on_in(found)
 
     @staticmethod
     def _swam_before(fish: Fish, experiment: Experiment) -> bool:
@@ -360,10 +366,21 @@ class Conductor:
 
         named = self._reference
         if named is not None and named.crc == fish.status().reference_crc:
-            self._experiment = make(fish, self.root, named)
+            made = make(fish, self.root, named)
         else:
-            self._experiment = begin(fish, self.root)
-        self._say(f"new experiment {self._experiment.folder}")
+            made = begin(fish, self.root)
+        self._say(f"new experiment {made.folder}")
+        self._go_on_in(made)
+
+    def _go_on_in(self, experiment: Experiment | None) -> None:
+        """From now on; with the notes that waited for it."""
+        self._experiment = experiment
+        if experiment is not None:
+            try:
+                if count := early.bring(self.root, self.now.unique_id, experiment):
+                    self._say(f"{count} earlier note(s) written into {experiment.name}")
+            except (TailbeatError, OSError) as error:
+                self._trouble(error)
         self._look_at_trials()
 
     def _look_at_trials(self) -> None:
@@ -404,10 +421,17 @@ class Conductor:
         self._find_experiment(fish)
 
     def _note(self, ask: Ask) -> None:
-        text = str(ask.values["text"])
-        if self._experiment is not None:
-            self._experiment.note(text, ask.values["at"])
-            self._say(f"noted: {text}")
+        """One that cannot be written stops nothing else."""
+        text, at = str(ask.values["text"]), ask.values["at"]
+        try:
+            if self._experiment is not None:
+                self._experiment.note(text, at)
+                self._say(f"noted: {text}")
+            else:
+                early.put_by(self.root, self.now.unique_id, text, at)
+                self._say(f"noted, for the experiment that the first swim begins: {text}")
+        except (TailbeatError, OSError) as error:
+            self._trouble(error)
 
     # A series.
 
@@ -435,7 +459,8 @@ class Conductor:
             self._set(problem=end.words)
 
     def _answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
-        """Waits for an answer; the link is kept meanwhile, as far as there is one."""
+        """Waits for an answer; the link is kept meanwhile, as far as there is one. ABORT says no; a
+        swim has still to be decided on."""
         self._phase("deciding" if kind == "decide" else "asking", kind, "note", **shown)
         while not self._asks.closed:
             patience_s = self.look_s if fish.sim is not None else 0.0
@@ -445,6 +470,8 @@ class Conductor:
                 patience_s = self.look_s
             self._asks.wait_for(patience_s, kind, "note")
             self._write_notes()
+            if kind == "answer" and self._asks.abort:
+                return Ask(kind, {"yes": False})
             if (ask := self._asks.take(kind)) is not None:
                 return ask
         raise Closed("the page was closed.", "The trial waits on the board.")
@@ -489,7 +516,7 @@ class _AtThePage:
         return bool(ask.values["yes"])
 
 
-def _sensible(what: str, values: dict[str, Any], in_experiment: bool) -> Ask:
+def _sensible(what: str, values: dict[str, Any]) -> Ask:
     """Checked where it is asked, so that who asked hears of it."""
     if what == "swim":
         from tailbeat.day.series import Until
@@ -506,8 +533,6 @@ def _sensible(what: str, values: dict[str, Any], in_experiment: bool) -> Ask:
         text = " ".join(str(values["text"]).split())
         if not text:
             raise InputError("the note is empty.", "Write what you want to remember.")
-        if not in_experiment:
-            raise InputError("there is no experiment yet.", "It begins with the first swim.")
         return Ask(what, {"text": text, "at": datetime.now()})
     return Ask(what, values)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from nicegui import ui
 
 from tailbeat.ui import words
-from tailbeat.ui.status import wish
+from tailbeat.ui.status import refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,11 +27,37 @@ REASONS = (
 _COLOURS = {"keep": "primary", "repeat": "grey-8", "discard": "grey-8"}
 
 
+class _Refusal:
+    """Why a button of a dialog did nothing: beside that button, for on a phone nothing else of the
+    page can be seen."""
+
+    def __init__(self, conductor: Conductor) -> None:
+        self._conductor = conductor
+        self._text = ui.label().classes("banner problem refusal")
+        self._text.props("role=alert").set_visibility(False)
+
+    def ask(self, what: str, **values: object) -> None:
+        """Asks, and shows why not."""
+        why = refused(self._conductor, what, **values)
+        if why and self._conductor.now.phase not in ("deciding", "asking"):
+            ui.notify(why, type="warning", position="top")  # somebody else was quicker
+        else:
+            self.show(why)
+
+    def show(self, why: str) -> None:
+        """Empty = nothing was refused."""
+        self._text.set_text(why)
+        self._text.set_visibility(bool(why))
+        if why:
+            ui.run_javascript(
+                f"getHtmlElement({self._text.id}).scrollIntoView({{block: 'nearest'}})"
+            )
+
+
 class Deciding:
     """Opens in every browser when a swim is to be decided on, and closes once somebody has."""
 
     def __init__(self, conductor: Conductor) -> None:
-        self._conductor = conductor
         self._shown: Swum | None = None
         with (
             ui.dialog().props("persistent no-focus") as self._dialog,
@@ -50,6 +76,7 @@ class Deciding:
                     button.classes(f"choose-{kind}").props("unelevated")
                     if kind == "keep":
                         self._keep = button
+            self._refusal = _Refusal(conductor)
             for name, meaning in words.DECISIONS.values():
                 ui.label(f"{name}: {meaning}.").classes("hint")
 
@@ -57,7 +84,7 @@ class Deciding:
         return lambda: self._why.set_value(reason)
 
     def _maker(self, kind: str) -> Callable[[], object]:
-        return lambda: wish(self._conductor, "decide", kind=kind, reason=self._why.value or "")
+        return lambda: self._refusal.ask("decide", kind=kind, reason=self._why.value or "")
 
     def refresh(self, now: Snapshot) -> None:
         """Shows or hides it."""
@@ -74,6 +101,7 @@ class Deciding:
     def _fill(self, swum: Swum) -> None:
         from tailbeat.day.swums import proposed
 
+        self._refusal.show("")
         self._title.set_text(f"What becomes of trial {swum.outcome.number}?")
         self._facts.clear()
         with self._facts:
@@ -93,11 +121,13 @@ class Asking:
         with ui.dialog().props("persistent") as self._dialog, ui.card().classes("dialog asking"):
             self._text = ui.label().style("line-height:1.4")
             with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
-                ui.button("Yes", on_click=lambda: wish(conductor, "answer", yes=True)).classes(
-                    "yes"
-                )
-                no = ui.button("No", on_click=lambda: wish(conductor, "answer", yes=False))
-                no.classes("no").props("outline")
+                for name, yes in (("Yes", True), ("No", False)):
+                    button = ui.button(name, on_click=self._maker(yes)).classes(name.lower())
+                    button.props("unelevated" if yes else "outline")
+            self._refusal = _Refusal(conductor)
+
+    def _maker(self, yes: bool) -> Callable[[], object]:
+        return lambda: self._refusal.ask("answer", yes=yes)
 
     def refresh(self, now: Snapshot) -> None:
         """Shows or hides it."""
@@ -105,7 +135,8 @@ class Asking:
         if question == self._shown:
             return
         self._shown = question
-        self._text.set_text(question)
+        self._text.set_text(question[:1].upper() + question[1:])
+        self._refusal.show("")
         if question:
             self._dialog.open()
         else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Protocol
 
-from nicegui import app, ui
+from nicegui import ui
 
 from tailbeat.ui import charts, words
 from tailbeat.ui.dialogs import Asking, Deciding
@@ -32,11 +32,6 @@ _TICKS = 5  # periods between two signs of life
 def build(conductor: Conductor) -> None:
     """Registers the page and what goes with it."""
     serve_downloads(conductor)
-
-    @app.post("/abort")
-    def abort() -> dict[str, bool]:
-        conductor.ask("abort")
-        return {"asked": True}
 
     @ui.page("/", title="tailbeat")
     def page() -> None:
@@ -99,8 +94,8 @@ class _Page:
                     self._trials = Trials()
                     self._log = LogCard()
             self._tick = ui.label("0").classes("tick")
-        parts = (self._trials, self._log, Deciding(conductor), Asking(conductor))
-        self._parts: list[_Part] = [self._status, *self._charts, *parts]
+        others = (self._trials, self._log, Deciding(conductor), Asking(conductor))
+        self._parts: list[_Part] = [self._status, self._reference, *self._charts, *others]
         self.refresh()
         ui.timer(_PERIOD_S, self.refresh)
 

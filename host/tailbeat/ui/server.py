@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from tailbeat.errors import ConnectError, reason
 from tailbeat.ui.access import Access, is_loopback, new_token
 from tailbeat.ui.addresses import reached_at
+from tailbeat.ui.turns import Turns
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -83,7 +84,8 @@ def serve(conductor: Conductor, place: Place, show: bool = False) -> None:
     )
     if show:
         app.on_startup(lambda: _open(place.urls[0]))
-    door = Access(outer, place.token, place.port)
+    in_turn = Turns(outer)
+    door = Access(in_turn, place.token, place.port, lambda: conductor.ask("abort"))
     config = uvicorn.Config(
         door,
         interface="asgi3",

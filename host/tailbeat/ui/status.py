@@ -24,14 +24,20 @@ UNTIL = {
 _LOOKS = ("well", "low", "unknown")
 
 
-def wish(conductor: Conductor, what: str, **values: object) -> bool:
-    """Asks, and tells whoever pressed the button why not."""
+def refused(conductor: Conductor, what: str, **values: object) -> str:
+    """Asks; why not, empty = it was taken in."""
     try:
         conductor.ask(what, **values)
     except InputError as error:
-        ui.notify(str(error), type="warning", position="top", multi_line=True, timeout=6000)
-        return False
-    return True
+        return str(error)
+    return ""
+
+
+def wish(conductor: Conductor, what: str, **values: object) -> bool:
+    """Asks, and tells whoever pressed the button why not."""
+    if why := refused(conductor, what, **values):
+        ui.notify(why, type="warning", position="top", multi_line=True, timeout=6000)
+    return not why
 
 
 def dress(element: ui.element, look: str, looks: tuple[str, ...] = _LOOKS) -> None:
@@ -57,11 +63,8 @@ class Header:
         """Shows it."""
         self._simulated.set_visibility(now.simulated)
         self._where.set_text(words.where_line(now))
-        for chip, (text, look) in (
-            (self._link, words.link(now, silent_s)),
-            (self._battery, words.battery(now)),
-            (self._imu, words.imu(now)),
-        ):
+        chips = (self._link, self._battery, self._imu)
+        for chip, (text, look) in zip(chips, words.chips(now, silent_s), strict=True):
             chip.set_text(text)
             dress(chip, look)
         self._imu.props(f"title={json.dumps(now.imu)}")

@@ -52,10 +52,10 @@ class ReferenceCard:
     def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor
         self._wanted: Reference | None = None
-        none = not conductor.now.reference_m_s
+        self._is_known = False
         with (
             ui.element("section").classes("card reference"),
-            ui.expansion("Another reference: the speed to swim", value=none) as self._fold,
+            ui.expansion("Another reference: the speed to swim") as self._fold,
         ):
             ui.label(
                 "thesis; or trapezoid:0.06,8,20 = 0.06 m/s, 8 s up and down, 20 s between; or a CSV"
@@ -70,6 +70,12 @@ class ReferenceCard:
             with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
                 ui.button("Begin anew", on_click=self._use).classes("sure")
                 ui.button("Leave it", on_click=self._sure.close).props("outline")
+
+    def refresh(self, now: Snapshot) -> None:
+        """Unfolds it for a board without a reference, once it is known which this is."""
+        if not self._is_known and now.phase not in ("connecting", "failed"):
+            self._is_known = True
+            self._fold.set_value(not now.reference_m_s)
 
     def _file(self) -> None:
         """Chosen in the browser itself: it opens its window of files only straight from a tap."""

@@ -121,6 +121,14 @@ def link(now: Snapshot, silent_s: float | None) -> tuple[str, str]:
     return f"silent for {silent_s:.0f} s", "low"
 
 
+def chips(now: Snapshot, silent_s: float | None) -> tuple[tuple[str, str], ...]:
+    """Link, battery and motion sensor; the last two are not well because they once were."""
+    of_board = (battery(now), imu(now))
+    if is_stale(now, silent_s):
+        of_board = (of_board[0][0], "unknown"), (of_board[1][0], "unknown")
+    return link(now, silent_s), *of_board
+
+
 def is_stale(now: Snapshot, silent_s: float | None) -> bool:
     """Whether what is shown of the board may be wrong by now."""
     return now.phase == "connecting" or silent_s is None or silent_s >= SILENT_S
