@@ -15,6 +15,7 @@ import json
 import math
 import os
 import pkgutil
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -385,6 +386,64 @@ def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
     assert day.board.truth().swims == swims
     assert day.says("session", "resume", "--no-repeat")[0] == 0
     day.require_goes_on()
+
+
+def test_a_swap_before_the_first_swim(day: BadDay) -> None:
+    """Nothing knows what was set but the logbook: no experiment has begun."""
+    shutil.rmtree("experiments")
+    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    day.board.swap_battery(8.2)
+    new = ("experiment", "new", "--reference", "thesis")
+    for words in (KEEP, ("trial", "run", "--no-guide"), new):
+        assert day.says(*words)[0] == 1
+        words_of("LAW_GAIN is 4, was 3", "tailbeat session resume", day.lines)
+    assert day.board.truth().swims == 0 and not list(Path("experiments").glob("*"))
+    assert day.says("session", "resume")[1]["params"]["LAW_GAIN"] == [4.0, 3.0]
+    assert day.says(*KEEP)[0] == 0
+
+
+def test_a_swap_between_two_references(day: BadDay) -> None:
+    """The old experiment is not asked, the new one has not begun."""
+    assert day.says(*KEEP)[0] == 0
+    assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
+    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    day.board.swap_battery(8.2)
+    assert day.says(*KEEP)[0] == 1
+    words_of("LAW_GAIN is 4, was 3", "tailbeat session resume", day.lines)
+    assert day.says("session", "resume")[0] == 0
+    assert {n: day.fish().params.get(n).value for n in ("LAW_GAIN", "LAW_LEAD")} == {
+        "LAW_GAIN": 3.0, "LAW_LEAD": 1.0
+    }  # fmt: skip
+    assert day.says(*KEEP)[1]["swims"][0]["trial"] == 2
+
+
+def test_back_to_an_experiment_of_another_reference(day: BadDay) -> None:
+    """Trial numbers run on: the board is ahead of the copy, and yet knows nothing of it."""
+    assert day.says(*KEEP, "--until", "2")[0] == 0
+    first = day.experiment()
+    state = first.folder / "board" / "state.json"
+    before = json.loads(state.read_text())
+    assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
+    assert day.says(*KEEP)[0] == 0
+    assert day.says("reference", "upload", first.folder / "reference.csv")[0] == 0
+    assert day.says(*KEEP, "--into", first.folder)[0] == 1
+    words_of("the board has lost what it had learned", "tailbeat session resume", day.lines)
+    assert json.loads(state.read_text()) == before
+    restored = day.says("session", "resume", "--no-repeat", "--into", first.folder)[1]["restored"]
+    assert restored["learned"] and restored["iteration"] == before["iteration"]
+    goes_on = Path(day.says(*KEEP)[1]["experiment"])
+    assert goes_on.resolve() == first.folder.resolve(), "it is in that one now"
+
+
+def test_another_experiment_has_other_parameters(day: BadDay) -> None:
+    assert day.says(*KEEP)[0] == 0
+    first = day.experiment()
+    csv = first.folder / "reference.csv"
+    assert day.says("experiment", "new", "--another", "--reference", csv)[0] == 0
+    assert day.says("params", "set", "LAW_GAIN", "5")[0] == 0
+    assert day.says("experiment", "use", first.folder)[0] == 0
+    assert day.says(*KEEP)[0] == 1
+    words_of("is set for another experiment", "LAW_GAIN is 5, was 4", day.lines)
 
 
 def test_only_what_a_command_sets_is_meant(day: BadDay) -> None:

@@ -78,7 +78,7 @@ def test_the_numbers_are_those_of_the_logs(swum: Experiment, analysis: Analysis)
     assert [math.isnan(row.contraction) for row in analysis.rows[:3]] == [True, False, True]
     assert analysis.noise_m_s == pytest.approx(np.std([error_of[5], error_of[6]], ddof=1))
     assert analysis.noise_freedom == 1
-    half = 12.7062 * np.sqrt(2) * analysis.noise_m_s / error_of[2]
+    half = 12.7062047364 * np.sqrt(2) * analysis.noise_m_s / error_of[2]
     assert analysis.rows[3].noise_high == pytest.approx(1 + half)
     assert analysis.rows[3].noise_low == pytest.approx(max(0.05, 1 - half))
     assert analysis.start_error_m_s == REFERENCE.speed_m_s.max()

@@ -39,7 +39,12 @@ def discard_and_keep(
     trial that the logbook cannot keep (told on stderr) is dropped all the same; one that belongs to
     an experiment only once it is there, with the ``reason``. Raises InputError (disk full), and
     Refused of a stopped board before anything is written."""
-    from tailbeat.day.bycommand import noted_decision, pending_of, withdrawn_if_refused
+    from tailbeat.day.bycommand import (
+        not_noted,
+        noted_decision,
+        pending_of,
+        withdrawn_if_refused,
+    )
     from tailbeat.logbook import DISCARDED, logbook_of
 
     pending = pending_of(fish, number, f"trial discard{_given(number, repeat, reason)}")
@@ -56,6 +61,8 @@ def discard_and_keep(
         typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
     with withdrawn_if_refused(noted):
         fish.discard(number)
+    if noted is None and (line := not_noted(fish)):
+        typer.echo(f"tailbeat: {line}", err=True)
     if book is not None and copy is not None and not repeat:
         book.mark(copy, DISCARDED)
 

@@ -76,12 +76,14 @@ def learn(
                 text,
             )
             return
-        from tailbeat.day.bycommand import learn_noted
+        from tailbeat.day.bycommand import learn_noted, not_noted
         from tailbeat.verdict import rollback_words
         from tailbeat.visits import never_corrected
 
         report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
         held, visits = fish.amplitudes(), fish.visits()
+        if line := not_noted(fish):
+            typer.echo(f"tailbeat: {line}", err=True)
         verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
     document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
     document["amplitude_rad"] = held.values

@@ -87,9 +87,9 @@ def save(connect: Connect = None, json: Json = False) -> None:
 
         fish.params.save()
         accepted = accept(fish)
-    words = ", ".join(f"{name} {_number(value)}" for name, value in accepted.items())
-    text = f"saved; the experiment goes on with {words}" if words else "saved"
-    say(json, {"saved": True, "accepted": accepted}, text)
+    words = [f"{name} {_number(now)} (was {_number(was)})" for name, (now, was) in accepted.items()]
+    text = f"saved; from now on meant: {', '.join(words)}" if words else "saved"
+    say(json, {"saved": True, "accepted": {name: now for name, (now, _) in accepted.items()}}, text)
 
 
 @app.command()

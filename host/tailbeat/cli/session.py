@@ -136,7 +136,7 @@ def resume(
         from tailbeat.day.restore import restore
 
         display, keys = there
-        if (experiment := _found(fish, into)) is None:
+        if (experiment := _to_resume(fish, into)) is None:
             _put_back_alone(fish, json)
             return
         restored = restore(fish, experiment, another_board)
@@ -197,6 +197,18 @@ def _found(fish: Fish, into: Path | None) -> Experiment | None:
     return Experiment.open(into) if into is not None else current(fish)
 
 
+def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
+    """The one that was named, or the one the fish is in; None when the board has been given another
+    reference than that one's since, and no experiment of it has begun."""
+    from tailbeat.experiment.current import swims_for
+    from tailbeat.model.lent import broken_off
+
+    found = _found(fish, into)
+    if into is not None or broken_off(fish) or fish.status().reference_crc is None:
+        return found
+    return swims_for(fish)
+
+
 def _experiment(fish: Fish, into: Path | None) -> Experiment:
     if (found := _found(fish, into)) is None:
         raise _in_none(fish)
@@ -211,14 +223,22 @@ def _in_none(fish: Fish) -> InputError:
 
 
 def _put_back_alone(fish: Fish, json: bool) -> None:
-    """A fish in no experiment: only what a trim or an identification has left can be put back."""
+    """A fish that swims for no experiment: what a trim or an identification has left can be put
+    back, and what commands have set."""
+    from tailbeat.day.restore import restore_params
+    from tailbeat.experiment.current import current
     from tailbeat.logbook import logbook_of
     from tailbeat.model.lent import put_back_left, safe_folder
 
     notes: list[str] = []
-    if not put_back_left(fish, safe_folder(logbook_of(fish)), notes.append):
+    put_back = put_back_left(fish, safe_folder(logbook_of(fish)), notes.append)
+    params, refused = restore_params(fish)
+    if not put_back and not params and current(fish) is None:
         raise _in_none(fish)
-    say(json, {"experiment": None, "notes": notes}, f"{notes[0]}\nit has it back")
+    lines = [f"{note}; it has it back" for note in notes] + refused
+    lines += [f"given back: {name} {now:g} (it had {was:g})" for name, (was, now) in params.items()]
+    lines.append("nothing was learned along this reference yet; go on: tailbeat trial run")
+    say(json, {"experiment": None, "params": params, "notes": notes + refused}, "\n".join(lines))
 
 
 class _Terminal:

@@ -294,4 +294,5 @@ def discard(
     with connected(connect) as fish:
         discard_and_keep(fish, number, repeat, json, reason)
         status = fish.status()
-    say(json, status, f"discarded; iteration {status.iteration} swims next")
+    what = "kept as a repeat, not learned from" if repeat else "discarded"
+    say(json, status, f"{what}; iteration {status.iteration} swims next")

@@ -15,7 +15,7 @@ from tailbeat.day.person import Decision
 from tailbeat.day.swums import swum_of
 from tailbeat.errors import Refused
 from tailbeat.experiment.board import copy_state
-from tailbeat.experiment.current import swims_for
+from tailbeat.experiment.current import current, swims_for
 from tailbeat.experiment.meant import require_meant_here
 from tailbeat.experiment.redo import write_redo
 from tailbeat.faults import WRONG_STATE, fault_info
@@ -61,12 +61,9 @@ def pending_of(fish: Fish, number: int | None, command: str) -> int | None:
 
 
 def noted_decision(fish: Fish, number: int, kind: DecisionKind, reason: str = "") -> Noted | None:
-    """Into the experiment the fish is in, with the trial's log, before the board hears of it. None
-    when the trial is none of it: of another reference, or one to drop that was not begun there last
-    and for which nobody gives a reason. Raises InputError (disk full)."""
+    """Into the experiment the fish swims for, with the trial's log, before the board hears of it.
+    None when it swims for none. Raises InputError (disk full)."""
     if (account := _account(fish)) is None:
-        return None
-    if kind != "keep" and not reason and account.last_trial() != number:
         return None
     log = keep_log(fish, account.experiment, number)
     swum = swum_of(outcome_of(log.trial), log, None)
@@ -109,6 +106,18 @@ def learn_noted(fish: Fish, number: int | None, command: str) -> LearnReport:
     if noted is not None:
         noted.learned(fish, report)
     return report
+
+
+def not_noted(fish: Fish) -> str:
+    """What a person should know when the fish is in an experiment that its swims are not of; empty
+    otherwise."""
+    experiment = current(fish)
+    if experiment is None or swims_for(fish) is not None:
+        return ""
+    return (
+        f"not written into {experiment.name}, which is of another reference; a new one begins with"
+        " the next guided trial run, or now: tailbeat experiment new"
+    )
 
 
 def restore_best_noted(fish: Fish) -> None:

@@ -67,7 +67,16 @@ def first_session(
     anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
     reference. Ends early, with a step that is not done, when one fails that the next ones need.
     Raises LinkLostError."""
-    session = _Session(fish, reference, person, camera, guard, wanted or Wanted())
+    own = fish.default_camera() if camera is None else None
+    try:
+        session = _Session(fish, reference, person, camera or own, guard, wanted or Wanted())
+        yield from _steps(session)
+    finally:
+        if own is not None:
+            own.close()
+
+
+def _steps(session: _Session) -> Iterator[Step]:
     needed: list[tuple[str, Callable[[], Step], bool]] = [
         ("look", session.look, True),
         ("trim", session.trim, False),

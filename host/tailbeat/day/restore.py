@@ -9,7 +9,7 @@ from tailbeat.day.repeat import AGAIN, end_repeat, idle
 from tailbeat.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.experiment.board import BoardState, copy_state, expected_params, held_state
 from tailbeat.experiment.current import reference_of, use
-from tailbeat.experiment.meant import strayed
+from tailbeat.experiment.meant import note_board, strayed
 from tailbeat.logbook import logbook_of
 from tailbeat.model.lent import put_back_left, safe_folder
 from tailbeat.records import record_crc
@@ -54,7 +54,7 @@ def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> 
     lacks = _lacks(fish, experiment, held, notes) if pending is None else _Lacks()
     if before is not None:  # first: a second call then finds the board it is about
         experiment.write_settings({"unique_id": fish.unique_id(), "board_before": before})
-        use(fish, experiment)
+    use(fish, experiment)
     found = _strayed(fish, experiment, notes)
     given = _give_params(fish, {name: meant for name, (_, meant) in found.items()}, notes)
     if pending is None:
@@ -74,6 +74,16 @@ def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> 
     )
     experiment.journal.add("resumed", **asdict(restored), board_s=fish.clock.now_s())
     return restored
+
+
+def restore_params(fish: Fish) -> tuple[dict[str, tuple[float, float]], list[str]]:
+    """For a board that swims for no experiment yet: what commands have set, and it has lost, is
+    given back and saved: (what it was, what it is now), and notes."""
+    notes: list[str] = []
+    idle(fish)
+    found = strayed(fish, None)
+    given = _give_params(fish, {name: meant for name, (_, meant) in found.items()}, notes)
+    return {name: found[name] for name in given}, notes
 
 
 def _held(experiment: Experiment) -> BoardState:
@@ -137,6 +147,7 @@ def _give_params(fish: Fish, wanted: dict[str, float], notes: list[str]) -> dict
             refused[name] = error.message
     if given:
         fish.params.save()
+        note_board(fish, given)
     notes += [f"{name} = {wanted[name]:g} was refused: {why}" for name, why in refused.items()]
     return given
 
@@ -170,6 +181,8 @@ def _is_behind(fish: Fish, held: BoardState, notes: list[str]) -> bool:
     if held.learned is None or mine == held.learned:
         return False
     status = fish.status()
+    if held.has_best and status.best_iteration is None:
+        return True  # trial numbers run on from one reference to the next
     last, held_last = status.last_learned_trial or 0, held.last_learned_trial or 0
     if last > held_last or (last == held_last and status.iteration >= held.iteration):
         if mine is not None and last == held_last and status.iteration == held.iteration:

@@ -416,7 +416,7 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         learned=bool(told.learned),
         rolled_back=told.rolled_back,
         straight=straightness(trial),
-        battery_start_v=volts[0],
+        battery_start_v=volts[0] if told.battery_start_v is None else told.battery_start_v,
         battery_end_v=volts[-1],
         input=trial.input,
         file=path.name,

@@ -17,6 +17,7 @@ from tailbeat.errors import InputError
 from tailbeat.faults import NO_REFERENCE, refusal
 from tailbeat.lasting import MAKE_ROOM, write_whole
 from tailbeat.plain import canonical
+from tailbeat.records import decode_learned
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,11 +40,21 @@ class BoardState:
     learned: bytes | None
     last_learned_trial: int | None
 
+    @property
+    def has_best(self) -> bool:
+        """Whether something was learned along this reference, as far as its record can be read."""
+        try:
+            return self.learned is not None and decode_learned(self.learned).best_iteration > 0
+        except InputError:
+            return False
+
     def knows_more(self, than: BoardState) -> bool:
         """Whether ``than`` has learned less: a board whose storage was erased counts iterations
         and trials from the beginning, one that got its reference again only iterations."""
         if self.learned is None or self.learned == than.learned:
             return False
+        if self.has_best and not than.has_best:
+            return True  # trial numbers run on from one reference to the next
         last, its_last = self.last_learned_trial or 0, than.last_learned_trial or 0
         ahead = self.iteration - max(1, than.iteration)
         return (last > its_last and ahead >= 0) or (last == its_last and ahead > 0)
@@ -85,9 +96,9 @@ def require_not_lost(fish: Fish, experiment: Experiment) -> None:
         held,
         iteration=status.iteration,
         last_learned_trial=status.last_learned_trial,
-        learned=None,
+        learned=fish.learned_record(),
     )
-    if not held.knows_more(now) or fish.learned_record() == held.learned:
+    if not held.knows_more(now):
         return
     first = "" if status.pending_trial is None else "tailbeat trial discard --reason WHY, then "
     raise InputError(

@@ -367,4 +367,7 @@ def other_differences(a: Experiment, b: Experiment) -> list[str]:
 
 
 def _text(value: object) -> str:
-    return "unknown" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    """A number with the digits that tell it from its neighbours as a board holds them."""
+    if isinstance(value, float):
+        return np.format_float_positional(np.float32(value), trim="-")
+    return "unknown" if value is None else str(value)

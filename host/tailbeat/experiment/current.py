@@ -149,11 +149,14 @@ def make(
     words: dict[str, str] | None = None,
 ) -> Experiment:
     """As ``begin``, of a reference that the board may get later. ``words``: what else is to be set:
-    operator, configuration."""
+    operator, configuration. Raises InputError when the board is not as it was set last."""
+    from tailbeat.experiment.meant import note_board, require_as_set
     from tailbeat.laws import Law, Past
 
+    require_as_set(fish)
     info = fish.info()
     params = {key: p.value for key, p in fish.params.list().items()}
+    note_board(fish, params)
     label = Past.from_params(params).label() + Law.from_params(params, reference.beat_s).label()
     experiment = Experiment.new(root, name or info.board, reference.name, label)
     settings: dict[str, Any] = {

@@ -1,34 +1,69 @@
-"""Which parameters an experiment's board is meant to have: what it had last, what was set since.
+"""Which parameters a board is meant to have: what its experiment had last, what was set since.
 
 Everything else is lost (a battery swap takes what was not saved) or somebody else's doing. A swim
 would go on with it, and the law learn by it, without a word: so it is told first.
+
+An experiment knows its own in its journal and its copy of the board's state. Before there is one,
+and between two, the fish's logbook does: ``meant.json``, what commands have set on this board.
 """
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from tailbeat.errors import InputError
+from tailbeat.errors import InputError, reason
 from tailbeat.experiment.board import expected_params, set_held_params
 from tailbeat.experiment.current import swims_for
+from tailbeat.lasting import write_whole
+from tailbeat.logbook import logbook_of
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish
 
+Strayed = dict[str, tuple[float, float]]
+"""Parameters that are not as they are meant to be: (what the board has, what is meant)."""
+
+_MEANT = "meant.json"
 _NAMED_MAX = 3
+_OFF = "it was switched off, or somebody else has set it"
+_REMEDY = (
+    "To give it back, as after a battery swap: tailbeat session resume. If it is meant so:"
+    " tailbeat params save"
+)
 
 
 def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | None = None) -> None:
-    """What was set on purpose, into ``experiment``, by default the one the fish swims for; without
-    one nothing is noted. Raises InputError (disk full); the board then counts as strayed."""
+    """What was set on purpose, into the logbook and into ``experiment``, by default the one the
+    fish swims for. Raises InputError (disk full); the board then counts as strayed."""
     experiment = experiment or swims_for(fish)
-    if experiment is not None and params:
+    if not params:
+        return
+    note_board(fish, params)
+    if experiment is not None:
         experiment.journal.add("set", params=dict(params))
         set_held_params(experiment, params)
+
+
+def note_board(fish: Fish, params: Mapping[str, float]) -> None:
+    """What the board is meant to have, into the logbook alone. Does nothing for a board without
+    one. Raises InputError."""
+    if (path := _path(fish)) is None:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot write into the logbook {path.parent} ({reason(error)})",
+            "Make the folder writable, or name another one in TAILBEAT_LOGBOOK.",
+        ) from error
+    write_whole(path, json.dumps(_board_params(fish) | dict(params)) + "\n")
 
 
 @contextmanager
@@ -40,46 +75,55 @@ def meant(fish: Fish) -> Iterator[None]:
     note_set(fish, {name: value for name, value in after.items() if before.get(name) != value})
 
 
-def strayed(fish: Fish, experiment: Experiment) -> dict[str, tuple[float, float]]:
-    """Parameters that are not as they are meant to be: (what the board has, what is meant). What
-    only one of the two knows is another firmware's."""
+def strayed(fish: Fish, experiment: Experiment | None) -> Strayed:
+    """From what ``experiment`` had, or without one from what was set. What only one of the two
+    knows is another firmware's."""
+    wanted = _board_params(fish) if experiment is None else expected_params(experiment)
     now = _values(fish)
     return {
         name: (now[name], value)
-        for name, value in expected_params(experiment).items()
+        for name, value in wanted.items()
         if name in now and not same(now[name], value)
     }
 
 
 def require_meant(fish: Fish, experiment: Experiment) -> None:
-    """Raises InputError when the board's parameters are not as they are meant to be."""
-    found = strayed(fish, experiment)
-    if not found:
+    """Raises InputError when the board's parameters are not as ``experiment`` had them."""
+    if not (found := strayed(fish, experiment)):
         return
-    words = [f"{name} is {now:g}, was {was:g}" for name, (now, was) in found.items()]
-    if len(words) > _NAMED_MAX:
-        words = [*words[:_NAMED_MAX], f"{len(words) - _NAMED_MAX} more"]
+    known = _board_params(fish)
+    if all(name in known and same(known[name], now) for name, (now, _) in found.items()):
+        raise InputError(
+            f"the board is set for another experiment than {experiment.name} ({_words(found)}).",
+            f"To go on with what {experiment.name} had: tailbeat session resume. With what the"
+            " board has: tailbeat params save",
+        )
     raise InputError(
-        f"the board is not as {experiment.name} last had it ({', '.join(words)}): it was switched"
-        " off, or somebody else has set it.",
-        "To give it back, as after a battery swap: tailbeat session resume. If it is meant so:"
-        " tailbeat params save",
+        f"the board is not as {experiment.name} last had it ({_words(found)}): {_OFF}.", _REMEDY
     )
 
 
-def accept(fish: Fish) -> dict[str, float]:
-    """What has strayed in the experiment the fish swims for is meant so from now on; what it is."""
-    if (experiment := swims_for(fish)) is None:
-        return {}
-    found = {name: now for name, (now, _) in strayed(fish, experiment).items()}
-    note_set(fish, found, experiment)
-    return found
+def require_as_set(fish: Fish) -> None:
+    """Raises InputError when the board's parameters are not as commands have set them; for a board
+    that swims for no experiment yet."""
+    if found := strayed(fish, None):
+        raise InputError(f"the board is not as it was set last ({_words(found)}): {_OFF}.", _REMEDY)
 
 
 def require_meant_here(fish: Fish) -> None:
-    """As ``require_meant``, in the experiment the fish swims for."""
+    """As ``require_meant``, in the experiment the fish swims for, or ``require_as_set``."""
     if (experiment := swims_for(fish)) is not None:
         require_meant(fish, experiment)
+    else:
+        require_as_set(fish)
+
+
+def accept(fish: Fish) -> Strayed:
+    """What has strayed is meant so from now on; what it was."""
+    experiment = swims_for(fish)
+    found = strayed(fish, experiment)
+    note_set(fish, {name: now for name, (now, _) in found.items()}, experiment)
+    return found
 
 
 def same(value: float, other: float) -> bool:
@@ -89,3 +133,25 @@ def same(value: float, other: float) -> bool:
 
 def _values(fish: Fish) -> dict[str, float]:
     return {name: p.value for name, p in fish.params.list().items()}
+
+
+def _words(found: Strayed) -> str:
+    words = [f"{name} is {now:g}, was {was:g}" for name, (now, was) in found.items()]
+    if len(words) > _NAMED_MAX:
+        words = [*words[:_NAMED_MAX], f"{len(words) - _NAMED_MAX} more"]
+    return ", ".join(words)
+
+
+def _board_params(fish: Fish) -> dict[str, float]:
+    """As the logbook has them; empty = nothing was set, or the file is damaged."""
+    path = _path(fish)
+    try:
+        held = json.loads(path.read_bytes()) if path is not None else {}
+        return {str(name): float(value) for name, value in held.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _path(fish: Fish) -> Path | None:
+    book = logbook_of(fish)
+    return None if book is None else book.folder / _MEANT

@@ -61,6 +61,9 @@ class Replay:
         return not self.different
 
 
+_RAW_FIRST = "raw files are not as they were: put them back from a copy, then again"
+
+
 @dataclass
 class _Found:
     """What a replay has come to so far."""
@@ -81,15 +84,12 @@ def replay(experiment: Experiment, scratch: Path) -> Replay:
     for trial in analysis.trials:
         _recompute(trial, found)
     learning = _relearn(experiment, analysis, found)
-    copy = _copy(experiment, scratch)
-    if (experiment.folder / ANALYSIS).is_file():
-        write_analysis(copy)
-        _compare(experiment.folder, copy.folder, [ANALYSIS], found)
+    if experiment.raw_problems():
+        found.not_drawn.append((f"{ANALYSIS} and {REPORT}", _RAW_FIRST))
     else:
-        found.not_drawn.append((ANALYSIS, "it is not there; make it: tailbeat report"))
-    _redraw(experiment, copy, scratch, found)
+        _make_again(experiment, scratch, found)
     return Replay(
-        raw=len(experiment.sums()),
+        raw=len(experiment.sums()) - len(experiment.damaged()),
         recomputed=found.recomputed,
         not_recomputed=found.not_recomputed,
         learned=learning.learned,
@@ -98,6 +98,16 @@ def replay(experiment: Experiment, scratch: Path) -> Replay:
         not_learned=learning.not_learned,
         not_drawn=found.not_drawn,
     )
+
+
+def _make_again(experiment: Experiment, scratch: Path, found: _Found) -> None:
+    copy = _copy(experiment, scratch)
+    if (experiment.folder / ANALYSIS).is_file():
+        write_analysis(copy)
+        _compare(experiment.folder, copy.folder, [ANALYSIS], found)
+    else:
+        found.not_drawn.append((ANALYSIS, "it is not there; make it: tailbeat report"))
+    _redraw(experiment, copy, scratch, found)
 
 
 def _problems(experiment: Experiment, analysis: Analysis) -> list[str]:

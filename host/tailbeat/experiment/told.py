@@ -11,7 +11,8 @@ from typing import Any
 @dataclass(frozen=True)
 class Told:
     """Of one trial's file. ``decision`` empty: nobody decided. ``learned`` None: the journal does
-    not tell (an older tool, or commands without a series). ``swum``: it tells of the swim."""
+    not tell (an older tool, or commands without a series). ``swum``: it tells of the swim.
+    ``battery_start_v``: before the tail loaded it; a log begins later."""
 
     decision: str = ""
     reason: str = ""
@@ -19,6 +20,7 @@ class Told:
     rolled_back: bool = False
     time: str = ""
     swum: bool = False
+    battery_start_v: float | None = None
 
 
 def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> dict[str, Told]:
@@ -41,7 +43,8 @@ def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> d
 
 def _with(told: Told, entry: Mapping[str, Any]) -> Told:
     if entry["what"] == "swum":
-        return replace(told, time=str(entry["time"]), swum=True)
+        volts = entry.get("battery_start_v")
+        return replace(told, time=str(entry["time"]), swum=True, battery_start_v=volts)
     if entry["what"] == "decided":
         decision, reason = str(entry.get("decision", "")), str(entry.get("reason") or "")
         learned = told.learned or False  # a decision alone: it has not happened, or not yet
