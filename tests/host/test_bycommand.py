@@ -82,6 +82,18 @@ def test_what_learn_learns_is_in_the_experiment(fish: Fish, experiment: Experime
     assert Account(experiment, experiment.journal).open_trial() is None
 
 
+def test_what_is_dropped_without_a_word_is_in_it_too(fish: Fish, experiment: Experiment) -> None:
+    for words, kind in (
+        (("trial", "discard"), "discard"),
+        (("trial", "discard", "--repeat"), "repeat"),
+    ):
+        number = swims(fish)
+        assert types(*words).exit_code == 0
+        decision = experiment.journal.decisions()[number]
+        assert (decision["decision"], decision["reason"]) == (kind, "by command, no reason given")
+    assert [row.trial for row in analyse(experiment).rows] == [1, 2]
+
+
 def test_the_best_brought_back_is_in_the_experiment(fish: Fish, experiment: Experiment) -> None:
     for _ in range(2):
         swims(fish)
@@ -114,6 +126,15 @@ def test_a_swim_along_another_reference_is_none_of_the_experiments(
     assert types("learn").exit_code == 0
     assert types("learn", "--restore-best").exit_code == 0
     assert whats(experiment) == [] and not list(experiment.raw.glob("*.ulg"))
+
+
+def test_what_is_written_nowhere_is_told(fish: Fish, experiment: Experiment) -> None:
+    fish.upload_reference(Reference(1.0, HILL.speed_m_s[::-1].copy(), "other"))
+    for words in (("learn",), ("trial", "discard")):
+        swims(fish)
+        told = types(*words).stderr
+        assert f"not written into {experiment.name}, which is of another reference" in told
+    assert whats(experiment) == []
 
 
 def test_nothing_is_learned_on_a_full_disk_before_it_is_written_down(

@@ -84,6 +84,18 @@ def test_the_numbers_are_those_of_the_logs(swum: Experiment, analysis: Analysis)
     assert analysis.start_error_m_s == REFERENCE.speed_m_s.max()
 
 
+def test_the_battery_is_that_from_before_the_tail_loaded_it(copy: Experiment) -> None:
+    """A log begins later; of a swim that no ritual preceded it is all there is."""
+    path = copy.folder / "journal.jsonl"
+    entries = [json.loads(line) for line in path.read_text().splitlines()]
+    swims = [entry for entry in entries if entry["what"] == "swum"]
+    swims[0]["battery_start_v"], swims[1]["battery_start_v"] = 8.31, None
+    path.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    rows = analyse(copy).rows
+    assert rows[0].battery_start_v == 8.31
+    assert rows[1].battery_start_v == read_trial(copy.raw / rows[1].file).battery_v[0][1]
+
+
 def test_the_band_is_of_what_counts(analysis: Analysis) -> None:
     band, error_of = analysis.band, {row.trial: row.max_abs_error_m_s for row in analysis.rows}
     assert band.iteration.tolist() == [1, 2, 3, 4]

@@ -103,9 +103,14 @@ def test_one_flipped_bit_in_the_analysis_is_found(copy: Experiment, tmp_path: Pa
 def test_a_missing_and_a_foreign_raw_file_are_found(copy: Experiment, tmp_path: Path) -> None:
     (copy.raw / "0002.ulg").unlink()
     (copy.raw / "0099.ulg").write_bytes(b"whatever")
-    found = again(copy, tmp_path).different
+    whole = len(copy.sums())
+    replayed = again(copy, tmp_path)
+    found = replayed.different
     assert "raw/0002.ulg is missing" in found
     assert "raw/0099.ulg is not listed in SHA256SUMS" in found
+    assert not [line for line in found if "tailbeat report" in line], "not made again from these"
+    assert any("put them back from a copy" in why for _, why in replayed.not_drawn)
+    assert replayed.raw == whole - 1
 
 
 def test_learning_that_never_happened_is_found(copy: Experiment, tmp_path: Path) -> None:
