@@ -212,6 +212,8 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         swims = sum(e["event"] == "started" for e in somebody.told)
         rests = sum(e.get("step") == "rest" and e["ok"] is True for e in somebody.told)
         assert swims >= 8 and counted == rests == swims  # the ritual goes before every one
+        blind = [e for e in somebody.told if "not checked" in str(e.get("text"))]
+        assert blind == [], "its camera looks at every start"
         raises = [one for step in steps for one in step.raises]
         assert [one.was for one in raises] == pytest.approx([0.5, 0.6])
         assert limit(fish) == pytest.approx(raises[-1].to)
