@@ -58,9 +58,10 @@ class TrialRow:
     = there is no contraction or there are no repeats. ``complete``: every beat swum and measured.
     ``learned``, ``rolled_back``: what the board did with it; where the journal does not tell, by
     what swam next. Voltages: before the tail loaded the battery, as the journal has it, else the
-    first in the log; and the last in the log; NaN = none. ``file``: its name in ``raw/``. ``undecided``: nobody decided, nothing was learned from it, and the journal tells of
-    swims (in a folder without a journal all count as kept). ``epoch``: 0, and one more each time
-    the board began anew and counted iterations from the beginning again."""
+    first in the log; and the last in the log; NaN = none. ``file``: its name in ``raw/``.
+    ``undecided``: nobody decided, nothing was learned from it, and the journal tells of swims (in a
+    folder without a journal all count as kept). ``epoch``: 0, and one more each time the board
+    began anew and counted iterations from the beginning again."""
 
     trial: int
     iteration: int
