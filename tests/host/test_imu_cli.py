@@ -82,7 +82,8 @@ class ScriptedBoard:
 
     def _command(self, m: Any) -> None:
         if m.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
-            self._send({52505: self._health, 52507: self._info}[round(m.param1)]())
+            told = {148: self._version, 52505: self._health, 52507: self._info}
+            self._send(told[round(m.param1)]())
             return
         fault = 0
         if m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -94,6 +95,10 @@ class ScriptedBoard:
             self.saved += not fault
         result = mavlink.MAV_RESULT_DENIED if fault else mavlink.MAV_RESULT_ACCEPTED
         self._send(mavlink.MAVLink_command_ack_message(m.command, result, 0, fault, 255, 190))
+
+    def _version(self) -> Any:
+        none = [0] * 8
+        return mavlink.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, none, none, none, 0, 0, 7)
 
     def _info(self) -> Any:
         return mavlink.MAVLink_tailbeat_imu_info_message(**self.info)

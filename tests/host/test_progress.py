@@ -194,11 +194,15 @@ def test_a_fluctuating_series_gets_a_falling_gain(
     def connected(url: str | None) -> Iterator[SimpleNamespace]:
         yield SimpleNamespace(params=Params())
 
+    noted: dict[str, float] = {}
+    monkeypatch.setattr(
+        "tailbeat.experiment.meant.note_set", lambda _, params: noted.update(params)
+    )
     monkeypatch.setattr("tailbeat.cli.progress.connected", connected)
     out, _ = tailbeat("progress", "--experiment", str(swum), "--apply", "--json")
     found = json.loads(out)
     assert found["fluctuation"] > 1.3
-    assert found["fade"] == set_to == found["applied"]
+    assert found["fade"] == set_to == found["applied"] == noted
     assert 0 < set_to["LAW_FADE"] <= 10
     assert set_to["LAW_FADE_FROM"] >= 1
     text, _ = tailbeat("progress", "--experiment", str(swum))
