@@ -30,6 +30,9 @@ from tailbeat.camera.base import CameraGone, Frame
 from tailbeat.camera.simulated import SimulatedCamera
 from tailbeat.cli import run
 from tailbeat.cli.app import app
+from tailbeat.cli.person import TerminalPerson
+from tailbeat.day.person import Decision
+from tailbeat.day.swum import Swum
 from tailbeat.experiment import Experiment
 from tailbeat.experiment.current import begin
 from tailbeat.fish import Fish
@@ -137,6 +140,9 @@ class BadDay(Day):
         words_of(differs, "tailbeat session resume", self.lines)
         assert self.board.truth().swims == swims
         assert (before.read_bytes() if before.exists() else b"") == held
+        self.require_resume_only()
+
+    def require_resume_only(self) -> None:
         assert self.says("session", "resume", "--no-repeat")[0] == 0, self.lines
 
     def require_goes_on(self) -> None:
@@ -444,6 +450,54 @@ def test_another_experiment_has_other_parameters(day: BadDay) -> None:
     assert day.says("experiment", "use", first.folder)[0] == 0
     assert day.says(*KEEP)[0] == 1
     words_of("is set for another experiment", "LAW_GAIN is 5, was 4", day.lines)
+
+
+def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.MonkeyPatch) -> None:
+    decide = TerminalPerson.decide
+
+    def slowly(self: TerminalPerson, swum: Swum) -> Decision:
+        day.board.swap_battery(8.2)
+        return decide(self, swum)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TerminalPerson, "decide", slowly)
+        assert day.says(*KEEP, "--until", "3")[0] == 1
+    words_of("LAW_LEAD is 0, was 1", "tailbeat session resume", day.lines)
+    assert day.experiment().journal.entries("learned") == []
+    assert day.status().pending_trial == 1 and day.board.truth().swims == 1
+    day.require_resume_only()
+    day.require_goes_on()
+
+
+def test_what_is_set_to_what_the_board_has_is_meant_too(day: BadDay) -> None:
+    assert day.says(*KEEP)[0] == 0
+    day.board.swap_battery(8.2)
+    assert day.says("params", "reset")[0] == 0
+    resumed = day.says("session", "resume", "--no-repeat")[1]["restored"]
+    assert resumed["params"] == {}, "every parameter was set on purpose, to its default"
+    day.require_goes_on()
+
+
+def test_a_way_out_of_an_older_setting(day: BadDay) -> None:
+    """Set for a reference that never swam, lost, and the older experiment gone on with."""
+    assert day.says(*KEEP)[0] == 0
+    csv = day.experiment().folder / "reference.csv"
+    assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
+    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    day.board.swap_battery(8.2)
+    assert day.says("reference", "upload", csv)[0] == 0
+    assert day.says("session", "resume", "--no-repeat")[0] == 0, day.lines
+    assert day.says("experiment", "new", "--another", "--reference", csv)[0] == 0, day.lines
+
+
+def test_a_damaged_account_of_what_was_set(day: BadDay) -> None:
+    shutil.rmtree("experiments")
+    (meant,) = Path(os.environ["TAILBEAT_LOGBOOK"]).glob("*/meant.json")
+    meant.write_text("{")
+    assert day.says(*KEEP)[0] == 1
+    words_of("meant.json is damaged", "then delete the file", day.lines)
+    meant.unlink()
+    assert day.says(*KEEP)[0] == 0
 
 
 def test_only_what_a_command_sets_is_meant(day: BadDay) -> None:

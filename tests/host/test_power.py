@@ -17,8 +17,9 @@ from tailbeat.fish import Fish
 def board(now_s: float, simulated: bool = False) -> Fish:
     """One that was switched on ``now_s`` ago."""
     clock = SimpleNamespace(now_s=lambda: now_s)
-    info = SimpleNamespace(simulated=simulated)
-    return cast("Fish", SimpleNamespace(clock=clock, info=lambda: info))
+    status, info = SimpleNamespace(time_s=now_s), SimpleNamespace(simulated=simulated)
+    made = SimpleNamespace(clock=clock, status=lambda: status, info=lambda: info)
+    return cast("Fish", made)
 
 
 @pytest.fixture

@@ -129,19 +129,21 @@ def _reference(text: str | None, fish: Fish | None) -> Reference:
 def _apply(fish: Fish, found: Design) -> None:
     """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
     last trial alone, so those go with it."""
-    from tailbeat.experiment.meant import meant
+    from tailbeat.experiment.meant import note_set
     from tailbeat.laws import LAST
 
     law = found.law
-    with meant(fish):
-        fish.params.set("LAW_KD", law.kd_rad_s2_m)
-        fish.params.set("LAW_GAIN", law.kp_rad_s_m)
-        fish.params.set("LAW_LEAD", law.lead_beats)
-        fish.params.set("LAW_Q_LEN", law.q_len)
-        fish.params.set("LAW_TAIL", law.tail)
-        fish.params.set("LAW_FADE", law.fade)
-        if "LAW_KIND" in fish.params.list():  # older firmware has no other
-            fish.params.set("LAW_KIND", LAST)
+    wanted = {
+        "LAW_KD": law.kd_rad_s2_m,
+        "LAW_GAIN": law.kp_rad_s_m,
+        "LAW_LEAD": law.lead_beats,
+        "LAW_Q_LEN": law.q_len,
+        "LAW_TAIL": law.tail,
+        "LAW_FADE": law.fade,
+    }
+    if "LAW_KIND" in fish.params.list():  # older firmware has no other
+        wanted["LAW_KIND"] = LAST
+    note_set(fish, {name: fish.params.set(name, value).value for name, value in wanted.items()})
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:

@@ -99,10 +99,10 @@ def load(connect: Connect = None, json: Json = False) -> None:
     Example: tailbeat params load
     """
     with connected(connect) as fish:
-        from tailbeat.experiment.meant import meant
+        from tailbeat.experiment.meant import note_all
 
-        with meant(fish):
-            fish.params.load()
+        fish.params.load()
+        note_all(fish)
     say(json, {"loaded": True}, "loaded")
 
 
@@ -113,8 +113,8 @@ def reset(connect: Connect = None, json: Json = False) -> None:
     Example: tailbeat params reset
     """
     with connected(connect) as fish:
-        from tailbeat.experiment.meant import meant
+        from tailbeat.experiment.meant import note_all
 
-        with meant(fish):
-            fish.params.reset()
+        fish.params.reset()
+        note_all(fish)
     say(json, {"reset": True}, "all parameters at their defaults")

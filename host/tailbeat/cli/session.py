@@ -137,6 +137,8 @@ def resume(
 
         display, keys = there
         if (experiment := _to_resume(fish, into)) is None:
+            if another_board:
+                raise _in_none(fish)
             _put_back_alone(fish, json)
             return
         restored = restore(fish, experiment, another_board)
@@ -237,7 +239,7 @@ def _put_back_alone(fish: Fish, json: bool) -> None:
         raise _in_none(fish)
     lines = [f"{note}; it has it back" for note in notes] + refused
     lines += [f"given back: {name} {now:g} (it had {was:g})" for name, (was, now) in params.items()]
-    lines.append("nothing was learned along this reference yet; go on: tailbeat trial run")
+    lines.append("no experiment of this reference has begun: nothing to repeat; tailbeat trial run")
     say(json, {"experiment": None, "params": params, "notes": notes + refused}, "\n".join(lines))
 
 

@@ -9,6 +9,7 @@ from tailbeat.day.board import STOPPED, dangerous, settled, stop_words
 from tailbeat.day.person import Decision
 from tailbeat.errors import InputError, Refused, TailbeatError
 from tailbeat.experiment.board import copy_state
+from tailbeat.experiment.meant import require_meant
 from tailbeat.logbook import DISCARDED, logbook_of
 from tailbeat.verdict import rollback_words
 
@@ -57,7 +58,8 @@ class Office:
 
     def carry_out(self, swum: Swum, decision: Decision) -> Done:
         """The board learns from the trial or drops it. Clears what stopped it, unless that was a
-        rule of the board's own. Raises Refused; then it is asked again."""
+        rule of the board's own. Raises Refused; then it is asked again; InputError when the board
+        would learn with parameters nobody meant."""
         self._file(swum, decision)
         status = self.fish.status()
         number = swum.outcome.number
@@ -68,6 +70,8 @@ class Office:
                 return Done(left=stop_words(status))
             self.fish.clear()
             status = self.fish.status()
+        if decision.kind == "keep":  # somebody may have swapped the battery while it was asked
+            require_meant(self.fish, self.account.experiment)
         try:
             learned = self._on_board(swum, decision, status)
         except Refused as refused:

@@ -9,7 +9,7 @@ from tailbeat.day.repeat import AGAIN, end_repeat, idle
 from tailbeat.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.experiment.board import BoardState, copy_state, expected_params, held_state
 from tailbeat.experiment.current import reference_of, use
-from tailbeat.experiment.meant import note_board, strayed
+from tailbeat.experiment.meant import note_restored, strayed
 from tailbeat.logbook import logbook_of
 from tailbeat.model.lent import put_back_left, safe_folder
 from tailbeat.records import record_crc
@@ -147,7 +147,7 @@ def _give_params(fish: Fish, wanted: dict[str, float], notes: list[str]) -> dict
             refused[name] = error.message
     if given:
         fish.params.save()
-        note_board(fish, given)
+    note_restored(fish)
     notes += [f"{name} = {wanted[name]:g} was refused: {why}" for name, why in refused.items()]
     return given
 

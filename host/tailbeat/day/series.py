@@ -176,9 +176,9 @@ class _Series:
         return SeriesEnd(why, words, self.rounds, self.verdict)
 
     def swim(self) -> SeriesEnd:
-        end = self._catch_up() or self._switched_off() or self._enough()
+        end = self._catch_up() or self._enough()
         while end is None:
-            end = self._battery() or self._round() or self._enough()
+            end = self._battery() or self._switched_off() or self._round() or self._enough()
         return end
 
     def _catch_up(self) -> SeriesEnd | None:
@@ -202,9 +202,10 @@ class _Series:
         return self._cleared()
 
     def _switched_off(self) -> SeriesEnd | None:
-        """The hull may have been open: whether the best is repeated first is the person's to say.
-        Before there is a best nothing can tell a shift."""
+        """Before each swim: the hull may have been open, and whether the best is repeated first is
+        the person's to say. Before there is a best nothing can tell a shift."""
         fish, journal = self.around.fish, self.account.journal
+        require_meant(fish, self.account.experiment)
         if self.options.of_best or fish.status().best_iteration is None:
             return None
         if (trial := switched_off_since(fish, journal)) is None:

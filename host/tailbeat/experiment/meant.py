@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from tailbeat.errors import InputError, reason
@@ -42,13 +41,14 @@ _REMEDY = (
 def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | None = None) -> None:
     """What was set on purpose, into the logbook and into ``experiment``, by default the one the
     fish swims for. Raises InputError (disk full); the board then counts as strayed."""
-    experiment = experiment or swims_for(fish)
-    if not params:
-        return
     note_board(fish, params)
-    if experiment is not None:
-        experiment.journal.add("set", params=dict(params))
-        set_held_params(experiment, params)
+    if (experiment := experiment or swims_for(fish)) is None:
+        return
+    known = expected_params(experiment)
+    new = {n: v for n, v in params.items() if n not in known or not same(known[n], v)}
+    if new:
+        experiment.journal.add("set", params=new)
+        set_held_params(experiment, new)
 
 
 def note_board(fish: Fish, params: Mapping[str, float]) -> None:
@@ -66,13 +66,14 @@ def note_board(fish: Fish, params: Mapping[str, float]) -> None:
     write_whole(path, json.dumps(_board_params(fish) | dict(params)) + "\n")
 
 
-@contextmanager
-def meant(fish: Fish) -> Iterator[None]:
-    """Notes what changes of the board's parameters meanwhile."""
-    before = _values(fish)
-    yield
-    after = _values(fish)
-    note_set(fish, {name: value for name, value in after.items() if before.get(name) != value})
+def note_all(fish: Fish) -> None:
+    """Whatever the board has now was set on purpose."""
+    note_set(fish, _values(fish))
+
+
+def note_restored(fish: Fish) -> None:
+    """The board has what it is meant to have again: the logbook follows. Raises InputError."""
+    note_board(fish, _values(fish))
 
 
 def strayed(fish: Fish, experiment: Experiment | None) -> Strayed:
@@ -119,10 +120,9 @@ def require_meant_here(fish: Fish) -> None:
 
 
 def accept(fish: Fish) -> Strayed:
-    """What has strayed is meant so from now on; what it was."""
-    experiment = swims_for(fish)
-    found = strayed(fish, experiment)
-    note_set(fish, {name: now for name, (now, _) in found.items()}, experiment)
+    """Whatever the board has is meant so from now on; what had strayed."""
+    found = strayed(fish, swims_for(fish))
+    note_all(fish)
     return found
 
 
@@ -143,13 +143,17 @@ def _words(found: Strayed) -> str:
 
 
 def _board_params(fish: Fish) -> dict[str, float]:
-    """As the logbook has them; empty = nothing was set, or the file is damaged."""
-    path = _path(fish)
-    try:
-        held = json.loads(path.read_bytes()) if path is not None else {}
-        return {str(name): float(value) for name, value in held.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+    """As the logbook has them; empty = nothing was set. Raises InputError when it is damaged."""
+    if (path := _path(fish)) is None or not path.is_file():
         return {}
+    try:
+        held = json.loads(path.read_bytes())
+        return {str(name): float(value) for name, value in held.items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path} is damaged: nobody knows how the board was set.",
+            "Look at its parameters (tailbeat params list), then delete the file.",
+        ) from error
 
 
 def _path(fish: Fish) -> Path | None:

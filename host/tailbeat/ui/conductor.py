@@ -136,7 +136,7 @@ class Conductor:
         self._show(logged(self.now, text, _clock()))
 
     def _trouble(self, error: Exception) -> None:
-        words = str(error) if isinstance(error, TailbeatError) else reason(error)
+        words = _from_the_page(str(error) if isinstance(error, TailbeatError) else reason(error))
         new = words != self.now.problem
         self._set(problem=words)
         if new:
@@ -247,11 +247,7 @@ class Conductor:
         elif ask.kind == "upload":
             self._upload(fish, values["reference"])
         elif ask.kind == "set":
-            from tailbeat.experiment.meant import note_set
-
-            held = fish.params.set(values["name"], values["value"])
-            note_set(fish, {held.name: held.value}, self._experiment)
-            self._say(f"{values['name']} is {values['value']:g} now")
+            self._set_param(fish, values["name"], values["value"])
         elif ask.kind == "clear":
             fish.clear()
             self._say("cleared")
@@ -259,6 +255,17 @@ class Conductor:
             self._begin(fish)
         elif ask.kind == "note":
             self._note(ask)
+
+    def _set_param(self, fish: Fish, name: str, value: float) -> None:
+        """Noted in the experiment the page goes on in; without one in the logbook alone."""
+        from tailbeat.experiment.meant import note_board, note_set
+
+        held = fish.params.set(name, value)
+        if self._experiment is not None:
+            note_set(fish, {held.name: held.value}, self._experiment)
+        else:
+            note_board(fish, {held.name: held.value})
+        self._say(f"{name} is {value:g} now")
 
     def _stop_tail(self, fish: Fish) -> None:
         """Whoever made it beat. An armed board is disarmed, one that rests stays as it is."""
@@ -456,7 +463,7 @@ class Conductor:
             self._look_at_trials()
         self._say(end.words)
         if end.why == "stopped":
-            self._set(problem=end.words)
+            self._set(problem=_from_the_page(end.words))
 
     def _answered(self, fish: Fish, kind: str, **shown: Any) -> Ask:
         """Waits for an answer; the link is kept meanwhile, as far as there is one. ABORT says no; a
@@ -514,6 +521,13 @@ class _AtThePage:
         ask = self.conductor._answered(self.fish, "answer", question=question)
         self.conductor._phase("working", "note", question="")
         return bool(ask.values["yes"])
+
+
+def _from_the_page(words: str) -> str:
+    """Commands need the port that the page holds."""
+    if "tailbeat session" not in words and "tailbeat params" not in words:
+        return words
+    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat ui runs."
 
 
 def _sensible(what: str, values: dict[str, Any]) -> Ask:
