@@ -14,7 +14,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -171,10 +171,13 @@ class Logbook:
         """Keeps what a reference is called. Lasting when it returns."""
         names = self._names()
         if names.get(f"{crc:08x}") != name:
-            with self._writable():
-                self.folder.mkdir(parents=True, exist_ok=True)
-            document = names | {f"{crc:08x}": name}
-            write_whole(self.folder / _REFERENCES, json.dumps(document, indent=2) + "\n")
+            self.put(_REFERENCES, names | {f"{crc:08x}": name})
+
+    def put(self, name: str, document: Mapping[str, Any]) -> None:
+        """Replaces a JSON file of the folder in one step, lasting. Raises InputError."""
+        with self._writable():
+            self.folder.mkdir(parents=True, exist_ok=True)
+        write_whole(self.folder / name, json.dumps(document, indent=2) + "\n")
 
     def reference_name(self, crc: int) -> str | None:
         """None: it was uploaded by another computer, or a tool that kept no names."""

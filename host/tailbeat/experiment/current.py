@@ -7,12 +7,11 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.errors import InputError, reason
+from tailbeat.errors import InputError
 from tailbeat.experiment.board import held_state
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.redo import write_redo
 from tailbeat.faults import NO_REFERENCE, refusal
-from tailbeat.lasting import write_whole
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -53,15 +52,7 @@ def use(fish: Fish, experiment: Experiment) -> None:
 
     if (book := logbook_of(fish)) is None:
         return
-    try:
-        book.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot write into the logbook {book.folder} ({reason(error)})",
-            "Make the folder writable, or name another one in TAILBEAT_LOGBOOK.",
-        ) from error
-    folder = {"folder": str(experiment.folder.resolve())}
-    write_whole(book.folder / _CURRENT, json.dumps(folder) + "\n")
+    book.put(_CURRENT, {"folder": str(experiment.folder.resolve())})
 
 
 def require_fish(fish: Fish, experiment: Experiment) -> None:

@@ -14,15 +14,12 @@ import struct
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from tailbeat.errors import InputError, reason
+from tailbeat.errors import InputError
 from tailbeat.experiment.board import expected_params, set_held_params
 from tailbeat.experiment.current import swims_for
-from tailbeat.lasting import write_whole
 from tailbeat.logbook import logbook_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tailbeat.experiment.folder import Experiment
     from tailbeat.fish import Fish
 
@@ -54,16 +51,8 @@ def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | N
 def note_board(fish: Fish, params: Mapping[str, float]) -> None:
     """What the board is meant to have, into the logbook alone. Does nothing for a board without
     one. Raises InputError."""
-    if (path := _path(fish)) is None:
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot write into the logbook {path.parent} ({reason(error)})",
-            "Make the folder writable, or name another one in TAILBEAT_LOGBOOK.",
-        ) from error
-    write_whole(path, json.dumps(_board_params(fish) | dict(params)) + "\n")
+    if (book := logbook_of(fish)) is not None:
+        book.put(_MEANT, _board_params(fish) | dict(params))
 
 
 def note_all(fish: Fish) -> None:
@@ -144,7 +133,8 @@ def _words(found: Strayed) -> str:
 
 def _board_params(fish: Fish) -> dict[str, float]:
     """As the logbook has them; empty = nothing was set. Raises InputError when it is damaged."""
-    if (path := _path(fish)) is None or not path.is_file():
+    book = logbook_of(fish)
+    if book is None or not (path := book.folder / _MEANT).is_file():
         return {}
     try:
         held = json.loads(path.read_bytes())
@@ -154,8 +144,3 @@ def _board_params(fish: Fish) -> dict[str, float]:
             f"{path} is damaged: nobody knows how the board was set.",
             "Look at its parameters (tailbeat params list), then delete the file.",
         ) from error
-
-
-def _path(fish: Fish) -> Path | None:
-    book = logbook_of(fish)
-    return None if book is None else book.folder / _MEANT
