@@ -84,11 +84,6 @@ class Account:
         """Given up, or ended before its first beat; the board has no log of it."""
         self.journal.add("void", trial=trial, end=end)
 
-    def last_trial(self) -> int | None:
-        """The one that was begun or swum last."""
-        last = self._last(("begun", "swum"))
-        return None if last is None else int(last["trial"])
-
     def swum(self, swum: Swum) -> None:
         """Once its log is in the raw files; a second time does nothing."""
         number, file = swum.outcome.number, swum.file.name

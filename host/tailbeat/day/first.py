@@ -172,16 +172,11 @@ class _Session:
                 "speeds: SPD_SOURCE is upload, and the first session needs them while it swims;"
                 " set another, or do it by hand: tailbeat identify, tailbeat design"
             )
-        camera = self.camera or self.fish.default_camera()
-        if camera is None:
+        if self.camera is None:
             text = "camera: there is none, and SPD_SOURCE is vision. Give --camera"
             return ("no camera", "") if source != "vision" else ("", text)
-        try:
-            self.fish.link.run(_CAMERA_LOOK_S / max(self.fish.clock.rate, 1.0))
-            frames = camera.frames()
-        finally:
-            if camera is not self.camera:
-                camera.close()
+        self.fish.link.run(_CAMERA_LOOK_S / max(self.fish.clock.rate, 1.0))
+        frames = self.camera.frames()
         if not frames:
             return "", "camera: it does not see the fish. Look at light and marker: camera track"
         return f"camera: it sees the fish ({len(frames)} pictures)", ""
