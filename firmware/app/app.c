@@ -223,6 +223,22 @@ static void mind_the_clock(app_t *app, uint64_t now_us) {
     }
 }
 
+/* While a trial is open its own end decides (swim_finish). */
+static bool raise_damage(app_t *app) {
+    if (app->run.open || app->supervisor.state == STATE_BOOT || !store_take_damage(&app->store)) {
+        return false;
+    }
+    if (app->supervisor.reason != FAULT_STORAGE) {
+        swim_stop(app, FAULT_STORAGE);
+    }
+    return true;
+}
+
+fault_t app_judge_write(app_t *app, fault_t fault) {
+    const bool failed = fault == FAULT_WRITE_FAILED;
+    return failed && (raise_damage(app) || !app->store.mounted) ? FAULT_STORAGE : fault;
+}
+
 /* A long pass saw ticks come that are later than its beginning. */
 void app_feed_watchdog(app_t *app) {
     const uint64_t tick_us = control_report(&app->control, app->hal).tick_us;
@@ -249,6 +265,7 @@ void app_poll(app_t *app) {
         link_poll(&app->link, &app->status);
         key_poll(app);
     }
+    (void)raise_damage(app);
     give_orders(app, read_us);
     app_feed_watchdog(app);
 }

@@ -23,6 +23,9 @@ store_result_t salvage_mount(app_t *app, fault_t *fault);
 
 /* app.c: what the link tells follows the board's state of this moment. */
 void app_refresh_status(app_t *app);
+/* Whether |fault| is FAULT_WRITE_FAILED because the flash does not take data: that is a fault of
+ * the board, which is raised and answered instead. A full store is not. */
+fault_t app_judge_write(app_t *app, fault_t fault);
 /* The main loop is alive; but without the tick the watchdog shall bite all the same. */
 void app_feed_watchdog(app_t *app);
 

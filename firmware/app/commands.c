@@ -107,7 +107,7 @@ static fault_t run(app_t *app, const link_command_t *command) {
 /* What is told with the acknowledgement is already so. */
 fault_t commands_run(void *context, const link_command_t *command) {
     app_t *app = context;
-    const fault_t fault = run(app, command);
+    const fault_t fault = app_judge_write(app, run(app, command));
     app_refresh_status(app);
     return fault;
 }

@@ -99,12 +99,12 @@ fault_t key_set(void *context, const uint8_t *key, uint64_t time) {
     /* The mark of one that cannot be read is lost: |time| has to do. */
     const uint64_t mark = read_record(app, &record) ? record.mark : app->link.signing.mark;
     if (key == NULL) {
-        return erase(app, mark);
+        return app_judge_write(app, erase(app, mark));
     }
     if (time > signing_later(mark, SIGNING_JUMP_MAX_TICKS)) {
         return FAULT_BAD_DATA;
     }
-    return replace(app, key, time > mark ? time : mark);
+    return app_judge_write(app, replace(app, key, time > mark ? time : mark));
 }
 
 fault_t key_reserve(app_t *app, float ahead_s) {

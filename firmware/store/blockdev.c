@@ -87,6 +87,7 @@ static int program_block(const struct lfs_config *config, lfs_block_t block, lfs
     }
     for (lfs_size_t done = 0; done < length; done += HAL_FLASH_PAGE_BYTES) {
         if (!hal_flash_write_page(store->hal, flash_offset(block, offset + done), page + done)) {
+            store->pages_failed++;
             return LFS_ERR_CORRUPT;
         }
     }

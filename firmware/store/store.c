@@ -19,6 +19,7 @@
 
 bool store_begin(store_t *store) {
     store->reads = 0;
+    store->pages_failed = 0;
     return store->mounted;
 }
 
@@ -46,14 +47,33 @@ store_result_t store_result(int code) {
     }
 }
 
+/* littlefs tries every free block and then says there is no space. That is so when more blocks are
+ * free than any one call may write, or no more than pages failed. */
+static bool pages_refused(store_t *store) {
+    const uint32_t failed_bytes = store->pages_failed * STORE_BLOCK_BYTES;
+    if (failed_bytes == 0) {
+        return false;
+    }
+    const uint32_t free_bytes = store_free_bytes(store);
+    return free_bytes >= STORE_RESERVE_BYTES || failed_bytes >= free_bytes;
+}
+
+bool store_take_damage(store_t *store) {
+    const bool hurt = store->hurt;
+    store->hurt = false;
+    return hurt;
+}
+
 store_result_t store_written(store_t *store, int code) {
-    const store_result_t result = store_result(code);
+    store_result_t result = store_result(code);
     if (result == STORE_NO_SPACE || result == STORE_CORRUPT || result == STORE_IO) {
         store->failures++;
     }
     if (result == STORE_NO_SPACE) { /* littlefs keeps the page it had begun and stumbles over it */
         store->lfs.pcache.block = (lfs_block_t)-1;
+        result = pages_refused(store) ? STORE_IO : STORE_NO_SPACE;
     }
+    store->hurt = store->hurt || result == STORE_CORRUPT || result == STORE_IO;
     return result;
 }
 

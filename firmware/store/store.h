@@ -56,9 +56,11 @@ typedef struct {
     bool mounted;
     store_file_t *reader; /* open for reading; NULL = none */
     char reader_path[STORE_PATH_BYTES];
-    bool formatted;    /* this boot found no filesystem and made one */
-    uint32_t failures; /* writes that failed since boot */
-    uint32_t reads;    /* of the flash, in the call that is on */
+    bool formatted;        /* this boot found no filesystem and made one */
+    uint32_t failures;     /* writes that failed since boot */
+    uint16_t pages_failed; /* that did not take their data, in the call that is on */
+    bool hurt;             /* see store_take_damage */
+    uint32_t reads;        /* of the flash, in the call that is on */
 } store_t;
 
 typedef struct {
@@ -91,6 +93,11 @@ store_result_t store_mount(store_t *store, hal_t *hal);
 
 /* Erases all files and mounts the empty filesystem. */
 store_result_t store_format(store_t *store, hal_t *hal);
+
+/* Whether a write failed since the last question for another reason than a full store: pages did
+ * not take their data, or the filesystem is damaged. One bad page is no failure: littlefs writes
+ * the data elsewhere. */
+bool store_take_damage(store_t *store);
 
 /* All files must be closed. */
 void store_unmount(store_t *store);

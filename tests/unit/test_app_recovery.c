@@ -39,7 +39,9 @@ static void test_a_start_that_failed_to_save_swims_the_first_guess_next_time(voi
     uint32_t refused = 0;
     while (refused < 40u && command_with_failing_flash(LINK_COMMAND_START, app.next_trial,
                                                        refused + 1u) != FAULT_NONE) {
-        TEST_ASSERT_EQUAL(STATE_ARMED, app.supervisor.state);
+        TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
         refused++;
     }
     TEST_ASSERT_GREATER_THAN_UINT32(2, refused);
@@ -53,6 +55,7 @@ static void test_a_trial_that_cannot_be_removed_is_learned_from_once(void) {
     uint32_t writes = 1;
     while (writes < 40u &&
            command_with_failing_flash(LINK_COMMAND_LEARN, 1, writes) != FAULT_NONE) {
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
         writes++;
     }
     TEST_ASSERT_TRUE(app.run.pending);

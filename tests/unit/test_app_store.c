@@ -248,7 +248,8 @@ static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_on
                                     .file = LINK_FILE_SPEEDS,
                                     .length_bytes = (uint32_t)length,
                                     .crc = crc32_update(0, upload_bytes, length)};
-    TEST_ASSERT_EQUAL(FAULT_WRITE_FAILED, commands_run(&app, &request));
+    TEST_ASSERT_EQUAL(FAULT_STORAGE, commands_run(&app, &request));
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
     TEST_ASSERT_TRUE(app.run.pending);
     TEST_ASSERT_EQUAL_FLOAT(measured_m_s, app.run.trial.speed_m_s[1]);
 }
@@ -279,11 +280,43 @@ static void test_failing_flash_refuses_the_update_and_keeps_the_old_input(void) 
     swim_whole_trial(BEATS, SPEED);
     const memory_t before = app.memory;
     hal.flash_fail_after = hal.flash_writes;
-    TEST_ASSERT_EQUAL(FAULT_WRITE_FAILED, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_EQUAL(FAULT_STORAGE, command(LINK_COMMAND_LEARN, 1));
     TEST_ASSERT_EQUAL_MEMORY(before.amplitude_rad, app.memory.amplitude_rad, BEATS * 4u);
-    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
     hal.flash_fail_after = 0;
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+}
+
+static void test_flash_that_fails_while_armed_or_during_an_upload_is_a_fault(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    hal.flash_fail_after = hal.flash_writes;
+    run_ms(200); /* the first guess is stored while armed */
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    run_ms(200);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL(STORE_IO, store_replace(&app.store, "/in/reference.bin", "x", 1));
+    run_ms(20);
+    TEST_ASSERT_EQUAL(FAULT_STORAGE, app.supervisor.reason);
+}
+
+static void test_a_full_store_is_no_fault(void) {
+    static uint8_t piece[60u * STORE_BLOCK_BYTES];
+    store_result_t result = STORE_OK;
+    char path[] = "/in/a";
+    for (size_t length = sizeof piece; length >= STORE_BLOCK_BYTES; length /= 2u) {
+        for (result = STORE_OK; result == STORE_OK; path[4]++) {
+            result = store_replace(&app.store, path, piece, length);
+        }
+        TEST_ASSERT_EQUAL(STORE_NO_SPACE, result);
+    }
+    TEST_ASSERT_EQUAL(FAULT_WRITE_FAILED, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    run_ms(200);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
 }
 
 static void test_contradicting_servo_parameters_do_not_arm(void) {
@@ -420,6 +453,8 @@ int main(void) {
     RUN_TEST(test_bad_gains_are_refused);
     RUN_TEST(test_parameters_persist_only_when_saved);
     RUN_TEST(test_failing_flash_refuses_the_update_and_keeps_the_old_input);
+    RUN_TEST(test_flash_that_fails_while_armed_or_during_an_upload_is_a_fault);
+    RUN_TEST(test_a_full_store_is_no_fault);
     RUN_TEST(test_contradicting_servo_parameters_do_not_arm);
     RUN_TEST(test_a_lead_as_long_as_the_trial_does_not_arm);
     RUN_TEST(test_the_best_comes_back_on_request);

@@ -438,9 +438,37 @@ static void test_a_store_filled_to_the_last_block(void) {
 static void test_dead_flash_is_reported(void) {
     TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", "old", 3));
     hal.flash_fail_after = hal.flash_writes;
-    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_replace(&store, "/a", "new", 3));
+    TEST_ASSERT_EQUAL_INT(STORE_IO, store_replace(&store, "/a", "new", 3));
     TEST_ASSERT_EQUAL_UINT32(1, store.failures);
+    TEST_ASSERT_TRUE(store_take_damage(&store));
+    TEST_ASSERT_FALSE(store_take_damage(&store));
     expect_content("/a", "old", 3);
+}
+
+static bool fail_one_page(hal_t *board, uint32_t offset, const uint8_t *page) {
+    if (board->flash_context != NULL) {
+        board->flash_context = NULL;
+        return false;
+    }
+    memcpy(board->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    return true;
+}
+
+static void test_one_bad_page_is_no_damage(void) {
+    hal.flash_write = fail_one_page;
+    hal.flash_context = &hal;
+    TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, "/a", bytes, 4640));
+    TEST_ASSERT_NULL(hal.flash_context);
+    TEST_ASSERT_FALSE(store_take_damage(&store));
+    /* Nor when the store is full all the same. */
+    char path[] = "/in/a";
+    for (; store_free_bytes(&store) >= sizeof bytes; path[4]++) {
+        TEST_ASSERT_EQUAL_INT(STORE_OK, store_replace(&store, path, bytes, sizeof bytes));
+    }
+    hal.flash_context = &hal;
+    TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE, store_replace(&store, "/b", bytes, sizeof bytes));
+    TEST_ASSERT_NULL(hal.flash_context);
+    TEST_ASSERT_FALSE(store_take_damage(&store));
 }
 
 static void test_garbage_is_formatted(void) {
@@ -532,6 +560,7 @@ int main(void) {
     RUN_TEST(test_full_flash_refuses_and_keeps_the_old);
     RUN_TEST(test_a_store_filled_to_the_last_block);
     RUN_TEST(test_dead_flash_is_reported);
+    RUN_TEST(test_one_bad_page_is_no_damage);
     RUN_TEST(test_garbage_is_formatted);
     RUN_TEST(test_one_superblock_is_enough);
     RUN_TEST(test_a_filesystem_without_its_folders_is_unfinished);

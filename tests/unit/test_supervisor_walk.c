@@ -273,7 +273,7 @@ static void expect_coverage(void) {
     static const fault_t REFUSAL[] = {
         FAULT_WRONG_STATE, FAULT_NO_REFERENCE,  FAULT_BATTERY_LOW,   FAULT_TRIAL_NUMBER,
         FAULT_OTHER_HOST,  FAULT_STALE_COMMAND, FAULT_TRIAL_PENDING, FAULT_NO_TRIAL,
-        FAULT_NO_BEST,     FAULT_WRITE_FAILED,  FAULT_SERVO_CONFIG,  FAULT_BAD_LAW,
+        FAULT_NO_BEST,     FAULT_STORAGE,       FAULT_SERVO_CONFIG,  FAULT_BAD_LAW,
         FAULT_CLOCK,       FAULT_BAD_PARAM,     FAULT_NO_IMU,        FAULT_NOTHING_MEASURED};
     for (size_t i = 0; i < sizeof REFUSAL / sizeof REFUSAL[0]; i++) {
         TEST_ASSERT_TRUE_MESSAGE(seen.answers[REFUSAL[i]] > 0, fault_info(REFUSAL[i])->name);

@@ -35,7 +35,9 @@ static void judge(const guards_t *guards, fault_t answer) {
     for (uint8_t i = 0; i < guards->count; i++) {
         explained = explained || answer == guards->fault[i];
     }
-    CHECK(explained || (model.flash_hurt && answer == FAULT_WRITE_FAILED));
+    const bool failed = answer == FAULT_WRITE_FAILED || answer == FAULT_STORAGE;
+    CHECK(explained || (model.flash_hurt && failed));
+    model_finds_damage();
 }
 
 static bool battery_too_low(void) {
@@ -47,7 +49,7 @@ static bool battery_too_low(void) {
 static void remember_battery(fault_t answer) {
     if (answer == FAULT_BATTERY_LOW) {
         model.battery_low = true;
-    } else if (answer == FAULT_NONE || answer == FAULT_WRITE_FAILED) {
+    } else if (answer == FAULT_NONE || answer == FAULT_STORAGE) {
         model.battery_low = false;
     }
 }

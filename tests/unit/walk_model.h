@@ -323,6 +323,14 @@ static void compare_run(bool was_open) {
     CHECK(run->pending == model.pending);
 }
 
+/* Flash that has failed may at any write be found out, and then the board is not to be armed. */
+static void model_finds_damage(void) {
+    const bool waits = model.state == STATE_IDLE || model.state == STATE_ARMED;
+    if (model.flash_hurt && waits && app.supervisor.reason == FAULT_STORAGE) {
+        model_enter(STATE_FAULT, FAULT_STORAGE);
+    }
+}
+
 /* Before each pass of the main loop. */
 static void model_reads_tick(void) {
     model.read_stop = model.stop;
@@ -343,6 +351,7 @@ static void model_pass(bool was_open) {
         model_enter(app.supervisor.state == STATE_FAULT ? STATE_FAULT : STATE_ABORTED,
                     model.reason);
     }
+    model_finds_damage();
     take_waiting_frame();
     compare_state();
     compare_run(was_open);
