@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import cmsis_svd
 import pytest
-from cmsis_svd.parser import SVDParser
 
+from register_facts import peripherals
 from vboard.periph.bench import Bench
 
-SVD = Path(cmsis_svd.__file__).parent / "data" / "Atmel" / "ATSAM3X8E.svd"
 ACCESS = {"read-write": "rw", "read-only": "r", "write-only": "w"}
 NAMES = {"EEFC0": "EFC0", "EEFC1": "EFC1", "TC0_0": "TC0", "TC0_1": "TC0", "TC0_2": "TC0"}
 
@@ -28,18 +24,15 @@ RESET_EXCEPTIONS = {
 
 @pytest.fixture(scope="module")
 def vendor() -> dict[str, dict[str, tuple[int, str, int | None]]]:
-    device = SVDParser.for_xml_file(str(SVD)).get_device()
-    return {
-        peripheral.name: {
-            register.name.replace("[", "").replace("]", ""): (
-                peripheral.base_address + register.address_offset,
-                ACCESS.get(register.access, ""),
-                register.reset_value,
-            )
-            for register in peripheral.registers
-        }
-        for peripheral in device.peripherals
-    }
+    found: dict[str, dict[str, tuple[int, str, int | None]]] = {}
+    for name, peripheral in peripherals().items():
+        found[name] = {}
+        for key, register in peripheral.registers.items():
+            for index in range(register.count):
+                address = peripheral.base + register.offset + index * register.step
+                numbered = key if register.count == 1 else f"{key}{index}"
+                found[name][numbered] = (address, ACCESS[register.access], register.reset)
+    return found
 
 
 def declared() -> list[tuple[str, str, int, str]]:
