@@ -5,6 +5,10 @@ BIN := .venv/bin
 PYTHON := $(CURDIR)/$(BIN)/python
 # test_trial_log writes a trial file here, which the tests of the host tool read.
 export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
+# Says every few seconds that a long command is still at work.
+STEP := tools/step
+PIP_INSTALL := $(PYTHON) -m pip install --disable-pip-version-check --no-build-isolation --no-deps \
+	--force-reinstall
 CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
@@ -28,16 +32,18 @@ test: toolchain unit qemu package firmware ## all tests: C (sanitized, and on a 
 	@$(MAKE) coverage
 
 image: package firmware ## only the tests of the flash image
+	@tools/bootstrap image
 	@$(PYTEST) tests/image
 
-qemu: bootstrap ## the unit tests as Cortex-M3 code
-	@tools/bootstrap test
+qemu: ## the unit tests as Cortex-M3 code
+	@tools/bootstrap qemu
 	@$(CONFIGURE) -B build/qemu -DTAILBEAT_NATIVE=OFF \
 		--toolchain $(CURDIR)/cmake/qemu-mps2.cmake >/dev/null
 	@cmake --build build/qemu --target unit_tests -- --quiet
 	@ctest --test-dir build/qemu -j2 --output-on-failure
 
 soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 random events, bad lines and bad trials
+	@tools/bootstrap soak
 	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
 		-DTAILBEAT_NATIVE=OFF >/dev/null
 	@cmake --build build/unit --target unit_tests -- --quiet
@@ -72,9 +78,9 @@ bench: package firmware ## speed of the simulation, load of the fish's processor
 
 firmware: package ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@tools/bootstrap firmware
-	@$(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
-		--toolchain $(CURDIR)/cmake/cortex-m3.cmake >/dev/null
-	@cmake --build build/firmware --target tailbeat_image -- --quiet
+	@$(STEP) "configuring the firmware" $(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF \
+		-DTAILBEAT_NATIVE=OFF --toolchain $(CURDIR)/cmake/cortex-m3.cmake
+	@$(STEP) "building the firmware" cmake --build build/firmware --target tailbeat_image
 	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
 
 flash: firmware package ## write the image to the fish: make flash PORT=/dev/ttyACM0
@@ -82,6 +88,7 @@ flash: firmware package ## write the image to the fish: make flash PORT=/dev/tty
 	@$(BIN)/tailbeat flash build/firmware/tailbeat.bin --port "$(PORT)"
 
 size: firmware ## bytes, biggest symbols, deepest stack; fails over the budgets
+	@tools/bootstrap size
 	@$(PYTHON) tools/size_report.py build/firmware/tailbeat.elf
 
 check: ## formatting, types, static analysis, who includes whom
@@ -99,10 +106,8 @@ clean: ## remove everything that was built, but not .venv
 	rm -rf build
 
 lock: bootstrap ## pin the newest versions of the Python packages
-	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
-		--no-annotate --no-emit-index-url --custom-compile-command "make lock" \
-		-o requirements/lock.txt host/pyproject.toml requirements/dev.in
+	@$(BIN)/python -m pip install --quiet uv
+	$(PYTHON) tools/lock.py --uv $(BIN)/uv --upgrade
 
 bootstrap:
 	@tools/bootstrap
@@ -116,11 +121,10 @@ package: bootstrap
 build/package.stamp: $(PACKAGE_SOURCES)
 	@echo "building and installing the host tool into .venv"
 	@mkdir -p build
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
-		--no-deps --force-reinstall --config-settings=build-dir=$(CURDIR)/build/wheel \
+	@$(STEP) "building the host tool" $(PIP_INSTALL) --verbose \
+		--config-settings=build-dir=$(CURDIR)/build/wheel \
 		--config-settings=cmake.define.TAILBEAT_WERROR=ON ./host
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
-		--no-deps --force-reinstall ./tools/vboard
+	@$(STEP) "installing the emulator" $(PIP_INSTALL) ./tools/vboard
 	@touch $@
 
 unit: bootstrap
