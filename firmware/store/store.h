@@ -61,6 +61,7 @@ typedef struct {
     uint16_t pages_failed; /* that did not take their data, in the call that is on */
     bool hurt;             /* see store_take_damage */
     uint32_t reads;        /* of the flash, in the call that is on */
+    uint32_t fed_reads;    /* since the mount, as far as they feed the watchdog */
 } store_t;
 
 typedef struct {

@@ -50,6 +50,22 @@ static bool set_master(uint32_t source, uint32_t divider) {
     return wait_for(PMC_SR_MCKRDY);
 }
 
+/* After a reset of the chip the core runs on the RC oscillator. A debugger or boot loader that only
+ * jumps here leaves it on the PLL or the crystal, neither of which may be changed while in use.
+ * Source and divider change one at a time. */
+static void leave_fast_clocks(void) {
+    const uint32_t master = PMC->MCKR;
+    if ((master & PMC_MCKR_CSS) != PMC_MCKR_CSS_MAIN_CLK) {
+        (void)set_master(PMC_MCKR_CSS_MAIN_CLK, master & PMC_MCKR_PRES);
+        (void)set_master(PMC_MCKR_CSS_MAIN_CLK, PMC_MCKR_PRES_CLK_1);
+    }
+    const uint32_t with_rc = PMC->CKGR_MOR | CKGR_MOR_KEY_PASSWD | CKGR_MOR_MOSCRCEN;
+    if ((with_rc & CKGR_MOR_MOSCSEL) != 0) {
+        (void)set_main(with_rc, PMC_SR_MOSCRCS);
+        (void)set_main(with_rc & ~CKGR_MOR_MOSCSEL, PMC_SR_MOSCSELS);
+    }
+}
+
 /* MOSCXTS only says that the time to start is over. The failure detector says whether it swings. */
 static bool crystal_swings(void) {
     if (!set_main(RC_12_MHZ | CRYSTAL_ON, PMC_SR_MOSCXTS)) {
@@ -96,6 +112,7 @@ static void watch_crystal(void) {
 clock_tree_t clock_tree_init(void) {
     EFC0->FMR = FIELD(EFC_FMR_FWS, FLASH_WAIT_STATES);
     EFC1->FMR = FIELD(EFC_FMR_FWS, FLASH_WAIT_STATES);
+    leave_fast_clocks();
     (void)wait_for(PMC_SR_MOSCRCS);
     (void)set_main(RC_12_MHZ, PMC_SR_MOSCRCS);
     const bool crystal = crystal_select();

@@ -43,6 +43,38 @@ def clock_writes(board: EmulatedBoard) -> list[tuple[str, str, int]]:
     return [write for write in writes if write[:2] in names]
 
 
+# How a program may leave the chip that jumps to the image without a reset: on the crystal, or on
+# the PLL behind it. The time (us) is what each step takes.
+ON_CRYSTAL = [("write_ckgr_mor", 0x00374009, 20_000), ("write_ckgr_mor", 0x01374009, 10)]
+ON_PLL = [
+    *ON_CRYSTAL,
+    ("write_ckgr_pllar", 0x200D3F01, 4_000),
+    ("write_pmc_mckr", 0x11, 10),
+    ("write_pmc_mckr", 0x12, 10),
+]
+
+
+@pytest.mark.parametrize("steps", [ON_CRYSTAL, ON_PLL], ids=["crystal", "PLL"])
+def test_a_start_without_a_reset_leaves_the_clock_it_finds(
+    new_board: NewBoard, steps: list[tuple[str, int, int]]
+) -> None:
+    board = new_board()
+    periph, clock = board.board.periph, board.board.clock
+    for bank in ("EEFC0", "EEFC1"):
+        periph[bank].values["FMR"] = 0x400
+    for name, value, wait_us in steps:
+        getattr(periph["PMC"], name)(value)
+        clock.advance(clock.now + wait_us * TICKS_PER_US)
+    board.board.bus.trace = []
+    assert hear_board(SimTransport(board), 2.0) is not None
+    writes = [write for write in clock_writes(board) if write[0] == "PMC"]
+    print([f"{register} {value:#x}" for _, register, value in writes])
+    on_rc = next(i for i, write in enumerate(writes) if write == CLOCK_WRITES[3])
+    assert all(register != "CKGR_PLLAR" for _, register, _ in writes[:on_rc])
+    assert writes[on_rc : on_rc + 7] == CLOCK_WRITES[3:]
+    assert board.board.chip.mck_hz() == 84_000_000
+
+
 @pytest.mark.parametrize("port", [RADIO, CONSOLE])
 def test_from_reset_to_the_first_heartbeat(new_board: NewBoard, port: int) -> None:
     board = new_board()
