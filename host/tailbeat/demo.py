@@ -1,13 +1,12 @@
 """The main job, end to end: a fish learns the thesis's speed profile.
 
-Connect, set the thesis's limits, upload, arm, swim, pull the log over the wire, learn on the board;
-after every step the host recomputes the board's numbers with the same C code and compares the bits.
+Connect, apply the preset of the thesis, upload, arm, swim, pull the log over the wire, learn on the
+board; after every step the host recomputes its numbers with the same C code and compares the bits.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -18,9 +17,10 @@ from urllib.parse import urlencode
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat import laws, reference
+from tailbeat import laws, presets, reference
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment
+from tailbeat.presets import THESIS
 from tailbeat.recompute import recompute_beats
 from tailbeat.report import Series, Swim, render_png, write_html
 from tailbeat.transport.find import is_simulated
@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     from tailbeat.results import LearnReport
     from tailbeat.transport.inprocess import SimulatedBoard
 
-AMPLITUDE_MAX_RAD = math.pi / 4
-DEFAULT_LEAD = {"thesis": 0, "tank": 1}
+AMPLITUDE_MAX_RAD = THESIS["AMP_MAX_RAD"]
+LEAD_BEATS = {"thesis": THESIS["LAW_LEAD"]}  # the thesis's plant has no delay
+_LEAD_BEATS = 1.0  # any other's
 LAWS = ("p", "model")
 EXPERIMENTS = Path("experiments")
 _SAMPLE_S = 0.04
@@ -131,7 +132,7 @@ class _Demo:
         self.fish, self.options = fish, options
         self.sim: SimulatedBoard | None = fish.sim
         self.plant = self.sim.plant if self.sim else "unknown"
-        lead = DEFAULT_LEAD.get(self.plant, 1)
+        lead = LEAD_BEATS.get(self.plant, _LEAD_BEATS)
         self.lead = lead if options.lead is None else options.lead
         self.reference = reference.thesis()
         self.rows = [_zero_row(self.reference)]
@@ -173,14 +174,8 @@ class _Demo:
                 "the board still holds a trial that is neither learned nor discarded.",
                 "tailbeat learn, or tailbeat trial discard.",
             )
-        wanted = {
-            "AMP_MAX_RAD": AMPLITUDE_MAX_RAD,
-            "DU_MAX_RAD": 0.0,
-            "LAW_GAIN": self.options.gain,
-            "LAW_LEAD": float(self.lead),
-        }
-        for name, value in wanted.items():
-            fish.params.set(name, value)
+        law = {"LAW_GAIN": self.options.gain, "LAW_LEAD": float(self.lead)}
+        presets.apply(fish, {**THESIS, **law})
         self.params = {name: p.value for name, p in fish.params.list().items()}
         self.law = laws.Law.from_params(self.params, self.reference.beat_s)
         for problem in self.reference.check(reference.Limits.from_params(self.params)):

@@ -120,9 +120,9 @@ class LawReport:
 
 
 def load(path: Path) -> Law:
-    """Reads a LAW.json: an object of ``Law`` fields or of parameter names; what is missing keeps
-    its default. ``gain`` and ``lead`` are understood too, and the tail by name: hold, keep,
-    hold-new or hold-old."""
+    """Reads a LAW.json: an object of ``Law`` fields or of parameter names; what is missing is
+    as in (8.16), with amplitudes up to pi/4. ``gain`` and ``lead`` are understood too, and the
+    tail by name: hold, keep, hold-new or hold-old."""
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -208,7 +208,7 @@ def connect_to(
     tank = Watched(board)
     monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: tank)
     with Fish.connect("it") as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("LAW_LEAD", 1.5)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
         fish.upload_amplitudes(np.full(len(SPEEDS), 0.2, np.float32))
     return BadDay(board, tank, capsys)
@@ -375,7 +375,7 @@ def test_a_new_battery_is_not_gone_on_with_unasked(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 1
     day.board.swap_battery(8.2)
     assert day.says("learn")[0] == 1 and "session resume" in day.lines[0]
-    day.require_resume("LAW_LEAD is 0, was 1")
+    day.require_resume("LAW_LEAD is 1, was 1.5")
     day.require_goes_on()
     assert [e["trial"] for e in day.experiment().journal.entries("learned")] == [1, 2]
 
@@ -418,7 +418,7 @@ def test_a_swap_between_two_references(day: BadDay) -> None:
     words_of("LAW_GAIN is 4, was 3", "tailbeat session resume", day.lines)
     assert day.says("session", "resume")[0] == 0
     assert {n: day.fish().params.get(n).value for n in ("LAW_GAIN", "LAW_LEAD")} == {
-        "LAW_GAIN": 3.0, "LAW_LEAD": 1.0
+        "LAW_GAIN": 3.0, "LAW_LEAD": 1.5
     }  # fmt: skip
     assert day.says(*KEEP)[1]["swims"][0]["trial"] == 2
 
@@ -462,7 +462,7 @@ def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.Monk
     with monkeypatch.context() as patch:
         patch.setattr(TerminalPerson, "decide", slowly)
         assert day.says(*KEEP, "--until", "3")[0] == 1
-    words_of("LAW_LEAD is 0, was 1", "tailbeat session resume", day.lines)
+    words_of("LAW_LEAD is 1, was 1.5", "tailbeat session resume", day.lines)
     assert day.experiment().journal.entries("learned") == []
     assert day.status().pending_trial == 1 and day.board.truth().swims == 1
     day.require_resume_only()
@@ -536,7 +536,7 @@ def test_power_is_cut_in_mid_swim(day: BadDay) -> None:
     assert len(day.lines) == 2, day.lines
     words_of("the board restarted during a trial", "Check the battery and its switch", day.lines)
     words_of("trial 2 (aborted:REBOOT) has no speeds", "discarded", day.lines)
-    day.require_resume("LAW_LEAD is 0, was 1")
+    day.require_resume("LAW_LEAD is 1, was 1.5")
     day.require_goes_on()
     assert day.lines == []
 
@@ -553,7 +553,7 @@ def test_power_is_cut_and_nobody_waits_for_the_end(
     with monkeypatch.context() as patch:
         patch.setattr("tailbeat.day.deciding.Office.decide", press)
         assert day.says(*KEEP)[0] == 130
-    day.require_resume("LAW_LEAD is 0, was 1")
+    day.require_resume("LAW_LEAD is 1, was 1.5")
     day.require_goes_on()
     words_of("trial 1 was left undecided", "decided on first", day.lines)
 

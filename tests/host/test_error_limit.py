@@ -24,7 +24,9 @@ LIMIT_M_S = 0.02
 TRIALS_MAX = 16
 VISION, IMU, MODEL = 0, 2, 3
 SETTLED_BEATS = 2  # swum until the speed of a beat is settled: SPD_LATE_S + SPD_GAP_S
-PARAMS = {"AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, "LAW_GAIN": 2, "ERR_MAX_M_S": LIMIT_M_S}
+PARAMS = {
+    "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, "LAW_GAIN": 2, "LAW_LEAD": 0, "ERR_MAX_M_S": LIMIT_M_S,
+}  # fmt: skip
 
 Floats = NDArray[np.float32]
 Run = Callable[..., tuple[int, str, str]]

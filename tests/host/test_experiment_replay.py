@@ -275,7 +275,7 @@ def test_redo_tells_the_day(swum: Experiment, tmp_path: Path) -> None:
     for words in (
         "**simulated**",
         "# in another terminal: tailbeat sim --plant tank --seed 1\n",
-        "tailbeat params set LAW_LEAD 1\n",
+        "tailbeat params set AMP_MAX_RAD 0.785\n",
         "--condition water_temperature_degc=21.5",
         "trial 3: discard (bumped the wall)",
         "learned from trial 6",

@@ -424,6 +424,7 @@ def test_an_older_copy_neither_comes_back_nor_goes(
 
 def test_a_guess_is_made_anew(tank: Fish) -> None:
     """Amplitudes that arming made of the reference stay what arming makes, by the gain then."""
+    tank.params.set("LAW_LEAD", 0)
     tank.upload_reference(reference.cosine(0.06, 3, 2))
     tank.arm()
     tank.disarm()

@@ -183,7 +183,7 @@ def test_errors_of() -> None:
 def test_from_params_takes_the_boards_defaults() -> None:
     params = {name: known.default for name, known in known_parameters().items()}
     law = Law.from_params(params)
-    assert (law.kp_rad_s_m, law.amplitude_max_rad, law.lead_beats) == (4, 0.5, 0)
+    assert (law.kp_rad_s_m, law.amplitude_max_rad, law.lead_beats) == (4, 0.5, 1)
     assert law.step_max_rad == pytest.approx(0.15)
     assert (law.fade, law.fade_from) == (0, 5)
     assert law == Law.from_params({k: v for k, v in params.items() if "FADE" not in k})

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tailbeat import presets
 from tailbeat.errors import InputError, Refused
 from tailbeat.fish import Fish
+from tailbeat.laws import Law, Past
 from tailbeat.parameters import known_parameters
 
 
@@ -54,6 +58,19 @@ def test_a_double_is_rounded_once(fish: Fish) -> None:
 def test_bad_values_do_not_reach_the_board(fish: Fish, name: str, value: float) -> None:
     with pytest.raises(InputError):
         fish.params.set(name, value)
+
+
+def test_the_thesis_preset_is_the_law_of_8_16(fish: Fish) -> None:
+    assert fish.params.get("LAW_LEAD").value == 1
+    fish.params.set("LAW_FADE", 0.5)
+    changed = presets.apply(fish, presets.preset("thesis"))
+    params = {name: p.value for name, p in fish.params.list().items()}
+    assert Law.from_params(params) == Law(amplitude_max_rad=float(np.float32(math.pi / 4)))
+    assert Past.from_params(params) == Past()
+    assert changed["LAW_LEAD"][0] == 1 and changed["LAW_LEAD"][1].value == 0
+    with pytest.raises(InputError, match="no preset 'thesi'") as caught:
+        presets.preset("thesi")
+    assert caught.value.remedy == "Use thesis."
 
 
 @pytest.mark.parametrize("name", ["NO_SUCH", "", "A_NAME_FAR_TOO_LONG"])

@@ -44,7 +44,7 @@ from tailbeat.transport.simulated import SimBoard, SimTransport
 from .conftest import BadRadio
 
 WANTED = reference.trapezoid(0.06, 5, 8)
-PARAMS = {"AMP_MAX_RAD": 0.7, "DU_MAX_RAD": 0.0, "LAW_LEAD": 1.0, "ROLLBACK_RATIO": 1.5}
+PARAMS = {"AMP_MAX_RAD": 0.7, "DU_MAX_RAD": 0.0, "LAW_LEAD": 1.5, "ROLLBACK_RATIO": 1.5}
 ONE = Options(until=Until(1), wanted=None)
 SEED = 3
 
@@ -308,7 +308,7 @@ def test_a_value_that_was_saved_long_ago_is_not_what_it_was(
 def test_a_replaced_board_gets_every_parameter(experiment: Experiment) -> None:
     new = after_a_swap(SimBoard("tank", seed=77).flash, seed=77)
     new.params.set("LAW_LEAD", 2.0)
-    assert restore(new, experiment, another_board=True).params["LAW_LEAD"] == 1.0
+    assert restore(new, experiment, another_board=True).params["LAW_LEAD"] == 1.5
 
 
 @pytest.mark.parametrize("another_board", [False, True])
@@ -708,5 +708,5 @@ def test_words_for_people(swapped: Fish, experiment: Experiment) -> None:
     from tailbeat.cli.session import _restored_lines
 
     lines = _restored_lines(found, experiment)
-    assert lines[0].startswith("given back, as") and "LAW_LEAD 1" in lines[0]
+    assert lines[0].startswith("given back, as") and "LAW_LEAD 1.5" in lines[0]
     assert "iteration 5 swims next, 8.3" in lines[-1]

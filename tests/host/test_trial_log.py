@@ -70,7 +70,7 @@ def test_what_a_file_tells(trial: Trial) -> None:
     assert len(trial.battery_v) >= BEATS - 1
     wanted = reference.trapezoid(0.06, 3, BEATS - 6).speed_m_s
     assert same_bits(trial.beats.reference_m_s, wanted)
-    assert same_bits(trial.beats.amplitude_rad, laws.first(Law(), wanted))
+    assert same_bits(trial.beats.amplitude_rad, laws.first(Law(lead_beats=1), wanted))
 
 
 def test_the_last_record_of_a_beat_counts(files: dict[str, Path]) -> None:

@@ -75,7 +75,7 @@ static void test_reads_one_parameter(void) {
     request_read(-1, "LAW_GAIN");
     expect_value(PARAM_LAW_GAIN, 4.0f);
     request_read(PARAM_LAW_LEAD, "");
-    expect_value(PARAM_LAW_LEAD, 0.0f);
+    expect_value(PARAM_LAW_LEAD, 1.0f);
     request_read(-1, "SERVO_SLEW_RAD_S"); /* all 16 characters, no zero */
     expect_value(PARAM_SERVO_SLEW_RAD_S, 0.0f);
     request_read(-1, "NO_SUCH_THING_16");

@@ -78,8 +78,8 @@ static void check_own_commands(sender_t kind) {
 static void test_the_links_own_commands(void) { for_everybody(check_own_commands); }
 
 static void check_param_set(sender_t kind) {
-    say_param_set(1.0f);
-    TEST_ASSERT_EQUAL_FLOAT(kind == RIGHT ? 1.0f : 0.0f, params.value[PARAM_LAW_LEAD]);
+    say_param_set(2.0f);
+    TEST_ASSERT_EQUAL_FLOAT(kind == RIGHT ? 2.0f : 1.0f, params.value[PARAM_LAW_LEAD]);
     TEST_ASSERT_EQUAL(kind == RIGHT ? 0 : 1, peer_count(MAVLINK_MSG_ID_PARAM_ERROR));
     if (kind != RIGHT) {
         mavlink_param_error_t error;

@@ -30,7 +30,7 @@ static void test_defaults_are_safe_on_an_unknown_fish(void) {
     TEST_ASSERT_EQUAL_FLOAT(0.15f, params.value[PARAM_DU_MAX_RAD]);
     TEST_ASSERT_EQUAL_FLOAT(5.0f, params.value[PARAM_LINK_TIMEOUT_S]);
     TEST_ASSERT_EQUAL_FLOAT(1.3f, params.value[PARAM_ROLLBACK_RATIO]);
-    TEST_ASSERT_EQUAL_FLOAT(0.0f, params.value[PARAM_LAW_LEAD]);
+    TEST_ASSERT_EQUAL_FLOAT(1.0f, params.value[PARAM_LAW_LEAD]);
     TEST_ASSERT_EQUAL_FLOAT(0.0f, params.value[PARAM_LAW_FADE]);
 }
 

@@ -1,4 +1,4 @@
-"""params get, set, list, save, load, reset."""
+"""params get, set, preset, list, save, load, reset."""
 
 from __future__ import annotations
 
@@ -52,6 +52,37 @@ def set_(
         held = fish.params.set(name.upper(), value)
         note_set(fish, {held.name: held.value})
     say(json, _one(held), f"{held.name} = {_number(held.value)} {held.unit}".rstrip())
+
+
+@app.command()
+def preset(
+    name: Annotated[str, typer.Argument(metavar="thesis", help="Which set of values.")],
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Set all parameters of a named set: thesis = the learning law of the thesis and its limits.
+
+    It allows amplitudes up to 0.785 rad: use it only when the fish's commissioning allows that.
+
+    Example: tailbeat params preset thesis
+    """
+    from tailbeat import presets
+
+    values = presets.preset(name)
+    with connected(connect) as fish:
+        from tailbeat.experiment.meant import note_set
+
+        held = presets.apply(fish, values)
+        note_set(fish, {now.name: now.value for _, now in held.values()})
+    rows = [
+        [now.name, _number(now.value), now.unit, _was(before, now)] for before, now in held.values()
+    ]
+    document = {"preset": name, "params": [_one(now) for _, now in held.values()]}
+    say(json, document, lambda: table(["name", "value", "unit", ""], rows, left=(0, 2, 3)))
+
+
+def _was(before: float, now: Parameter) -> str:
+    return "" if before == now.value else f"(was {_number(before)})"
 
 
 @app.command("list")

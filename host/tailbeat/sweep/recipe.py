@@ -58,7 +58,7 @@ class LawSpec:
     name: str
     kind: str
     gain: float = 4.0
-    lead_beats: float = 0.0
+    lead_beats: float = 1.0  # as LAW_LEAD
     q_len: int = 1
     fade: float = 0.0
     fade_from: int = 5
