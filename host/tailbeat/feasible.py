@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
 from tailbeat.floor import NEGLIGIBLE_M_S, lsq_max_abs_m_s
+from tailbeat.lasting import replacing_text
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.identified import Identified
 from tailbeat.reference import Limits, Reference, curve
@@ -56,7 +57,7 @@ class Suggestion:
 
     def to_csv(self, path: Path) -> None:
         """Writes ``t_s,v_m_s``; ``reference.from_csv`` reads the very same reference."""
-        with path.open("w", newline="") as file:
+        with replacing_text(path) as file:
             out = csv.writer(file, lineterminator="\n")
             out.writerow(["t_s", "v_m_s"])
             for t, v in zip(self.t_s, self.v_m_s, strict=True):

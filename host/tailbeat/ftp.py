@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -119,11 +120,11 @@ class FtpClient:
         """
         for _ in range(_ROUNDS):
             expected = self.crc32(path)
-            part = PartFile(local, path, expected)
-            if self._fetch(path, part, progress) and crc32(bytes(part.data)) == expected:
-                part.finish()
-                return
-            part.drop()
+            with contextlib.closing(PartFile(local, path, expected)) as part:
+                if self._fetch(path, part, progress) and crc32(bytes(part.data)) == expected:
+                    part.finish()
+                    return
+                part.drop()
         raise TransferError(
             f"{path} arrived damaged {_ROUNDS} times",
             "Try again; a trial that is running still changes it.",
@@ -137,8 +138,6 @@ class FtpClient:
                 download.fetch(part.data, 0, progress, part.append)
             except FileChangedError:
                 return False
-            finally:
-                part.close()
         return True
 
     def write(self, path: str, data: bytes, progress: Progress | None = None) -> None:

@@ -20,11 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.errors import InputError, reason
-from tailbeat.lasting import sync_folder
+from tailbeat.filelock import locked
+from tailbeat.lasting import replace_file
 
 KEY_BYTES = 32
 _FORMAT = "tailbeat key 1"
 _FOLDER = "TAILBEAT_KEYS"
+_OWNER_ONLY = 0o600
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _LINK_IDS = 255  # 0 is the board's
 _FINGERPRINT_BYTES = 4
@@ -200,18 +202,22 @@ class KeyStore:
 
     def save(self, key: StoredKey) -> None:
         """Keeps the key; it is on the disk when this returns. Times never go back."""
-        path = self._path(key)
-        with contextlib.suppress(OSError, InputError):
-            old = decode_key(path.read_bytes(), str(path))
-            key = replace(key, used=max(key.used, old.used), heard=max(key.heard, old.heard))
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_private(path, encode_key(key))
+            with locked(self.folder):
+                self._save(key)
         except OSError as error:
             raise InputError(
                 f"cannot keep the key in {self.folder} ({reason(error)})",
                 f"Make the folder writable, or name another one in {_FOLDER}.",
             ) from error
+
+    def _save(self, key: StoredKey) -> None:
+        path = self._path(key)
+        with contextlib.suppress(OSError, InputError):
+            old = decode_key(path.read_bytes(), str(path))
+            key = replace(key, used=max(key.used, old.used), heard=max(key.heard, old.heard))
+        write_private(path, encode_key(key))
 
     def note(self, key: StoredKey, used: int, heard: int) -> None:
         """Keeps how far time has come with ``key``, unless it was forgotten meanwhile."""
@@ -295,15 +301,4 @@ def write_private(path: Path, content: bytes, anew: bool = False) -> None:
     none of that name (FileExistsError). Raises OSError."""
     if anew and path.exists():
         raise FileExistsError(17, "it exists already", str(path))
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
+    replace_file(path, content, _OWNER_ONLY)

@@ -1,14 +1,28 @@
-"""What it takes that a new file is still there after a power cut."""
+"""The one way this package writes a file: complete or not at all, and lasting after a power cut.
+
+Several processes may write the same file at once: each writes under a temporary name of its own,
+and the last one to finish wins. Whoever reads a file, changes it and writes it again also needs
+``filelock.locked``. Recordings that grow while they are made (IMU, bad line) are not written here.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import secrets
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO, TextIO
 
 from tailbeat.errors import InputError, reason
 
 MAKE_ROOM = "Make room on this computer, then go on; nothing is lost."
+TEMPORARY = ".tmp"
+"""Ending of every temporary name. A power cut can leave such a file; it can be deleted."""
+
+_NAME_SIGNS = 40  # of the file's name in its temporary one: file systems take 255 bytes in all
+_BINARY = getattr(os, "O_BINARY", 0)  # only Windows has, and needs, it
 
 
 def sync_folder(folder: Path) -> None:
@@ -21,19 +35,54 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def write_whole(path: Path, content: str | bytes, remedy: str = "Choose another place.") -> None:
-    """Writes the file whole or not at all, and so that it lasts. Raises InputError when that cannot
-    be; ``remedy``: what to do then."""
-    part = path.with_name(path.name + ".part")
+def temporary_beside(path: Path) -> Path:
+    """A name in the same folder that no other process uses."""
+    return path.with_name(f".{path.name[:_NAME_SIGNS]}.{secrets.token_hex(6)}{TEMPORARY}")
+
+
+@contextlib.contextmanager
+def replacing(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """A file to write, which takes the place of ``path`` at the end of the block; after an
+    exception ``path`` is what it was. A device or a pipe is written directly. ``mode``: permissions
+    of the new file, less the umask. Raises OSError."""
+    if path.exists() and not path.is_file():
+        with path.open("wb") as file:
+            yield file
+        return
+    part = temporary_beside(path)
+    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, mode)
     try:
-        with part.open("wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
+        with os.fdopen(descriptor, "wb") as file:
+            yield file
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise InputError(f"cannot write {path} ({reason(error)})", remedy) from error
-    finally:
+    except BaseException:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+@contextlib.contextmanager
+def replacing_text(path: Path) -> Iterator[TextIO]:
+    """As ``replacing``, for text: UTF-8, line ends as they are written."""
+    with replacing(path) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        yield text
+        text.flush()
+        text.detach()
+
+
+def replace_file(path: Path, content: str | bytes, mode: int = 0o666) -> None:
+    """Writes the file complete or not at all. Raises OSError."""
+    with replacing(path, mode) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+def write_whole(path: Path, content: str | bytes, remedy: str = "Choose another place.") -> None:
+    """As ``replace_file``, but raises InputError; ``remedy``: what to do then."""
+    try:
+        replace_file(path, content)
+    except OSError as error:
+        raise InputError(f"cannot write {path} ({reason(error)})", remedy) from error

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.errors import InputError, reason
-from tailbeat.lasting import sync_folder, write_whole
+from tailbeat.filelock import locked
+from tailbeat.lasting import replace_file, sync_folder, write_whole
 from tailbeat.trial_log import Trial, parse_trial
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ _MARKS = (DISCARDED, RUN)
 _IDENTIFIED = "identified.json"
 _REFERENCES = "references.json"
 _PART = ".part"
+_READ_ONLY = 0o444
 _DIGEST_DIGITS = 16
 _ORDERS = 999_999
 
@@ -144,12 +146,10 @@ class Logbook:
     def set_identified(self, identified: Identified) -> Path:
         """Replaces what was identified; the old file stays beside it, numbered."""
         path = self.folder / _IDENTIFIED
-        with self._writable():
-            self.folder.mkdir(parents=True, exist_ok=True)
+        with self.changing():
             if path.is_file():
                 self._add(self.folder / "identified", ".json", path.read_bytes())
             identified.save(path)
-            sync_folder(self.folder)
         return path
 
     def add_proposal(self, document: dict[str, Any]) -> Path:
@@ -169,12 +169,13 @@ class Logbook:
 
     def name_reference(self, crc: int, name: str) -> None:
         """Keeps what a reference is called. Lasting when it returns."""
-        names = self._names()
-        if names.get(f"{crc:08x}") != name:
-            self.put(_REFERENCES, names | {f"{crc:08x}": name})
+        if self.reference_name(crc) != name:
+            with self.changing():
+                self.put(_REFERENCES, self._names() | {f"{crc:08x}": name})
 
     def put(self, name: str, document: Mapping[str, Any]) -> None:
-        """Replaces a JSON file of the folder in one step, lasting. Raises InputError."""
+        """Replaces a JSON file of the folder in one step, lasting. What follows from the file as it
+        was belongs into one block of ``changing``. Raises InputError."""
         with self._writable():
             self.folder.mkdir(parents=True, exist_ok=True)
         write_whole(self.folder / name, json.dumps(document, indent=2) + "\n")
@@ -221,21 +222,24 @@ class Logbook:
         """Writes ``content`` whole or not at all, named by the next order number."""
         with self._writable():
             folder.mkdir(parents=True, exist_ok=True)
-            order, part = _claim(folder)
+            order, claim = _claim(folder)
+            path = folder / f"{order:06d}{ending}"
             try:
-                with part.open("wb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-                part.chmod(0o444)
-                path = folder / f"{order:06d}{ending}"
-                part.replace(path)
-            except BaseException:
-                part.unlink(missing_ok=True)
-                raise
+                replace_file(path, content, _READ_ONLY)
+            finally:
+                claim.unlink(missing_ok=True)
             for made in (folder, self.folder, self.folder.parent):
                 sync_folder(made)
         return path
+
+    @contextlib.contextmanager
+    def changing(self) -> Iterator[None]:
+        """For a file that is read, changed and written again: one process and thread at a time.
+        Makes the folder. Raises InputError."""
+        with self._writable():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with locked(self.folder):
+                yield
 
     @contextlib.contextmanager
     def _writable(self) -> Iterator[None]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tailbeat.beatcsv import read_table
 from tailbeat.errors import InputError
+from tailbeat.lasting import replacing_text
 
 Array = NDArray[np.float64]
 Antiderivative = Callable[[Array], Array]
@@ -114,7 +115,7 @@ class Reference:
     def to_csv(self, path: Path) -> None:
         """Writes ``beat,t_s,v_m_s``: the beat means, t_s the middle of each beat; ``from_csv``
         reads the very same reference."""
-        with path.open("w", newline="") as file:
+        with replacing_text(path) as file:
             out = csv.writer(file, lineterminator="\n")
             out.writerow(["beat", "t_s", "v_m_s"])
             for beat, speed in enumerate(self.speed_m_s):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError, reason
+from tailbeat.lasting import replacing_text
 from tailbeat.reference import BEATS_MAX
 
 Floats = NDArray[np.float32]
@@ -312,7 +313,7 @@ def beats_csv(trial: Trial, path: Path) -> None:
     header += ["sigma_m_s", "error_m_s", "samples"]
     b = trial.beats
     columns = (b.amplitude_rad, b.applied_rad, b.reference_m_s, b.speed_m_s, b.sigma_m_s)
-    with path.open("w", newline="") as file:
+    with replacing_text(path) as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(header)
         for k in range(len(b.samples)):

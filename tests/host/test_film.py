@@ -14,6 +14,7 @@ import pytest
 av = pytest.importorskip("av")
 cv2 = pytest.importorskip("cv2")
 
+from tailbeat.camera.pictures import film as filmfile  # noqa: E402
 from tailbeat.camera.pictures.film import Film, FilmWriter  # noqa: E402
 from tailbeat.camera.pictures.picture import Image, Picture  # noqa: E402
 from tailbeat.errors import InputError  # noqa: E402
@@ -281,12 +282,14 @@ def test_writer_refuses(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_full_disk(tmp_path: Path) -> None:
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     full = Path("/dev/full")
     if not full.exists():
         pytest.skip("no /dev/full here")
     path = tmp_path / "a.mp4"
-    (tmp_path / "a.mp4.part").symlink_to(full)
+    part = tmp_path / "part"
+    part.symlink_to(full)
+    monkeypatch.setattr(filmfile, "temporary_beside", lambda _: part)
     with pytest.raises(InputError, match=r"cannot write .*a\.mp4 \(No space left"):
         written(path, CFR_S)
     assert list(tmp_path.iterdir()) == []

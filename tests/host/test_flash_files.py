@@ -111,7 +111,7 @@ def test_a_backup_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_forgets_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tailbeat.flashing.backup._write", lambda path, content: path.touch())
+    monkeypatch.setattr("tailbeat.flashing.backup.replace_file", lambda path, _: path.touch())
     with pytest.raises(InputError):
         backup().write(tmp_path)
 

@@ -658,7 +658,7 @@ def test_a_board_behind_a_bad_line_is_in_this_process() -> None:
 
 
 def test_a_key_others_can_read_is_told(owner: Laptop, monkeypatch: pytest.MonkeyPatch) -> None:
-    (path,) = owner.folder.iterdir()
+    (path,) = owner.folder.glob("*.json")
     path.chmod(0o644)
     _, _, err = owner.call("params", "get", "LAW_LEAD", "--connect", "radio")
     assert f"chmod 600 {path}" in err

@@ -13,6 +13,7 @@ import pytest
 from tailbeat import _dialect as mavlink
 from tailbeat.cli import run
 from tailbeat.errors import InputError
+from tailbeat.filelock import WRITE_LOCK
 from tailbeat.fish import Fish
 from tailbeat.keys import KeyStore, StoredKey, decode_key, encode_key, new_key, write_private
 from tailbeat.provision import connect_notice, key_status, set_key
@@ -53,7 +54,7 @@ def test_new_keys_are_random_and_whole() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="no modes")
 def test_nobody_else_can_read_it(store: KeyStore, keys_folder: Path) -> None:
     store.save(KEY)
-    (path,) = keys_folder.iterdir()
+    (path,) = keys_folder.glob("*.json")
     assert stat.S_IMODE(keys_folder.stat().st_mode) == 0o700
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     path.chmod(0o640)
@@ -124,11 +125,12 @@ def test_an_interrupted_write_leaves_the_old_file(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tailbeat.keys.os.fsync", full)
+    (old,) = keys_folder.glob("*.json")
+    monkeypatch.setattr("tailbeat.lasting.os.fsync", full)
     with pytest.raises(InputError, match="No space left"):
         store.save(replace(KEY, used=5))
     monkeypatch.undo()
-    assert [path.suffix for path in keys_folder.iterdir()] == [".json"]
+    assert {path.name for path in keys_folder.iterdir()} == {old.name, WRITE_LOCK}
     assert KeyStore(keys_folder).usable() == [KEY]
 
 
@@ -490,7 +492,7 @@ def test_a_key_on_offer_is_taken_when_it_shows(signing: Signing) -> None:
 
 def test_files_hold_what_they_say(store: KeyStore, keys_folder: Path) -> None:
     store.save(KEY)
-    (path,) = keys_folder.iterdir()
+    (path,) = keys_folder.glob("*.json")
     document = json.loads(path.read_text())
     assert (document["format"], document["key"]) == ("tailbeat key 1", KEY.key.hex())
     assert document["board"] == BOARD

@@ -25,6 +25,7 @@ from tailbeat.camera.tank.calibration import Calibration
 from tailbeat.camera.timing.sync import Sync, sync, sync_by_led
 from tailbeat.camera.tracking.track import BRIDGED, LOST, SEEN, Progress, Track, track, write_track
 from tailbeat.errors import InputError, reason
+from tailbeat.lasting import replace_file
 from tailbeat.straight import Straightness, straightness_of_frames
 from tailbeat.trial_log import Trial
 
@@ -186,9 +187,9 @@ def write_analysis(found: Analysis, folder: Path) -> None:
     write_track(found.track, folder / "track.csv")
     write_speeds(found.curve, folder / "speed.csv", found.trial.number if found.trial else None)
     if found.trial is not None:
-        (folder / "beats.csv").write_text(_beats_csv(*found.beats()), encoding="utf-8")
+        replace_file(folder / "beats.csv", _beats_csv(*found.beats()))
     text = json.dumps(found.summary(), indent=2, allow_nan=False) + "\n"
-    (folder / SUMMARY).write_text(text, encoding="utf-8")
+    replace_file(folder / SUMMARY, text)
 
 
 def _beats_csv(speed: Floats, sigma: Floats) -> str:

@@ -6,6 +6,7 @@ from datetime import date
 from typing import TYPE_CHECKING
 
 from tailbeat.errors import TailbeatError
+from tailbeat.lasting import replace_file
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -34,7 +35,7 @@ def _told_before(fish: Fish) -> bool:
         if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == today:
             return True
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(today, encoding="utf-8")
+        replace_file(path, today)
     except (TailbeatError, OSError):
         pass
     return False

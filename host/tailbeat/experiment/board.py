@@ -81,8 +81,9 @@ def copy_state(fish: Fish, experiment: Experiment) -> BoardState:
         path.parent.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make {path.parent}.", "Make the folder writable.") from error
-    _set_aside(experiment, state)
-    write_whole(path, canonical(_document(state)), MAKE_ROOM)
+    with experiment.changing():
+        _set_aside(experiment, state)
+        write_whole(path, canonical(_document(state)), MAKE_ROOM)
     return state
 
 
@@ -141,9 +142,10 @@ def expected_params(experiment: Experiment) -> dict[str, float]:
 
 def set_held_params(experiment: Experiment, params: Mapping[str, float]) -> None:
     """These were set on purpose since the copy was made; without a copy nothing is done."""
-    if (held := held_state(experiment)) is not None:
-        new = replace(held, params=held.params | dict(params))
-        write_whole(_path(experiment), canonical(_document(new)), MAKE_ROOM)
+    with experiment.changing():
+        if (held := held_state(experiment)) is not None:
+            new = replace(held, params=held.params | dict(params))
+            write_whole(_path(experiment), canonical(_document(new)), MAKE_ROOM)
 
 
 def _set_aside(experiment: Experiment, state: BoardState) -> None:

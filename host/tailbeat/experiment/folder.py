@@ -7,12 +7,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -20,7 +21,8 @@ from typing import Any
 
 from tailbeat.errors import InputError, reason
 from tailbeat.experiment.journal import Journal
-from tailbeat.lasting import write_whole
+from tailbeat.filelock import WRITE_LOCK, locked
+from tailbeat.lasting import MAKE_ROOM, TEMPORARY, write_whole
 from tailbeat.trial_log import Trial, parse_trial, read_trial
 
 _SETTINGS = "settings.json"
@@ -31,7 +33,7 @@ _EXPORT = "export"
 _SUMS = "SHA256SUMS"
 _MADE_FOLDERS = ("board", "report")
 _MADE_FILES = (
-    "report.html", "report.png", "analysis.json", "redo.md", "reference.csv", ".lock"
+    "report.html", "report.png", "analysis.json", "redo.md", "reference.csv", ".lock", WRITE_LOCK,
 )  # fmt: skip
 _TAKEN_MAX = 1000
 _MAKE_ROOM = "Make room on this computer and do it again; what is on the board stays there."
@@ -151,8 +153,10 @@ class Experiment:
 
     def write_settings(self, values: dict[str, Any]) -> None:
         """Adds to the settings; what is there under other keys stays."""
-        old = self.settings() if (self.folder / _SETTINGS).exists() else {}
-        write_whole(self.folder / _SETTINGS, json.dumps(old | values, indent=2) + "\n", _MAKE_ROOM)
+        with self.changing():
+            old = self.settings() if (self.folder / _SETTINGS).exists() else {}
+            text = json.dumps(old | values, indent=2) + "\n"
+            write_whole(self.folder / _SETTINGS, text, _MAKE_ROOM)
 
     def note(self, text: str, now: datetime | None = None) -> None:
         """Adds a line with the time to the notes, and to the journal. Raises InputError."""
@@ -160,8 +164,9 @@ class Experiment:
         self.journal.add("note", moment, text=text.strip())
         stamp = moment.strftime("%Y-%m-%d %H:%M:%S")
         path = self.folder / _NOTES
-        old = path.read_text(encoding="utf-8") if path.exists() else f"# {self.name}\n"
-        write_whole(path, f"{old}\n- **{stamp}** {text.strip()}\n", _MAKE_ROOM)
+        with self.changing():
+            old = path.read_text(encoding="utf-8") if path.exists() else f"# {self.name}\n"
+            write_whole(path, f"{old}\n- **{stamp}** {text.strip()}\n", _MAKE_ROOM)
 
     def notes(self) -> str:
         """All notes, Markdown."""
@@ -170,6 +175,10 @@ class Experiment:
     def add_raw(self, name: str, content: bytes) -> Path:
         """Keeps ``content`` unchanged for ever, lasting when it returns. The same content again
         does nothing; another content under a name that is taken is refused."""
+        with self.changing():
+            return self._add_raw(name, content)
+
+    def _add_raw(self, name: str, content: bytes) -> Path:
         path = self.raw / name
         digest = hashlib.sha256(content).hexdigest()
         if path.exists():
@@ -189,13 +198,14 @@ class Experiment:
         """As ``add_raw``, but under the next free name (``NAME-2.EXT``) where the name is taken by
         another content. What a file already holds, or holds the beginning of, is not kept again."""
         stem, dot, ending = name.partition(".")
-        for number in range(1, _TAKEN_MAX):
-            path = self.raw / (name if number == 1 else f"{stem}-{number}{dot}{ending}")
-            if not path.exists():
-                return self.add_raw(path.name, content)
-            held = path.read_bytes()
-            if held.startswith(content):
-                return self.add_raw(path.name, held)
+        with self.changing():
+            for number in range(1, _TAKEN_MAX):
+                path = self.raw / (name if number == 1 else f"{stem}-{number}{dot}{ending}")
+                if not path.exists():
+                    return self._add_raw(path.name, content)
+                held = path.read_bytes()
+                if held.startswith(content):
+                    return self._add_raw(path.name, held)
         raise InputError(f"{self.raw} is full of {name}.", "Start a new experiment.")
 
     def keep_trial(self, path: Path) -> Path:
@@ -246,7 +256,7 @@ class Experiment:
         """Names of raw files that nobody added through this tool (or the power went just then)."""
         known = {*self.sums(), _SUMS}
         there = sorted(path.name for path in self.raw.glob("*") if path.is_file())
-        return [name for name in there if name not in known and not name.endswith(".part")]
+        return [name for name in there if name not in known and not name.endswith(TEMPORARY)]
 
     def raw_problems(self) -> list[str]:
         """One line for each raw file that cannot be trusted; none = all is as it came."""
@@ -279,6 +289,19 @@ class Experiment:
     def trials(self) -> list[Trial]:
         """Every trial of the series, in order."""
         return [read_trial(path) for path in self.trial_files()]
+
+    @contextlib.contextmanager
+    def changing(self) -> Iterator[None]:
+        """For a file that is read, changed and written again: one process and thread at a time.
+        Raises InputError."""
+        with contextlib.ExitStack() as held:
+            try:
+                held.enter_context(locked(self.folder))
+            except OSError as error:
+                raise InputError(
+                    f"cannot write into {self.folder} ({reason(error)}).", MAKE_ROOM
+                ) from error
+            yield
 
     def clear(self) -> None:
         """Deletes what belongs to the experiment, raw files too; other files in its folder stay."""

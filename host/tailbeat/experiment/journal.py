@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.errors import InputError, reason
+from tailbeat.filelock import wait_lock
 from tailbeat.lasting import sync_folder
 from tailbeat.plain import plain
 
@@ -60,6 +61,7 @@ class Journal:
         """The line whole, or nothing of it."""
         descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _BINARY, 0o644)
         try:
+            wait_lock(descriptor, self.path)  # or another process's half line would count as torn
             size = os.fstat(descriptor).st_size
             content = _end_of(_last_line(self.path)) + line
             try:

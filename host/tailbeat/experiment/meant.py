@@ -52,7 +52,8 @@ def note_board(fish: Fish, params: Mapping[str, float]) -> None:
     """What the board is meant to have, into the logbook alone. Does nothing for a board without
     one. Raises InputError."""
     if (book := logbook_of(fish)) is not None:
-        book.put(_MEANT, _board_params(fish) | dict(params))
+        with book.changing():
+            book.put(_MEANT, _board_params(fish) | dict(params))
 
 
 def note_all(fish: Fish) -> None:

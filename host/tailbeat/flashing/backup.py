@@ -8,14 +8,13 @@ went elsewhere.
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from tailbeat.errors import InputError, reason
-from tailbeat.lasting import sync_folder
+from tailbeat.lasting import replace_file
 
 _BOARD = "board.json"
 _FORMAT = "tailbeat backup 1"
@@ -44,9 +43,8 @@ class Backup:
         for name in _RECORDS:
             record = getattr(self, name)
             if record is not None:
-                _write(folder / f"{name}.bin", record)
-        _write(folder / _BOARD, json.dumps(self._document(), indent=2).encode() + b"\n")
-        sync_folder(folder)
+                replace_file(folder / f"{name}.bin", record)
+        replace_file(folder / _BOARD, json.dumps(self._document(), indent=2).encode() + b"\n")
         if Backup.read(folder) != self:
             raise InputError(
                 f"the backup in {folder} differs from what was written",
@@ -108,10 +106,3 @@ def new_folder(root: Path, unique_id: str, now: datetime | None = None) -> Path:
             continue
         return folder
     raise InputError(f"{root} holds 99 backups of this second", "Use another folder: --out FOLDER")
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError, reason
-from tailbeat.lasting import sync_folder
+from tailbeat.lasting import replace_file
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.fitting import Fit, Scatter
 from tailbeat.model.swim import Swim
@@ -91,14 +90,7 @@ class Identified:
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all, and so that it lasts."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(path.name + ".part")
-        with part.open("w", encoding="utf-8") as file:
-            json.dump(self.as_dict(), file, indent=1, allow_nan=False)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        sync_folder(path.parent)
+        replace_file(path, json.dumps(self.as_dict(), indent=1, allow_nan=False) + "\n")
 
     @classmethod
     def from_dict(cls, raw: dict[str, Any]) -> Identified:

@@ -7,6 +7,7 @@ import math
 from html import escape
 from pathlib import Path
 
+from tailbeat.lasting import replace_file
 from tailbeat.report.data import Series, Swim
 
 _CSS = """
@@ -42,7 +43,7 @@ def write_html(series: Series, png: bytes, path: Path) -> None:
 </div>
 </body></html>
 """
-    path.write_text(page, encoding="utf-8")
+    replace_file(path, page)
 
 
 def _alt(series: Series) -> str:

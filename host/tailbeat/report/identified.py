@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.lasting import replace_file
 from tailbeat.model.account import NAMES, Account, SwimAccount, steady_band
 from tailbeat.model.identified import Identified
 from tailbeat.report.png import STYLE
@@ -61,7 +62,7 @@ def draw_table(table: Table, path: Path) -> None:
 def _write(figure: Figure, path: Path) -> None:
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=_DPI)
-    path.write_bytes(out.getvalue())
+    replace_file(path, out.getvalue())
 
 
 def _heading(figure: Figure, account: Account, simulated: bool) -> None:

@@ -188,6 +188,7 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
     import csv
 
     from tailbeat.experiment.compare import compare
+    from tailbeat.lasting import replacing_text
 
     rows: list[list[Any]] = []
     for other in analyses[1:]:
@@ -198,7 +199,7 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
                 continue
             made_up = other.simulated or analyses[0].simulated
             rows.append([read(found, other, analyses[0], made_up) for read in _COMPARISON.values()])
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing_text(path) as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(_COMPARISON)
         out.writerows(rows)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.lasting import replace_file
 from tailbeat.report.data import Series, Swim
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def render_png(series: Series, path: Path | None = None) -> bytes:
         figure.savefig(out, format="png", dpi=_DPI)
     png = out.getvalue()
     if path is not None:
-        path.write_bytes(png)
+        replace_file(path, png)
     return png
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tailbeat.lasting import replace_file
 from tailbeat.report.png import STYLE
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def progress_png(found: Progress, path: Path | None = None) -> bytes:
         figure.savefig(out, format="png", dpi=_DPI)
     png = out.getvalue()
     if path is not None:
-        path.write_bytes(png)
+        replace_file(path, png)
     return png
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.lasting import replacing
 from tailbeat.sweep.summary import Line, Summary
 
 if TYPE_CHECKING:
@@ -49,7 +50,8 @@ def render(summary: Summary, path: Path) -> None:
             if i % across == 0:
                 grid.flat[i].set_ylabel("true max|e|, mm/s")
         _legends(figure, list(grid.flat[: len(panels)]))
-        figure.savefig(path, format="png")
+        with replacing(path) as file:
+            figure.savefig(file, format="png")
 
 
 def _panels(lines: list[Line]) -> list[tuple[str, list[Line]]]:

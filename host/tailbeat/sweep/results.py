@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tailbeat.errors import InputError, reason
-from tailbeat.lasting import sync_folder
+from tailbeat.lasting import replace_file, replacing
 
 if TYPE_CHECKING:
     from tailbeat.sweep.cell import Cell
@@ -157,14 +156,14 @@ class Store:
 
     def _make(self, wanted: dict[str, str], source: str) -> None:
         (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
-        _write(self.folder / RECIPE, source.encode())
-        _write(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
+        replace_file(self.folder / RECIPE, source.encode())
+        replace_file(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
 
     def _rejudge(self, source: str) -> None:
         """Only what judges the results can differ: from now on it is what is given now."""
         path = self.folder / RECIPE
         if not path.exists() or path.read_bytes() != source.encode():
-            _write(path, source.encode())
+            replace_file(path, source.encode())
 
     def part(self, cell: Cell) -> Path:
         """Where the results of a cell go."""
@@ -179,18 +178,16 @@ class Store:
 
     def put(self, cell: Cell, data: bytes) -> None:
         """Keeps the results of a cell, whole or not at all."""
-        _write(self.part(cell), hashlib.sha256(data).digest() + data)
+        replace_file(self.part(cell), hashlib.sha256(data).digest() + data)
 
     def finish(self, cells: list[Cell]) -> Path:
         """Puts all parts together in the order of the cells, a row group for each."""
-        fresh = self.results.with_name(RESULTS + ".new")
-        with pq.ParquetWriter(
-            fresh, SCHEMA, compression="zstd", write_page_checksum=True
-        ) as writer:
+        with (
+            replacing(self.results) as file,
+            pq.ParquetWriter(file, SCHEMA, compression="zstd", write_page_checksum=True) as writer,
+        ):
             for cell in cells:
                 writer.write_table(_read_part(self.part(cell)))
-        fresh.replace(self.results)
-        sync_folder(self.folder)
         return self.results
 
     def read(self) -> pa.Table:
@@ -230,12 +227,3 @@ def _damaged(path: Path) -> InputError:
         f"{path} is damaged or cannot be read.",
         "The command that computed it computes again what is missing.",
     )
-
-
-def _write(path: Path, data: bytes) -> None:
-    fresh = path.with_name(path.name + ".new")
-    with fresh.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)

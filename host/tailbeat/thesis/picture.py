@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.lasting import replace_file
 from tailbeat.report.png import STYLE
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def picture(path: Path, panels: int = 1, across: bool = True) -> Iterator[list[A
         yield axes
         out = io.BytesIO()
         figure.savefig(out, format="png", dpi=_DPI)
-        path.write_bytes(out.getvalue())
+        replace_file(path, out.getvalue())
 
 
 def legend(axes: Axes, **where: Any) -> None:

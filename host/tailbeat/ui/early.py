@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tailbeat.experiment.journal import Journal
+from tailbeat.filelock import locked
 
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
@@ -15,14 +16,22 @@ if TYPE_CHECKING:
 def put_by(root: Path, unique_id: str, text: str, at: datetime) -> None:
     """Keeps it for the next experiment of this fish. Raises InputError, OSError."""
     root.mkdir(parents=True, exist_ok=True)
-    _waiting(root, unique_id).add("note", at, text=text)
+    with locked(root):
+        _waiting(root, unique_id).add("note", at, text=text)
 
 
 def bring(root: Path, unique_id: str, experiment: Experiment) -> int:
     """Writes what waits into the experiment, with the time of each; how many. What a full disk
     stops waits on. Raises InputError, OSError."""
     waiting = _waiting(root, unique_id)
-    notes = waiting.entries("note") if waiting.path.exists() else []
+    if not waiting.path.exists():
+        return 0
+    with locked(root):
+        return _bring(waiting, experiment)
+
+
+def _bring(waiting: Journal, experiment: Experiment) -> int:
+    notes = waiting.entries("note")
     there = {(entry["time"], entry["text"]) for entry in experiment.journal.entries("note")}
     for note in notes:
         if (note["time"], note["text"]) not in there:  # else it was stopped half way

@@ -20,6 +20,7 @@ from tailbeat.camera.pictures.filmdecode import (
 )
 from tailbeat.camera.pictures.picture import Image, Picture
 from tailbeat.errors import InputError, reason
+from tailbeat.lasting import temporary_beside
 
 _CONTAINERS = {".mp4": ("mp4", Fraction(1, 90000)), ".mkv": ("matroska", Fraction(1, 1000))}
 # Formats whose first plane is the brightness in bytes: eight times cheaper than a conversion.
@@ -154,7 +155,7 @@ class FilmWriter:
         container, self._tick = _CONTAINERS[path.suffix.lower()]
         self._av = av
         self._path = path
-        self._part = path.with_name(path.name + ".part")
+        self._part = temporary_beside(path)
         self._size_px = size_px
         self._first_s: float | None = None
         self._last_s = 0.0

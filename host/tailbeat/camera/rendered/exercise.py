@@ -22,6 +22,7 @@ from tailbeat.camera.rendered.scene import Scene
 from tailbeat.camera.rendered.source import picture_index, truth_of
 from tailbeat.errors import InputError, TailbeatError, reason
 from tailbeat.fish import Fish
+from tailbeat.lasting import replacing_text
 from tailbeat.reference import Reference
 from tailbeat.results import SPEED_SOURCES, TrialOutcome
 from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
@@ -228,7 +229,7 @@ def _draw(path: Path, swim: _Swim, scene: Scene, fps: float, progress: Progress)
 def _write_truth(path: Path, swim: _Swim) -> None:
     """As drawn, the camera's noise included; the speed is the fish's own."""
     first_s = swim.frames[0].time_s
-    with path.open("w", newline="") as file:
+    with replacing_text(path) as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(TRUTH_COLUMNS)
         for frame in swim.frames:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.errors import InputError
+from tailbeat.lasting import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -278,7 +279,7 @@ def save(figure: Figure, path: Path) -> None:
     kind = path.suffix.removeprefix(".")
     if kind not in _NOTHING_ELSE:
         raise InputError(f"figures are not written as '{path.suffix}'.", "Use .pdf, .svg or .png.")
-    path.write_bytes(written(figure, kind))
+    replace_file(path, written(figure, kind))
 
 
 def written(figure: Figure, kind: str) -> bytes:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.lasting import replacing
 from tailbeat.thesis.chapter8.fish import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
@@ -25,6 +26,11 @@ _STYLE: dict[Any, Any] = {"font.size": 11, "axes.spines.top": False, "axes.spine
 _INK, _FAINT = "0.15", "0.55"
 _LINES = (("#0b5394", "-"), ("#b45f06", "--"), ("0.35", "-."))
 _SHOWN = (1, 2, 3, 6)
+
+
+def _save(canvas: Any, path: Path) -> None:
+    with replacing(path) as file:
+        canvas.savefig(file, format="png")
 
 
 def draw_all(folder: Path) -> list[Figure]:
@@ -60,7 +66,7 @@ def _speeds(folder: Path) -> Figure:
         upper.set_ylim(0, 118)
         upper.legend(frameon=False, fontsize=9, loc="upper center", ncols=3)
         path = folder / "fig8-3.png"
-        canvas.savefig(path)
+        _save(canvas, path)
     return Figure(path, "Fig. 8.3", "speed and amplitude by beats, gain 4, with the wanted speed")
 
 
@@ -81,7 +87,7 @@ def _errors(folder: Path) -> Figure:
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.legend(frameon=False, fontsize=9, loc="upper right")
         path = folder / "fig8-4.png"
-        canvas.savefig(path)
+        _save(canvas, path)
     return Figure(path, "Fig. 8.4", "largest error over the iterations, gains 4, 7 and 10")
 
 
@@ -108,7 +114,7 @@ def _thrust(folder: Path) -> Figure:
             axes.set_ylim(bottom=0)
             axes.set_xlim(0, 0.8)
         path = folder / "figA-1.png"
-        canvas.savefig(path)
+        _save(canvas, path)
     return Figure(
         path, "Fig. A.1", "thrust (8.5)-(8.10) and its slope, which Lemma 8.1 needs above 0"
     )
