@@ -75,18 +75,6 @@ def drop_build_dates(headers: Path) -> None:
         path.write_text(re.sub(r'(MAVLINK_BUILD_DATE) ".*"', r'\1 ""', text))
 
 
-def narrow_message_ids(headers: Path) -> None:
-    """Lets the table of all messages have ids of 16 bits: a third of its 2.6 KB in the image."""
-    types = headers / "mavlink_types.h"
-    start, entry = types.read_text().split("typedef struct __mavlink_msg_entry {\n", 1)
-    table = (headers / "tailbeat" / "tailbeat.h").read_text()
-    ids = re.findall(r"\{(\d+), ", table[table.index("#define MAVLINK_MESSAGE_CRCS {") :])
-    if max(map(int, ids)) > 0xFFFF or not entry.startswith("\tuint32_t msgid;\n"):
-        raise SystemExit("message ids do not fit 16 bits, or pymavlink's headers have changed")
-    entry = entry.replace("uint32_t", "uint16_t", 1)
-    types.write_text(f"{start}typedef struct __mavlink_msg_entry {{\n{entry}")
-
-
 def generate(inputs: dict[str, Path], into: Path) -> None:
     """Writes xml/, mavlink/ and tailbeat_dialect.py below |into|."""
     work = into / "new"
@@ -96,7 +84,6 @@ def generate(inputs: dict[str, Path], into: Path) -> None:
         shutil.copyfile(path, work / "xml" / name)
     mavgen("C", work / "mavlink", work / "xml" / "tailbeat.xml")
     drop_build_dates(work / "mavlink")
-    narrow_message_ids(work / "mavlink")
     mavgen("Python3", work / "tailbeat_dialect.py", work / "xml" / "tailbeat.xml")
     for name in ("xml", "mavlink"):
         shutil.rmtree(into / name, ignore_errors=True)

@@ -72,7 +72,6 @@ typedef struct {
     link_t link;
     link_status_t status;
 
-    float applied_rad[BEATS_MAX]; /* what the servo gets in this trial */
     float error_m_s[BEATS_MAX];
     uint8_t measured[BEATS_MAX];
     float scratch[BEATS_MAX];

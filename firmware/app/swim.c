@@ -234,11 +234,11 @@ fault_t swim_start(app_t *app, const link_command_t *command) {
     }
     const law_t law = settings_law(&app->params, app->reference.beat_s);
     for (uint16_t k = 0; k < app->reference.beats; k++) {
-        app->applied_rad[k] = law_saturate(&law, app->memory.amplitude_rad[k]);
+        app->scratch[k] = law_saturate(&law, app->memory.amplitude_rad[k]);
     }
     const trial_run_plan_t plan = {
         .number = command->trial,
-        .applied_rad = app->applied_rad,
+        .applied_rad = app->scratch,
         .estimate = settings_estimate(&app->params, app->reference.beat_s, app->reference.beats),
         .guard_beats = (uint16_t)params_whole(&app->params, PARAM_GUARD_BEATS),
         .late_s = app->params.value[PARAM_SPD_LATE_S],

@@ -46,7 +46,7 @@ typedef struct {
 
 typedef struct {
     uint32_t number;
-    const float *applied_rad; /* what the servo gets, one per beat */
+    const float *applied_rad; /* what the servo gets, one per beat; copied into the trial */
     estimate_config_t estimate;
     uint16_t guard_beats;
     float late_s;

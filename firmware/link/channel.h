@@ -22,10 +22,10 @@ typedef struct {
     uint8_t window[MAVLINK_MAX_PACKET_LEN]; /* bytes in which a frame is being looked for */
     uint16_t held;
     uint64_t last_byte_us;
-    mavlink_status_t tx_status; /* sequence number */
-    signing_t *signing;         /* of what is sent; NULL = nobody signs */
-    uint32_t bad_frames;        /* known message, wrong CRC */
-    uint32_t dropped;           /* messages not sent because the line was full */
+    uint8_t sequence;    /* of the next message sent */
+    signing_t *signing;  /* of what is sent; NULL = nobody signs */
+    uint32_t bad_frames; /* message that the board reads (inbound.h), wrong CRC */
+    uint32_t dropped;    /* messages not sent because the line was full */
 } channel_t;
 
 void channel_init(channel_t *channel, hal_t *hal, hal_port_t port);
@@ -33,17 +33,15 @@ void channel_init(channel_t *channel, hal_t *hal, hal_port_t port);
 /* From now on what is sent is signed as |signing| says, which must outlive the channel. */
 void channel_sign(channel_t *channel, signing_t *signing);
 
-/* What the next frame is to be packed with: sequence number, and signature at the time of now. */
-mavlink_status_t *channel_packing(channel_t *channel);
-
 /* Takes bytes until one message is complete. False when the port has no more, or when
  * CHANNEL_CALL_BYTES held none. Takes MAVLink 1 and 2. Behind a start byte that began no good frame
  * the search goes on with the next byte, so damage costs only the frame it hit. A frame of a
- * message that the dialect does not know cannot be checked; it is dropped and not counted. */
+ * message that the board does not read cannot be checked; it is dropped and not counted. */
 bool channel_receive(channel_t *channel, mavlink_message_t *message);
 
-/* Sends a packed message; false (and counted) when it does not fit into the line. */
-bool channel_send(channel_t *channel, const mavlink_message_t *message);
+/* Sends the message with |fields|, the dialect's struct for |form|; false (and counted) when it
+ * does not fit into the line. */
+bool channel_send(channel_t *channel, const message_form_t *form, const void *fields);
 
 /* Whether |bytes| more fit into the line. */
 bool channel_has_space(const channel_t *channel, size_t bytes);

@@ -174,7 +174,6 @@ static answer_t decide(link_t *link, const link_received_t *in, const request_t 
 }
 
 static void send_answer(const link_received_t *in, uint16_t command, answer_t answer) {
-    mavlink_message_t message;
     const mavlink_command_ack_t ack = {
         .command = command,
         .result = answer.result,
@@ -182,9 +181,7 @@ static void send_answer(const link_received_t *in, uint16_t command, answer_t an
         .target_system = in->message->sysid,
         .target_component = in->message->compid,
     };
-    mavlink_msg_command_ack_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(in->channel),
-                                          &message, &ack);
-    (void)channel_send(in->channel, &message);
+    LINK_SEND(in->channel, COMMAND_ACK, &ack);
 }
 
 static void answer_command(const link_received_t *in, uint16_t command, answer_t answer) {

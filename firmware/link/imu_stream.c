@@ -34,10 +34,7 @@ static void send_held(link_t *link, channel_t *channel) {
         memcpy(&fields.ypr_deg[3u * i], frame->ypr_deg, sizeof frame->ypr_deg);
     }
     stream->held = 0;
-    mavlink_message_t message;
-    mavlink_msg_tailbeat_imu_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(channel),
-                                           &message, &fields);
-    (void)channel_send(channel, &message);
+    LINK_SEND(channel, TAILBEAT_IMU, &fields);
 }
 
 void link_imu(link_t *link, const imu_sample_t *sample) {

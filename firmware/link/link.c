@@ -52,15 +52,12 @@ static void on_heartbeat(link_t *link, const link_received_t *in) {
 /* A request has tc1 = 0; what else comes is the answer to somebody's request. */
 static void on_timesync(link_t *link, const link_received_t *in) {
     mavlink_timesync_t sync;
-    mavlink_message_t message;
     mavlink_msg_timesync_decode(in->message, &sync);
     if (sync.tc1 != 0) {
         return;
     }
     sync.tc1 = (int64_t)(hal_time_us(link->hal) * 1000u);
-    mavlink_msg_timesync_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(in->channel),
-                                       &message, &sync);
-    (void)channel_send(in->channel, &message);
+    LINK_SEND(in->channel, TIMESYNC, &sync);
 }
 
 /* A variance of 0 is a field that was left out: MAVLink 1, or zeros cut off the end. */
@@ -82,31 +79,32 @@ static void on_vision(link_t *link, const link_received_t *in) {
     link->handlers.vision(link->handlers.context, &sample);
 }
 
-static void send_ftp(channel_t *channel, ftp_host_t host, const uint8_t *payload) {
-    mavlink_message_t message;
-    mavlink_msg_file_transfer_protocol_pack_status(LINK_SYSTEM, LINK_COMPONENT,
-                                                   channel_packing(channel), &message, 0,
-                                                   host.system, host.component, payload);
-    (void)channel_send(channel, &message);
+static void address_ftp(mavlink_file_transfer_protocol_t *reply, ftp_host_t host) {
+    reply->target_network = 0;
+    reply->target_system = host.system;
+    reply->target_component = host.component;
 }
 
 static void on_ftp(link_t *link, const link_received_t *in) {
-    mavlink_file_transfer_protocol_t request;
-    uint8_t reply[FTP_PAYLOAD_BYTES];
-    mavlink_msg_file_transfer_protocol_decode(in->message, &request);
-    if (!link_addressed(request.target_system, request.target_component)) {
+    /* In place: with a copy of it this would be the deepest stack of all. */
+    const mavlink_file_transfer_protocol_t *request =
+        (const mavlink_file_transfer_protocol_t *)(const void *)_MAV_PAYLOAD(in->message);
+    mavlink_file_transfer_protocol_t reply;
+    if (!link_addressed(request->target_system, request->target_component)) {
         return;
     }
     const ftp_host_t host = {in->message->sysid, in->message->compid, (uint8_t)in->channel->port,
                              in->verdict == SIGNING_TRUSTED};
     const bool wrong = in->verdict == SIGNING_WRONG;
-    if (wrong || ftp_server_needs_trust(request.payload)) {
+    if (wrong || ftp_server_needs_trust(request->payload)) {
         (void)link_refusal(link, in);
     }
-    const bool answered = wrong ? ftp_server_refuse(request.payload, reply)
-                                : ftp_server_request(&link->ftp, host, request.payload, reply);
+    const bool answered =
+        wrong ? ftp_server_refuse(request->payload, reply.payload)
+              : ftp_server_request(&link->ftp, host, request->payload, reply.payload);
     if (answered) {
-        send_ftp(in->channel, host, reply);
+        address_ftp(&reply, host);
+        LINK_SEND(in->channel, FILE_TRANSFER_PROTOCOL, &reply);
     }
 }
 
@@ -123,12 +121,13 @@ static void stream_burst(link_t *link) {
     const size_t needed =
         LINK_FRAME_BYTES + MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL_LEN + LINK_RESERVE_BYTES;
     channel_t *channel = &link->channel[link->ftp.owner.port];
-    uint8_t reply[FTP_PAYLOAD_BYTES];
+    mavlink_file_transfer_protocol_t reply;
     for (uint32_t i = 0; i < BURST_PACKETS_PER_POLL && channel_has_space(channel, needed); i++) {
-        if (!ftp_server_burst(&link->ftp, reply)) {
+        if (!ftp_server_burst(&link->ftp, reply.payload)) {
             return;
         }
-        send_ftp(channel, link->ftp.owner, reply);
+        address_ftp(&reply, link->ftp.owner);
+        LINK_SEND(channel, FILE_TRANSFER_PROTOCOL, &reply);
     }
 }
 

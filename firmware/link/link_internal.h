@@ -19,6 +19,18 @@ typedef void (*link_send_t)(link_t *link, channel_t *channel);
 /* MAVLink 2: header, checksum, signature. */
 #define LINK_FRAME_BYTES (MAVLINK_NUM_NON_PAYLOAD_BYTES + MAVLINK_SIGNATURE_BLOCK_LEN)
 
+/* Sends message |NAME| with |fields|; a line that is full drops it. The dialect's structs lie in
+ * memory as they lie on the wire: the core is little-endian, as the wire is. */
+_Static_assert(MAVLINK_NEED_BYTE_SWAP == 0, "fields go onto the wire as they are in memory");
+#define LINK_SEND(channel, NAME, fields)                                                           \
+    do {                                                                                           \
+        static const message_form_t form_ = MESSAGE_FORM(NAME);                                    \
+        _Static_assert(sizeof *(fields) >= MAVLINK_MSG_ID_##NAME##_LEN &&                          \
+                           sizeof *(fields) < MAVLINK_MSG_ID_##NAME##_LEN + sizeof(uint64_t),      \
+                       "fields of " #NAME ", and padding at most behind them");                    \
+        (void)channel_send((channel), &form_, (fields));                                           \
+    } while (0)
+
 bool link_addressed(uint8_t system, uint8_t component);
 bool link_heard(const link_t *link, const channel_t *channel);
 void link_send_to_heard(link_t *link, link_send_t send);

@@ -7,6 +7,20 @@
 #define LINK_SYSTEM 1u
 #define LINK_COMPONENT MAV_COMP_ID_AUTOPILOT1
 
+/* What framing needs to know of a message. */
+typedef struct {
+    uint32_t id;
+    uint8_t min_bytes; /* of the payload, without extension fields: the length in MAVLink 1 */
+    uint8_t max_bytes;
+    uint8_t crc_extra;
+} message_form_t;
+
+#define MESSAGE_FORM(NAME)                                                                         \
+    {                                                                                              \
+        MAVLINK_MSG_ID_##NAME, MAVLINK_MSG_ID_##NAME##_MIN_LEN, MAVLINK_MSG_ID_##NAME##_LEN,       \
+            MAVLINK_MSG_ID_##NAME##_CRC                                                            \
+    }
+
 /* Compiled with the helpers, which declare it nowhere: link id, time and first 48 bits of the hash
  * into |signature|; the time moves on by one. */
 uint8_t mavlink_sign_packet(mavlink_signing_t *signing,

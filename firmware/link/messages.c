@@ -14,15 +14,6 @@
 #define TEXT_CHARS 49u
 #define AMPLITUDES_PER_MESSAGE 32u
 
-/* Encodes |fields| with the channel's own sequence number and sends it. */
-#define SEND(channel, name, fields)                                                                \
-    do {                                                                                           \
-        mavlink_message_t message_;                                                                \
-        mavlink_msg_##name##_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(channel),  \
-                                           &message_, (fields));                                   \
-        (void)channel_send((channel), &message_);                                                  \
-    } while (0)
-
 static uint32_t boot_ms(const link_t *link) {
     return (uint32_t)units_thousandth(hal_time_us(link->hal));
 }
@@ -58,7 +49,7 @@ void link_send_heartbeat(link_t *link, channel_t *channel) {
         .system_status = system_status(status->state),
         .mavlink_version = 3,
     };
-    SEND(channel, heartbeat, &heartbeat);
+    LINK_SEND(channel, HEARTBEAT, &heartbeat);
 }
 
 mavlink_tailbeat_status_t link_status_message(const link_t *link) {
@@ -87,7 +78,7 @@ mavlink_tailbeat_status_t link_status_message(const link_t *link) {
 
 void link_send_status(link_t *link, channel_t *channel) {
     const mavlink_tailbeat_status_t fields = link_status_message(link);
-    SEND(channel, tailbeat_status, &fields);
+    LINK_SEND(channel, TAILBEAT_STATUS, &fields);
 }
 
 void link_send_battery(link_t *link, channel_t *channel) {
@@ -102,7 +93,7 @@ void link_send_battery(link_t *link, channel_t *channel) {
     };
     memset(battery.voltages, 0xFF, sizeof battery.voltages);
     battery.voltages[0] = link->status->battery_mv;
-    SEND(channel, battery_status, &battery);
+    LINK_SEND(channel, BATTERY_STATUS, &battery);
 }
 
 void link_send_attitude(link_t *link, channel_t *channel) {
@@ -116,7 +107,7 @@ void link_send_attitude(link_t *link, channel_t *channel) {
         .pitchspeed = imu->rate_rad_s[1],
         .yawspeed = imu->rate_rad_s[2],
     };
-    SEND(channel, attitude, &attitude);
+    LINK_SEND(channel, ATTITUDE, &attitude);
 }
 
 void link_send_live(link_t *link, channel_t *channel) {
@@ -133,7 +124,7 @@ void link_send_live(link_t *link, channel_t *channel) {
         .beat = status->beat,
         .pulse_ticks = status->pulse_ticks,
     };
-    SEND(channel, tailbeat_live, &live);
+    LINK_SEND(channel, TAILBEAT_LIVE, &live);
 }
 
 static uint32_t overruns(const link_t *link) {
@@ -176,7 +167,7 @@ void link_send_health(link_t *link, channel_t *channel) {
         .reset_cause = (uint8_t)hal_reset_cause(link->hal),
         .imu_problem = (uint8_t)imu->driver.problem,
     };
-    SEND(channel, tailbeat_health, &health);
+    LINK_SEND(channel, TAILBEAT_HEALTH, &health);
 }
 
 void link_send_imu_info(link_t *link, channel_t *channel) {
@@ -192,7 +183,7 @@ void link_send_imu_info(link_t *link, channel_t *channel) {
     };
     memcpy(info.model, driver->model, sizeof info.model);
     memcpy(info.firmware, driver->firmware, sizeof info.firmware);
-    SEND(channel, tailbeat_imu_info, &info);
+    LINK_SEND(channel, TAILBEAT_IMU_INFO, &info);
 }
 
 static float amplitude_of(const memory_t *memory, uint8_t set, uint32_t beat) {
@@ -221,7 +212,7 @@ void link_send_amplitudes(link_t *link, channel_t *channel, uint8_t set, uint16_
         piece.amplitude_rad[i] = amplitude_of(memory, set, first + i);
         piece.count++;
     }
-    SEND(channel, tailbeat_amplitudes, &piece);
+    LINK_SEND(channel, TAILBEAT_AMPLITUDES, &piece);
 }
 
 void link_send_learn_report(link_t *link, channel_t *channel) {
@@ -238,7 +229,7 @@ void link_send_learn_report(link_t *link, channel_t *channel) {
         .flags = (uint8_t)((report->improved ? TAILBEAT_LEARN_IMPROVED : 0) |
                            (report->rolled_back ? TAILBEAT_LEARN_ROLLED_BACK : 0)),
     };
-    SEND(channel, tailbeat_learn_report, &fields);
+    LINK_SEND(channel, TAILBEAT_LEARN_REPORT, &fields);
 }
 
 static bool is_hex(char c) { return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f'); }
@@ -278,7 +269,7 @@ void link_send_version(link_t *link, channel_t *channel) {
     memcpy(version.uid2, unique_id, sizeof unique_id);
     memcpy(&version.uid, unique_id, sizeof version.uid);
     copy_hash(version.flight_custom_version);
-    SEND(channel, autopilot_version, &version);
+    LINK_SEND(channel, AUTOPILOT_VERSION, &version);
     strncat(text, link_build_id(), TEXT_CHARS - strlen(text));
     link_send_text(channel, MAV_SEVERITY_INFO, text);
 }
@@ -288,7 +279,7 @@ void link_send_text(channel_t *channel, uint8_t severity, const char *text) {
     for (uint32_t i = 0; i < TEXT_CHARS && text[i] != '\0'; i++) {
         fields.text[i] = text[i];
     }
-    SEND(channel, statustext, &fields);
+    LINK_SEND(channel, STATUSTEXT, &fields);
 }
 
 void link_text(link_t *link, uint8_t severity, const char *text) {
@@ -312,7 +303,7 @@ void link_beat(link_t *link, const link_beat_t *beat) {
     };
     for (uint32_t i = 0; i < LINK_PORTS; i++) {
         if (link_heard(link, &link->channel[i])) {
-            SEND(&link->channel[i], tailbeat_beat, &fields);
+            LINK_SEND(&link->channel[i], TAILBEAT_BEAT, &fields);
         }
     }
 }

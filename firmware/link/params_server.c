@@ -14,7 +14,6 @@ static void put_name(param_t param, char out[PARAM_NAME_BYTES]) {
 }
 
 static void send_value(const link_t *link, channel_t *channel, param_t param) {
-    mavlink_message_t message;
     mavlink_param_value_t fields = {
         .param_value = link->params->value[param],
         .param_count = PARAM_COUNT,
@@ -22,9 +21,7 @@ static void send_value(const link_t *link, channel_t *channel, param_t param) {
         .param_type = MAV_PARAM_TYPE_REAL32,
     };
     put_name(param, fields.param_id);
-    mavlink_msg_param_value_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(channel),
-                                          &message, &fields);
-    (void)channel_send(channel, &message);
+    LINK_SEND(channel, PARAM_VALUE, &fields);
 }
 
 /* Which parameter a host spoke of, as it named it. */
@@ -34,7 +31,6 @@ typedef struct {
 } named_t;
 
 static void send_error(const link_received_t *in, const named_t *named, uint8_t error) {
-    mavlink_message_t message;
     mavlink_param_error_t fields = {
         .param_index = named->index,
         .target_system = in->message->sysid,
@@ -42,9 +38,7 @@ static void send_error(const link_received_t *in, const named_t *named, uint8_t 
         .error = error,
     };
     memcpy(fields.param_id, named->name, sizeof fields.param_id);
-    mavlink_msg_param_error_encode_status(LINK_SYSTEM, LINK_COMPONENT, channel_packing(in->channel),
-                                          &message, &fields);
-    (void)channel_send(in->channel, &message);
+    LINK_SEND(in->channel, PARAM_ERROR, &fields);
 }
 
 void link_on_param_request_list(link_t *link, const link_received_t *in) {

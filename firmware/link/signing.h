@@ -65,8 +65,7 @@ typedef struct {
     uint8_t stream_count;
     signing_stream_t stream[SIGNING_STREAMS];
     signing_counters_t counters;
-    mavlink_signing_t
-        out; /* key, and time of the next frame sent; both ports' tx_status point here */
+    mavlink_signing_t out; /* key, and time of the next frame sent; of both ports */
 } signing_t;
 
 /* No key any more, as in a zeroed struct: everything is trusted, nothing is signed. Keeps the

@@ -148,9 +148,9 @@ static void state_sound(void) {
     MUST(app.supervisor.state < STATE_COUNT);
     MUST(app.memory.beats <= BEATS_MAX && app.reference.beats <= BEATS_MAX);
     finite(app.memory.amplitude_rad, app.memory.beats);
-    finite(app.applied_rad, app.reference.beats);
+    finite(app.run.trial.amplitude_rad, app.reference.beats);
     for (uint32_t i = 0; i < app.reference.beats; i++) {
-        MUST(app.applied_rad[i] >= 0.0f && app.applied_rad[i] <= 1.0472f);
+        MUST(app.run.trial.amplitude_rad[i] >= 0.0f && app.run.trial.amplitude_rad[i] <= 1.0472f);
     }
     for (unsigned i = 0; i < PARAM_COUNT; i++) {
         const param_info_t *info = param_info((param_t)i);

@@ -46,7 +46,7 @@ static float speed_by_amplitude(void) {
     if (app.run.start_us == 0 || since_us < 0 || since_us >= (int64_t)BEATS * 1000000) {
         return 0.0f;
     }
-    return SLOPE_M_S_RAD * app.applied_rad[since_us / 1000000];
+    return SLOPE_M_S_RAD * app.run.trial.amplitude_rad[since_us / 1000000];
 }
 
 /* Swims until the trial is stored, and is clear again. */

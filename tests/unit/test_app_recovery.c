@@ -47,7 +47,7 @@ static void test_a_start_that_failed_to_save_swims_the_first_guess_next_time(voi
     TEST_ASSERT_GREATER_THAN_UINT32(2, refused);
     TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
     TEST_ASSERT_EQUAL(1, app.run.trial.iteration);
-    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.applied_rad[1]);
+    TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.run.trial.amplitude_rad[1]);
 }
 
 static void test_a_trial_that_cannot_be_removed_is_learned_from_once(void) {

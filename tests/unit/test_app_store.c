@@ -334,7 +334,7 @@ static void test_a_lead_as_long_as_the_trial_does_not_arm(void) {
 static void test_the_best_comes_back_on_request(void) {
     TEST_ASSERT_EQUAL(FAULT_NO_BEST, command(LINK_COMMAND_RESTORE_BEST, 0));
     swim_whole_trial(BEATS, SPEED);
-    const float swum_rad = app.applied_rad[1];
+    const float swum_rad = app.run.trial.amplitude_rad[1];
     TEST_ASSERT_EQUAL(FAULT_TRIAL_PENDING, command(LINK_COMMAND_RESTORE_BEST, 0));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_RESTORE_BEST, 0));

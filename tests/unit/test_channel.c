@@ -1,4 +1,5 @@
 #include "link/channel.h"
+#include "link/inbound.h"
 #include "link_peer.h"
 
 /* HEARTBEAT (GCS, seq 7, 255/190) as pymavlink packs it, in both versions of the protocol. */
@@ -102,6 +103,42 @@ static void test_does_not_count_what_it_cannot_check(void) {
     TEST_ASSERT_EQUAL(0, channel.bad_frames);
 }
 
+/* The dialect has it, the board does not read it: it is passed over, whole or damaged. */
+static void test_passes_over_messages_that_the_board_does_not_read(void) {
+    const mavlink_system_time_t fields = {.time_unix_usec = 0xFDFEFDFEFDFEFDFEu,
+                                          .time_boot_ms = 0xFEFDFEFDu};
+    mavlink_message_t message;
+    uint8_t bytes[MAVLINK_MAX_PACKET_LEN];
+    mavlink_status_t status = {0};
+    mavlink_msg_system_time_encode_status(255, 190, &status, &message, &fields);
+    const size_t length = mavlink_msg_to_send_buffer(bytes, &message);
+    for (uint32_t damage = 0; damage < 2; damage++) {
+        bytes[length - 1] = (uint8_t)(bytes[length - 1] ^ damage);
+        feed(bytes, length);
+        feed(heartbeat_v2, sizeof heartbeat_v2);
+        TEST_ASSERT_EQUAL(1, receive_all());
+        assert_heartbeat();
+    }
+    TEST_ASSERT_EQUAL(0, channel.bad_frames);
+}
+
+/* The table of them says of each what the generated headers say. */
+static void test_the_messages_read_are_those_of_the_dialect(void) {
+    uint32_t count = 0;
+    for (uint32_t id = 0; id <= UINT16_MAX; id++) {
+        const message_form_t *form = inbound_form(id);
+        const mavlink_msg_entry_t *entry = mavlink_get_msg_entry(id);
+        if (form != NULL) {
+            TEST_ASSERT_NOT_NULL(entry);
+            TEST_ASSERT_EQUAL(entry->crc_extra, form->crc_extra);
+            TEST_ASSERT_EQUAL(entry->min_msg_len, form->min_bytes);
+            TEST_ASSERT_EQUAL(entry->max_msg_len, form->max_bytes);
+            count++;
+        }
+    }
+    TEST_ASSERT_EQUAL(10, count);
+}
+
 /* One lost byte makes the next frame's first byte look like the end of this one. */
 static void test_a_lost_byte_costs_one_frame(void) {
     feed(heartbeat_v2, 15);
@@ -152,17 +189,15 @@ static void test_one_call_takes_a_bounded_number_of_bytes(void) {
     TEST_ASSERT_EQUAL(CHANNEL_CALL_BYTES, queue->tail - queue->head);
 }
 
-static void pack_heartbeat(mavlink_message_t *message) {
+static bool send_heartbeat(void) {
+    static const message_form_t form = MESSAGE_FORM(HEARTBEAT);
     const mavlink_heartbeat_t fields = {.type = MAV_TYPE_SUBMARINE, .mavlink_version = 3};
-    mavlink_msg_heartbeat_encode_status(LINK_SYSTEM, LINK_COMPONENT, &channel.tx_status, message,
-                                        &fields);
+    return channel_send(&channel, &form, &fields);
 }
 
 static void test_sends_mavlink_2_with_rising_sequence(void) {
-    mavlink_message_t message;
     for (uint32_t i = 0; i < 3; i++) {
-        pack_heartbeat(&message);
-        TEST_ASSERT_TRUE(channel_send(&channel, &message));
+        TEST_ASSERT_TRUE(send_heartbeat());
     }
     peer_collect(HAL_PORT_RADIO);
     TEST_ASSERT_EQUAL(3, peer_inbox_count);
@@ -171,12 +206,10 @@ static void test_sends_mavlink_2_with_rising_sequence(void) {
 }
 
 static void test_a_full_line_drops_the_whole_message(void) {
-    mavlink_message_t message;
     hal.tx_limit = 20;
     TEST_ASSERT_TRUE(channel_has_space(&channel, 20));
     TEST_ASSERT_FALSE(channel_has_space(&channel, 21));
-    pack_heartbeat(&message);
-    TEST_ASSERT_FALSE(channel_send(&channel, &message));
+    TEST_ASSERT_FALSE(send_heartbeat());
     TEST_ASSERT_EQUAL(1, channel.dropped);
     TEST_ASSERT_EQUAL(0, hal.tx[HAL_PORT_RADIO].tail);
 }
@@ -209,6 +242,8 @@ int main(void) {
     RUN_TEST(test_no_damaged_frame_gets_through);
     RUN_TEST(test_counts_a_bad_crc);
     RUN_TEST(test_does_not_count_what_it_cannot_check);
+    RUN_TEST(test_passes_over_messages_that_the_board_does_not_read);
+    RUN_TEST(test_the_messages_read_are_those_of_the_dialect);
     RUN_TEST(test_a_lost_byte_costs_one_frame);
     RUN_TEST(test_recovers_from_a_cut_frame);
     RUN_TEST(test_a_false_start_swallows_nothing);

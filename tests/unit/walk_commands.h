@@ -95,7 +95,7 @@ static void trial_began(uint32_t trial) {
         const float stored_rad = app.memory.amplitude_rad[k];
         CHECK(isfinite(stored_rad));
         model.swim.amplitude_rad[k] = fmaxf(0.0f, fminf(stored_rad, most_rad));
-        CHECK(app.applied_rad[k] == model.swim.amplitude_rad[k]);
+        CHECK(app.run.trial.amplitude_rad[k] == model.swim.amplitude_rad[k]);
     }
     model.last_started = trial;
     model.swum_least = model.swum_most = 0;
