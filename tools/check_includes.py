@@ -15,7 +15,7 @@ from pathlib import Path
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 
 PURE = ("base", "blink", "params", "gait", "ilc", "imu", "speed", "supervisor")
-GENERATED = ("tailbeat/mavlink.h", "lfs.h", "build_id_generated.h")
+GENERATED = ("tailbeat/mavlink.h", "checksum.h", "lfs.h", "build_id_generated.h")
 
 # What the C files of a folder may include: prefixes of include paths. Files beside the including
 # one, written without a folder, are always allowed.
