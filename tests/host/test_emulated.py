@@ -513,7 +513,7 @@ def test_what_is_no_image(tmp_path: Path) -> None:
 
 def test_emulator_that_is_not_installed(image: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "vboard.board", None)
-    with pytest.raises(InputError, match="pip install"):
+    with pytest.raises(InputError, match="tools/bootstrap vboard"):
         EmulatedBoard(image)
 
 

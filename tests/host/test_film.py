@@ -492,7 +492,7 @@ def test_a_beginning_in_mid_stream(tmp_path: Path) -> None:
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path / "a.mp4", CFR_S[:3])
     monkeypatch.setitem(__import__("sys").modules, "av", None)
-    with pytest.raises(InputError, match=r"needs PyAV.*pip install 'tailbeat\[camera\]'"):
+    with pytest.raises(InputError, match=r"needs PyAV.*tools/bootstrap camera"):
         Film(path)
 
 

@@ -351,7 +351,7 @@ def test_a_cluster_without_the_package(
     tiny: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"needs the package distributed.*tailbeat\[cluster\]"):
+    with pytest.raises(InputError, match=r"needs Dask.*tools/bootstrap cluster"):
         sweep(tiny, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from tailbeat.sweep.cell import cells
 from tailbeat.sweep.recipe import Claim, load, packaged
-from tailbeat.sweep.results import SCHEMA
+from tailbeat.sweep.results import schema
 from tailbeat.sweep.summary import Rows, judge
 
 BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, for which plants
@@ -182,7 +182,8 @@ def test_p90_of_learning_is_that_of_enough_fish_against_the_same_swim(name: str)
 
 def _rows(**columns: object) -> Rows:
     length = max(len(np.atleast_1d(values)) for values in columns.values())
-    filled = {field.name: np.full(length, "" if field.type == "string" else 0) for field in SCHEMA}
+    fields = schema()
+    filled = {one.name: np.full(length, "" if one.type == "string" else 0) for one in fields}
     for name, values in columns.items():
         filled[name] = np.broadcast_to(values, length)
     return Rows(filled)

@@ -292,9 +292,11 @@ def export(
     """
     from tailbeat.experiment import Experiment
     from tailbeat.experiment import export as export_files
-    from tailbeat.experiment.export import FORMATS
+    from tailbeat.experiment.export import missing_formats
 
     experiment = Experiment.open(folder)
-    files = export_files(experiment, formats or list(FORMATS))
+    files = export_files(experiment, formats or [])
+    if not formats and (line := missing_formats()):
+        typer.echo(f"tailbeat: {line}", err=True)
     say(json, {"files": files}, "\n".join(map(str, files)))
     tell_problems(experiment)

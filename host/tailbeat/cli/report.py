@@ -47,6 +47,7 @@ def report(
 
     Example: tailbeat report --paper
     """
+    from tailbeat.experiment.export import missing_formats
     from tailbeat.experiment.folder import Experiment
     from tailbeat.experiment.redo import write_redo
     from tailbeat.report.paper import write_report
@@ -61,6 +62,8 @@ def report(
         "figures": written.figures,
         "tables": written.tables,
     }
+    if written.tables and (line := missing_formats()):
+        typer.echo(f"tailbeat: {line}", err=True)
     say(json, document, lambda: _text(chosen, written, named=folder is not None))
 
 

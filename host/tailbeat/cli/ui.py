@@ -63,10 +63,10 @@ def ui(
     Example: tailbeat ui --connect sim --speed 5
     """
     from tailbeat.cli.livecamera import LiveOptions
+    from tailbeat.extras import need
     from tailbeat.ui.conductor import Conductor
-    from tailbeat.ui.extra import need_nicegui
 
-    need_nicegui()
+    need("nicegui", "web", "The page needs NiceGUI")
     from tailbeat.ui.server import listen, serve
 
     on_fish = marker_of(marker, marker_id, marker_side)

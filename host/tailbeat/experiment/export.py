@@ -14,13 +14,17 @@ import numpy as np
 from tailbeat.errors import InputError
 from tailbeat.experiment.analysis import analyse, round_to
 from tailbeat.experiment.folder import Experiment
+from tailbeat.extras import is_installed, need, remedy
 from tailbeat.lasting import write_whole
 from tailbeat.trial_log import Trial
 
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import Analysis, TrialRow
 
-FORMATS = ("csv", "mat", "parquet")
+PARQUET = "parquet"
+FORMATS = ("csv", "mat", PARQUET)
+_ARROW = "pyarrow"
+_NEEDS_ARROW = "Writing Parquet files needs pyarrow"
 
 _BEAT_COLUMNS = (
     "amplitude_rad",
@@ -71,10 +75,18 @@ Table = dict[str, Any]
 
 
 def export(
-    experiment: Experiment, formats: Sequence[str] = FORMATS, folder: Path | None = None
+    experiment: Experiment, formats: Sequence[str] = (), folder: Path | None = None
 ) -> list[Path]:
     """Writes ``export/`` in the experiment's folder (or ``folder``) and returns the files: every
-    swim, discarded ones too, with what was decided. The same experiment gives the same bytes."""
+    swim, discarded ones too, with what was decided. The same experiment gives the same bytes.
+
+    Parameters:
+        formats: some of ``FORMATS``; none = all that can be written here (``missing_formats``).
+
+    Raises:
+        InputError: a format is unknown or needs a package that is not installed.
+    """
+    formats = formats or [name for name in FORMATS if name != PARQUET or is_installed(_ARROW)]
     unknown = [name for name in formats if name not in FORMATS]
     if unknown:
         raise InputError(f"there is no format {unknown[0]}.", f"Use {', '.join(FORMATS)}.")
@@ -92,9 +104,16 @@ def export(
     writers = {
         "csv": lambda: _write_csv(folder, tables),
         "mat": lambda: _write_mat(folder, analysis),
-        "parquet": lambda: _write_parquet(folder, tables),
+        PARQUET: lambda: _write_parquet(folder, tables),
     }
     return [path for name in formats for path in writers[name]()]
+
+
+def missing_formats() -> str:
+    """What ``export`` leaves out by itself here, why, and what to do; empty when it is nothing."""
+    if is_installed(_ARROW):
+        return ""
+    return f"Parquet files were left out: they need pyarrow. {remedy('export')}"
 
 
 def _trial_table(analysis: Analysis) -> Table:
@@ -227,13 +246,12 @@ def _headed(content: bytes, analysis: Analysis) -> bytes:
 
 
 def _write_parquet(folder: Path, tables: dict[str, Table]) -> list[Path]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    arrow = need(_ARROW, "export", _NEEDS_ARROW)
+    parquet = need("pyarrow.parquet", "export", _NEEDS_ARROW)
     paths = []
     for name in ("beats", "slots", "trials"):
         file = io.BytesIO()
-        pq.write_table(pa.table(tables[name]), file)
+        parquet.write_table(arrow.table(tables[name]), file)
         path = folder / f"{name}.parquet"
         write_whole(path, file.getvalue(), _MAKE_ROOM)
         paths.append(path)

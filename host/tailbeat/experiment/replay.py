@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -33,7 +33,9 @@ REPORT = "report"
 MADE = "report.json"
 _COPIED = ("raw", "board", "settings.json", "journal.jsonl", "notes.md", "reference.csv")
 _DRAWN = (".html", ".pdf", ".svg", ".png", ".mat", ".parquet")  # their bytes are the libraries'
-_MAKERS = ("tailbeat", "matplotlib", "numpy", "scipy", "pyarrow")
+_PARQUET = ".parquet"
+_PARQUET_MAKER = "pyarrow"
+_MAKERS = ("tailbeat", "matplotlib", "numpy", "scipy", _PARQUET_MAKER)
 _STALE = "is not what the folder gives now: it is older than the last entry, or was changed"
 
 
@@ -194,14 +196,21 @@ def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: _Fou
         found.not_drawn += [(f"{REPORT}/{name}", f"{others} is gone") for name in files]
         return
     write_report(copy, bool(made.get("paper")), others, scratch / REPORT)
-    missing = [name for name in _files(scratch / REPORT) if name not in (*files, ANALYSIS)]
+    other_arrow = _changed_makers(made, (_PARQUET_MAKER,))
+    missing = [
+        name
+        for name in _files(scratch / REPORT)
+        if name not in (*files, ANALYSIS) and not (other_arrow and name.endswith(_PARQUET))
+    ]
     found.different += [
         f"{REPORT}/{name} is missing; make it again: tailbeat report" for name in missing
     ]
-    if changed := _changed_makers(made):
-        drawn = [name for name in files if name.endswith(_DRAWN)]
-        found.not_drawn += [(f"{REPORT}/{name}", f"made with {changed}") for name in drawn]
-        files = [name for name in files if name not in drawn]
+    others_changed = _changed_makers(made, [name for name in _MAKERS if name != _PARQUET_MAKER])
+    for changed, kinds in ((others_changed, _DRAWN), (other_arrow, (_PARQUET,))):
+        if changed:
+            drawn = [name for name in files if name.endswith(kinds)]
+            found.not_drawn += [(f"{REPORT}/{name}", f"made with {changed}") for name in drawn]
+            files = [name for name in files if name not in drawn]
     _compare(
         folder, scratch / REPORT, [name for name in files if name != MADE], found, f"{REPORT}/"
     )
@@ -237,10 +246,10 @@ def made_with() -> dict[str, str]:
     return found
 
 
-def _changed_makers(made: dict[str, Any]) -> str:
+def _changed_makers(made: dict[str, Any], makers: Iterable[str]) -> str:
     """Another version draws other bytes of the same picture."""
     was, now = made.get("versions", {}), made_with()
-    changed = [name for name in now if was.get(name) != now[name]]
+    changed = [name for name in makers if was.get(name) != now[name]]
     return ", ".join(f"{name} {was.get(name, 'unknown')} (now {now[name]})" for name in changed)
 
 

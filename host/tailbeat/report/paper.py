@@ -46,12 +46,12 @@ def write_report(
 ) -> Written:
     """Into ``report/`` of the experiment (or ``folder``): ``report.html``; with ``paper`` also
     every figure as PDF and SVG in one column's width with ``captions.txt``, and ``tables/`` (CSV,
-    MATLAB, Parquet: trials, beats, slots). ``against``: other experiments of the same reference;
-    then there is the ``comparison``. Everything of a simulated fish carries the word ``simulated``:
-    page, every figure, every table. ``report.json`` holds the options and versions, for a replay.
-    Figures for a paper that are there already are made anew, never left behind older than the page.
-    Also writes ``analysis.json``, with ``folder`` in there. The same experiment gives the same
-    bytes. Raises InputError."""
+    MATLAB, Parquet if pyarrow is installed: trials, beats, slots). ``against``: other experiments
+    of the same reference; then there is the ``comparison``. Everything of a simulated fish carries
+    the word ``simulated``: page, every figure, every table. ``report.json`` holds the options and
+    versions, for a replay. Figures for a paper that are there already are made anew, never left
+    behind older than the page. Also writes ``analysis.json``, with ``folder`` in there. The same
+    experiment gives the same bytes. Raises InputError."""
     from tailbeat.experiment.analysis import analyse
 
     analyses = [analyse(one) for one in (experiment, *against)]

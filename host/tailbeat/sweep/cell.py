@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from tailbeat import reference as references
@@ -26,8 +25,11 @@ from tailbeat.sweep.recipe import (
     Recipe,
     Settings,
 )
-from tailbeat.sweep.results import FAILED, SCHEMA
+from tailbeat.sweep.results import FAILED, arrow, schema
 from tailbeat.sweep.shoal import Shoal, Swims
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Array = NDArray[np.float64]
 
@@ -74,7 +76,7 @@ def cells(recipe: Recipe) -> list[Cell]:
 
 
 def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
-    """A table of ``results.SCHEMA``: a row per fish and iteration, fish by fish.
+    """A table of ``results.schema()``: a row per fish and iteration, fish by fish.
 
     A fish that cannot be identified or taught does not end a sweep: its rows are NaN, their verdict
     is ``FAILED`` and ``failure`` says why. Raises InputError when there is no such reference.
@@ -96,7 +98,7 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     except (TailbeatError, ArithmeticError, ValueError) as error:
         if len(cell.seeds) > 1:
             alone = [_run(recipe, replace(cell, seeds=(seed,)), phases) for seed in cell.seeds]
-            return pa.concat_tables(alone).combine_chunks()
+            return arrow().concat_tables(alone).combine_chunks()
         return _failed(cell, phases, error)
     except Exception as error:
         error.add_note(f"in cell {cell.label}, seeds {cell.seeds[0]} to {cell.seeds[-1]}")
@@ -224,7 +226,7 @@ class _Rows:
         self.cell = cell
         self.fish = len(cell.seeds)
         self.kappa_per_m = float(plant_config(cell.plant.plant, cell.plant.values).kappa_per_m)
-        self.columns: dict[str, list[Any]] = {name: [] for name in SCHEMA.names}
+        self.columns: dict[str, list[Any]] = {name: [] for name in schema().names}
 
     def begin(self, ground: _Ground, predicted_floor_m_s: Array) -> None:
         """Iteration 0: the zero input, which is not swum; its error is the reference."""
@@ -351,14 +353,15 @@ class _Rows:
 
     def table(self) -> pa.Table:
         """Fish by fish, in the order of the iterations."""
-        arrays = [self._column(field) for field in SCHEMA]
-        return pa.table(arrays, schema=SCHEMA)
+        arrays = [self._column(field) for field in schema()]
+        return arrow().table(arrays, schema=schema())
 
     def _column(self, field: pa.Field) -> pa.Array:
+        types = arrow()
         rows = self.columns[field.name]
-        if field.type != pa.string():
+        if field.type != types.string():
             grid = np.array([np.broadcast_to(row, self.fish) for row in rows])
-            return pa.array(grid.T.ravel(), type=field.type)
+            return types.array(grid.T.ravel(), type=field.type)
         codes: dict[str, int] = {}
         numbers = [
             np.broadcast_to(
@@ -370,5 +373,5 @@ class _Rows:
             )
             for row in rows
         ]
-        indices = pa.array(np.array(numbers, dtype=np.int32).T.ravel())
-        return pa.DictionaryArray.from_arrays(indices, list(codes)).cast(pa.string())
+        indices = types.array(np.array(numbers, dtype=np.int32).T.ravel())
+        return types.DictionaryArray.from_arrays(indices, list(codes)).cast(types.string())

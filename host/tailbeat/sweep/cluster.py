@@ -1,4 +1,4 @@
-"""The cells of a sweep on a Dask cluster: ``pip install 'tailbeat[cluster]'`` on every machine.
+"""The cells of a sweep on a Dask cluster; every machine needs the extra ``cluster``.
 
 Workers need this very tailbeat; results travel back and are kept here, so that nothing need be
 shared between the machines.
@@ -9,13 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 from tailbeat.errors import InputError, reason
+from tailbeat.extras import need
 from tailbeat.sweep.cell import Cell
 from tailbeat.sweep.recipe import Recipe
 from tailbeat.sweep.results import identity
 from tailbeat.sweep.runner import Finished, compute
 
 _ANSWER_S = 10
-_INSTALL = "Install it here and on the workers: pip install 'tailbeat[cluster]'"
+_ON_WORKERS = "Install the same tailbeat there, with the extras 'cluster' and 'export'."
 
 
 def computed_by(scheduler: str, recipe: Recipe, missing: list[Cell]) -> Finished:
@@ -29,13 +30,9 @@ def computed_by(scheduler: str, recipe: Recipe, missing: list[Cell]) -> Finished
 
 
 def _connect(scheduler: str) -> Any:
+    distributed = need("distributed", "cluster", "Computing on a cluster needs Dask (distributed)")
     try:
-        import distributed
-    except ImportError as error:
-        raise InputError("a cluster needs the package distributed.", _INSTALL) from error
-    try:
-        make: Any = distributed.Client
-        return make(scheduler, timeout=_ANSWER_S, set_as_default=False)
+        return distributed.Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
             f"no Dask scheduler answers at {scheduler} ({reason(error) or 'no answer'}).",
@@ -66,7 +63,8 @@ def _check_workers(client: Any, scheduler: str) -> None:
         answers = client.run(identity)
     except Exception as error:  # whatever a worker without tailbeat makes of it
         raise InputError(
-            f"a worker of {scheduler} cannot run tailbeat ({type(error).__name__}).", _INSTALL
+            f"a worker of {scheduler} cannot run tailbeat ({type(error).__name__}).",
+            _ON_WORKERS,
         ) from error
     if not answers:
         raise InputError(

@@ -16,13 +16,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from tailbeat.errors import InputError, reason
+from tailbeat.extras import need
 from tailbeat.lasting import replace_file, replacing
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from tailbeat.sweep.cell import Cell
     from tailbeat.sweep.recipe import Recipe
 
@@ -61,11 +61,22 @@ _NUMBER = (
 )
 DERIVED = ("ratio_inside", "prediction_inside", "floor_prediction_error")
 NUMBER_COLUMNS = (*_NUMBER, *_WHOLE, *DERIVED)
-SCHEMA = pa.schema(
-    [(name, pa.string()) for name in _TEXT]
-    + [(name, pa.int64()) for name in _WHOLE]
-    + [(name, pa.float64()) for name in _NUMBER]
-)
+
+
+def arrow(module: str = "pyarrow") -> Any:
+    """The module of pyarrow. Raises InputError when it is not installed."""
+    return need(module, "export", "A sweep writes Parquet files and needs pyarrow")
+
+
+@cache
+def schema() -> pa.Schema:
+    """The columns of the results."""
+    types = arrow()
+    return types.schema(
+        [(name, types.string()) for name in _TEXT]
+        + [(name, types.int64()) for name in _WHOLE]
+        + [(name, types.float64()) for name in _NUMBER]
+    )
 
 
 @cache
@@ -85,14 +96,14 @@ def identity() -> dict[str, str]:
         "code": code.hexdigest()[:16],
         "numpy": numpy.__version__,
         "scipy": scipy.__version__,
-        "pyarrow": pa.__version__,
+        "pyarrow": arrow().__version__,
     }
 
 
 def to_bytes(table: pa.Table) -> bytes:
-    """A table of ``SCHEMA`` as the bytes of a Parquet file."""
+    """A table of ``schema()`` as the bytes of a Parquet file."""
     out = io.BytesIO()
-    pq.write_table(table, out, compression="zstd")
+    arrow("pyarrow.parquet").write_table(table, out, compression="zstd")
     return out.getvalue()
 
 
@@ -172,7 +183,7 @@ class Store:
     def has(self, cell: Cell) -> bool:
         """Whether a cell is done; a damaged part is not."""
         try:
-            return bool(_read_part(self.part(cell)).schema.equals(SCHEMA))
+            return bool(_read_part(self.part(cell)).schema.equals(schema()))
         except InputError:
             return False
 
@@ -182,9 +193,12 @@ class Store:
 
     def finish(self, cells: list[Cell]) -> Path:
         """Puts all parts together in the order of the cells, a row group for each."""
+        parquet = arrow("pyarrow.parquet")
         with (
             replacing(self.results) as file,
-            pq.ParquetWriter(file, SCHEMA, compression="zstd", write_page_checksum=True) as writer,
+            parquet.ParquetWriter(
+                file, schema(), compression="zstd", write_page_checksum=True
+            ) as writer,
         ):
             for cell in cells:
                 writer.write_table(_read_part(self.part(cell)))
@@ -199,14 +213,15 @@ class Store:
             raise InputError(
                 f"{self.folder} holds no results of a sweep.", "Run: tailbeat sweep RECIPE --out"
             )
-        return pa.concat_tables([_read_part(path) for path in parts])
+        return arrow().concat_tables([_read_part(path) for path in parts])
 
 
 def _read(path: Path) -> pa.Table:
     """With every page checked. Raises InputError when it is damaged or not there."""
+    parquet = arrow("pyarrow.parquet")
     try:
-        return pq.read_table(path, page_checksum_verification=True)
-    except (OSError, pa.ArrowException) as error:
+        return parquet.read_table(path, page_checksum_verification=True)
+    except (OSError, arrow().ArrowException) as error:
         raise _damaged(path) from error
 
 
@@ -219,7 +234,7 @@ def _read_part(path: Path) -> pa.Table:
     digest, data = raw[:_DIGEST_BYTES], raw[_DIGEST_BYTES:]
     if hashlib.sha256(data).digest() != digest:
         raise _damaged(path)
-    return pq.read_table(pa.BufferReader(data))
+    return arrow("pyarrow.parquet").read_table(arrow().BufferReader(data))
 
 
 def _damaged(path: Path) -> InputError:

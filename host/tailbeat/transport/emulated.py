@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError, TailbeatError
+from tailbeat.extras import remedy
 from tailbeat.transport.inprocess import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
 from tailbeat.transport.world import FRAME_US, World
 
@@ -311,8 +312,8 @@ class EmulatedBoard:
             from vboard.image import ImageError
         except ImportError as error:
             raise InputError(
-                f"the emulator is not installed ({error})",
-                "In the clone: .venv/bin/pip install ./tools/vboard",
+                f"The emulated board needs the emulator, which is not installed ({error})",
+                remedy("vboard"),
             ) from error
         try:
             return Board(self.image, unique_id=UNIQUE_ID, seed=self.seed)
