@@ -42,7 +42,7 @@ struct hal {
     bool reset_wanted;
     bool led;
     bool irq_locked;
-    uint64_t seed;
+    uint64_t id;
     uint8_t flash[HAL_FLASH_SIZE_BYTES];
 };
 

@@ -46,6 +46,8 @@ void sim_free(sim_t *sim) {
     }
 }
 
+void sim_set_id(sim_t *sim, uint64_t id) { sim->board.id = id; }
+
 static void update_battery(sim_t *sim) {
     sim->board.battery_mv = (uint16_t)(world_battery_v(sim->world) * 1e3 + 0.5);
 }

@@ -20,6 +20,10 @@ typedef struct sim sim_t;
 sim_t *sim_new(const sim_config_t *config);
 void sim_free(sim_t *sim);
 
+/* The board's unique id is "sim-fish" and these 8 bytes, the lowest first; the seed by default. To
+ * be called before time passes. */
+void sim_set_id(sim_t *sim, uint64_t id);
+
 /* Advances by |duration_us|. Stops early (and returns the time left, us) when the board has sent
  * bytes on |wake_port| or, with |wake_camera|, a picture has come in; wake_port < 0 = none. A
  * message wakes within 4 ms of its end, together with those right behind it. Unread messages and

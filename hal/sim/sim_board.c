@@ -27,7 +27,7 @@ void board_init(hal_t *hal, const sim_config_t *config) {
         hal->connected[port] = true;
     }
     memset(hal->flash, 0xFF, sizeof hal->flash);
-    hal->seed = config->seed;
+    hal->id = config->seed;
 }
 
 void board_restart(hal_t *hal, hal_reset_cause_t cause) {
@@ -217,7 +217,7 @@ void hal_crash_forget(hal_t *hal) { (void)hal; }
 void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     memcpy(out, "sim-fish", 8);
     for (unsigned i = 0; i < 8; i++) {
-        out[8 + i] = (uint8_t)(hal->seed >> (8 * i));
+        out[8 + i] = (uint8_t)(hal->id >> (8 * i));
     }
 }
 

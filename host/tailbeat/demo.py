@@ -24,6 +24,7 @@ from tailbeat.presets import THESIS
 from tailbeat.recompute import recompute_beats
 from tailbeat.report import Series, Swim, render_png, write_html
 from tailbeat.transport.find import is_simulated
+from tailbeat.transport.world import DEFAULT_SEED
 from tailbeat.trial_log import Trial, read_trial
 
 if TYPE_CHECKING:
@@ -113,9 +114,13 @@ def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None)
 
 
 def _address(options: DemoOptions) -> str:
-    """Where to connect, with plant and seed if they are given."""
+    """Where to connect, with plant and seed if they are given. A demo is reproducible: without a
+    seed the simulated board has the usual one."""
     url = options.connect or "sim"
-    wanted = {"plant": options.plant, "seed": options.seed}
+    seed = options.seed
+    if seed is None and is_simulated(url) and "seed=" not in url:
+        seed = DEFAULT_SEED
+    wanted = {"plant": options.plant, "seed": seed}
     given = {name: value for name, value in wanted.items() if value is not None}
     if not given:
         return url

@@ -26,7 +26,7 @@ _ERASED = "key erased"
 _TEXT_CHARS = 49  # of a board's line
 _LOOK_S = 0.05
 # How the unique ids of boards begin whose key ends with their process: simulated and emulated ones.
-_SHORT_LIVED = (b"sim-fish".hex(), b"tailbeat vboard ".hex())
+_SHORT_LIVED = (b"sim-fish".hex(), b"tailbeat".hex())
 _COUNTERS = ("refused_unsigned", "refused_wrong", "refused_stale")
 
 NO_KEY = (

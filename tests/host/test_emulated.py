@@ -14,7 +14,7 @@ import pytest
 
 from tailbeat.errors import InputError
 from tailbeat.transport import find
-from tailbeat.transport.emulated import UNIQUE_ID, EmulatedBoard, EmulationError
+from tailbeat.transport.emulated import ID_PREFIX, EmulatedBoard, EmulationError
 from tailbeat.transport.inprocess import CONSOLE, RADIO
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.transport.world import FRAME_US, World
@@ -122,7 +122,7 @@ class Board:
     """As much of vboard.board.Board as an EmulatedBoard touches."""
 
     def __init__(self, image: Path, *, unique_id: bytes, seed: int) -> None:
-        assert unique_id == UNIQUE_ID
+        assert unique_id.startswith(ID_PREFIX) and len(unique_id) == 16
         self.image, self.seed = image, seed
         self.clock = Clock()
         self.bank1 = b"\xff" * 262144

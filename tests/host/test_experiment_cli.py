@@ -96,7 +96,7 @@ def test_a_reference_that_was_changed_by_hand_has_another_name(copy: Experiment)
 
 def test_a_fish_stays_in_its_experiment(tmp_path: Path) -> None:
     """The conditions from new, set and note without naming the folder."""
-    sim = ("--connect", "sim")
+    sim = ("--connect", "sim?seed=1")
     new = ("--reference", "thesis", "--water-temp", 21.5, "--condition", "wall=glass")
     made = document("new", *new, "--operator", "jo", "--root", tmp_path / "e", *sim)
     assert made["board_has_reference"] is False
@@ -118,7 +118,7 @@ def test_a_fish_stays_in_its_experiment(tmp_path: Path) -> None:
 
 def test_the_same_again_makes_no_second_folder(tmp_path: Path) -> None:
     root = tmp_path / "e"
-    sim = ("--connect", "sim", "--root", root)
+    sim = ("--connect", "sim?seed=1", "--root", root)
     new = ("new", "--reference", "thesis", "--water-temp", 21.5)
     (first,) = {document(*new, *sim)["folder"] for _ in range(2)}
     corrected = call("new", "--reference", "thesis", "--water-temp", 22, *sim)
@@ -134,7 +134,7 @@ def test_the_same_again_makes_no_second_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize("touch", ["note", "set", "swim", "params"])
 def test_one_that_was_begun_is_left_alone(tmp_path: Path, touch: str) -> None:
     root, wanted = tmp_path / "e", from_text("thesis")
-    with Fish.connect("sim") as fish:
+    with Fish.connect("sim?seed=1") as fish:
         made = make(fish, root, wanted)
         assert made_before(fish, root, wanted, {"conditions": {}}) is not None
         assert made_before(fish, tmp_path, wanted, {"conditions": {}}) is None
@@ -287,7 +287,7 @@ def test_exports_hold_what_was_decided(copy: Experiment) -> None:
 
 
 def test_the_current_experiment_is_the_fishs(tmp_path: Path) -> None:
-    with Fish.connect("sim") as fish:
+    with Fish.connect("sim?seed=1") as fish:
         assert current(fish) is None
         with pytest.raises(Refused):
             begin(fish, tmp_path)
@@ -314,7 +314,7 @@ def test_the_boards_state_comes_back(swum: Experiment, tmp_path: Path) -> None:
     assert held.iteration == 5
     experiment = Experiment.at(tmp_path / "e", "a", "b", "c")
     assert held_state(experiment) is None
-    with Fish.connect("sim") as fish:
+    with Fish.connect("sim?seed=1") as fish:
         with pytest.raises(Refused):
             copy_state(fish, experiment)
         fish.upload_reference(held.reference)

@@ -566,7 +566,7 @@ def test_a_simulated_board_may_forget_its_key(
 
 
 def test_the_emulated_boards_id_is_known() -> None:
-    assert emulated.UNIQUE_ID.hex().startswith(_SHORT_LIVED)
+    assert emulated.ID_PREFIX.hex().startswith(_SHORT_LIVED)
 
 
 def test_the_key_comes_back_after_flashing(owner: Laptop) -> None:
@@ -626,7 +626,7 @@ def test_no_key_is_told_once_a_day(
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
 
     def is_told() -> bool:
-        assert run(["params", "get", "LAW_LEAD", "--connect", "sim"]) == 0
+        assert run(["params", "get", "LAW_LEAD", "--connect", "sim?seed=1"]) == 0
         return "no key: anyone in radio range" in capsys.readouterr().err
 
     assert [is_told(), is_told()] == [True, False]

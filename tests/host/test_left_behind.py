@@ -27,7 +27,7 @@ from tailbeat.day.swum import Swum
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.experiment import Experiment
 from tailbeat.experiment.board import BoardState, copy_state, held_state
-from tailbeat.experiment.current import begin
+from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.lock import alone
 from tailbeat.fish import Fish
 from tailbeat.logbook import logbook_of
@@ -163,10 +163,40 @@ def test_a_board_that_was_erased(says: Says, board: SimBoard) -> None:
     status, line = says(*KEEP)
     assert status == 1 and "the board has lost what it had learned" in line
     assert "copy of iteration 3" in line and "tailbeat session resume" in line
+    assert line.endswith("To begin anew: tailbeat experiment new")
     assert held_state(experiment()) == held and len(experiment().trials()) == 2
     assert says("session", "resume", "--no-repeat")[0] == 0
     assert says(*KEEP)[0] == 0
     assert journal("swum")[-1]["iteration"] == 3, "it goes on where it was"
+
+
+def test_an_erased_board_begins_anew(says: Says, board: SimBoard) -> None:
+    """As a simulated one does that was started again with the same seed."""
+    assert says(*KEEP)[0] == 0
+    before, csv = experiment(), str(experiment().folder / "reference.csv")
+    erase(board)
+    status, line = says("experiment", "new")
+    assert status == 1 and "Upload one: tailbeat reference upload" in line
+    status, line = says(*KEEP)
+    assert status == 1
+    assert "tailbeat reference upload " in line and f"{csv}, then tailbeat exp" in line
+    assert says("reference", "upload", csv)[0] == 0
+    assert says("experiment", "new")[0] == 0
+    assert says(*KEEP)[0] == 0
+    with connected() as fish:
+        now = current(fish)
+    assert now is not None and now != before and len(now.trials()) == 1
+
+
+def test_a_board_without_its_reference_that_had_learned_nothing(
+    says: Says, board: SimBoard
+) -> None:
+    assert says("experiment", "new")[0] == 0
+    erase(board)
+    status, line = says(*KEEP)
+    assert status == 1 and "the board has lost its reference. " in line
+    assert says("session", "resume")[0] == 0
+    assert says(*KEEP)[0] == 0
 
 
 def test_a_copy_that_knows_more_is_kept(says: Says, board: SimBoard) -> None:

@@ -15,6 +15,7 @@ from tailbeat import _dialect as mavlink
 from tailbeat.camera.base import CameraGone
 from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.errors import ConnectError, InputError, LinkLostError
+from tailbeat.fish import Fish
 from tailbeat.transport import find
 from tailbeat.transport.base import Transport
 from tailbeat.transport.simulated import SimBoard, SimTransport
@@ -183,6 +184,17 @@ def test_sim_address_with_values() -> None:
     assert find.open_transport("sim?kappa=5").board.config["kappa_per_m"] == 5.0
     with pytest.raises(InputError):
         find.open_transport("tcp:127.0.0.1:1", kappa=5.0)
+
+
+def test_a_simulated_board_has_an_id_of_its_own_unless_a_seed_is_given() -> None:
+    def board_id(url: str) -> bytes:
+        with Fish.connect(url) as fish:
+            assert fish.sim is not None and fish.sim.seed == 1, "the disturbances are the usual"
+            return bytes.fromhex(fish.unique_id())
+
+    first, second = board_id("sim"), board_id("sim")
+    assert first != second and first[:8] == second[:8] == b"sim-fish"
+    assert board_id("sim?seed=1") == board_id("sim:thesis?seed=1") == b"sim-fish\x01" + bytes(7)
 
 
 def test_finding_a_fish(listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,11 +45,13 @@ Operator = Annotated[str | None, typer.Option("--operator", help="Who is at the 
 @app.command()
 def new(
     reference: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--reference", help="As in 'reference upload'.", autocompletion=reference_names
+            "--reference",
+            help="As in 'reference upload'; default: the one on the board.",
+            autocompletion=reference_names,
         ),
-    ],
+    ] = None,
     fish_name: Annotated[str | None, typer.Option("--fish", help="Name of the fish.")] = None,
     water_temp: WaterTemp = None,
     condition: Condition = None,
@@ -70,14 +72,15 @@ def new(
     Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
     from tailbeat.experiment.conditions import parse_conditions
-    from tailbeat.experiment.current import make
+    from tailbeat.experiment.current import make, own_reference
     from tailbeat.experiment.untouched import made_before
     from tailbeat.reference import from_text
 
-    wanted = from_text(reference)
+    named = None if reference is None else from_text(reference)
     conditions = parse_conditions(condition or [], water_temp)
     words = _words(configuration, operator)
     with connected(connect) as fish:
+        wanted = named or own_reference(fish)
         given = {"conditions": conditions, **words, **({"fish": fish_name} if fish_name else {})}
         made = None if another else made_before(fish, root, wanted, given)
         if made is None:
@@ -114,8 +117,8 @@ def use(folder: Folder, connect: Connect = None, json: Json = False) -> None:
         experiment.journal.add("opened", unique_id=fish.unique_id())
     if not remembered:
         typer.echo(
-            "tailbeat: a simulated fish in this process is new every time; name the folder in every"
-            " command, or set TAILBEAT_LOGBOOK",
+            "tailbeat: a simulated fish in this process is new every time. Name the folder in every"
+            " command, or give it a seed (sim?seed=1) and set TAILBEAT_LOGBOOK.",
             err=True,
         )
     tell_problems(experiment)

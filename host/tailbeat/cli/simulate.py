@@ -19,7 +19,15 @@ if TYPE_CHECKING:
 Plant = Annotated[
     str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish and the water.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same run, bit for bit.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        min=0,
+        help="Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
+        " board of its own.",
+    ),
+]
 Listen = Annotated[
     str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
 ]
@@ -116,7 +124,7 @@ def _demo_text(result: DemoResult) -> str:
 
 def sim(
     plant: Plant = "tank",
-    seed: Seed = 1,
+    seed: Seed = None,
     listen: Listen = "tcp:127.0.0.1:5760",
     pty: Pty = False,
     speed: Speed = 1.0,
@@ -130,7 +138,7 @@ def sim(
     """
     from tailbeat.transport.simulated import SimBoard
 
-    board = SimBoard(plant, **{"seed": seed} | assignments(settings or []))
+    board = SimBoard(plant, **_values(seed, settings))
     _serve(board, "simulated fish", listen, pty, speed, json)
 
 
@@ -142,7 +150,7 @@ def vboard(
         ),
     ] = None,
     plant: Plant = "tank",
-    seed: Seed = 1,
+    seed: Seed = None,
     listen: Listen = "tcp:127.0.0.1:5760",
     pty: Pty = False,
     speed: Speed = 1.0,
@@ -155,8 +163,12 @@ def vboard(
     """
     from tailbeat.transport.emulated import EmulatedBoard
 
-    board = EmulatedBoard(image, plant, **{"seed": seed} | assignments(settings or []))
+    board = EmulatedBoard(image, plant, **_values(seed, settings))
     _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
+
+
+def _values(seed: int | None, settings: list[str] | None) -> dict[str, float]:
+    return ({} if seed is None else {"seed": seed}) | assignments(settings or [])
 
 
 def _serve(

@@ -70,19 +70,22 @@ def require_same(fish: Fish, experiment: Experiment) -> None:
     its unique id), or has another reference."""
     require_fish(fish, experiment)
     crc, has = reference_crc(experiment), fish.status().reference_crc
-    if crc is not None and has is None and held_state(experiment) is not None:
+    if crc is None or crc == has:
+        return
+    csv = quote(str(experiment.folder / "reference.csv"))
+    if has is None:
+        both = held_state(experiment) is not None
         raise InputError(
-            "the board has lost its reference and all that it had learned.",
-            f"{experiment.name} has a copy of both, and gives them back: tailbeat session resume",
-        )
-    if crc is not None and crc != has:
-        board = "none" if has is None else f"{has:08x}"
-        csv = quote(str(experiment.folder / "reference.csv"))
-        raise InputError(
-            f"the board has another reference ({board}) than {experiment.name} ({crc:08x}).",
-            f"tailbeat reference upload {csv}, or make an experiment for the board's: tailbeat"
+            "the board has lost its reference" + (" and all that it had learned." if both else "."),
+            f"{experiment.name} has a copy{' of both' if both else ''}. To give it back: tailbeat"
+            f" session resume. To begin anew: tailbeat reference upload {csv}, then tailbeat"
             " experiment new",
         )
+    raise InputError(
+        f"the board has another reference ({has:08x}) than {experiment.name} ({crc:08x}).",
+        f"tailbeat reference upload {csv}, or make an experiment for the board's: tailbeat"
+        " experiment new",
+    )
 
 
 def require_own(fish: Fish) -> None:
@@ -123,12 +126,18 @@ def begin(
     on; with a copy of what was identified (``raw/identified.json``) where there is one. ``name``:
     the fish's, by default as in its last experiment. Raises Refused without a reference, InputError
     with one that is not its own (``require_own``)."""
+    return make(fish, root, own_reference(fish), name or _name_before(fish), conditions)
+
+
+def own_reference(fish: Fish) -> Reference:
+    """The board's reference, with its name. Raises Refused without one, InputError with one that is
+    not its own (``require_own``)."""
     from tailbeat.boardreference import board_reference
 
     require_own(fish)
     if (held := board_reference(fish)) is None:
         raise refusal(NO_REFERENCE)
-    return make(fish, root, _named(fish, held), name or _name_before(fish), conditions)
+    return _named(fish, held)
 
 
 def make(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tailbeat.errors import InputError, TailbeatError
 from tailbeat.extras import remedy
 from tailbeat.transport.inprocess import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
-from tailbeat.transport.world import FRAME_US, World
+from tailbeat.transport.world import DEFAULT_SEED, FRAME_US, World, board_number
 
 if TYPE_CHECKING:
     from vboard.board import Board
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from vboard.wires.serial_line import SerialLine
 
 IMAGE = Path("build") / "firmware" / "tailbeat.elf"
-UNIQUE_ID = b"tailbeat vboard "  # by it the firmware knows that it runs here
+ID_PREFIX = b"tailbeat"  # of the unique id; by it the firmware knows that it runs here
 BAUD = 115200
 
 # As in docs/wiring.md.
@@ -66,7 +66,8 @@ class EmulatedBoard:
     firmware` built in the clone that holds the present folder.
 
     Keyword overrides are the fields of sim_config_t; the links run at 115200 baud, whatever it
-    says. ``imu_frames_sent``: binary frames that the IMU has put on its line so far.
+    says. ``seed``: None = disturbances as with 1, but a unique id of its own. ``imu_frames_sent``:
+    binary frames that the IMU has put on its line so far.
     """
 
     def __init__(
@@ -74,14 +75,15 @@ class EmulatedBoard:
         image: Path | None = None,
         plant: str = "tank",
         /,
-        seed: float = 1,
+        seed: float | None = None,
         **overrides: float,
     ) -> None:
         self.image = find_image(image)
-        self._world = World(plant, seed, **overrides)
+        self._world = World(plant, DEFAULT_SEED if seed is None else seed, **overrides)
+        self._unique_id = ID_PREFIX + board_number(seed).to_bytes(8, "little")
         self.name = f"vboard:{self.image}"
         self.plant = plant
-        self.seed = int(seed)
+        self.seed = int(DEFAULT_SEED if seed is None else seed)
         self.config = self._world.config
         self.watched = False
         self._origin_us = round(self.config["boot_s"] * 1e6)
@@ -316,7 +318,7 @@ class EmulatedBoard:
                 remedy("vboard"),
             ) from error
         try:
-            return Board(self.image, unique_id=UNIQUE_ID, seed=self.seed)
+            return Board(self.image, unique_id=self._unique_id, seed=self.seed)
         except (ImageError, OSError) as error:
             raise InputError(
                 f"cannot boot this image: {error}", "Build it: make firmware"

@@ -18,6 +18,7 @@ from tailbeat.transport.serialport import SerialTransport, likely_ports
 from tailbeat.transport.simulated import SimBoard
 from tailbeat.transport.tcp import TcpTransport
 from tailbeat.transport.udp import UdpTransport
+from tailbeat.transport.world import DEFAULT_SEED
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
 _HELLO_S = 0.4
@@ -30,7 +31,7 @@ GRAMMAR = (
 _HEARTBEAT_S = 1.0
 _PORTS = {"radio": RADIO, "console": CONSOLE}  # of a board in this process
 _WORDS = ("plant", "port", "line")
-DEFAULT_PLANT, DEFAULT_SEED = "tank", 1.0
+DEFAULT_PLANT = "tank"
 
 
 def open_transport(url: str | None = None, /, **sim_overrides: float) -> Transport:
@@ -175,7 +176,7 @@ def _open_simulated(url: str, overrides: dict[str, float]) -> Transport:
     head, _, query = url.partition("?")
     kind, _, what = head.partition(":")
     words, values = _settings(query)
-    values = {"seed": DEFAULT_SEED} | values | overrides
+    values |= overrides
     port = _PORTS.get(words.get("port", "radio"))
     if port is None:
         raise InputError(f"a board has no port {words['port']}", f"It is {' or '.join(_PORTS)}.")
@@ -196,7 +197,7 @@ def _behind(words: dict[str, str], transport: Transport, values: dict[str, float
     if "line" not in words:
         return transport
     up, down = faults_of(words["line"])
-    return BadLine(transport, up, down, int(values["seed"]))
+    return BadLine(transport, up, down, int(values.get("seed", DEFAULT_SEED)))
 
 
 def _settings(query: str) -> tuple[dict[str, str], dict[str, float]]:

@@ -19,9 +19,11 @@ from tailbeat.transport.inprocess import (
     Truth,
 )
 from tailbeat.transport.world import (
+    DEFAULT_SEED,
     PLANTS,
     SPEED_MAX_M_S,
     TILT_MAX_RAD,
+    board_number,
     config_field,
     config_values,
     make_config,
@@ -45,18 +47,22 @@ _PICTURES_MAX = 4096
 
 
 class SimBoard:
-    """The firmware with a fish around it. Keyword overrides are the fields of sim_config_t."""
+    """The firmware with a fish around it. Keyword overrides are the fields of sim_config_t.
+    ``seed``: None = disturbances as with 1, but a unique id of its own."""
 
-    def __init__(self, plant: str = "tank", /, seed: float = 1, **overrides: float) -> None:
-        config = make_config(plant, seed, overrides)
+    def __init__(
+        self, plant: str = "tank", /, seed: float | None = None, **overrides: float
+    ) -> None:
+        config = make_config(plant, DEFAULT_SEED if seed is None else seed, overrides)
         sim = lib.sim_new(config)
         if sim == ffi.NULL:
             raise senseless()
         self.name = f"sim:{plant}"
         self.plant = plant
-        self.seed = int(seed)
+        self.seed = int(config.seed)
         self.config = config_values(config)
         self._sim: Any = ffi.gc(sim, lib.sim_free)
+        lib.sim_set_id(sim, board_number(seed))
         self._bytes = ffi.new("uint8_t[]", _READ_BYTES)
         self._frames = ffi.new("sim_camera_frame_t[]", _FRAMES_MAX)
         self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)

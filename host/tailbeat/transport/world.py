@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import secrets
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from tailbeat.errors import InputError
 from tailbeat.transport.inprocess import CameraFrame, Truth
 
 PLANTS = {"thesis": 0, "tank": 1}
+DEFAULT_SEED = 1
 SPEED_MAX_M_S = 10.0
 TILT_MAX_RAD = math.pi
 FRAME_US = 20_000  # of the servo
@@ -162,6 +164,12 @@ class World:
     def swap_battery(self, volts: float, gain: float, centre_rad: float) -> None:
         """Another pack; the ballast may have shifted. The board's power is the caller's."""
         lib.world_swap_battery(self._world, *sensible_swap(volts, gain, centre_rad))
+
+
+def board_number(seed: float | None) -> int:
+    """What tells a simulated board from others, the last 8 bytes of its unique id: the seed if one
+    is given, so that it is the same board each time; otherwise random."""
+    return secrets.randbits(64) if seed is None else int(seed)
 
 
 def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
