@@ -63,6 +63,7 @@ def test_a_restart_of_the_board_is_noticed(fish: Fish) -> None:
     fish.link.run(0.5)
     fish.clock.sync()
     assert fish.clock.now_s() == pytest.approx(fish.sim.board_time_s, abs=0.02)
+    assert fish.clock.rate == 1.0  # nothing of the time before the restart is in it
 
 
 def test_keep_refreshes_without_waiting(fish: Fish) -> None:
@@ -71,3 +72,11 @@ def test_keep_refreshes_without_waiting(fish: Fish) -> None:
         fish.link.idle(0.01)
         fish.clock.keep()
     assert fish.clock._recent[-1].host_s > before + 2.0
+
+
+def test_a_fresh_series_measures_the_rate_anew(fish: Fish) -> None:
+    """After a reconnect the board may run at another speed; what was known so well is of before."""
+    clock = fish.clock
+    clock.rate, clock._rate_error = 5.0, 1e-9
+    clock.sync()
+    assert clock.rate == 1.0

@@ -454,6 +454,26 @@ static void test_power_cut_and_replay(void) {
            (unsigned)replayed);
 }
 
+/* Pieces of the key at either end of the bytes and in their middle; what lies behind stays. */
+static void test_pieces_of_the_key_are_hidden_wherever_they_lie(void) {
+    (void)set_key(key_a, TODAY);
+    for (size_t at = 0; at <= 12; at++) {
+        uint8_t bytes[17];
+        memset(bytes, 0xEE, sizeof bytes);
+        memcpy(bytes + at, key_a + 9, 4);
+        key_hide(&app, bytes, 16);
+        for (size_t i = 0; i < sizeof bytes; i++) {
+            TEST_ASSERT_EQUAL_HEX8(i >= at && i < at + 4 ? 0 : 0xEE, bytes[i]);
+        }
+    }
+    /* Three bytes are no piece, even where the fourth of the key follows behind the end. */
+    uint8_t bytes[17];
+    memset(bytes, 0xEE, sizeof bytes);
+    memcpy(bytes + 13, key_a + 9, 4);
+    key_hide(&app, bytes, 16);
+    TEST_ASSERT_EQUAL_MEMORY(key_a + 9, bytes + 13, 4);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_key_is_stored_before_it_counts);
@@ -470,5 +490,6 @@ int main(void) {
     RUN_TEST(test_without_its_store_nothing_swims);
     RUN_TEST(test_files_and_crashes_do_not_tell_the_key);
     RUN_ON_HOST(test_power_cut_and_replay);
+    RUN_TEST(test_pieces_of_the_key_are_hidden_wherever_they_lie);
     return UNITY_END();
 }

@@ -198,6 +198,39 @@ static void test_an_endless_beat_is_refused(void) {
                       commit(LINK_FILE_REFERENCE, "/in/reference.bin", upload_bytes, length));
 }
 
+static void store_params_and_reboot(void) {
+    const size_t length = record_encode_params(&app.params, app.record);
+    TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, PARAMS_PATH, app.record, length));
+    reboot();
+}
+
+static void test_the_imu_is_set_up_as_the_stored_parameters_say(void) {
+    app.params.value[PARAM_IMU_RATE_HZ] = 50.0f;
+    app.params.value[PARAM_IMU_MOUNT] = 3.0f;
+    store_params_and_reboot();
+    TEST_ASSERT_EQUAL_UINT16(50, app.imu.driver.config.rate_hz);
+    TEST_ASSERT_EQUAL(3, app.imu.driver.config.mount);
+}
+
+/* 400 frames a second do not fit 9600 baud: each of the IMU's parameters is as it is by itself. */
+static void test_imu_parameters_that_contradict_each_other_are_all_dropped(void) {
+    for (param_t param = 0; param < PARAM_COUNT; param++) {
+        if (strncmp(param_info(param)->name, "IMU_", 4) == 0 && param != PARAM_IMU_TIMEOUT_S) {
+            app.params.value[param] = param_info(param)->high;
+        }
+    }
+    app.params.value[PARAM_IMU_BAUD] = 9600.0f;
+    app.params.value[PARAM_AMP_MAX_RAD] = 0.3f;
+    store_params_and_reboot();
+    for (param_t param = 0; param < PARAM_COUNT; param++) {
+        if (strncmp(param_info(param)->name, "IMU_", 4) == 0) {
+            TEST_ASSERT_EQUAL_FLOAT(param_info(param)->fallback, app.params.value[param]);
+        }
+    }
+    TEST_ASSERT_EQUAL_FLOAT(0.3f, app.params.value[PARAM_AMP_MAX_RAD]);
+    TEST_ASSERT_EQUAL(0, app.imu.driver.config.mount);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_lost_reference_leaves_a_board_that_boots_and_remembers);
@@ -214,5 +247,7 @@ int main(void) {
     RUN_TEST(test_a_board_about_to_reboot_does_not_arm);
     RUN_TEST(test_an_aborted_trial_without_speeds_is_not_learned_from);
     RUN_TEST(test_an_endless_beat_is_refused);
+    RUN_TEST(test_the_imu_is_set_up_as_the_stored_parameters_say);
+    RUN_TEST(test_imu_parameters_that_contradict_each_other_are_all_dropped);
     return UNITY_END();
 }

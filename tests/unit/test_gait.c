@@ -145,6 +145,16 @@ static void test_without_glide_frames_it_is_off_at_once(void) {
     TEST_ASSERT_EQUAL(GAIT_OFF, gait.mode);
 }
 
+/* Pulses are off: what the tail did before does not hold back the next swim. */
+static void test_off_lets_go_of_the_servo(void) {
+    config.glide_frames = 0;
+    TEST_ASSERT_TRUE(swim_frames(11, 0.7f).angle_rad > 0.5f);
+    (void)step(stop);
+    TEST_ASSERT_FALSE(gait.servo.moving);
+    config.servo.slew_rad_s = 0.1f;
+    TEST_ASSERT_EQUAL_UINT16(4500, step(swim(0.7f)).pulse_ticks);
+}
+
 static void test_a_new_swim_waits_for_the_end_of_the_glide(void) {
     (void)swim_frames(FRAMES + 11u, 0.7f);
     (void)step(stop);
@@ -195,6 +205,7 @@ int main(void) {
     RUN_TEST(test_a_stop_instead_of_the_next_beat_closes_the_sine);
     RUN_TEST(test_a_stop_at_the_centre_holds_it);
     RUN_TEST(test_without_glide_frames_it_is_off_at_once);
+    RUN_TEST(test_off_lets_go_of_the_servo);
     RUN_TEST(test_a_new_swim_waits_for_the_end_of_the_glide);
     RUN_TEST(test_the_glide_begins_where_the_limits_left_the_tail);
     RUN_TEST(test_a_non_finite_amplitude_does_not_move_the_tail);
