@@ -161,6 +161,10 @@ static bool fresh(uint64_t now_us, uint64_t then_us, uint64_t limit_us) {
     return then_us != 0 && now_us - then_us < limit_us;
 }
 
+battery_voltage_t app_battery(const app_t *app) {
+    return settings_battery(&app->params, hal_battery_reading(app->hal));
+}
+
 static void give_orders(app_t *app, uint64_t now_us) {
     const bool level_known = fresh(now_us, app->imu.last_us, IMU_FRESH_US);
     const control_orders_t orders = {
@@ -174,7 +178,7 @@ static void give_orders(app_t *app, uint64_t now_us) {
         .limits = settings_stop_limits(&app->params),
         .last_heartbeat_us = app->last_heartbeat_us,
         .last_imu_us = app->imu.last_us,
-        .battery_mv = hal_battery_mv(app->hal),
+        .battery = app_battery(app),
         .pitch_rad = level_known ? app->imu.last.ypr_deg[1] * REAL_RAD_PER_DEG : 0.0f,
         .roll_rad = level_known ? app->imu.last.ypr_deg[2] * REAL_RAD_PER_DEG : 0.0f,
     };
@@ -197,7 +201,7 @@ void app_refresh_status(app_t *app) {
         .reference_crc = app->reference.crc,
         .beats = app->reference.beats,
         .beat = swimming ? (uint16_t)report.gait.beat : app->executed,
-        .battery_mv = hal_battery_mv(app->hal),
+        .battery = app_battery(app),
         .memory = &app->memory,
         .angle_rad = report.gait.angle_rad,
         .amplitude_rad = swimming ? app->run.trial.amplitude_rad[app->executed] : 0.0f,
@@ -209,6 +213,15 @@ void app_refresh_status(app_t *app) {
         .late_ticks = report.late_ticks,
         .longest_pause_us = app->longest_pause_us,
     };
+}
+
+/* A board that swims nothing needs no battery: here it is a warning. swim.c and control.c refuse.
+ */
+static void tell_battery(app_t *app) {
+    const uint16_t low_mv = settings_battery_low_mv(&app->params);
+    if (battery_tells_limit(&app->battery, &app->status.battery, low_mv)) {
+        link_text(&app->link, MAV_SEVERITY_WARNING, fault_info(FAULT_BATTERY_SENSE)->meaning);
+    }
 }
 
 static void mind_the_clock(app_t *app, uint64_t now_us) {
@@ -260,6 +273,7 @@ void app_poll(app_t *app) {
         drive_imu(app, read_us);
     }
     app_refresh_status(app);
+    tell_battery(app);
     if (hal_time_us(app->hal) - now_us < STORING_US) {
         app->last_link_us = now_us;
         link_poll(&app->link, &app->status);

@@ -23,6 +23,8 @@ store_result_t salvage_mount(app_t *app, fault_t *fault);
 
 /* app.c: what the link tells follows the board's state of this moment. */
 void app_refresh_status(app_t *app);
+/* At the pack, as the divider's parameters say. */
+battery_voltage_t app_battery(const app_t *app);
 /* Whether |fault| is FAULT_WRITE_FAILED because the flash does not take data: that is a fault of
  * the board, which is raised and answered instead. A full store is not. */
 fault_t app_judge_write(app_t *app, fault_t fault);

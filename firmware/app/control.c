@@ -43,7 +43,8 @@ static fault_t check_rules(const control_t *control, uint64_t now_us) {
         .last_heartbeat_us = orders->last_heartbeat_us,
         .last_imu_us = orders->last_imu_us,
         .battery_ok_us = control->battery_ok_us,
-        .battery_mv = orders->battery_mv,
+        .battery_mv = orders->battery.mv,
+        .battery_at_limit = orders->battery.at_limit,
         .pitch_rad = orders->pitch_rad,
         .roll_rad = orders->roll_rad,
     };
@@ -52,7 +53,9 @@ static fault_t check_rules(const control_t *control, uint64_t now_us) {
 
 static void watch_battery(control_t *control, uint64_t now_us) {
     const control_orders_t *orders = &control->orders;
-    if (orders->battery_mv >= orders->limits.battery_critical_mv) {
+    const stop_inputs_t inputs = {.battery_mv = orders->battery.mv,
+                                  .battery_at_limit = orders->battery.at_limit};
+    if (stop_rules_battery_ok(&orders->limits, &inputs)) {
         control->battery_ok_us = now_us;
     }
 }

@@ -11,6 +11,7 @@
 
 #include "gait/gait.h"
 #include "hal/hal.h"
+#include "supervisor/battery.h"
 #include "supervisor/stop_rules.h"
 
 #include <stdbool.h>
@@ -33,7 +34,7 @@ typedef struct {
     stop_limits_t limits;
     uint64_t last_heartbeat_us;
     uint64_t last_imu_us;
-    uint16_t battery_mv;
+    battery_voltage_t battery;
     float pitch_rad, roll_rad;
 } control_orders_t;
 

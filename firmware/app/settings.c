@@ -138,6 +138,11 @@ stop_limits_t settings_stop_limits(const params_t *params) {
     };
 }
 
+battery_voltage_t settings_battery(const params_t *params, uint16_t reading) {
+    return battery_voltage(reading, params->value[PARAM_BATT_ADC_V],
+                           params->value[PARAM_BATT_DIVIDER]);
+}
+
 uint16_t settings_battery_low_mv(const params_t *params) {
     return millivolts(params->value[PARAM_BATT_LOW_V]);
 }

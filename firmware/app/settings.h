@@ -11,6 +11,7 @@
 #include "imu/driver.h"
 #include "params/params.h"
 #include "speed/estimate.h"
+#include "supervisor/battery.h"
 #include "supervisor/faults.h"
 #include "supervisor/stop_rules.h"
 
@@ -28,6 +29,9 @@ gait_config_t settings_gait(const params_t *params, float beat_s);
 estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats);
 stop_limits_t settings_stop_limits(const params_t *params);
 /* No arming and no start below this; 0 = always. */
+/* What a reading of the HAL means. */
+battery_voltage_t settings_battery(const params_t *params, uint16_t reading);
+
 uint16_t settings_battery_low_mv(const params_t *params);
 imu_driver_config_t settings_imu(const params_t *params);
 /* Whether the speed source is nothing without the IMU. */

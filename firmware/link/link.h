@@ -32,6 +32,7 @@
 #include "speed/speed.h"
 #include "store/records.h"
 #include "store/store.h"
+#include "supervisor/battery.h"
 #include "supervisor/supervisor.h"
 
 #define LINK_PORTS 2u /* HAL_PORT_RADIO, HAL_PORT_CONSOLE */
@@ -109,7 +110,7 @@ typedef struct {
     uint32_t trial, next_trial, pending_trial, reference_crc;
     uint32_t open_trial; /* still writing its log; 0 = none */
     uint16_t beats, beat;
-    uint16_t battery_mv;
+    battery_voltage_t battery;
     const memory_t *memory;
     /* live view */
     float angle_rad, amplitude_rad, speed_m_s; /* speed NaN = none */

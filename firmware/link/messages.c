@@ -69,7 +69,8 @@ mavlink_tailbeat_status_t link_status_message(const link_t *link) {
         .beats = status->beats,
         .beat = status->beat,
         .fault = (uint16_t)status->fault,
-        .battery_mv = status->battery_mv,
+        .battery_mv = status->battery.mv,
+        .battery_at_limit = status->battery.at_limit,
         .state = (uint8_t)status->state,
         .worse_streak =
             (uint8_t)(memory->worse_streak < UINT8_MAX ? memory->worse_streak : UINT8_MAX),
@@ -92,7 +93,9 @@ void link_send_battery(link_t *link, channel_t *channel) {
         .type = MAV_BATTERY_TYPE_UNKNOWN,
     };
     memset(battery.voltages, 0xFF, sizeof battery.voltages);
-    battery.voltages[0] = link->status->battery_mv;
+    if (!link->status->battery.at_limit) {
+        battery.voltages[0] = link->status->battery.mv;
+    }
     LINK_SEND(channel, BATTERY_STATUS, &battery);
 }
 

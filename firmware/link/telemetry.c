@@ -50,6 +50,7 @@ static bool status_changed(link_t *link) {
     mavlink_tailbeat_status_t message = link_status_message(link);
     message.time_boot_ms = 0;
     message.battery_mv = 0;
+    message.battery_at_limit = 0;
     const uint32_t digest = crc32_update(0, &message, MAVLINK_MSG_ID_TAILBEAT_STATUS_LEN);
     const bool changed = digest != link->status_digest;
     link->status_digest = digest;

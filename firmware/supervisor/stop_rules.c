@@ -8,10 +8,18 @@ static bool silent(uint64_t now_us, uint64_t last_us, uint32_t timeout_us) {
     return timeout_us != 0 && now_us > last_us && now_us - last_us > timeout_us;
 }
 
-/* A servo's current pulls a healthy pack down for moments. */
-static bool exhausted(const stop_limits_t *limits, const stop_inputs_t *inputs) {
-    return inputs->battery_mv < limits->battery_critical_mv &&
-           inputs->now_us - inputs->battery_ok_us >= limits->battery_sag_us;
+bool stop_rules_battery_ok(const stop_limits_t *limits, const stop_inputs_t *inputs) {
+    return limits->battery_critical_mv == 0 ||
+           (!inputs->battery_at_limit && inputs->battery_mv >= limits->battery_critical_mv);
+}
+
+/* A servo's current pulls a healthy pack down for moments, and may lift its reading as well. */
+static fault_t judge_battery(const stop_limits_t *limits, const stop_inputs_t *inputs) {
+    if (stop_rules_battery_ok(limits, inputs) ||
+        inputs->now_us - inputs->battery_ok_us < limits->battery_sag_us) {
+        return FAULT_NONE;
+    }
+    return inputs->battery_at_limit ? FAULT_BATTERY_SENSE : FAULT_BATTERY_CRITICAL;
 }
 
 /* An angle that is not a number counts as tilted. */
@@ -22,8 +30,9 @@ static bool tilted(const stop_limits_t *limits, const stop_inputs_t *inputs) {
 }
 
 fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs) {
-    if (exhausted(limits, inputs)) {
-        return FAULT_BATTERY_CRITICAL;
+    const fault_t battery = judge_battery(limits, inputs);
+    if (battery != FAULT_NONE) {
+        return battery;
     }
     if (tilted(limits, inputs)) {
         return FAULT_TILT;

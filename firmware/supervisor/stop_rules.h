@@ -26,10 +26,14 @@ typedef struct {
     uint64_t last_imu_us;
     uint64_t battery_ok_us;    /* when it was last not below its limit; not later than now */
     uint16_t battery_mv;       /* 0, a dead converter, is as critical as any */
+    bool battery_at_limit;     /* battery_voltage_t */
     float pitch_rad, roll_rad; /* not a number = tilted */
 } stop_inputs_t;
 
-/* The first rule that is broken, FAULT_NONE when none is. Order: battery critical, tilt, IMU stale,
+/* Whether the battery is above its limit and its voltage is known, or is not checked. */
+bool stop_rules_battery_ok(const stop_limits_t *limits, const stop_inputs_t *inputs);
+
+/* The first rule that is broken, FAULT_NONE when none is. Order: battery, tilt, IMU stale,
  * link lost, late tick. */
 fault_t stop_rules_check(const stop_limits_t *limits, const stop_inputs_t *inputs);
 

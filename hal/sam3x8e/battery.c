@@ -1,6 +1,6 @@
 /*
- * The battery through its divider: one conversion per tick, started in one and read in the next, so
- * that nobody waits. The mean over five of them, 100 ms, goes out.
+ * The voltage at the middle of the battery's divider: one conversion per tick, started in one and
+ * read in the next, so that nobody waits. The mean over five of them, 100 ms, goes out.
  */
 #include "board.h"
 #include "pins.h"
@@ -19,6 +19,8 @@
 #define FIRST_CONVERSION_PASSES 84000u
 
 #define COUNTS_FULL_SCALE 4096u
+
+_Static_assert(HAL_BATTERY_SCALE % COUNTS_FULL_SCALE == 0, "whole steps per count");
 
 static bool conversion_ended(void) { return (ADC->ISR & CHANNEL) != 0; }
 
@@ -66,8 +68,7 @@ void battery_tick_isr(hal_t *hal) {
     ADC->CR = ADC_CR_START;
 }
 
-uint16_t hal_battery_mv(const hal_t *hal) {
-    const uint32_t divisor = COUNTS_FULL_SCALE * BATTERY_SAMPLES;
-    return (uint16_t)((hal->battery_sum * BATTERY_FULL_SCALE_MV * BATTERY_DIVIDER + divisor / 2u) /
-                      divisor);
+uint16_t hal_battery_reading(const hal_t *hal) {
+    const uint32_t steps = hal->battery_sum * (HAL_BATTERY_SCALE / COUNTS_FULL_SCALE);
+    return (uint16_t)((steps + BATTERY_SAMPLES / 2u) / BATTERY_SAMPLES);
 }

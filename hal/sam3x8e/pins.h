@@ -22,9 +22,6 @@
 
 #define SERVO_PWM_CHANNEL 4u
 #define BATTERY_ADC_CHANNEL 7u
-/* 20 kOhm over 10 kOhm: a 2S pack (8.4 V) stays below the 3.3 V of the converter. */
-#define BATTERY_DIVIDER 3u
-#define BATTERY_FULL_SCALE_MV 3300u
 
 #define SAM3X8E_PIN_NAME(name, port, bit, peripheral, header, signal) PIN_##name,
 typedef enum { SAM3X8E_PINS(SAM3X8E_PIN_NAME) PIN_COUNT } pin_t;

@@ -12,6 +12,7 @@
 #define BAUD_MIN 1200u
 #define BAUD_MAX 1000000u
 #define BAUD_TOLERANCE 0.03
+#define BATTERY_FULL_SCALE_MV 9900u
 #define GARBLED 0xA5         /* as on the emulated board's wires */
 #define BITS_NS 10000000000u /* of a byte, at one baud */
 
@@ -221,7 +222,12 @@ void hal_unique_id(const hal_t *hal, uint8_t out[16]) {
     }
 }
 
-uint16_t hal_battery_mv(const hal_t *hal) { return hal->battery_mv; }
+/* Behind the divider of docs/wiring.md. */
+uint16_t hal_battery_reading(const hal_t *hal) {
+    const uint32_t reading =
+        (hal->battery_mv * HAL_BATTERY_SCALE + BATTERY_FULL_SCALE_MV / 2u) / BATTERY_FULL_SCALE_MV;
+    return (uint16_t)(reading < HAL_BATTERY_SCALE ? reading : HAL_BATTERY_SCALE - 1u);
+}
 void hal_led_isr(hal_t *hal, bool on) { hal->led = on; }
 /* The event loop is the main loop: it cannot hang without hanging the whole process. */
 void hal_watchdog_feed(hal_t *hal) { (void)hal; }

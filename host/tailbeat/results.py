@@ -55,6 +55,14 @@ class BoardStatus:
     beat: int
     battery_v: float
     worse_streak: int
+    battery_at_limit: bool = False
+
+    @property
+    def battery_text(self) -> str:
+        """The voltage in words; a reading at the converter's limit is a lower bound only."""
+        if self.battery_at_limit:
+            return f"{self.battery_v:.2f} V or more (reading at its limit)"
+        return f"{self.battery_v:.2f} V"
 
     @classmethod
     def of(cls, m: Message) -> BoardStatus:
@@ -75,6 +83,7 @@ class BoardStatus:
             beat=m.beat,
             battery_v=m.battery_mv * 1e-3,
             worse_streak=m.worse_streak,
+            battery_at_limit=bool(m.battery_at_limit),
         )
 
 

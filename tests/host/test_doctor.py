@@ -385,7 +385,8 @@ def test_no_imu_matters_only_where_it_is_needed(look: Look) -> None:
 @pytest.mark.parametrize(
     ("volts", "status", "text"),
     [(7.4, OK, ""), (6.7, WARNING, "little above"), (6.4, PROBLEM, "arming is refused"),
-     (5.8, PROBLEM, "BATT_CRIT_V"), (0.0, PROBLEM, "no battery")],
+     (5.8, PROBLEM, "BATT_CRIT_V"), (0.0, PROBLEM, "no battery"),
+     (12.0, PROBLEM, "9.90 V or more (reading at its limit): arming is refused")],
 )  # fmt: skip
 def test_battery(volts: float, status: str, text: str, look: Look, board: SimBoard) -> None:
     board.set_battery_v(volts)
@@ -399,6 +400,16 @@ def test_battery(volts: float, status: str, text: str, look: Look, board: SimBoa
 def test_limits_of_the_battery_are_the_boards(look: Look, board: SimBoard) -> None:
     Fish(SimTransport(board)).params.set("BATT_LOW_V", 9.0)
     assert look(SimTransport(board))["battery"].status == PROBLEM
+
+
+def test_a_bare_board_needs_no_battery(look: Look, board: SimBoard) -> None:
+    board.set_battery_v(12.0)
+    board.run(1.0)
+    fish = Fish(SimTransport(board))
+    fish.params.set("BATT_LOW_V", 0.0)
+    fish.params.set("BATT_CRIT_V", 0.0)
+    found = look(SimTransport(board))["battery"]
+    assert (found.status, "not checked" in found.text) == (OK, True)
 
 
 @pytest.mark.parametrize(

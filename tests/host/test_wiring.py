@@ -9,6 +9,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 HEADER = (ROOT / "hal" / "sam3x8e" / "pins.h").read_text(encoding="utf-8")
 GUIDE = (ROOT / "docs" / "wiring.md").read_text(encoding="utf-8")
+PARAMETERS = (ROOT / "firmware" / "params" / "params.def").read_text(encoding="utf-8")
 
 PIN = re.compile(
     r'^ +PIN\((?P<name>\w+), (?P<port>[A-D]), (?P<bit>\d+), (?P<peripheral>\w+), "(?P<due>\w+)", '
@@ -67,6 +68,13 @@ def constant(name: str) -> int:
     return int(found[1])
 
 
+def default(name: str) -> float:
+    """Of a parameter of the firmware."""
+    found = re.search(rf"^PARAM\({name}, +([0-9.]+)f,", PARAMETERS, re.MULTILINE)
+    assert found is not None, name
+    return float(found[1])
+
+
 def test_every_pin_of_the_header_is_found() -> None:
     assert len(pins_of_header()) == len(re.findall(r"^ +PIN\(", HEADER, re.MULTILINE)) > 0
 
@@ -99,6 +107,7 @@ def test_channels_belong_to_their_signals() -> None:
 
 def test_divider_of_the_guide_is_the_firmwares() -> None:
     upper, lower = (int(ohms) for ohms in re.findall(r"\[ (\d+) kΩ \]", GUIDE))
-    assert (upper + lower) / lower == constant("BATTERY_DIVIDER")
-    highest_v = constant("BATTERY_FULL_SCALE_MV") * constant("BATTERY_DIVIDER") / 1000
+    divider, full_scale_v = (default(name) for name in ("BATT_DIVIDER", "BATT_ADC_V"))
+    assert (upper + lower) / lower == divider
+    highest_v = full_scale_v * divider
     assert f"More than {highest_v:.1f} V" in GUIDE

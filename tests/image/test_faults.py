@@ -226,6 +226,25 @@ def test_a_dead_converter_counts_as_an_empty_battery(new_board: NewBoard, connec
     assert (status.state, status.fault.name) == ("FAULT", "BATTERY_CRITICAL")
 
 
+def test_a_bare_board_boots_and_serves_files_whatever_its_open_pin_reads(
+    new_board: NewBoard, connect: Connect
+) -> None:
+    board = new_board()
+    board.board.periph["ADC"].volts[BATTERY_CHANNEL] = 3.3
+    fish = connect(board)
+    fish.upload_reference(records.encode_reference(1.0, [0.04] * 5))
+    status = fish.status()
+    assert (status.state, status.battery_at_limit) == ("IDLE", True)
+    with pytest.raises(Refused, match="voltage unknown"):
+        fish.arm()
+    fish.params.set("BATT_LOW_V", 0)
+    fish.params.set("BATT_CRIT_V", 0)
+    fish.params.save()
+    swimming(board, fish)
+    board.run(2.0)
+    assert fish.status().state == "RUNNING"
+
+
 def test_a_supply_that_dips_during_a_write_harms_nothing(
     new_board: NewBoard, connect: Connect
 ) -> None:
@@ -250,6 +269,8 @@ def test_a_supply_that_dips_during_a_write_harms_nothing(
             fish.params.save()
         except Refused as error:
             print("save:", error)
+            assert error.name == "STORAGE"
+            fish.clear()
     assert dips == 3
     stored = board.flash
     board.power_cycle()

@@ -255,6 +255,52 @@ static void test_a_low_battery_does_not_arm_and_a_critical_one_stops(void) {
     TEST_ASSERT_EQUAL(FAULT_BATTERY_CRITICAL, app.supervisor.reason);
 }
 
+static void test_a_reading_at_the_limit_warns_does_not_arm_and_stops(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    hal.battery_mv = 12000;
+    run_ms(1000);
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_TRUE(app.status.battery.at_limit);
+    TEST_ASSERT_TRUE(app.battery.limit_told);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_SENSE, command(LINK_COMMAND_ARM, 0));
+    hal.battery_mv = 8000;
+    start_trial(BEATS, SPEED);
+    run_ms(1500);
+    hal.battery_mv = 12000;
+    run_ms(960);
+    TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
+    run_ms(80);
+    TEST_ASSERT_EQUAL(STATE_FAULT, app.supervisor.state);
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_SENSE, app.supervisor.reason);
+}
+
+/* As docs/wiring.md says: a board on USB power, with whatever its open pin reads. */
+static void test_a_bare_board_runs_with_the_documented_values(void) {
+    static const uint16_t open_pin_mv[] = {0, 4000, 12000};
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_LOW_V, 0.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_CRIT_V, 0.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_START, 1));
+    for (uint32_t i = 0; i < sizeof open_pin_mv / sizeof open_pin_mv[0]; i++) {
+        hal.battery_mv = open_pin_mv[i];
+        run_ms(1500);
+        TEST_ASSERT_EQUAL(STATE_RUNNING, app.supervisor.state);
+    }
+    TEST_ASSERT_FALSE(app.battery.limit_told);
+}
+
+static void test_the_divider_is_a_parameter(void) {
+    hal.battery_mv = 8000;
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_DIVIDER, 3.3f));
+    run_ms(20);
+    TEST_ASSERT_EQUAL(8800, app.status.battery.mv);
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_BATT_ADC_V, 3.0f));
+    run_ms(20);
+    TEST_ASSERT_EQUAL(8000, app.status.battery.mv);
+}
+
 static void test_a_second_trial_of_the_same_board_starts_afresh(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
@@ -301,6 +347,9 @@ int main(void) {
     RUN_TEST(test_another_host_does_not_keep_the_tail_going);
     RUN_TEST(test_an_unattended_trial_swims_to_its_end);
     RUN_TEST(test_a_low_battery_does_not_arm_and_a_critical_one_stops);
+    RUN_TEST(test_a_reading_at_the_limit_warns_does_not_arm_and_stops);
+    RUN_TEST(test_a_bare_board_runs_with_the_documented_values);
+    RUN_TEST(test_the_divider_is_a_parameter);
     RUN_TEST(test_a_second_trial_of_the_same_board_starts_afresh);
     RUN_TEST(test_speeds_of_a_time_to_come_are_dropped);
     return UNITY_END();

@@ -41,6 +41,30 @@ static void the_highest_limit_does_not_wrap(void) {
     TEST_ASSERT_FALSE(battery_allows(&battery, UINT16_MAX, UINT16_MAX));
 }
 
+static void a_reading_becomes_the_voltage_of_the_pack(void) {
+    TEST_ASSERT_EQUAL_UINT16(0, battery_voltage(0, 3.3f, 3.0f).mv);
+    TEST_ASSERT_EQUAL_UINT16(4950, battery_voltage(32768, 3.3f, 3.0f).mv);
+    TEST_ASSERT_EQUAL_UINT16(9861, battery_voltage(BATTERY_LIMIT_READING, 3.3f, 3.0f).mv);
+    TEST_ASSERT_EQUAL_UINT16(UINT16_MAX, battery_voltage(UINT16_MAX, 3.6f, 20.0f).mv);
+}
+
+static void full_scale_is_no_voltage(void) {
+    battery_voltage_t voltage = battery_voltage(BATTERY_LIMIT_READING - 1u, 3.3f, 3.0f);
+    TEST_ASSERT_FALSE(voltage.at_limit);
+    TEST_ASSERT_EQUAL(FAULT_NONE, battery_judge(&battery, &voltage, LOW_MV));
+    TEST_ASSERT_FALSE(battery_tells_limit(&battery, &voltage, LOW_MV));
+    voltage = battery_voltage(4095u * 16u, 3.3f, 3.0f); /* each sample at its highest count */
+    TEST_ASSERT_TRUE(voltage.at_limit);
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_SENSE, battery_judge(&battery, &voltage, LOW_MV));
+    TEST_ASSERT_EQUAL(FAULT_NONE, battery_judge(&battery, &voltage, 0));
+    TEST_ASSERT_FALSE(battery_tells_limit(&battery, &voltage, 0));
+    TEST_ASSERT_TRUE(battery_tells_limit(&battery, &voltage, LOW_MV));
+    TEST_ASSERT_FALSE(battery_tells_limit(&battery, &voltage, LOW_MV));
+    voltage.mv = LOW_MV - 1u;
+    voltage.at_limit = false;
+    TEST_ASSERT_EQUAL(FAULT_BATTERY_LOW, battery_judge(&battery, &voltage, LOW_MV));
+}
+
 static uint32_t warnings(uint64_t from_us, uint64_t to_us, uint16_t battery_mv) {
     uint32_t count = 0;
     for (uint64_t us = from_us; us < to_us; us += 10000u) {
@@ -70,6 +94,8 @@ static void moments_below_the_limit_are_no_warning(void) {
 
 int main(void) {
     UNITY_BEGIN();
+    RUN_TEST(a_reading_becomes_the_voltage_of_the_pack);
+    RUN_TEST(full_scale_is_no_voltage);
     RUN_TEST(allowed_from_the_limit_on);
     RUN_TEST(once_too_low_it_has_to_rise);
     RUN_TEST(one_that_ended_a_swim_has_to_rise_too);

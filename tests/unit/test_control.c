@@ -41,7 +41,7 @@ void setUp(void) {
                  .frames_per_beat = FRAMES_PER_BEAT,
                  .glide_frames = GLIDE_FRAMES},
         .limits = {.tick_late_us = 30000, .battery_critical_mv = 6000},
-        .battery_mv = 8000,
+        .battery = {.mv = 8000},
     };
 }
 
@@ -170,7 +170,7 @@ static void a_stop_at_any_frame_glides_to_rest(void) {
         setUp();
         order();
         ticks(at);
-        orders.battery_mv = 5000;
+        orders.battery.mv = 5000;
         order();
         assert_glides_off();
         const control_report_t report = control_report(&control, &hal);
@@ -202,13 +202,13 @@ static void a_stop_stays_until_swim_is_taken_back(void) {
     order();
     TEST_ASSERT_EQUAL_INT(FAULT_TILT, tick().stop);
     orders.pitch_rad = 0.0f;
-    orders.battery_mv = 1;
+    orders.battery.mv = 1;
     order();
     const size_t before = hal.pulse_count + GLIDE_FRAMES;
     TEST_ASSERT_EQUAL_INT(FAULT_TILT, ticks(500).stop);
     TEST_ASSERT_EQUAL_UINT32(0, count_from((uint32_t)before));
 
-    orders.battery_mv = 8000;
+    orders.battery.mv = 8000;
     orders.swim = false;
     order();
     const control_report_t cleared = tick();
@@ -253,7 +253,7 @@ static void a_stop_shorter_than_a_tick_is_seen(void) {
 }
 
 static void a_broken_rule_at_the_start_gives_no_pulse(void) {
-    orders.battery_mv = 5999;
+    orders.battery.mv = 5999;
     order();
     const control_report_t report = ticks(10);
     TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_CRITICAL, report.stop);
@@ -262,7 +262,7 @@ static void a_broken_rule_at_the_start_gives_no_pulse(void) {
 }
 
 static void see_battery(uint16_t battery_mv) {
-    orders.battery_mv = battery_mv;
+    orders.battery.mv = battery_mv;
     order();
 }
 
@@ -457,7 +457,7 @@ static void stop(stop_t how) {
         return;
     }
     orders.swim = orders.armed = how == BY_RULE;
-    orders.battery_mv = 5000;
+    orders.battery.mv = 5000;
     control_order(&control, &hal, how == BY_ZEROED_ORDER ? &zeroed : &orders);
 }
 

@@ -91,7 +91,7 @@ static void test_a_change_of_status_goes_out_at_once(void) {
     TEST_ASSERT_EQUAL(11, fields.last_learned_trial);
     TEST_ASSERT_EQUAL(1002, fields.time_boot_ms);
     TEST_ASSERT_TRUE(isnan(fields.best_max_abs_error_m_s));
-    status.battery_mv++;
+    status.battery.mv++;
     poll_at(hal.now_us + 1000);
     peer_collect(HAL_PORT_RADIO);
     TEST_ASSERT_EQUAL(0, peer_inbox_count);
@@ -100,7 +100,7 @@ static void test_a_change_of_status_goes_out_at_once(void) {
 static void test_battery_and_attitude_for_other_programs(void) {
     uint16_t voltages[10];
     mavlink_attitude_t attitude;
-    status.battery_mv = 7654;
+    status.battery.mv = 7654;
     imu.counters.frames = 1;
     imu.last.ypr_deg[0] = 180.0f;
     imu.last.ypr_deg[1] = 45.0f;

@@ -45,6 +45,18 @@ static void battery_stops_below_its_limit(void) {
 }
 
 /* Zero, what a dead converter reads, is no exception either way. */
+static void a_battery_whose_voltage_is_unknown_stops(void) {
+    inputs.battery_at_limit = true;
+    TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_SENSE, stop_rules_check(&limits, &inputs));
+    limits.battery_sag_us = 1000000;
+    inputs.battery_ok_us = NOW_US - 999999;
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, stop_rules_check(&limits, &inputs));
+    inputs.battery_ok_us = NOW_US - 1000000;
+    TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_SENSE, stop_rules_check(&limits, &inputs));
+    limits.battery_critical_mv = 0;
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, stop_rules_check(&limits, &inputs));
+}
+
 static void a_battery_that_sags_for_a_moment_is_not_critical(void) {
     const uint16_t sagged_mv[] = {0, 1, 5999};
     for (int i = 0; i < 3; i++) {
@@ -154,6 +166,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(nothing_is_wrong);
     RUN_TEST(battery_stops_below_its_limit);
+    RUN_TEST(a_battery_whose_voltage_is_unknown_stops);
     RUN_TEST(a_battery_that_sags_for_a_moment_is_not_critical);
     RUN_TEST(tilt_stops_either_way_round);
     RUN_TEST(imu_stops_when_silent);

@@ -57,8 +57,10 @@ void hal_crash_forget(hal_t *hal);
 /* 128-bit serial number of the chip. */
 void hal_unique_id(const hal_t *hal, uint8_t out[16]);
 
-/* Battery voltage at the pack, averaged over about 100 ms. */
-uint16_t hal_battery_mv(const hal_t *hal);
+/* Voltage at the battery's analogue input, averaged over about 100 ms, in HAL_BATTERY_SCALE-ths of
+ * the converter's full scale. */
+#define HAL_BATTERY_SCALE 65536u
+uint16_t hal_battery_reading(const hal_t *hal);
 
 /* Takes effect at once. Any context. */
 void hal_led_isr(hal_t *hal, bool on);

@@ -73,7 +73,7 @@ def imu_line(imu: ImuInfo) -> str:
 def _info_text(who: str, status: BoardStatus, imu: str, health: dict[str, int | str]) -> str:
     lines = [
         who,
-        f"state      {status.state}, battery {status.battery_v:.2f} V",
+        f"state      {status.state}, battery {status.battery_text}",
         f"reference  {_reference(status)}",
         f"iteration  {status.iteration} swims next, as trial {status.next_trial}",
         f"imu        {imu}",

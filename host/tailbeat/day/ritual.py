@@ -20,7 +20,7 @@ from tailbeat.day.step import Step
 from tailbeat.day.stillness import wait_until_still
 from tailbeat.day.wanted import BatteryLow, Drift, GivenUp, NotReady, Pose, Ready, Wanted
 from tailbeat.errors import InputError
-from tailbeat.faults import TRIAL_PENDING, fault_info
+from tailbeat.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
 from tailbeat.logbook import logbook_of
 from tailbeat.travel import travel_next
 
@@ -130,6 +130,9 @@ def _look_at_battery(fish: Fish, step: Step, status: BoardStatus) -> None:
     least_v = low_v + _RISE_V if fish in _found_low else low_v
     if low_v <= 0:
         return
+    if status.battery_at_limit:
+        sense = fault_info(BATTERY_SENSE)
+        raise step.refuse(sense.meaning, sense.remedy)
     if round(status.battery_v * 1e3) < round(least_v * 1e3):
         _found_low.add(fish)
         refused = step.refuse(

@@ -9,7 +9,7 @@ from importlib.metadata import version as installed_version
 from tailbeat._native import ffi, lib
 from tailbeat.doctor.finding import OK, PROBLEM, WARNING, Figures, Finding
 from tailbeat.doctor.patient import Patient
-from tailbeat.faults import CRASH, STORAGE, WATCHDOG, fault_info
+from tailbeat.faults import BATTERY_SENSE, CRASH, STORAGE, WATCHDOG, fault_info
 from tailbeat.provision import HELD, MISSING
 from tailbeat.results import RESET_CAUSES
 from tailbeat.transport.hearing import BLUETOOTH_SETUP
@@ -136,6 +136,15 @@ def _battery(patient: Patient) -> Finding:
     volts = patient.status.battery_v
     low, critical = (patient.parameters.get(n, 0.0) for n in ("BATT_LOW_V", "BATT_CRIT_V"))
     measured: Figures = {"battery_v": volts, "low_v": low, "critical_v": critical}
+    measured["at_limit"] = patient.status.battery_at_limit
+    if low <= 0 and critical <= 0:
+        text = f"{volts:.2f} V, not checked: BATT_LOW_V and BATT_CRIT_V are 0"
+        return Finding("battery", OK, text, "", measured)
+    if patient.status.battery_at_limit:
+        sense = fault_info(BATTERY_SENSE)
+        refused = "arming is refused" if low > 0 else "trials are stopped"
+        text = f"{patient.status.battery_text}: {refused}"
+        return Finding("battery", PROBLEM, text, sense.remedy, measured)
     remedy = "Charge or change the battery."
     if volts < min(1.0, low):
         text = f"{volts:.2f} V: no battery is measured"

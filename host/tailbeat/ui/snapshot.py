@@ -102,7 +102,7 @@ def by_status(now: Snapshot, status: BoardStatus) -> Snapshot:
     return replace(
         now,
         state=status.state,
-        battery_v=status.battery_v,
+        battery_v=None if status.battery_at_limit else status.battery_v,
         iteration=status.iteration,
         next_trial=status.next_trial,
         pending=status.pending_trial,
