@@ -71,6 +71,7 @@ static fault_t arm(host_t host) {
         guard(&guards, model.beats == 0, FAULT_NO_REFERENCE);
         guard(&guards, servo_contradicts(), FAULT_SERVO_CONFIG);
         guard(&guards, 2.0f * value_of(PARAM_LAW_Q_LEN) - 1.0f > (float)model.beats, FAULT_BAD_LAW);
+        guard(&guards, value_of(PARAM_LAW_LEAD) >= (float)model.beats, FAULT_BAD_LAW);
         guard(&guards, battery_too_low(), FAULT_BATTERY_LOW);
     }
     const fault_t answer = send(host, (link_command_t){.id = LINK_COMMAND_ARM});
