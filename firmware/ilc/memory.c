@@ -40,31 +40,40 @@ law_result_t memory_first(memory_t *memory, const law_t *law, const float *refer
     return LAW_OK;
 }
 
-static void keep_best(memory_t *memory, const law_t *law, float max_abs_error_m_s) {
+static void keep_best(memory_t *memory, const law_t *law, const law_trial_t *trial,
+                      float max_abs_error_m_s) {
     for (uint32_t k = 0; k < memory->beats; k++) {
         memory->best_rad[k] = law_saturate(law, memory->amplitude_rad[k]);
     }
     memory->best_iteration = memory->iteration;
     memory->best_max_abs_error_m_s = max_abs_error_m_s;
+    judge_keep(&memory->peaks, trial);
 }
 
 static bool is_worse(const memory_t *memory, float max_abs_error_m_s, float ratio) {
-    return memory->best_iteration != 0 && ratio > 0.0f &&
-           max_abs_error_m_s > ratio * memory->best_max_abs_error_m_s;
+    const float best_m_s =
+        memory->peaks.count != 0 ? memory->peaks.error_m_s[0] : memory->best_max_abs_error_m_s;
+    return memory->best_iteration != 0 && ratio > 0.0f && max_abs_error_m_s > ratio * best_m_s;
+}
+
+static bool is_better(const memory_t *memory, const law_trial_t *trial, float max_abs_error_m_s) {
+    return memory->best_iteration == 0 ||
+           max_abs_error_m_s <
+               judge_best_there(&memory->peaks, trial, memory->best_max_abs_error_m_s);
 }
 
 /* Notes what a trial's error says about its amplitudes. True when it is the new best. */
-static bool rate(memory_t *memory, const law_t *law, float max_abs_error_m_s, bool whole,
-                 float ratio) {
-    if (whole &&
-        (memory->best_iteration == 0 || max_abs_error_m_s < memory->best_max_abs_error_m_s)) {
-        keep_best(memory, law, max_abs_error_m_s);
+static bool rate(memory_t *memory, const law_t *law, const law_trial_t *trial,
+                 float max_abs_error_m_s, bool complete, float ratio) {
+    const bool judged = judge_counts(trial, complete);
+    if (judged && is_better(memory, trial, max_abs_error_m_s)) {
+        keep_best(memory, law, trial, max_abs_error_m_s);
         memory->worse_streak = 0;
         return true;
     }
     if (is_worse(memory, max_abs_error_m_s, ratio)) {
         memory->worse_streak++;
-    } else if (whole) {
+    } else if (judged) {
         memory->worse_streak = 0;
     }
     return false;
@@ -124,8 +133,8 @@ law_result_t memory_learn(memory_t *memory, const law_t *law, const law_trial_t 
     if (result != LAW_OK) {
         return result;
     }
-    const bool whole = complete && found.law.measured_beats == memory->beats;
-    found.improved = rate(memory, law, found.law.max_abs_error_m_s, whole, rules->rollback_ratio);
+    found.improved =
+        rate(memory, law, trial, found.law.max_abs_error_m_s, complete, rules->rollback_ratio);
     found.rolled_back =
         memory->worse_streak >= WORSE_TRIALS_TO_ROLL_BACK && memory_restore_best(memory);
     if (!found.rolled_back) {

@@ -15,6 +15,7 @@
 
 #include "base/units.h"
 #include "ilc/beyond.h"
+#include "ilc/judge.h"
 #include "ilc/law.h"
 
 /* The largest iteration is followed by the one this many before its successor, so that counting
@@ -40,7 +41,8 @@ typedef struct {
     uint16_t best_iteration; /* 0 = no best yet */
     uint16_t input;          /* memory_input_t */
     uint16_t worse_streak;   /* trials in a row beyond ratio x best */
-    float best_max_abs_error_m_s;
+    float best_max_abs_error_m_s;   /* over the beats that trial measured */
+    judge_peaks_t peaks;            /* its largest errors */
     float amplitude_rad[BEATS_MAX]; /* unsaturated, next to swim */
     float best_rad[BEATS_MAX];      /* as swum (saturated) */
     uint8_t visits[BEATS_MAX];      /* trials that have corrected each beat; stops at 255 */
@@ -72,11 +74,12 @@ void memory_begin(memory_t *memory, uint32_t reference_crc, uint16_t beats);
 law_result_t memory_first(memory_t *memory, const law_t *law, const float *reference_m_s,
                           float *scratch);
 
-/* Learns from |trial| (its amplitudes are the memory's own). |complete| = every beat was swum: only
- * then, and with every beat measured, may it become the best. A trial whose max |e| over the beats
- * it has exceeds ratio x best lengthens the streak, cut short or not; a trial with all beats that
- * does not exceed it ends the streak; other trials prove nothing and leave it. The second in a row
- * brings the best back and ends the streak; such a trial corrects nothing and visits nothing.
+/* Learns from |trial| (its amplitudes are the memory's own). |complete| = it was executed to its
+ * end. It becomes the best when it is judged (judge.h) and its max |e| is smaller than that of the
+ * best on the beats that both measured. A trial whose max |e| over its measured beats exceeds ratio
+ * x the largest peak of the best lengthens the streak, judged or not; a judged trial that does not
+ * exceed it ends the streak; other trials prove nothing and leave it. The second in a row brings
+ * the best back and ends the streak; such a trial corrects nothing and visits nothing.
  * |trial->visits| is not looked at: the memory has its own. LAW_BAD_CONFIG when trial->beats is not
  * the memory's, LAW_BAD_INPUT at iteration 0 (nothing was swum); otherwise refusals as law_update.
  * On refusal nothing changes. */

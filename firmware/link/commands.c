@@ -218,7 +218,7 @@ static void request_amplitudes(link_t *link, const link_received_t *in, const re
     const float last = beats > 0 ? (float)(beats - 1u) : 0.0f;
     uint32_t first = 0, set = 0;
     if (!read_whole(request->param2, 0.0f, last, &first) ||
-        !read_whole(request->param3, TAILBEAT_AMPLITUDE_SET_NEXT, TAILBEAT_AMPLITUDE_SET_VISITS,
+        !read_whole(request->param3, TAILBEAT_AMPLITUDE_SET_NEXT, TAILBEAT_AMPLITUDE_SET_PEAKS,
                     &set)) {
         answer_command(in, request->command, bad_values);
         return;

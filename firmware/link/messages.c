@@ -189,12 +189,23 @@ void link_send_imu_info(link_t *link, channel_t *channel) {
     LINK_SEND(channel, TAILBEAT_IMU_INFO, &info);
 }
 
+static float peak_of(const judge_peaks_t *peaks, uint32_t beat) {
+    for (uint32_t i = 0; i < peaks->count; i++) {
+        if (peaks->beat[i] == beat) {
+            return peaks->error_m_s[i];
+        }
+    }
+    return 0.0f;
+}
+
 static float amplitude_of(const memory_t *memory, uint8_t set, uint32_t beat) {
     switch (set) {
     case TAILBEAT_AMPLITUDE_SET_BEST:
         return memory->best_rad[beat];
     case TAILBEAT_AMPLITUDE_SET_VISITS:
         return (float)memory->visits[beat];
+    case TAILBEAT_AMPLITUDE_SET_PEAKS:
+        return peak_of(&memory->peaks, beat);
     default:
         return memory->amplitude_rad[beat];
     }

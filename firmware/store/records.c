@@ -9,7 +9,9 @@
 #define CRC_OFFSET 8u
 #define F32_BYTES 4u
 #define REFERENCE_FIXED_BYTES 4u
-#define MEMORY_FIXED_BYTES 20u
+#define MEMORY_PEAKS_AT 20u
+#define MEMORY_FIXED_BYTES (MEMORY_PEAKS_AT + 2u + (2u + F32_BYTES) * JUDGE_PEAKS)
+#define MEMORY_FLAT_VERSION 2u /* without peaks */
 #define MEMORY_UNVISITED_VERSION 1u
 #define MEMORY_UNVISITED_BEAT_BYTES (2u * F32_BYTES)
 #define MEMORY_BEAT_BYTES (MEMORY_UNVISITED_BEAT_BYTES + 1u)
@@ -178,9 +180,39 @@ fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t
     return FAULT_NONE;
 }
 
+static uint8_t *put_peaks(uint8_t *at, const judge_peaks_t *peaks) {
+    at = bytes_put_u16(at, peaks->count);
+    for (uint32_t i = 0; i < JUDGE_PEAKS; i++) {
+        at = bytes_put_u16(at, peaks->beat[i]);
+    }
+    return put_array(at, peaks->error_m_s, JUDGE_PEAKS);
+}
+
+static judge_peaks_t get_peaks(const uint8_t *at) {
+    judge_peaks_t peaks = {.count = bytes_get_u16(at)};
+    for (uint32_t i = 0; i < JUDGE_PEAKS; i++) {
+        peaks.beat[i] = bytes_get_u16(at + 2u + 2u * i);
+    }
+    get_array(at + 2u + 2u * JUDGE_PEAKS, peaks.error_m_s, JUDGE_PEAKS);
+    return peaks;
+}
+
+/* Written so that NaN fails it. */
+static bool peaks_good(const judge_peaks_t *peaks, uint16_t beats) {
+    bool good = peaks->count >= 1u && peaks->count <= JUDGE_PEAKS;
+    for (uint32_t i = 0; good && i < peaks->count; i++) {
+        const float error = peaks->error_m_s[i];
+        good = peaks->beat[i] < beats && real_is_finite(error) && error > 0.0f &&
+               (i == 0 || error <= peaks->error_m_s[i - 1u]);
+    }
+    return good;
+}
+
 size_t record_encode_memory(const memory_t *memory, uint8_t *out) {
     require_beats(memory->beats);
-    uint8_t *at = begin_version(out, magic_memory, RECORD_MEMORY_VERSION, memory->beats);
+    const bool has_peaks = memory->peaks.count != 0;
+    uint8_t *at = begin_version(
+        out, magic_memory, has_peaks ? RECORD_MEMORY_VERSION : MEMORY_FLAT_VERSION, memory->beats);
     at = bytes_put_u32(at, memory->reference_crc);
     at = bytes_put_u32(at, memory->last_trial);
     at = bytes_put_u16(at, memory->iteration);
@@ -188,6 +220,7 @@ size_t record_encode_memory(const memory_t *memory, uint8_t *out) {
     at = bytes_put_u16(at, memory->worse_streak);
     at = bytes_put_u16(at, memory->input);
     at = bytes_put_f32(at, memory->best_max_abs_error_m_s);
+    at = has_peaks ? put_peaks(at, &memory->peaks) : at;
     at = put_array(at, memory->amplitude_rad, memory->beats);
     at = put_array(at, memory->best_rad, memory->beats);
     memcpy(at, memory->visits, memory->beats);
@@ -197,16 +230,20 @@ size_t record_encode_memory(const memory_t *memory, uint8_t *out) {
 fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory) {
     static const shape_t shape = {
         magic_memory, RECORD_MEMORY_VERSION, MEMORY_FIXED_BYTES, MEMORY_BEAT_BYTES, 1, BEATS_MAX};
+    static const shape_t flat = {
+        magic_memory, MEMORY_FLAT_VERSION, MEMORY_PEAKS_AT, MEMORY_BEAT_BYTES, 1, BEATS_MAX};
     static const shape_t unvisited = {
-        magic_memory, MEMORY_UNVISITED_VERSION, MEMORY_FIXED_BYTES, MEMORY_UNVISITED_BEAT_BYTES, 1,
+        magic_memory, MEMORY_UNVISITED_VERSION, MEMORY_PEAKS_AT, MEMORY_UNVISITED_BEAT_BYTES, 1,
         BEATS_MAX};
-    const bool visited = shape_fits(&shape, bytes, length);
+    const bool has_peaks = shape_fits(&shape, bytes, length);
+    const bool visited = has_peaks || shape_fits(&flat, bytes, length);
     if (!visited && !shape_fits(&unvisited, bytes, length)) {
         return FAULT_BAD_FORMAT;
     }
     const uint16_t beats = bytes_get_u16(bytes + 6);
     const uint8_t *body = bytes + RECORD_HEADER_BYTES;
-    const uint8_t *amplitudes = body + MEMORY_FIXED_BYTES;
+    const uint8_t *amplitudes = body + (has_peaks ? MEMORY_FIXED_BYTES : MEMORY_PEAKS_AT);
+    const judge_peaks_t peaks = has_peaks ? get_peaks(body + MEMORY_PEAKS_AT) : (judge_peaks_t){0};
     const uint8_t *best = amplitudes + F32_BYTES * beats;
     const uint16_t iteration = bytes_get_u16(body + 8);
     const uint16_t best_iteration = bytes_get_u16(body + 10);
@@ -214,7 +251,8 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     const bool input_good =
         input < MEMORY_INPUT_COUNT && (input != MEMORY_INPUT_FIRST || iteration == 1u);
     const bool best_good =
-        best_iteration == 0u || (not_negative(body + 16, 1) && not_negative(best, beats));
+        (!has_peaks || peaks_good(&peaks, beats)) &&
+        (best_iteration == 0u || (not_negative(body + 16, 1) && not_negative(best, beats)));
     if (!input_good || !all_finite(amplitudes, beats) || !best_good) {
         return FAULT_BAD_DATA;
     }
@@ -226,6 +264,7 @@ fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memo
     memory->worse_streak = bytes_get_u16(body + 12);
     memory->input = input;
     memory->best_max_abs_error_m_s = bytes_get_f32(body + 16);
+    memory->peaks = peaks;
     get_array(amplitudes, memory->amplitude_rad, beats);
     get_array(best, memory->best_rad, beats);
     memset(memory->visits, 0, beats);

@@ -24,11 +24,11 @@
 #define RECORD_HEADER_BYTES 12u
 #define RECORD_MAGIC_BYTES 4u
 #define RECORD_VERSION 1u
-#define RECORD_MEMORY_VERSION 2u
+#define RECORD_MEMORY_VERSION 3u
 
 /* The longest pending trial, and the longest of all others (learned input), 512 beats. */
 #define RECORD_TRIAL_MAX_BYTES (28u + 3u * 4u * BEATS_MAX)
-#define RECORD_MAX_BYTES (32u + (2u * 4u + 1u) * BEATS_MAX)
+#define RECORD_MAX_BYTES (34u + 6u * JUDGE_PEAKS + (2u * 4u + 1u) * BEATS_MAX)
 #define RECORD_PAST_MAX_BYTES (24u + 2u * 4u * BEATS_MAX)
 #define RECORD_KEY_MAX_BYTES 52u
 
@@ -130,8 +130,9 @@ uint32_t record_crc(const uint8_t *bytes);
 fault_t record_decode_reference(const uint8_t *bytes, size_t length, reference_t *reference);
 
 /* Amplitudes finite (stored unsaturated, so any sign) and of a known origin, memory_first's only at
- * iteration 1; the best ones and their error finite and >= 0 once there is a best. Version 1 has no
- * visits: they count from 0, so that no beat's gain fades for trials that nobody counted. */
+ * iteration 1; the best ones and their error finite and >= 0 once there is a best; its peaks in
+ * their order. Written without peaks (ilc/judge.h) it is of version 2. Version 1 has no visits
+ * either: they count from 0, so that no beat's gain fades for trials that nobody counted. */
 fault_t record_decode_memory(const uint8_t *bytes, size_t length, memory_t *memory);
 
 /* number > 0, executed <= beats, a known source, amplitudes finite and >= 0; speeds as below. */

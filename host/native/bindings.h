@@ -14,6 +14,7 @@
 #include "gait/gait.h"
 #include "hal/flash.h"
 #include "hal/servo.h"
+#include "ilc/judge.h"
 #include "ilc/law.h"
 #include "ilc/memory.h"
 #include "imu/imu.h"
@@ -37,6 +38,7 @@ const char *link_build_id(void);
 /* Macros leave no trace in preprocessed text; these carry their values over. */
 enum {
     NATIVE_BEATS_MAX = BEATS_MAX,
+    NATIVE_JUDGE_PEAKS = JUDGE_PEAKS,
     NATIVE_FRAME_US = FRAME_US,
     NATIVE_BLINK_SYMBOL_FRAMES = BLINK_SYMBOL_FRAMES,
     NATIVE_BLINK_BLOCK_FRAMES = BLINK_BLOCK_FRAMES,

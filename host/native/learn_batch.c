@@ -41,15 +41,16 @@ static void errors_of(const float *reference_m_s, const double *speed_m_s, uint3
 static law_result_t learn_one(memory_t *memory, learn_past_t *past, const law_t *law,
                               const law_trial_t *swum, uint32_t trial, float rollback_ratio,
                               memory_report_t *report) {
+    const bool complete = swum->measured[swum->beats - 1u] != 0;
     float scratch[BEATS_MAX], swum_rad[BEATS_MAX];
     memory_rules_t rules = {.rollback_ratio = rollback_ratio};
     if (past == NULL) {
-        return memory_learn(memory, law, swum, trial, true, &rules, scratch, report);
+        return memory_learn(memory, law, swum, trial, complete, &rules, scratch, report);
     }
     law_result_t result = learn_past_add(past, law, memory, &rules, scratch);
     memcpy(swum_rad, memory->amplitude_rad, memory->beats * sizeof swum_rad[0]);
     if (result == LAW_OK) {
-        result = memory_learn(memory, law, swum, trial, true, &rules, scratch, report);
+        result = memory_learn(memory, law, swum, trial, complete, &rules, scratch, report);
     }
     if (result == LAW_OK && report->rolled_back) {
         (void)learn_past_begin(past, past->kind, past->window);

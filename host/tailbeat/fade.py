@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
-from tailbeat.verdict import NoiseBand, Score, best_of, default_band
+from tailbeat.verdict import NoiseBand, Score, best_of, comparable, default_band
 
 Array = NDArray[np.float64]
 
@@ -77,12 +77,13 @@ def fade_advice(
 
 def fluctuation(scores: Sequence[Score], band: NoiseBand | None = None) -> float | None:
     """Scatter of max|e| since the series settled, over that of repeats; None before four trials
-    have. Settled: from the first complete trial that noise does not tell from the best."""
+    have. Settled: from the first judged trial that noise does not tell from the best."""
+    scores = comparable(scores)
     best = best_of(scores)
     at = settled_after(scores, band)
     if best is None or at is None:
         return None
-    settled = [score.max_abs_error_m_s for score in scores[at:] if score.complete]
+    settled = [score.max_abs_error_m_s for score in scores[at:] if score.judged]
     if len(settled) < _SETTLED_MIN:
         return None
     noise = sum((band or default_band(best.max_abs_error_m_s)).widths(best.max_abs_error_m_s))
@@ -90,14 +91,15 @@ def fluctuation(scores: Sequence[Score], band: NoiseBand | None = None) -> float
 
 
 def settled_after(scores: Sequence[Score], band: NoiseBand | None = None) -> int | None:
-    """Index of the first complete trial within noise of the best; None = none is complete."""
+    """Index of the first judged trial within noise of the best; None = none is judged."""
+    scores = comparable(scores)
     best = best_of(scores)
     if best is None:
         return None
     _, up = (band or default_band(best.max_abs_error_m_s)).widths(best.max_abs_error_m_s)
     limit = best.max_abs_error_m_s + math.sqrt(2) * up
     return next(
-        at for at, score in enumerate(scores) if score.complete and score.max_abs_error_m_s <= limit
+        at for at, score in enumerate(scores) if score.judged and score.max_abs_error_m_s <= limit
     )
 
 
@@ -105,14 +107,23 @@ def repeat_variance(scores: Sequence[Score]) -> float | None:
     """Variance of a beat's error between repeats, mean over beats, (m/s)**2; None without any."""
     groups: dict[int, list[Array]] = {}
     for score in scores:
-        if score.complete and score.error_m_s is not None:
+        if score.judged and score.error_m_s is not None:
             groups.setdefault(score.input_crc, []).append(score.error_m_s.astype(np.float64))
     repeats = [np.array(group) for group in groups.values() if len(group) > 1]
     if not repeats:
         return None
-    squares = sum(float(np.sum((group - group.mean(axis=0)) ** 2)) for group in repeats)
-    freedom = sum((len(group) - 1) * group.shape[1] for group in repeats)
-    return float(squares / freedom)
+    found = [_scatter(group) for group in repeats]
+    freedom = sum(count for _, count in found)
+    return sum(squares for squares, _ in found) / freedom if freedom else None
+
+
+def _scatter(group: Array) -> tuple[float, int]:
+    """(sum of squares about each beat's mean, degrees of freedom) of repeats; NaN = no speed."""
+    known = np.isfinite(group)
+    times = known.sum(axis=0)
+    mean = np.where(known, group, 0.0).sum(axis=0) / np.maximum(times, 1)
+    squares = np.where(known, group - mean, 0.0) ** 2
+    return float(squares.sum()), int(np.maximum(times - 1, 0).sum())
 
 
 def _nearest(kalman: Array, beyond: NDArray[np.int64]) -> float:

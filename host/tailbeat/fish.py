@@ -49,6 +49,7 @@ _AMPLITUDES_PER_PIECE = 32
 _NEXT = mavlink.TAILBEAT_AMPLITUDE_SET_NEXT
 _BEST = mavlink.TAILBEAT_AMPLITUDE_SET_BEST
 _VISITS = mavlink.TAILBEAT_AMPLITUDE_SET_VISITS
+_PEAKS = mavlink.TAILBEAT_AMPLITUDE_SET_PEAKS
 _FTP_NOT_FOUND = 10
 _STEADY_TRIES = 5
 _NAME = "tailbeat "
@@ -212,7 +213,8 @@ class Fish:
             return None
         visits = self.visits()
         best = self.amplitudes(best=True) if status.best_iteration else None
-        return records.encode_learned(status, self.amplitudes(), best, visits)
+        peaks = None if visits is None or best is None else self.peaks()
+        return records.encode_learned(status, self.amplitudes(), best, visits, peaks)
 
     def upload_learned(self, record: bytes) -> None:
         """Makes ``record`` all that the board has learned; it must be of the board's reference."""
@@ -299,6 +301,16 @@ class Fish:
             return None
         self._counts_visits = True
         return visits
+
+    def peaks(self) -> NDArray[np.float32] | None:
+        """|e| of the best trial's largest errors at their beats, m/s, and 0 at others; None: the board
+        does not keep them."""
+        try:
+            return self._stored(_PEAKS).values
+        except Refused as refused:
+            if refused.number != BAD_DATA:
+                raise
+            return None
 
     def _stored(self, kind: int) -> Amplitudes:
         for _ in range(_STEADY_TRIES):

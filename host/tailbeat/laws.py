@@ -284,6 +284,7 @@ class Memory:
     best_max_abs_error_m_s: float
     worse_streak: int
     visits: NDArray[np.uint8] | None = None  # None: none
+    peaks: Floats | None = None  # |e| of the best's largest errors, 0 elsewhere; None: not known
 
 
 @dataclass(frozen=True)
@@ -321,6 +322,10 @@ def learn(
     native.visits[0 : call.beats] = _counts(memory.visits, call.beats)
     if memory.best_iteration:
         native.best_rad[0 : call.beats] = memory.best_rad.tolist()
+    if memory.peaks is not None:
+        from tailbeat.records import fill_peaks
+
+        fill_peaks(native.peaks, memory.peaks)
     report = call.ffi.new("memory_report_t *")
     rules = call.ffi.new("memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": beyond})
     kept = _kept(call, past or Past(), earlier)

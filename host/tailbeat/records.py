@@ -32,9 +32,9 @@ PATHS = {
 PAST_FILES = 8
 
 _HEADER_BYTES = 12
-_VISITED = b"\2\0"  # version of a learned record with visits
+_UNVISITED = b"\1\0"  # version of a learned record without visits
 _INPUT = slice(26, 28)  # of a learned record: what made its amplitudes
-_FIXED_BYTES = 64  # more than the header and fixed fields of any record
+_FIXED_BYTES = 128  # more than the header and fixed fields of any record
 _BEATS_MAX = len(ffi.new("reference_t *").speed_m_s)
 
 
@@ -190,9 +190,11 @@ def encode_learned(
     now: Amplitudes,
     best: Amplitudes | None,
     visits: NDArray[np.uint8] | None,
+    peaks: Float32 | None = None,
 ) -> bytes:
-    """All that a board has learned, from what it tells of it. ``visits`` None: it does not count
-    them, and gets the form of the record that has none."""
+    """All that a board has learned, from what it reports. ``visits`` None: it does not count them.
+    ``peaks``: |e| of the best's largest errors, m/s, 0 at other beats; None: the board does not
+    keep them. It gets the form of the record that it knows."""
     struct = ffi.new("memory_t *")
     struct.reference_crc = now.reference_crc
     struct.last_trial = status.last_learned_trial or 0
@@ -207,6 +209,8 @@ def encode_learned(
         _fill(struct.best_rad, best.values)
     if visits is not None:
         ffi.memmove(struct.visits, visits.tobytes(), visits.size)
+    if peaks is not None:
+        fill_peaks(struct.peaks, peaks)
     record = _encode(lib.record_encode_memory, struct, 3, now.beats)
     return without_visits(record) if visits is None else record
 
@@ -227,16 +231,43 @@ def decode_learned(record: bytes) -> LearnedRecord:
     )
 
 
+def fill_peaks(peaks: Any, error_m_s: Float32) -> None:
+    """The C code's judge_peaks_t from |e| at the beats of the peaks and 0 at all others."""
+    largest = sorted((-error, beat) for beat, error in enumerate(error_m_s.tolist()) if error > 0)
+    peaks.count = min(len(largest), len(peaks.beat))
+    for at, (error, beat) in enumerate(largest[: peaks.count]):
+        peaks.beat[at], peaks.error_m_s[at] = beat, -error
+
+
 def learned_visits(record: bytes) -> bytes:
     """How often each beat was corrected, by a learned record; empty in version 1."""
     beats = int.from_bytes(record[6:8], "little")
-    return record[-beats:] if record[4:6] == _VISITED else b""
+    return b"" if record[4:6] == _UNVISITED else record[-beats:]
+
+
+def older_forms(record: bytes) -> list[bytes]:
+    """The same learned record for older firmware, the newest form first."""
+    flat = without_peaks(record)
+    return [form for form in (flat, without_visits(flat)) if form != record]
+
+
+def without_peaks(record: bytes) -> bytes:
+    """Version 2 of a learned record: where the best's largest errors were is not in it. Raises
+    InputError when ``record`` is not sound."""
+    if record[4:6] == _UNVISITED:
+        return record
+    struct = ffi.new("memory_t *")
+    fault = lib.record_decode_memory(ffi.from_buffer(record), len(record), struct)
+    _check(fault, "learned record")
+    struct.peaks.count = 0
+    return _encode(lib.record_encode_memory, struct, 3, struct.beats)
 
 
 def without_visits(record: bytes) -> bytes:
     """Version 1 of a learned record. A board that knows no other asks only whether the amplitudes
     are the first guess, which it makes anew."""
-    if record[4:6] != _VISITED:
+    record = without_peaks(record)
+    if record[4:6] == _UNVISITED:
         return record
     first = record[_INPUT] == lib.MEMORY_INPUT_FIRST.to_bytes(2, "little")
     body = bytearray(record[_HEADER_BYTES : -len(learned_visits(record))])

@@ -11,11 +11,13 @@ import math
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from tailbeat import judge as judging
 
 if TYPE_CHECKING:
     from tailbeat.model.identified import Identified
@@ -46,14 +48,15 @@ _NARROWEST, _WIDEST = 0.05, 3.0
 @dataclass(frozen=True)
 class Score:
     """One trial as the verdict sees it. ``input_crc`` names the amplitudes: equal = a repeat.
-    ``complete``: every beat swum and measured. ``error_m_s``: per beat, NaN = not measured; only
-    needed to compare a trial that was cut short."""
+    ``max_abs_error_m_s``: over its measured beats. ``judged``: it was executed to its end and
+    enough of its beats are measured (firmware/ilc/judge.h). ``error_m_s``: per beat, NaN = not
+    measured; only needed when beats are missing."""
 
     trial: int
     iteration: int
     input_crc: int
     max_abs_error_m_s: float
-    complete: bool
+    judged: bool
     rolled_back: bool = False
     error_m_s: Floats | None = field(default=None, compare=False, repr=False)
 
@@ -83,8 +86,8 @@ class NoiseBand:
 @dataclass(frozen=True)
 class Verdict:
     """``kind``: ``first``, ``progress``, ``noise``, ``worse``, ``rolled_back``, ``incomplete``.
-    ``words``: one line for people. ``best_trial``: the one with the smallest max|e|, 0 = none was
-    complete (``best_max_abs_error_m_s`` is NaN then). ``stop``: nothing more to gain;
+    ``words``: one line for people. ``best_trial``: ``best_of``, 0 = none was
+    judged (``best_max_abs_error_m_s`` is NaN then). ``stop``: nothing more to gain;
     ``stop_reason`` says why, ``advice`` what to do then."""
 
     kind: str
@@ -106,9 +109,11 @@ def judge(
     """The verdict on the last of ``scores`` (all of one reference, oldest first, at least one).
     ``floor_m_s``: max|e| of the best any input can do. ``rest_m_s``: max|e| of a fish that stays
     where it is; a series is not ended before the fish swims."""
+    scores = comparable(scores)
     band = noise_band(scores, expected)
     best = best_of(scores)
     kind, words = _kind_and_words(scores, band)
+    words += _common_words(scores)
     stop_reason = _stop_reason(scores, kind, band, floor_m_s, rest_m_s)
     return Verdict(
         kind=kind,
@@ -151,6 +156,7 @@ def noise_band(scores: Sequence[Score], expected: NoiseBand | None = None) -> No
     the half width is t(0.975, 4 + n) * sqrt((4*s0**2 + n*s**2)/(4 + n)), s0 = expected half width /
     t(0.975, 4). ``expected`` (default: ``default_band``) is for the best input.
     """
+    scores = comparable(scores)
     best = best_of(scores)
     if best is None:
         return expected or default_band(float("nan"))
@@ -220,15 +226,16 @@ def score_of(trial: Trial, rolled_back: bool = False) -> Score:
     wanted = np.clip(np.nan_to_num(beats.amplitude_rad), 0, np.float32(limit))
     swum = np.where(np.isfinite(beats.applied_rad), beats.applied_rad, wanted)
     error = np.where(np.arange(len(swum)) < trial.executed_beats, beats.error_m_s, np.nan)
-    known = np.abs(error[np.isfinite(error)])
+    error = error.astype(np.float32)
+    complete = trial.end_fault == 0 and trial.executed_beats >= len(swum)
     return Score(
         trial=trial.number,
         iteration=trial.iteration,
         input_crc=input_crc(swum),
-        max_abs_error_m_s=float(known.max()) if known.size else float("nan"),
-        complete=trial.end_fault == 0 and known.size == len(swum),
+        max_abs_error_m_s=judging.max_abs(error),
+        judged=judging.counts(error, complete),
         rolled_back=rolled_back,
-        error_m_s=error.astype(np.float32),
+        error_m_s=error,
     )
 
 
@@ -250,33 +257,62 @@ def rollback_words(best_trial: int = 0) -> str:
 
 def repeat_limits(before: Sequence[Score], input_crc: int, band: NoiseBand) -> tuple[float, float]:
     """(low, high) of max|e| that one more swim of an input has in 95 of 100 cases, m/s. ``before``:
-    the series; complete trials of other inputs tell how lucky a single one of this was."""
+    the series; judged trials of other inputs tell how lucky a single one of this was."""
+    before = comparable(before)
     swum = [score.max_abs_error_m_s for score in repeats_of(before, input_crc)]
     if len(swum) > 1:
         level, trials = float(np.median(swum)), len(swum)
     else:
-        complete = np.array([score.max_abs_error_m_s for score in before if score.complete])
-        level, trials = _level(complete[complete >= min(swum, default=0.0)], band)
+        judged = np.array([score.max_abs_error_m_s for score in before if score.judged])
+        level, trials = _level(judged[judged >= min(swum, default=0.0)], band)
     widen = math.sqrt(1 + 1 / trials)
     down, up = band.widths(level)
     return max(level - widen * down, 0.0), level + widen * up
 
 
 def best_of(scores: Sequence[Score]) -> Score | None:
-    """The complete trial with the smallest max|e|, the first of equals; None = none is complete."""
-    complete = [score for score in scores if score.complete]
-    return min(complete, key=lambda score: score.max_abs_error_m_s, default=None)
+    """The judged trial that the board would have made its best; None = none is judged. It has the
+    smallest max|e|, the first of equals, when no beat is missing; else see firmware/ilc/judge.h."""
+    judged = [score for score in scores if score.judged]
+    at = judging.best_at(_errors(score) for score in judged)
+    return None if at is None else judged[at]
+
+
+def comparable(scores: Sequence[Score]) -> list[Score]:
+    """Judged trials with the max|e| that they would have with the beats of the best: that of the
+    best plus the difference on the beats that both measured. No change where no beat is missing."""
+    best = best_of(scores)
+    if best is None:
+        return list(scores)
+    return [_against(score, best) if score.judged else score for score in scores]
+
+
+def _against(score: Score, best: Score) -> Score:
+    if score.error_m_s is None or best.error_m_s is None or score is best:
+        return score
+    mine, its = judging.on_common_beats(score.error_m_s, best.error_m_s)
+    same = (mine, its) == (judging.max_abs(score.error_m_s), judging.max_abs(best.error_m_s))
+    if same or not math.isfinite(mine):
+        return score
+    value = max(best.max_abs_error_m_s + mine - its, 0.0)
+    return replace(score, max_abs_error_m_s=value)
+
+
+def _errors(score: Score) -> Floats:
+    if score.error_m_s is not None:
+        return score.error_m_s
+    return np.array([score.max_abs_error_m_s], np.float32)
 
 
 def repeats_of(scores: Sequence[Score], input_crc: int) -> list[Score]:
-    """The complete trials of one input."""
-    return [score for score in scores if score.complete and score.input_crc == input_crc]
+    """The judged trials of one input."""
+    return [score for score in scores if score.judged and score.input_crc == input_crc]
 
 
 def _kind_and_words(scores: Sequence[Score], band: NoiseBand) -> tuple[str, str]:
-    last, before = scores[-1], [score for score in scores[:-1] if score.complete]
+    last, before = scores[-1], [score for score in scores[:-1] if score.judged]
     best = best_of(before)
-    if not last.complete:
+    if not last.judged:
         return "incomplete", _incomplete_words(last, best)
     if best is None:
         return "first", f"the first trial: {_mm(last)} mm/s"
@@ -297,6 +333,16 @@ def _kind_and_words(scores: Sequence[Score], band: NoiseBand) -> tuple[str, str]
     return "noise", f"within noise of the best ({_about(best, band)})"
 
 
+def _common_words(scores: Sequence[Score]) -> str:
+    """Where the last trial or the best before it has missing beats."""
+    last, best = scores[-1], best_of(scores[:-1])
+    if not last.judged or best is None or last.error_m_s is None or best.error_m_s is None:
+        return ""
+    common = int(np.count_nonzero(np.isfinite(last.error_m_s) & np.isfinite(best.error_m_s)))
+    beats = len(last.error_m_s)
+    return "" if common == beats else f"; compared on the {common} of {beats} beats both measured"
+
+
 def _incomplete_words(last: Score, best: Score | None) -> str:
     if last.error_m_s is None or not np.isfinite(last.error_m_s).any():
         return "incomplete: no beat has a speed"
@@ -306,7 +352,7 @@ def _incomplete_words(last: Score, best: Score | None) -> str:
     words = f"incomplete: {which} {_mm(last)} mm/s"
     if best is None or best.error_m_s is None or best.error_m_s.shape != known.shape:
         return words
-    there = float(np.abs(best.error_m_s[known]).max())
+    there = judging.max_abs(best.error_m_s[known])
     return f"{words}, the best had {there * 1e3:.1f} there"
 
 
@@ -319,23 +365,23 @@ def _stop_reason(
 ) -> str:
     if kind == "progress":
         return ""
-    complete = [score for score in scores if score.complete]
-    best = best_of(complete)
-    if best is None or not scores[-1].complete:
+    judged = [score for score in scores if score.judged]
+    best = best_of(judged)
+    if best is None or not scores[-1].judged:
         return ""
     if rest_m_s is not None and best.max_abs_error_m_s > MOVES * rest_m_s:
         return ""
-    if floor_m_s is not None and _reaches(floor_m_s, complete, band):
+    if floor_m_s is not None and _reaches(floor_m_s, judged, band):
         floor = f"{floor_m_s * 1e3:.1f}"
         what = f"the floor (least squares, {floor} mm/s)"
         return f"the last {FLOOR_WINDOW} trials are within noise of {what}"
-    before, window = complete[:-WINDOW], complete[-WINDOW:]
+    before, window = judged[:-WINDOW], judged[-WINDOW:]
     if not before:
         return ""
     luckier = _normal((1 - _CONFIDENCE) / WINDOW) / _normal(1 - _CONFIDENCE)
     low, _ = _limits(before, band, luckier)  # the best of the window is one of three
     _, high = _limits(before, band)
-    if min(score.max_abs_error_m_s for score in window) < low or _falls(complete, band, high):
+    if min(score.max_abs_error_m_s for score in window) < low or _falls(judged, band, high):
         return ""
     if all(score.max_abs_error_m_s > high for score in window):
         return f"the last {WINDOW} trials are worse than noise explains: this law does not learn on"
@@ -344,21 +390,19 @@ def _stop_reason(
     return f"the last {WINDOW} trials brought no progress beyond noise"
 
 
-def _reaches(floor_m_s: float, complete: Sequence[Score], band: NoiseBand) -> bool:
+def _reaches(floor_m_s: float, judged: Sequence[Score], band: NoiseBand) -> bool:
     """One trial near the floor may be luck."""
-    latest = [score.max_abs_error_m_s for score in complete[-FLOOR_WINDOW:]]
+    latest = [score.max_abs_error_m_s for score in judged[-FLOOR_WINDOW:]]
     return len(latest) == FLOOR_WINDOW and max(latest) <= floor_m_s * band.high
 
 
-def _falls(complete: Sequence[Score], band: NoiseBand, high_m_s: float) -> bool:
+def _falls(judged: Sequence[Score], band: NoiseBand, high_m_s: float) -> bool:
     """Whether the last trials go down by their slope, each step lost in the noise. To come down
     from a trial that was worse than noise is no such fall."""
-    latest = np.array([score.max_abs_error_m_s for score in complete[-WINDOW - 1 :]])
-    latest = np.where(latest > high_m_s, _best_level(complete, band), latest)
+    latest = np.array([score.max_abs_error_m_s for score in judged[-WINDOW - 1 :]])
+    latest = np.where(latest > high_m_s, _best_level(judged, band), latest)
     time = np.arange(len(latest)) - (len(latest) - 1) / 2
-    sigma = (
-        (band.high - band.low) / 2 * _best_level(complete, band) / _normal((1 - _CONFIDENCE) / 2)
-    )
+    sigma = (band.high - band.low) / 2 * _best_level(judged, band) / _normal((1 - _CONFIDENCE) / 2)
     slope = float(time @ latest / (time @ time))
     return slope < -_SLOPE_SIGMAS * sigma / math.sqrt(float(time @ time))
 
@@ -405,14 +449,14 @@ def _sigma(band: NoiseBand, best_m_s: float) -> float:
 
 
 def _best_level(scores: Sequence[Score], band: NoiseBand) -> float:
-    complete = [score.max_abs_error_m_s for score in scores if score.complete]
-    return _level(np.array(complete), band)[0]
+    judged = [score.max_abs_error_m_s for score in scores if score.judged]
+    return _level(np.array(judged), band)[0]
 
 
 def _repeats(scores: Sequence[Score]) -> list[Array]:
     groups: defaultdict[int, list[float]] = defaultdict(list)
     for score in scores:
-        if score.complete:
+        if score.judged:
             groups[score.input_crc].append(score.max_abs_error_m_s)
     return [np.array(values) for values in groups.values() if len(values) > 1]
 

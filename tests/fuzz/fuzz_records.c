@@ -38,11 +38,13 @@ typedef struct {
 } shape_t;
 
 #define KIND_MEMORY 1u
+#define FLAT_FIXED_BYTES 20u
+#define FLAT_VERSION 2u
 #define UNVISITED_VERSION 1u
 #define UNVISITED_BYTES_EACH 8u
 
 static const shape_t shapes[KIND_COUNT] = {
-    {"TBRF", 4, 4}, {"TBLI", 20, 9}, {"TBTR", 16, 12}, {"TBPA", 0, 20}, {"TBCT", 4, 0},
+    {"TBRF", 4, 4}, {"TBLI", 70, 9}, {"TBTR", 16, 12}, {"TBPA", 0, 20}, {"TBCT", 4, 0},
     {"TBSP", 4, 8}, {"TBAM", 4, 4},  {"TBCR", 174, 4}, {"TBKY", 8, 32}, {"TBPT", 20, 8},
 };
 
@@ -130,6 +132,11 @@ static void memory_in_bounds(const memory_t *memory) {
         finite(&memory->best_max_abs_error_m_s, 1, 0.0f);
         finite(memory->best_rad, memory->beats, 0.0f);
     }
+    MUST(memory->peaks.count <= JUDGE_PEAKS);
+    finite(memory->peaks.error_m_s, memory->peaks.count, FLT_TRUE_MIN);
+    for (unsigned i = 0; i < memory->peaks.count; i++) {
+        MUST(memory->peaks.beat[i] < memory->beats);
+    }
 }
 
 static void params_in_bounds(const params_t *params) {
@@ -209,13 +216,16 @@ static void mend(unsigned kind, unsigned how, uint8_t *bytes, size_t length) {
         return;
     }
     const bool unvisited = kind == KIND_MEMORY && (how & 4u) != 0;
+    const bool flat = kind == KIND_MEMORY && (how & 12u) != 0;
     const size_t bytes_each = unvisited ? UNVISITED_BYTES_EACH : shape->bytes_each;
+    const size_t fixed_bytes = flat ? FLAT_FIXED_BYTES : shape->fixed_bytes;
     memcpy(bytes, shape->magic, 4);
     (void)bytes_put_u16(bytes + 4, kind != KIND_MEMORY ? RECORD_VERSION
                                    : unvisited         ? UNVISITED_VERSION
+                                   : flat              ? FLAT_VERSION
                                                        : RECORD_MEMORY_VERSION);
-    if ((how & 2u) != 0 && bytes_each != 0 && length >= RECORD_HEADER_BYTES + shape->fixed_bytes) {
-        const size_t body = length - RECORD_HEADER_BYTES - shape->fixed_bytes;
+    if ((how & 2u) != 0 && bytes_each != 0 && length >= RECORD_HEADER_BYTES + fixed_bytes) {
+        const size_t body = length - RECORD_HEADER_BYTES - fixed_bytes;
         (void)bytes_put_u16(bytes + 6, (uint16_t)(body / bytes_each));
     }
     const uint32_t crc = crc32_update(0, bytes, 8);

@@ -160,7 +160,7 @@ def rows_of(*swims: Trial, decision: str = "keep", learned: bool | None = True) 
     """Made of swims that were never in the water."""
     kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
     said = Told(decision=decision, learned=learned, swum=True)
-    return _rows(kept, {path.name: said for path, _ in kept})
+    return _rows(kept, {path.name: said for path, _ in kept}, True)
 
 
 def swum_by(

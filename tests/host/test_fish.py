@@ -419,11 +419,12 @@ def test_what_was_learned_on_a_board_that_counts_no_visits(
     counted = fish.learned_record()
     assert counted is not None and counted[-3:] == b"\1\1\1"
     with monkeypatch.context() as older:
-        older.setattr("tailbeat.fish._VISITS", 3)  # a set that this board does not know
+        older.setattr("tailbeat.fish._VISITS", 99)  # a set that this board does not know
         assert fish.visits() is None
         record = fish.learned_record()
         assert fish.amplitudes().input is None  # and it does not tell what made its input
-    assert record is not None and record[12:] == counted[12:-3]
+    flat = records.without_peaks(counted)
+    assert record is not None and record[12:] == flat[12:-3]
     fish.upload_learned(record)
     again = fish.learned_record()
     assert again is not None and again[12:] == record[12:] + bytes(3)

@@ -65,6 +65,25 @@ def test_learned_records_have_the_documented_bytes(visits: list[int] | None) -> 
     assert record == head + struct.pack("<I", records.crc32(head + body)) + body
 
 
+def test_a_learned_record_with_peaks_and_its_older_forms() -> None:
+    status = SimpleNamespace(
+        last_learned_trial=9, worse_streak=0, best_iteration=4, best_max_abs_error_m_s=0.5
+    )
+    now = Amplitudes(5, 3, 0xABCD, np.float32([0.1, 0.2, 0.9]), input=0)
+    best = Amplitudes(4, 3, 0xABCD, np.float32([0.3, 0.4, 0.5]))
+    counts, peaks = np.array([1, 2, 3], dtype=np.uint8), np.float32([0.25, 0.0, 0.5])
+    record = records.encode_learned(status, now, best, counts, peaks)
+    flat = records.encode_learned(status, now, best, counts)
+    assert record[4:6] == b"\3\0"
+    assert record[32:82] == struct.pack("<9H8f", 2, 2, 0, *[0] * 6, 0.5, 0.25, *[0.0] * 6)
+    assert record[12:32] + record[82:] == flat[12:]
+    assert records.learned_visits(record) == b"\1\2\3"
+    assert records.without_peaks(record) == flat
+    assert records.older_forms(record) == [flat, records.without_visits(flat)]
+    assert records.older_forms(records.without_visits(flat)) == []
+    assert records.decode_learned(record).best_rad.tobytes() == best.values.tobytes()
+
+
 @pytest.mark.parametrize(("made_by", "older"), [(0, 0), (1, 1), (2, 0), (3, 0), (None, 0)])
 def test_what_made_the_amplitudes_in_version_1(made_by: int | None, older: int) -> None:
     status = SimpleNamespace(last_learned_trial=0, worse_streak=0)

@@ -332,9 +332,9 @@ def test_scores_of_trials() -> None:
     again = verdict.score_of(trial_of(4, np.clip(wild, 0, 0.5), np.zeros(10)))
     short = verdict.score_of(trial_of(5, wild, np.full(10, 0.003), executed=4))
     assert whole.max_abs_error_m_s == pytest.approx(0.02, abs=1e-6)
-    assert whole.complete
+    assert whole.judged
     assert whole.input_crc == again.input_crc == short.input_crc  # as swum
-    assert not short.complete
+    assert not short.judged
     assert short.error_m_s is not None
     np.testing.assert_array_equal(np.isfinite(short.error_m_s), np.arange(10) < 4)
 

@@ -249,8 +249,12 @@ static void test_the_sets_of_amplitudes(void) {
     TEST_ASSERT_EQUAL_FLOAT(255.0f, piece.amplitude_rad[1]);
     TEST_ASSERT_EQUAL(TAILBEAT_AMPLITUDE_SET_VISITS, piece.set);
     TEST_ASSERT_EQUAL(3, piece.iteration);
+    memory.peaks = (judge_peaks_t){.count = 1, .beat = {33}, .error_m_s = {0.03f}};
+    piece = request_set(32, TAILBEAT_AMPLITUDE_SET_PEAKS);
+    TEST_ASSERT_EQUAL_FLOAT(0.03f, piece.amplitude_rad[1]);
+    TEST_ASSERT_EQUAL_FLOAT(0.0f, piece.amplitude_rad[0]);
     send_command3(MAV_CMD_REQUEST_MESSAGE, MAVLINK_MSG_ID_TAILBEAT_AMPLITUDES, 0,
-                  TAILBEAT_AMPLITUDE_SET_VISITS + 1);
+                  TAILBEAT_AMPLITUDE_SET_PEAKS + 1);
     expect_answer(MAV_CMD_REQUEST_MESSAGE, MAV_RESULT_DENIED, FAULT_BAD_DATA);
 }
 

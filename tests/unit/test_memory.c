@@ -125,7 +125,7 @@ static void test_the_best_is_kept_as_it_was_swum(void) {
     TEST_ASSERT_EQUAL(3, memory.best_iteration);
 }
 
-static void test_only_whole_trials_become_the_best(void) {
+static void test_only_judged_trials_become_the_best(void) {
     first();
     TEST_ASSERT_EQUAL(LAW_OK, learn(0.05f, false, 1.3f));
     TEST_ASSERT_FALSE(report.improved);
@@ -327,7 +327,7 @@ int main(void) {
     RUN_TEST(test_first_refused_changes_nothing);
     RUN_TEST(test_learning_saturates_corrects_and_counts);
     RUN_TEST(test_the_best_is_kept_as_it_was_swum);
-    RUN_TEST(test_only_whole_trials_become_the_best);
+    RUN_TEST(test_only_judged_trials_become_the_best);
     RUN_TEST(test_two_bad_trials_in_a_row_bring_the_best_back);
     RUN_TEST(test_a_fair_trial_between_ends_the_streak);
     RUN_TEST(test_a_short_trial_can_be_bad_but_not_fair);

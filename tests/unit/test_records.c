@@ -34,6 +34,9 @@ typedef union {
 
 static any_t out, before;
 
+static const judge_peaks_t peaks = {
+    .count = 3, .beat = {1, 0, 3}, .error_m_s = {0.0125f, 0.01f, 0.01f}};
+
 static void fill(uint16_t beats) {
     reference = (reference_t){.beats = beats, .beat_s = 1.0f};
     memory = (memory_t){.reference_crc = 0x12345678u,
@@ -231,6 +234,7 @@ static void test_round_trips(void) {
 
 static void test_sizes_are_the_longest_records(void) {
     fill(BEATS_MAX);
+    memory.peaks = peaks;
     for (size_t k = 0; k < KINDS; k++) {
         bytes[RECORD_TRIAL_MAX_BYTES] = 0x77;
         const size_t max =
@@ -385,7 +389,7 @@ static void test_a_first_input_is_of_iteration_one(void) {
     memory.input = MEMORY_INPUT_FIRST;
     for (uint16_t iteration = 0; iteration < 6u; iteration++) {
         memory.iteration = iteration;
-        for (uint16_t version = 1; version <= RECORD_MEMORY_VERSION; version++) {
+        for (uint16_t version = 1; version < RECORD_MEMORY_VERSION; version++) {
             const size_t length = encode_memory() - (version == 1u ? BEATS : 0u);
             (void)bytes_put_u16(bytes + 4, version);
             seal(length);
@@ -427,6 +431,49 @@ static void test_what_was_learned_before_visits_were_counted_still_loads(void) {
     check_unvisited(1);
     check_unvisited(BEATS);
     check_unvisited(BEATS_MAX);
+}
+
+static void test_peaks_make_it_version_3(void) {
+    const size_t flat = encode_memory();
+    TEST_ASSERT_EQUAL_UINT16(2, bytes_get_u16(bytes + 4));
+    memory.peaks = peaks;
+    const size_t length = encode_memory();
+    TEST_ASSERT_EQUAL_UINT(flat + 50u, length);
+    TEST_ASSERT_EQUAL_UINT16(3, bytes_get_u16(bytes + 4));
+    TEST_ASSERT_EQUAL_UINT16(3, bytes_get_u16(bytes + 32));
+    TEST_ASSERT_EQUAL_UINT16(3, bytes_get_u16(bytes + 38));
+    TEST_ASSERT_EQUAL_FLOAT(0.0125f, bytes_get_f32(bytes + 50));
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, length));
+    TEST_ASSERT_EQUAL_MEMORY(&peaks, &out.memory.peaks, sizeof peaks);
+    TEST_ASSERT_EQUAL_MEMORY(memory.amplitude_rad, out.memory.amplitude_rad, 4u * BEATS);
+    TEST_ASSERT_EQUAL_MEMORY(memory.visits, out.memory.visits, BEATS);
+    memory.peaks.count = 0;
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_memory(bytes, encode_memory()));
+    TEST_ASSERT_EQUAL_UINT16(0, out.memory.peaks.count);
+}
+
+static void refused_peaks(judge_peaks_t wrong) {
+    memory.peaks = wrong;
+    refused(&kinds[1], encode_memory(), FAULT_BAD_DATA);
+}
+
+static void test_bad_peaks_are_refused(void) {
+    judge_peaks_t wrong = peaks;
+    wrong.beat[1] = BEATS;
+    refused_peaks(wrong);
+    const float never[] = {NAN, INFINITY, 0.0f, -0.001f, 0.0126f};
+    for (size_t i = 0; i < 5; i++) {
+        wrong = peaks;
+        wrong.error_m_s[1] = never[i];
+        refused_peaks(wrong);
+    }
+    for (uint16_t count = 0; count <= JUDGE_PEAKS + 1u; count += JUDGE_PEAKS + 1u) {
+        memory.peaks = peaks;
+        const size_t length = encode_memory();
+        (void)bytes_put_u16(bytes + 32, count);
+        seal(length);
+        refused(&kinds[1], length, FAULT_BAD_DATA);
+    }
 }
 
 static void test_params_come_back_by_name(void) {
@@ -481,6 +528,8 @@ int main(void) {
     RUN_TEST(test_a_first_input_is_of_iteration_one);
     RUN_TEST(test_best_is_not_looked_at_before_there_is_one);
     RUN_TEST(test_what_was_learned_before_visits_were_counted_still_loads);
+    RUN_TEST(test_peaks_make_it_version_3);
+    RUN_TEST(test_bad_peaks_are_refused);
     RUN_TEST(test_params_come_back_by_name);
     RUN_TEST(test_params_of_another_firmware);
     RUN_TEST(test_encoding_without_beats_is_our_mistake);

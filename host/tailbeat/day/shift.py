@@ -104,7 +104,7 @@ def shift_of(
 
 
 def require_best(series: Sequence[Trial], input_crc: int) -> None:
-    """Raises InputError when no complete trial of the series swam this input."""
+    """Raises InputError when no judged trial of the series swam this input."""
     if best_of([s for s in map(score_of, series) if s.input_crc == input_crc]) is None:
         raise _nothing_to_compare()
 
@@ -148,7 +148,7 @@ def _thrust(
     before = [
         slope_of(trial, model)
         for trial, score in zip(series, scores, strict=True)
-        if score.complete and _alike(trial, repeat)
+        if score.judged and _alike(trial, repeat)
     ]
     now = slope_of(repeat, model)
     usual = float(np.mean(before)) if before else math.nan

@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError
+from tailbeat.experiment.folder import JUDGING
 from tailbeat.experiment.told import Told, told_of
+from tailbeat.judge import on_common_beats
 from tailbeat.lasting import write_whole
 from tailbeat.plain import canonical, plain
 from tailbeat.progress import scores_of
@@ -28,7 +30,7 @@ from tailbeat.reference import Reference
 from tailbeat.results import SIMULATED_FISH
 from tailbeat.straight import Straightness, straightness
 from tailbeat.trial_log import Trial, read_trial
-from tailbeat.verdict import Score, score_of
+from tailbeat.verdict import Score, best_of, comparable, score_of
 
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
@@ -53,9 +55,11 @@ class TrialRow:
     keep, repeat, discard, or empty when nobody decided. ``repeat_of``: the first trial of its epoch
     that counts with the same amplitudes, 0 = this is the first. ``contraction``: what a step of the
     law did, max|e| of a kept trial over that of the last kept trial of the iteration before; NaN =
-    its amplitudes are not the law's (first, uploaded, restored), or one of the two is not complete.
+    its amplitudes are not the law's (first, uploaded, restored), or one of the two is not complete;
+    on the beats that both measured.
     ``noise_low``, ``noise_high``: ratios between which 95 % lie when nothing but noise differs, NaN
-    = there is no contraction or there are no repeats. ``complete``: every beat swum and measured.
+    = there is no contraction or there are no repeats. ``complete``: it is judged
+    (``verdict.Score.judged``); in a folder of a tool from before that rule every beat is measured.
     ``learned``, ``rolled_back``: what the board did with it; where the journal does not tell, by
     what swam next. Voltages: before the tail loaded the battery, as the journal has it, else the
     first in the log; and the last in the log; NaN = none. ``file``: its name in ``raw/``.
@@ -160,6 +164,17 @@ class Analysis:
         return [row for row in self.rows if row.epoch == self.epoch]
 
     @property
+    def best_row(self) -> TrialRow | None:
+        """The best of the last epoch (``verdict.best_of``); None = none is complete and counts."""
+        pairs = [
+            (row, score_of(trial))
+            for row, trial in zip(self.rows, self.trials, strict=True)
+            if row.counts and row.complete and row.epoch == self.epoch
+        ]
+        best = best_of([score for _, score in pairs])
+        return next((row for row, score in pairs if score is best), None)
+
+    @property
     def reference(self) -> Reference:
         """What was to be swum."""
         return Reference(
@@ -194,7 +209,7 @@ def analyse(experiment: Experiment) -> Analysis:
             "Swim one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
         )
     swum = [trial for _, trial in kept]
-    rows = _rows(kept, told)
+    rows = _rows(kept, told, _judges_gaps(settings))
     noise = _noise(rows, swum)
     rows = with_noise(rows, *noise)
     limit = swum[-1].params.get("AMP_MAX_RAD", math.pi / 4)
@@ -358,9 +373,17 @@ def _is_of(
     return swim_crc(swim_of(trial)) not in {swim_crc(swim) for swim in identified.swims}
 
 
-def _rows(kept: Sequence[tuple[Path, Trial]], told: Mapping[str, Told]) -> list[TrialRow]:
+def _judges_gaps(settings: Mapping[str, Any]) -> bool:
+    """Whether trials with missing beats are judged; not in a folder that an older tool made, whose
+    ``analysis.json`` must come out as it was. A folder made by hand is judged as one made now."""
+    return "made" not in settings or settings.get("judging", 0) == JUDGING
+
+
+def _rows(
+    kept: Sequence[tuple[Path, Trial]], told: Mapping[str, Told], judges_gaps: bool
+) -> list[TrialRow]:
     rows: list[TrialRow] = []
-    scores = scores_of([trial for _, trial in kept])
+    scores = [_judged(s, judges_gaps) for s in scores_of([trial for _, trial in kept])]
     journalled = any(one.swum for one in told.values())
     epochs = _epochs([trial for _, trial in kept])
     first: dict[tuple[int, int], TrialRow] = {}
@@ -378,7 +401,10 @@ def _rows(kept: Sequence[tuple[Path, Trial]], told: Mapping[str, Told]) -> list[
         if row.counts:
             first.setdefault(name, row)
         row = replace(row, repeat_of=original.trial if original else 0)
-        rows.append(replace(row, contraction=_contraction(row, rows, came_back)))
+        before = None if came_back and not row.input else _step_from(row, rows)
+        if before is not None:
+            row = replace(row, contraction=_contraction(scores[at], scores[before]))
+        rows.append(row)
     return rows
 
 
@@ -422,7 +448,7 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         input=trial.input,
         file=path.name,
         time=told.time,
-        complete=score.complete,
+        complete=score.judged,
     )
 
 
@@ -440,21 +466,28 @@ def _went_on(kept: Sequence[tuple[Path, Trial]], at: int) -> bool:
     return bool(later) and later[0].iteration == kept[at][1].iteration + 1
 
 
-def _contraction(row: TrialRow, earlier: Sequence[TrialRow], came_back: bool) -> float:
-    """Only of a step that the law made. ``came_back``: its amplitudes swam in an earlier iteration;
-    where the log does not tell what made them, they were brought back."""
+def _judged(score: Score, judges_gaps: bool) -> Score:
+    assert score.error_m_s is not None
+    every = bool(np.isfinite(score.error_m_s).all())
+    return replace(score, judged=score.judged and (judges_gaps or every))
+
+
+def _step_from(row: TrialRow, earlier: Sequence[TrialRow]) -> int | None:
+    """Where in ``earlier`` the trial is whose amplitudes the law made this trial's of."""
     if not (row.kept and row.complete) or row.input not in _BY_THE_LAW:
-        return math.nan
-    if came_back and not row.input:
-        return math.nan
+        return None
     before = [
-        one
-        for one in earlier
+        at
+        for at, one in enumerate(earlier)
         if (one.epoch, one.iteration) == (row.epoch, row.iteration - 1) and one.kept
     ]
-    if not before or not before[-1].complete or before[-1].max_abs_error_m_s == 0:
-        return math.nan
-    return row.max_abs_error_m_s / before[-1].max_abs_error_m_s
+    return before[-1] if before and earlier[before[-1]].complete else None
+
+
+def _contraction(now: Score, before: Score) -> float:
+    assert now.error_m_s is not None and before.error_m_s is not None
+    mine, its = on_common_beats(now.error_m_s, before.error_m_s)
+    return mine / its if its > 0 else math.nan
 
 
 def with_noise(rows: Sequence[TrialRow], noise_m_s: float, freedom: int) -> list[TrialRow]:
@@ -505,10 +538,14 @@ def _noise(rows: Sequence[TrialRow], trials: Sequence[Trial]) -> tuple[float, in
     """(standard deviation, degrees of freedom) of deviations from the mean of an input's repeats in
     one epoch, pooled over all."""
     groups: dict[tuple[int, int], list[float]] = {}
-    for row, trial in zip(rows, trials, strict=True):
-        if row.counts and row.complete:
-            name = (row.epoch, score_of(trial).input_crc)
-            groups.setdefault(name, []).append(row.max_abs_error_m_s)
+    counting = [
+        (row, score_of(trial))
+        for row, trial in zip(rows, trials, strict=True)
+        if row.counts and row.complete
+    ]
+    scores = comparable([score for _, score in counting])
+    for (row, _), score in zip(counting, scores, strict=True):
+        groups.setdefault((row.epoch, score.input_crc), []).append(score.max_abs_error_m_s)
     freedom = sum(len(group) - 1 for group in groups.values())
     if freedom == 0:
         return math.nan, 0

@@ -26,6 +26,8 @@ from tailbeat.lasting import MAKE_ROOM, TEMPORARY, write_whole
 from tailbeat.trial_log import Trial, parse_trial, read_trial
 
 _SETTINGS = "settings.json"
+
+JUDGING = 2  # in settings: trials are judged on their measured beats; older folders have none
 _NOTES = "notes.md"
 _JOURNAL = "journal.jsonl"
 _RAW = "raw"
@@ -93,6 +95,7 @@ class Experiment:
                 "reference": reference,
                 "law": law,
                 "tool": _tool(),
+                "judging": JUDGING,
             }
         )
         write_whole(folder / _NOTES, f"# {folder.name}\n")

@@ -36,9 +36,18 @@ class Relearned:
 
 def relearn(analysis: Analysis, held: BoardState | None = None) -> Relearned:
     """Every trial that was learned from, against the amplitudes of the next; the last one against
-    ``held``, the board's state as it was copied last."""
+    ``held``, the board's state as it was copied last. Older firmware judged no trial with missing
+    beats: what does not come out by today's rule may by that one."""
+    found = _relearned(analysis, held, judges_gaps=True)
+    if not found.different:
+        return found
+    older = _relearned(analysis, held, judges_gaps=False)
+    return older if len(older.different) < len(found.different) else found
+
+
+def _relearned(analysis: Analysis, held: BoardState | None, judges_gaps: bool) -> Relearned:
     found = Relearned()
-    board = _Board(analysis.reference_m_s.astype(np.float32), analysis.beat_s)
+    board = _Board(analysis.reference_m_s.astype(np.float32), analysis.beat_s, judges_gaps)
     pending: tuple[TrialRow, Trial] | None = None
     aside: _Board | None = None
     for row, trial in zip(analysis.rows, analysis.trials, strict=True):
@@ -133,8 +142,9 @@ class _Board:
     """A board's memory and the trials it looks back on. ``whole``: all of it is known since the
     first trial."""
 
-    def __init__(self, reference_m_s: Floats, beat_s: float) -> None:
+    def __init__(self, reference_m_s: Floats, beat_s: float, judges_gaps: bool) -> None:
         self.reference_m_s, self.beat_s = reference_m_s, beat_s
+        self.judges_gaps = judges_gaps
         self.beats = len(reference_m_s)
         self.memory: Any = ffi.new("memory_t *")
         self.past: Any = ffi.new("learn_past_t *")
@@ -144,7 +154,7 @@ class _Board:
         self.refusal = ""
 
     def copy(self) -> _Board:
-        other = _Board(self.reference_m_s, self.beat_s)
+        other = _Board(self.reference_m_s, self.beat_s, self.judges_gaps)
         ffi.memmove(other.memory, self.memory, ffi.sizeof("memory_t"))
         ffi.memmove(other.past, self.past, ffi.sizeof("learn_past_t"))
         other.whole, other.past_doubted = self.whole, self.past_doubted
@@ -219,6 +229,7 @@ class _Board:
             self.refusal = "its file has no speeds: they were uploaded after it was pulled"
             return
         complete = trial.end_fault == 0 and trial.executed_beats == self.beats
+        complete = complete and (self.judges_gaps or bool(measured.all()))
         self._learn_in_c(law, error, measured, complete, params)
 
     def _learn_in_c(

@@ -83,9 +83,9 @@ def _learned(fish: Fish, backup: Backup, result: Restored) -> None:
     if record is None:
         return
     what = "all that was learned"
-    older = records.without_visits(record)
-    held = fish.learned_record()
-    if held not in (record, older) and not _try(result, what, partial(_offer, fish, record, older)):
+    forms = [record, *records.older_forms(record)]
+    offer = partial(_offer, fish, forms)
+    if fish.learned_record() not in forms and not _try(result, what, offer):
         return
     result.back.append(what)
     if any(records.learned_visits(record)) and fish.visits() is None:
@@ -94,14 +94,16 @@ def _learned(fish: Fish, backup: Backup, result: Restored) -> None:
         )
 
 
-def _offer(fish: Fish, record: bytes, older: bytes) -> None:
-    """``older``: the same for a firmware from before that form of the record."""
-    try:
-        fish.upload_learned(record)
-    except Refused as refused:
-        if refused.number != BAD_FORMAT or older == record:
-            raise
-        fish.upload_learned(older)
+def _offer(fish: Fish, forms: list[bytes]) -> None:
+    """The newest of ``forms`` that the firmware knows."""
+    for form in forms[:-1]:
+        try:
+            fish.upload_learned(form)
+            return
+        except Refused as refused:
+            if refused.number != BAD_FORMAT:
+                raise
+    fish.upload_learned(forms[-1])
 
 
 def _trial_numbers(was: int, now: int, result: Restored) -> None:

@@ -256,8 +256,7 @@ _HEAD = (
 
 
 def _trials(analysis: Analysis) -> str:
-    whole = [row for row in analysis.last_rows if row.counts and row.complete]
-    best = min(whole, key=lambda row: row.max_abs_error_m_s, default=None)
+    best = analysis.best_row
     head = "".join(f'<th scope="col"{_class(kind)}>{escape(name)}</th>' for name, kind in _HEAD)
     beats = len(analysis.reference_m_s)
     body = "".join(_trial(row, row is best, beats) for row in analysis.rows)

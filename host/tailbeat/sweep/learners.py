@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat import judge as judging
 from tailbeat.errors import InputError
 from tailbeat.laws import Law
 from tailbeat.model.fishmodel import FishModel
@@ -291,7 +292,7 @@ class Judge:
                 iteration=number,
                 input_crc=input_crc(swim.amplitude_rad.astype(np.float32)),
                 max_abs_error_m_s=largest,
-                complete=bool(swim.measured.all()),
+                judged=judging.counts(error.astype(np.float32), bool(swim.measured[-1])),
                 error_m_s=error.astype(np.float32),
             )
         )

@@ -14,6 +14,7 @@ from tailbeat.flashing.backup import Backup
 from tailbeat.records import decode_learned, decode_reference
 from tailbeat.reference import Reference
 from tailbeat.trial_log import Trial, read_trial
+from tailbeat.verdict import best_of, score_of
 
 INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
 _NOTHING = "Leave out --like, and the fish learns afresh; or name a trial or an experiment."
@@ -64,32 +65,33 @@ def of_backup(folder: Path) -> Learned:
 
 
 def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Learned:
-    """The best of the whole trials with a speed in every beat; of several references ``crc``, or
-    that of the last such trial. Raises InputError when there is none."""
+    """The best of the trials that are judged; of several references ``crc``, or that of the last
+    such trial. Raises InputError when there is none."""
     known = list(trials)
     if not known:
         raise InputError(
             f"{where} holds no trial files.", "Name the folder of an experiment, or one with *.ulg."
         )
-    whole = [trial for trial in known if _is_whole(trial) and crc in (None, trial.reference_crc)]
-    if not whole:
+    judged = [(trial, score_of(trial)) for trial in known if crc in (None, trial.reference_crc)]
+    judged = [one for one in judged if one[1].judged and _is_known(one[0])]
+    if not judged:
         raise InputError(
-            f"{where} has no whole trial with a speed in every beat"
-            + (" along that reference." if crc is not None else "."),
+            f"{where} has no whole trial"
+            + (" along that reference" if crc is not None else "")
+            + ": executed to its end, with the speeds of 80 % of its beats.",
             "Swim and learn along the old reference first, or leave out --like.",
         )
-    wanted = whole[-1].reference_crc if crc is None else crc
-    best = min(
-        (trial for trial in whole if trial.reference_crc == wanted),
-        key=lambda trial: trial.max_abs_error_m_s(),
-    )
+    wanted = judged[-1][0].reference_crc if crc is None else crc
+    alike = [one for one in judged if one[0].reference_crc == wanted]
+    score = best_of([found for _, found in alike])
+    best = next(trial for trial, found in alike if found is score)
     reference = Reference(best.beat_s, best.beats.reference_m_s, f"{best.reference_crc:08x}")
     return Learned(
         reference=reference,
         amplitude_rad=best.beats.applied_rad,
         words=f"trial {best.number} of {where}",
         max_abs_error_m_s=best.max_abs_error_m_s(),
-        travel_m=float(np.sum(best.beats.speed_m_s, dtype=np.float64)) * best.beat_s,
+        travel_m=_travel_m(best),
         unique_id=best.unique_id,
     )
 
@@ -107,8 +109,13 @@ def of_folder(folder: Path) -> Learned:
     return of_trials(map(read_trial, files), folder.name)
 
 
-def _is_whole(trial: Trial) -> bool:
+def _is_known(trial: Trial) -> bool:
     beats = trial.beats
-    known = np.isfinite(beats.speed_m_s) & np.isfinite(beats.applied_rad)
-    known &= np.isfinite(beats.reference_m_s)
-    return trial.end == "complete" and trial.executed_beats == len(known) and bool(known.all())
+    return bool(np.isfinite(beats.applied_rad).all() and np.isfinite(beats.reference_m_s).all())
+
+
+def _travel_m(trial: Trial) -> float:
+    """A beat without a speed counts with its reference."""
+    beats = trial.beats
+    speed = np.where(np.isfinite(beats.speed_m_s), beats.speed_m_s, beats.reference_m_s)
+    return float(np.sum(speed, dtype=np.float64)) * trial.beat_s

@@ -29,7 +29,7 @@ _LANES = 0.6  # of an iteration, over which conditions lie side by side
 
 def kind_of(row: TrialRow) -> str:
     """One of ``KINDS``. A swim whose amplitudes swam before, and that nothing was learned from, is
-    a repeat; one that was cut short, or has beats without a speed, is incomplete."""
+    a repeat; one that was cut short, or lacks the speeds of too many beats, is incomplete."""
     if row.undecided:
         return "undecided"
     if not row.counts:

@@ -57,7 +57,7 @@ def chosen(analysis: Analysis) -> list[tuple[str, TrialRow, Trial]]:
     roles = {0: "first", len(both) - 1: "last"}
     whole = [n for n, (row, _) in enumerate(both) if row.complete]
     if whole:
-        best = min(whole, key=lambda n: both[n][0].max_abs_error_m_s)
+        best = next(n for n in whole if both[n][0] is analysis.best_row)
         wanted = (both[0][0].iteration + both[best][0].iteration) / 2
         between = [n for n in whole if n not in roles and n < best]
         if between:
