@@ -5,11 +5,11 @@
  * beats are measured, and no more than JUDGE_GAP_MAX beats in a row are not. Its score is its max
  * |e| over these beats.
  *
- * Two trials are compared on the beats that both measured. A board has no room for all errors of
- * the best trial. It keeps the JUDGE_PEAKS largest with their beats. The best's value in a
- * comparison is the largest of them at a beat that the other trial measured, or the smallest one
- * when that trial measured none of them. A peak at a beat that the new best did not measure stays
- * as it was: a trial does not lose an error because its beat has no speed.
+ * A trial is compared with the best on the beats that it measured. A board has no room for all
+ * errors of the best; it keeps the JUDGE_PEAKS largest with their beats. The best counts with the
+ * largest of them at a beat that the other trial measured, or with the smallest one when that trial
+ * measured none of them. The other trial counts with its score. A peak at a beat that the new best
+ * did not measure stays as it was: a trial does not lose an error because its beat has no speed.
  *
  * Why, with figures: docs/progress.md. Pure; host and board agree bit for bit.
  */
@@ -31,7 +31,7 @@ typedef struct {
 /* Whether enough of |trial| is measured; |complete| = it was executed to its end. */
 bool judge_counts(const law_trial_t *trial, bool complete);
 
-/* The best's max |e| on the beats that |trial| measured too; |otherwise| where no peak is known. */
+/* The best's max |e| on the beats that |trial| measured; |otherwise| where no peak is known. */
 float judge_best_there(const judge_peaks_t *best, const law_trial_t *trial, float otherwise);
 
 /* |trial| is the new best. |best| holds the peaks of the one before; all zero = there was none. */
