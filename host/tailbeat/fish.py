@@ -303,8 +303,9 @@ class Fish:
         return visits
 
     def peaks(self) -> NDArray[np.float32] | None:
-        """|e| of the best trial's largest errors at their beats, m/s, 0 at others; None: the board does
-        not keep them."""
+        """|e| of the best trial's largest errors at their beats, m/s, and 0 at all others.
+
+        None: the board does not keep them."""
         try:
             return self._stored(_PEAKS).values
         except Refused as refused:
