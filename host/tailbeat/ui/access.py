@@ -5,7 +5,8 @@ Two doors. By default it listens on this computer only, and every request must n
 With a token nothing is answered without it: the first visit brings it in the address, after that a
 cookie does that no script can read and no other site makes the browser send.
 
-ABORT is answered here, by nobody behind the door: however much there is to do behind it.
+The rules are applied twice: by ``ui.gate`` before the web server gets a connection, and here.
+ABORT is answered by whoever sees it first, however much there is to do behind.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ _TOKEN_BYTES = 12  # 96 bits, 16 characters: it may have to be typed
 _POLICY_VIOLATION = 1008
 # A foreign page may neither frame the buttons nor learn the token from a link, and whatever a
 # library might ask of another computer is refused by the browser.
-_HEADERS = (
+# One request for each connection: the next one, ABORT perhaps, comes through the gate again.
+HEADERS = (
+    (b"connection", b"close"),
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
     (b"x-content-type-options", b"nosniff"),
@@ -47,6 +50,11 @@ _WELCOME = (
 )
 
 
+ABORTED = '{"asked":true}'
+JSON_TYPE, TEXT_TYPE, _HTML_TYPE = "application/json", "text/plain", "text/html"
+_WITHOUT_TOKEN = "give the address with its token, as it was printed"
+
+
 def new_token() -> str:
     """One that nobody guesses."""
     return secrets.token_urlsafe(_TOKEN_BYTES)
@@ -61,45 +69,37 @@ def is_loopback(host: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Access:
-    """The door before ``app`` (ASGI). ``token`` None: this computer only. ``port`` sets the name of
-    the cookie, which browsers share between the ports of a host. ``abort`` stops the tail and never
-    blocks."""
+class Rules:
+    """Who may ask. ``token`` None: this computer only. ``port`` sets the name of the cookie, which
+    browsers share between the ports of a host."""
 
-    app: App
     token: str | None
     port: int
-    abort: Callable[[], None]
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self.app(scope, receive, send)
-            return
-        request = _Request.of(scope)
-        if why := self._foreign(request):
-            await _refuse(scope, receive, send, why)
-        elif self.token is None or self._knows(request.cookie(self._cookie)):
-            if request.aborts:
-                self.abort()
-                await answer(send, 200, '{"asked":true}', "application/json")
-            else:
-                await self.app(scope, receive, _guarded(send, request.host))
-        elif scope["type"] == "http" and self._knows(request.query("token")):
-            await self._welcome(scope, send)
-        else:
-            await _refuse(
-                scope, receive, send, "give the address with its token, as it was printed"
-            )
 
     @property
-    def _cookie(self) -> str:
+    def cookie(self) -> str:
+        """Its name."""
         return f"tailbeat_{self.port}"
 
-    def _knows(self, given: str) -> bool:
+    def refusal(self, request: Request) -> str:
+        """Why the request is refused; empty = it is not."""
+        if why := self._foreign(request):
+            return why
+        return "" if self.knows(request) or self.is_first(request) else _WITHOUT_TOKEN
+
+    def knows(self, request: Request) -> bool:
+        """Whether the request has the cookie, if one is needed."""
+        return self.token is None or self._is_token(request.cookie(self.cookie))
+
+    def is_first(self, request: Request) -> bool:
+        """Whether the request brings the token in its address."""
+        return not request.websocket and self._is_token(request.query("token"))
+
+    def _is_token(self, given: str) -> bool:
         """Takes as long for a nearly right token as for any other."""
         return secrets.compare_digest(given.encode(), (self.token or "").encode())
 
-    def _foreign(self, request: _Request) -> str:
+    def _foreign(self, request: Request) -> str:
         """Why it comes from elsewhere; empty = it does not."""
         if not self._is_ours(request.host):
             return "this page has another name"
@@ -128,15 +128,36 @@ class Access:
             return name == "localhost" or name.partition(".")[0] == own
         return True
 
-    async def _welcome(self, scope: Scope, send: Send) -> None:
-        cookie = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-        headers = [(b"set-cookie", cookie.encode())]
-        await answer(send, 200, _WELCOME, "text/html", headers, scope["method"] == "HEAD")
+
+@dataclass(frozen=True)
+class Access:
+    """The door before ``app`` (ASGI). ``token``, ``port``: see Rules. ``abort`` stops the tail and
+    never blocks."""
+
+    app: App
+    token: str | None
+    port: int
+    abort: Callable[[], None]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        request, rules = Request.of(scope), Rules(self.token, self.port)
+        if why := rules.refusal(request):
+            await _refuse(scope, receive, send, why)
+        elif not rules.knows(request):
+            await _welcome(scope, send, rules)
+        elif request.aborts:
+            self.abort()
+            await answer(send, 200, ABORTED, JSON_TYPE)
+        else:
+            await self.app(scope, receive, _guarded(send, request.host))
 
 
 @dataclass(frozen=True)
-class _Request:
-    """What the door looks at."""
+class Request:
+    """What the rules look at."""
 
     websocket: bool
     aborts: bool
@@ -148,7 +169,7 @@ class _Request:
     asked: str
 
     @classmethod
-    def of(cls, scope: Scope) -> _Request:
+    def of(cls, scope: Scope) -> Request:
         found: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:  # a second Host makes one that is no host
             found[name] = found[name] + b"; " + value if name in found else value
@@ -177,13 +198,19 @@ class _Request:
         return parse_qs(self.asked).get(name, [""])[0]
 
 
+async def _welcome(scope: Scope, send: Send, rules: Rules) -> None:
+    cookie = f"{rules.cookie}={rules.token}; HttpOnly; SameSite=Strict; Path=/"
+    headers = [(b"set-cookie", cookie.encode())]
+    await answer(send, 200, _WELCOME, _HTML_TYPE, headers, scope["method"] == "HEAD")
+
+
 def _guarded(send: Send, host: str) -> Send:
     """Puts the headers on every answer."""
     policy = (b"content-security-policy", _POLICY.format(host=host).encode())
 
     async def guarded(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            message["headers"] = [*message.get("headers", []), *_HEADERS, policy]
+            message["headers"] = [*message.get("headers", []), *HEADERS, policy]
         await send(message)
 
     return guarded
@@ -194,7 +221,21 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
         await receive()  # websocket.connect; closing before accepting it answers 403
         await send({"type": "websocket.close", "code": _POLICY_VIOLATION, "reason": why})
         return
-    await answer(send, 403, f"tailbeat: {why}\n", "text/plain", (), scope["method"] == "HEAD")
+    await answer(send, 403, refusal_text(why), TEXT_TYPE, (), scope["method"] == "HEAD")
+
+
+def refusal_text(why: str) -> str:
+    """What the answer says."""
+    return f"tailbeat: {why}\n"
+
+
+def answer_headers(text: str, kind: str) -> list[tuple[bytes, bytes]]:
+    """What an answer says of itself."""
+    return [
+        (b"content-type", f"{kind}; charset=utf-8".encode()),
+        (b"content-length", str(len(text.encode())).encode()),
+        (b"cache-control", b"no-store"),
+    ]
 
 
 async def answer(
@@ -207,12 +248,6 @@ async def answer(
 ) -> None:
     """A whole answer with the headers of the door. ``bare``: to HEAD."""
     body = text.encode()
-    all_headers = [
-        (b"content-type", f"{kind}; charset=utf-8".encode()),
-        (b"content-length", str(len(body)).encode()),
-        (b"cache-control", b"no-store"),
-        *headers,
-        *_HEADERS,
-    ]
+    all_headers = [*answer_headers(text, kind), *headers, *HEADERS]
     await send({"type": "http.response.start", "status": status, "headers": all_headers})
     await send({"type": "http.response.body", "body": b"" if bare else body})

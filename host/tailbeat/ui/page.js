@@ -4,6 +4,7 @@
   const CUT_MS = 4000;
   const TRIES = 6;
   const TRY_MS = 1500;
+  const PAUSE_MS = 100;
   const body = document.body;
   let heardMs = Date.now();
 
@@ -23,7 +24,9 @@
         body.classList.remove("unheard");
         setTimeout(() => body.classList.remove("asked"), 700);
         return;
-      } catch { /* said again */ }
+      } catch {
+        await new Promise((done) => setTimeout(done, PAUSE_MS)); // then said again
+      }
     }
     body.classList.remove("asked");
     body.classList.add("unheard");

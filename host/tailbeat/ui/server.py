@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import os
@@ -13,8 +14,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tailbeat.errors import ConnectError, reason
-from tailbeat.ui.access import Access, is_loopback, new_token
+from tailbeat.ui.access import Access, Rules, is_loopback, new_token
 from tailbeat.ui.addresses import reached_at
+from tailbeat.ui.gate import Gate
 from tailbeat.ui.turns import Turns
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
     from tailbeat.ui.conductor import Conductor
 
+_BACKLOG = 1024
 _DRAIN_S = 2
 _RECONNECT_S = 10.0  # a phone that slept for a moment finds its page as it was
 
@@ -47,7 +50,7 @@ def listen(host: str, port: int) -> Place:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
-        listener.listen()  # from here on who asks waits, and nobody else gets the port
+        listener.listen(_BACKLOG)  # from here on who asks waits, and nobody else gets the port
     except (OSError, UnicodeError) as error:
         listener.close()
         taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
@@ -69,6 +72,7 @@ def serve(conductor: Conductor, place: Place, show: bool = False) -> None:
     from fastapi import FastAPI
     from nicegui import app, ui
 
+    from tailbeat.ui.handover import Entrance
     from tailbeat.ui.page import build
 
     build(conductor)
@@ -85,10 +89,17 @@ def serve(conductor: Conductor, place: Place, show: bool = False) -> None:
     if show:
         app.on_startup(lambda: _open(place.urls[0]))
     in_turn = Turns(outer)
-    door = Access(in_turn, place.token, place.port, lambda: conductor.ask("abort"))
+
+    def abort() -> None:
+        conductor.ask("abort")
+
+    door = Access(in_turn, place.token, place.port, abort)
+    gate = Gate(place.listener, Rules(place.token, place.port), abort)
     config = uvicorn.Config(
         door,
         interface="asgi3",
+        loop="asyncio",
+        http="h11",  # as the gate, so that both read a header alike
         ws="wsproto",
         log_level="warning",
         server_header=False,
@@ -103,13 +114,18 @@ def serve(conductor: Conductor, place: Place, show: bool = False) -> None:
             self.force_exit: bool = bool(self.should_exit)
             self.should_exit: bool = True
 
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets=[])  # the gate takes the connections
+            gate.open(Entrance(self, asyncio.get_running_loop()).take)
+
     server = TailFirst(config)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, server.handle_exit)  # the terminal was closed
     conductor.start()
     try:
-        server.run(sockets=[place.listener])
+        server.run()
     finally:
+        gate.close()
         conductor.close()
 
 
