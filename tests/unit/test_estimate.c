@@ -113,6 +113,22 @@ static void test_beats_known_too_badly_are_unmeasured(void) {
     }
 }
 
+/* Without an IMU a beat of the model rests on one number; with it on all slots of the beat. */
+static void test_samples_of_the_model(void) {
+    config.source = SPEED_SOURCE_MODEL;
+    config.sigma_max_m_s = 1.0f;
+    swim(9, 1.0);
+    make_imu_errors();
+    for (unsigned imu = 0; imu < 2; imu++) {
+        live_through((senses_t){.imu = imu != 0});
+        (void)finish(BEATS, &none);
+        for (uint16_t k = 0; k < BEATS; k++) {
+            TEST_ASSERT_EQUAL(imu != 0 ? SLOTS_PER_BEAT : 1u,
+                              estimate_result(&estimate, k).samples);
+        }
+    }
+}
+
 static const speed_source_t sources[] = {SPEED_SOURCE_VISION, SPEED_SOURCE_IMU, SPEED_SOURCE_MODEL};
 static float first_m_s[BEATS_MAX], first_sigma[BEATS_MAX];
 
@@ -314,6 +330,7 @@ int main(void) {
     RUN_TEST(test_rest_that_ends_with_a_beat);
     RUN_TEST(test_imu_that_was_silent_for_a_while_gives_nothing);
     RUN_TEST(test_beats_known_too_badly_are_unmeasured);
+    RUN_TEST(test_samples_of_the_model);
     RUN_TEST(test_recorded_slots_give_the_same_bits);
     RUN_TEST(test_aborted_swim);
     RUN_TEST(test_provisional_beats);
