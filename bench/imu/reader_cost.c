@@ -2,11 +2,12 @@
  * Gives the IMU reader something to count: pushes a stream in chunks of 64 bytes, many times over.
  * For callgrind (bench/reader_cost.py); prints what it pushed and what the reader found.
  *
- * Usage: imu_reader_cost exact|any|ascii|mixed REPEATS [FILE]
+ * Usage: imu_reader_cost exact|any|ascii|mixed[+values] REPEATS [FILE]
  *   exact  64-byte frames, the reader believes in that header only
  *   any    the same frames among others of 52 and 40 bytes, any header is believed
  *   ascii  $VNYMR lines, as the sensor sends them out of the box
  *   mixed  all of it
+ *   +values  decodes the values, too
  *   FILE   a recording instead; any header, or the fish's own with "exact"
  * 0 REPEATS write the stream itself.
  */
@@ -112,8 +113,13 @@ int main(int count, char **arguments) {
     static stream_t stream;
     static imu_reader_t reader;
     if (count < 3) {
-        fprintf(stderr, "usage: %s exact|any|ascii|mixed REPEATS [FILE]\n", arguments[0]);
+        fprintf(stderr, "usage: %s exact|any|ascii|mixed[+values] REPEATS [FILE]\n", arguments[0]);
         return 2;
+    }
+    char *const plus = strchr(arguments[1], '+');
+    const bool values = plus != NULL;
+    if (values) {
+        *plus = '\0';
     }
     const bool exact = strcmp(arguments[1], "exact") == 0;
     const unsigned long repeats = strtoul(arguments[2], NULL, 10);
@@ -126,9 +132,11 @@ int main(int count, char **arguments) {
         return fwrite(stream.bytes, 1, stream.length, stdout) == stream.length ? 0 : 1;
     }
     imu_reader_init(&reader, exact ? OWN_HEADER : NULL, exact ? sizeof OWN_HEADER : 0);
+    volatile float sum = 0.0f;
     for (unsigned long i = 0; i < repeats; i++) {
-        push_all(&reader, stream.bytes, stream.length);
+        sum = push_all(&reader, stream.bytes, stream.length, values);
     }
+    (void)sum;
     printf("bytes %zu binary %" PRIu32 " lines %" PRIu32 " crc %" PRIu32 " checksum %" PRIu32
            " rejects %" PRIu32 " skipped %" PRIu32 "\n",
            stream.length * repeats, reader.counters.binary, reader.counters.lines,

@@ -90,8 +90,8 @@ def estimated(
     lib.estimate_after(estimate, swim.beats, ffi.new("estimate_rest_t *", after))
     while not lib.estimate_finish(estimate):
         pass
-    found = (np.array(ffi.unpack(values, swim.beats)) for values in (speed, sigma))
-    return early[: swim.beats], *found
+    final = [np.array(ffi.unpack(values, swim.beats)) for values in (speed, sigma)]
+    return early[: swim.beats], final[0], final[1]
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)

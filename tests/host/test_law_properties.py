@@ -131,7 +131,7 @@ def test_one_trial_teaches_what_the_formula_says(case: Case) -> None:
     trial = ffi.new("law_trial_t *", fields)
     assert lib.law_update(native_law(case), trial, found, scratch, report) == lib.LAW_OK
     assert errors is not None and seen is not None and visited is not None  # alive until here
-    largest = 1 + np.abs(correction_scale(case)).max()
+    largest = 1 + correction_scale(case).max()
     np.testing.assert_allclose(
         ffi.unpack(found, case.beats), plain_update(case), rtol=0, atol=4e-6 * largest
     )
@@ -146,7 +146,9 @@ def correction_scale(case: Case) -> Floats:
     """How large what is added can be: what float32 rounds grows with it."""
     _, error, measured, _ = case.numbers()
     slope = differences(error, measured, case.law["beat_s"])
-    return np.asarray(case.law["kp_rad_s_m"] * error) + np.abs(case.law["kd_rad_s2_m"] * slope)
+    largest: Floats = np.abs(case.law["kp_rad_s_m"] * error)
+    largest += np.abs(case.law["kd_rad_s2_m"] * slope)
+    return largest
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
