@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import fcntl
 import hashlib
+import os
 import shutil
 import subprocess
 import sys
@@ -76,7 +77,9 @@ def download(dependency: Dependency, into: Path) -> Path:
     wanted.write_text(f"{pin} --hash=sha256:{dependency.sha256}\n")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--require-hashes"]
     command += ["--no-binary", dependency.package, "--dest", str(into), "-r", str(wanted)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # Within a build, pip would look for this package's build system in that of the host tool.
+    env = {key: value for key, value in os.environ.items() if not key.startswith("_PYPROJECT_")}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
     archives = list(into.glob("*.tar.gz"))
     if done.returncode != 0 or len(archives) != 1:
         raise SystemExit(
