@@ -15,6 +15,8 @@ from typing import Any
 
 from tailbeat.errors import InputError
 
+BUILD_IMAGE = "Build it in a clone of tailbeat: make firmware"  # it is no part of the package
+
 _PACKAGE = "tailbeat"
 _INSTALLER = Path("tools") / "bootstrap"
 

@@ -12,6 +12,7 @@ import pytest
 from tailbeat import _native
 from tailbeat._native import ffi, lib
 from tailbeat.errors import InputError
+from tailbeat.extras import BUILD_IMAGE
 from tailbeat.flashing import Backup, Image
 from tailbeat.flashing.backup import new_folder
 
@@ -65,9 +66,7 @@ def test_what_is_no_image(tmp_path: Path, values: dict[str, int], problem: str) 
     path = image(tmp_path / "a.bin", **values)  # type: ignore[arg-type]
     with pytest.raises(InputError) as refused:
         Image.load(path)
-    assert str(refused.value) == (
-        f"{path} is no image for the board: {problem}. Build one with: make firmware"
-    )
+    assert str(refused.value) == (f"{path} is no image for the board: {problem}. {BUILD_IMAGE}")
 
 
 def test_an_elf_by_mistake(tmp_path: Path) -> None:

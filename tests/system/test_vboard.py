@@ -14,6 +14,7 @@ import pytest
 from tailbeat import records
 from tailbeat import reference as references
 from tailbeat.demo import DemoOptions, run_demo
+from tailbeat.extras import BUILD_IMAGE
 from tailbeat.fish import Fish
 
 IMAGE = Path(__file__).parents[2] / "build" / "firmware" / "tailbeat.elf"
@@ -162,4 +163,4 @@ def test_vboard_command_without_an_image() -> None:
         command("vboard", "no-such.elf"), capture_output=True, text=True, check=False
     )
     assert done.returncode != 0
-    assert done.stderr == "tailbeat: there is no flash image no-such.elf. Build it: make firmware\n"
+    assert done.stderr == f"tailbeat: there is no flash image no-such.elf. {BUILD_IMAGE}\n"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tailbeat.errors import InputError, reason
+from tailbeat.extras import BUILD_IMAGE
 
 # Flash bank 0, which alone holds code, and the RAM a stack can lie in.
 _CODE = range(0x00080000, 0x000C0000)
@@ -17,8 +18,6 @@ _RAM_FIRST, _RAM_END = 0x20000000, 0x20088000
 _BUILD_ID = re.compile(rb"tailbeat build id: ([0-9][\x21-\x7e]{0,48})\0")
 # The board says its id in one STATUSTEXT behind "tailbeat ", which cuts a longer one.
 _SENT_CHARS = 40
-
-_REMEDY = "Build one with: make firmware"
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,14 @@ class Image:
         data = _read(path)
         problem = _not_bootable(data)
         if problem:
-            raise InputError(f"{path} is no image for the board: {problem}", _REMEDY)
+            raise InputError(f"{path} is no image for the board: {problem}", BUILD_IMAGE)
         return cls(path, len(data), _build_id(path, data))
 
     def elf(self) -> Path:
         """The .elf next to the .bin. Raises InputError when it is missing or of another build."""
         path = self.path.with_suffix(".elf")
         if build_id_of(path) != self.build_id:
-            raise InputError(f"{path} and {self.path.name} are of different builds", _REMEDY)
+            raise InputError(f"{path} and {self.path.name} are of different builds", BUILD_IMAGE)
         return path
 
     def is_build(self, board_id: str) -> bool:
@@ -60,7 +59,7 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(f"cannot read the image {path} ({reason(error)})", _REMEDY) from error
+        raise InputError(f"cannot read the image {path} ({reason(error)})", BUILD_IMAGE) from error
 
 
 def _not_bootable(data: bytes) -> str:
@@ -82,5 +81,5 @@ def _not_bootable(data: bytes) -> str:
 def _build_id(path: Path, data: bytes) -> str:
     found = {match[1] for match in _BUILD_ID.finditer(data)}
     if len(found) != 1:
-        raise InputError(f"{path} does not say which build of tailbeat it is", _REMEDY)
+        raise InputError(f"{path} does not say which build of tailbeat it is", BUILD_IMAGE)
     return found.pop().decode()

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.errors import InputError, TailbeatError
-from tailbeat.extras import remedy
+from tailbeat.extras import BUILD_IMAGE, remedy
 from tailbeat.transport.inprocess import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
 from tailbeat.transport.world import DEFAULT_SEED, FRAME_US, World, board_number
 
@@ -320,9 +320,7 @@ class EmulatedBoard:
         try:
             return Board(self.image, unique_id=self._unique_id, seed=self.seed)
         except (ImageError, OSError) as error:
-            raise InputError(
-                f"cannot boot this image: {error}", "Build it: make firmware"
-            ) from error
+            raise InputError(f"cannot boot this image: {error}", BUILD_IMAGE) from error
 
     def _new_line(self, name: str, baud: int) -> SerialLine:
         from vboard.wires.serial_line import SerialLine
@@ -443,7 +441,7 @@ def find_image(image: Path | None) -> Path:
     if path.suffix not in (".elf", ".bin"):
         raise InputError(f"{path} is no flash image", "Give the .elf or the .bin that was built.")
     if not path.is_file():
-        raise InputError(f"there is no flash image {path}", "Build it: make firmware")
+        raise InputError(f"there is no flash image {path}", BUILD_IMAGE)
     return path
 
 
