@@ -76,6 +76,12 @@ def _truth(board: SimulatedBoard, said: Sequence[str]) -> str:
     return json.dumps(dataclasses.asdict(board.truth()))
 
 
+def _config(board: SimulatedBoard, said: Sequence[str]) -> str:
+    if said:
+        raise _bad_use("config")
+    return json.dumps({"plant": board.plant, "seed": board.seed, "simulator": board.config})
+
+
 def _help(board: SimulatedBoard, said: Sequence[str]) -> str:
     del board, said
     width = max(len(word.use) for word in WORDS.values())
@@ -122,6 +128,7 @@ _ALL = (
     _choice("power cycle", "power off and on again", {"cycle": lambda b: b.power_cycle()}),
     _numbers("swim NUMBER", "the next swim's noise is that of swim NUMBER", _set_swim),
     Word("truth", "the fish's state as JSON", _truth),
+    Word("config", "plant, seed and all values of the simulator as JSON", _config),
     Word("help", "these lines", _help),
 )
 WORDS = {word.name: word for word in _ALL}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from tailbeat.experiment.replay import Replay, replay, write_redo
 from tailbeat.fish import Fish
 from tailbeat.report.page import Picture
 from tailbeat.report.paper import Drawing, write_report
+from tailbeat.simserver import SimServer
+from tailbeat.transport.simulated import SimBoard
 
 from .swum_experiment import BEATS, REFERENCE, swim_experiment, writable
 
@@ -248,6 +251,24 @@ def test_redo_tells_numbers_as_the_board_holds_them(tmp_path: Path) -> None:
     assert held != 0.68, "single precision"
     assert "tailbeat params set AMP_MAX_RAD 0.68\n" in text
     assert "tailbeat params set LAW_LEAD 2\n" in text and ": set AMP_MAX_RAD = 0.68\n" in text
+
+
+def test_redo_tells_what_fish_another_process_simulated(tmp_path: Path) -> None:
+    """At the radio's port and at the wired console's."""
+    stop = threading.Event()
+    server = SimServer(SimBoard("thesis", seed=7, tail_centre_rad=0.25), "tcp:127.0.0.1:0")
+    serving = threading.Thread(target=server.serve, args=(stop.is_set,))
+    serving.start()
+    try:
+        for number, url in enumerate((server.addresses.listen, server.addresses.console)):
+            with Fish.connect(url) as fish:
+                text = write_redo(make(fish, tmp_path / str(number), REFERENCE)).read_text()
+            assert "- simulated plant: thesis\n- seed: 7\n" in text
+            assert "tailbeat sim --plant thesis --seed 7 --set tail_centre_rad=0.25\n" in text
+    finally:
+        stop.set()
+        serving.join()
+        server.close()
 
 
 def test_redo_tells_what_is_not_known(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from tailbeat.experiment.board import held_state
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.redo import write_redo
 from tailbeat.faults import NO_REFERENCE, refusal
+from tailbeat.simulatorsettings import simulator_settings
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -170,6 +171,8 @@ def make(
     }
     if (sim := fish.sim) is not None:
         settings |= {"plant": sim.plant, "seed": sim.seed, "simulator": sim.config}
+    elif info.simulated:
+        settings |= simulator_settings(fish.transport)
     experiment.write_settings(settings)
     experiment.add_raw(_REFERENCE, reference.record())
     reference.to_csv(experiment.folder / "reference.csv")

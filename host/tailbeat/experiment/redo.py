@@ -19,7 +19,7 @@ _UNRECORDED = (
     " are not known (`--rest`, `--until`, `--camera` and what goes with it); what came of them is,"
     " behind a swim and in `journal.jsonl`."
 )
-_UNKNOWN_SIMULATOR = ("simulated plant", "seed")  # a board in another process does not tell
+_UNKNOWN_SIMULATOR = ("simulated plant", "seed")  # its fault-injection port did not answer
 _ABOUT = {
     "fish": "fish",
     "configuration": "configuration",
