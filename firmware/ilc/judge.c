@@ -22,22 +22,68 @@ bool judge_counts(const law_trial_t *trial, bool complete) {
            longest <= JUDGE_GAP_MAX;
 }
 
-float judge_best_there(const judge_peaks_t *best, const law_trial_t *trial, float otherwise) {
-    for (uint32_t i = 0; i < best->count; i++) {
-        if (is_measured(trial, best->beat[i])) {
-            return best->error_m_s[i];
-        }
-    }
-    return best->count != 0 ? best->error_m_s[best->count - 1u] : otherwise;
+static float peak_size(const judge_peaks_t *peaks, uint32_t i) {
+    return (float)number_abs((number_t)peaks->error_m_s[i]);
 }
 
-static bool is_ahead(const judge_peaks_t *peaks, uint32_t i, uint16_t beat, float error_m_s) {
-    return peaks->error_m_s[i] > error_m_s ||
-           (!(error_m_s > peaks->error_m_s[i]) && peaks->beat[i] < beat);
+/* The best's score on the beats that |trial| measured. */
+static float best_there(const judge_peaks_t *best, float best_m_s, const law_trial_t *trial) {
+    float there = best_m_s;
+    for (uint32_t i = 0; i < best->count; i++) {
+        if (best->error_m_s[i] > 0.0f) {
+            there = best->error_m_s[i];
+            if (is_measured(trial, best->beat[i])) {
+                break;
+            }
+        }
+    }
+    return there;
+}
+
+/* 0 = nothing is carried over there. */
+static float carried_at(const judge_peaks_t *best, uint32_t beat) {
+    for (uint32_t i = 0; i < best->count; i++) {
+        if (best->beat[i] == beat && best->error_m_s[i] < 0.0f) {
+            return -best->error_m_s[i];
+        }
+    }
+    return 0.0f;
+}
+
+static float size_at(const law_trial_t *trial, uint32_t beat) {
+    return is_measured(trial, beat) ? (float)number_abs(trial->error_m_s[beat]) : 0.0f;
+}
+
+bool judge_is_better(const judge_peaks_t *best, float best_m_s, const law_trial_t *trial) {
+    const float there = best_there(best, best_m_s, trial);
+    for (uint32_t k = 0; k < trial->beats; k++) {
+        const float carried = carried_at(best, k), error = size_at(trial, k);
+        const bool excused = carried > 0.0f && error <= carried;
+        if (error >= there && !excused) {
+            return false;
+        }
+    }
+    return true;
+}
+
+bool judge_is_worse(const judge_peaks_t *best, float best_m_s, const law_trial_t *trial,
+                    float ratio) {
+    for (uint32_t k = 0; k < trial->beats; k++) {
+        const float carried = carried_at(best, k);
+        if (size_at(trial, k) > ratio * (carried > best_m_s ? carried : best_m_s)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static bool is_ahead(const judge_peaks_t *peaks, uint32_t i, uint16_t beat, float size_m_s) {
+    return peak_size(peaks, i) > size_m_s ||
+           (!(size_m_s > peak_size(peaks, i)) && peaks->beat[i] < beat);
 }
 
 /* Into its place, unless all are larger. */
-static void add(judge_peaks_t *peaks, uint16_t beat, float error_m_s) {
+static void add(judge_peaks_t *peaks, uint16_t beat, float error_m_s, bool carried) {
     if (!(error_m_s > 0.0f)) {
         return;
     }
@@ -56,7 +102,7 @@ static void add(judge_peaks_t *peaks, uint16_t beat, float error_m_s) {
         peaks->error_m_s[i] = peaks->error_m_s[i - 1u];
     }
     peaks->beat[at] = beat;
-    peaks->error_m_s[at] = error_m_s;
+    peaks->error_m_s[at] = carried ? -error_m_s : error_m_s;
 }
 
 void judge_keep(judge_peaks_t *best, const law_trial_t *trial) {
@@ -64,12 +110,12 @@ void judge_keep(judge_peaks_t *best, const law_trial_t *trial) {
     *best = (judge_peaks_t){0};
     for (uint32_t i = 0; i < before.count; i++) {
         if (!is_measured(trial, before.beat[i])) {
-            add(best, before.beat[i], before.error_m_s[i]);
+            add(best, before.beat[i], peak_size(&before, i), true);
         }
     }
     for (uint32_t k = 0; k < trial->beats; k++) {
         if (is_measured(trial, k)) {
-            add(best, (uint16_t)k, (float)number_abs(trial->error_m_s[k]));
+            add(best, (uint16_t)k, size_at(trial, k), false);
         }
     }
 }

@@ -50,28 +50,26 @@ static void keep_best(memory_t *memory, const law_t *law, const law_trial_t *tri
     judge_keep(&memory->peaks, trial);
 }
 
-static bool is_worse(const memory_t *memory, float max_abs_error_m_s, float ratio) {
-    const float best_m_s =
-        memory->peaks.count != 0 ? memory->peaks.error_m_s[0] : memory->best_max_abs_error_m_s;
-    return memory->best_iteration != 0 && ratio > 0.0f && max_abs_error_m_s > ratio * best_m_s;
+static bool is_worse(const memory_t *memory, const law_trial_t *trial, float ratio) {
+    return memory->best_iteration != 0 && ratio > 0.0f &&
+           judge_is_worse(&memory->peaks, memory->best_max_abs_error_m_s, trial, ratio);
 }
 
-static bool is_better(const memory_t *memory, const law_trial_t *trial, float max_abs_error_m_s) {
+static bool is_better(const memory_t *memory, const law_trial_t *trial) {
     return memory->best_iteration == 0 ||
-           max_abs_error_m_s <
-               judge_best_there(&memory->peaks, trial, memory->best_max_abs_error_m_s);
+           judge_is_better(&memory->peaks, memory->best_max_abs_error_m_s, trial);
 }
 
 /* Notes what a trial's error says about its amplitudes. True when it is the new best. */
 static bool rate(memory_t *memory, const law_t *law, const law_trial_t *trial,
                  float max_abs_error_m_s, bool complete, float ratio) {
     const bool judged = judge_counts(trial, complete);
-    if (judged && is_better(memory, trial, max_abs_error_m_s)) {
+    if (judged && is_better(memory, trial)) {
         keep_best(memory, law, trial, max_abs_error_m_s);
         memory->worse_streak = 0;
         return true;
     }
-    if (is_worse(memory, max_abs_error_m_s, ratio)) {
+    if (is_worse(memory, trial, ratio)) {
         memory->worse_streak++;
     } else if (judged) {
         memory->worse_streak = 0;

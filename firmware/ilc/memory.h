@@ -75,11 +75,10 @@ law_result_t memory_first(memory_t *memory, const law_t *law, const float *refer
                           float *scratch);
 
 /* Learns from |trial| (its amplitudes are the memory's own). |complete| = it was executed to its
- * end. It becomes the best when it is judged (judge.h) and its max |e| is smaller than that of the
- * best on the beats that |trial| measured. A trial whose max |e| over its measured beats exceeds
- * ratio x the largest peak of the best lengthens the streak, judged or not; a judged trial that
- * does not exceed it ends the streak; other trials prove nothing and leave it. The second in a row
- * brings the best back and ends the streak; such a trial corrects nothing and visits nothing.
+ * end. It becomes the best when it is judged and better than the best (judge.h). A trial that is
+ * worse by more than the ratio lengthens the streak, judged or not; a judged trial that is not ends
+ * it; other trials prove nothing and leave it. The second in a row brings the best back and ends
+ * the streak; such a trial corrects nothing and visits nothing.
  * |trial->visits| is not looked at: the memory has its own. LAW_BAD_CONFIG when trial->beats is not
  * the memory's, LAW_BAD_INPUT at iteration 0 (nothing was swum); otherwise refusals as law_update.
  * On refusal nothing changes. */

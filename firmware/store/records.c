@@ -201,9 +201,9 @@ static judge_peaks_t get_peaks(const uint8_t *at) {
 static bool peaks_good(const judge_peaks_t *peaks, uint16_t beats) {
     bool good = peaks->count >= 1u && peaks->count <= JUDGE_PEAKS;
     for (uint32_t i = 0; good && i < peaks->count; i++) {
-        const float error = peaks->error_m_s[i];
-        good = peaks->beat[i] < beats && real_is_finite(error) && error > 0.0f &&
-               (i == 0 || error <= peaks->error_m_s[i - 1u]);
+        const float size = real_abs(peaks->error_m_s[i]);
+        good = peaks->beat[i] < beats && real_is_finite(size) && size > 0.0f &&
+               (i == 0 || size <= real_abs(peaks->error_m_s[i - 1u]));
     }
     return good;
 }

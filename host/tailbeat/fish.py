@@ -305,7 +305,8 @@ class Fish:
     def peaks(self) -> NDArray[np.float32] | None:
         """|e| of the best trial's largest errors at their beats, m/s, and 0 at all others.
 
-        None: the board does not keep them."""
+        Negative where it is an earlier best's, at a beat that the best did not measure. None: the
+        board does not keep them."""
         try:
             return self._stored(_PEAKS).values
         except Refused as refused:

@@ -34,9 +34,8 @@ def best_at(errors: Iterable[Floats]) -> int | None:
     peaks = ffi.new("judge_peaks_t *")
     for at, error_m_s in enumerate(errors):
         native = _Native(error_m_s)
-        score = max_abs(error_m_s)
-        if best is None or score < lib.judge_best_there(peaks, native.trial, best_m_s):
-            best, best_m_s = at, score
+        if best is None or lib.judge_is_better(peaks, best_m_s, native.trial):
+            best, best_m_s = at, max_abs(error_m_s)
             lib.judge_keep(peaks, native.trial)
     return best
 

@@ -284,7 +284,7 @@ class Memory:
     best_max_abs_error_m_s: float
     worse_streak: int
     visits: NDArray[np.uint8] | None = None  # None: none
-    peaks: Floats | None = None  # |e| of the best's largest errors, 0 elsewhere; None: not known
+    peaks: Floats | None = None  # Fish.peaks; None: not known
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ def encode_learned(
     peaks: Float32 | None = None,
 ) -> bytes:
     """All that a board has learned, from what it reports. ``visits`` None: it does not count them.
-    ``peaks``: |e| of the best's largest errors, m/s, 0 at other beats; None: the board does not
+    ``peaks``: the best's largest errors, m/s, 0 at other beats; None: the board does not
     keep them. It gets the form of the record that it knows."""
     struct = ffi.new("memory_t *")
     struct.reference_crc = now.reference_crc
@@ -232,11 +232,12 @@ def decode_learned(record: bytes) -> LearnedRecord:
 
 
 def fill_peaks(peaks: Any, error_m_s: Float32) -> None:
-    """The C code's judge_peaks_t from |e| at the beats of the peaks and 0 at all others."""
-    largest = sorted((-error, beat) for beat, error in enumerate(error_m_s.tolist()) if error > 0)
+    """The C code's judge_peaks_t from its errors at the beats of the peaks and 0 at all others."""
+    listed = [(beat, error) for beat, error in enumerate(error_m_s.tolist()) if error]
+    largest = sorted(listed, key=lambda peak: -abs(peak[1]))
     peaks.count = min(len(largest), len(peaks.beat))
-    for at, (error, beat) in enumerate(largest[: peaks.count]):
-        peaks.beat[at], peaks.error_m_s[at] = beat, -error
+    for at, (beat, error) in enumerate(largest[: peaks.count]):
+        peaks.beat[at], peaks.error_m_s[at] = beat, error
 
 
 def learned_visits(record: bytes) -> bytes:

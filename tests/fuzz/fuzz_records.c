@@ -133,7 +133,7 @@ static void memory_in_bounds(const memory_t *memory) {
         finite(memory->best_rad, memory->beats, 0.0f);
     }
     MUST(memory->peaks.count <= JUDGE_PEAKS);
-    finite(memory->peaks.error_m_s, memory->peaks.count, FLT_TRUE_MIN);
+    finite(memory->peaks.error_m_s, memory->peaks.count, -FLT_MAX);
     for (unsigned i = 0; i < memory->peaks.count; i++) {
         MUST(memory->peaks.beat[i] < memory->beats);
     }

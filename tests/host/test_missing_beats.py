@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from tailbeat import judge, laws, reference
 from tailbeat._native import ffi, lib
 from tailbeat.dryrun import dry_run
+from tailbeat.experiment.analysis import Analysis, _judges_gaps, _rows
+from tailbeat.experiment.relearn import _Board, relearn
+from tailbeat.experiment.told import Told
 from tailbeat.fish import Fish
 from tailbeat.progress import progress_of, scores_of
 from tailbeat.sweep.shoal import Shoal
@@ -25,6 +29,9 @@ from tailbeat.verdict import (
     noise_band,
     repeat_limits,
 )
+
+from . import made_analyses as made
+from .swum_experiment import swim_experiment
 
 Array = NDArray[np.float64]
 
@@ -59,8 +66,10 @@ def test_missing_the_worst_beat_does_not_make_a_trial_the_best() -> None:
     found = judge_all(scores(peak, missed))[-1]
     assert (found.best_trial, found.kind) == (1, "noise")
     assert found.words.endswith("; compared on the 9 of 10 beats both measured")
-    better = judge_all(scores(peak, [1.0] * 4 + [MISSING] + [1.0] * 5, [15.0] * 10))
-    assert [one.best_trial for one in better] == [1, 2, 3]  # 15 against the 16 of beat 4
+    whole = [0.9] * 10
+    whole[4] = 15.0
+    better = judge_all(scores(peak, [1.0] * 4 + [MISSING] + [1.0] * 5, [15.0] * 10, whole))
+    assert [one.best_trial for one in better] == [1, 2, 2, 4]  # 15 against the 16 of beat 4
 
 
 def test_trials_are_comparable_on_the_beats_that_both_measured() -> None:
@@ -305,5 +314,57 @@ def test_an_old_best_without_peaks_counts_with_its_largest_error() -> None:
     assert rolled_back and following.tobytes() == held.best_rad.tobytes()
     fair = laws.learn(law, held, error, measured, True, 1.4)
     assert not fair[2]
-    known = replace(held, peaks=np.where(np.arange(10) == 3, 0.03, 0.01).astype(np.float32))
+    carried = np.where(np.arange(10) == 5, -0.03, 0).astype(np.float32)
+    error = np.where(np.arange(10) == 5, 0.027, 0.02).astype(np.float32)
+    assert laws.learn(law, held, error, measured, True, 1.3)[2]
+    known = replace(held, peaks=carried)
     assert not laws.learn(law, known, error, measured, True, 1.3)[2]  # 27 is below 1.3 x 30
+
+
+def history(judges_gaps: bool) -> Analysis:
+    """Four trials of a board that judges by this rule, and one more; the second has the smallest
+    errors and a missing beat."""
+    params = {"AMP_MAX_RAD": made.LIMIT_RAD, "LAW_GAIN": 4.0, "LAW_LEAD": 1.0, "LAW_TAIL": 0.0}
+    params |= {"LAW_Q_LEN": 1.0, "DU_MAX_RAD": 0.0, "LAW_KD": 0.0, "ROLLBACK_RATIO": 1.3}
+    held = _Board(made.reference(), 1.0, judges_gaps)
+    trials, rows = [], []
+    for number, error in enumerate((0.02, 0.01, 0.0145, 0.0145, 0.012), 1):
+        swum = made.trial(number, number, error, gaps=(7,) if number == 2 else ())
+        made_by = "first" if number == 1 else "restored" if held.rolled_back else "law"
+        swum = replace(swum, params=params, input=made_by)
+        if number == 1:
+            held.first(swum)
+        amplitude = held.next_amplitudes()
+        applied = np.clip(amplitude, 0, np.float32(made.LIMIT_RAD))
+        beats = replace(swum.beats, amplitude_rad=amplitude, applied_rad=applied)
+        swum = replace(swum, beats=beats)
+        held._learn(swum, params, False)
+        assert held.refusal == ""
+        trials.append(swum)
+        rows.append(made.row(swum, input=made_by, rolled_back=held.rolled_back))
+    return made.analysis(trials, rows)
+
+
+@pytest.mark.parametrize("judges_gaps", [True, False])
+def test_what_older_firmware_learned_is_learned_again(judges_gaps: bool) -> None:
+    of = history(judges_gaps)
+    assert [row.rolled_back for row in of.rows] == [False, False, False, judges_gaps, False]
+    found = relearn(of)
+    assert (found.learned, found.different) == ([1, 2, 3, 4], [])
+
+
+def test_a_folder_of_an_older_tool_keeps_its_analysis(tmp_path: Path) -> None:
+    """With the beats missing that made a trial incomplete then."""
+    experiment = swim_experiment(tmp_path)
+    settings = json.loads((experiment.folder / "settings.json").read_text())
+    assert settings["judging"] == 2
+    path = experiment.trial_files()[1]
+    trial = read_trial(path)
+    hole = trial.beats.speed_m_s.copy()
+    hole[4] = MISSING
+    gapped = replace(trial, beats=replace(trial.beats, speed_m_s=hole))
+    told = {path.name: Told(decision="keep", learned=True, swum=True)}
+    for kept, complete in ((settings, True), ({"made": settings["made"]}, False), ({}, True)):
+        (row,) = _rows([(path, gapped)], told, _judges_gaps(kept))
+        assert row.complete == complete
+        assert row.measured_beats == len(hole) - 1

@@ -71,11 +71,11 @@ def test_a_learned_record_with_peaks_and_its_older_forms() -> None:
     )
     now = Amplitudes(5, 3, 0xABCD, np.float32([0.1, 0.2, 0.9]), input=0)
     best = Amplitudes(4, 3, 0xABCD, np.float32([0.3, 0.4, 0.5]))
-    counts, peaks = np.array([1, 2, 3], dtype=np.uint8), np.float32([0.25, 0.0, 0.5])
+    counts, peaks = np.array([1, 2, 3], dtype=np.uint8), np.float32([-0.25, 0.0, 0.5])
     record = records.encode_learned(status, now, best, counts, peaks)
     flat = records.encode_learned(status, now, best, counts)
     assert record[4:6] == b"\3\0"
-    assert record[32:82] == struct.pack("<9H8f", 2, 2, 0, *[0] * 6, 0.5, 0.25, *[0.0] * 6)
+    assert record[32:82] == struct.pack("<9H8f", 2, 2, 0, *[0] * 6, 0.5, -0.25, *[0.0] * 6)
     assert record[12:32] + record[82:] == flat[12:]
     assert records.learned_visits(record) == b"\1\2\3"
     assert records.without_peaks(record) == flat

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -286,6 +287,16 @@ def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_keep_is_no_answer_for_a_swim_without_speeds() -> None:
     person = TerminalPerson(Display(), Typed("kd", ("no camera",)))
     assert person.decide(swum("complete", 0)) == Decision("discard", "no camera")
+
+
+def test_a_few_missing_beats_need_no_answer() -> None:
+    nobody = TerminalPerson(Display(), None, None)
+    one = swum("complete", 39, "1 of 40 beats have no speed")
+    assert nobody.decide(replace(one, judged=True)) == Decision("keep")
+    others = replace(one, judged=True, problems=(*one.problems, "not straight: +20 degrees off"))
+    for wrong in (one, others, replace(one, judged=True, problems=("no beat of it",))):
+        with pytest.raises(Undecided):
+            nobody.decide(wrong)
 
 
 def test_escape_puts_it_off() -> None:

@@ -91,31 +91,64 @@ static void test_a_beat_without_an_error_is_no_peak(void) {
     expect_peaks(1, (const uint16_t[]){39}, (const float[]){0.002f});
 }
 
+static bool is_better(float at_8, float at_20) {
+    errors[8] = at_8;
+    errors[20] = at_20;
+    return judge_is_better(&best, 0.016f, &trial);
+}
+
 static void test_the_best_counts_on_the_beats_that_both_measured(void) {
-    TEST_ASSERT_EQUAL_FLOAT(0.07f, judge_best_there(&best, &trial, 0.07f)); /* none is known */
+    TEST_ASSERT_TRUE(is_better(0.015f, 0.0f)); /* no peaks are known */
+    TEST_ASSERT_FALSE(is_better(0.0f, 0.016f));
     errors[8] = 0.016f;
     errors[20] = -0.006f;
     judge_keep(&best, &trial);
-    TEST_ASSERT_EQUAL_FLOAT(0.016f, judge_best_there(&best, &trial, 0.07f));
+    TEST_ASSERT_TRUE(is_better(-0.015f, 0.007f));
+    TEST_ASSERT_FALSE(is_better(-0.016f, 0.0f));
     miss(8, 1);
-    TEST_ASSERT_EQUAL_FLOAT(0.006f, judge_best_there(&best, &trial, 0.07f));
+    TEST_ASSERT_TRUE(is_better(0.9f, 0.005f));
+    TEST_ASSERT_FALSE(is_better(0.0f, 0.006f));
     miss(20, 1); /* none of them: not larger than the smallest */
-    TEST_ASSERT_EQUAL_FLOAT(0.006f, judge_best_there(&best, &trial, 0.07f));
+    errors[30] = 0.005f;
+    TEST_ASSERT_TRUE(is_better(0.0f, 0.0f));
+    errors[30] = 0.006f;
+    TEST_ASSERT_FALSE(is_better(0.0f, 0.0f));
 }
 
-static void test_a_peak_that_was_not_measured_again_stays(void) {
+static void test_a_peak_that_was_not_measured_again_is_carried_over(void) {
     errors[8] = 0.016f;
     errors[20] = 0.006f;
     judge_keep(&best, &trial);
     miss(8, 1);
-    errors[8] = 0.0f;
+    errors[20] = 0.005f;
+    for (int i = 0; i < 2; i++) { /* and once more */
+        judge_keep(&best, &trial);
+        expect_peaks(2, (const uint16_t[]){8, 20}, (const float[]){-0.016f, 0.005f});
+    }
+    measured[8] = 1;
+    TEST_ASSERT_TRUE(is_better(0.016f, 0.004f)); /* alone with its peak */
+    TEST_ASSERT_FALSE(is_better(0.0161f, 0.004f));
+    TEST_ASSERT_FALSE(is_better(0.0f, 0.005f));
+    errors[8] = 0.002f;
     errors[20] = 0.005f;
     judge_keep(&best, &trial);
-    expect_peaks(2, (const uint16_t[]){8, 20}, (const float[]){0.016f, 0.005f});
-    measured[8] = 1;
-    errors[8] = 0.002f;
-    judge_keep(&best, &trial);
     expect_peaks(2, (const uint16_t[]){20, 8}, (const float[]){0.005f, 0.002f});
+}
+
+static void test_worse_is_beyond_the_score_or_the_carried_peak(void) {
+    errors[8] = 0.016f;
+    judge_keep(&best, &trial);
+    miss(8, 1);
+    errors[20] = 0.005f;
+    judge_keep(&best, &trial);
+    memset(measured, 1, BEATS);
+    errors[8] = 0.019f;
+    TEST_ASSERT_FALSE(judge_is_worse(&best, 0.005f, &trial, 1.25f));
+    errors[20] = 0.0063f;
+    TEST_ASSERT_TRUE(judge_is_worse(&best, 0.005f, &trial, 1.25f));
+    errors[20] = 0.0f;
+    errors[8] = -0.0201f;
+    TEST_ASSERT_TRUE(judge_is_worse(&best, 0.005f, &trial, 1.25f));
 }
 
 /* The law, the memory: a fish whose largest error is always at beat 8. */
@@ -171,12 +204,28 @@ static void test_the_error_of_a_missing_beat_is_not_lost(void) {
     TEST_ASSERT_EQUAL_FLOAT(0.005f, memory.best_max_abs_error_m_s);
     memset(measured, 1, BEATS);
     for (int i = 0; i < 3; i++) {
-        learn(0.017f, 0.006f);
+        learn(0.017f, 0.0051f);
         TEST_ASSERT_FALSE(report.improved);
         TEST_ASSERT_FALSE(report.rolled_back);
     }
-    learn(0.015f, 0.006f);
+    learn(0.017f, 0.004f); /* larger than the one that was carried over */
+    TEST_ASSERT_FALSE(report.improved);
+    learn(0.015f, 0.004f);
     TEST_ASSERT_TRUE(report.improved);
+}
+
+/* Nor does a large one of an early trial make what follows better. */
+static void test_a_carried_error_is_compared_at_its_own_beat_alone(void) {
+    begin();
+    learn(0.02f, 0.02f);
+    miss(3, 1);
+    learn(0.01f, 0.01f);
+    TEST_ASSERT_TRUE(report.improved);
+    memset(measured, 1, BEATS);
+    learn(0.0145f, 0.0145f);
+    TEST_ASSERT_FALSE(report.improved);
+    learn(0.0145f, 0.0145f);
+    TEST_ASSERT_TRUE(report.rolled_back);
 }
 
 static void test_two_bad_trials_with_missing_beats_bring_the_best_back(void) {
@@ -213,10 +262,12 @@ int main(void) {
     RUN_TEST(test_the_largest_errors_are_kept_in_order);
     RUN_TEST(test_a_beat_without_an_error_is_no_peak);
     RUN_TEST(test_the_best_counts_on_the_beats_that_both_measured);
-    RUN_TEST(test_a_peak_that_was_not_measured_again_stays);
+    RUN_TEST(test_a_peak_that_was_not_measured_again_is_carried_over);
+    RUN_TEST(test_worse_is_beyond_the_score_or_the_carried_peak);
     RUN_TEST(test_a_trial_with_a_missing_beat_becomes_the_best);
     RUN_TEST(test_missing_the_worst_beat_does_not_make_a_trial_the_best);
     RUN_TEST(test_the_error_of_a_missing_beat_is_not_lost);
+    RUN_TEST(test_a_carried_error_is_compared_at_its_own_beat_alone);
     RUN_TEST(test_two_bad_trials_with_missing_beats_bring_the_best_back);
     RUN_TEST(test_a_fair_trial_with_a_missing_beat_ends_the_streak);
     return UNITY_END();

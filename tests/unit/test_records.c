@@ -35,7 +35,7 @@ typedef union {
 static any_t out, before;
 
 static const judge_peaks_t peaks = {
-    .count = 3, .beat = {1, 0, 3}, .error_m_s = {0.0125f, 0.01f, 0.01f}};
+    .count = 3, .beat = {1, 0, 3}, .error_m_s = {0.0125f, -0.01f, 0.01f}};
 
 static void fill(uint16_t beats) {
     reference = (reference_t){.beats = beats, .beat_s = 1.0f};
@@ -461,7 +461,7 @@ static void test_bad_peaks_are_refused(void) {
     judge_peaks_t wrong = peaks;
     wrong.beat[1] = BEATS;
     refused_peaks(wrong);
-    const float never[] = {NAN, INFINITY, 0.0f, -0.001f, 0.0126f};
+    const float never[] = {NAN, INFINITY, -INFINITY, 0.0f, -0.0126f};
     for (size_t i = 0; i < 5; i++) {
         wrong = peaks;
         wrong.error_m_s[1] = never[i];

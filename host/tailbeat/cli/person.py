@@ -17,7 +17,7 @@ from tailbeat.cli.livewords import (
     swum_lines,
 )
 from tailbeat.day.person import Decision
-from tailbeat.day.swums import proposed
+from tailbeat.day.swums import is_good, proposed
 from tailbeat.errors import TailbeatError
 from tailbeat.faults import ABORT_COMMAND, fault_info
 from tailbeat.guards import BY_HAND
@@ -110,7 +110,7 @@ class TerminalPerson:
             return self._then
         if self._keys is not None:
             return self._ask(self._keys, swum, proposal)
-        if swum.outcome.end == "complete" and not swum.problems:
+        if is_good(swum):
             return Decision("keep")
         raise Undecided(
             f"trial {swum.outcome.number} waits on the board: {'; '.join(swum.problems)}",

@@ -22,7 +22,7 @@ from tailbeat.logbook import logbook_of
 from tailbeat.records import decode_learned
 from tailbeat.results import BoardStatus
 from tailbeat.trial_log import read_trial
-from tailbeat.verdict import input_crc, score_of
+from tailbeat.verdict import input_crc
 
 if TYPE_CHECKING:
     from tailbeat.camera.base import Camera
@@ -171,9 +171,8 @@ class _Repeating:
         return self.person.confirm(question)
 
     def decide(self, swum: Swum) -> Decision:
-        judged = score_of(read_trial(swum.file)).judged
         decision = self.person.decide(swum)
-        if decision.kind != "discard" and not judged:
+        if decision.kind != "discard" and not swum.judged:
             why = proposed(swum)
             text = why.reason or f"{swum.measured_beats} of {swum.beats} beats have a speed"
             decision = Decision("discard", f"tells no shift: {text}")

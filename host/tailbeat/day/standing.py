@@ -130,7 +130,7 @@ def _next(found: Standing) -> str:
 
 def _best(found: Standing) -> str:
     if not found.best_trial:
-        return ", no complete trial yet"
+        return ", no judged trial yet"
     return f", best trial {found.best_trial} ({found.best_max_abs_error_m_s * 1e3:.1f} mm/s)"
 
 

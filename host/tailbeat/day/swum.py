@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 class Swum:
     """``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``:
     what the ritual found; None = there was none. ``measured_beats``: of ``beats`` of the reference.
-    ``problems``: what speaks against keeping it, in words (few speeds, not straight)."""
+    ``problems``: what speaks against keeping it, in words (few speeds, not straight). ``judged``:
+    enough of its beats are measured (verdict.Score)."""
 
     outcome: TrialOutcome
     file: Path
@@ -29,3 +30,4 @@ class Swum:
     battery_start_v: float | None
     battery_end_v: float | None
     problems: tuple[str, ...] = ()
+    judged: bool = False

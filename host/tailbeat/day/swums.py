@@ -11,10 +11,11 @@ import numpy as np
 from tailbeat.bump import bump_of
 from tailbeat.day.person import Decision
 from tailbeat.day.swum import Swum
-from tailbeat.day.unmeasured import unmeasured
+from tailbeat.day.unmeasured import NO_SPEED, unmeasured
 from tailbeat.faults import ABORT_COMMAND, WALL, fault_info
 from tailbeat.guards import BY_HAND
 from tailbeat.model.swim import swim_of
+from tailbeat.verdict import score_of
 
 if TYPE_CHECKING:
     from tailbeat.day.logs import Log
@@ -45,6 +46,7 @@ def swum_of(outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: str =
         battery_start_v=ready.battery_v if ready else (volts[0] if volts else None),
         battery_end_v=volts[-1] if volts else None,
         problems=tuple(_problems(outcome, log, measured, stopped or log.stopped)),
+        judged=score_of(trial).judged,
     )
 
 
@@ -67,6 +69,13 @@ def _unmeasured(trial: Trial, measured: int) -> list[str]:
         return ["no beat has a speed: there is nothing to learn from"]
     words = unmeasured(trial)
     return [words] if words else []
+
+
+def is_good(swum: Swum) -> bool:
+    """Whether nobody need be asked: it was executed to its end, and nothing speaks against it but
+    a few missing beats."""
+    others = [one for one in swum.problems if not (swum.judged and NO_SPEED in one)]
+    return swum.outcome.end == "complete" and not others
 
 
 def stopped_by(problems: Iterable[str]) -> str:

@@ -11,6 +11,8 @@ from tailbeat.results import SPEED_SOURCES
 if TYPE_CHECKING:
     from tailbeat.trial_log import Trial
 
+NO_SPEED = "beats have no speed"
+
 
 def unmeasured(trial: Trial) -> str:
     """In words; empty when every beat that was swum has a speed."""
@@ -18,7 +20,7 @@ def unmeasured(trial: Trial) -> str:
     missing = np.flatnonzero(~known)
     if not missing.size:
         return ""
-    words = f"{missing.size} of {trial.executed_beats} beats have no speed"
+    words = f"{missing.size} of {trial.executed_beats} {NO_SPEED}"
     hole_s = _longest_hole_s(trial, missing)
     if not hole_s:
         return words
