@@ -64,13 +64,18 @@ def means(times_s: Floats, speeds_m_s: Floats, edges_s: Floats) -> Floats:
 
 
 def estimated(
-    swim: Swim, source: int, slots: list[dict[str, Any]], before: Any, after: Any
+    swim: Swim,
+    source: int,
+    slots: list[dict[str, Any]],
+    before: Any,
+    after: Any,
+    sigma_max_m_s: float = 1e6,
 ) -> tuple[list[Any], Floats, Floats]:
     """Provisional beats, final speeds, sigmas: as the board goes through a trial."""
     config = ffi.new("estimate_config_t *", {
         "source": ffi.cast("speed_source_t", source), "beat_s": swim.beat_s, "beats": swim.beats,
         "vision": {"window_s": 0.0, "gap_max_s": 0.5, "plausible_m_s": 0.5},
-        "rest_sigma_m_s": 0.003, "rest_min_s": 5.0, "sigma_max_m_s": 1e6,
+        "rest_sigma_m_s": 0.003, "rest_min_s": 5.0, "sigma_max_m_s": sigma_max_m_s,
         "model_sigma": 0.25,
     })  # fmt: skip
     speed, sigma = ffi.new("float[]", 512), ffi.new("float[]", 512)
@@ -94,6 +99,15 @@ def estimated(
     return early[: swim.beats], final[0], final[1]
 
 
+def camera_slots(swim: Swim, at_ms: npt.NDArray[np.int64], speeds: Floats) -> list[dict[str, Any]]:
+    """One sample of 1 mm/s a slot, no IMU."""
+    return [
+        {"index": i, "samples": 1, "at_ms": int(ms), "speed_m_s": float(v), "sigma_10um_s": 100,
+         "gain_10um_s": lib.NATIVE_SPEED_NO_MOTION}
+        for i, (ms, v) in enumerate(zip(at_ms, speeds, strict=True))
+    ]  # fmt: skip
+
+
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(swims)
 def test_a_camera_alone_gives_the_mean_of_its_line_over_each_beat(swim: Swim) -> None:
@@ -101,11 +115,7 @@ def test_a_camera_alone_gives_the_mean_of_its_line_over_each_beat(swim: Swim) ->
     at_ms = random.integers(0, 100, swim.slots)
     times_s = SLOT_S * np.arange(swim.slots) + 1e-3 * at_ms
     speeds = swim.wave(times_s)
-    slots = [
-        {"index": i, "samples": 1, "at_ms": int(ms), "speed_m_s": float(v), "sigma_10um_s": 100,
-         "gain_10um_s": lib.NATIVE_SPEED_NO_MOTION}
-        for i, (ms, v) in enumerate(zip(at_ms, speeds, strict=True))
-    ]  # fmt: skip
+    slots = camera_slots(swim, at_ms, speeds)
     early, speed, sigma = estimated(swim, VISION, slots, {}, {})
     wanted = means(times_s, speeds, swim.edges_s())
     assert all(beat.measured for beat in early)
@@ -115,6 +125,16 @@ def test_a_camera_alone_gives_the_mean_of_its_line_over_each_beat(swim: Swim) ->
     whole = swim.beat_s / SLOT_S
     assert np.all((samples >= whole - 1) & (samples <= whole + 4))
     np.testing.assert_allclose(sigma, 1e-3 / np.sqrt(samples), rtol=0.05)
+
+
+def test_a_camera_that_freezes_at_the_end_leaves_the_last_of_512_beats_unmeasured() -> None:
+    swim = Swim(512, 10, 1)
+    speeds = swim.wave(SLOT_S * np.arange(swim.slots))
+    speeds[1010:] = speeds[1010]
+    slots = camera_slots(swim, np.full(swim.slots, 50), speeds)
+    _, speed, _ = estimated(swim, VISION, slots, {}, {}, sigma_max_m_s=0.005)
+    assert np.isfinite(speed[:500]).all()
+    assert np.isnan(speed[510:]).all()
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)

@@ -243,6 +243,16 @@ static void test_the_memory_tells_what_made_its_amplitudes(void) {
     TEST_ASSERT_EQUAL(MEMORY_INPUT_RESTORED, memory.input);
 }
 
+/* Beyond the ratio, not at it. */
+static void test_a_trial_at_the_ratio_is_not_worse(void) {
+    first();
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.25f, true, 2.0f));
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.5f, true, 2.0f));
+    TEST_ASSERT_EQUAL(0, memory.worse_streak);
+    TEST_ASSERT_EQUAL(LAW_OK, learn(0.5001f, true, 2.0f));
+    TEST_ASSERT_EQUAL(1, memory.worse_streak);
+}
+
 static void test_ratio_zero_never_rolls_back(void) {
     first();
     TEST_ASSERT_EQUAL(LAW_OK, learn(0.01f, true, 0.0f));
@@ -335,6 +345,7 @@ int main(void) {
     RUN_TEST(test_a_rollback_visits_nothing_and_forgets_no_visit);
     RUN_TEST(test_what_was_rarely_reached_keeps_the_full_gain);
     RUN_TEST(test_the_memory_tells_what_made_its_amplitudes);
+    RUN_TEST(test_a_trial_at_the_ratio_is_not_worse);
     RUN_TEST(test_ratio_zero_never_rolls_back);
     RUN_TEST(test_an_improvement_is_never_a_bad_trial);
     RUN_TEST(test_refusals_change_nothing);
