@@ -82,7 +82,7 @@ def test_power_cycle_keeps_what_is_stored(image: Path) -> None:
         fish.sim.power_cycle()
         fish.link.run(1.0)
         assert fish.params.get("LAW_GAIN").value == 5.5
-        assert fish.params.get("LAW_LEAD").value == 0
+        assert fish.params.get("LAW_LEAD").value == 1
         assert fish.status().battery_v == pytest.approx(7.3, abs=0.03)
         assert fish.health()["reset_cause"] == "power"
         assert fish.sim.board_time_s < 5
