@@ -96,18 +96,18 @@ check: ## formatting, types, static analysis, who includes whom
 	@$(MAKE) package
 	$(BIN)/ruff check --quiet $(PYTHON_SOURCES)
 	$(BIN)/ruff format --quiet --check $(PYTHON_SOURCES)
-	$(BIN)/mypy
-	@$(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
+	@$(STEP) mypy $(BIN)/mypy
+	@$(STEP) clang-format $(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
 	$(BIN)/python tools/check_includes.py
 	$(BIN)/python tools/protocol_tables.py --check
-	tools/check_c
+	@$(STEP) "static analysis" tools/check_c
 
 clean: ## remove everything that was built, but not .venv
 	rm -rf build
 
 lock: bootstrap ## pin the newest versions of the Python packages
-	@$(BIN)/python -m pip install --quiet uv
-	$(PYTHON) tools/lock.py --uv $(BIN)/uv --upgrade
+	@$(STEP) "installing uv" $(BIN)/python -m pip install uv
+	@$(STEP) "pinning the packages" $(PYTHON) tools/lock.py --uv $(BIN)/uv --upgrade
 
 bootstrap:
 	@tools/bootstrap
