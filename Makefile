@@ -105,9 +105,9 @@ check: ## formatting, types, static analysis, who includes whom
 clean: ## remove everything that was built, but not .venv
 	rm -rf build
 
-lock: bootstrap ## pin the newest versions of the Python packages
-	@$(STEP) "installing uv" $(BIN)/python -m pip install uv
-	@$(STEP) "pinning the packages" $(PYTHON) tools/lock.py --uv $(BIN)/uv --upgrade
+lock: bootstrap ## pin the newest versions of the Python packages; with KEEP=1 the present ones
+	@$(STEP) "installing uv" $(BIN)/python -m pip install --progress-bar off uv
+	@$(STEP) "pinning the packages" $(PYTHON) tools/lock.py --uv $(BIN)/uv $(if $(KEEP),,--upgrade)
 
 bootstrap:
 	@tools/bootstrap
