@@ -83,9 +83,9 @@ firmware: package ## the image that is flashed to the fish: build/firmware/tailb
 	@$(STEP) "building the firmware" cmake --build build/firmware --target tailbeat_image
 	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
 
-flash: firmware package ## write the image to the fish: make flash PORT=/dev/ttyACM0
+flash: firmware package ## write the image to the fish: make flash PORT=/dev/ttyACM0 FLASH_OPTIONS=--no-keep
 	@tools/bootstrap flash
-	@$(BIN)/tailbeat flash build/firmware/tailbeat.bin --port "$(PORT)"
+	@$(BIN)/tailbeat flash build/firmware/tailbeat.bin --port "$(PORT)" $(FLASH_OPTIONS)
 
 size: firmware ## bytes, biggest symbols, deepest stack; fails over the budgets
 	@tools/bootstrap size

@@ -26,6 +26,14 @@ class ConnectError(TailbeatError):
     """No board was found, or what was found is not one."""
 
 
+class NoBoardError(ConnectError):
+    """A port is open, but no tailbeat board answers on it. ``heard``: ``Hearing.kind``."""
+
+    def __init__(self, heard: str, message: str, remedy: str) -> None:
+        super().__init__(message, remedy)
+        self.heard = heard
+
+
 class LinkLostError(TailbeatError):
     """The board answered before and does not any more."""
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tailbeat import _dialect as mavlink
 from tailbeat import records
 from tailbeat.cli import run as run_command
 from tailbeat.errors import ConnectError, InputError, TailbeatError
@@ -30,13 +31,15 @@ from tailbeat.flashing import (
     put_back,
 )
 from tailbeat.flashing.keep import key_warning
-from tailbeat.flashing.ports import BoardPort, PortKind
+from tailbeat.flashing.ports import BoardPort
 from tailbeat.flashing.programs import Outcome, run_program
 from tailbeat.keys import KeyStore
 from tailbeat.provision import HELD, OPEN, set_key, trust_of
+from tailbeat.transport.hearing import START_LINE
 from tailbeat.transport.simulated import CONSOLE, FLASH_BYTES, RADIO, SimBoard, SimTransport
+from tailbeat.transport.usbids import USB_IDS, PortKind
 
-ACM, USB = "/dev/ttyACM0", "/dev/ttyACM1"
+ACM, USB, CLONE = "/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0"
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -62,7 +65,7 @@ def write(path):
     chip["image"] = pathlib.Path(path).read_bytes().hex()
 """
 BOSSAC = """
-usb = chip["port"] != "ttyACM0"
+usb = chip["port"] == "ttyACM1"
 if not usb:
     reset()
 if arguments[:2] != ["--port=" + chip["port"], f"-U{int(usb)}"] or chip["mode"] != "loader":
@@ -101,19 +104,36 @@ class Listed:
     pid: int | None
 
 
+IDS = {kind: ids for ids, kind in USB_IDS.items()}
+
+
 def listed(device: str, kind: PortKind) -> Listed:
-    return Listed(device, *kind.value)
+    return Listed(device, *IDS[kind])
+
+
+def damaged_heartbeat() -> bytes:
+    """A board's frame with a wrong checksum."""
+    frame = bytearray(
+        mavlink.MAVLink_heartbeat_message(12, 0, 0, 0, 3, 3).pack(
+            mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        )
+    )
+    frame[-1] ^= 0x55
+    return bytes(frame)
 
 
 class DeadTransport:
-    """A port behind which nobody speaks."""
+    """A port behind which no board answers."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, sends: bytes = b"") -> None:
         self.name = name
         self._now_s = 0.0
+        self._sends = sends
 
     def read(self) -> bytes:
-        return b""
+        """What another program, or firmware that hangs, sends after a reset."""
+        sent, self._sends = self._sends, b""
+        return sent
 
     def write(self, data: bytes) -> None:
         """Nobody hears it."""
@@ -146,7 +166,9 @@ class Due:
     away_until_s: float = 0.0
     on_open: Callable[[], None] = lambda: None
     on_radio: SimBoard | None = None
-    reachable: tuple[str, ...] = (ACM, "radio")
+    reachable: tuple[str, ...] = (ACM, CLONE, "radio")
+    sends: bytes = b""
+    pressed_at_s: float | None = None  # when somebody presses ERASE and RESET
 
     def __post_init__(self) -> None:
         self.state(mode="firmware", boot=True, image="00", stored=True, port="ttyACM0",
@@ -183,7 +205,7 @@ class Due:
     def touch(self, port: BoardPort) -> None:
         self.on_touch()
         self.touched.append(port.device)
-        if port.kind is PortKind.PROGRAMMING:
+        if port.talks:
             self.state(mode="loader", boot=False, image=None, stored=False)
         else:
             self.state(mode="loader", boot=False, port="ttyACM1")
@@ -193,6 +215,9 @@ class Due:
 
     def sleep(self, duration_s: float) -> None:
         self.now_s += duration_s
+        if self.pressed_at_s is not None and self.now_s >= self.pressed_at_s:
+            self.pressed_at_s = None
+            self.state(mode="loader", boot=False, image=None, stored=False)
 
     def open_transport(self, url: str | None, **_: float) -> SimTransport | DeadTransport:
         """Opening the programming port resets the chip."""
@@ -200,21 +225,22 @@ class Due:
         if url == "radio" and self.on_radio is not None:
             return SimTransport(self.on_radio)
         chip = self.chip()
-        if url == ACM:
+        if url in (ACM, CLONE):
             chip["mode"] = "firmware" if chip["boot"] and chip["image"] else "loader"
         if url not in self.reachable or chip["mode"] != "firmware" or "boot" in chip["broken"]:
-            return DeadTransport(str(url))
+            return DeadTransport(str(url), self.sends)
         if not chip["stored"]:
             self.board.flash = b"\xff" * FLASH_BYTES
             self.state(stored=True)
         self.board.power_cycle()
-        return SimTransport(self.board, CONSOLE if url == ACM else RADIO)
+        return SimTransport(self.board, CONSOLE if url in (ACM, CLONE) else RADIO)
 
     def around(self, **changes: Any) -> Surroundings:
         values: dict[str, Any] = {
             "enumerate_ports": self.enumerate_ports,
             "require_free": self.require_free,
             "touch": self.touch,
+            "restart": lambda port: self.sends,
             "sleep": self.sleep,
             "now_s": lambda: self.now_s,
         }
@@ -225,6 +251,7 @@ class Due:
         image: Path,
         around: Surroundings | None = None,
         tell: Callable[[str], None] = lambda line: None,
+        confirm: Callable[[str], bool] = lambda question: False,
         **plan: Any,
     ) -> FlashReport:
         plan = {"out": self.folder / "backups"} | plan
@@ -233,6 +260,7 @@ class Due:
             lambda at, text: self.steps.append((at, text)),
             around or self.around(),
             tell,
+            confirm,
         )
 
 
@@ -549,15 +577,90 @@ def test_the_loader_of_another_board_is_left_alone(due: Due, image: Path) -> Non
     assert {call[1] for call in due.calls} == {"--port=ttyACM1"}
 
 
-def test_native_port_alone_cannot_be_asked(due: Due, image: Path) -> None:
-    due.ports = [listed(USB, PortKind.NATIVE)]
-    with pytest.raises(ConnectError, match="cannot be talked to") as refused:
-        due.flash(image)
-    assert "--no-keep" in refused.value.remedy
-    assert due.touched == []
-    report = due.flash(image, keep=False)
-    assert not report.verified
+def test_native_port_alone_is_a_sketch_and_has_nothing_to_keep(due: Due, image: Path) -> None:
+    due.ports = [listed(USB.replace("1", "7"), PortKind.NATIVE)]
+    report = due.flash(image)
+    assert due.touched == ["/dev/ttyACM7"]
+    assert (report.verified, report.backup) == (False, None)
+    assert "another program than tailbeat" in report.notes[0]
     assert report.notes[1].startswith("the board was not asked which build it runs")
+
+
+@pytest.mark.parametrize(
+    "sends",
+    [b"", b"Hello from a sketch\r\n", b"\x80", bytes(range(128, 200))],
+    ids=["silence", "text", "noise", "another speed"],
+)
+def test_a_due_with_a_sketch_is_flashed_without_a_flag(due: Due, image: Path, sends: bytes) -> None:
+    """As it comes from the factory."""
+    due.sends = sends
+    due.state(broken=["boot"])
+    due.on_touch = lambda: due.state(broken=[])
+    report = due.flash(image)
+    assert report.verified
+    assert (report.backup, due.touched) == (None, [ACM])
+    assert report.notes == [
+        f"{ACM}: the board runs another program than tailbeat, or none: nothing to save"
+    ]
+
+
+# Clones and custom boards: a port that is named
+
+
+def clone(due: Due, vendor: int | None) -> None:
+    due.ports = [Listed(CLONE, vendor, None if vendor is None else 0x7523)]
+    due.state(port="ttyUSB0")
+
+
+@pytest.mark.parametrize("vendor", [0x1A86, None], ids=["CH340", "no USB"])
+def test_a_clone_is_erased_by_hand(
+    due: Due, taught: Content, image: Path, vendor: int | None
+) -> None:
+    clone(due, vendor)
+    due.pressed_at_s = 5.0
+    told: list[str] = []
+    report = due.flash(image, port=CLONE, tell=told.append, confirm=lambda question: True)
+    assert told == [
+        f"{CLONE} cannot erase the board. Hold the board's ERASE button for at least 1 s, release"
+        " it, and press RESET. Waiting 120 s for the boot loader."
+    ]
+    assert due.touched == []
+    assert report.verified
+    assert on_board(due).learned == taught.learned
+
+
+@pytest.mark.parametrize("answer", [True, False])
+def test_an_unknown_port_is_touched_only_after_a_question(
+    due: Due, taught: Content, image: Path, answer: bool
+) -> None:
+    clone(due, 0x1B4F)
+    due.pressed_at_s = None if answer else 5.0
+    asked: list[str] = []
+
+    def confirm(question: str) -> bool:
+        assert due.touched == []
+        asked.append(question)
+        return answer
+
+    assert due.flash(image, port=CLONE, confirm=confirm).verified
+    assert due.touched == ([CLONE] if answer else [])
+    (question,) = asked
+    assert question.startswith(f"{CLONE} has the USB ids 1b4f:7523, which are not a Due's.")
+    assert on_board(due).learned == taught.learned
+
+
+def test_nobody_presses_the_buttons(due: Due, image: Path) -> None:
+    clone(due, 0x1A86)
+    with pytest.raises(FlashError, match="boot loader did not answer on /dev/ttyUSB0 within 120"):
+        due.flash(image, port=CLONE)
+
+
+def test_a_clone_that_was_erased_already(due: Due, image: Path) -> None:
+    clone(due, 0x1A86)
+    due.state(mode="loader", boot=False, image=None, stored=False)
+    told: list[str] = []
+    assert due.flash(image, port=CLONE, tell=told.append).verified
+    assert told == []
 
 
 def test_loader_that_waits_on_usb(due: Due, image: Path) -> None:
@@ -628,12 +731,35 @@ def untouched(due: Due, image: Path, **plan: Any) -> TailbeatError:
     return refused.value
 
 
-def test_a_silent_board(due: Due, image: Path) -> None:
+@pytest.mark.parametrize("sends", [START_LINE + b"\r\n", damaged_heartbeat()])
+def test_a_board_whose_firmware_hangs(due: Due, image: Path, sends: bytes) -> None:
+    due.sends = sends
     due.state(broken=["boot"])
     error = untouched(due, image)
     assert "does not answer, so what it holds cannot be saved" in error.message
-    assert error.remedy.startswith("Nothing was heard. Check that it is switched on")
     assert "--no-keep" in error.remedy
+
+
+def test_a_hang_that_only_a_certain_reset_shows(due: Due, image: Path) -> None:
+    """Opening the port need not reset the board; the rise of DTR does."""
+    due.state(broken=["boot"])
+    due.on_open = lambda: setattr(due, "sends", b"")
+    around = due.around(restart=lambda port: START_LINE + b"\r\n")
+    with pytest.raises(ConnectError, match="starts, but then does not answer, so what it") as why:
+        due.flash(image, around)
+    assert "--no-keep" in why.value.remedy
+    assert due.touched == []
+
+
+def test_silence_elsewhere_is_no_proof(due: Due, image: Path) -> None:
+    """On the radio nothing resets the board; on a clone's port perhaps nothing does."""
+    due.state(broken=["boot"])
+    assert "cannot be saved" in untouched(due, image, connect="radio").message
+    clone(due, 0x1A86)
+    with pytest.raises(ConnectError, match="no tailbeat board answers") as refused:
+        due.flash(image, port=CLONE)
+    assert refused.value.remedy.endswith("and press RESET. Then run the same command again.")
+    assert due.touched == []
 
 
 def test_a_port_that_may_not_be_opened(
@@ -644,7 +770,7 @@ def test_a_port_that_may_not_be_opened(
 
     monkeypatch.setattr("tailbeat.fish.open_transport", refused)
     due.state(mode="firmware")
-    assert untouched(due, image).remedy.startswith("Join the group dialout. If it cannot answer")
+    assert untouched(due, image).remedy.startswith("Join the group dialout. If its firmware hangs")
 
 
 @pytest.mark.usefixtures("taught")

@@ -23,12 +23,13 @@ from tailbeat.errors import ConnectError, InputError
 from tailbeat.fish import Fish
 from tailbeat.flashing import FlashPlan, Surroundings, flash, ports
 from tailbeat.flashing.keep import keep
-from tailbeat.flashing.ports import BoardPort, PortKind
+from tailbeat.flashing.ports import BoardPort
 from tailbeat.flashing.programs import Outcome, run_program
 from tailbeat.flashing.putback import put_back
 from tailbeat.simserver import SimServer
-from tailbeat.transport.serialport import SerialTransport
+from tailbeat.transport.serialport import SerialTransport, likely_ports
 from tailbeat.transport.simulated import FLASH_BYTES, SimBoard, SimTransport
+from tailbeat.transport.usbids import USB_IDS, PortKind
 
 ACM = "/dev/ttyACM0"
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
@@ -40,10 +41,15 @@ class Listed:
     device: str
     vid: int | None = None
     pid: int | None = None
+    description: str = ""
+    name: str = ""
+
+
+IDS = {kind: ids for ids, kind in USB_IDS.items()}
 
 
 def listed(device: str, kind: PortKind) -> Listed:
-    return Listed(device, *kind.value)
+    return Listed(device, *IDS[kind])
 
 
 OTHERS = [Listed("/dev/ttyS0"), Listed("/dev/ttyUSB0", 0x0403, 0x6001), Listed("/dev/x", 0x2341, 1)]
@@ -52,11 +58,22 @@ OTHERS = [Listed("/dev/ttyS0"), Listed("/dev/ttyUSB0", 0x0403, 0x6001), Listed("
 # Which port
 
 
-@pytest.mark.parametrize("kind", list(PortKind))
-def test_the_only_port_is_found_among_others(kind: PortKind) -> None:
-    found = ports.find_port(None, lambda: [*OTHERS, listed(ACM, kind)])
-    assert found == BoardPort(ACM, kind)
-    assert found.by_usb == (kind is not PortKind.PROGRAMMING)
+@pytest.mark.parametrize(
+    "ids",
+    [(0x2341, 0x003D), (0x2341, 0x003E), (0x2A03, 0x003D), (0x2A03, 0x003E), (0x03EB, 0x6124)],
+    ids=lambda ids: f"{ids[0]:04x}:{ids[1]:04x}",
+)
+def test_the_only_port_is_found_among_others(
+    ids: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Arduino sold the Due under the vendors 2341 and 2A03."""
+    found = ports.find_port(None, lambda: [*OTHERS, Listed(ACM, *ids)])
+    kinds = {0x003D: PortKind.PROGRAMMING, 0x003E: PortKind.NATIVE, 0x6124: PortKind.SAM_BA}
+    assert found == BoardPort(ACM, kinds[ids[1]])
+    assert found.by_usb == (ids[1] != 0x003D)
+    plugged = [*OTHERS, Listed(ACM, *ids)]
+    monkeypatch.setattr("tailbeat.transport.serialport.list_ports.comports", lambda: plugged)
+    assert list(likely_ports()) == ([ACM] if ids[0] in (0x2341, 0x2A03) else [])
 
 
 def test_no_board() -> None:
@@ -75,13 +92,25 @@ def test_several_boards() -> None:
     assert ports.find_port("/dev/ttyACM1", both).kind is PortKind.NATIVE
 
 
-def test_a_port_of_another_make_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("port", "touched"),
+    [(Listed("/dev/ttyUSB0", 0x1A86, 0x7523), False), (OTHERS[1], False), (OTHERS[0], False),
+     (Listed("/dev/ttyACM3", 0x1B4F, 0x003D), True)],
+)  # fmt: skip
+def test_a_port_of_another_make_is_taken_when_it_is_named(port: Listed, touched: bool) -> None:
+    found = ports.find_port(port.device, lambda: [port, listed(ACM, PortKind.NATIVE)])
+    assert (found.device, found.kind) == (port.device, PortKind.OTHER)
+    assert (found.may_be_touched, found.by_usb) == (touched, False)
+    with pytest.raises(ConnectError, match="no board is plugged in"):
+        ports.find_port(None, lambda: [port])
+
+
+def test_a_port_that_is_not_there() -> None:
     with pytest.raises(ConnectError) as refused:
-        ports.find_port("/dev/ttyUSB0", lambda: [*OTHERS, listed(ACM, PortKind.NATIVE)])
+        ports.find_port("/dev/no-such-port", lambda: [*OTHERS, listed(ACM, PortKind.NATIVE)])
     assert str(refused.value) == (
-        "/dev/ttyUSB0 is not a port of the board (those are: /dev/ttyACM0). Plug the USB cable into"
-        " the board's programming port; ports are told by their USB ids (2341:003d, 2341:003e,"
-        " 03eb:6124)."
+        "there is no port /dev/no-such-port (ports of boards: /dev/ttyACM0). Check the cable (it"
+        " must carry data) and the name."
     )
 
 
@@ -164,7 +193,12 @@ class Line:
 
 
 @pytest.mark.parametrize(
-    ("kind", "after"), [(PortKind.PROGRAMMING, ["baudrate 115200"]), (PortKind.NATIVE, [])]
+    ("kind", "after"),
+    [
+        (PortKind.PROGRAMMING, ["baudrate 115200"]),
+        (PortKind.NATIVE, []),
+        (PortKind.OTHER, ["baudrate 115200"]),
+    ],
 )
 def test_the_touch(kind: PortKind, after: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Left at 1200 baud, the programming port would erase the board again at the next open."""

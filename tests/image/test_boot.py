@@ -11,6 +11,7 @@ from tailbeat.errors import Refused
 from tailbeat.fish import Fish
 from tailbeat.transport.emulated import EmulatedBoard
 from tailbeat.transport.find import hear_board
+from tailbeat.transport.hearing import Hearing
 from tailbeat.transport.inprocess import CONSOLE, RADIO, SimTransport
 from vboard.core.clock import TICKS_PER_US
 
@@ -30,6 +31,7 @@ CLOCK_WRITES = [
 ]
 FIRST_BYTE_S = 0.1
 SLOWEST_PAGE_US = 10_000.0
+HANGS_US = 1e9
 POWER_UP = 0
 
 NewBoard = Callable[..., EmulatedBoard]
@@ -95,6 +97,19 @@ def test_the_first_bytes_come_soon(new_board: NewBoard) -> None:
     first_s = board.board.now_s
     print(f"first bytes {first_s * 1000:.0f} ms after reset, on an empty flash")
     assert first_s < FIRST_BYTE_S
+
+
+@pytest.mark.parametrize("page_us", [SLOWEST_PAGE_US, HANGS_US], ids=["slow flash", "it hangs"])
+def test_the_console_tells_the_start_whatever_comes_after(
+    new_board: NewBoard, page_us: float
+) -> None:
+    """By this line `tailbeat flash` knows firmware that hangs from a new board."""
+    board = new_board()
+    board.board.periph["EEFC1"].timing.erase_write_us = page_us
+    board.run(FIRST_BYTE_S)
+    heard = Hearing("console")
+    heard.add(board.read(CONSOLE), 0.0)
+    assert heard.kind == "hung"
 
 
 def test_the_servo_pin_is_driven_low_at_once(new_board: NewBoard) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -52,6 +55,9 @@ def flash(
             "--connect", metavar="URL", help="Where to talk to the board, if not by --port."
         ),
     ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Do not ask before a port of another make is touched.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Write new firmware; parameters, reference and what was learned go back onto the board.
@@ -67,11 +73,44 @@ def flash(
     from tailbeat.flashing import flash as write_image
 
     plan = FlashPlan(image, port or None, tool.value, keep, out, connect, adapter)
-    with progress_bar(json, "flash") as show:
+    screen = _Screen(json)
+    try:
         report = write_image(
-            plan, show, tell=lambda line: typer.echo(f"tailbeat: {line}", err=True)
+            plan, screen.show, tell=screen.tell, confirm=lambda text: yes or screen.ask(text)
         )
+    finally:
+        screen.clear()
     say(json, report, lambda: _flash_text(report))
+
+
+class _Screen:
+    """A progress bar that is gone while something is said or asked."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+        self._bar = ExitStack()
+        self._show: Callable[[float, str], None] | None = None
+
+    def show(self, fraction: float, text: str) -> None:
+        """How far it is."""
+        if self._show is None:
+            self._show = self._bar.enter_context(progress_bar(self._as_json, "flash"))
+        self._show(fraction, text)
+
+    def clear(self) -> None:
+        """Takes the bar off the screen."""
+        self._bar.close()
+        self._show = None
+
+    def tell(self, line: str) -> None:
+        """For the user to know or do."""
+        self.clear()
+        typer.echo(f"tailbeat: {line}", err=True)
+
+    def ask(self, question: str) -> bool:
+        """No, unless somebody is there to say yes."""
+        self.clear()
+        return sys.stdin.isatty() and typer.confirm(f"tailbeat: {question}", err=True)
 
 
 def _flash_text(report: FlashReport) -> str:

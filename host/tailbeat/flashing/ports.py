@@ -5,23 +5,19 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import serial
 
 from tailbeat.errors import ConnectError, reason
-from tailbeat.transport.portaccess import holders
+from tailbeat.transport.portaccess import cannot_open, holders
 from tailbeat.transport.serialport import BAUD, ERASE_BAUD
+from tailbeat.transport.usbids import PortKind, ids_text, kind_of, may_be_16u2
 
-
-class PortKind(Enum):
-    """What is at the other end, by vendor and product id."""
-
-    PROGRAMMING = (0x2341, 0x003D)  # the ATmega16U2 beside the chip; it stays when the chip resets
-    NATIVE = (0x2341, 0x003E)  # the chip's own USB, served by an Arduino sketch
-    SAM_BA = (0x03EB, 0x6124)  # the chip's own USB, served by the boot loader in its ROM
+_RESTART_S = 2.5  # the watchdog restarts a board that hangs once a second
+_RESTART_BYTES = 4096
 
 
 class ListedPort(Protocol):
@@ -37,15 +33,27 @@ Enumerate = Callable[[], Iterable[ListedPort]]
 
 @dataclass(frozen=True)
 class BoardPort:
-    """A port that a board is flashed by."""
+    """A port that a board is flashed by. ``ids``: USB vendor and product, if it has them."""
 
     device: str
     kind: PortKind
+    ids: tuple[int, int] | None = field(default=None, compare=False)
 
     @property
     def by_usb(self) -> bool:
         """Whether the boot loader is reached by the chip's own USB rather than by its UART."""
-        return self.kind is not PortKind.PROGRAMMING
+        return self.kind in (PortKind.NATIVE, PortKind.SAM_BA)
+
+    @property
+    def talks(self) -> bool:
+        """Whether the firmware can be spoken to on it: it does not serve the chip's own USB."""
+        return not self.by_usb
+
+    @property
+    def may_be_touched(self) -> bool:
+        """Whether opening it at 1200 baud may erase the board. Of a port of another make the user
+        is asked first."""
+        return self.kind is not PortKind.OTHER or may_be_16u2(self.ids[0] if self.ids else None)
 
 
 def system_ports() -> Iterable[ListedPort]:
@@ -57,35 +65,23 @@ def system_ports() -> Iterable[ListedPort]:
 
 def board_ports(enumerate_ports: Enumerate) -> list[BoardPort]:
     """Every port whose VID:PID is a board's, by name."""
-    kinds = {kind.value: kind for kind in PortKind}
-    found = [
-        BoardPort(port.device, kinds[port.vid, port.pid])
-        for port in enumerate_ports()
-        if port.vid is not None and port.pid is not None and (port.vid, port.pid) in kinds
-    ]
-    return sorted(found, key=lambda port: port.device)
+    found = [_port(port) for port in enumerate_ports()]
+    return sorted(
+        (port for port in found if port.kind is not PortKind.OTHER), key=lambda port: port.device
+    )
 
 
 def find_port(wanted: str | None, enumerate_ports: Enumerate) -> BoardPort:
-    """The port called ``wanted``, or the only one there is. Raises ConnectError.
-
-    A port of another make is refused even when it is named: touching it might erase something else.
-    """
-    found = board_ports(enumerate_ports)
+    """The port called ``wanted``, of whatever make, or the only port of a board there is. Raises
+    ConnectError."""
     if wanted:
-        for port in found:
-            if _same_device(port.device, wanted):
-                return port
-        raise ConnectError(
-            f"{wanted} is not a port of the board{_listing(found)}",
-            "Plug the USB cable into the board's programming port; ports are told by their USB ids"
-            " (2341:003d, 2341:003e, 03eb:6124).",
-        )
+        return _named(wanted, enumerate_ports)
+    found = board_ports(enumerate_ports)
     if not found:
         raise ConnectError(
-            "no board is plugged in: no USB port has the ids 2341:003d, 2341:003e or 03eb:6124",
+            f"no board is plugged in: no USB port has the ids of one ({ids_text()})",
             "Plug a USB cable (one that carries data) into the board's programming port, the one"
-            " next to the power socket.",
+            " next to the power socket. Name the port of a clone: --port PORT.",
         )
     if len(found) > 1:
         names = ", ".join(port.device for port in found)
@@ -94,6 +90,24 @@ def find_port(wanted: str | None, enumerate_ports: Enumerate) -> BoardPort:
             f"Say which one, for example --port {found[0].device}; the programming port is best.",
         )
     return found[0]
+
+
+def _named(wanted: str, enumerate_ports: Enumerate) -> BoardPort:
+    for port in enumerate_ports():
+        if _same_device(port.device, wanted):
+            return _port(port)
+    if os.name != "nt" and Path(wanted).exists():
+        return BoardPort(wanted, PortKind.OTHER)
+    found = board_ports(enumerate_ports)
+    raise ConnectError(
+        f"there is no port {wanted}{_listing(found)}",
+        "Check the cable (it must carry data) and the name.",
+    )
+
+
+def _port(port: ListedPort) -> BoardPort:
+    ids = None if port.vid is None or port.pid is None else (port.vid, port.pid)
+    return BoardPort(port.device, kind_of(port.vid, port.pid) or PortKind.OTHER, ids)
 
 
 def require_free(device: str) -> None:
@@ -119,7 +133,7 @@ def touch(port: BoardPort) -> None:
         line.open()
         line.dtr = False
         line.rts = False
-        if port.kind is PortKind.PROGRAMMING:
+        if port.talks:
             line.baudrate = BAUD
     except (OSError, serial.SerialException) as error:
         raise ConnectError(
@@ -131,9 +145,25 @@ def touch(port: BoardPort) -> None:
             line.close()
 
 
+def restart(port: BoardPort) -> bytes:
+    """Resets the board by a rise of DTR, and returns what it sends in the seconds after that."""
+    line = serial.Serial(baudrate=BAUD, timeout=_RESTART_S, exclusive=True)
+    line.port = port.device
+    line.dtr = False
+    try:
+        line.open()
+        line.dtr = True
+        return bytes(line.read(_RESTART_BYTES))
+    except (OSError, serial.SerialException) as error:
+        raise cannot_open(port.device, error) from error
+    finally:
+        with contextlib.suppress(OSError, serial.SerialException):
+            line.close()
+
+
 def _same_device(a: str, b: str) -> bool:
     return a.upper() == b.upper() if os.name == "nt" else os.path.realpath(a) == os.path.realpath(b)
 
 
 def _listing(found: list[BoardPort]) -> str:
-    return f" (those are: {', '.join(port.device for port in found)})" if found else ""
+    return f" (ports of boards: {', '.join(port.device for port in found)})" if found else ""

@@ -12,15 +12,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tailbeat.errors import ConnectError, LinkLostError, TailbeatError, reason
+from tailbeat.errors import ConnectError, LinkLostError, NoBoardError, TailbeatError, reason
 from tailbeat.fish import Fish
 from tailbeat.flashing import bossac, openocd, ports
 from tailbeat.flashing.image import Image
 from tailbeat.flashing.keep import Kept, OnStep, keep, key_warning, require_quiet
-from tailbeat.flashing.ports import BoardPort, Enumerate, PortKind
+from tailbeat.flashing.ports import BoardPort, Enumerate
 from tailbeat.flashing.programs import Run, require_program, run_program
 from tailbeat.flashing.putback import put_back
 from tailbeat.results import BoardInfo
+from tailbeat.transport.hearing import Hearing
+from tailbeat.transport.usbids import PortKind
 
 BOSSAC, OPENOCD = "bossac", "openocd"
 TOOLS = (BOSSAC, OPENOCD)
@@ -33,7 +35,15 @@ _BOOT_BIT_S = 0.5  # for the chip to keep the boot bit: bossac ends as soon as i
 _HEAR_TRIES = 4  # of 3 s each, see transport.find.LISTEN_S; opening the port resets the board
 _HEAR_PAUSE_S = 1.0
 _INFO_TRIES = 3
+_BY_HAND_S = 120.0  # for somebody to find the buttons
+_BY_HAND_POLL_S = 1.0
+# What a board that runs another program, or none, lets hear. Firmware of tailbeat sends a line at
+# every reset, also when it hangs ("hung"); damaged frames are those of a board.
+_NOT_TAILBEAT = ("silence", "noise", "text", "garbage", "stranger")
 
+_BY_HAND = "Hold the board's ERASE button for at least 1 s, release it, and press RESET."
+_LOSE_ALL = "If its firmware hangs, add --no-keep: then all that is stored on it is lost."
+_NO_TAILBEAT = "the board runs another program than tailbeat, or none: nothing to save"
 _RECOVER = (
     "Hold the board's ERASE button for at least 1 s, release it, press RESET, and run the same"
     " command again."
@@ -65,6 +75,7 @@ class Surroundings:
     enumerate_ports: Enumerate = ports.system_ports
     require_free: Callable[[str], None] = ports.require_free
     touch: Callable[[BoardPort], None] = ports.touch
+    restart: Callable[[BoardPort], bytes] = ports.restart
     require_program: Callable[[str, str], None] = require_program
     run: Run = run_program
     connect: Callable[[str], Fish] = Fish.connect
@@ -94,10 +105,12 @@ def flash(
     on_step: OnStep = lambda fraction, text: None,
     around: Surroundings | None = None,
     tell: Callable[[str], None] = lambda line: None,
+    confirm: Callable[[str], bool] = lambda question: False,
 ) -> FlashReport:
-    """Flashes as planned. ``tell``: what a person should know before the erase. Raises
-    TailbeatError while nothing has been changed, then FlashError."""
-    return _Flashing(plan, on_step, around or Surroundings(), tell).run()
+    """Flashes as planned. ``tell``: what a person should know or do before the erase. ``confirm``:
+    a question whose answer no leads to another way, not to an end. Raises TailbeatError while
+    nothing has been changed, then FlashError."""
+    return _Flashing(plan, on_step, around or Surroundings(), tell, confirm).run()
 
 
 class _Flashing:
@@ -109,9 +122,11 @@ class _Flashing:
         on_step: OnStep,
         around: Surroundings,
         tell: Callable[[str], None],
+        confirm: Callable[[str], bool],
     ) -> None:
         self._plan = plan
         self._tell = tell
+        self._confirm = confirm
         self._on_step = on_step
         self._around = around
         self._image = Image.load(plan.image)
@@ -133,8 +148,9 @@ class _Flashing:
         self._keep()
         if self._port is not None:  # again: pulling trials may have taken minutes
             self._around.require_free(self._port.device)
+        erase = self._way_to_erase()
         with self._failures_after_erase():
-            self._write()
+            self._write(erase)
         self._check_and_restore()
         return self._report
 
@@ -152,7 +168,7 @@ class _Flashing:
         """Where the firmware can be spoken to. It does not serve the chip's own USB."""
         if self._plan.connect:
             return self._plan.connect
-        if self._port is not None and self._port.kind is PortKind.PROGRAMMING:
+        if self._port is not None and self._port.talks:
             return self._port.device
         found = ports.board_ports(self._around.enumerate_ports)
         beside = [port.device for port in found if port.kind is PortKind.PROGRAMMING]
@@ -167,6 +183,9 @@ class _Flashing:
             self._keep_from(self._talk_address())
 
     def _keep_from(self, address: str | None) -> None:
+        if address is None and self._port is not None:  # tailbeat does not serve the native port
+            self._report.notes.append(f"{self._port.device}: {_NO_TAILBEAT}")
+            return
         if address is None:
             raise ConnectError(
                 "the board cannot be talked to, so what it holds cannot be saved",
@@ -194,7 +213,7 @@ class _Flashing:
 
     def _require_same_board(self, port: BoardPort, address: str, saved_id: str) -> None:
         """With several boards about, another than the one on ``port`` may have been saved."""
-        if port.kind is not PortKind.PROGRAMMING or port.device == address:
+        if not port.talks or port.device == address:
             return
         try:
             with self._around.connect(port.device) as fish:
@@ -209,28 +228,80 @@ class _Flashing:
             )
 
     def _accept_silence(self, address: str, error: TailbeatError) -> None:
-        """Only the boot loader of an erased chip may be silent: it has nothing to lose."""
-        by_bossac = self._plan.tool == BOSSAC and self._port is not None
-        if by_bossac and self._port and bossac.loader_answers(self._around.run, self._port):
+        """Only a board that has nothing to lose may be silent: an erased one, whose boot loader
+        answers, or one whose reset, by the opening of the port, starts no tailbeat."""
+        port = self._port if self._plan.tool == BOSSAC else None
+        if port is not None and bossac.loader_answers(self._around.run, port):
             self._report.notes.append("the board was in its boot loader: there was nothing to save")
+            return
+        never_ran = isinstance(error, NoBoardError) and error.heard in _NOT_TAILBEAT
+        if port is not None and never_ran and not self._plan.connect:
+            if port.kind is PortKind.OTHER:  # its opening may reset nothing
+                raise ConnectError(
+                    f"no tailbeat board answers on {address}",
+                    f"If it has never run tailbeat: {_BY_HAND} Then run the same command again.",
+                )
+            self._require_no_start_of_tailbeat(port)
+            self._report.notes.append(f"{address}: {_NO_TAILBEAT}")
             return
         raise ConnectError(
             f"the board on {address} does not answer, so what it holds cannot be saved"
             f" ({error.message})",
-            f"{error.remedy} If it cannot answer (first flash, or its firmware hangs), add"
-            " --no-keep: then all that is stored on it is lost.",
+            f"{error.remedy} {_LOSE_ALL}",
         ) from error
 
-    def _write(self) -> None:
+    def _require_no_start_of_tailbeat(self, port: BoardPort) -> None:
+        """A second look, at a reset that is certain. Raises ConnectError."""
+        hearing = Hearing(port.device)
+        hearing.add(self._around.restart(port), 0.0)
+        if hearing.kind not in _NOT_TAILBEAT:
+            message, _ = hearing.words()
+            raise ConnectError(f"{message}, so what it holds cannot be saved", _LOSE_ALL)
+
+    def _way_to_erase(self) -> Callable[[BoardPort], BoardPort]:
+        """How the board gets into its boot loader; asks before a port of another make is
+        touched."""
+        port = self._port
+        if port is None or self._elf is not None or port.kind is PortKind.SAM_BA:
+            return lambda loader: loader
+        if port.kind is not PortKind.OTHER:
+            return self._erase
+        if not port.may_be_touched:
+            return self._erase_by_hand
+        vendor, product = port.ids or (0, 0)
+        touch = self._confirm(
+            f"{port.device} has the USB ids {vendor:04x}:{product:04x}, which are not a Due's."
+            " Opening it at 1200 baud erases a board with an ATmega16U2; another device may do"
+            " something else. Open it at 1200 baud?"
+        )
+        return self._erase if touch else self._erase_by_hand
+
+    def _erase_by_hand(self, port: BoardPort) -> BoardPort:
+        """Waits until somebody has pressed the buttons, unless that is done already."""
+        deadline = self._around.now_s() + _BY_HAND_S
+        waits = False
+        while not bossac.loader_answers(self._around.run, port):
+            if not waits:
+                self._tell(
+                    f"{port.device} cannot erase the board. {_BY_HAND}"
+                    f" Waiting {_BY_HAND_S:g} s for the boot loader."
+                )
+            waits = True
+            if self._around.now_s() >= deadline:
+                raise ConnectError(
+                    f"the boot loader did not answer on {port.device} within {_BY_HAND_S:g} s"
+                )
+            self._around.sleep(_BY_HAND_POLL_S)
+        return port
+
+    def _write(self, erase: Callable[[BoardPort], BoardPort]) -> None:
         if self._elf is not None:
             self._on_step(0.5, "writing over SWD")
             openocd.write(self._around.run, self._elf, self._plan.adapter)
             return
         assert self._port is not None
-        loader = self._port
-        if loader.kind is not PortKind.SAM_BA:
-            self._on_step(0.5, "erasing")
-            loader = self._erase(loader)
+        self._on_step(0.5, "erasing")
+        loader = erase(self._port)
         self._on_step(0.55, "writing and verifying")
         bossac.write(self._around.run, loader, self._image)
         self._on_step(0.85, "starting")
@@ -242,6 +313,8 @@ class _Flashing:
         before = ports.board_ports(self._around.enumerate_ports)
         self._around.touch(port)
         self._around.sleep(_ERASED_S)
+        if port.kind is PortKind.OTHER:
+            return port
 
         def back(found: BoardPort) -> bool:
             if port.kind is PortKind.PROGRAMMING:

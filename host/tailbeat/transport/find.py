@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import parse_qsl
 
 from tailbeat import _dialect as mavlink
-from tailbeat.errors import ConnectError, InputError, TailbeatError
+from tailbeat.errors import ConnectError, InputError, NoBoardError, TailbeatError
 from tailbeat.keys import KeyStore
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
 from tailbeat.transport.badline import BadLine, faults_of
@@ -101,7 +101,7 @@ def require_board(transport: Transport, timeout_s: float = LISTEN_S) -> Message:
     hearing = Hearing(transport.name)
     heartbeat = hear_board(transport, timeout_s, hearing)
     if heartbeat is None:
-        raise ConnectError(*hearing.words())
+        raise NoBoardError(hearing.kind, *hearing.words())
     return heartbeat
 
 

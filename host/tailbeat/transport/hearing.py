@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from tailbeat import _dialect as mavlink
 
+# What the firmware sends on the console at every reset, before anything in it can hang.
+START_LINE = b"tailbeat starts"
 BLUETOOTH_SETUP = "tailbeat bluetooth setup"
 _KEPT_BYTES = 4096
 _MARKER = 0xFD
@@ -42,7 +44,10 @@ class Hearing:
     @property
     def kind(self) -> str:
         """silence, stranger (MAVLink of another), damaged (MAVLink of a board), text, garbage (of
-        another speed), or noise (too little to tell)."""
+        another speed), noise (too little to tell), or hung (the firmware starts and then says no
+        more)."""
+        if START_LINE in self.kept:
+            return "hung"
         if self.strangers:
             return "stranger"
         if self.count == 0:
@@ -68,6 +73,11 @@ class Hearing:
                 f"there is no tailbeat board on {name}",
                 f"Of {self.count} bytes heard none is MAVLink. Check the cable, and that this is"
                 " the right address.",
+            ),
+            "hung": (
+                f"the firmware on {name} starts, but then does not answer",
+                "Press RESET and try again. If it stays, write the firmware anew"
+                " (docs/flashing.md).",
             ),
             "stranger": (
                 f"there is no tailbeat board on {name}, but another MAVLink system",

@@ -13,11 +13,10 @@ from serial.tools import list_ports
 
 from tailbeat.errors import InputError, LinkLostError
 from tailbeat.transport.portaccess import cannot_open
+from tailbeat.transport.usbids import PortKind, kind_of
 
 BAUD = 115200
 ERASE_BAUD = 1200
-_DUE_VENDOR = 0x2341
-_DUE_PRODUCTS = (0x003D, 0x003E)
 _QUEUE_MAX_BYTES = 1 << 16
 
 
@@ -130,8 +129,8 @@ def likely_ports() -> Iterator[str]:
     """Serial ports that look like a fish: the board's own USB ids, or its radio."""
     for port in list_ports.comports():
         text = f"{port.device} {port.description} {port.name}"
-        due = port.vid == _DUE_VENDOR and port.pid in _DUE_PRODUCTS
-        if due or is_radio(text):
+        kind = kind_of(port.vid, port.pid)
+        if kind in (PortKind.PROGRAMMING, PortKind.NATIVE) or is_radio(text):
             yield port.device
 
 
