@@ -15,11 +15,14 @@ PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.
 C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native -name '*.[ch]' 2>/dev/null)
 PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 
+# Runs all that it is given, whatever fails, and sums up.
+RUN_ALL := $(BIN)/python tools/run_all.py
+
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
 .PHONY: help demo test image qemu soak bench firmware flash size check clean lock bootstrap package \
-	unit coverage toolchain fuzz
+	unit host_tests coverage toolchain fuzz bench_programs
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
@@ -27,13 +30,17 @@ help: ## list the targets
 demo: package ## a simulated fish learns the thesis's speed profile
 	@$(BIN)/tailbeat demo
 
-test: toolchain unit qemu package firmware ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
-	@$(PYTEST) tests/image tests/host tests/system
-	@$(MAKE) coverage
+test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
+	@$(RUN_ALL) unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
+		'host and system' '$(MAKE) host_tests'
 
 image: package firmware ## only the tests of the flash image
 	@tools/bootstrap image
 	@$(PYTEST) tests/image
+
+host_tests: package firmware bench_programs # the host tool, the whole system, and bench/ with a tiny load
+	@tools/bootstrap test
+	@$(PYTEST) tests/host tests/system
 
 qemu: ## the unit tests as Cortex-M3 code
 	@tools/bootstrap qemu
@@ -69,12 +76,14 @@ fuzz: package ## bytes nobody sends: 10 minutes for each target, or FUZZ_SECONDS
 	@FUZZ_SECONDS=$${FUZZ_SECONDS:-600} FUZZ_KEEP=build/fuzz/found \
 		$(PYTEST) -s tests/host/test_fuzz_files.py
 
-bench: package firmware ## speed of the simulation, load of the fish's processor, cost of an IMU byte
+bench: package firmware bench_programs ## speed of the simulation, load of the fish's processor, cost of an IMU byte
 	@tools/bootstrap bench
+	@$(RUN_ALL) tailbeat_bench build/bench/tailbeat_bench \
+		$(foreach script,$(wildcard bench/*.py),$(script) '$(BIN)/python $(script)')
+
+bench_programs: bootstrap
 	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
 	@cmake --build build/bench --target tailbeat_bench imu_reader_cost -- --quiet
-	@build/bench/tailbeat_bench
-	@for script in $(wildcard bench/*.py); do $(BIN)/python $$script || exit 1; done
 
 firmware: package ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@tools/bootstrap firmware

@@ -10,6 +10,7 @@ import statistics
 import sys
 import tempfile
 from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
 
 from vboard.chip import CYCLES_PER_INSTRUCTION
@@ -18,7 +19,6 @@ from vboard.core.bench import compile_program, run_program
 LIBRARY = Path("build/firmware/libtailbeat_firmware.a")
 PROGRAM = Path("bench/chip/estimate.c")
 INCLUDES = (Path("firmware"), Path("hal/include"))
-LONGEST_S = 20.0
 CLOCK_HZ = 84_000_000
 BEGIN = 0x100  # as in the program, and the kinds
 IMU_PUSH, REST_PUSH, MOTION_PUSH, MOTION_FORWARD, FORWARD, BACK = 0, 1, 2, 3, 4, 8
@@ -28,11 +28,22 @@ RATES_HZ = (100, 200, 400)
 SLOTS_PER_S = 10
 
 
-def measure() -> dict[int, list[int]]:
+@dataclass(frozen=True)
+class Load:
+    """How much is measured."""
+
+    longest_s: float  # of the chip's time
+
+
+FULL = Load(longest_s=20.0)
+TINY = FULL  # 0.3 s of processor time
+
+
+def measure(longest_s: float) -> dict[int, list[int]]:
     """Instructions of every piece, by kind."""
     with tempfile.TemporaryDirectory() as folder:
         image = compile_program(PROGRAM.read_text(), Path(folder), LIBRARY, INCLUDES)
-        probe = run_program(image, LONGEST_S)
+        probe = run_program(image, longest_s)
     pieces = defaultdict(list)
     for (begin, value), (end, _) in zip(probe.marks[::2], probe.marks[1::2], strict=True):
         pieces[value - BEGIN].append((end - begin) // CYCLES_PER_INSTRUCTION)
@@ -74,12 +85,13 @@ def show(pieces: dict[int, list[int]]) -> None:
         print(f" {share(slow):.2%}")
 
 
-def main() -> None:
+def main(load: Load = FULL) -> int:
     """Measures and prints."""
     if not LIBRARY.exists():
         sys.exit(f"{LIBRARY} is not built. `make firmware` builds it.")
-    show(measure())
+    show(measure(load.longest_s))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -21,20 +21,32 @@ from tailbeat.link import Message
 from tailbeat.transport.emulated import EmulatedBoard
 from tailbeat.transport.find import hear_board
 from tailbeat.transport.inprocess import SimTransport
-from tailbeat.trialrun import vision_message
+from tailbeat.trialcamera import vision_message
 from vboard.chip import CYCLES_PER_INSTRUCTION
 from vboard.core.clock import TICKS_PER_S
 
-MEASURED_S = 4.0
-TICKS_MEASURED = 25
-BEATS = 12
-IMU_RATES = ((100, 115200), (200, 230400), (400, 460800))  # Hz, baud
 TICK_EXCEPTION = 16 + 36  # of the PWM
 LAST_TRIAL = "/trials/0001.ulg"
 
 
 @dataclass(frozen=True)
 class Load:
+    """How much is measured."""
+
+    measured_s: float
+    ticks: int
+    beats: int
+    imu_rates: tuple[tuple[int, int], ...]  # Hz, baud
+
+
+FULL = Load(
+    measured_s=4.0, ticks=25, beats=12, imu_rates=((100, 115200), (200, 230400), (400, 460800))
+)
+TINY = Load(measured_s=0.1, ticks=1, beats=3, imu_rates=((100, 115200),))
+
+
+@dataclass(frozen=True)
+class Busy:
     """What was measured of ``simulated_s`` seconds."""
 
     simulated_s: float
@@ -44,7 +56,7 @@ class Load:
     cpu_s: float
 
 
-def new_fish(imu_rate_hz: int, imu_baud: int) -> Fish:
+def new_fish(imu_rate_hz: int, imu_baud: int, beats: int) -> Fish:
     """A board whose IMU streams, with a reference."""
     board = EmulatedBoard()
     transport = SimTransport(board)
@@ -56,7 +68,7 @@ def new_fish(imu_rate_hz: int, imu_baud: int) -> Fish:
     imu = fish.imu_verdict()
     if not imu.problem.well:
         raise TailbeatError(imu.problem.meaning, imu.problem.remedy)
-    fish.upload_reference(records.encode_reference(1.0, [0.04] * BEATS))
+    fish.upload_reference(records.encode_reference(1.0, [0.04] * beats))
     return fish
 
 
@@ -88,28 +100,28 @@ def start(fish: Fish) -> None:
     fish.link.run(1.5)
 
 
-def rest(fish: Fish) -> None:
-    fish.link.run(MEASURED_S)
+def rest(fish: Fish, seconds: float) -> None:
+    fish.link.run(seconds)
 
 
-def pull(fish: Fish) -> None:
-    end_s = fish.transport.now_s() + MEASURED_S
+def pull(fish: Fish, seconds: float) -> None:
+    end_s = fish.transport.now_s() + seconds
     while fish.transport.now_s() < end_s:
         fish.ftp.read(LAST_TRIAL)
 
 
-def measure(fish: Fish, work: Callable[[Fish], None]) -> Load:
+def measure(fish: Fish, work: Callable[[Fish, float], None], load: Load) -> Busy:
     board = board_of(fish).board
     begin, begin_cpu_s = board.clock.now, time.process_time()
     busy, instructions = board.busy_ticks, board.instructions
-    work(fish)
+    work(fish, load.measured_s)
     cpu_s = time.process_time() - begin_cpu_s
     span = board.clock.now - begin
-    return Load(
+    return Busy(
         span / TICKS_PER_S,
         (board.busy_ticks - busy) / span,
         board.instructions - instructions,
-        [tick_instructions(board_of(fish)) for _ in range(TICKS_MEASURED)],
+        [tick_instructions(board_of(fish)) for _ in range(load.ticks)],
         cpu_s,
     )
 
@@ -140,47 +152,48 @@ def finish(fish: Fish) -> None:
     fish.discard()
 
 
-def measure_all() -> dict[str, Load]:
-    loads = {}
-    for imu_rate_hz, imu_baud in IMU_RATES:
-        with new_fish(imu_rate_hz, imu_baud) as fish:
-            loads[f"idle, IMU {imu_rate_hz} Hz"] = measure(fish, rest)
+def measure_all(load: Load) -> dict[str, Busy]:
+    measured = {}
+    for imu_rate_hz, imu_baud in load.imu_rates:
+        with new_fish(imu_rate_hz, imu_baud, load.beats) as fish:
+            measured[f"idle, IMU {imu_rate_hz} Hz"] = measure(fish, rest, load)
             send_speeds(fish)
             start(fish)
-            loads[f"swimming, IMU {imu_rate_hz} Hz"] = measure(fish, rest)
-            if imu_rate_hz == IMU_RATES[-1][0]:
+            measured[f"swimming, IMU {imu_rate_hz} Hz"] = measure(fish, rest, load)
+            if imu_rate_hz == load.imu_rates[-1][0]:
                 finish(fish)
                 start(fish)
-                loads["... and a trial is pulled"] = measure(fish, pull)
-    return loads
+                measured["... and a trial is pulled"] = measure(fish, pull, load)
+    return measured
 
 
-def show(loads: dict[str, Load]) -> None:
+def show(measured: dict[str, Busy]) -> None:
     print(
         "load of the fish's processor (84 MHz), if an instruction takes"
         f" {CYCLES_PER_INSTRUCTION} cycles (assumed):"
     )
     print(f"  {'':26} {'busy':>6} {'instructions/s':>15} {'in a tick':>10} {'emulated at':>14}")
-    for name, load in loads.items():
-        per_s = load.instructions / load.simulated_s
-        in_tick = statistics.median(load.tick_instructions)
-        speed = load.simulated_s / load.cpu_s
+    for name, busy in measured.items():
+        per_s = busy.instructions / busy.simulated_s
+        in_tick = statistics.median(busy.tick_instructions)
+        speed = busy.simulated_s / busy.cpu_s
         print(
-            f"  {name:26} {load.busy_share:6.1%} {per_s / 1e6:13.2f} M {in_tick:10.0f}"
+            f"  {name:26} {busy.busy_share:6.1%} {per_s / 1e6:13.2f} M {in_tick:10.0f}"
             f" {speed:8.1f} x real time"
         )
-    longest = max(max(load.tick_instructions) for load in loads.values())
+    longest = max(max(busy.tick_instructions) for busy in measured.values())
     us = longest * CYCLES_PER_INSTRUCTION / 84
     print(f"  longest tick: {longest} instructions, about {us:.0f} us of its 20000")
 
 
-def main() -> None:
+def main(load: Load = FULL) -> int:
     """Measures and prints."""
     try:
-        show(measure_all())
+        show(measure_all(load))
     except TailbeatError as error:
         raise SystemExit(f"image_load: {error}") from error
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -23,7 +23,6 @@ PROGRAM = Path("build/bench/imu_reader_cost")
 LIBRARY = Path("build/firmware/libtailbeat_firmware.a")
 CHIP_PROGRAM = Path("bench/chip/reader.c")
 INCLUDES = (Path("firmware"), Path("bench"))
-REPEATS = (10, 60)
 COLLECTED = re.compile(r"Collected : (\d+)")
 BYTES = re.compile(r"bytes (\d+)")
 LONGEST_S = 5.0
@@ -47,6 +46,17 @@ STREAMS = (
 )
 
 
+@dataclass(frozen=True)
+class Load:
+    """How much is measured."""
+
+    streams: tuple[Stream, ...]
+    repeats: tuple[int, int]
+
+
+FULL, TINY = Load(STREAMS, (10, 60)), Load(STREAMS[-1:], (1, 2))
+
+
 def count(mode: str, repeats: int) -> tuple[int, int]:
     """Instructions executed and bytes pushed by one run."""
     command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
@@ -59,10 +69,10 @@ def count(mode: str, repeats: int) -> tuple[int, int]:
     return int(instructions[1]), int(pushed[1])
 
 
-def cost_here(stream: Stream, values: bool = False) -> float:
+def cost_here(stream: Stream, repeats: tuple[int, int], values: bool = False) -> float:
     """Instructions per byte; with ``values`` those to decode them are in it."""
     mode = stream.mode + ("+values" if values else "")
-    short, long = (count(mode, repeats) for repeats in REPEATS)
+    short, long = (count(mode, times) for times in repeats)
     return (long[0] - short[0]) / (long[1] - short[1])
 
 
@@ -81,29 +91,30 @@ def cost_on_the_fish(stream: Stream, folder: Path, values: bool = False) -> floa
     return (end - begin) / CYCLES_PER_INSTRUCTION / len(content)
 
 
-def main() -> None:
+def main(load: Load = FULL) -> int:
     """Measures and prints."""
     if shutil.which("valgrind") is None:
         sys.exit("valgrind is not installed: nothing counted. `tools/bootstrap bench` installs it.")
     for built in (PROGRAM, LIBRARY):
         if not built.exists():
-            sys.exit(f"{built} is not built. `make bench` builds it.")
+            sys.exit(f"{built} is not built. `make bench_programs firmware` builds it.")
     missed = 0
     print("IMU reader, instructions per byte (chunks of 64 bytes), here and on the fish:")
     print("  x86-64  (goal)  Cortex-M3")
     with tempfile.TemporaryDirectory() as folder:
-        for stream in STREAMS:
-            here, fish = cost_here(stream), cost_on_the_fish(stream, Path(folder))
+        for stream in load.streams:
+            here, fish = cost_here(stream, load.repeats), cost_on_the_fish(stream, Path(folder))
             missed += here > stream.goal
             print(f"  {here:6.1f}  {stream.goal:6.0f}  {fish:9.1f}  {stream.what}")
         print("The same with all values decoded:")
-        for stream in (one for one in STREAMS if one.values):
-            here = cost_here(stream, values=True)
+        for stream in (one for one in load.streams if one.values):
+            here = cost_here(stream, load.repeats, values=True)
             fish = cost_on_the_fish(stream, Path(folder), values=True)
             print(f"  {here:6.1f}          {fish:9.1f}  {stream.what}")
     if missed:
-        sys.exit(f"{missed} of {len(STREAMS)} goals missed")
+        sys.exit(f"{missed} of {len(load.streams)} goals missed")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

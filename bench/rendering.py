@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import statistics
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 
 from tailbeat.camera.rendered.painter import Painter, Truth
 from tailbeat.camera.rendered.scene import Scene
 
-PICTURES = 100
+
+@dataclass(frozen=True)
+class Load:
+    """How much is measured."""
+
+    pictures: int
+
+
+FULL, TINY = Load(pictures=100), Load(pictures=2)
 PLAIN = Scene()
 SCENES = {
     "1280x720": PLAIN,
@@ -21,11 +29,11 @@ SCENES = {
 }
 
 
-def times_ms(scene: Scene) -> list[float]:
+def times_ms(scene: Scene, pictures: int) -> list[float]:
     """Of pictures of a fish that swims."""
     painter = Painter(scene)
     taken = []
-    for index in range(PICTURES):
+    for index in range(pictures):
         t_s = index / 25
         truth = Truth(t_s, 0.08 * t_s, 0.01, 0.1, 0.4, 1.0, 0.08, 0.5)
         begin_s = time.process_time()
@@ -34,14 +42,15 @@ def times_ms(scene: Scene) -> list[float]:
     return taken
 
 
-def main() -> None:
+def main(load: Load = FULL) -> int:
     """Measures and prints."""
     cv2.setNumThreads(1)
     print("drawing the simulated tank, ms of processor time per picture:")
     for name, scene in SCENES.items():
-        taken = times_ms(scene)
+        taken = times_ms(scene, load.pictures)
         print(f"  {name:30} median {statistics.median(taken):5.1f}, least {min(taken):5.1f}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

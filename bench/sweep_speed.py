@@ -14,6 +14,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -22,25 +23,41 @@ import numpy as np
 from numpy_batch import Array, draw, swim
 
 from tailbeat.sweep.recipe import Recipe, parse
-from tailbeat.sweep.runner import cores_here, sweep
+from tailbeat.sweep.runner import sweep
 from tailbeat.sweep.shoal import Shoal
+from tailbeat.workers import cores_here
 
-FISH = 1000
 BEATS = 40
-TURNS = 5
 GOAL = 5.0
 SCALING_GOAL = 1.9
-SWEEP_TURNS = 2
-BARE_SWIMS = 15
 RECIPE = """
-iterations = 12
-seeds = 250
+iterations = {iterations}
+seeds = {seeds}
 [[plant]]
 kappa_per_m = 10
 [[law]]
 lead_beats = 1
 """
-CELLS = 24
+
+
+@dataclass(frozen=True)
+class Load:
+    """How much is measured."""
+
+    fish: int
+    turns: int
+    sweep_turns: int
+    bare_swims: int
+    iterations: int
+    seeds: int  # of a cell of the sweep
+    cells: int
+    cores: int
+
+
+FULL = Load(
+    fish=1000, turns=5, sweep_turns=2, bare_swims=15, iterations=12, seeds=250, cells=24, cores=2
+)  # fmt: skip
+TINY = Load(fish=8, turns=1, sweep_turns=1, bare_swims=1, iterations=2, seeds=250, cells=4, cores=1)
 
 
 def trials_per_s(work: Callable[[], object], trials: int) -> float:
@@ -50,71 +67,74 @@ def trials_per_s(work: Callable[[], object], trials: int) -> float:
     return trials / (time.process_time() - begin_s)
 
 
-def compare(works: dict[str, Callable[[], object]], trials: int) -> dict[str, float]:
+def compare(works: dict[str, Callable[[], object]], trials: int, turns: int) -> dict[str, float]:
     """The best of some turns of each, in trials/s."""
     best = dict.fromkeys(works, 0.0)
-    for _ in range(TURNS):
+    for _ in range(turns):
         for name, work in works.items():
             best[name] = max(best[name], trials_per_s(work, trials))
     return best
 
 
-def amplitudes() -> Array:
+def amplitudes(fish: int) -> Array:
     """Like those of a fish that has learned the thesis's profile, each a bit different."""
     rng = np.random.default_rng(1)
     slope = np.clip(np.minimum(np.arange(BEATS), np.arange(BEATS)[::-1]) / 10, 0, 1)
-    return 0.2 + 0.36 * slope + rng.uniform(-0.02, 0.02, (FISH, BEATS))
+    return 0.2 + 0.36 * slope + rng.uniform(-0.02, 0.02, (fish, BEATS))
 
 
-def swims() -> dict[str, float]:
+def swims(load: Load) -> dict[str, float]:
     """Of the bare swim, both ways."""
-    shoal = Shoal("tank", [{"seed": seed} for seed in range(FISH)])
-    amplitude = amplitudes()
+    shoal = Shoal("tank", [{"seed": seed} for seed in range(load.fish)])
+    amplitude = amplitudes(load.fish)
     rng = np.random.default_rng(2)
     config = shoal.config(0)
     return compare(
         {
             "shoal": lambda: shoal.swim(amplitude, 1),
-            "numpy": lambda: swim(config, amplitude, draw(config, FISH, BEATS, rng)),
+            "numpy": lambda: swim(config, amplitude, draw(config, load.fish, BEATS, rng)),
         },
-        FISH,
+        load.fish,
+        load.turns,
     )
 
 
-def board_recipe() -> Recipe:
+def board_recipe(load: Load) -> Recipe:
     """The board's law on many fish of one kind."""
-    recipe = parse(RECIPE, "speed")
-    return recipe.with_seeds(recipe.seeds * CELLS)
+    text = RECIPE.format(iterations=load.iterations, seeds=load.seeds)
+    return parse(text, "speed").with_seeds(load.seeds * load.cells)
 
 
-def sweep_trials_per_s(recipe: Recipe, cores: int) -> float:
+def sweep_trials_per_s(recipe: Recipe, cells: int, cores: int) -> float:
     """Of a whole ``tailbeat sweep``: learning, errors and Parquet files included, by the clock on
     the wall; from when every process has done a cell to the last one."""
     done_s: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         sweep(recipe, Path(folder), cores, progress=lambda d, n: done_s.append(time.perf_counter()))
-    per_cell = recipe.seeds * recipe.iterations / CELLS
-    return per_cell * (CELLS - cores) / (done_s[-1] - done_s[cores])
+    per_cell = recipe.seeds * recipe.iterations / cells
+    return per_cell * (cells - cores) / (done_s[-1] - done_s[cores])
 
 
-def swim_bare(together: Any, rates: Any) -> None:
+def swim_bare(fish: int, swims: int, together: Any, rates: Any) -> None:
     """In a process of its own: puts its trials/s by the clock on the wall into ``rates``."""
-    shoal = Shoal("tank", [{"seed": seed} for seed in range(FISH)])
-    amplitude = amplitudes()
+    shoal = Shoal("tank", [{"seed": seed} for seed in range(fish)])
+    amplitude = amplitudes(fish)
     shoal.swim(amplitude, 1)
     together.wait()
     begin_s = time.perf_counter()
-    for number in range(BARE_SWIMS):
+    for number in range(swims):
         shoal.swim(amplitude, number + 2)
-    rates.put(FISH * BARE_SWIMS / (time.perf_counter() - begin_s))
+    rates.put(fish * swims / (time.perf_counter() - begin_s))
 
 
-def bare_trials_per_s(processes: int) -> float:
+def bare_trials_per_s(load: Load, processes: int) -> float:
     """Of processes that swim side by side and do nothing else."""
     context = get_context("spawn")
     together, rates = context.Barrier(processes), context.Queue()
     workers = [
-        context.Process(target=swim_bare, args=(together, rates), daemon=True)
+        context.Process(
+            target=swim_bare, args=(load.fish, load.bare_swims, together, rates), daemon=True
+        )
         for _ in range(processes)
     ]
     for worker in workers:
@@ -125,10 +145,10 @@ def bare_trials_per_s(processes: int) -> float:
     return float(total)
 
 
-def by_cores(works: dict[str, Callable[[int], float]]) -> dict[str, dict[int, float]]:
+def by_cores(works: dict[str, Callable[[int], float]], load: Load) -> dict[str, dict[int, float]]:
     """The best of some turns of each, by the number of cores."""
-    best = {name: dict.fromkeys(sorted({1, min(2, cores_here())}), 0.0) for name in works}
-    for _ in range(SWEEP_TURNS):
+    best = {name: dict.fromkeys(sorted({1, min(load.cores, cores_here())}), 0.0) for name in works}
+    for _ in range(load.sweep_turns):
         for name, rates in best.items():
             for cores in rates:
                 rates[cores] = max(rates[cores], works[name](cores))
@@ -140,17 +160,21 @@ def scaling(rates: dict[int, float]) -> float:
     return rates.get(2, math.nan) / rates[1]
 
 
-def main() -> None:
+def main(load: Load = FULL) -> int:
     """Measures and prints."""
-    found = swims()
+    found = swims(load)
     ratio = found["shoal"] / found["numpy"]
     print(
-        f"one core, {FISH} fish at a time: {found['shoal']:.0f} trials/s side by side in C,"
+        f"one core, {load.fish} fish at a time: {found['shoal']:.0f} trials/s side by side in C,"
         f" {found['numpy']:.0f} in numpy: {ratio:.1f} x (goal {GOAL:.0f} x)"
     )
-    recipe = board_recipe()
+    recipe = board_recipe(load)
     best = by_cores(
-        {"sweep": lambda cores: sweep_trials_per_s(recipe, cores), "bare": bare_trials_per_s}
+        {
+            "sweep": lambda cores: sweep_trials_per_s(recipe, load.cells, cores),
+            "bare": lambda cores: bare_trials_per_s(load, cores),
+        },
+        load,
     )
     rates = ", ".join(f"{rate:.0f} trials/s on {cores}" for cores, rate in best["sweep"].items())
     print(
@@ -158,7 +182,8 @@ def main() -> None:
         f" (goal {GOAL:.0f} x), {scaling(best['sweep']):.2f} x on two cores (goal {SCALING_GOAL} x;"
         f" processes that only swim: {scaling(best['bare']):.2f} x on this machine)"
     )
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -9,13 +9,22 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from tailbeat.fish import Fish
 from tailbeat.reference import thesis
 from tailbeat.transport.simulated import SimTransport
 
-TRIALS = 7
+
+@dataclass(frozen=True)
+class Load:
+    """How much is measured."""
+
+    trials: int
+
+
+FULL, TINY = Load(trials=7), Load(trials=1)
 
 
 def one_trial(fish: Fish, folder: Path) -> float:
@@ -29,16 +38,17 @@ def one_trial(fish: Fish, folder: Path) -> float:
     return (transport.now_s() - begin_s) / (time.process_time() - begin_cpu_s)
 
 
-def main() -> None:
+def main(load: Load = FULL) -> int:
     """Measures and prints."""
     with Fish.connect("sim:tank") as fish, tempfile.TemporaryDirectory() as folder:
         fish.upload_reference(thesis().record())
-        ratios = [one_trial(fish, Path(folder)) for _ in range(TRIALS)]
+        ratios = [one_trial(fish, Path(folder)) for _ in range(load.trials)]
     print(
         f"whole way (wire, Python host, board, fish): {max(ratios):.0f} x real time at best,"
-        f" {statistics.median(ratios):.0f} x in the median of {TRIALS} trials"
+        f" {statistics.median(ratios):.0f} x in the median of {load.trials} trials"
     )
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

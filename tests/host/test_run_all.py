@@ -1,0 +1,45 @@
+"""The runner behind `make test` and `make bench`, and what continuous integration calls."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run_all(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "tools" / "run_all.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_failure_does_not_stop_the_next_command() -> None:
+    run = run_all("one", "exit 3", "two", "echo second", "three", "kill -9 $$")
+    assert run.returncode == 1
+    assert "second" in run.stdout
+    assert "FAILED (exit status 3)" in run.stdout
+    assert "FAILED: 2 of 3: one, three" in run.stdout
+
+
+def test_success_is_status_0() -> None:
+    run = run_all("one", "true")
+    assert run.returncode == 0
+    assert "passed" in run.stdout and "FAILED" not in run.stdout
+
+
+def test_integration_runs_both_and_fails_when_either_does(tmp_path: Path) -> None:
+    ci = tmp_path / ".ci" / "run"
+    ci.parent.mkdir()
+    shutil.copy(ROOT / ".ci" / "run", ci)
+    make = tmp_path / "make"
+    make.write_text(f'#!/bin/sh\necho "$1" >>{tmp_path}/calls\n[ "$1" != "$FAILS" ]\n')
+    make.chmod(0o755)
+    for fails, status in (("check", 1), ("test", 1), ("none", 0)):
+        (tmp_path / "calls").unlink(missing_ok=True)
+        environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "FAILS": fails}
+        run = subprocess.run([ci], env=environment, capture_output=True, check=False)
+        assert run.returncode == status
+        assert (tmp_path / "calls").read_text().split() == ["check", "test"]
