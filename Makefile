@@ -47,7 +47,7 @@ qemu: ## the unit tests as Cortex-M3 code
 	@$(CONFIGURE) -B build/qemu -DTAILBEAT_NATIVE=OFF \
 		--toolchain $(CURDIR)/cmake/qemu-mps2.cmake >/dev/null
 	@cmake --build build/qemu --target unit_tests -- --quiet
-	@ctest --test-dir build/qemu -j2 --output-on-failure
+	@$(BIN)/python tests/unit/run.py build/qemu
 
 soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 random events, bad lines and bad trials
 	@tools/bootstrap soak
@@ -141,7 +141,7 @@ unit: bootstrap
 		-DTAILBEAT_NATIVE=OFF >/dev/null
 	@cmake --build build/unit -- --quiet
 	@find build/unit -name '*.gcda' -delete
-	@ctest --test-dir build/unit -j2 --output-on-failure
+	@$(BIN)/python tests/unit/run.py build/unit
 
 coverage:
 	@echo "Line coverage of firmware/ by the unit tests:"

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Ends the process: the fuzzer keeps the input, ctest reports the target. */
+/* Ends the process: the fuzzer keeps the input, tests/unit/run.py reports the target. */
 #define MUST(condition)                                                                            \
     ((condition) ? (void)0                                                                         \
                  : (fprintf(stderr, "%s:%d: does not hold: %s\n", __FILE__, __LINE__, #condition), \
