@@ -21,6 +21,7 @@ from tailbeat.fade import (
     settled_after,
 )
 from tailbeat.logbook import Kept
+from tailbeat.saturation import Saturation, saturation_of
 from tailbeat.straight import straightness
 from tailbeat.trial_log import Trial, read_trial
 from tailbeat.verdict import (
@@ -63,7 +64,8 @@ class Row:
 class Progress:
     """``verdict``: on the last trial. ``visits``: shape (beats,). ``floor_m_s``: max|e| of the best
     input by least squares, where the fish is identified. ``fluctuation``: of max|e| since the
-    series settled, over the noise of repeats. ``fade``: given when that is too much."""
+    series settled, over the noise of repeats. ``fade``: given when that is too much, and not
+    because of saturation."""
 
     reference_crc: int
     rows: list[Row]
@@ -106,18 +108,27 @@ def progress_of(
     crc = series[-1].reference_crc
     rest_m_s = float(np.nanmax(series[-1].beats.reference_m_s))
     verdicts = judge_all(scores, expected, floor_m_s, rest_m_s)
-    band = verdicts[-1].band
+    last = _with_saturation(verdicts[-1], saturation_of(series[-1], identified, trials))
+    band = last.band
     found = fluctuation(scores, band)
     return Progress(
         reference_crc=crc,
         rows=_rows(series, scores, verdicts),
-        verdict=verdicts[-1],
+        verdict=last,
         visits=visits(series),
         floor_m_s=floor_m_s,
         fluctuation=found,
-        fade=_fade(series, scores, verdicts[-1], found, identified),
+        fade=_fade(series, scores, last, found, identified) if last.saturation is None else None,
         problems=[*problems, *_crooked(series)],
     )
+
+
+def _with_saturation(verdict: Verdict, saturation: Saturation | None) -> Verdict:
+    """A series that the amplitude limit holds back has not converged to the reference."""
+    if saturation is None or not verdict.stop:
+        return replace(verdict, saturation=saturation)
+    reason = f"{verdict.stop_reason}, but saturated: {saturation.words}"
+    return replace(verdict, saturation=saturation, stop_reason=reason, advice=saturation.action)
 
 
 def _crooked(series: Sequence[Trial]) -> list[str]:

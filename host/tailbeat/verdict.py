@@ -22,6 +22,7 @@ from tailbeat import judge as judging
 if TYPE_CHECKING:
     from tailbeat.model.identified import Identified
     from tailbeat.reference import Reference
+    from tailbeat.saturation import Saturation
     from tailbeat.trial_log import Trial
 
 Array = NDArray[np.float64]
@@ -88,7 +89,8 @@ class Verdict:
     """``kind``: ``first``, ``progress``, ``noise``, ``worse``, ``rolled_back``, ``incomplete``.
     ``words``: one line for people. ``best_trial``: ``best_of``, 0 = none was
     judged (``best_max_abs_error_m_s`` is NaN then). ``stop``: nothing more to gain;
-    ``stop_reason`` says why, ``advice`` what to do then."""
+    ``stop_reason`` says why, ``advice`` what to do then. ``saturation``: of the last trial, when
+    the amplitude limit holds it back (``progress_of``)."""
 
     kind: str
     words: str
@@ -98,6 +100,7 @@ class Verdict:
     stop: bool = False
     stop_reason: str = ""
     advice: str = ""
+    saturation: Saturation | None = None
 
 
 def judge(

@@ -19,7 +19,7 @@ from tailbeat.day import first, proof
 from tailbeat.day.battery import Drain
 from tailbeat.day.first import Step, first_session
 from tailbeat.day.person import Decision, Event
-from tailbeat.day.raising import Raise, needed_rad, next_raise, servo_rad
+from tailbeat.day.raising import Raise, next_raise
 from tailbeat.day.standing import fall_per_swim, standing_of, swims_left, words
 from tailbeat.day.swum import Swum
 from tailbeat.experiment.board import copy_state
@@ -29,6 +29,7 @@ from tailbeat.model import fitting
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.identified import Identified
 from tailbeat.parameters import known_parameters
+from tailbeat.saturation import needed_rad, servo_rad
 from tailbeat.straight import Straightness
 from tailbeat.transport.simulated import SimBoard, SimTransport
 

@@ -258,11 +258,30 @@ def test_beats_of_an_aborted_swim_can_be_learned_from(
     assert end.why == "interrupted" and fish.status().last_learned_trial == 1
 
 
-def test_converged_ends_it(swim: Callable[..., SeriesEnd], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_converged_ends_it(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    set_meant(fish, experiment, "AMP_MAX_RAD", 0.7)
     end = swim(Script(), swims=None, until=Until(None, converged=True))
     assert end.why == "converged" and end.verdict is not None and end.verdict.stop
     assert 3 <= len(end.rounds) < 30
     assert end.verdict.stop_reason in end.words
+
+
+def test_a_series_at_the_amplitude_limit_is_not_called_converged(
+    swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
+) -> None:
+    set_meant(fish, experiment, "AMP_MAX_RAD", 0.4)
+    person = Script()
+    end = swim(person, swims=None, until=Until(None, converged=True))
+    assert end.why == "saturated" and end.verdict is not None
+    found = end.verdict.saturation
+    assert found is not None and found.needed_rad is not None and found.needed_rad > 0.45
+    assert found.words in end.words and "tailbeat params set AMP_MAX_RAD" in end.words
+    last = [event for event in person.told if event["event"] == "verdict"][-1]
+    assert last["saturation"] == found.text
+    trials = [read_trial(path) for path in sorted(end.rounds[-1].swum.file.parent.glob("*.ulg"))]
+    assert found.beats == sum(trials[-1].beats.applied_rad >= np.float32(0.4)) > 0
 
 
 def test_a_low_battery_ends_it_before_anybody_waits(

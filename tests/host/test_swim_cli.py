@@ -80,6 +80,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     with Fish.connect("it") as fish:
         fish.upload_reference(records.encode_reference(1.0, [0.03, 0.06, 0.08, 0.08, 0.08, 0.03]))
         fish.params.set("DU_MAX_RAD", 0)
+        fish.params.set("AMP_MAX_RAD", 0.7)
         fish.upload_amplitudes(np.array([0.33, 0.47, 0.56, 0.56, 0.56, 0.33], np.float32))
     return simulated
 

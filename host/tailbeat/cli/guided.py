@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tailbeat.fish import Fish
 
 _ROOT = Path("experiments")
-_GOOD_ENDS = ("swims", "converged")
+_GOOD_ENDS = ("swims", "converged", "saturated")
 
 
 @dataclass(frozen=True)
@@ -226,6 +226,8 @@ def _text(end: SeriesEnd, told: bool) -> str:
     ]
     if end.verdict is not None:
         lines.append(end.verdict.words)
+        if end.verdict.saturation is not None and not end.verdict.stop:
+            lines.append(end.verdict.saturation.text)
     if told:
         lines.append(f"ended ({end.why}): {end.words}")
     return "\n".join(lines)

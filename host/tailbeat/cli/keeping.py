@@ -131,4 +131,6 @@ def verdict_text(verdict: Verdict | None) -> str:
     lines = [verdict.words]
     if verdict.stop:
         lines += [f"stop: {verdict.stop_reason}", verdict.advice]
+    elif verdict.saturation is not None:
+        lines.append(verdict.saturation.text)
     return "".join(f"\n{line}" for line in lines)

@@ -88,6 +88,8 @@ class TerminalPerson:
             display.keep(learned_text(event))
         elif kind == "verdict":
             display.keep(event["words"])
+            if event["saturation"] and not event["stop"]:
+                display.keep(event["saturation"])
         elif (words := link_news(event) or loud(event)) is not None:
             display.keep(f"tailbeat: {words}", loud=True)
 

@@ -208,6 +208,8 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
         lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
     if verdict.stop:
         lines += [f"stop: {verdict.stop_reason}", verdict.advice]
+    elif verdict.saturation is not None:
+        lines.append(verdict.saturation.text)
     else:
         lines.append("go on: tailbeat trial run, tailbeat learn")
     if found.fade is not None and found.fluctuation is not None:

@@ -21,7 +21,9 @@ from tailbeat.cli.floorwords import (
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
     from tailbeat.model.identified import Identified
+    from tailbeat.model.swim import Swim
     from tailbeat.reference import Limits, Problem, Reference
+    from tailbeat.saturation import KnownFish, Saturation
 
 app = typer.Typer(no_args_is_help=True, help="The wanted speed per beat.")
 
@@ -153,11 +155,13 @@ def show(
 
 @dataclass(frozen=True)
 class _Known:
-    """What a reference is checked against; ``identified`` None: nothing is known of the fish."""
+    """What a reference is checked against; ``identified`` None: the fish was not identified, but
+    ``fish`` may know it from trials. None: nothing is known of it."""
 
     limits: Limits
     amplitude_max_rad: float
     identified: Identified | None
+    fish: KnownFish | None
 
 
 @app.command()
@@ -193,7 +197,8 @@ def check(
     """Check a reference against the board's limits, the tank and what the fish can do.
 
     Of an identified fish the floor is told: the smallest max|e| of any input, where and why. With
-    --identified and --amp-max no board is asked.
+    --identified and --amp-max no board is asked. Once one trial is in the trial library, it tells
+    how many beats will be at the amplitude limit.
 
     Example: tailbeat reference check thesis --suggest
     """
@@ -206,7 +211,11 @@ def check(
     found = known.identified and band(known.identified, reference, known.amplitude_max_rad, slew)
     document = _document(reference, reference.crc, problems)
     document["floor"] = floor_document(found) if found else None
+    saturation = _expected(known, reference)
+    document["saturation"] = saturation
     lines = [f"fits: {_line(reference)}"] if not problems else [str(p) for p in problems]
+    if saturation is not None:
+        lines.append(saturation.text)
     if found and known.identified:
         lines.append(floor_text(found, known.identified.assumed))
     else:
@@ -225,13 +234,23 @@ def check(
 _UNKNOWN = "floor unknown: this fish has not been identified (tailbeat identify)"
 
 
+def _expected(known: _Known, reference: Reference) -> Saturation | None:
+    from tailbeat.saturation import expected_saturation
+
+    if known.fish is None:
+        return None
+    return expected_saturation(known.fish, reference, {"AMP_MAX_RAD": known.amplitude_max_rad})
+
+
 def _known(
     path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
 ) -> _Known:
     from tailbeat.logbook import logbook_of
     from tailbeat.model.identified import Identified
     from tailbeat.reference import Limits
+    from tailbeat.saturation import known_fish
 
+    swims: list[Swim] = []
     loaded = Identified.load(path) if path is not None else None
     if loaded is not None and amp_max is not None:
         limits = Limits()
@@ -242,9 +261,10 @@ def _known(
                 amp_max = fish.params.get("AMP_MAX_RAD").value
             if loaded is None and (logbook := logbook_of(fish)) is not None:
                 loaded = logbook.identified()
+                swims = logbook.swims() if loaded is None else []
     if tank is not None:
         limits = replace(limits, tank_m=tank)
-    return _Known(limits, amp_max, loaded)
+    return _Known(limits, amp_max, loaded, known_fish(loaded, swims))
 
 
 def _suggested(reference: Reference, known: _Known, out: Path | None) -> tuple[dict[str, Any], str]:

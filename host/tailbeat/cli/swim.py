@@ -34,6 +34,7 @@ from tailbeat.cli.livewords import link_news, loud
 if TYPE_CHECKING:
     from tailbeat.fish import Fish, Guard
     from tailbeat.results import TrialOutcome
+    from tailbeat.saturation import Saturation
 
 
 def run(
@@ -119,7 +120,7 @@ def run(
         with progress_bar(json, "swimming") as show:
             outcome = fish.run_trial(live.camera, _follower(fish, live, show), guard)
         report = camera_report(fish, live.video, outcome.number) if live.video else None
-        document, text = _told(outcome, report)
+        document, text = _told(outcome, report, _saturation(fish, outcome))
         say(json, document, text)
     if report and (warning := lateness_warning(report, latency)):
         typer.echo(f"tailbeat: {warning}", err=True)
@@ -174,11 +175,30 @@ def _follower(
     return follow
 
 
-def _told(outcome: TrialOutcome, report: dict[str, float] | None) -> tuple[Any, str]:
+def _told(
+    outcome: TrialOutcome, report: dict[str, float] | None, saturation: Saturation | None
+) -> tuple[Any, str]:
     """A swim as a document and in words."""
-    if report is None:
-        return outcome, _outcome_text(outcome)
-    return plain(outcome) | {"camera": report}, f"{_outcome_text(outcome)}\n{camera_text(report)}"
+    document = plain(outcome) | {"saturation": saturation}
+    lines = [_outcome_text(outcome)]
+    if saturation is not None:
+        lines.append(saturation.text)
+    if report is not None:
+        document["camera"] = report
+        lines.append(camera_text(report))
+    return document, "\n".join(lines)
+
+
+def _saturation(fish: Fish, outcome: TrialOutcome) -> Saturation | None:
+    """None also when the board or the trial library cannot tell: the trial is over all the same."""
+    from tailbeat.errors import TailbeatError
+    from tailbeat.logbook import logbook_of
+    from tailbeat.saturation import saturation_next
+
+    try:
+        return saturation_next(fish, outcome.executed_beats, logbook_of(fish))
+    except TailbeatError:
+        return None
 
 
 def _outcome_text(outcome: TrialOutcome) -> str:

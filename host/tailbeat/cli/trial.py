@@ -24,6 +24,8 @@ from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
+    from tailbeat.model.identified import Identified
+    from tailbeat.saturation import Saturation
     from tailbeat.trial_log import Trial
 
 app = typer.Typer(no_args_is_help=True, help="Swim, and get the logs.")
@@ -142,20 +144,24 @@ def show(
 
     Example: tailbeat trial show 0003.ulg --csv beats.csv
     """
+    from tailbeat.saturation import saturation_of
     from tailbeat.trial_log import beats_csv, read_trial
 
+    known: tuple[Identified | None, list[Trial]]
     path = Path(what) if what is not None else None
     if what is not None and path is not None and (path.is_file() or not what.isdecimal()):
         trial = read_trial(path)
+        known = (None, [trial])
     else:
-        trial = _from_board(int(what) if what else None, connect, json)
+        trial, known = _from_board(int(what) if what else None, connect, json)
+    saturation = saturation_of(trial, *known)
     if csv is not None:
         beats_csv(trial, csv)
-    document = _document(trial)
+    document = _document(trial) | {"saturation": saturation}
     again = _recomputed(trial) if recompute else None
     if again is not None:
         document["recomputed"] = again
-    say(json, document, lambda: _trial_text(trial) + ("\n" + _SAME if again else ""))
+    say(json, document, lambda: _trial_text(trial, saturation) + ("\n" + _SAME if again else ""))
     if again is not None and not again["identical"]:
         raise TailbeatError(
             f"the speeds of trial {trial.number} cannot be computed again from its file",
@@ -188,13 +194,23 @@ def _recomputed(trial: Trial) -> dict[str, Any]:
     return found | {"identical": identical}
 
 
-def _from_board(number: int | None, connect: str | None, quiet: bool) -> Trial:
+def _from_board(
+    number: int | None, connect: str | None, quiet: bool
+) -> tuple[Trial, tuple[Identified | None, list[Trial]]]:
+    """The trial, and what the trial library knows of its fish."""
     from tempfile import TemporaryDirectory
 
+    from tailbeat.cli.keeping import sound_identified
+    from tailbeat.logbook import DISCARDED, logbook_of
     from tailbeat.trial_log import read_trial
 
     with connected(connect) as fish, TemporaryDirectory() as folder:
-        return read_trial(_pull(fish, _which(fish, number), Path(folder), quiet))
+        path = _pull(fish, _which(fish, number), Path(folder), quiet)
+        trial = read_trial(path)
+        if (book := logbook_of(fish)) is None:
+            return trial, (None, [trial])
+        kept = [one.trial for one in book.kept(path)[0] if one.mark != DISCARDED]
+    return trial, (sound_identified(book), kept)
 
 
 def _source(trial: Trial) -> str:
@@ -237,7 +253,7 @@ def _conditions_text(trial: Trial) -> str:
     return f"{words}; battery {volts}"
 
 
-def _trial_text(trial: Trial) -> str:
+def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
     import numpy as np
 
     from tailbeat.visits import not_reached
@@ -261,6 +277,7 @@ def _trial_text(trial: Trial) -> str:
         f"RMS {mm(trial.rms_error_m_s())}; speed by "
         f"{_source(trial)}",
         _conditions_text(trial),
+        *([saturation.text] if saturation is not None else []),
         *([missing] if missing else []),
         *(f"note: {problem}" for problem in trial.problems),
         table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),

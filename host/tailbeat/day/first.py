@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tailbeat.day.proof import prove
-from tailbeat.day.raising import RAISE_MAX_RAD, Raise, needed_rad, next_raise, servo_rad
+from tailbeat.day.raising import RAISE_MAX_RAD, Raise, next_raise
 from tailbeat.day.ritual import GivenUp, Wanted, countdown, prepare
 from tailbeat.day.trim import apply, find_centre
 from tailbeat.doctor import PROBLEM, look_at
@@ -21,6 +21,7 @@ from tailbeat.errors import InputError, TailbeatError
 from tailbeat.logbook import RUN, logbook_of, name_reference
 from tailbeat.model.lent import put_back_left, safe_folder, set_for_good
 from tailbeat.results import SPEED_SOURCES
+from tailbeat.saturation import needed_rad, servo_rad
 from tailbeat.straight import straightness
 from tailbeat.trial_log import read_trial
 

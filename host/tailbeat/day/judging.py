@@ -34,7 +34,9 @@ def told(person: Person, verdict: Verdict | None) -> None:
     if verdict is None:
         return
     values = ("words", "stop", "stop_reason", "advice")
-    person.tell({"event": "verdict", **{name: getattr(verdict, name) for name in values}})
+    saturated = "" if verdict.saturation is None else verdict.saturation.text
+    event = {name: getattr(verdict, name) for name in values}
+    person.tell({"event": "verdict", **event, "saturation": saturated})
 
 
 def _identified(fish: Fish) -> Identified | None:

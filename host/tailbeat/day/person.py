@@ -18,7 +18,7 @@ Event = dict[str, Any]
 ``live``: {beat, beats, speed_m_s, reference_m_s, amplitude_rad, battery_v, silent_s, simulated};
 None = not known
 ``swum``: {trial, ...} the fields of Swum; ``decided``: {trial, decision, reason}
-``learned``: the fields of LearnReport; ``verdict``: {words, stop, stop_reason, advice}
+``learned``: the fields of LearnReport; ``verdict``: {words, stop, stop_reason, advice, saturation}
 ``notice``: {text}, something to know that stops nothing
 """
 

@@ -9,6 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tailbeat.saturation import (
+    GRAIN_RAD,
+    down_to_grain,
+    hold_rad,
+    needed_rad,
+    servo_rad,
+    up_to_grain,
+)
 from tailbeat.travel import travel_of
 
 if TYPE_CHECKING:
@@ -19,12 +27,6 @@ if TYPE_CHECKING:
 
 AMP_MAX = "AMP_MAX_RAD"
 RAISE_MAX_RAD = 0.1
-# What the law adds to the best amplitudes while it learns: in 60 simulated series of ten trials at
-# each drag over mass from 2.5 to 20 1/m, gain 4 to 4.6, 95 of 100 stayed within 0.02 to 0.07.
-OVERSHOOT_RAD = 0.07
-SERVO_MOST_RAD = 1.0471976  # its mechanical range, and AMP_MAX_RAD's
-_GRAIN_RAD = 0.01  # limits are multiples of it
-_WEAK_TAIL = 97.5  # of the models as likely
 
 
 @dataclass(frozen=True)
@@ -57,42 +59,18 @@ def next_raise(
     if identified is None:
         return f"{stays}: nobody knows yet what amplitude the reference needs: tailbeat identify"
     need = needed_rad(identified, reference)
-    if need <= now + _GRAIN_RAD / 2:
+    if need <= now + GRAIN_RAD / 2:
         return f"{stays}: enough, the reference needs {need:.2f} with what learning adds"
     if (why := _not_now(straight, rolled_back)) is not None:
         return f"{stays}: {why}"
     servo = servo_rad(params)
-    to = min(now + RAISE_MAX_RAD, _up(need), _down(servo))
-    if to < now + _GRAIN_RAD / 2:
+    to = min(now + RAISE_MAX_RAD, up_to_grain(need), down_to_grain(servo))
+    if to < now + GRAIN_RAD / 2:
         return f"{stays}: {_servo_words(params, servo, need)}"
     travel = _travel(params, reference, identified, to)
     if not travel.fits:
         return f"{stays}: no room for more, the swim would come {travel.text()}"
     return Raise(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
-
-
-def needed_rad(identified: Identified, reference: Reference) -> float:
-    """The largest amplitude of the best input by the model, for the weakest of the models as likely
-    at the reference's top speed, and what learning adds to it."""
-    from tailbeat.model.planner import plan
-
-    best = plan(identified.model, reference.speed_m_s, reference.beat_s, SERVO_MOST_RAD)
-    top = float(np.max(reference.speed_m_s))
-    weakest = np.percentile([float(m.amplitude_rad(top)) for m in identified.models], _WEAK_TAIL)
-    weaker = max(float(weakest) - hold_rad(identified, reference), 0.0)
-    return float(best.amplitude_rad.max()) + weaker + OVERSHOOT_RAD
-
-
-def hold_rad(identified: Identified, reference: Reference) -> float:
-    """What holds the reference's top speed."""
-    return float(identified.model.amplitude_rad(float(np.max(reference.speed_m_s))))
-
-
-def servo_rad(params: Mapping[str, float]) -> float:
-    """How far the servo turns to either side before its pulses end."""
-    centre = params["SERVO_CENTRE_US"]
-    pulse = min(centre - params["SERVO_MIN_US"], params["SERVO_MAX_US"] - centre)
-    return min(max(pulse, 0.0) / params["SERVO_US_RAD"], SERVO_MOST_RAD)
 
 
 def _not_now(straight: Straightness | None, rolled_back: bool) -> str | None:
@@ -144,19 +122,11 @@ def _reason(
         f"{hold_rad(identified, reference):.2f} rad hold the {top:.0f} mm/s of the reference, and "
         f"it needs {need:.2f} with what learning adds"
     )
-    if to < need - _GRAIN_RAD / 2:
-        at_once = to >= params[AMP_MAX] + RAISE_MAX_RAD - _GRAIN_RAD / 2
+    if to < need - GRAIN_RAD / 2:
+        at_once = to >= params[AMP_MAX] + RAISE_MAX_RAD - GRAIN_RAD / 2
         limit = f"at most {RAISE_MAX_RAD:g} at once" if at_once else "the servo turns no farther"
         words += f"; {limit}"
     step = params.get("DU_MAX_RAD", 0.0)
     if step > 0:
         words += f"; DU_MAX_RAD stays {step:.2f} per trial"
     return f"{words}; way {travel.text()}"
-
-
-def _up(value: float) -> float:
-    return math.ceil(value / _GRAIN_RAD - 1e-6) * _GRAIN_RAD
-
-
-def _down(value: float) -> float:
-    return math.floor(value / _GRAIN_RAD + 1e-6) * _GRAIN_RAD

@@ -73,8 +73,9 @@ class Round:
 
 @dataclass(frozen=True)
 class SeriesEnd:
-    """``why``: ``swims``, ``converged``, ``battery``, ``interrupted`` (Ctrl-C or the person), or
-    ``stopped`` (the board stopped by a rule of its own and is left so, with its reason)."""
+    """``why``: ``swims``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
+    limit), ``battery``, ``interrupted`` (Ctrl-C or the person), or ``stopped`` (the board stopped
+    by a rule of its own and is left so, with its reason)."""
 
     why: str
     words: str
@@ -275,7 +276,8 @@ class _Series:
         if until.swims is not None and self.counted >= until.swims:
             return self.end("swims", _counted_words(self.counted))
         if until.converged and verdict is not None and verdict.stop:
-            return self.end("converged", f"{verdict.stop_reason}: {verdict.advice}")
+            why = "converged" if verdict.saturation is None else "saturated"
+            return self.end(why, f"{verdict.stop_reason}: {verdict.advice}")
         pending = self.around.fish.status().pending_trial
         if pending is None:
             return None

@@ -147,4 +147,6 @@ def _battery(found: Standing) -> str:
 def _judgement(found: Standing, verdict: Verdict) -> str:
     if verdict.stop:
         return f"{verdict.words}; stop: {verdict.stop_reason}; {verdict.advice}"
+    if verdict.saturation is not None:
+        return f"{verdict.words}; {verdict.saturation.text}"
     return verdict.words

@@ -28,6 +28,7 @@ from tailbeat.progress import scores_of
 from tailbeat.records import decode_reference
 from tailbeat.reference import Reference
 from tailbeat.results import SIMULATED_FISH
+from tailbeat.saturation import at_limit, saturation_of
 from tailbeat.straight import Straightness, straightness
 from tailbeat.trial_log import Trial, read_trial
 from tailbeat.verdict import Score, best_of, comparable, score_of
@@ -220,6 +221,7 @@ def analyse(experiment: Experiment) -> Analysis:
         for row in rows
         if row.straight is not None and row.straight.crooked and row.counts
     ]
+    problems += _saturated(rows, swum, identified)
     problems += _of_others(str(settings.get("unique_id", "")), rows, swum)
     problems += _begun_anew(rows)
     return Analysis(
@@ -420,6 +422,16 @@ def _epochs(trials: Sequence[Trial]) -> list[int]:
     return epochs
 
 
+def _saturated(
+    rows: Sequence[TrialRow], trials: Sequence[Trial], identified: Identified | None
+) -> list[str]:
+    """Of the last trial that counts, when the amplitude limit holds it back."""
+    counting = [trial for row, trial in zip(rows, trials, strict=True) if row.counts]
+    if not counting or (found := saturation_of(counting[-1], identified, counting)) is None:
+        return []
+    return [f"trial {counting[-1].number} is {found.text}"]
+
+
 def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
     assert score.error_m_s is not None
     error = score.error_m_s[np.isfinite(score.error_m_s)].astype(np.float64)
@@ -437,7 +449,7 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         max_abs_error_m_s=score.max_abs_error_m_s,
         rms_error_m_s=_rms(error.tolist()),
         measured_beats=error.size,
-        saturated_beats=int(np.count_nonzero(trial.beats.amplitude_rad[swum] > limit)),
+        saturated_beats=at_limit(trial.beats.applied_rad[swum], float(limit)),
         distance_m=math.fsum(speed.tolist()) * trial.beat_s,
         contraction=math.nan,
         learned=bool(told.learned),

@@ -178,6 +178,8 @@ def _verdict(now: Snapshot, event: Event) -> Snapshot:
     words = str(event["words"])
     if event.get("stop"):
         words = f"{words} Stop: {event['stop_reason']}. {event['advice']}"
+    elif event.get("saturation"):
+        words = f"{words} {event['saturation']}"
     return replace(now, verdict=words)
 
 
