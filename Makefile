@@ -9,7 +9,7 @@ export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 STEP := tools/step
 PIP_INSTALL := $(PYTHON) -m pip install --disable-pip-version-check --no-build-isolation --no-deps \
 	--force-reinstall
-CONFIGURE := cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
+CONFIGURE := $(STEP) configuring cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
 C_SOURCES = $(shell find firmware hal bench tests/unit tests/fuzz tests/image host/native -name '*.[ch]' 2>/dev/null)
@@ -87,8 +87,8 @@ bench_programs: bootstrap
 
 firmware: package ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@tools/bootstrap firmware
-	@$(STEP) "configuring the firmware" $(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF \
-		-DTAILBEAT_NATIVE=OFF --toolchain $(CURDIR)/cmake/cortex-m3.cmake
+	@$(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
+		--toolchain $(CURDIR)/cmake/cortex-m3.cmake
 	@$(STEP) "building the firmware" cmake --build build/firmware --target tailbeat_image
 	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
 
