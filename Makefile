@@ -53,7 +53,7 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	@tools/bootstrap soak
 	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
 		-DTAILBEAT_NATIVE=OFF >/dev/null
-	@cmake --build build/unit --target unit_tests -- --quiet
+	@$(STEP) "building the unit tests" cmake --build build/unit --target unit_tests
 	IMU_FUZZ_BYTES=100000000 build/unit/tests/test_imu_fuzz
 	STORE_CUT_AGES=8 STORE_CUT_PAIRS=10000 build/unit/tests/test_power_cut
 	APP_CUT_PAIRS=1000 build/unit/tests/test_app_cuts
@@ -70,7 +70,7 @@ fuzz: package ## bytes nobody sends: 10 minutes for each target, or FUZZ_SECONDS
 	@tools/bootstrap fuzz
 	@CC=clang $(CONFIGURE) -B build/fuzz -DTAILBEAT_SANITIZE=ON -DTAILBEAT_FUZZ=ON \
 		-DTAILBEAT_WERROR=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
-	@cmake --build build/fuzz --target fuzz_targets -- --quiet
+	@$(STEP) "building the fuzzers" cmake --build build/fuzz --target fuzz_targets
 	@$(PYTHON) tests/fuzz/run.py
 	@mkdir -p build/fuzz/found
 	@FUZZ_SECONDS=$${FUZZ_SECONDS:-600} FUZZ_KEEP=build/fuzz/found \
@@ -139,7 +139,7 @@ build/package.stamp: $(PACKAGE_SOURCES)
 unit: bootstrap
 	@$(CONFIGURE) -B build/unit -DTAILBEAT_SANITIZE=ON -DTAILBEAT_COVERAGE=ON \
 		-DTAILBEAT_NATIVE=OFF >/dev/null
-	@cmake --build build/unit -- --quiet
+	@$(STEP) "building the unit tests" cmake --build build/unit
 	@find build/unit -name '*.gcda' -delete
 	@$(BIN)/python tests/unit/run.py build/unit
 
