@@ -46,7 +46,7 @@ qemu: ## the unit tests as Cortex-M3 code
 	@tools/bootstrap qemu
 	@$(CONFIGURE) -B build/qemu -DTAILBEAT_NATIVE=OFF \
 		--toolchain $(CURDIR)/cmake/qemu-mps2.cmake >/dev/null
-	@cmake --build build/qemu --target unit_tests -- --quiet
+	@$(STEP) "building the unit tests for QEMU" cmake --build build/qemu --target unit_tests
 	@$(BIN)/python tests/unit/run.py build/qemu
 
 soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 random events, bad lines and bad trials
@@ -83,7 +83,7 @@ bench: package firmware bench_programs ## speed of the simulation, load of the f
 
 bench_programs: bootstrap
 	@$(CONFIGURE) -B build/bench -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF >/dev/null
-	@cmake --build build/bench --target tailbeat_bench imu_reader_cost -- --quiet
+	@$(STEP) "building the benchmarks" cmake --build build/bench --target tailbeat_bench imu_reader_cost
 
 firmware: package ## the image that is flashed to the fish: build/firmware/tailbeat.bin
 	@tools/bootstrap firmware
