@@ -73,7 +73,7 @@ class FakeCapture:
         if self.taken + 1 == driver.blocks_at:
             driver.blocked.wait(20)
             return False
-        if not driver.asked.acquire(timeout=20):
+        if not driver.asked.acquire(timeout=600):
             return False
         self.taken += 1
         driver.now_s = BOOT_S + self.taken * PERIOD_S + driver.delay_s
@@ -207,7 +207,7 @@ def test_pictures_nobody_reads_are_dropped(plug: Callable[..., Driver]) -> None:
     camera = Device("0")
     read(camera, 3)
     driver.asked.release(100)
-    camera._capture._thread.join(20)
+    camera._capture._thread.join(600)
     found = read(camera, 16)
     assert [index for index, _, _ in found] == list(range(87, 103))
     assert all(t_s == pytest.approx(BOOT_S + i * PERIOD_S) for i, t_s, _ in found)

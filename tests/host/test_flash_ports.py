@@ -279,7 +279,7 @@ class Console:
             done.set()
 
         self.jobs.put(wipe)
-        assert done.wait(30.0)
+        assert done.wait(600.0)
 
 
 @pytest.fixture

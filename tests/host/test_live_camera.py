@@ -23,7 +23,7 @@ from tailbeat.errors import InputError
 from tailbeat.fish import Fish
 from tailbeat.results import BeatEvent, BoardStatus
 
-GRACE_S = 10.0  # after which a thread hangs; nothing waits so long otherwise
+GRACE_S = 600.0  # after which a thread hangs; nothing waits so long otherwise
 IMAGE = np.zeros((4, 6), dtype=np.uint8)
 
 

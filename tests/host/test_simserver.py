@@ -23,7 +23,7 @@ from tailbeat.transport import find
 from tailbeat.transport.simulated import SimBoard
 
 SPEED = 40.0
-PATIENCE_S = 30.0
+PATIENCE_S = 600.0
 
 
 @contextmanager

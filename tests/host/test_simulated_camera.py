@@ -129,7 +129,7 @@ def test_remote_camera_takes_lines_with_more_than_it_needs() -> None:
             assert not camera.computed
             peer.sendall("".join(json.dumps(one) + "\n" for one in lines).encode())
         frames: list[Frame] = []
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 600.0
         while len(frames) < len(lines) and time.monotonic() < deadline:
             frames += camera.frames()
         camera.close()
@@ -145,7 +145,7 @@ def test_a_remote_camera_that_hangs_up_is_gone_once_and_after_its_frames(how: st
         peer, _ = listener.accept()
         assert camera.frames() == []
         peer.sendall(line)
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 600.0
         frames: list[Frame] = []
         if how == "resets":
             while not frames and time.monotonic() < deadline:

@@ -338,7 +338,7 @@ def script(folder: Path, body: str) -> subprocess.CompletedProcess[str]:
     path.write_text(code)
     return subprocess.run(
         [sys.executable, str(path), str(folder)],
-        capture_output=True, text=True, start_new_session=True, timeout=120,
+        capture_output=True, text=True, start_new_session=True, timeout=600,
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from tailbeat.ui.access import Rules
 from tailbeat.ui.gate import Gate, Limits
 
 LIMITS = Limits(waiting=12, waiting_each=8, served=6, served_each=4)
-PATIENCE_S = 60.0
+PATIENCE_S = 600.0
 US, OTHER = "127.0.0.1", "127.0.0.2"
 HALF = b"GET / HTTP/1.1\r\nHost: x\r\n"
 

@@ -15,7 +15,7 @@ TORTURE = Path(__file__).parent / "torture"
 EXPECTED = TORTURE / "expected.txt"
 COMPILER, OBJCOPY, QEMU = "arm-none-eabi-gcc", "arm-none-eabi-objcopy", "qemu-system-arm"
 VECTORS_BYTES = 8
-QEMU_LIMIT_S = 60
+QEMU_LIMIT_S = 600
 WRITE0, EXIT = 0x04, 0x18
 
 

@@ -29,12 +29,12 @@ from pymavlink.mavftp import MAVFTP
 
 address, remote, local = sys.argv[1:]
 link = mavutil.mavlink_connection(address, dialect="common", source_system=254)
-heartbeat = link.wait_heartbeat(timeout=10)
+heartbeat = link.wait_heartbeat(timeout=600)
 link.target_system, link.target_component = 1, 1
 link.mav.heartbeat_send(6, 8, 0, 0, 4)
 link.mav.param_request_list_send(1, 1)
 params = {}
-deadline = time.monotonic() + 20
+deadline = time.monotonic() + 600
 while time.monotonic() < deadline:
     message = link.recv_match(type="PARAM_VALUE", blocking=True, timeout=1)
     if message is None:
@@ -45,7 +45,7 @@ while time.monotonic() < deadline:
 ftp = MAVFTP(link, target_system=1, target_component=1)
 listed = ftp.cmd_list(["/trials"])
 ftp.cmd_get([remote, local])
-got = ftp.process_ftp_reply("OpenFileRO", timeout=30)
+got = ftp.process_ftp_reply("OpenFileRO", timeout=600)
 print(json.dumps({
     "type": heartbeat.type, "autopilot": heartbeat.autopilot, "params": params,
     "list_error": int(listed.error_code), "get_error": int(got.error_code),
@@ -70,7 +70,7 @@ def test_a_stock_client_reads_parameters_and_pulls_a_trial(address: str, tmp_pat
         env={**os.environ, "MAVLINK20": "1"},
         capture_output=True,
         text=True,
-        timeout=90,
+        timeout=1200,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -27,7 +27,7 @@ from tailbeat.fish import Fish
 START = "from tailbeat.cli import main; main()"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LAPTOP, PHONE = (1366, 768), (390, 844)
-PATIENCE_S = 60.0
+PATIENCE_S = 600.0
 SPEED = 10.0  # much faster, and a starved page loses the link by the board's own clock
 NOBODY = "tcp:127.0.0.1:1"
 FOLDER = "TAILBEAT_PICTURES"  # of the pictures, where somebody wants to look at them
