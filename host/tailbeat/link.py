@@ -11,6 +11,7 @@ from typing import Any
 from tailbeat import _dialect as mavlink
 from tailbeat.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.faults import NOT_FRESH, NOT_SIGNED, UNKNOWN_COMMAND, WRONG_STATE, refusal
+from tailbeat.printable import printable
 from tailbeat.signing import Signing
 from tailbeat.transport.base import Transport
 
@@ -393,10 +394,10 @@ def _has_stamp(stamp: int) -> Where:
 
 
 def text_of(field: bytes | str) -> str:
-    """A char[] field as text: up to the first zero, damaged bytes replaced."""
+    """A char[] field as text: up to the first zero, damaged bytes replaced, controls as escapes."""
     if isinstance(field, bytes):
         field = field.decode("utf-8", "replace")
-    return field.split("\0", 1)[0]
+    return printable(field.split("\0", 1)[0])
 
 
 def _message_id(kind: str) -> int:

@@ -60,5 +60,7 @@ def _usage(error: object) -> str:
 
 
 def _fail(line: str, status: int) -> int:
-    sys.stderr.write(f"tailbeat: {line}\n")
+    from tailbeat.printable import printable
+
+    sys.stderr.write(f"tailbeat: {printable(line)}\n")
     return status

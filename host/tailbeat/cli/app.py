@@ -31,6 +31,7 @@ from tailbeat.cli import (
     ui,
     vn100,
 )
+from tailbeat.cli.common import echo
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -46,7 +47,7 @@ def _version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        typer.echo(f"tailbeat {version('tailbeat')}")
+        echo(f"tailbeat {version('tailbeat')}")
         raise typer.Exit
 
 

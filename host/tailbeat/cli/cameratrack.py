@@ -18,7 +18,7 @@ from tailbeat.cli.cameraoptions import (
     MarkerSideOption,
     marker_of,
 )
-from tailbeat.cli.common import Json, mm, progress_bar, say
+from tailbeat.cli.common import Json, echo, mm, progress_bar, say
 
 if TYPE_CHECKING:
     from tailbeat.camera.analysis import Analysis
@@ -107,7 +107,7 @@ def track(
     document = {"folder": folder, **found.summary()}
     say(json, document, lambda: _text(found, document, folder))
     if warning := _size_warning(found.track.marker_side_m, marker_side):
-        typer.echo(f"tailbeat: {warning}", err=True)
+        echo(f"tailbeat: {warning}", err=True)
 
 
 def _calibration(path: Path | None) -> Calibration:

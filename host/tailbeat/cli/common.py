@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tailbeat.plain import plain as plain  # commands have it from here
+from tailbeat.printable import printable, printable_lines
 
 if TYPE_CHECKING:
     from tailbeat.fish import Fish
@@ -44,7 +45,7 @@ def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
 
     with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
         if notice and (line := notice_today(fish)):
-            typer.echo(f"tailbeat: {line}", err=True)
+            echo(f"tailbeat: {line}", err=True)
         yield fish
 
 
@@ -61,7 +62,13 @@ def say(as_json: bool, document: Any, text: str | Callable[[], str] = "") -> Non
         return
     words = text() if callable(text) else text
     if words:
-        sys.stdout.write(words + "\n")
+        echo(words)
+
+
+def echo(text: str, err: bool = False, nl: bool = True) -> None:
+    """Prints lines for people. Whatever a board, a file or a note brought into the text cannot
+    steer the terminal."""
+    typer.echo(printable_lines(text), err=err, nl=nl)
 
 
 def json_line(document: Any) -> None:
@@ -79,6 +86,7 @@ def mm(value_m_s: float | None) -> str:
 
 def table(header: list[str], rows: list[list[str]], left: tuple[int, ...] = ()) -> str:
     """Columns under a header; numbers to the right, the columns in ``left`` to the left."""
+    rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
 
     def line(row: list[str]) -> str:

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from tailbeat.cli.common import echo
+from tailbeat.printable import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.live import Live
@@ -48,7 +51,7 @@ class Display:
         self._text = text
         if self._live is None:
             self._live = self._begin()
-        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
+        self._live.update(Text(printable(text), no_wrap=True, overflow="ellipsis"), refresh=True)
 
     @property
     def width(self) -> int:
@@ -74,7 +77,7 @@ class Display:
         """A line that stays. ``loud``: also where it is to be quiet."""
         self.clear()
         if loud or not self.quiet:
-            typer.echo(text, err=True)
+            echo(text, err=True)
 
     def bell(self) -> None:
         """A sound, where there is somebody to hear it."""
@@ -84,7 +87,7 @@ class Display:
     def ask(self, text: str) -> None:
         """A question; the answer is typed behind it."""
         self.clear()
-        typer.echo(text, err=True, nl=False)
+        echo(text, err=True, nl=False)
 
     def clear(self) -> None:
         """Takes the line that changes away."""

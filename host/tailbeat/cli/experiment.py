@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.cli.common import Connect, Json, connected, echo, say
 from tailbeat.cli.completing import reference_names
 from tailbeat.cli.experimentwords import (
     compared_text,
@@ -87,7 +87,7 @@ def new(
             made = make(fish, root, wanted, fish_name, conditions, words)
         same = fish.status().reference_crc == wanted.crc
     if not same:
-        typer.echo(
+        echo(
             f"tailbeat: the board has another reference: tailbeat reference upload {reference}",
             err=True,
         )
@@ -116,7 +116,7 @@ def use(folder: Folder, connect: Connect = None, json: Json = False) -> None:
         remembered = logbook_of(fish) is not None
         experiment.journal.add("opened", unique_id=fish.unique_id())
     if not remembered:
-        typer.echo(
+        echo(
             "tailbeat: a simulated fish in this process is new every time. Name the folder in every"
             " command, or give it a seed (sim?seed=1) and set TAILBEAT_LOGBOOK.",
             err=True,
@@ -300,6 +300,6 @@ def export(
     experiment = Experiment.open(folder)
     files = export_files(experiment, formats or [])
     if not formats and (line := missing_formats()):
-        typer.echo(f"tailbeat: {line}", err=True)
+        echo(f"tailbeat: {line}", err=True)
     say(json, {"files": files}, "\n".join(map(str, files)))
     tell_problems(experiment)

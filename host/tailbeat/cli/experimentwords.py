@@ -6,9 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from tailbeat.cli.common import connected, mm, table
+from tailbeat.cli.common import connected, echo, mm, table
 
 if TYPE_CHECKING:
     from tailbeat.experiment import Experiment
@@ -36,7 +34,7 @@ def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:
 def tell_problems(experiment: Experiment) -> None:
     """On stderr, one line each: raw files are never wrong in silence."""
     for line in experiment.raw_problems():
-        typer.echo(f"tailbeat: {line}; put a copy back, or do without that file", err=True)
+        echo(f"tailbeat: {line}; put a copy back, or do without that file", err=True)
 
 
 def listed(root: Path) -> tuple[list[dict[str, Any]], str]:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tailbeat.cli.common import Json, connected, progress_bar, say
+from tailbeat.cli.common import Json, connected, echo, progress_bar, say
+from tailbeat.printable import printable
 
 if TYPE_CHECKING:
     from tailbeat.flashing import FlashReport, Restored
@@ -105,12 +106,12 @@ class _Screen:
     def tell(self, line: str) -> None:
         """For the user to know or do."""
         self.clear()
-        typer.echo(f"tailbeat: {line}", err=True)
+        echo(f"tailbeat: {line}", err=True)
 
     def ask(self, question: str) -> bool:
         """No, unless somebody is there to say yes."""
         self.clear()
-        return sys.stdin.isatty() and typer.confirm(f"tailbeat: {question}", err=True)
+        return sys.stdin.isatty() and typer.confirm(f"tailbeat: {printable(question)}", err=True)
 
 
 def _flash_text(report: FlashReport) -> str:

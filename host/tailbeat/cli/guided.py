@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from tailbeat.cli.common import command_typed, mm, say
+from tailbeat.cli.common import command_typed, echo, mm, say
 from tailbeat.errors import InputError, TailbeatError
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def run_guided(fish: Fish, live: Live, given: GuideOptions, json: bool) -> None:
     good = (*_GOOD_ENDS, "battery") if until.swims is None and not until.converged else _GOOD_ENDS
     say(json, _document(end, experiment), _text(end, told=end.why in good))
     if end.why not in good:
-        typer.echo(f"tailbeat: {end.words}", err=True)
+        echo(f"tailbeat: {end.words}", err=True)
         raise typer.Exit(130 if end.why == "interrupted" else 1)
 
 

@@ -20,7 +20,7 @@ from tailbeat.cli.cameraoptions import (
     WallOption,
     marker_of,
 )
-from tailbeat.cli.common import Connect, Json, connected, mm, progress_bar, say, table
+from tailbeat.cli.common import Connect, Json, connected, echo, mm, progress_bar, say, table
 from tailbeat.errors import InputError
 
 if TYPE_CHECKING:
@@ -309,7 +309,7 @@ def _wait_for_enter(wait: bool) -> None:
 
 
 def _note(text: str) -> None:
-    typer.echo(f"tailbeat: {text}", err=True)
+    echo(f"tailbeat: {text}", err=True)
 
 
 def _attendant(
@@ -331,7 +331,7 @@ def _attendant(
     def before(run: Run) -> None:
         now.append(run)
         if not json:
-            typer.echo(_run_text(run, limits), err=True)
+            echo(_run_text(run, limits), err=True)
         if there is not None:
             there.ready(wait)
         else:
@@ -354,7 +354,7 @@ def _attendant(
             try:
                 return read_speeds(Path(name), beats, beat_s, trial).speed_m_s
             except InputError as error:
-                typer.echo(f"tailbeat: {error}", err=True)
+                echo(f"tailbeat: {error}", err=True)
 
     def keep(path: Path) -> None:
         if book is not None:

@@ -7,9 +7,7 @@ from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-import typer
-
-from tailbeat.cli.common import progress_bar
+from tailbeat.cli.common import echo, progress_bar
 from tailbeat.errors import TailbeatError
 
 if TYPE_CHECKING:
@@ -29,7 +27,7 @@ def keep_in_logbook(fish: Fish, path: Path) -> None:
         if (book := logbook_of(fish)) is not None:
             book.keep(path)
     except TailbeatError as error:
-        typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
+        echo(f"tailbeat: not kept in the logbook: {error}", err=True)
 
 
 def discard_and_keep(
@@ -58,11 +56,11 @@ def discard_and_keep(
         if book is not None and pending is not None:
             copy = _pulled(fish, book, pending, quiet)
     except TailbeatError as error:
-        typer.echo(f"tailbeat: not kept in the logbook: {error}", err=True)
+        echo(f"tailbeat: not kept in the logbook: {error}", err=True)
     with withdrawn_if_refused(noted):
         fish.discard(number)
     if noted is None and (line := not_noted(fish)):
-        typer.echo(f"tailbeat: {line}", err=True)
+        echo(f"tailbeat: {line}", err=True)
     if book is not None and copy is not None and not repeat:
         book.mark(copy, DISCARDED)
 
@@ -88,7 +86,7 @@ def verdict_after_learning(
             return None
         return _judged(book, kept or _pulled(fish, book, number, quiet), rolled_back)
     except TailbeatError as error:
-        typer.echo(f"tailbeat: no verdict on trial {number}: {error}", err=True)
+        echo(f"tailbeat: no verdict on trial {number}: {error}", err=True)
         return None
 
 
@@ -112,7 +110,7 @@ def _judged(book: Logbook, kept: Path, rolled_back: bool) -> Verdict | None:
 def told_if_another(identified: Identified, unique_id: str) -> None:
     """Tells on stderr that the fish connected is not the one identified."""
     if identified.unique_id and identified.unique_id != unique_id:
-        typer.echo(f"tailbeat: identified on another fish ({identified.unique_id})", err=True)
+        echo(f"tailbeat: identified on another fish ({identified.unique_id})", err=True)
 
 
 def sound_identified(book: Logbook) -> Identified | None:
@@ -120,7 +118,7 @@ def sound_identified(book: Logbook) -> Identified | None:
     try:
         return book.identified()
     except TailbeatError as error:
-        typer.echo(f"tailbeat: {error}", err=True)
+        echo(f"tailbeat: {error}", err=True)
         return None
 
 

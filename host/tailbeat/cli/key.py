@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tailbeat.cli.common import Connect, Json, connected, say
+from tailbeat.cli.common import Connect, Json, connected, echo, say
 
 if TYPE_CHECKING:
     from tailbeat.keys import StoredKey
@@ -59,7 +59,7 @@ def _told_when_interrupted() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if KeyStore().usable() != before:
-            typer.echo(
+            echo(
                 "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat"
                 " key status",
                 err=True,
@@ -110,7 +110,7 @@ def list_(json: Json = False) -> None:
     store = KeyStore()
     keys, problems = store.load()
     for line in problems:
-        typer.echo(f"tailbeat: {line}", err=True)
+        echo(f"tailbeat: {line}", err=True)
     rows = [
         f"{key.fingerprint}  board {key.board}  {key.created}  {key.name}"
         + ("" if key.confirmed else "  (not heard from its board yet)")
@@ -155,7 +155,7 @@ def export(
     found = KeyStore().find(key)
     secret = "whoever has it can move the tail; delete it when it has arrived"
     if file is None:
-        typer.echo(f"tailbeat: this is a secret: {secret}", err=True)
+        echo(f"tailbeat: this is a secret: {secret}", err=True)
         sys.stdout.write(encode_key(found).decode())
         return
     try:

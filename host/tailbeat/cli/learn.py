@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.cli.common import TRIAL_MAX, Connect, Json, connected, mm, say
+from tailbeat.cli.common import TRIAL_MAX, Connect, Json, connected, echo, mm, say
 from tailbeat.cli.keeping import verdict_after_learning, verdict_text
 
 _SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
@@ -83,7 +83,7 @@ def learn(
         report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
         held, visits = fish.amplitudes(), fish.visits()
         if line := not_noted(fish):
-            typer.echo(f"tailbeat: {line}", err=True)
+            echo(f"tailbeat: {line}", err=True)
         verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
     document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
     document["amplitude_rad"] = held.values

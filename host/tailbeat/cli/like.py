@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from tailbeat.cli.common import mm, progress_bar, say
+from tailbeat.cli.common import echo, mm, progress_bar, say
 from tailbeat.cli.keeping import sound_identified, told_if_another
 
 if TYPE_CHECKING:
@@ -41,7 +39,7 @@ def upload_like(
         told_if_another(identified, unique_id)
     found = plan(fish, like, reference, identified, book)
     if found.learned.unique_id not in ("", unique_id):
-        typer.echo(f"tailbeat: learned by another fish ({found.learned.unique_id})", err=True)
+        echo(f"tailbeat: learned by another fish ({found.learned.unique_id})", err=True)
     copy = None
     if not dry_run:
         with progress_bar(json, "upload") as show:
@@ -51,7 +49,7 @@ def upload_like(
     if dry_run:
         rows = enumerate(found.transferred.amplitude_rad)
         table = [f"{beat},{float(value)!r}" for beat, value in rows]
-        typer.echo(f"tailbeat: would upload {reference.name}: {line}; {_words(found)}", err=True)
+        echo(f"tailbeat: would upload {reference.name}: {line}; {_words(found)}", err=True)
         say(json, document, "\n".join(["beat,amplitude_rad", *table]))
         return
     kept = f"; what the board had learned is kept in {copy}" if copy is not None else ""

@@ -7,9 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from tailbeat.cli.common import mm, progress_bar, say
+from tailbeat.cli.common import echo, mm, progress_bar, say
 from tailbeat.cli.keeping import told_if_another, verdict_after_learning, verdict_text
 from tailbeat.errors import InputError
 from tailbeat.faults import NO_TRIAL, refusal
@@ -56,7 +54,7 @@ def learn_with_model(
     every, kept = _swims(fish, pending, book, dry_run, json)
     swims = swims_since(identified, every, unique_id)
     if numbered_anew(every, swims):
-        typer.echo(f"tailbeat: {_ANEW}", err=True)
+        echo(f"tailbeat: {_ANEW}", err=True)
     step = next_step(setting, identified, swims)
     if dry_run:
         _say(step, pending, None, None, None, json)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.cli.common import Connect, Json, connected, mm, say, table
+from tailbeat.cli.common import Connect, Json, connected, echo, mm, say, table
 
 if TYPE_CHECKING:
     from tailbeat.logbook import Kept
@@ -41,7 +41,7 @@ def progress(
     """
     known = _material(experiment, logbook, connect)
     for problem in known.problems:
-        typer.echo(f"tailbeat: {problem}", err=True)
+        echo(f"tailbeat: {problem}", err=True)
     if reference == "list":
         rows = references_of(known)
         say(json, {"references": rows}, lambda: _references_text(rows))
@@ -51,7 +51,7 @@ def progress(
     trials = [one.trial for one in known.kept if not one.mark]
     found = progress_of(trials, _crc(reference), known.identified, known.problems)
     for problem in found.problems[len(known.problems) :]:
-        typer.echo(f"tailbeat: {problem}", err=True)
+        echo(f"tailbeat: {problem}", err=True)
     left_out = _discarded(known, found)
     applied = _apply(found, connect) if apply else None
     if plot is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tailbeat.cli.common import Json, say
+from tailbeat.cli.common import Json, echo, say
 
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
@@ -63,7 +63,7 @@ def report(
         "tables": written.tables,
     }
     if written.tables and (line := missing_formats()):
-        typer.echo(f"tailbeat: {line}", err=True)
+        echo(f"tailbeat: {line}", err=True)
     say(json, document, lambda: _text(chosen, written, named=folder is not None))
 
 

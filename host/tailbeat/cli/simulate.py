@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tailbeat.cli.common import Json, assignments, json_line, mm, progress_bar, say, table
+from tailbeat.cli.common import Json, assignments, echo, json_line, mm, progress_bar, say, table
 
 if TYPE_CHECKING:
     from tailbeat.demo import DemoResult
@@ -178,7 +178,7 @@ def _serve(
 
     def slow(pace: float) -> None:
         words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
-        typer.echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
+        echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
 
     server = SimServer(board, listen, pty, speed, slow)
     stopped: list[int] = []
@@ -188,7 +188,7 @@ def _serve(
         if json:
             json_line(server.addresses.as_dict())
         else:
-            typer.echo(_serve_text(f"{what} ({board.plant})", speed, server.addresses))
+            echo(_serve_text(f"{what} ({board.plant})", speed, server.addresses))
             sys.stdout.flush()
         server.serve(lambda: bool(stopped))
     finally:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.cli.common import Json, mm, progress_bar, say, table
+from tailbeat.cli.common import Json, echo, mm, progress_bar, say, table
 
 if TYPE_CHECKING:
     from tailbeat.sweep.recipe import Recipe
@@ -104,7 +104,7 @@ def _compute(
         try:
             outcome = sweep(recipe, out, cores, scheduler, progress)
         except Interrupted as stopped:
-            typer.echo(f"tailbeat: {stopped}", err=True)
+            echo(f"tailbeat: {stopped}", err=True)
             raise typer.Exit(130) from None
     return {"out": out, "results": outcome.results, "computed_cells": outcome.computed}
 

@@ -19,7 +19,7 @@ from tailbeat.cli.cameraoptions import (
     WallOption,
     marker_of,
 )
-from tailbeat.cli.common import Connect, Json, connected, mm, plain, progress_bar, say
+from tailbeat.cli.common import Connect, Json, connected, echo, mm, plain, progress_bar, say
 from tailbeat.cli.guided import GuideOptions, run_guided
 from tailbeat.cli.livecamera import (
     Live,
@@ -123,7 +123,7 @@ def run(
         document, text = _told(outcome, report, _saturation(fish, outcome))
         say(json, document, text)
     if report and (warning := lateness_warning(report, latency)):
-        typer.echo(f"tailbeat: {warning}", err=True)
+        echo(f"tailbeat: {warning}", err=True)
     if outcome.interrupted:
         raise typer.Exit(130)
     if outcome.end != "complete":
@@ -137,7 +137,7 @@ def _ctrl_c_told() -> Iterator[None]:
         yield
     except KeyboardInterrupt as interrupt:
         why = str(interrupt) or "stopped by Ctrl-C"
-        typer.echo(f"tailbeat: {why}; nothing is lost", err=True)
+        echo(f"tailbeat: {why}; nothing is lost", err=True)
         raise typer.Exit(130) from None
 
 
@@ -170,7 +170,7 @@ def _follower(
             speed = mm(event.get("speed_m_s"))
             show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
         elif (words := link_news(event) or loud(event)) is not None:
-            typer.echo(f"tailbeat: {words}", err=True)
+            echo(f"tailbeat: {words}", err=True)
 
     return follow
 

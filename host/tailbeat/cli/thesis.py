@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from tailbeat.cli.common import Json, plain, progress_bar, say
+from tailbeat.cli.common import Json, echo, plain, progress_bar, say
 
 if TYPE_CHECKING:
     from tailbeat.thesis.example import Claim, Example
@@ -105,7 +105,7 @@ def thesis(
                 orders, weights, cores or cores_here(), lambda done: show(done, f"{done:.0%}")
             )
         except KeyboardInterrupt:
-            typer.echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
+            echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
             raise typer.Exit(130) from None
     found = [(one, result) for (one, _), result in zip(chosen, results, strict=True)]
     document = {

@@ -19,7 +19,7 @@ from tailbeat.cli.cameraoptions import (
     MarkerSideOption,
     marker_of,
 )
-from tailbeat.cli.common import Connect, Json, json_line
+from tailbeat.cli.common import Connect, Json, echo, json_line
 
 if TYPE_CHECKING:
     from tailbeat.cli.livecamera import LiveOptions
@@ -76,7 +76,7 @@ def ui(
         if json:
             json_line({"urls": place.urls, "port": place.port})
         else:
-            typer.echo("\n".join(f"the page: {url}" for url in place.urls) + "\n(Ctrl-C ends it)")
+            echo("\n".join(f"the page: {url}" for url in place.urls) + "\n(Ctrl-C ends it)")
             sys.stdout.flush()
         serve(Conductor(make, root, _eyes(options)), place, open_ and not json)
 

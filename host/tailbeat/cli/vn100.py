@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.cli.common import Json, json_line, say
+from tailbeat.cli.common import Json, echo, json_line, say
+from tailbeat.printable import printable
 
 if TYPE_CHECKING:
     from tailbeat.vn100.decode import Message
@@ -160,13 +161,13 @@ def _begin(live: Live, wishes: _Wishes, as_json: bool) -> None:
         if as_json:
             json_line({"event": "found", "source": live.source.name, "baud": baud})
         else:
-            typer.echo(f"{live.source.name}: messages at {baud} baud")
+            echo(f"{live.source.name}: messages at {baud} baud")
         return
     setup = configure(live)
     if as_json:
         json_line({"event": "configured", "source": live.source.name, **vars(setup)})
     else:
-        typer.echo(_setup_text(live.source.name, setup))
+        echo(_setup_text(live.source.name, setup))
 
 
 def _setup_text(name: str, setup: Setup) -> str:
@@ -218,7 +219,7 @@ def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) 
     if as_json:
         json_line({"event": "summary", **document})
     else:
-        typer.echo(_text(document))
+        echo(_text(document))
     if lost is not None:
         raise lost
 
@@ -252,7 +253,7 @@ def _quiet_line(live: Live, summary: Summary, as_json: bool) -> Callable[[], Non
             counters = live.reader.counters
             damaged = counters.crc_failed + counters.checksum_failed
             text = f"{summary.messages} messages, {damaged} damaged{state}"
-            sys.stderr.write(f"\r{text}\x1b[K")
+            sys.stderr.write(f"\r{printable(text)}\x1b[K")
             sys.stderr.flush()
 
     return show

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from tailbeat.printable import printable
+
 if TYPE_CHECKING:
     from tailbeat.day.person import Event
     from tailbeat.day.swum import Swum
@@ -90,7 +92,7 @@ class Snapshot:
 
 def logged(now: Snapshot, text: str, clock: str) -> Snapshot:
     """One line more in the log, the oldest go."""
-    line = f"{clock}  {text}"
+    line = f"{clock}  {printable(text)}"
     return replace(now, log=(*now.log[-LOG_LINES + 1 :], line), logged=now.logged + 1)
 
 

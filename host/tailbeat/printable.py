@@ -1,0 +1,27 @@
+"""Text that comes from outside (a board, a file, somebody's note), made safe to print.
+
+Control characters can make a terminal delete or replace what it shows, and characters that change
+the direction of writing deceive the reader. All are shown as escapes, like ``\\x1b``.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+
+_UNSAFE = ("Cc", "Cf", "Cs", "Zl", "Zp")  # controls, formats, surrogates, line separators
+
+
+def printable(text: str) -> str:
+    """One line of text, with every unsafe character as its escape; line ends and tabs, too."""
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def printable_lines(text: str) -> str:
+    """As ``printable``, but line feeds stay."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def _shown(sign: str) -> str:
+    if unicodedata.category(sign) not in _UNSAFE:
+        return sign
+    return sign.encode("unicode_escape").decode("ascii")
