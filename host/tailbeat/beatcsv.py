@@ -13,6 +13,9 @@ from tailbeat.errors import InputError, reason
 
 Floats = NDArray[np.float32]
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_WITH_COMMAS = "Save it with commas between columns and decimal points, like 0.5,0.0791."
+
 
 def read_column(path: Path, column: str, gaps: bool = False) -> Floats:
     """The ``column`` of a file ``beat,<column>``; beats count from 0 without holes.
@@ -32,13 +35,29 @@ def read_column(path: Path, column: str, gaps: bool = False) -> Floats:
 
 
 def read_table(path: Path, columns: str) -> list[list[str]]:
-    """The cells of a CSV file; ``columns`` are named when it is none. Raises InputError."""
+    """The cells of a CSV file with commas between them; ``columns`` are named when it is none. Only
+    empty cells may lie behind the header's last column. Raises InputError."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-        return list(csv.reader(text.splitlines()))
+        table = list(csv.reader(text.splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         remedy = f"Give a CSV file with the columns {columns}."
         raise InputError(f"cannot read {path} ({reason(error)}).", remedy) from error
+    if table:
+        _require_commas(path.name, table)
+    return table
+
+
+def _require_commas(name: str, table: list[list[str]]) -> None:
+    """A spreadsheet that writes decimal commas puts semicolons, or nothing else, between cells."""
+    for sign, what in ((";", "semicolons"), ("\t", "tabs")):
+        if len(table[0]) == 1 and sign in table[0][0]:
+            raise InputError(f"{name} has {what} between its columns.", _WITH_COMMAS)
+    width = len(table[0])
+    for number, row in enumerate(table[1:], start=2):
+        if any(cell.strip() for cell in row[width:]):
+            what = f"{len(row)} cells, the header has {width}"
+            raise InputError(f"{name}, row {number} has {what}.", _WITH_COMMAS)
 
 
 def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
@@ -61,6 +80,12 @@ def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]
     if not rows:
         raise InputError(f"{path.name} has a header but no numbers.", f"Add rows of {wanted}.")
     return rows
+
+
+def spreadsheet_text(text: str) -> str:
+    """Text as a cell that no spreadsheet takes for a formula: with an apostrophe in front if it
+    begins like one."""
+    return f"'{text}" if text[:1] in _FORMULA else text
 
 
 def value_of(name: str, number: int, column: str, cell: str, gaps: bool = False) -> float:

@@ -49,6 +49,7 @@ _AMPLITUDES_PER_PIECE = 32
 _NEXT = mavlink.TAILBEAT_AMPLITUDE_SET_NEXT
 _BEST = mavlink.TAILBEAT_AMPLITUDE_SET_BEST
 _VISITS = mavlink.TAILBEAT_AMPLITUDE_SET_VISITS
+_VISITS_MAX = 255
 _PEAKS = mavlink.TAILBEAT_AMPLITUDE_SET_PEAKS
 _FTP_NOT_FOUND = 10
 _STEADY_TRIES = 5
@@ -293,14 +294,19 @@ class Fish:
         """How many trials have corrected each beat, 255 at most; None when the board does not
         count them."""
         try:
-            visits = self._stored(_VISITS).values.astype(np.uint8)
+            counts = self._stored(_VISITS).values
         except Refused as refused:
             if refused.number != BAD_DATA:
                 raise
             self._counts_visits = False
             return None
+        if not ((counts >= 0) & (counts <= _VISITS_MAX)).all():
+            raise TransferError(
+                "the board's update counts are no numbers from 0 to 255",
+                "Its firmware or its storage is damaged: tailbeat doctor",
+            )
         self._counts_visits = True
-        return visits
+        return counts.astype(np.uint8)
 
     def peaks(self) -> NDArray[np.float32] | None:
         """|e| of the best trial's largest errors at their beats, m/s, and 0 at all others.
@@ -336,7 +342,7 @@ class Fish:
         found = []
         for entry in self.ftp.list(TRIALS):
             stem, _, kind = entry.name.partition(".")
-            if kind == "ulg" and stem.isdigit():
+            if kind == "ulg" and stem.isascii() and stem.isdigit():
                 found.append(TrialFile(int(stem), f"{TRIALS}/{entry.name}", entry.size))
         return sorted(found, key=lambda trial: trial.number)
 

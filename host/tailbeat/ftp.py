@@ -239,4 +239,4 @@ def _remote_file(row: bytes) -> RemoteFile | None:
     if kind != b"F":
         return None
     name, _, size = text.partition("\t")
-    return RemoteFile(name, int(size) if size.isdigit() else 0, False)
+    return RemoteFile(name, int(size) if size.isascii() and size.isdigit() else 0, False)

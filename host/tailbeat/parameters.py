@@ -6,18 +6,21 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cache
 from itertools import islice
 
 from tailbeat import _dialect as mavlink
 from tailbeat._native import ffi, lib
-from tailbeat.errors import InputError, Refused
+from tailbeat.errors import InputError, Refused, TransferError
 from tailbeat.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
 from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 
 _NAME_BYTES = 16
 _LIST_SILENCE_S = 0.5
 _BARREN_ROUNDS_MAX = 16
+_COUNT_MAX = 1024
+_REPEATS_MAX = 4
 _ASK_MAX = 16  # at once: their answers fit into what the board's sender holds
 _DENIED = mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED
 _FAULTS = {_DENIED: WRONG_STATE}
@@ -136,14 +139,23 @@ class Parameters:
             )
 
     def _collect(self, found: dict[int, Message], count: int | None) -> int | None:
-        silence_s = self._link.patient(_LIST_SILENCE_S)
+        silence_s, received = self._link.patient(_LIST_SILENCE_S), 0
         while count is None or len(found) < count:
             message = self._link.recv("PARAM_VALUE", silence_s)
             if message is None:
                 break
             count = message.param_count
+            if count > _COUNT_MAX:
+                raise TransferError(
+                    f"the board claims to have {count} parameters; no firmware has more than "
+                    f"{_COUNT_MAX}",
+                    "Check that the address is a tailbeat board's, and its firmware: tailbeat info",
+                )
             if message.param_index < message.param_count:
                 found[message.param_index] = message
+            received += 1
+            if received > _REPEATS_MAX * count:
+                break  # it repeats itself; what is missing is asked for
         return count
 
     def _exchange(self, message: Message, name: str, wanted: bytes | None = None) -> Message:
@@ -170,6 +182,8 @@ class Parameters:
             if answer.get_type() == "PARAM_ERROR":
                 if answer.error == _DENIED and self._link.once_more():
                     continue
+                if answer.error == mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST:
+                    raise _no_such(name)
                 raise refusal(_FAULTS.get(answer.error, BAD_PARAM))
             return answer
         raise AssertionError("attempts always raises at its end")
@@ -214,8 +228,16 @@ def _parameter(message: Message) -> Parameter:
 def _encode(name: str) -> bytes:
     encoded = name.encode("ascii", "replace")
     if not 1 <= len(encoded) <= _NAME_BYTES:
-        raise refusal(BAD_PARAM)
+        raise _no_such(name)
     return encoded
+
+
+def _no_such(name: str) -> Refused:
+    told = refusal(BAD_PARAM)
+    alike = get_close_matches(name.upper(), known_parameters(), n=2)
+    guess = f"Did you mean {' or '.join(alike)}? " if alike else ""
+    remedy = f"{guess}Print all names: tailbeat params list"
+    return Refused(told.number, told.name, f"the board has no parameter '{name}'", remedy)
 
 
 def _bits(value: float) -> bytes:

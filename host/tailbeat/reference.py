@@ -349,6 +349,12 @@ def _reject(path: Path, number: int, column: str, what: str, remedy: str) -> NoR
     raise InputError(f"{path.name}, row {number}, column {column}: {what}.", remedy)
 
 
+_NAMES = (
+    "Use thesis, thesis:V,DURATION_S, trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S "
+    "or a CSV file."
+)
+
+
 def from_text(text: str) -> Reference:
     """``thesis``, ``thesis:SPEED,DURATION_S``, ``trapezoid:SPEED,RAMP_S,HOLD_S``,
     ``cosine:SPEED,RAMP_S,HOLD_S`` or a CSV."""
@@ -372,10 +378,10 @@ def from_text(text: str) -> Reference:
             ) from None
         return (trapezoid if kind == "trapezoid" else cosine)(speed, ramp_s, hold_s)
     path = Path(text)
+    if not text.strip():
+        raise InputError("the name of the reference is empty.", _NAMES)
+    if path.is_dir():
+        raise InputError(f"'{text}' is a folder, no reference.", "Name a CSV file in it.")
     if not path.exists():
-        raise InputError(
-            f"there is no reference '{text}'.",
-            "Use thesis, thesis:V,DURATION_S, trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S "
-            "or a CSV file.",
-        )
+        raise InputError(f"there is no reference '{text}'.", _NAMES)
     return from_csv(path)

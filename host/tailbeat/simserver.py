@@ -340,9 +340,10 @@ def parse_listen(listen: str) -> tuple[str, int]:
     """``tcp:HOST:PORT`` to (host, port); port 0 = any that is free."""
     kind, _, rest = listen.partition(":")
     host, _, port = rest.rpartition(":")
-    if kind != "tcp" or not host or not port.isdigit() or int(port) > _PORT_MAX:
+    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else _PORT_MAX + 1
+    if kind != "tcp" or not host or number > _PORT_MAX:
         raise InputError(f"'{listen}' is no place to listen.", f"Write it like {DEFAULT_LISTEN}.")
-    return host.strip("[]"), int(port)
+    return host.strip("[]"), number
 
 
 def _ports(selector: selectors.BaseSelector, host: str, port: int) -> list[_Port]:

@@ -156,6 +156,11 @@ def read_trial(path: Path) -> Trial:
     """Reads a trial file. A file cut short is read as far as it goes; ``problems`` says so."""
     try:
         raw = path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(
+            f"there is no trial file {path}.",
+            "Check the path, or give a trial's number; 'tailbeat trial list' prints them.",
+        ) from error
     except OSError as error:
         raise InputError(
             f"cannot read {path} ({reason(error)}).", "Pull the trial again."

@@ -1,17 +1,24 @@
-"""The command line: ``tailbeat``. A thin skin over the library."""
+"""The command line: ``tailbeat``. A thin skin over the library.
+
+Only what Python has loaded already is imported here: Ctrl-C is caught from ``main`` on.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 
+_INTERRUPTED = 130
 _OS_REMEDY = "Check the path, your rights there and the free space."
 
 
 def main() -> None:
     """Entry point. Exit status: 0 done, 1 refused or failed, 2 wrongly called, 130 Ctrl-C."""
-    sys.exit(run())
+    try:
+        status = run()
+    except KeyboardInterrupt:  # before the first command was known
+        status = _INTERRUPTED
+    sys.exit(status)
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -31,7 +38,7 @@ def run(arguments: list[str] | None = None) -> int:
     except typer.TyperException as error:
         return _fail(_usage(error), error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
-        return 130
+        return _INTERRUPTED
     except BrokenPipeError:
         _discard_stdout()  # the reader has gone
         return 1
@@ -44,6 +51,8 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _discard_stdout() -> None:
     """What could not be written is not tried again, and failed again, at exit."""
+    import contextlib
+
     with contextlib.suppress(OSError, ValueError):
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, sys.stdout.fileno())

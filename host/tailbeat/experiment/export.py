@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.beatcsv import spreadsheet_text
 from tailbeat.errors import InputError
 from tailbeat.experiment.analysis import analyse, round_to
 from tailbeat.experiment.folder import Experiment
@@ -91,7 +92,8 @@ def export(
     if unknown:
         raise InputError(f"there is no format {unknown[0]}.", f"Use {', '.join(FORMATS)}.")
     analysis = analyse(experiment)
-    folder = folder or experiment.export_folder
+    if folder is None:
+        folder = experiment.require_own(experiment.export_folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -203,7 +205,7 @@ def _cells(row: tuple[Any, ...]) -> list[Any]:
         if isinstance(value, float | np.floating):
             cells.append("" if np.isnan(value) else repr(float(value)))
         else:
-            cells.append(value)
+            cells.append(spreadsheet_text(value) if isinstance(value, str) else value)
     return cells
 
 

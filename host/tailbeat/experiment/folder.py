@@ -138,6 +138,16 @@ class Experiment:
         """Where exports go."""
         return self.folder / _EXPORT
 
+    def require_own(self, folder: Path) -> Path:
+        """``folder``, which is made by this package within the experiment's. Raises InputError when
+        it is a link that leads out of it: nothing is written or deleted elsewhere."""
+        if not folder.resolve().is_relative_to(self.folder.resolve()):
+            raise InputError(
+                f"{folder} is a link to {folder.resolve()}, outside the experiment.",
+                "Replace the link with a folder, then run this again.",
+            )
+        return folder
+
     @property
     def journal(self) -> Journal:
         """What happened, in order; folders of older tools have an empty one."""

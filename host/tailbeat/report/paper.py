@@ -56,7 +56,9 @@ def write_report(
 
     analyses = [analyse(one) for one in (experiment, *against)]
     require_one_reference(analyses)
-    target = folder or experiment.folder / _FOLDER
+    target = folder or experiment.require_own(experiment.folder / _FOLDER)
+    if folder is None:
+        experiment.require_own(target / _TABLES)
     paper = paper or any((target / f"{name}.pdf").is_file() for name in FIGURES)
     try:
         return _write(experiment, analyses, target, _Options(paper, against, folder is None))
@@ -202,8 +204,14 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
     with replacing_text(path) as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(_COMPARISON)
-        out.writerows(rows)
+        out.writerows([[_cell(value) for value in row] for row in rows])
     return path
+
+
+def _cell(value: Any) -> Any:
+    from tailbeat.beatcsv import spreadsheet_text
+
+    return spreadsheet_text(value) if isinstance(value, str) else value
 
 
 _COMPARISON: dict[str, Callable[..., Any]] = {

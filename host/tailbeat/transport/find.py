@@ -32,6 +32,7 @@ _HEARTBEAT_S = 1.0
 _PORTS = {"radio": RADIO, "console": CONSOLE}  # of a board in this process
 _WORDS = ("plant", "port", "line")
 DEFAULT_PLANT = "tank"
+_PORT_MAX, _PORT_DIGITS = 65535, 5
 
 
 def open_transport(url: str | None = None, /, **sim_overrides: float) -> Transport:
@@ -230,6 +231,10 @@ def tcp_address(url: str) -> tuple[str, int]:
 
 
 def _port(text: str, url: str) -> int:
-    if not text.isdigit() or not 0 < int(text) < 65536:
+    if not (text.isascii() and text.isdigit()):
         raise InputError(f"{url} has no port number", f"The address is {GRAMMAR}.")
+    if len(text) > _PORT_DIGITS or not 0 < int(text) <= _PORT_MAX:
+        raise InputError(
+            f"the port {text} of {url} is out of range", f"Give a port from 1 to {_PORT_MAX}."
+        )
     return int(text)
