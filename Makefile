@@ -9,6 +9,7 @@ export TRIAL_LOG_OUT := $(CURDIR)/build/test_trial.ulg
 STEP := tools/step
 PIP_INSTALL := $(PYTHON) -m pip install --disable-pip-version-check --no-build-isolation --no-deps \
 	--force-reinstall
+NEWLIB_LICENSE := /usr/share/doc/libnewlib-arm-none-eabi/copyright
 CONFIGURE := $(STEP) configuring cmake -S . -G Ninja -DPython_EXECUTABLE=$(PYTHON) --log-level=WARNING
 PACKAGE_SOURCES := $(shell find host firmware/ hal wire tools/vboard CMakeLists.txt cmake -not -name __pycache__ \
 	-not -name '*.pyc' -not -path '*/.*_cache*')
@@ -21,7 +22,7 @@ RUN_ALL := $(BIN)/python tools/run_all.py
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
-.PHONY: help demo test image qemu soak bench firmware flash size check clean lock bootstrap package \
+.PHONY: help demo test image qemu soak bench firmware sbom flash size check clean lock bootstrap package \
 	unit host_tests coverage toolchain fuzz bench_programs
 
 help: ## list the targets
@@ -90,7 +91,14 @@ firmware: package ## the image that is flashed to the fish: build/firmware/tailb
 	@$(CONFIGURE) -B build/firmware -DTAILBEAT_TESTS=OFF -DTAILBEAT_NATIVE=OFF \
 		--toolchain $(CURDIR)/cmake/cortex-m3.cmake
 	@$(STEP) "building the firmware" cmake --build build/firmware --target tailbeat_image
+	@mkdir -p build/firmware/licenses
+	@cp host/NOTICE build/firmware/ && cp host/licenses/*.txt build/firmware/licenses/
+	@cp $(NEWLIB_LICENSE) build/firmware/licenses/newlib.txt 2>/dev/null || \
+		echo "newlib's license was not found; add it from your toolchain to build/firmware/licenses/newlib.txt"
 	@echo "build/firmware/tailbeat.bin: $$(wc -c <build/firmware/tailbeat.bin) bytes"
+
+sbom: package ## everything built in or installed, as CycloneDX: build/sbom.json
+	@$(PYTHON) tools/sbom.py
 
 flash: firmware package ## write the image to the fish: make flash PORT=/dev/ttyACM0 FLASH_OPTIONS=--no-keep
 	@tools/bootstrap flash

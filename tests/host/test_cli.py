@@ -130,7 +130,7 @@ def test_params(board: Shell, tmp_path: Path) -> None:
     rows = board.json("params", "list")["params"]
     assert {"name", "value", "default", "low", "high", "unit", "text"} == set(rows[0])
     assert "LAW_GAIN" in board.fails("params", "set", "LAW_GAIN", "-1")
-    assert "no such parameter" in board.fails("params", "get", "NOSUCH")
+    assert "no parameter 'NOSUCH'" in board.fails("params", "get", "NOSUCH")
 
 
 def test_a_reference_that_does_not_fit(board: Shell, tmp_path: Path) -> None:
@@ -271,7 +271,7 @@ def test_numbers_out_of_range(board: Shell) -> None:
         board.fails(*words, "9" * 60, status=2)
         board.fails(*words, "0", status=2)
     board.fails("speed", "upload", "9" * 12, "speed.csv", status=2)
-    assert "cannot read" in board.fails("trial", "show", "\u00b2")
+    assert "there is no trial file" in board.fails("trial", "show", "\u00b2")
 
 
 def test_a_seed_out_of_range(alone: Shell) -> None:

@@ -149,8 +149,10 @@ def test_flipped_bytes_never_crash(files: dict[str, Path]) -> None:
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match="there is no trial file"):
         read_trial(tmp_path / "none.ulg")
+    with pytest.raises(InputError, match="cannot read"):
+        read_trial(tmp_path)
 
 
 def test_beats_csv(trial: Trial, tmp_path: Path) -> None:
