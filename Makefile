@@ -19,6 +19,9 @@ PYTHON_SOURCES := host tests tools wire $(wildcard bench)
 # Runs all that it is given, whatever fails, and sums up.
 RUN_ALL := $(BIN)/python tools/run_all.py
 
+# For what takes long on purpose: no limits of time (tests/conftest.py).
+UNLIMITED := -o faulthandler_timeout=0
+
 # Without what it has compiled kept, each process compiles all tests anew, for 15 s.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
@@ -64,7 +67,7 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	@for recipe in $$($(BIN)/tailbeat sweep --list --json | $(PYTHON) -c \
 		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
 		$(BIN)/tailbeat sweep $$recipe --out build/sweeps/$$recipe --check || exit 1; done
-	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest -s tests/host/test_ftp_model.py
+	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest $(UNLIMITED) -s tests/host/test_ftp_model.py
 	@$(MAKE) fuzz
 
 fuzz: package ## bytes nobody sends: 10 minutes for each target, or FUZZ_SECONDS
@@ -75,7 +78,7 @@ fuzz: package ## bytes nobody sends: 10 minutes for each target, or FUZZ_SECONDS
 	@$(PYTHON) tests/fuzz/run.py
 	@mkdir -p build/fuzz/found
 	@FUZZ_SECONDS=$${FUZZ_SECONDS:-600} FUZZ_KEEP=build/fuzz/found \
-		$(PYTEST) -s tests/host/test_fuzz_files.py
+		$(PYTEST) $(UNLIMITED) -s tests/host/test_fuzz_files.py
 
 bench: package firmware bench_programs ## speed of the simulation, load of the fish's processor, cost of an IMU byte
 	@tools/bootstrap bench

@@ -1,7 +1,8 @@
 """Limits for every test that do not depend on how busy the machine is.
 
 A test may use CPU_LIMIT_S of CPU time. Wall time ends only a test that hangs, 20 times later
-(faulthandler_timeout in pyproject.toml). Both print the stack. Soak tests have no limit.
+(faulthandler_timeout in pyproject.toml). Both print the stack. Soak tests have no limit, nor has
+a run with ``-o faulthandler_timeout=0``.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    guard_s = float(item.config.getini("faulthandler_timeout"))
     if item.get_closest_marker("soak") is not None:
         faulthandler.cancel_dump_traceback_later()
-    else:
+    elif guard_s > 0:
         signal.setitimer(signal.ITIMER_PROF, CPU_LIMIT_S)
 
 
