@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tailbeat.day.judging import told
 from tailbeat.fish import Fish
 from tailbeat.model.fishmodel import FishModel
 from tailbeat.model.identified import Identified
@@ -24,6 +25,7 @@ from tailbeat.saturation import (
     saturation_of,
 )
 from tailbeat.trial_log import Trial, read_trial
+from tailbeat.ui.snapshot import Snapshot, after
 
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)
 TRIALS = 6
@@ -124,3 +126,20 @@ def test_progress_says_so_instead_of_advising_a_falling_gain(series: list[Trial]
     assert saturation is not None and found.fade is None
     assert found.verdict.stop and found.verdict.advice == saturation.action
     assert saturation.words in found.verdict.stop_reason
+
+
+def test_the_page_shows_the_words(series: list[Trial]) -> None:
+    verdict = progress_of(series).verdict
+    assert verdict.saturation is not None
+
+    class Listener:
+        def __init__(self) -> None:
+            self.now = Snapshot()
+
+        def tell(self, event: dict[str, object]) -> None:
+            self.now = after(self.now, event, "12:00")
+
+    page = Listener()
+    told(page, verdict)  # type: ignore[arg-type]
+    assert verdict.saturation.words in page.now.verdict
+    assert "tailbeat params set AMP_MAX_RAD" in page.now.verdict
