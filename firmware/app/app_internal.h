@@ -3,13 +3,9 @@
 #define APP_APP_INTERNAL_H
 
 #include "app/app.h"
+#include "store/critical.h"
 
-#define REFERENCE_PATH "/reference.bin"
-#define LEARNED_PATH "/learned.bin"
-#define PARAMS_PATH "/params.bin"
-#define COUNTER_PATH "/counter.bin"
 #define CRASH_PATH "/crash.bin"
-#define KEY_PATH "/key.bin" /* not in the FTP tree */
 
 #define PAST_PATH "/past0.bin" /* to "/past7.bin" */
 #define PAST_FILES 8u

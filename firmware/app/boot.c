@@ -92,25 +92,29 @@ void boot_load_memory(app_t *app) {
     }
 }
 
-/* The cut may have come between storing the learned input and removing the trial it came from. */
+/* The file of a trial that was learned from stays until the next one replaces it. Without its
+ * reference a trial cannot be learned from, but nobody has dropped it either. */
 static void load_pending(app_t *app) {
     trial_run_load(&app->run, &app->store, app->record);
     const trial_t *trial = &app->run.trial;
-    if (app->run.pending && trial->number <= app->memory.last_trial) {
-        (void)trial_run_forget(&app->run, &app->store);
-    }
-    /* It cannot be learned from without its reference, but nobody has dropped it either. */
-    app->run.pending = app->run.pending && trial->reference_crc == app->reference.crc;
+    app->run.pending = app->run.pending && trial->number > app->memory.last_trial &&
+                       trial->reference_crc == app->reference.crc;
 }
 
 static uint32_t at_least(uint32_t a, uint32_t b) { return a > b ? a : b; }
 
-/* The counter file is the rule; the others save the number if the counter is lost. */
-static void load_next_trial(app_t *app) {
+static uint32_t counted(app_t *app, size_t length) {
     uint32_t next = 1;
-    const size_t length = boot_load_record(app, COUNTER_PATH);
-    if (length == 0 || record_decode_counter(app->record, length, &next) != FAULT_NONE) {
-        next = 1;
+    return length != 0 && record_decode_counter(app->record, length, &next) == FAULT_NONE ? next
+                                                                                          : 1u;
+}
+
+/* The counter is the rule; the others save the number if it is lost. */
+static void load_next_trial(app_t *app) {
+    witness_t witness;
+    uint32_t next = counted(app, boot_load_record(app, COUNTER_PATH));
+    if (witness_read(&app->store, &witness)) {
+        next = at_least(next, counted(app, critical_copy(&witness, CRITICAL_COUNTER, app->record)));
     }
     next = at_least(next, app->memory.last_trial + 1u);
     next = at_least(next, app->run.trial.number + 1u);

@@ -28,6 +28,9 @@ static fault_t clear(app_t *app) {
     if (!swim_finish(app, hal_time_us(app->hal))) {
         return FAULT_WRITE_FAILED;
     }
+    if (critical_set_alarm(&app->store, false) == STORE_IO) {
+        return FAULT_WRITE_FAILED;
+    }
     (void)supervisor_event(&app->supervisor, EVENT_CLEAR, FAULT_NONE);
     return FAULT_NONE;
 }
@@ -46,7 +49,7 @@ static fault_t change_params(app_t *app, link_command_id_t id) {
         return FAULT_NONE;
     }
     const size_t length = record_encode_params(&app->params, app->record);
-    return store_replace(&app->store, PARAMS_PATH, app->record, length) == STORE_OK
+    return critical_replace(&app->store, CRITICAL_PARAMS, app->record, length) == STORE_OK
                ? FAULT_NONE
                : FAULT_WRITE_FAILED;
 }

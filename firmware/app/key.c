@@ -24,7 +24,7 @@ static bool read_record(app_t *app, key_record_t *record) {
 
 static fault_t write_record(app_t *app, const key_record_t *record) {
     const size_t length = record_encode_key(record, app->record);
-    const store_result_t stored = store_replace(&app->store, KEY_PATH, app->record, length);
+    const store_result_t stored = critical_replace(&app->store, CRITICAL_KEY, app->record, length);
     memset(app->record, 0, length);
     return stored == STORE_OK ? FAULT_NONE : FAULT_WRITE_FAILED;
 }

@@ -6,7 +6,7 @@
 
 fault_t learn_save(app_t *app) {
     const size_t length = record_encode_memory(&app->memory, app->record);
-    if (store_replace(&app->store, LEARNED_PATH, app->record, length) == STORE_OK) {
+    if (critical_replace(&app->store, CRITICAL_LEARNED, app->record, length) == STORE_OK) {
         return FAULT_NONE;
     }
     boot_load_memory(app);
@@ -93,7 +93,8 @@ static fault_t learn_pending(app_t *app) {
     if (save(app, &law, &errors, &view, report.rolled_back) != FAULT_NONE) {
         return FAULT_WRITE_FAILED;
     }
-    (void)trial_run_forget(&app->run, &app->store);
+    app->run.pending =
+        false; /* its file stays, for the next trial to replace: /learned.bin tells */
     if (view.shortened && !report.rolled_back) {
         link_text(&app->link, MAV_SEVERITY_NOTICE, "earlier trials are missing in the average");
     }

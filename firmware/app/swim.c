@@ -106,20 +106,26 @@ static bool is_stale(const app_t *app, float issued_s) {
 }
 
 static fault_t save_counter(app_t *app) {
-    const size_t length = record_encode_counter(app->next_trial, app->record);
-    return store_replace(&app->store, COUNTER_PATH, app->record, length) == STORE_OK
-               ? FAULT_NONE
-               : FAULT_WRITE_FAILED;
+    return critical_count(&app->store, app->next_trial) == STORE_OK ? FAULT_NONE
+                                                                    : FAULT_WRITE_FAILED;
 }
 
 static uint32_t log_bytes(const app_t *app) {
     return trial_log_size_bound(app->reference.beats, (uint32_t)trial_s(app) + 1u);
 }
 
+/* The file of a trial that was learned from, if it takes more than a block. The next trial replaces
+ * it at less cost, but needs room beside it. */
+static bool drop_learned_trial(app_t *app) {
+    uint32_t length = 0;
+    return !app->run.pending && store_size(&app->store, PENDING_PATH, &length) == STORE_OK &&
+           length > STORE_BLOCK_BYTES && trial_run_forget(&app->run, &app->store) == STORE_OK;
+}
+
 /* Past trials that no law reads go ahead of any log, the others after all of them, oldest first: a
  * fish that cannot swim learns nothing, and a short average is better than none. */
 static store_result_t make_space_step(app_t *app, bool *done) {
-    if (past_drop(app, past_reach(app))) {
+    if (past_drop(app, past_reach(app)) || drop_learned_trial(app)) {
         return STORE_OK;
     }
     const uint32_t bytes = log_bytes(app) + past_room_bytes(app);

@@ -2,6 +2,7 @@
 
 #include "base/panic.h"
 #include "base/real.h"
+#include "store/critical.h"
 #include "supervisor/stop_rules.h"
 
 #include <math.h>
@@ -267,7 +268,8 @@ bool trial_run_end(trial_run_t *run, uint64_t now_us, fault_t end, uint16_t exec
 }
 
 static store_result_t save_pending(const trial_run_t *run, store_t *store, uint8_t *record) {
-    return store_replace(store, PENDING_PATH, record, record_encode_trial(&run->trial, record));
+    return critical_replace(store, CRITICAL_PENDING, record,
+                            record_encode_trial(&run->trial, record));
 }
 
 store_result_t trial_run_finish(trial_run_t *run, store_t *store, uint8_t *record) {
@@ -318,6 +320,10 @@ store_result_t trial_run_upload(trial_run_t *run, store_t *store, const speed_up
 }
 
 store_result_t trial_run_forget(trial_run_t *run, store_t *store) {
+    const store_result_t dropped = critical_drop(store, CRITICAL_PENDING);
+    if (dropped == STORE_IO) {
+        return dropped;
+    }
     const store_result_t removed = store_remove(store, PENDING_PATH);
     if (removed == STORE_OK || removed == STORE_NOT_FOUND) {
         run->pending = false;

@@ -13,8 +13,6 @@
 
 #include <stdbool.h>
 
-#define PENDING_PATH "/pending.bin"
-
 /* What is left to do once a run collects no more, in this order. */
 typedef enum {
     TRIAL_RUN_COLLECTING,

@@ -62,7 +62,7 @@ static fault_t commit_reference(app_t *app, const link_command_t *command) {
         return fault;
     }
     if (next->crc != app->reference.crc) {
-        if (store_replace(&app->store, REFERENCE_PATH, app->record, command->length_bytes) !=
+        if (critical_replace(&app->store, CRITICAL_REFERENCE, app->record, command->length_bytes) !=
             STORE_OK) {
             return FAULT_WRITE_FAILED;
         }
@@ -110,6 +110,10 @@ static fault_t commit_learned(app_t *app, const link_command_t *command) {
     }
     if (next->beats != app->reference.beats || next->reference_crc != app->reference.crc) {
         return FAULT_WRONG_BEATS;
+    }
+    if (!app->run.pending && trial_run_forget(&app->run, &app->store) != STORE_OK) {
+        return FAULT_WRITE_FAILED; /* learned from, but perhaps not by what is learned from now on
+                                    */
     }
     app->memory = *next;
     fault = learn_save(app);

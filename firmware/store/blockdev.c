@@ -93,12 +93,13 @@ static int read_block(const struct lfs_config *config, lfs_block_t block, lfs_of
     return LFS_ERR_OK;
 }
 
-/* A page that does not take its data makes littlefs put the data into another block. */
+/* A page that does not take its data makes littlefs put the data into another block; so do the raw
+ * blocks, which are not its own. */
 static int program_block(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset,
                          const void *bytes, lfs_size_t length) {
     store_t *store = config->context;
     const uint8_t *page = bytes;
-    if ((store->keep[block / 8u] & 1u << block % 8u) != 0u) {
+    if (block >= STORE_DATA_BLOCKS || (store->keep[block / 8u] & 1u << block % 8u) != 0u) {
         return LFS_ERR_CORRUPT;
     }
     for (lfs_size_t done = 0; done < length; done += HAL_FLASH_PAGE_BYTES) {

@@ -31,6 +31,8 @@
 #define RECORD_MAX_BYTES (34u + 6u * JUDGE_PEAKS + (2u * 4u + 1u) * BEATS_MAX)
 #define RECORD_PAST_MAX_BYTES (24u + 2u * 4u * BEATS_MAX)
 #define RECORD_KEY_MAX_BYTES 52u
+#define RECORD_NO_KEY_BYTES 20u /* a key record without a key */
+#define RECORD_COUNTER_BYTES 16u
 
 typedef struct {
     uint16_t beats; /* 0 = none */

@@ -2,6 +2,7 @@
 
 #include "base/crc.h"
 #include "store/blockdev.h"
+#include "store/bytes.h"
 #include "store/store_internal.h"
 
 #include <string.h>
@@ -9,7 +10,8 @@
 #define FOLDER_TRIALS "/trials"
 #define FOLDER_IN "/in"
 #define CRC_PIECE_BYTES 128u
-#define DOT_ENTRIES 2u /* "." and ".." come first in each folder */
+#define DOT_ENTRIES 2u        /* "." and ".." come first in each folder */
+#define GENERATION_TYPE 0x47u /* the attribute of a file that holds its generation */
 #define TRIAL_SUFFIX ".ulg"
 #define TRIAL_DIGITS_MIN 4u
 #define TRIAL_DIGITS_MAX 10u
@@ -142,6 +144,48 @@ store_result_t store_finish(store_t *store) {
     return store->mounted ? result : STORE_IO;
 }
 
+/* Blocks in use. littlefs visits those of a folder more than once. */
+typedef struct {
+    uint8_t seen[STORE_BLOCKS / 8u];
+    uint32_t data;
+    uint8_t raw_taken;
+} usage_t;
+
+static int note_block(void *context, lfs_block_t block) {
+    usage_t *usage = context;
+    const uint8_t bit = (uint8_t)(1u << block % 8u);
+    if (block >= STORE_BLOCKS || (usage->seen[block / 8u] & bit) != 0u) {
+        return LFS_ERR_OK;
+    }
+    usage->seen[block / 8u] |= bit;
+    if (block < STORE_DATA_BLOCKS) {
+        usage->data++;
+    } else {
+        usage->raw_taken |= (uint8_t)(1u << (block - STORE_DATA_BLOCKS));
+    }
+    return LFS_ERR_OK;
+}
+
+/* False when the filesystem cannot be walked: then nothing is free. */
+static bool find_usage(store_t *store, usage_t *usage) {
+    *usage = (usage_t){0};
+    return store_begin(store) && lfs_fs_traverse(&store->lfs, note_block, usage) >= 0;
+}
+
+/* littlefs hands out the raw blocks no more, unless an earlier firmware left files in them: then
+ * they stay readable, and blockdev.c refuses to program them. */
+static void reserve_raw(store_t *store) {
+    lfs_t *lfs = &store->lfs;
+    usage_t usage;
+    store->raw_taken = find_usage(store, &usage) ? usage.raw_taken : UINT8_MAX;
+    if (store->raw_taken == 0) {
+        lfs->block_count = STORE_DATA_BLOCKS;
+        lfs->lookahead.start %= STORE_DATA_BLOCKS;
+        lfs->lookahead.next = lfs->lookahead.size = 0;
+        lfs->lookahead.ckpoint = STORE_DATA_BLOCKS;
+    }
+}
+
 store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep) {
     memset(store, 0, sizeof *store);
     blockdev_configure(store, hal);
@@ -153,6 +197,9 @@ store_result_t store_renew(store_t *store, hal_t *hal, const uint8_t *keep) {
         code = lfs_mount(&store->lfs, &store->config);
     }
     store->mounted = store->formatted = code == LFS_ERR_OK;
+    if (store->mounted) {
+        reserve_raw(store);
+    }
     return store_written(store, code);
 }
 
@@ -168,6 +215,9 @@ store_result_t store_find(store_t *store, hal_t *hal) {
     if (store->mounted && lfs_stat(&store->lfs, FOLDER_TRIALS, &info) == LFS_ERR_NOENT) {
         store_unmount(store);
         code = LFS_ERR_CORRUPT;
+    }
+    if (store->mounted) {
+        reserve_raw(store);
     }
     return store_result(code);
 }
@@ -194,13 +244,26 @@ void store_unmount(store_t *store) {
 
 static int open_short(store_t *store, lfs_file_t *file, struct lfs_file_config *config,
                       const char *path, int flags) {
-    *config = (struct lfs_file_config){.buffer = store->file_cache};
+    config->buffer = store->file_cache;
     return lfs_file_opencfg(&store->lfs, file, path, flags, config);
 }
 
-static int write_whole(store_t *store, const char *path, const void *bytes, size_t length) {
+/* What a file is opened with that carries |generation|, in the byte order of its records. */
+static struct lfs_file_config marked(struct lfs_attr *mark, uint8_t generation[4]) {
+    *mark = (struct lfs_attr){.type = GENERATION_TYPE, .buffer = generation, .size = 4};
+    return (struct lfs_file_config){.attrs = mark, .attr_count = 1};
+}
+
+static int write_whole(store_t *store, const char *path, const void *bytes, size_t length,
+                       uint32_t generation) {
     lfs_file_t file;
-    struct lfs_file_config config;
+    struct lfs_attr mark;
+    uint8_t mark_bytes[4];
+    struct lfs_file_config config = {0};
+    if (generation != 0) {
+        (void)bytes_put_u32(mark_bytes, generation);
+        config = marked(&mark, mark_bytes);
+    }
     const int opened =
         open_short(store, &file, &config, path, LFS_O_WRONLY | LFS_O_CREAT | LFS_O_TRUNC);
     if (opened < 0) {
@@ -212,6 +275,13 @@ static int write_whole(store_t *store, const char *path, const void *bytes, size
 }
 
 store_result_t store_replace(store_t *store, const char *path, const void *bytes, size_t length) {
+    return store_replace_marked(store, path, bytes, length, 0);
+}
+
+/* littlefs commits a file that was there already as a whole, when it is closed: old or new. A new
+ * one is there, empty, before that, and needs another name meanwhile. */
+store_result_t store_replace_marked(store_t *store, const char *path, const void *bytes,
+                                    size_t length, uint32_t generation) {
     if (!store_begin(store)) {
         return STORE_IO;
     }
@@ -219,14 +289,16 @@ store_result_t store_replace(store_t *store, const char *path, const void *bytes
         return STORE_BAD_ARGUMENT;
     }
     char fresh[STORE_PATH_BYTES];
+    struct lfs_info info;
+    const bool there = generation != 0 && lfs_stat(&store->lfs, path, &info) >= 0;
     strcpy(fresh, path);
-    strcat(fresh, STORE_NEW_SUFFIX);
-    int code = write_whole(store, fresh, bytes, length);
+    strcat(fresh, there ? "" : STORE_NEW_SUFFIX);
+    int code = write_whole(store, fresh, bytes, length, generation);
     if (code >= 0) {
         store_lose_reader(store, path);
-        code = lfs_rename(&store->lfs, fresh, path);
+        code = there ? code : lfs_rename(&store->lfs, fresh, path);
     }
-    if (code < 0) {
+    if (code < 0 && !there) {
         (void)lfs_remove(&store->lfs, fresh);
     }
     return store_written(store, code);
@@ -237,7 +309,7 @@ store_result_t store_load(store_t *store, const char *path, void *out, size_t le
         return STORE_IO;
     }
     lfs_file_t file;
-    struct lfs_file_config config;
+    struct lfs_file_config config = {0};
     const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
     if (opened < 0) {
         return store_result(opened);
@@ -251,6 +323,23 @@ store_result_t store_load(store_t *store, const char *path, void *out, size_t le
     }
     (void)lfs_file_close(&store->lfs, &file);
     return result;
+}
+
+store_result_t store_generation(store_t *store, const char *path, uint32_t *generation) {
+    *generation = 0;
+    if (!store_begin(store)) {
+        return STORE_IO;
+    }
+    lfs_file_t file;
+    struct lfs_attr mark;
+    uint8_t mark_bytes[4] = {0};
+    struct lfs_file_config config = marked(&mark, mark_bytes);
+    const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
+    if (opened >= 0) {
+        *generation = bytes_get_u32(mark_bytes);
+        (void)lfs_file_close(&store->lfs, &file);
+    }
+    return store_result(opened);
 }
 
 store_result_t store_size(store_t *store, const char *path, uint32_t *size_bytes) {
@@ -282,7 +371,7 @@ store_result_t store_crc32(store_t *store, const char *path, uint32_t *crc) {
         return STORE_IO;
     }
     lfs_file_t file;
-    struct lfs_file_config config;
+    struct lfs_file_config config = {0};
     const int opened = open_short(store, &file, &config, path, LFS_O_RDONLY);
     if (opened < 0) {
         return store_result(opened);
@@ -353,12 +442,22 @@ store_result_t store_entry(store_t *store, const char *folder, uint32_t index,
 }
 
 uint32_t store_free_bytes(store_t *store) {
-    if (!store_begin(store)) {
-        return 0;
+    usage_t usage;
+    return find_usage(store, &usage) ? (STORE_DATA_BLOCKS - usage.data) * STORE_BLOCK_BYTES : 0;
+}
+
+bool store_raw_taken(const store_t *store, uint32_t block) {
+    return (store->raw_taken & 1u << (block - STORE_DATA_BLOCKS)) != 0u;
+}
+
+store_result_t store_rewrite_folders(store_t *store) {
+    int code = store_begin(store) ? LFS_ERR_OK : LFS_ERR_IO;
+    store->config.compact_thresh = 1; /* every block of a folder is fuller than that */
+    for (uint32_t i = 0; i < 2u && code >= 0; i++) {
+        code = lfs_fs_gc(&store->lfs);
     }
-    const lfs_ssize_t used = lfs_fs_size(&store->lfs);
-    const bool known = used >= 0 && (uint32_t)used <= STORE_BLOCKS;
-    return known ? (STORE_BLOCKS - (uint32_t)used) * STORE_BLOCK_BYTES : 0;
+    blockdev_configure(store, store->hal);
+    return store_written(store, code);
 }
 
 /* "0042.ulg" -> 42. */

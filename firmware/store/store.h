@@ -2,8 +2,8 @@
  * Files on the board: littlefs over the storage flash.
  *
  * Owns the mounted filesystem and all its buffers. One instance per board, no heap. Every replace
- * is write-new, sync, rename: after a cut at any instant the old or the new content is there. Main
- * loop only; a call that writes may take up to 100 ms on hardware.
+ * is one commit: after a cut at any instant the old or the new content is there. Main loop only; a
+ * call that writes may take up to 100 ms on hardware.
  */
 #ifndef STORE_STORE_H
 #define STORE_STORE_H
@@ -17,6 +17,10 @@
 
 #define STORE_BLOCK_BYTES 2048u
 #define STORE_BLOCKS (HAL_FLASH_SIZE_BYTES / STORE_BLOCK_BYTES)
+/* The superblock counts all blocks, as earlier firmware wrote it (littlefs mounts no other count),
+ * but only the first STORE_DATA_BLOCKS are handed out: behind them are raw pages (witness.h). */
+#define STORE_RAW_BLOCKS 5u
+#define STORE_DATA_BLOCKS (STORE_BLOCKS - STORE_RAW_BLOCKS)
 #define STORE_CACHE_BYTES 256u
 #define STORE_LOOKAHEAD_BYTES 16u
 #define STORE_PATH_BYTES 40u /* longest path, with its final zero; 4 less for store_replace */
@@ -57,6 +61,8 @@ typedef struct {
     store_file_t *reader; /* open for reading; NULL = none */
     char reader_path[STORE_PATH_BYTES];
     bool formatted;        /* this boot found no filesystem and made one */
+    uint32_t generation;   /* of the newest witness; store/witness.h */
+    uint8_t raw_taken;     /* raw blocks that hold files of an earlier firmware, one bit each */
     uint32_t failures;     /* writes that failed since boot */
     uint16_t pages_failed; /* that did not take their data, in the call that is on */
     bool hurt;             /* see store_take_damage */
@@ -105,6 +111,20 @@ void store_unmount(store_t *store);
 
 /* Replaces |path| with the given bytes, atomically. */
 store_result_t store_replace(store_t *store, const char *path, const void *bytes, size_t length);
+
+/* The same with a generation, which the file carries from then on: store/critical.h. */
+store_result_t store_replace_marked(store_t *store, const char *path, const void *bytes,
+                                    size_t length, uint32_t generation);
+
+/* The generation that |path| carries; 0 when it has none. */
+store_result_t store_generation(store_t *store, const char *path, uint32_t *generation);
+
+/* Whether files lay in |block|, one of the raw blocks, when the store was mounted. Since then they
+ * can only have left. */
+bool store_raw_taken(const store_t *store, uint32_t block);
+
+/* Writes the blocks of all folders anew, both of each pair: what they held before is gone. */
+store_result_t store_rewrite_folders(store_t *store);
 
 /* Reads the whole of |path|: STORE_CORRUPT unless its length is exactly |length|. */
 store_result_t store_load(store_t *store, const char *path, void *out, size_t length);

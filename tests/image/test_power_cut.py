@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tailbeat.transport.emulated import EmulatedBoard
-from vboard.flashlog import FlashLog, PowerLost, power_lost_at
+from vboard.flashlog import FlashLog, PageWrite, PowerLost, power_lost_at
 
 from .power_cut import aftermath, cuts
 from .power_cut.session import SEED as BOARD_SEED
@@ -48,14 +48,14 @@ def test_the_session_changes_what_is_to_be_cut(uncut: Session) -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "progress"), [("reference", 0.3), ("trial 1", 0.8), ("trial 1", None)]
+    ("step", "progress"), [("trial 2", 0.3), ("trial 1", 0.8), ("trial 1", None)]
 )
 def test_a_cut_taken_from_the_log_is_the_cut_itself(
     image: Path, uncut: Session, step: str, progress: float | None
 ) -> None:
     span = next(s for s in uncut.steps if s.name == step)
     writes = [w for w in uncut.log.writes if span.start <= w.start < span.end]
-    write = writes[len(writes) // 2]
+    write = next(w for w in writes[len(writes) // 2 :] if not is_blank(uncut.log, w))
     tick = write.end + 1
     if progress is not None:
         tick = write.start + round(progress * (write.end - write.start))
@@ -66,6 +66,12 @@ def test_a_cut_taken_from_the_log_is_the_cut_itself(
     assert (board.flash == uncut.log.at(now)) == (progress is None)
     recovered = aftermath.Recovered(board, FlashLog(board.board), greet(board))
     assert cuts.check(uncut, recovered, cuts.Cut(0, now, True, random.Random(0)))
+
+
+def is_blank(log: FlashLog, write: PageWrite) -> bool:
+    """Whether the page was blank: then a cut while it is erased changes nothing."""
+    begin = write.page * len(write.data)
+    return set(log.at(write.start)[begin : begin + len(write.data)]) == {0xFF}
 
 
 def cut_for_real(image: Path, tick: int) -> Session:

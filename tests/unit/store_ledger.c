@@ -239,7 +239,7 @@ static uint32_t blocks_in_use(store_t *store, ledger_t *ledger) {
 }
 
 static int32_t lost(store_t *store, ledger_t *ledger) {
-    const uint32_t used = STORE_BLOCKS - store_free_bytes(store) / STORE_BLOCK_BYTES;
+    const uint32_t used = STORE_DATA_BLOCKS - store_free_bytes(store) / STORE_BLOCK_BYTES;
     return (int32_t)used - (int32_t)blocks_in_use(store, ledger);
 }
 

@@ -173,7 +173,7 @@ static void test_what_was_learned_comes_back_from_a_backup(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
     const size_t length = record_encode_memory(&app.memory, backup);
-    TEST_ASSERT_EQUAL(STORE_OK, store_format(&app.store, &hal));
+    memset(hal.flash, 0xFF, sizeof hal.flash); /* erased with the chip */
     reboot();
     TEST_ASSERT_EQUAL(1, app.next_trial);
     TEST_ASSERT_EQUAL(FAULT_WRONG_BEATS,
@@ -309,7 +309,7 @@ static void test_a_full_store_is_no_fault(void) {
     static uint8_t piece[60u * STORE_BLOCK_BYTES];
     store_result_t result = STORE_OK;
     char path[] = "/in/a";
-    for (size_t length = sizeof piece; length >= STORE_BLOCK_BYTES; length /= 2u) {
+    for (size_t length = sizeof piece; length > 0; length /= 2u) {
         for (result = STORE_OK; result == STORE_OK; path[4]++) {
             result = store_replace(&app.store, path, piece, length);
         }

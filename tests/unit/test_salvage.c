@@ -163,7 +163,7 @@ static void test_a_damaged_file_costs_itself_only(void) {
     damage_file("/learned.bin");
     reboot();
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
-    TEST_ASSERT_TRUE(said("saved /learned.bin"));
+    TEST_ASSERT_TRUE(said("older /learned.bin"));
     TEST_ASSERT_EQUAL_UINT32(1, app.memory.last_trial); /* the version before */
     TEST_ASSERT_TRUE(app.run.pending);
     uint32_t size = 0;
@@ -177,7 +177,7 @@ static void test_a_damaged_file_costs_itself_only(void) {
     hal.tx[HAL_PORT_CONSOLE].tail = 0;
     reboot();
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
-    TEST_ASSERT_TRUE(said("lost /params.bin"));
+    TEST_ASSERT_TRUE(said("older /params.bin")); /* the defaults, with the limits */
     TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
     TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
 }
@@ -198,17 +198,31 @@ static void test_learned_input_that_contradicts_itself_is_damaged(void) {
     expect_goes_on();
 }
 
+static void wipe_witness(void) {
+    memset(hal.flash + STORE_DATA_BLOCKS * STORE_BLOCK_BYTES, 0xFF,
+           STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+}
+
+/* The witness names the newest of several copies. Without it only equal ones count. */
 static void test_parameters_come_back_only_when_there_is_no_doubt(void) {
     live();
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 3));
     TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 2.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
-    wipe_superblocks(0xFF);
-    reboot();
-    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
-    TEST_ASSERT_TRUE(said("lost /params.bin"));
-    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
-    TEST_ASSERT_EQUAL_UINT32(3, app.memory.last_trial);
+    memcpy(whole, hal.flash, sizeof whole);
+    for (uint32_t witnessed = 0; witnessed < 2; witnessed++) {
+        memcpy(hal.flash, whole, sizeof whole);
+        wipe_superblocks(0xFF);
+        if (witnessed == 0) {
+            wipe_witness();
+        }
+        hal.tx[HAL_PORT_CONSOLE].tail = 0;
+        reboot();
+        TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
+        TEST_ASSERT_TRUE(said(witnessed == 1 ? "saved /params.bin" : "lost /params.bin"));
+        TEST_ASSERT_EQUAL_FLOAT(witnessed == 1 ? 2.0f : 4.0f, app.params.value[PARAM_LAW_GAIN]);
+        TEST_ASSERT_EQUAL_UINT32(3, app.memory.last_trial);
+    }
 }
 
 static void test_the_newest_reference_comes_back_with_what_was_learned_for_it(void) {
@@ -312,23 +326,37 @@ static void test_an_erased_key_does_not_come_back(void) {
     TEST_ASSERT_FALSE(app.link.signing.locked);
 }
 
+/* A key that was replaced never comes back: the newest does, from its copy in the witness; without
+ * a witness nobody knows, and the board is locked. */
 static void test_a_replaced_key_does_not_come_back(void) {
     store_key(true, 1, 1000);
+    reboot();
     TEST_ASSERT_EQUAL(FAULT_NONE, key_set(&app, new_key, 2000));
     memcpy(whole, hal.flash, sizeof whole);
-    damage_file(KEY_PATH);
-    reboot();
-    TEST_ASSERT_EQUAL(FAULT_KEY_UNREADABLE, app.supervisor.reason);
-    TEST_ASSERT_TRUE(app.link.signing.locked && !app.link.signing.keyed);
-
-    memcpy(hal.flash, whole, sizeof whole);
-    reboot();
-    wipe_superblocks(0xFF);
-    reboot();
-    TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
-    TEST_ASSERT_TRUE(app.link.signing.locked && !app.link.signing.keyed);
+    for (uint32_t i = 0; i < 4u; i++) {
+        const bool witnessed = i % 2u == 0, renewed = i / 2u == 1;
+        memcpy(hal.flash, whole, sizeof whole);
+        reboot();
+        if (renewed) {
+            wipe_superblocks(0xFF);
+        } else {
+            damage_file(KEY_PATH);
+        }
+        if (!witnessed) {
+            wipe_witness();
+        }
+        reboot();
+        TEST_ASSERT_EQUAL(renewed     ? FAULT_STORE_RENEWED
+                          : witnessed ? FAULT_FILE_DAMAGED
+                                      : FAULT_KEY_UNREADABLE,
+                          app.supervisor.reason);
+        TEST_ASSERT_TRUE(app.link.signing.locked);
+        TEST_ASSERT_EQUAL(witnessed, app.link.signing.keyed);
+        TEST_ASSERT_TRUE(!witnessed || stored_key().key[0] == new_key[0]);
+    }
 }
 
+/* Of the limits that the witness keeps and the defaults, the more restrictive ones. */
 static void test_older_limits_do_not_come_back(void) {
     static const float limits_rad[] = {1.0f, 0.2f};
     for (size_t i = 0; i < 2; i++) {
@@ -336,8 +364,13 @@ static void test_older_limits_do_not_come_back(void) {
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     }
     damage_file(PARAMS_PATH);
+    memcpy(whole, hal.flash, sizeof whole);
     reboot();
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
+    TEST_ASSERT_EQUAL_FLOAT(0.2f, app.params.value[PARAM_AMP_MAX_RAD]);
+    memcpy(hal.flash, whole, sizeof whole);
+    wipe_witness();
+    reboot();
     TEST_ASSERT_EQUAL_FLOAT(0.5f, app.params.value[PARAM_AMP_MAX_RAD]);
 }
 

@@ -429,7 +429,7 @@ static void test_a_store_filled_to_the_last_block(void) {
         /* Uploads alone: no trial is left to go, so it is said. */
         fill_with_uploads(0);
         TEST_ASSERT_EQUAL_INT(STORE_NO_SPACE,
-                              store_make_space(&store, HAL_FLASH_SIZE_BYTES / 2u, 0));
+                              store_make_space(&store, HAL_FLASH_SIZE_BYTES / 4u * 3u, 0));
         TEST_ASSERT_FALSE(is_there(40));
         expect_content("/learned.bin", bytes, 4640);
     }

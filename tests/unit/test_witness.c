@@ -1,0 +1,402 @@
+/*
+ * The witness of the critical records: its ring of pages, stores that an earlier firmware filled,
+ * and what a board says whose records have gone back.
+ */
+#include "app_fixture.h"
+#include "flash_model.h"
+#include "params/limits.h"
+#include "store_ledger.h"
+#include "target.h"
+
+#include <stdio.h>
+
+#define BEATS 5u
+#define SPEED 0.05f
+#define RAW_BEGIN (STORE_DATA_BLOCKS * STORE_BLOCK_BYTES)
+#define COPY_PAGES WITNESS_PLACES
+#define UPDATE_PAGES 4u
+#define LOG_BYTES 5000u
+#define LOGS_MAX 64u
+
+static flash_model_t model;
+static uint8_t whole[HAL_FLASH_SIZE_BYTES], bytes[RECORD_TRIAL_MAX_BYTES];
+
+void setUp(void) { fixture_reset(); }
+void tearDown(void) {}
+
+static uint32_t page_at(uint32_t copy, uint32_t generation) {
+    return RAW_BEGIN +
+           (UPDATE_PAGES + copy * COPY_PAGES + generation % WITNESS_PLACES) * HAL_FLASH_PAGE_BYTES;
+}
+
+static void test_the_newest_intact_version_counts(void) {
+    witness_t witness = {0}, found;
+    TEST_ASSERT_FALSE(witness_find(&app.store, &found));
+    for (uint32_t i = 1; i <= 3u * WITNESS_PLACES; i++) {
+        witness.entry[2].crc = i;
+        witness.note[5] = (uint8_t)i;
+        TEST_ASSERT_EQUAL(STORE_OK, witness_write(&app.store, &witness));
+        TEST_ASSERT_TRUE(witness_read(&app.store, &found));
+        TEST_ASSERT_EQUAL_MEMORY(&witness, &found, sizeof found);
+    }
+    const uint32_t newest = witness.generation;
+    for (uint32_t copy = 0; copy < 2u; copy++) {
+        hal.flash[page_at(copy, newest) + 100u] ^= 4u;
+        TEST_ASSERT_TRUE(witness_find(&app.store, &found));
+        TEST_ASSERT_EQUAL_UINT32(copy == 0 ? newest : newest - 1u, found.generation);
+    }
+    app.store.generation = 0;
+    TEST_ASSERT_TRUE(witness_find(&app.store, &found));
+    TEST_ASSERT_EQUAL_UINT32(newest - 1u, app.store.generation);
+    for (uint32_t at = 0; at < UPDATE_PAGES * HAL_FLASH_PAGE_BYTES; at++) {
+        TEST_ASSERT_EQUAL_HEX8(0xFF, hal.flash[RAW_BEGIN + at]);
+    }
+}
+
+/* littlefs never gets a raw block, not even as the half of a folder that is not written yet. */
+static void test_nothing_in_littlefs_points_to_the_raw_blocks(void) {
+    swim_whole_trial(BEATS, SPEED);
+    static uint8_t piece[STORE_BLOCK_BYTES];
+    char path[] = "/in/a";
+    store_result_t result = STORE_OK;
+    for (; result == STORE_OK; path[4]++) {
+        for (uint32_t i = 0; i < 4u; i++) {
+            memset(piece, (int)i, sizeof piece);
+            result = store_replace(&app.store, path, piece, sizeof piece);
+        }
+    }
+    TEST_ASSERT_EQUAL(STORE_NO_SPACE, result);
+    reboot();
+    TEST_ASSERT_EQUAL_HEX8(0, app.store.raw_taken);
+}
+
+/* ---- a store of an earlier firmware: no generations, and files up to the last block ---- */
+
+static int old_read(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset, void *out,
+                    lfs_size_t length) {
+    (void)config;
+    memcpy(out, hal.flash + block * STORE_BLOCK_BYTES + offset, length);
+    return 0;
+}
+
+static int old_program(const struct lfs_config *config, lfs_block_t block, lfs_off_t offset,
+                       const void *from, lfs_size_t length) {
+    (void)config;
+    memcpy(hal.flash + block * STORE_BLOCK_BYTES + offset, from, length);
+    return 0;
+}
+
+static int old_nothing(const struct lfs_config *config) {
+    (void)config;
+    return 0;
+}
+
+static int old_erase(const struct lfs_config *config, lfs_block_t block) {
+    (void)block;
+    return old_nothing(config);
+}
+
+static lfs_t old;
+static uint8_t old_cache[3][STORE_CACHE_BYTES], old_lookahead[STORE_LOOKAHEAD_BYTES];
+static const struct lfs_config old_config = {.read = old_read,
+                                             .prog = old_program,
+                                             .erase = old_erase,
+                                             .sync = old_nothing,
+                                             .read_size = 16,
+                                             .prog_size = HAL_FLASH_PAGE_BYTES,
+                                             .block_size = STORE_BLOCK_BYTES,
+                                             .block_count = STORE_BLOCKS,
+                                             .block_cycles = 20,
+                                             .cache_size = STORE_CACHE_BYTES,
+                                             .lookahead_size = STORE_LOOKAHEAD_BYTES,
+                                             .inline_max = (lfs_size_t)-1,
+                                             .read_buffer = old_cache[0],
+                                             .prog_buffer = old_cache[1],
+                                             .lookahead_buffer = old_lookahead};
+
+static int old_write(const char *path, const void *from, size_t length) {
+    lfs_file_t file;
+    const struct lfs_file_config config = {.buffer = old_cache[2]};
+    int code =
+        lfs_file_opencfg(&old, &file, "/new", LFS_O_WRONLY | LFS_O_CREAT | LFS_O_TRUNC, &config);
+    if (code == 0) {
+        code = (int)lfs_file_write(&old, &file, from, (lfs_size_t)length);
+        const int closed = lfs_file_close(&old, &file);
+        code = code < 0 ? code : closed;
+    }
+    return code < 0 ? code : lfs_rename(&old, "/new", path);
+}
+
+static void old_log(uint32_t number, uint8_t *content) {
+    for (uint32_t i = 0; i < LOG_BYTES; i++) {
+        content[i] = (uint8_t)(i * 7u + number * 13u);
+    }
+    memcpy(content, "ULog", 4);
+}
+
+static uint32_t old_logs;
+
+/* Trial 7 learned, trial 8 pending, a key, parameters; then logs until |logs| or the flash is full.
+ */
+static void make_old_store(uint32_t logs) {
+    static reference_t reference = {.beats = BEATS, .beat_s = 1.0f};
+    static memory_t memory = {.beats = BEATS, .iteration = 3, .last_trial = 7};
+    static trial_t trial = {.number = 8, .iteration = 3, .beats = BEATS, .executed = BEATS};
+    static uint8_t content[LOG_BYTES];
+    params_t params;
+    const key_record_t key = {.set = true, .key = {5, 6, 7}, .mark = 1000};
+    memset(hal.flash, 0xFF, sizeof hal.flash);
+    TEST_ASSERT_EQUAL_INT(0, lfs_format(&old, &old_config));
+    TEST_ASSERT_EQUAL_INT(0, lfs_mount(&old, &old_config));
+    TEST_ASSERT_EQUAL_INT(0, lfs_mkdir(&old, "/in"));
+    TEST_ASSERT_EQUAL_INT(0, lfs_mkdir(&old, "/trials"));
+    for (uint32_t k = 0; k < BEATS; k++) {
+        reference.speed_m_s[k] = SPEED;
+        memory.amplitude_rad[k] = 0.1f * (float)k;
+    }
+    size_t length = record_encode_reference(&reference, bytes);
+    memory.reference_crc = trial.reference_crc = record_crc(bytes);
+    TEST_ASSERT_EQUAL_INT(0, old_write(REFERENCE_PATH, bytes, length));
+    TEST_ASSERT_EQUAL_INT(0, old_write(LEARNED_PATH, bytes, record_encode_memory(&memory, bytes)));
+    TEST_ASSERT_EQUAL_INT(0, old_write(PENDING_PATH, bytes, record_encode_trial(&trial, bytes)));
+    params_reset(&params);
+    params.value[PARAM_AMP_MAX_RAD] = 0.7f;
+    TEST_ASSERT_EQUAL_INT(0, old_write(PARAMS_PATH, bytes, record_encode_params(&params, bytes)));
+    TEST_ASSERT_EQUAL_INT(0, old_write(KEY_PATH, bytes, record_encode_key(&key, bytes)));
+    TEST_ASSERT_EQUAL_INT(0, old_write(COUNTER_PATH, bytes, record_encode_counter(70, bytes)));
+    int code = 0;
+    for (old_logs = 0; old_logs < logs && code == 0; old_logs += code == 0) {
+        char path[STORE_PATH_BYTES];
+        trial_log_path(old_logs + 1u, path);
+        old_log(old_logs + 1u, content);
+        code = old_write(path, content, sizeof content);
+    }
+    (void)lfs_remove(&old, "/new");
+    TEST_ASSERT_EQUAL_INT(0, lfs_unmount(&old));
+}
+
+static void expect_old_content(void) {
+    static uint8_t content[LOG_BYTES], found[LOG_BYTES];
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL_UINT16(3, app.memory.iteration);
+    TEST_ASSERT_EQUAL_FLOAT(0.4f, app.memory.amplitude_rad[4]);
+    TEST_ASSERT_EQUAL_UINT32(8, app.run.pending ? app.run.trial.number : 0u);
+    TEST_ASSERT_EQUAL_FLOAT(0.7f, app.params.value[PARAM_AMP_MAX_RAD]);
+    TEST_ASSERT_TRUE(app.link.signing.keyed);
+    TEST_ASSERT_EQUAL_UINT8(6, app.link.signing.out.secret_key[1]);
+    TEST_ASSERT_EQUAL_UINT32(70, app.next_trial);
+    for (uint32_t number = 1; number <= old_logs; number++) {
+        char path[STORE_PATH_BYTES];
+        trial_log_path(number, path);
+        old_log(number, content);
+        TEST_ASSERT_EQUAL_MESSAGE(STORE_OK, store_load(&app.store, path, found, LOG_BYTES), path);
+        TEST_ASSERT_EQUAL_MEMORY(content, found, LOG_BYTES);
+    }
+}
+
+/* All goes on, and once the logs are gone the witness has its pages. */
+static void expect_goes_on(void) {
+    for (uint32_t number = 1; store_free_bytes(&app.store) == 0; number++) {
+        char path[STORE_PATH_BYTES]; /* a full one learns nothing until a trial is removed */
+        trial_log_path(number, path);
+        TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, path));
+    }
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 8));
+    for (uint32_t trial = 70; trial < 74; trial++) {
+        swim_whole_trial(BEATS, SPEED);
+        TEST_ASSERT_EQUAL_UINT32(trial, app.run.trial.number);
+        TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, trial));
+        reboot();
+        TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+        TEST_ASSERT_EQUAL_UINT32(trial + 1u, app.next_trial);
+    }
+}
+
+static void test_a_store_of_an_earlier_firmware_is_taken_over(void) {
+    static const uint32_t logs[] = {0, 3, LOGS_MAX};
+    for (size_t i = 0; i < 3; i++) {
+        make_old_store(logs[i]);
+        reboot();
+        expect_old_content();
+        printf("%u logs: %u blocks free, raw blocks taken 0x%02X\n", (unsigned)old_logs,
+               (unsigned)(store_free_bytes(&app.store) / STORE_BLOCK_BYTES),
+               (unsigned)app.store.raw_taken);
+        TEST_ASSERT_EQUAL(logs[i] == LOGS_MAX, app.store.raw_taken != 0);
+        reboot();
+        expect_old_content();
+        expect_goes_on();
+    }
+}
+
+static void check_cuts(uint32_t logs) {
+    make_old_store(logs);
+    memcpy(whole, hal.flash, sizeof whole);
+    uint32_t cuts = 0;
+    bool cut = true;
+    for (uint32_t n = 1; cut; n++) {
+        for (unsigned kind = 0; kind < CUT_KINDS; kind++) {
+            memcpy(hal.flash, whole, sizeof whole);
+            flash_model_attach(&model, &hal, n * CUT_KINDS + kind);
+            model.cut_in = n;
+            model.cut_kind = (cut_kind_t)kind;
+            cut = true;
+            if (setjmp(flash_model_off) == 0) {
+                reboot();
+                cut = false;
+            }
+            model.cut_in = 0;
+            cuts += cut;
+            reboot();
+            expect_old_content();
+        }
+    }
+    printf("%u logs: %u cuts while taking over\n", (unsigned)old_logs, (unsigned)cuts);
+    TEST_ASSERT_GREATER_THAN_UINT32(10, cuts);
+}
+
+static void test_a_cut_at_every_write_of_taking_over(void) {
+    check_cuts(0);
+    check_cuts(LOGS_MAX);
+}
+
+/* Right after taking over nothing is left that a flipped bit could bring back. */
+static void test_a_flipped_bit_does_not_bring_back_what_was_taken_over(void) {
+    make_old_store(1);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, 0.2f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    memcpy(whole, hal.flash, sizeof whole);
+    uint32_t told = 0;
+    for (uint32_t at = 0; at < 8u * STORE_BLOCK_BYTES; at += 3u) {
+        memcpy(hal.flash, whole, sizeof whole);
+        hal.flash[at] ^= (uint8_t)(1u << at % 8u);
+        hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
+        reboot();
+        TEST_ASSERT_EQUAL_FLOAT(0.2f, app.params.value[PARAM_AMP_MAX_RAD]);
+        TEST_ASSERT_TRUE(app.link.signing.locked);
+        told += app.supervisor.state == STATE_FAULT;
+    }
+    TEST_ASSERT_GREATER_THAN_UINT32(0, told);
+}
+
+/* The witness is still there, but an earlier firmware changed the records: no fault. */
+static void test_a_firmware_without_witness_in_between_is_no_fault(void) {
+    make_old_store(0);
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, 0.3f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    store_unmount(&app.store);
+    TEST_ASSERT_EQUAL_INT(0, lfs_mount(&old, &old_config));
+    params_t params;
+    params_reset(&params);
+    params.value[PARAM_AMP_MAX_RAD] = 0.6f;
+    TEST_ASSERT_EQUAL_INT(0, old_write(PARAMS_PATH, bytes, record_encode_params(&params, bytes)));
+    TEST_ASSERT_EQUAL_INT(0, lfs_remove(&old, PENDING_PATH));
+    TEST_ASSERT_EQUAL_INT(0, lfs_unmount(&old));
+    for (uint32_t i = 0; i < 2u; i++) {
+        reboot();
+        TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+        TEST_ASSERT_EQUAL_FLOAT(0.6f, app.params.value[PARAM_AMP_MAX_RAD]);
+        TEST_ASSERT_FALSE(app.run.pending);
+    }
+}
+
+static void test_a_store_without_a_witness_is_no_fault(void) {
+    swim_whole_trial(BEATS, SPEED);
+    memset(hal.flash + RAW_BEGIN, 0xFF, STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
+    for (uint32_t i = 0; i < 2u; i++) {
+        reboot();
+        TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+        TEST_ASSERT_TRUE(app.run.pending);
+    }
+    TEST_ASSERT_GREATER_THAN_UINT32(0, app.store.generation);
+}
+
+static void lose_params(void) {
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_AMP_MAX_RAD, 0.2f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
+    TEST_ASSERT_EQUAL(STORE_OK, store_remove(&app.store, PARAMS_PATH));
+}
+
+static void test_the_fault_lasts_until_it_is_cleared(void) {
+    lose_params();
+    for (uint32_t i = 0; i < 3u; i++) {
+        reboot();
+        TEST_ASSERT_EQUAL(FAULT_STORE_OLDER, app.supervisor.reason);
+        TEST_ASSERT_EQUAL_FLOAT(0.2f, app.params.value[PARAM_AMP_MAX_RAD]);
+    }
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+}
+
+/* No copy of the newest parameters is left: of the limits that are known the more restrictive. */
+static void test_lost_limits_fall_back_to_the_more_restrictive(void) {
+    lose_params();
+    for (uint32_t at = 0; at < RAW_BEGIN; at += STORE_BLOCK_BYTES) {
+        if (memcmp(hal.flash + at, "TBPA", 4) == 0) {
+            memset(hal.flash + at, 0, STORE_BLOCK_BYTES);
+        }
+    }
+    reboot();
+    TEST_ASSERT_EQUAL(FAULT_STORE_OLDER, app.supervisor.reason);
+    TEST_ASSERT_EQUAL_FLOAT(0.2f, app.params.value[PARAM_AMP_MAX_RAD]);
+}
+
+static void test_of_two_limits_the_more_restrictive_holds(void) {
+    params_t params, other;
+    float limits[LIMIT_COUNT];
+    params_reset(&params);
+    params_reset(&other);
+    other.value[PARAM_AMP_MAX_RAD] = 0.3f;    /* lower */
+    params.value[PARAM_REF_MAX_M_S] = 0.1f;   /* lower already */
+    other.value[PARAM_BATT_LOW_V] = 7.5f;     /* higher */
+    other.value[PARAM_ERR_MAX_M_S] = 0.1f;    /* switched on */
+    other.value[PARAM_LINK_TIMEOUT_S] = 0.0f; /* switched off */
+    other.value[PARAM_DU_MAX_RAD] = 0.05f;
+    other.value[PARAM_LAW_GAIN] = 1.0f; /* no limit */
+    limits_get(&other, limits);
+    limits_restrict(&params, limits);
+    TEST_ASSERT_EQUAL_FLOAT(0.3f, params.value[PARAM_AMP_MAX_RAD]);
+    TEST_ASSERT_EQUAL_FLOAT(0.1f, params.value[PARAM_REF_MAX_M_S]);
+    TEST_ASSERT_EQUAL_FLOAT(7.5f, params.value[PARAM_BATT_LOW_V]);
+    TEST_ASSERT_EQUAL_FLOAT(0.1f, params.value[PARAM_ERR_MAX_M_S]);
+    TEST_ASSERT_EQUAL_FLOAT(5.0f, params.value[PARAM_LINK_TIMEOUT_S]);
+    TEST_ASSERT_EQUAL_FLOAT(0.05f, params.value[PARAM_DU_MAX_RAD]);
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, params.value[PARAM_LAW_GAIN]);
+}
+
+/* Raw pages that take no data: the store works on, and the counter is a file again. */
+static bool dead_raw(hal_t *board, uint32_t offset, const uint8_t *page) {
+    if (offset >= RAW_BEGIN) {
+        return false;
+    }
+    memcpy(board->flash + offset, page, HAL_FLASH_PAGE_BYTES);
+    return true;
+}
+
+static void test_dead_raw_pages_cost_the_witness_only(void) {
+    hal.flash_write = dead_raw;
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 1));
+    TEST_ASSERT_GREATER_THAN_UINT32(0, app.store.failures);
+    reboot();
+    TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+    TEST_ASSERT_EQUAL_UINT32(2, app.next_trial);
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_the_newest_intact_version_counts);
+    RUN_TEST(test_nothing_in_littlefs_points_to_the_raw_blocks);
+    RUN_TEST(test_a_store_of_an_earlier_firmware_is_taken_over);
+    RUN_ON_HOST(test_a_cut_at_every_write_of_taking_over);
+    RUN_ON_HOST(test_a_flipped_bit_does_not_bring_back_what_was_taken_over);
+    RUN_TEST(test_a_firmware_without_witness_in_between_is_no_fault);
+    RUN_TEST(test_a_store_without_a_witness_is_no_fault);
+    RUN_TEST(test_the_fault_lasts_until_it_is_cleared);
+    RUN_TEST(test_lost_limits_fall_back_to_the_more_restrictive);
+    RUN_TEST(test_of_two_limits_the_more_restrictive_holds);
+    RUN_TEST(test_dead_raw_pages_cost_the_witness_only);
+    return UNITY_END();
+}
