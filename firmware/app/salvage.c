@@ -30,7 +30,11 @@ typedef struct {
 } findings_t;
 
 static bool any(const bool flags[CRITICAL_COUNT]) {
-    return memchr(flags, true, CRITICAL_COUNT) != NULL;
+    bool found = false;
+    for (uint32_t kind = 0; kind < CRITICAL_COUNT; kind++) {
+        found = found || flags[kind];
+    }
+    return found;
 }
 
 static bool is_wanted(const findings_t *findings, critical_t kind) {
