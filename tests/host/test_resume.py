@@ -518,7 +518,7 @@ def test_nothing_learned_nothing_to_repeat(tmp_path: Path) -> None:
     experiment = begin(fish, tmp_path)
     copy_state(fish, experiment)
     assert restore(fish, experiment).iteration == 0
-    with pytest.raises(TailbeatError, match="no complete trial has been learned"):
+    with pytest.raises(TailbeatError, match="no trial that could be judged has been learned"):
         repeat_best(fish, experiment, Somebody(), ONE)
 
 

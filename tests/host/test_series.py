@@ -639,7 +639,8 @@ class FullDisk:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path, at: int) -> None:
         self.count, self._at, self._folder = 0, at, folder
-        self._open, self._write = Path.open, os.write
+        self._open, self._write, self._create = Path.open, os.write, os.open
+        monkeypatch.setattr(os, "open", self.create)
         monkeypatch.setattr(Path, "open", self.open)
         monkeypatch.setattr(Path, "write_bytes", self.write_bytes)
         monkeypatch.setattr(os, "write", self.write)
@@ -657,6 +658,11 @@ class FullDisk:
             return self._open(path, mode, *rest, **named)
 
         return opened
+
+    def create(self, path: Any, flags: int, *rest: Any, **named: Any) -> int:
+        if flags & os.O_EXCL and self._folder in Path(path).parents:
+            self.check(path)
+        return self._create(path, flags, *rest, **named)
 
     @property
     def write_bytes(self) -> Callable[..., int]:
