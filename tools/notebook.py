@@ -24,7 +24,7 @@ def executed(path: Path) -> Any:
             os.environ[name] = folder
         resources = {"metadata": {"path": folder}}
         NotebookClient(
-            book, timeout=120, kernel_name="python3", resources=resources, coalesce_streams=True
+            book, timeout=2400, kernel_name="python3", resources=resources, coalesce_streams=True
         ).execute()
     for cell in book.cells:
         cell.metadata = {}  # else it tells when it ran
