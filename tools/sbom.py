@@ -65,7 +65,7 @@ def _add_archive(package: Component, digest: str) -> None:
     """One of the files that pip may install."""
     archive = {
         "type": "distribution",
-        "url": f"https://pypi.org/project/{package['name']}/{package['version']}/#files",
+        "url": package["purl"],
         "hashes": [{"alg": "SHA-256", "content": digest}],
     }
     if archive not in package["externalReferences"]:

@@ -76,20 +76,6 @@ static void boot(void) {
     reboot();
 }
 
-/* As run_ms() of the fixture, at the ticks only. */
-static void run_ticks_ms(uint32_t duration_ms) {
-    for (uint32_t ms = 0; ms < duration_ms; ms += 20u) {
-        hal.now_us += 20000u;
-        app_tick_isr(&app);
-        app.last_heartbeat_us = hal.now_us;
-        if (hal.now_us % 200000u == 0 && hal.now_us > 500000u) {
-            see_fish();
-        }
-        app_poll(&app);
-        hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
-    }
-}
-
 static void execute(void) {
     const uint32_t trial = app.next_trial;
     swim_speed_m_s = 0.03f + 0.001f * (float)random_below(20);

@@ -1,6 +1,6 @@
 /* What comes back from a flash whose filesystem or files are damaged. */
 #include "app_fixture.h"
-#include "flash_model.h"
+#include "boot_cuts.h"
 #include "store_ledger.h"
 #include "target.h"
 
@@ -11,7 +11,6 @@
 #define MAGIC_BYTES 4u
 
 static uint8_t record[RECORD_TRIAL_MAX_BYTES], whole[HAL_FLASH_SIZE_BYTES];
-static flash_model_t model;
 static memory_t learned;
 
 void setUp(void) { fixture_reset(); }
@@ -405,32 +404,18 @@ static void test_a_key_that_cannot_be_saved_leaves_a_locked_board(void) {
     TEST_ASSERT_TRUE(app.link.signing.locked);
 }
 
+static void expect_renewed_or_done(void) {
+    TEST_ASSERT_TRUE(app.supervisor.state == STATE_IDLE ||
+                     app.supervisor.reason == FAULT_STORE_RENEWED);
+    expect_all_back();
+}
+
 /* The board that was renewing its store when the power went: the next boot finds the same. */
 static void test_a_cut_at_every_write_of_the_salvage(void) {
     live();
     wipe_superblocks(0xA5);
     memcpy(whole, hal.flash, sizeof whole);
-    uint32_t cuts = 0;
-    bool cut = true;
-    for (uint32_t n = 1; cut; n++) {
-        for (unsigned kind = 0; kind < CUT_KINDS; kind++) {
-            memcpy(hal.flash, whole, sizeof whole);
-            flash_model_attach(&model, &hal, n * CUT_KINDS + kind);
-            model.cut_in = n;
-            model.cut_kind = (cut_kind_t)kind;
-            cut = true;
-            if (setjmp(flash_model_off) == 0) {
-                reboot();
-                cut = false;
-            }
-            model.cut_in = 0;
-            cuts += cut;
-            reboot();
-            TEST_ASSERT_TRUE(app.supervisor.state == STATE_IDLE ||
-                             app.supervisor.reason == FAULT_STORE_RENEWED);
-            expect_all_back();
-        }
-    }
+    const uint32_t cuts = cut_every_write_of_a_boot(whole, expect_renewed_or_done);
     printf("salvage: %u cuts\n", (unsigned)cuts);
     TEST_ASSERT_GREATER_THAN_UINT32(100, cuts);
 }

@@ -27,20 +27,6 @@ static uint32_t trials_wanted(void) {
     return text != NULL ? (uint32_t)strtoul(text, NULL, 10) : 300u;
 }
 
-/* As run_ms of the fixture, at the ticks only: a pass every 20 ms. */
-static void run_ticks_ms(uint32_t duration_ms) {
-    for (uint32_t ms = 0; ms < duration_ms; ms += 20u) {
-        hal.now_us += 20000u;
-        app_tick_isr(&app);
-        app.last_heartbeat_us = hal.now_us;
-        if (hal.now_us % 200000u == 0 && hal.now_us > 500000u) {
-            see_fish();
-        }
-        app_poll(&app);
-        hal.tx[0].head = hal.tx[0].tail = hal.tx[1].head = hal.tx[1].tail = 0;
-    }
-}
-
 static void begin(uint32_t endurance) {
     fixture_reset();
     hal.reset_cause = HAL_RESET_POWER;

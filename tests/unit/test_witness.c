@@ -3,7 +3,7 @@
  * and what a board says whose records have gone back.
  */
 #include "app_fixture.h"
-#include "flash_model.h"
+#include "boot_cuts.h"
 #include "params/limits.h"
 #include "store_ledger.h"
 #include "target.h"
@@ -18,7 +18,6 @@
 #define LOG_BYTES 5000u
 #define LOGS_MAX 64u
 
-static flash_model_t model;
 static uint8_t whole[HAL_FLASH_SIZE_BYTES], bytes[RECORD_TRIAL_MAX_BYTES];
 
 void setUp(void) { fixture_reset(); }
@@ -231,25 +230,7 @@ static void test_a_store_of_an_earlier_firmware_is_taken_over(void) {
 static void check_cuts(uint32_t logs) {
     make_old_store(logs);
     memcpy(whole, hal.flash, sizeof whole);
-    uint32_t cuts = 0;
-    bool cut = true;
-    for (uint32_t n = 1; cut; n++) {
-        for (unsigned kind = 0; kind < CUT_KINDS; kind++) {
-            memcpy(hal.flash, whole, sizeof whole);
-            flash_model_attach(&model, &hal, n * CUT_KINDS + kind);
-            model.cut_in = n;
-            model.cut_kind = (cut_kind_t)kind;
-            cut = true;
-            if (setjmp(flash_model_off) == 0) {
-                reboot();
-                cut = false;
-            }
-            model.cut_in = 0;
-            cuts += cut;
-            reboot();
-            expect_old_content();
-        }
-    }
+    const uint32_t cuts = cut_every_write_of_a_boot(whole, expect_old_content);
     printf("%u logs: %u cuts while taking over\n", (unsigned)old_logs, (unsigned)cuts);
     TEST_ASSERT_GREATER_THAN_UINT32(10, cuts);
 }
