@@ -317,9 +317,10 @@ static void damage_page(uint32_t page) {
 static void test_damaged_pages_are_told(void) {
     const uint32_t rounds = wish("FLIP_DAMAGE", 100);
     tally_t tally = {0};
-    for (uint32_t scenario = 0; scenario < SCENARIOS; scenario++) {
+    const uint32_t lifetimes = rounds < 1000u ? 1u : SCENARIOS;
+    for (uint32_t scenario = 0; scenario < lifetimes; scenario++) {
         begin(3000u + scenario, (scenario_t)scenario);
-        for (uint32_t round = 0; round < rounds / SCENARIOS; round++) {
+        for (uint32_t round = 0; round < rounds / lifetimes; round++) {
             for (uint32_t pages = 1u + random_below(16); pages != 0; pages--) {
                 damage_page(random_below(PAGES));
             }
