@@ -26,6 +26,7 @@ typedef struct {
     bool damaged[CRITICAL_COUNT];
     bool older[CRITICAL_COUNT];   /* than the witness, or gone */
     bool adopted[CRITICAL_COUNT]; /* right, but the witness does not know it */
+    bool dropped[CRITICAL_COUNT]; /* a cut came before it was removed */
     bool unmarked;                /* any stored by a firmware that does not know the witness */
 } findings_t;
 
@@ -193,8 +194,8 @@ static void inspect(app_t *app, salvage_t *salvage, findings_t *findings, critic
     const bool there = read_verify(app, kind, &crc);
     const critical_age_t age = critical_age(&app->store, &salvage->witness, kind, crc);
     const bool damaged = there && crc == 0;
-    if (age == CRITICAL_DROPPED && kind != CRITICAL_KEY) {
-        (void)store_remove(&app->store, critical_path(kind));
+    findings->dropped[kind] = age == CRITICAL_DROPPED && kind != CRITICAL_KEY;
+    if (findings->dropped[kind]) {
         return;
     }
     if (damaged && age == CRITICAL_NEWER) { /* what the witness has is older still */
@@ -213,6 +214,7 @@ static void inspect(app_t *app, salvage_t *salvage, findings_t *findings, critic
 static void take_as_is(salvage_t *salvage, findings_t *findings) {
     memset(&salvage->witness, 0, sizeof salvage->witness);
     memset(findings->older, false, sizeof findings->older);
+    memset(findings->dropped, false, sizeof findings->dropped);
     memset(findings->adopted, true, sizeof findings->adopted);
 }
 
@@ -238,8 +240,9 @@ static bool only_the_key(app_t *app, const salvage_t *salvage, const findings_t 
     return !others;
 }
 
-/* What is right gets its generation and its entry in the witness. Once a firmware without witness
- * was here, nothing of its time may be left that a flipped bit could bring back. */
+/* Once what was lost is back, for these commits may use the blocks that held it. What is right gets
+ * its generation and its entry in the witness. Once a firmware without witness was here, nothing of
+ * its time may be left that a flipped bit could bring back. */
 static void adopt(app_t *app, const findings_t *findings) {
     if (findings->unmarked) {
         critical_forget(&app->store);
@@ -247,6 +250,9 @@ static void adopt(app_t *app, const findings_t *findings) {
     for (uint32_t kind = 0; kind < CRITICAL_COUNT; kind++) {
         const char *path = critical_path((critical_t)kind);
         hal_watchdog_feed(app->hal);
+        if (findings->dropped[kind]) {
+            (void)store_remove(&app->store, path);
+        }
         const size_t length = findings->adopted[kind] ? boot_load_record(app, path) : 0;
         if (length != 0) {
             (void)critical_replace(&app->store, (critical_t)kind, app->record, length);

@@ -282,6 +282,19 @@ static void test_a_firmware_without_witness_in_between_is_no_fault(void) {
     }
 }
 
+/* The power went between the witness and the removal. */
+static void test_a_removal_that_was_cut_is_completed(void) {
+    swim_whole_trial(BEATS, SPEED);
+    TEST_ASSERT_EQUAL(STORE_OK, critical_drop(&app.store, CRITICAL_PENDING));
+    uint32_t length = 0;
+    for (uint32_t i = 0; i < 2u; i++) {
+        reboot();
+        TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
+        TEST_ASSERT_FALSE(app.run.pending);
+        TEST_ASSERT_EQUAL(STORE_NOT_FOUND, store_size(&app.store, PENDING_PATH, &length));
+    }
+}
+
 static void test_a_store_without_a_witness_is_no_fault(void) {
     swim_whole_trial(BEATS, SPEED);
     memset(hal.flash + RAW_BEGIN, 0xFF, STORE_RAW_BLOCKS * STORE_BLOCK_BYTES);
@@ -374,6 +387,7 @@ int main(void) {
     RUN_ON_HOST(test_a_cut_at_every_write_of_taking_over);
     RUN_ON_HOST(test_a_flipped_bit_does_not_bring_back_what_was_taken_over);
     RUN_TEST(test_a_firmware_without_witness_in_between_is_no_fault);
+    RUN_TEST(test_a_removal_that_was_cut_is_completed);
     RUN_TEST(test_a_store_without_a_witness_is_no_fault);
     RUN_TEST(test_the_fault_lasts_until_it_is_cleared);
     RUN_TEST(test_lost_limits_fall_back_to_the_more_restrictive);
