@@ -140,6 +140,7 @@ def test_places_in_the_server_are_limited_and_free_again() -> None:
         asked = [made.connect() for _ in range(LIMITS.served_each)]
         for one in asked:
             one.sendall(made.request("GET /"))
+        made.wait_for(LIMITS.served_each)  # else a later one may be read first
         assert made.ask("GET /").startswith(b"HTTP/1.1 503")
         assert made.abort().startswith(b"HTTP/1.1 200")
         other = made.connect(OTHER)
