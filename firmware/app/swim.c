@@ -427,7 +427,7 @@ static void follow_tail(app_t *app, const control_report_t *report, uint64_t now
 
 static void warn_of_battery(app_t *app, uint64_t now_us) {
     const uint16_t low_mv = settings_battery_low_mv(&app->params);
-    if (battery_warns(&app->battery, now_us, app_battery(app).mv, low_mv)) {
+    if (battery_warns(&app->battery, now_us, app->status.battery.mv, low_mv)) {
         link_text(&app->link, MAV_SEVERITY_WARNING, "battery low: charge it after this trial");
     }
 }
@@ -484,7 +484,7 @@ void swim_poll(app_t *app, uint64_t now_us) {
     if (!app->run.open || begun) { /* the rest of the log's beginning is for the next pass */
         return;
     }
-    trial_run_collect(&app->run, now_us, app_battery(app).mv);
+    trial_run_collect(&app->run, now_us, app->status.battery.mv);
     settle_beats(app);
     if (has_settled(app, now_us) && end_run(app, now_us)) {
         (void)swim_finish(app, now_us);
