@@ -1,4 +1,4 @@
-"""Processes that compute on the cores of this computer: how many, and who hears Ctrl-C."""
+"""Processes that compute on the cores of this computer: how many, Ctrl-C, and how they end."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.process import BaseProcess
 
 
 def cores_here() -> int:
@@ -26,3 +28,18 @@ def deaf_children() -> Iterator[None]:
     finally:
         if main:
             signal.signal(signal.SIGINT, handler)
+
+
+def terminate(pool: ProcessPoolExecutor, children: Collection[BaseProcess]) -> None:
+    """Ends the pool's processes in the middle of their work.
+
+    One that is sending its result leaves half of it in the pipe. The pool's thread would wait for
+    the rest for ever, because this process holds a writing end, too: it is closed.
+    """
+    for child in children:
+        child.terminate()
+    for child in children:
+        child.join()
+    writer = getattr(getattr(pool, "_result_queue", None), "_writer", None)
+    if writer is not None:
+        writer.close()

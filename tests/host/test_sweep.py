@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +32,7 @@ from tailbeat.sweep.results import Store, identity
 from tailbeat.sweep.runner import Interrupted, compute, sweep
 from tailbeat.sweep.shoal import Swims
 from tailbeat.sweep.summary import summarise
+from tailbeat.workers import terminate
 
 CLAIM = """
 [[claim]]
@@ -549,6 +552,17 @@ def _in_this_process(
 ) -> Iterator[tuple[Cell, bytes]]:
     for cell in missing:
         yield cell, compute(recipe, cell)
+
+
+def test_half_a_result_in_the_pipe_does_not_keep_it_from_ending() -> None:
+    """What a process leaves there that is terminated while it sends."""
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+    assert pool.submit(abs, -1).result() == 1
+    children = set(pool._processes.values())
+    pool._result_queue._writer._send((1000).to_bytes(4, "big") + b"half")  # type: ignore[attr-defined]
+    terminate(pool, children)
+    pool.shutdown(wait=True, cancel_futures=True)
+    assert not any(child.is_alive() for child in children)
 
 
 def test_ctrl_c_stops_it_quietly(tmp_path: Path) -> None:

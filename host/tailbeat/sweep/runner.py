@@ -19,7 +19,7 @@ from tailbeat.onethread import one_thread
 from tailbeat.sweep.cell import Cell, cells, run_cell
 from tailbeat.sweep.recipe import Recipe
 from tailbeat.sweep.results import Store, to_bytes
-from tailbeat.workers import cores_here, deaf_children
+from tailbeat.workers import cores_here, deaf_children, terminate
 
 Progress = Callable[[int, int], None]  # cells done, cells in all
 Finished = Iterator[tuple[Cell, bytes]]
@@ -115,8 +115,7 @@ def _computed_here(recipe: Recipe, missing: list[Cell], cores: int) -> Finished:
         ) from error
     finally:
         if not finished:
-            for child in set(multiprocessing.active_children()) - before:
-                child.terminate()
+            terminate(pool, set(multiprocessing.active_children()) - before)
         pool.shutdown(wait=True, cancel_futures=True)
 
 

@@ -21,7 +21,7 @@ from tailbeat.onethread import one_thread
 from tailbeat.thesis.example import Claim, Example, Figure, Run
 from tailbeat.thesis.options import Options
 from tailbeat.thesis.progress import Show, heard
-from tailbeat.workers import deaf_children
+from tailbeat.workers import deaf_children, terminate
 
 REGISTRY = "tailbeat.thesis.examples"  # the module whose EXAMPLES workers look in
 _RUN_PART = 0.1  # of an example's time, about, where claims are judged
@@ -220,6 +220,5 @@ def _in_processes(
         ) from error
     finally:
         if not finished:
-            for child in set(multiprocessing.active_children()) - before:
-                child.terminate()
+            terminate(pool, set(multiprocessing.active_children()) - before)
         pool.shutdown(wait=True, cancel_futures=True)
