@@ -260,7 +260,7 @@ static void adopt(app_t *app, const findings_t *findings) {
     }
     if (findings->unmarked) {
         hal_watchdog_feed(app->hal);
-        critical_settle(&app->store);
+        (void)store_rewrite_folders(&app->store);
     }
 }
 

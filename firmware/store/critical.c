@@ -22,10 +22,7 @@ const char *critical_path(critical_t kind) {
 }
 
 /* 0 stands for no record; a file too short for a CRC has another one. */
-static uint32_t stated_crc(const uint8_t *bytes, size_t length) {
-    const uint32_t crc = length >= RECORD_HEADER_BYTES ? record_crc(bytes) : 0u;
-    return crc != 0u ? crc : 1u;
-}
+static uint32_t entry_crc(uint32_t crc) { return crc != 0u ? crc : 1u; }
 
 static void note_limits(const uint8_t *bytes, size_t length, uint8_t *note) {
     params_t params;
@@ -68,7 +65,8 @@ store_result_t critical_replace(store_t *store, critical_t kind, const void *byt
     if (stored == STORE_OK) {
         witness_t witness;
         (void)witness_read(store, &witness);
-        witness.entry[kind] = (witness_entry_t){generation, stated_crc(bytes, length)};
+        const uint32_t crc = length >= RECORD_HEADER_BYTES ? record_crc(bytes) : 0u;
+        witness.entry[kind] = (witness_entry_t){generation, entry_crc(crc)};
         note_copy(&witness, kind, bytes, length);
         (void)witness_write(store, &witness);
     }
@@ -112,7 +110,7 @@ critical_age_t critical_age(store_t *store, const witness_t *witness, critical_t
     if (entry->crc == 0u) {
         return CRITICAL_DROPPED;
     }
-    const bool same = generation == entry->generation && (crc != 0u ? crc : 1u) == entry->crc;
+    const bool same = generation == entry->generation && entry_crc(crc) == entry->crc;
     return same ? CRITICAL_SAME : CRITICAL_OLDER;
 }
 
@@ -158,5 +156,3 @@ void critical_forget(store_t *store) {
         (void)witness_write(store, &witness);
     }
 }
-
-void critical_settle(store_t *store) { (void)store_rewrite_folders(store); }

@@ -70,10 +70,7 @@ void critical_limits(const witness_t *witness, float limits[LIMIT_COUNT]);
 /* Whether a record went back and nobody has cleared that yet; lasts over restarts. */
 store_result_t critical_set_alarm(store_t *store, bool alarm);
 
-/* After a firmware that does not know the witness. First the entries of its records go, which say
- * nothing any more; when all records are stored anew, the folders' blocks are, too, so that no
- * older state is left in them that a flipped bit could bring back. */
+/* After a firmware that does not know the witness: the entries say nothing any more, and go. */
 void critical_forget(store_t *store);
-void critical_settle(store_t *store);
 
 #endif
