@@ -20,12 +20,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tailbeat.camera.marker.markers import Marker, detector_for
-from tailbeat.camera.marker.sighting import Window
-from tailbeat.camera.pictures.film import Film, FilmWriter
-from tailbeat.camera.rendered.painter import Painter, Truth
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.tracking.tracker import Tracker
+from tailbeat.sensors.camera.marker.detector import Marker, detector_for
+from tailbeat.sensors.camera.marker.tags import Window
+from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.source.film import Film, FilmWriter
+from tailbeat.sensors.camera.tracking.tracker import Tracker
 
 FPS = 25.0
 SCENE = Scene(ripples=0.5, glare=0.5, hidden=0.1)

@@ -12,16 +12,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.camera.speed.beatfit import BeatFit
-from tailbeat.errors import TailbeatError
-from tailbeat.fish import Fish
-from tailbeat.link import Message
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.trialcamera import vision_message
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import TailbeatError
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import Message
+from tailbeat.sensors.camera.speed.line_fit import BeatFit
+from tailbeat.session.trial_camera import vision_message
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.chip import CYCLES_PER_INSTRUCTION
 from vboard.core.clock import TICKS_PER_S
 

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
 
-from tailbeat import records
-from tailbeat.fish import Fish
-from tailbeat.ftpwire import DATA_BYTES
-from tailbeat.provision import set_key
-from tailbeat.transport.badline import BadLine, Corrupt, Drop, Fault, hc05
-from tailbeat.transport.inprocess import CONSOLE, SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import set_key
+from tailbeat.core import records
+from tailbeat.link.ftp.wire import DATA_BYTES
+from tailbeat.link.impaired import BadLine, Corrupt, Drop, Fault, hc05
+from tailbeat.sim.board import CONSOLE, SimTransport
+from tailbeat.sim.native import SimBoard
 
 LINE_BYTES_PER_S = 11520
 PATH = "/trials/0001.ulg"
@@ -133,7 +133,7 @@ def repeatable() -> Iterator[None]:
     with (
         tempfile.TemporaryDirectory() as keys,
         mock.patch.dict(os.environ, TAILBEAT_KEYS=keys),
-        mock.patch("tailbeat.ftp.secrets.randbelow", lambda _: 4711),
+        mock.patch("tailbeat.link.ftp.client.secrets.randbelow", lambda _: 4711),
     ):
         yield
 

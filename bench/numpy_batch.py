@@ -1,4 +1,4 @@
-"""The trial of a sweep as one would write it in numpy: the yardstick for tailbeat.sweep.
+"""The trial of a Monte Carlo study as one would write it in numpy: the yardstick for the batch.
 
 A thousand fish of one kind at a time; the same substeps, servo, delay, ripple, disturbances,
 camera and line fits as the simulator's. Whatever does not hang on the substep before is done for a
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.sweep.shoal import Shoal, Swims
+from tailbeat.studies.montecarlo.batch import Shoal, Swims
 
 Array = NDArray[np.float64]
 

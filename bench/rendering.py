@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 
-from tailbeat.camera.rendered.painter import Painter, Truth
-from tailbeat.camera.rendered.scene import Scene
+from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.render.scene import Scene
 
 
 @dataclass(frozen=True)

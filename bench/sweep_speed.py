@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from numpy_batch import Array, draw, swim
 
-from tailbeat.sweep.recipe import Recipe, parse
-from tailbeat.sweep.runner import sweep
-from tailbeat.sweep.shoal import Shoal
-from tailbeat.workers import cores_here
+from tailbeat.core.parallel import cores_here
+from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.recipe import Recipe, parse
+from tailbeat.studies.montecarlo.runner import sweep
 
 BEATS = 40
 GOAL = 5.0

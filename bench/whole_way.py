@@ -12,9 +12,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from tailbeat.fish import Fish
-from tailbeat.reference import thesis
-from tailbeat.transport.simulated import SimTransport
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import thesis
+from tailbeat.sim.board import SimTransport
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 
 # Library modules never know the command line; of the library the lower layers never know the upper.
 PYTHON_FORBIDDEN = {
-    "": ("tailbeat.cli",),
+    "": ("tailbeat.app.cli",),
     "errors": ("tailbeat.",),
 }
 

@@ -17,29 +17,31 @@ TYPE_CHECKING = False  # as typing has it, which takes 20 ms in which Ctrl-C can
 if TYPE_CHECKING:
     from typing import Any
 
-    from tailbeat.errors import TailbeatError
-    from tailbeat.experiment import Experiment
-    from tailbeat.fish import Fish
-    from tailbeat.laws import Law
-    from tailbeat.reference import Reference
-    from tailbeat.trial_log import Trial, read_trial
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.errors import TailbeatError
+    from tailbeat.core.law import Law
+    from tailbeat.core.reference import Reference
+    from tailbeat.core.trial_file import Trial, read_trial
+    from tailbeat.experiment.folder import Experiment
 
 __all__ = ["Experiment", "Fish", "Law", "Reference", "TailbeatError", "Trial", "read_trial"]
 
 _HOME = {
-    "Experiment": "experiment",
-    "Fish": "fish",
-    "Law": "laws",
-    "Reference": "reference",
-    "TailbeatError": "errors",
-    "Trial": "trial_log",
-    "read_trial": "trial_log",
+    "Experiment": "experiment.folder",
+    "Fish": "board.fish",
+    "Law": "core.law",
+    "Reference": "core.reference",
+    "TailbeatError": "core.errors",
+    "Trial": "core.trial_file",
+    "read_trial": "core.trial_file",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'tailbeat' has no attribute '{name}'")
     from importlib import import_module
 
+    if name == "reference":
+        return import_module("tailbeat.core.reference")
+    if name not in _HOME:
+        raise AttributeError(f"module 'tailbeat' has no attribute '{name}'")
     return getattr(import_module(f"tailbeat.{_HOME[name]}"), name)

@@ -69,8 +69,8 @@ class Listener:
 
 def session_bytes() -> list[bytes]:
     """What a host says in connecting, uploading a reference, swimming, learning."""
-    from tailbeat import reference
-    from tailbeat.fish import Fish
+    from tailbeat.board.fish import Fish
+    from tailbeat.core import reference
 
     with Fish.connect("sim:tank", seed=3) as fish:
         listener = Listener(fish.transport)
@@ -96,8 +96,8 @@ def link_seeds() -> list[bytes]:
 
 def record_seeds() -> list[bytes]:
     """Each kind that the tool can make."""
-    from tailbeat import records
-    from tailbeat.results import Amplitudes
+    from tailbeat.core import records
+    from tailbeat.link.messages import Amplitudes
 
     speeds = [0.01, float("nan"), 0.03]
     status = SimpleNamespace(

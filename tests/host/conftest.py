@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import typer.main
 
-from tailbeat import records
-from tailbeat.fish import Fish
-from tailbeat.transport import Transport
-from tailbeat.transport.badline import BadLine, Corrupt, Drop, Duplicate, Fault
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.link.impaired import BadLine, Corrupt, Drop, Duplicate, Fault
+from tailbeat.link.transport import Transport
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -53,7 +53,7 @@ class BadRadio(BadLine):
 @pytest.fixture(autouse=True)
 def _same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """A transfer begins at a random sequence number; here every run begins at the same."""
-    monkeypatch.setattr("tailbeat.ftp.secrets.randbelow", lambda _: 4711)
+    monkeypatch.setattr("tailbeat.link.ftp.client.secrets.randbelow", lambda _: 4711)
 
 
 @pytest.fixture(autouse=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat._native import lib
-from tailbeat.camera.tracking.glow import GLOW_SHAPE
-from tailbeat.camera.tracking.track import LOST, SEEN, Track
+from tailbeat.core.native import lib
+from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
+from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
 
 Floats = NDArray[np.float64]
 

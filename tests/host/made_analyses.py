@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.core.trial_checks import Straightness
+from tailbeat.core.trial_file import Beats, Slots, Trial
 from tailbeat.experiment.analysis import Analysis, Band, TrialRow, with_noise
-from tailbeat.straight import Straightness
-from tailbeat.trial_log import Beats, Slots, Trial
 
 LIMIT_RAD = 0.6
 BEATS = 40

@@ -8,8 +8,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from tailbeat import _dialect as mavlink
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.link import _dialect as mavlink
+from tailbeat.sim.native import SimBoard
 
 FAST, SLOW = 115200, 9600
 Burst = tuple[float, bytes]  # when its first bit leaves, and its bytes back to back

@@ -11,15 +11,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.camera.marker.markers import Marker
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.rendered.source import RenderedDevice
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.camera.tracking.live import VideoCamera
-from tailbeat.camera.tracking.track import Track
-from tailbeat.camera.tracking.tracker import Tracker
-from tailbeat.fish import Fish
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.sensors.camera.marker.detector import Marker
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.render.source import RenderedDevice
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.tracking.live import VideoCamera
+from tailbeat.sensors.camera.tracking.track import Track
+from tailbeat.sensors.camera.tracking.tracker import Tracker
 
 
 @contextmanager

@@ -8,11 +8,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tailbeat.experiment import Experiment
-from tailbeat.experiment.board import copy_state
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import Reference
+from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import make
-from tailbeat.fish import Fish
-from tailbeat.reference import Reference
+from tailbeat.experiment.folder import Experiment
 
 BEATS = 12
 DISCARDED, REPEAT = 3, 5

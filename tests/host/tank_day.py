@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from tailbeat.cli import run
-from tailbeat.fish import Fish
-from tailbeat.transport.inprocess import CONSOLE, SimTransport, SimulatedBoard
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.sim.board import CONSOLE, SimTransport, SimulatedBoard
 
 
 @dataclass

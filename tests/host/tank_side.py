@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.day.person import Decision, Event
-from tailbeat.day.swum import Swum
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
+from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision, Event
 
 Way = Callable[[float], tuple[float, float, float]]
 """x_m, y_m, heading_rad at a time since the camera was made."""

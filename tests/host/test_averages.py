@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import laws, records, reference
-from tailbeat.cli import run
-from tailbeat.dryrun import dry_run
-from tailbeat.errors import InputError, Refused
-from tailbeat.faults import LAW_FEEDBACK, LAW_SIGN
-from tailbeat.fish import Fish
-from tailbeat.laws import MEAN, WINDOW, Law, Memory, Past, PastTrial
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core import law as laws
+from tailbeat.core import records, reference
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
+from tailbeat.core.law import MEAN, WINDOW, Law, Memory, Past, PastTrial
+from tailbeat.session.dry_run import dry_run
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -191,7 +193,7 @@ def test_params_set_prints_why(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     board = SimBoard("tank")
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     for kind, why in {"4": "needs the speed at once", "5": "throw the tail about"}.items():
         assert run(["params", "set", "LAW_KIND", kind, "--connect", "it"]) == 1
         out, err = capsys.readouterr()

@@ -25,20 +25,20 @@ import numpy as np
 import pytest
 import typer
 
-from tailbeat import records
-from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.cli import run
-from tailbeat.cli.app import app
-from tailbeat.cli.person import TerminalPerson
-from tailbeat.day.person import Decision
-from tailbeat.day.swum import Swum
-from tailbeat.experiment import Experiment
+from tailbeat.app.cli import run
+from tailbeat.app.cli._operator import TerminalPerson
+from tailbeat.app.cli.app import app
+from tailbeat.board.fish import Fish
+from tailbeat.board.loan import set_for_good
+from tailbeat.core import records
+from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.experiment.current import begin
-from tailbeat.fish import Fish
-from tailbeat.model.lent import set_for_good
-from tailbeat.transport.inprocess import CONSOLE, SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.experiment.folder import Experiment
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision
+from tailbeat.sim.board import CONSOLE, SimTransport
+from tailbeat.sim.native import SimBoard
 
 from .tank_day import Day, Tank
 
@@ -206,7 +206,7 @@ def connect_to(
 ) -> BadDay:
     """Whoever connects from now on finds this board, with a reference on it."""
     tank = Watched(board)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: tank)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: tank)
     with Fish.connect("it") as fish:
         fish.params.set("LAW_LEAD", 1.5)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
@@ -551,7 +551,7 @@ def test_power_is_cut_and_nobody_waits_for_the_end(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("tailbeat.day.deciding.Office.decide", press)
+        patch.setattr("tailbeat.session.decide.Office.decide", press)
         assert day.says(*KEEP)[0] == 130
     day.require_resume("LAW_LEAD is 1, was 1.5")
     day.require_goes_on()
@@ -579,7 +579,7 @@ def test_another_fish(
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
     status, document = other.says(*KEEP)  # without a name it gets an experiment of its own
     assert status == 0 and document["experiment"] != str(folder)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: day.tank)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: day.tank)
     status, document = day.says(*KEEP)
     assert status == 0 and Path(document["experiment"]).name == folder.name
 
@@ -635,11 +635,11 @@ def test_ctrl_c_at_any_moment(fresh: Callable[[], BadDay], most: int) -> None:
 @pytest.mark.parametrize(
     ("where", "after"),
     [
-        ("tailbeat.day.series.countdown", True),  # armed
-        ("tailbeat.trialrun._say_start", False),
-        ("tailbeat.trialrun._say_start", True),  # it swims, and nobody knows
-        ("tailbeat.trialrun._step", False),
-        ("tailbeat.day.deciding.Office.decide", False),  # swum, and nobody has decided
+        ("tailbeat.session.series.countdown", True),  # armed
+        ("tailbeat.session.trial._say_start", False),
+        ("tailbeat.session.trial._say_start", True),  # it swims, and nobody knows
+        ("tailbeat.session.trial._step", False),
+        ("tailbeat.session.decide.Office.decide", False),  # swum, and nobody has decided
     ],
 )
 def test_ctrl_c_at_the_worst_moments(

@@ -16,16 +16,16 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from tailbeat import _dialect as mavlink
-from tailbeat import reference
-from tailbeat.camera import Frame
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.cli.app import app
-from tailbeat.errors import Refused
-from tailbeat.fish import Fish
-from tailbeat.link import Message
-from tailbeat.results import LearnReport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.app.cli.app import app
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.errors import Refused
+from tailbeat.core.frames import Frame
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import Message
+from tailbeat.link.messages import LearnReport
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sim.native import SimBoard
 
 TRIALS = 10
 SEEDS = range(1, 21)
@@ -550,7 +550,7 @@ def test_the_best_comes_back_bit_for_bit(name: str, monkeypatch: pytest.MonkeyPa
     session.board.power_cycle()
     session.fish.link.run(2.0)
     monkeypatch.setattr(
-        "tailbeat.cli.learn.connected", lambda _: contextlib.nullcontext(session.fish)
+        "tailbeat.app.cli.learn.connected", lambda _: contextlib.nullcontext(session.fish)
     )
     assert CliRunner().invoke(app, ["learn", "--restore-best", "--json"]).exit_code == 0
     assert bits(session.fish.amplitudes().values) == bits(now_best.values)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.errors import ConnectError, InputError, LinkLostError
-from tailbeat.fish import Fish
-from tailbeat.link import Framer
-from tailbeat.transport.badline import (
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import ConnectError, InputError, LinkLostError
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.impaired import (
     BadLine,
     Corrupt,
     Cut,
@@ -22,6 +21,7 @@ from tailbeat.transport.badline import (
     faults_of,
     hc05,
 )
+from tailbeat.link.mavlink import Framer
 
 COUNT = 2000
 

@@ -8,10 +8,10 @@ import random
 import numpy as np
 import pytest
 
-from tailbeat._native import lib
-from tailbeat.camera.speed.beatfit import BeatFit, SpeedSample
-from tailbeat.reference import thesis
-from tailbeat.transport.world import World
+from tailbeat.core.native import lib
+from tailbeat.core.reference import thesis
+from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
+from tailbeat.sim.world import World
 
 
 def feed(fit: BeatFit, frames: list[tuple[float, float]]) -> list[SpeedSample]:

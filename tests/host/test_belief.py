@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.feasible import suggest
-from tailbeat.floor import floor, plant_config
-from tailbeat.model.belief import believe
-from tailbeat.model.fishmodel import Conditions, FishModel
-from tailbeat.model.identified import Identified
-from tailbeat.model.modellaw import propose
-from tailbeat.model.swim import Swim
-from tailbeat.reference import Reference, thesis
-from tailbeat.sweep.learners import identify
-from tailbeat.sweep.shoal import Shoal
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.learning.belief import believe
+from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound_solve import plant_config
+from tailbeat.learning.feasible import suggest
+from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.model_law import propose
+from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.learners import identify
 
 Array = NDArray[np.float64]
 

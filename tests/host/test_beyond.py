@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat._native import ffi, lib
-from tailbeat.laws import Law
-from tailbeat.reference import thesis
-from tailbeat.sweep.shoal import Shoal
+from tailbeat.core.law import Law
+from tailbeat.core.native import ffi, lib
+from tailbeat.core.reference import thesis
+from tailbeat.studies.montecarlo.batch import Shoal
 
 KEEP, HOLD, TAPER = range(3)
 NAMES = ("keep", "hold", "taper")

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from tailbeat import bluetooth
-from tailbeat.bluetooth import Settings, SetupReport, setup
-from tailbeat.cli import run
-from tailbeat.errors import ConnectError, InputError, TailbeatError
-from tailbeat.transport.serialport import SerialTransport
+from tailbeat.app.cli import run
+from tailbeat.board import bluetooth
+from tailbeat.board.bluetooth import Settings, SetupReport, setup
+from tailbeat.core.errors import ConnectError, InputError, TailbeatError
+from tailbeat.link.serial import SerialTransport
 
 from .radio_model import FakeLine, Hc06, Module, heartbeat
 

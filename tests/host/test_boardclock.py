@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tailbeat.boardclock import BoardClock, ClockSample
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
+from tailbeat.link.timesync import BoardClock, ClockSample
 
 
 def forget(clock: BoardClock) -> None:

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.bump import bump_of
-from tailbeat.day.logs import Log, outcome_of
-from tailbeat.day.swums import swum_of
-from tailbeat.fish import Fish
-from tailbeat.model.swim import Swim, swim_of
-from tailbeat.reference import Reference, thesis
-from tailbeat.results import BeatEvent
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.learning.disturbance import bump_of
+from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.collect import Log, outcome_of, swum_of
 
 PUSH_M_S = 0.05
 BEATS = 16

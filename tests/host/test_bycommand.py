@@ -11,22 +11,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from tailbeat.cli.app import app
-from tailbeat.day.account import Account
-from tailbeat.day.logs import keep_log, outcome_of
-from tailbeat.day.person import Decision
-from tailbeat.day.swums import proposed, swum_of
-from tailbeat.errors import InputError, Refused
-from tailbeat.experiment import Experiment
+from tailbeat.app.cli.app import app
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.reference import Reference
 from tailbeat.experiment.analysis import analyse
-from tailbeat.experiment.board import held_state
+from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.current import begin
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.relearn import relearn
-from tailbeat.fish import Fish
-from tailbeat.guards import BY_HAND, when
-from tailbeat.reference import Reference
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.session.collect import keep_log, outcome_of, proposed, swum_of
+from tailbeat.session.guards import BY_HAND, when
+from tailbeat.session.log import Account
+from tailbeat.session.operator import Decision
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 HILL = Reference(1.0, (0.07 * np.sin(np.linspace(0.2, 2.9, 6))).astype(np.float32), "hill")
 
@@ -36,7 +35,7 @@ def fish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fish]:
     """A fish with a reference that every command connects to."""
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     board = SimBoard("tank", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     with Fish.connect("it") as fish:
         fish.params.set("LAW_LEAD", 1)
         fish.upload_reference(HILL)

@@ -21,8 +21,21 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from tailbeat.camera.marker.printed import board, find_markers
-from tailbeat.camera.marker.sheets import (
+from tailbeat.app.cli import camera_calibrate
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.calibration.calibrate import (
+    Calibrated,
+    Height,
+    Ruler,
+    calibrate,
+    check_scale,
+    ruler_in,
+)
+from tailbeat.sensors.camera.calibration.file import load_calibration
+from tailbeat.sensors.camera.calibration.intrinsics import View, Viewer, find_intrinsics
+from tailbeat.sensors.camera.calibration.points import TankPoint, read_points, rectangle
+from tailbeat.sensors.camera.marker.printed import board, find_markers
+from tailbeat.sensors.camera.marker.sheets import (
     PAPERS_MM,
     Sheet,
     anchors_sheet,
@@ -32,22 +45,7 @@ from tailbeat.camera.marker.sheets import (
     ruler_sheet,
     write_sheet,
 )
-from tailbeat.camera.pictures.stills import read_all, read_grey
-from tailbeat.camera.tank.area import rectangle
-from tailbeat.camera.tank.boardviews import View, Viewer
-from tailbeat.camera.tank.calibrate import (
-    Calibrated,
-    Height,
-    Ruler,
-    calibrate,
-    check_scale,
-    ruler_in,
-)
-from tailbeat.camera.tank.calibration import load_calibration
-from tailbeat.camera.tank.intrinsics import find_intrinsics
-from tailbeat.camera.tank.tankpoints import TankPoint, read_points
-from tailbeat.cli import cameracalibrate
-from tailbeat.errors import InputError
+from tailbeat.sensors.camera.source.open import read_all, read_grey
 
 cv2: Any = opencv
 Floats = NDArray[np.float64]
@@ -170,7 +168,7 @@ def _look_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return MARKERS_SEEN[key]
 
     monkeypatch.setattr(Viewer, "view", view)
-    monkeypatch.setattr("tailbeat.camera.tank.calibrate.find_markers", markers)
+    monkeypatch.setattr("tailbeat.sensors.camera.calibration.calibrate.find_markers", markers)
 
 
 LOOK, LOOKED = Viewer.view, dict[tuple[str, int], View | str]()
@@ -577,10 +575,12 @@ EXACT_BOARD = "the true camera, in place of one found from pictures"
 @pytest.fixture
 def true_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, Image]]]:
     """Pictures of the board that tell the true camera."""
-    from tailbeat.camera.tank.intrinsics import Intrinsics
+    from tailbeat.sensors.camera.calibration.intrinsics import Intrinsics
 
     found = Intrinsics(SIZE, MATRIX, LENS, 0.1, ("b.png",), {}, (), 1.0, 1e-3)
-    monkeypatch.setattr("tailbeat.camera.tank.calibrate.find_intrinsics", lambda board, look: found)
+    monkeypatch.setattr(
+        "tailbeat.sensors.camera.calibration.calibrate.find_intrinsics", lambda board, look: found
+    )
     yield [("b.png", NO_TANK)]
 
 
@@ -877,7 +877,7 @@ def test_sheets_that_cannot_be(tmp_path: Path) -> None:
 
 
 def test_a_film_gives_its_sharpest_pictures(tmp_path: Path) -> None:
-    from tailbeat.camera.pictures.film import FilmWriter
+    from tailbeat.sensors.camera.source.film import FilmWriter
 
     path = tmp_path / "board.mkv"
     sharp = board_picture(0)[::2, ::2]
@@ -917,8 +917,8 @@ def test_pictures_of_files_and_folders(tmp_path: Path) -> None:
 
 def run(*words: Any) -> Any:
     app = typer.Typer()
-    app.command("print")(cameracalibrate.print_)
-    app.command()(cameracalibrate.calibrate)
+    app.command("print")(camera_calibrate.print_)
+    app.command()(camera_calibrate.calibrate)
     return CliRunner().invoke(app, [str(word) for word in words])
 
 

@@ -15,9 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tailbeat.camera.tank.calibration import Calibration, load_calibration
-from tailbeat.camera.tank.calibrationcheck import check_sense
-from tailbeat.errors import InputError
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.calibration.file import Calibration, check_sense, load_calibration
 
 Floats = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.speed.swimspeed import swim_speed
-from tailbeat.camera.timing.sync import sync
-from tailbeat.fish import Fish
-from tailbeat.model.design import design
-from tailbeat.model.guided import Attendant, identify_fish
-from tailbeat.reference import Reference, thesis
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.learning.design import design
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.speed.smoother import swim_speed
+from tailbeat.sensors.camera.sync.sync import sync
+from tailbeat.session.identify import Attendant, identify_fish
 
 from .rendered_tank import drawn_camera, swim_before_the_camera
 

@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("cv2")
 
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.speed.swimspeed import SpeedCurve, swim_speed
-from tailbeat.camera.timing.sync import sync_by_led, sync_by_yaw
-from tailbeat.fish import Fish
-from tailbeat.reference import Reference, thesis
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.speed.smoother import SpeedCurve, swim_speed
+from tailbeat.sensors.camera.sync.sync import sync_by_led, sync_by_yaw
 
 from .rendered_tank import Swum, swim_before_the_camera
 

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.camera import analysis
-from tailbeat.camera.pictures.film import Film
-from tailbeat.camera.pictures.source import Beginning
-from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.timing.sync import Sync
-from tailbeat.camera.tracking.track import Track
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.speedcsv import read_speeds
+from tailbeat.app.cli import run
+from tailbeat.app.exercise import Exercise, ExerciseOptions, make_exercise
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.csv import read_speeds
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera import film_to_speed
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.source.film import Film
+from tailbeat.sensors.camera.source.open import Beginning
+from tailbeat.sensors.camera.sync.sync import Sync
+from tailbeat.sensors.camera.tracking.track import Track
 
 BEATS = 6
 SIZE_PX = (640, 360)
@@ -65,14 +65,14 @@ def whole() -> list[Track]:
 @pytest.fixture
 def seen_once(whole: list[Track], monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the first of the tests that track the whole film does it."""
-    really = analysis.track
+    really = film_to_speed.track
 
     def remembered(*arguments: Any) -> Track:
         if not whole:
             whole.append(really(*arguments))
         return whole[0]
 
-    monkeypatch.setattr(analysis, "track", remembered)
+    monkeypatch.setattr(film_to_speed, "track", remembered)
 
 
 def track(film: Exercise, out: Path, *more: str) -> int:
@@ -193,14 +193,14 @@ def test_a_film_paired_by_the_wobble_is_questioned(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with_led = analysis.track
+    with_led = film_to_speed.track
 
     def without_led(*arguments: Any) -> Track:
         seen = with_led(*arguments)
         assert seen.glow is not None
         return replace(seen, glow=np.zeros_like(seen.glow))
 
-    monkeypatch.setattr(analysis, "track", without_led)
+    monkeypatch.setattr(film_to_speed, "track", without_led)
     assert track(film, tmp_path / "swim", "--trial", str(film.trial_file)) == 0
     text = capsys.readouterr().out
     assert "by the fish's wobble; swims with nearly equal amplitudes look alike" in text
@@ -214,7 +214,7 @@ def test_error_bars_hold_that_the_begin_is_not_exactly_known(
     sigmas, rise_m_s2 = {}, np.empty(0)
     for sigma_s in (0.0, 0.1):
         begin = Sync(film.swim_begin_s, sigma_s, "led", film.trial, 1.0)
-        monkeypatch.setattr(analysis, "begin_of", lambda *_, begin=begin: begin)
+        monkeypatch.setattr(film_to_speed, "begin_of", lambda *_, begin=begin: begin)
         out = tmp_path / f"{sigma_s}"
         assert track(film, out, "--trial", str(film.trial_file)) == 0
         curve = rows(out / "speed.csv")
@@ -237,7 +237,7 @@ def test_ctrl_c_leaves_nothing(
     def interrupted(*arguments: object, **more: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(analysis, "write_speeds", interrupted)
+    monkeypatch.setattr(film_to_speed, "write_speeds", interrupted)
     assert track(film, tmp_path / "swim", "--overlay", *SHORT) == 130
     assert list(tmp_path.iterdir()) == []
 
@@ -251,14 +251,14 @@ def test_other_folders_are_left_alone(
     fails(track(film, out), "is no film's analysis", capsys)
     assert (out / "chapter8.tex").read_text() == "all of it"
     (out / "chapter8.tex").unlink()
-    with analysis.new_folder(out) as part:
+    with film_to_speed.new_folder(out) as part:
         (part / "summary.json").write_text('{"made_by": "tailbeat camera track"}')
         (part / "track.png").touch()
     (out / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="is no film's analysis"), analysis.new_folder(out):
+    with pytest.raises(InputError, match="is no film's analysis"), film_to_speed.new_folder(out):
         pass
     (out / "notes.txt").unlink()
-    with analysis.new_folder(out) as part:
+    with film_to_speed.new_folder(out) as part:
         (part / "summary.json").write_text("{}")
     assert [path.name for path in out.iterdir()] == ["summary.json"]
 

@@ -75,12 +75,12 @@ def test_catches_c(tree: Path, path: str, line: str) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "from tailbeat.cli import main",
-        "import tailbeat.cli.output",
+        "from tailbeat.app.cli import main",
+        "import tailbeat.app.cli.output",
         "from tailbeat import cli",
         "from . import cli",
         "from .cli import main",
-        "def later():\n    from tailbeat.cli import main",
+        "def later():\n    from tailbeat.app.cli import main",
     ],
 )
 def test_catches_python(tree: Path, line: str) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.cli import run
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ class Shell:
 def board(
     capsys: pytest.CaptureFixture[str], simulated: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> Shell:
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     return Shell(capsys, "the board")
 
 
@@ -219,7 +220,7 @@ def test_every_command_has_an_example(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def all_commands() -> list[list[str]]:
-    from tailbeat.cli.app import app
+    from tailbeat.app.cli.app import app
 
     found = [[str(c.callback.__name__).strip("_")] for c in app.registered_commands if c.callback]
     for group in app.registered_groups:
@@ -234,7 +235,7 @@ def all_commands() -> list[list[str]]:
 def test_start_is_quick_because_nothing_heavy_is_imported() -> None:
     heavy = ["matplotlib", "scipy", "pyulog", "numpy", "pyarrow"]
     code = (
-        "import sys; from tailbeat.cli import run; run(['--help']); "
+        "import sys; from tailbeat.app.cli import run; run(['--help']); "
         f"sys.exit(', '.join(m for m in {heavy} if m in sys.modules) or 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -255,7 +256,7 @@ def test_what_the_system_refuses_is_one_line(alone: Shell, tmp_path: Path) -> No
 def test_a_full_disk_behind_the_output() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-c", "from tailbeat.cli import main; main()", "--version"],
+            [sys.executable, "-c", "from tailbeat.app.cli import main; main()", "--version"],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import typer.main
 
-from tailbeat.cli.app import app
+from tailbeat.app.cli.app import app
 
 ROOT: Any = typer.main.get_command(app)
 
@@ -67,7 +67,7 @@ def complete(shell: str, line: str) -> str:
         "_TYPER_COMPLETE_ARGS": line,
         "_TYPER_COMPLETE_FISH_ACTION": "get-args",
     }
-    code = "from tailbeat.cli import main; main()"
+    code = "from tailbeat.app.cli import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
     )

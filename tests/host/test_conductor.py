@@ -12,20 +12,20 @@ from typing import Any
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.day.ritual import Wanted
-from tailbeat.day.series import SeriesEnd
-from tailbeat.errors import ConnectError, InputError, LinkLostError
+from tailbeat.app.web.inbox import Ask, Asks
+from tailbeat.app.web.view import Snapshot
+from tailbeat.app.web.worker import Conductor, no_eyes
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import ConnectError, InputError, LinkLostError
+from tailbeat.core.reference import from_text
 from tailbeat.experiment.journal import Journal
-from tailbeat.fish import Fish
-from tailbeat.logbook import FOLDER_VARIABLE
-from tailbeat.reference import from_text
-from tailbeat.results import BeatEvent
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
-from tailbeat.ui.asks import Ask, Asks
-from tailbeat.ui.conductor import Conductor, no_eyes
-from tailbeat.ui.snapshot import Snapshot
+from tailbeat.experiment.library import FOLDER_VARIABLE
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.preflight.step import Wanted
+from tailbeat.session.series import SeriesEnd
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 SHORT = "trapezoid:0.06,2,4"  # 8 beats
 PATIENCE_S = 600.0  # wall time; a bound on what hangs, never waited for when all is well
@@ -223,7 +223,7 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
         answers.append(person.confirm("go on?"))
         return SeriesEnd("stopped", "not now.", [], None)
 
-    monkeypatch.setattr("tailbeat.day.series.swim_series", series)
+    monkeypatch.setattr("tailbeat.session.series.swim_series", series)
     ready.conductor.ask("swim", ritual=False)
     ready.wait(lambda now: now.phase == "asking" and now.question == "go on?")
     done = ready.conductor.now.done

@@ -11,18 +11,19 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.camera.base import Frame
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.camera.timing.ledsync import read_led
-from tailbeat.camera.tracking.glow import GLOW_SHAPE
-from tailbeat.camera.tracking.track import SEEN, Track
-from tailbeat.day.person import Event
-from tailbeat.day.ritual import GivenUp, NotReady, Wanted, countdown
-from tailbeat.errors import InputError, LinkLostError, Refused
-from tailbeat.fish import Fish
-from tailbeat.transport.inprocess import CameraFrame
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import InputError, LinkLostError, Refused
+from tailbeat.core.frames import Frame
+from tailbeat.link import _dialect as mavlink
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.sync.led import read_led
+from tailbeat.sensors.camera.tracking.track import SEEN, Track
+from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
+from tailbeat.session.operator import Event
+from tailbeat.session.preflight.countdown import countdown
+from tailbeat.session.preflight.step import GivenUp, NotReady, Wanted
+from tailbeat.sim.board import CameraFrame
 
 from .conftest import BadRadio
 from .led_films import LedFilm
@@ -294,7 +295,7 @@ class _Off:
 
 def _start_s(fish: Fish, trial: int) -> float:
     """In simulated time."""
-    from tailbeat.trial_log import parse_trial
+    from tailbeat.core.trial_file import parse_trial
 
     assert fish.sim is not None
     booted_s = fish.sim.time_s - fish.sim.board_time_s

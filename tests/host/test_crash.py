@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat._native import ffi, lib
-from tailbeat.cli import run
-from tailbeat.crash import decode_crash, places
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.board.crash import decode_crash, places
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 ADDR2LINE = """#!/bin/sh
 [ "$4" = tailbeat.elf ] || { echo "what is $4?" >&2; exit 1; }
@@ -98,7 +99,7 @@ def test_the_command(
     elf: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board = SimBoard("tank")
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     words = ["crash", "--connect", "the board"]
     assert run(words) == 0
     assert capsys.readouterr().out == "no crash on record\n"

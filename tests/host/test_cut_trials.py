@@ -7,17 +7,18 @@ import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.laws import Law
-from tailbeat.reference import from_text
-from tailbeat.results import BeatEvent
-from tailbeat.sweep import learners, lengths
-from tailbeat.sweep.cell import cells, run_cell
-from tailbeat.sweep.learners import Past
-from tailbeat.sweep.recipe import Claim, load, parse
-from tailbeat.sweep.shoal import Shoal, Swims
-from tailbeat.sweep.summary import Rows, judge, summarise
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.reference import from_text
+from tailbeat.link.messages import BeatEvent
+from tailbeat.studies.montecarlo import cell as lengths
+from tailbeat.studies.montecarlo import learners
+from tailbeat.studies.montecarlo.batch import Shoal, Swims
+from tailbeat.studies.montecarlo.cell import cells, run_cell
+from tailbeat.studies.montecarlo.learners import Past
+from tailbeat.studies.montecarlo.recipe import Claim, load, parse
+from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 
 Array = NDArray[np.float64]
 

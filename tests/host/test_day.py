@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.sim.emulated import EmulatedBoard
+from tailbeat.sim.native import SimBoard
 
 from .tank_day import Day, Tank
 
@@ -37,7 +37,7 @@ def day(
     args: tuple[object, ...] = ("tank",) if request.param == "sim" else (None, "tank")
     board = kind(*args, seed=4, tail_centre_rad=CENTRE_RAD, battery_sag_v_per_trial=0.02)
     tank = Tank(board)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: tank)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: tank)
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     monkeypatch.chdir(tmp_path)
     yield Day(board, tank, capsys)

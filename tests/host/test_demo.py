@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import laws
-from tailbeat.demo import DemoOptions, DemoResult, Mismatch, compare, run_demo
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment
-from tailbeat.laws import Law
+from tailbeat.app.demo import DemoOptions, DemoResult, Mismatch, compare, run_demo
+from tailbeat.core import law as laws
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.experiment.folder import Experiment
 
 GOLDEN_M_S = {
     4: [0.0791, 0.0353, 0.0139, 0.0049, 0.0018, 0.0010, 0.0010],

@@ -15,24 +15,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import laws
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.floor import plant_beats, plant_config
-from tailbeat.laws import Law
-from tailbeat.model import certificate
-from tailbeat.model.design import Design, design, next_ratio, response
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.fitting import Scatter
-from tailbeat.model.identified import Identified
-from tailbeat.model.planner import plan
-from tailbeat.model.series import expected_series
-from tailbeat.model.swim import Swim
-from tailbeat.model.table import identify_table
-from tailbeat.reference import thesis
-from tailbeat.sweep.learners import identify
-from tailbeat.sweep.shoal import Shoal
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core import law as laws
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.reference import thesis
+from tailbeat.learning import frequency_response
+from tailbeat.learning.design import Design, design
+from tailbeat.learning.error_bound_solve import plant_beats, plant_config
+from tailbeat.learning.expected_series import expected_series, next_ratio
+from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fit import Scatter
+from tailbeat.learning.frequency_response import response
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import plan
+from tailbeat.learning.speed_table import identify_table
+from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.learners import identify
 
 Array = NDArray[np.float64]
 
@@ -93,9 +93,9 @@ def first_order(model: FishModel, speed: float, beats: int) -> Array:
 def test_a_fish_that_forgets_slowly_has_the_maps_slope_all_the_same() -> None:
     """And at other frequencies the answer of the differential equation, d(dv)/dt = -rate*dv."""
     model, speed = tank(0.3, 0.3), 0.008
-    found = certificate.frequency_response(model, speed, 1.0)
+    found = frequency_response.frequency_response(model, speed, 1.0)
     assert found[0].real == pytest.approx(model.slope_m_s_rad, rel=0.005)
-    s = 2j * np.pi * certificate.FREQUENCIES[1:4]
+    s = 2j * np.pi * frequency_response.FREQUENCIES[1:4]
     rate = 2 * model.kappa_per_m * speed
     assert np.abs(found[1:4]) == pytest.approx(
         np.abs(model.slope_m_s_rad * rate / (s + rate)), rel=0.02
@@ -148,12 +148,12 @@ def test_standstill_has_no_response() -> None:
 @pytest.mark.parametrize("lead", [0, 1, 2])
 def test_ratios_are_those_by_hand_over_the_set(lead: int) -> None:
     models = [tank(5.0), tank(20.0, 0.1)]
-    plants = certificate.plants_of(models, REFERENCE, LIMIT)
+    plants = frequency_response.plants_of(models, REFERENCE, LIMIT)
     found = plants.ratio(4.0, lead, 1)
     low, high = plants.speeds_m_s
     assert (low, high) == pytest.approx((CRUISE / 2, CRUISE), rel=1e-6)
     speeds = np.linspace(low, high, 9)[::2]
-    frequency = certificate.FREQUENCIES
+    frequency = frequency_response.FREQUENCIES
     worst = np.max([ratio_by_hand(m, 4, lead, frequency, s) for m in models for s in speeds], 0)
     assert found == pytest.approx(worst, abs=2e-4)
 
@@ -162,7 +162,7 @@ def test_published_ratios_of_leads_0_and_1() -> None:
     """Cruise, delay 0.3 s, coasting times of 0.3 to 1.3 s: one beat of lead gives 0.67 to 0.93 for
     gains of 2 to 7; without lead all grow, from 0.1 to 0.34 cycles/beat on; gain 10 fails at 0.
     Their plant was slightly another."""
-    frequency = certificate.FREQUENCIES
+    frequency = frequency_response.FREQUENCIES
     for coasting_s in (0.32, 0.6, 1.3):
         model = tank(1 / (2 * CRUISE * coasting_s), 0.3)
         impulse = np.fft.rfft(np.r_[response(model, CRUISE, 1.0, 200), np.zeros(200)])
@@ -184,16 +184,16 @@ def test_the_matrices_are_the_c_laws(lead: float, q_len: int, tail: int) -> None
     amplitude, error = rng.uniform(0.2, 0.5, 20), rng.normal(0, 0.02, 20)
     law = Law(kp_rad_s_m=4.0, lead_beats=lead, q_len=q_len, tail=tail)
     following, _ = laws.update(law, amplitude, error)
-    lead_matrix = certificate.lead_matrix(20, lead, keep_tail=tail == 1)
-    by_hand = certificate.filter_matrix(20, q_len) @ (amplitude + 4.0 * lead_matrix @ error)
+    lead_matrix = frequency_response.lead_matrix(20, lead, keep_tail=tail == 1)
+    by_hand = frequency_response.filter_matrix(20, q_len) @ (amplitude + 4.0 * lead_matrix @ error)
     assert following == pytest.approx(by_hand, abs=1e-6)
 
 
 @pytest.mark.parametrize("q_len", [1, 2, 5])
 def test_the_filters_response_is_its_matrixs(q_len: int) -> None:
-    middle = certificate.filter_matrix(81, q_len)[40]
-    z = np.exp(2j * np.pi * np.outer(certificate.FREQUENCIES, np.arange(81) - 40))
-    assert certificate.filter_response(q_len) == pytest.approx((z @ middle).real, abs=1e-12)
+    middle = frequency_response.filter_matrix(81, q_len)[40]
+    z = np.exp(2j * np.pi * np.outer(frequency_response.FREQUENCIES, np.arange(81) - 40))
+    assert frequency_response.filter_response(q_len) == pytest.approx((z @ middle).real, abs=1e-12)
 
 
 def test_table_8_1(table: Identified) -> None:
@@ -239,7 +239,7 @@ def test_an_identified_tank_gets_a_beat_of_lead_and_all_shrinks(kappa: float) ->
 def test_no_gain_and_lead_do_better() -> None:
     identified = around(tank(10.0), count=6)
     found = design(identified, REFERENCE, LIMIT, iterations=1)
-    plants = certificate.plants_of([identified.model, *identified.models], REFERENCE, LIMIT)
+    plants = frequency_response.plants_of([identified.model, *identified.models], REFERENCE, LIMIT)
     gains = np.linspace(0.05, found.static_gain_best, 60)
     best = min(plants.ratio(gain, lead, 1).max() for gain in gains for lead in LEADS)
     assert found.ratio_max <= best + 0.02

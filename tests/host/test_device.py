@@ -14,9 +14,10 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from tailbeat.camera.pictures import capture, device  # noqa: E402
-from tailbeat.camera.pictures.device import Device  # noqa: E402
-from tailbeat.errors import InputError  # noqa: E402
+from tailbeat.core.errors import InputError  # noqa: E402
+from tailbeat.sensors.camera.source import device
+from tailbeat.sensors.camera.source import device as capture  # noqa: E402
+from tailbeat.sensors.camera.source.device import Device  # noqa: E402
 
 BOOT_S = 5000.0  # the fake clock's, when the camera is opened
 PERIOD_S = 0.04

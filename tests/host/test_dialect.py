@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import pytest
 from pymavlink.dialects.v20 import common
 
-from tailbeat import _dialect as mavlink
+from tailbeat.link import _dialect as mavlink
 
 ROOT = Path(__file__).resolve().parents[2]
 OURS = ROOT / "wire" / "tailbeat.xml"

@@ -18,20 +18,21 @@ from typing import Any
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.cli import run
-from tailbeat.crash import CrashReport
-from tailbeat.doctor import OK, PROBLEM, WARNING, Finding, examine
-from tailbeat.doctor.patient import gather
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.keys import KeyStore, StoredKey
-from tailbeat.link import Framer
-from tailbeat.provision import HELD, MISSING, OPEN, KeyStatus, set_key
-from tailbeat.transport import find, portaccess
-from tailbeat.transport.base import Transport
-from tailbeat.transport.inprocess import CONSOLE
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.board import connect
+from tailbeat.board.crash import CrashReport
+from tailbeat.board.diagnostics import examine
+from tailbeat.board.diagnostics.evidence import OK, PROBLEM, WARNING, Finding, gather
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import HELD, MISSING, OPEN, KeyStatus, set_key
+from tailbeat.core.errors import InputError
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link import serial
+from tailbeat.link.keystore import KeyStore, StoredKey
+from tailbeat.link.mavlink import Framer
+from tailbeat.link.transport import Transport
+from tailbeat.sim.board import CONSOLE, SimTransport
+from tailbeat.sim.native import SimBoard
 
 NAMES = [
     "port", "board", "firmware", "link", "imu", "battery", "storage", "key", "clock", "state",
@@ -108,7 +109,9 @@ def look(monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Finding]]:
     """Examines a transport; the findings by name."""
 
     def examined(transport: Transport, measure_s: float = QUICK_S) -> dict[str, Finding]:
-        monkeypatch.setattr("tailbeat.doctor.reach.open_transport", lambda url: transport)
+        monkeypatch.setattr(
+            "tailbeat.board.diagnostics.evidence.open_transport", lambda url: transport
+        )
         findings = examine("it", measure_s)
         assert [f.name for f in findings] == NAMES
         for finding in findings:
@@ -186,8 +189,8 @@ def test_it_changes_nothing(look: Look, board: SimBoard) -> None:
 def test_nothing_connected(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(find, "likely_ports", lambda: iter([]))
-    monkeypatch.setattr(find, "DEFAULT_PORT", 1)
+    monkeypatch.setattr(connect, "likely_ports", lambda: iter([]))
+    monkeypatch.setattr(connect, "DEFAULT_PORT", 1)
     assert run(["doctor"]) == 1
     line = capsys.readouterr().out
     assert line == (
@@ -263,7 +266,7 @@ def test_a_port_the_system_refuses(
 
 def test_the_group_is_the_ports_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pathlib.Path.group", lambda self: "uucp")
-    refused = portaccess.cannot_open("/dev/ttyACM0", PermissionError(errno.EACCES, "no"))
+    refused = serial.cannot_open("/dev/ttyACM0", PermissionError(errno.EACCES, "no"))
     assert "usermod -aG uucp $USER" in refused.remedy
 
 
@@ -299,7 +302,7 @@ def test_messages_in_another_form(look: Look, forged: Forged) -> None:
 def test_a_board_that_falls_silent(monkeypatch: pytest.MonkeyPatch, forged: Forged) -> None:
     for kind in ("TIMESYNC", "TAILBEAT_STATUS", "TAILBEAT_HEALTH", "AUTOPILOT_VERSION"):
         forged.edits[kind] = None
-    monkeypatch.setattr("tailbeat.doctor.reach.open_transport", lambda url: forged)
+    monkeypatch.setattr("tailbeat.board.diagnostics.evidence.open_transport", lambda url: forged)
     findings = examine("it", QUICK_S)
     assert [f.name for f in findings] == ["port", "board", "link"]
     assert findings[-1].status == PROBLEM
@@ -450,7 +453,7 @@ def test_key(
     forged: Forged,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("tailbeat.doctor.patient.key_status", lambda fish, health: key)
+    monkeypatch.setattr("tailbeat.board.diagnostics.evidence.key_status", lambda fish, health: key)
     found = look(forged)["key"]
     assert found.status == status
     assert text in found.text
@@ -551,7 +554,7 @@ def test_bad_bytes_while_we_come_by_that_radio(
     look: Look, forged: Forged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     forged.edits["TAILBEAT_HEALTH"] = set_to(radio_framing=500)
-    monkeypatch.setattr("tailbeat.doctor.patient.by_radio", lambda transport: True)
+    monkeypatch.setattr("tailbeat.board.diagnostics.evidence.by_radio", lambda transport: True)
     found = look(forged)["radio"]
     assert (found.status, "wires" in found.remedy) == (WARNING, True)
 

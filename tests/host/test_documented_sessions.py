@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.cli import run
-from tailbeat.fish import Fish
-from tailbeat.floor import floor, plant_beats, plant_config
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound_solve import plant_beats, plant_config
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 ROOT = Path(__file__).parents[2]
 SEEDS = random.Random("documented sessions").sample(range(1, 1_000_000), 20)
@@ -90,7 +92,9 @@ class Terminal:
         assert program == "tailbeat"
         if rest == ["sim", "&"]:
             board = SimBoard("tank", seed=self.seed)
-            self._monkeypatch.setattr("tailbeat.fish.open_transport", lambda _: SimTransport(board))
+            self._monkeypatch.setattr(
+                "tailbeat.board.fish.open_transport", lambda _: SimTransport(board)
+            )
             return ""
         status = run(rest)
         printed = "".join(self.capsys.readouterr())
@@ -117,7 +121,7 @@ def python(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[int], Trial]]:
     text = block("docs/getting-started.md", "8. The same from Python", "python")
 
     def execute(seed: int) -> Trial:
-        monkeypatch.setattr("tailbeat.transport.simulated.DEFAULT_SEED", seed)
+        monkeypatch.setattr("tailbeat.sim.native.DEFAULT_SEED", seed)
         names: dict[str, object] = {}
         exec(compile(text, "getting-started.md", "exec"), names)
         fish = names["fish"]

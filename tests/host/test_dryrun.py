@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tailbeat import reference
-from tailbeat.dryrun import dry_run
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.session.dry_run import dry_run
 
 
 def swim_and_compare(fish: Fish) -> bool:

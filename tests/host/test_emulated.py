@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.transport import find
-from tailbeat.transport.emulated import ID_PREFIX, EmulatedBoard, EmulationError
-from tailbeat.transport.inprocess import CONSOLE, RADIO
-from tailbeat.transport.simulated import SimBoard
-from tailbeat.transport.world import FRAME_US, World
+from tailbeat.board import connect as find
+from tailbeat.core.errors import InputError
+from tailbeat.sim.board import CONSOLE, RADIO
+from tailbeat.sim.emulated import ID_PREFIX, EmulatedBoard, EmulationError
+from tailbeat.sim.native import SimBoard
+from tailbeat.sim.world import FRAME_US, World
 from vboard.core.bus import BusViolation
 from vboard.core.clock import TICKS_PER_S, TICKS_PER_US, Clock
 from vboard.wires.serial_line import SerialLine

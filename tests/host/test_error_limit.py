@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import records
-from tailbeat.cli import run
-from tailbeat.fish import Fish
-from tailbeat.results import TrialOutcome
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import read_trial
-from tailbeat.visits import never_corrected, never_measured, not_reached, spans
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.trial_checks import never_corrected, never_measured, not_reached, spans
+from tailbeat.core.trial_file import read_trial
+from tailbeat.link.messages import TrialOutcome
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 BEATS = 12
 LIMIT_M_S = 0.02
@@ -151,7 +152,7 @@ def test_power_lost_in_mid_swim_teaches_nothing_and_costs_nothing(tmp_path: Path
 def board(monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     """A board that every command connects to."""
     made = SimBoard("thesis", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(made))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(made))
     with Fish(SimTransport(made)) as fish:
         prepare(fish)
     return made

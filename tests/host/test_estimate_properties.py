@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tailbeat._native import ffi, lib
+from tailbeat.core.native import ffi, lib
 
 Floats = npt.NDArray[Any]
 SLOT_S = 0.1

@@ -15,10 +15,11 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import loadmat
 
-from tailbeat import reference
-from tailbeat.demo import DemoOptions, run_demo
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment, export, list_experiments
+from tailbeat.app.demo import DemoOptions, run_demo
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.experiment import export
+from tailbeat.experiment.folder import Experiment, list_experiments
 
 NOON = datetime(2026, 5, 4, 12, 0, 0)
 
@@ -193,7 +194,7 @@ def test_a_full_disk_is_told_and_the_trial_can_be_kept_later(
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tailbeat.lasting.os.fsync", full)
+    monkeypatch.setattr("tailbeat.core.files.os.fsync", full)
     for write in (
         lambda: made.add_raw("0002.ulg", b"swim"),
         lambda: made.write_settings({"fish": "x"}),

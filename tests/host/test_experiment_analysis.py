@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.demo import DemoOptions, run_demo
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment
+from tailbeat.app.demo import DemoOptions, run_demo
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import (
     Analysis,
     TrialRow,
@@ -26,8 +26,8 @@ from tailbeat.experiment.analysis import (
     analyse,
     write_analysis,
 )
-from tailbeat.experiment.told import Told
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.journal import Told
 
 from . import made_analyses as made
 from .swum_experiment import BEATS, REFERENCE, swim_experiment, writable
@@ -238,7 +238,7 @@ def test_a_tampered_trial_is_no_data(copy: Experiment) -> None:
 
 
 def test_a_trial_of_another_reference_is_left_out(copy: Experiment) -> None:
-    from tailbeat.records import encode_reference
+    from tailbeat.core.records import encode_reference
 
     other = copy.folder.parent / "other"
     shutil.copytree(copy.folder, other)

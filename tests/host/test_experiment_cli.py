@@ -15,22 +15,22 @@ from typer.core import TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner, Result
 
-from tailbeat.cli import run
-from tailbeat.cli.app import app
-from tailbeat.cli.completing import reference_names
-from tailbeat.errors import InputError, Refused
-from tailbeat.experiment import Experiment, begin, current, require_same, use
+from tailbeat.app.cli import run
+from tailbeat.app.cli._options import reference_names
+from tailbeat.app.cli.app import app
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.records import encode_reference
+from tailbeat.core.reference import from_text
+from tailbeat.experiment import current
 from tailbeat.experiment.analysis import write_analysis
-from tailbeat.experiment.board import copy_state, held_state
+from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.conditions import set_conditions
-from tailbeat.experiment.current import make
-from tailbeat.experiment.untouched import made_before
-from tailbeat.fish import Fish
-from tailbeat.records import encode_reference
-from tailbeat.reference import from_text
+from tailbeat.experiment.current import begin, made_before, make, require_same, use
+from tailbeat.experiment.folder import Experiment
 from tailbeat.report.paper import Written
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 from .swum_experiment import REFERENCE, swim_experiment, writable
 
@@ -68,7 +68,7 @@ def test_done_again_as_redo_says(
     _, _, text = call("show", copy.folder, "--redo").output.partition("## Before the first swim")
     typed = [shlex.split(line, comments=True) for line in text.split("```")[1].splitlines()]
     board = SimTransport(SimBoard("tank", seed=1))
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: board)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: board)
     monkeypatch.chdir(copy.folder)
     before = set(copy.folder.rglob("*"))
     for program, *words in filter(None, typed):

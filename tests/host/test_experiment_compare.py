@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment
+from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis, analyse
 from tailbeat.experiment.compare import (
     _compared,
@@ -27,6 +26,7 @@ from tailbeat.experiment.compare import (
     repeats_needed,
     welch,
 )
+from tailbeat.experiment.folder import Experiment
 
 from . import made_analyses as made
 from .swum_experiment import REPEAT, swim_experiment

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tailbeat.errors import InputError
+from tailbeat.core.errors import InputError
 from tailbeat.experiment.journal import Journal
 
 NOON = datetime(2026, 5, 4, 12, 0, 0)

@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis, write_analysis
 from tailbeat.experiment.current import make
-from tailbeat.experiment.replay import Replay, replay, write_redo
-from tailbeat.fish import Fish
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.redo import write_redo
 from tailbeat.report.page import Picture
 from tailbeat.report.paper import Drawing, write_report
-from tailbeat.simserver import SimServer
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.report.replay import Replay, replay
+from tailbeat.sim.native import SimBoard
+from tailbeat.sim.server import SimServer
 
 from .swum_experiment import BEATS, REFERENCE, swim_experiment, writable
 
@@ -123,9 +124,9 @@ def test_learning_that_never_happened_is_found(copy: Experiment, tmp_path: Path)
 
 
 def test_a_board_state_of_another_history_is_found(copy: Experiment, tmp_path: Path) -> None:
-    from tailbeat.experiment import board
+    from tailbeat.experiment import board_state
 
-    state = board.held_state(copy)
+    state = board_state.held_state(copy)
     assert state is not None
     assert state.learned is not None
     learned = bytearray(state.learned)
@@ -135,7 +136,7 @@ def test_a_board_state_of_another_history_is_found(copy: Experiment, tmp_path: P
     path.write_text(json.dumps(document))
     assert any("state.json is damaged" in line for line in again(copy, tmp_path).different)
     other = replace(state, learned=bytes(learned[:40] + bytes([learned[40] ^ 1]) + learned[41:]))
-    assert board._document(other)["sha256"] != board._document(state)["sha256"]
+    assert board_state._document(other)["sha256"] != board_state._document(state)["sha256"]
 
 
 def test_uploaded_speeds_are_told_not_counted(tmp_path: Path) -> None:

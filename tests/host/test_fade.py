@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.fade import fade_advice, fluctuation, repeat_variance
-from tailbeat.verdict import NoiseBand, Score
+from tailbeat.core.errors import InputError
+from tailbeat.learning.convergence import NoiseBand, Score
+from tailbeat.learning.gain_schedule import fade_advice, fluctuation, repeat_variance
 
 NOISE = 4e-6  # (2 mm/s)**2, of a beat between repeats on the tank plant
 

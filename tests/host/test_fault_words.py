@@ -14,12 +14,11 @@ from typing import Any
 import pytest
 import typer.main
 
-from tailbeat import faults
-from tailbeat.cli.app import app
-from tailbeat.faults import FaultInfo, all_faults, fault_info
-from tailbeat.parameters import known_parameters
-from tailbeat.vn100 import problems
-from tailbeat.vn100.problems import all_problems
+from tailbeat.app.cli.app import app
+from tailbeat.core import faults, imu_problems
+from tailbeat.core.faults import FaultInfo, all_faults, fault_info
+from tailbeat.core.imu_problems import all_problems
+from tailbeat.link.params import known_parameters
 
 ROOT = Path(__file__).parents[2]
 FAULTS = ROOT / "firmware/supervisor/faults.def"
@@ -255,7 +254,7 @@ def test_no_other_place_keeps_a_copy_of_the_words() -> None:
             assert meaning not in " ".join(text.split()), f"{path.name} has its own '{meaning}'"
 
 
-@pytest.mark.parametrize("module", [faults, problems])
+@pytest.mark.parametrize("module", [faults, imu_problems])
 def test_numbers_that_the_tool_knows_by_name_are_the_tables(module: Any) -> None:
     rows = all_faults() if module is faults else all_problems()
     table = {row.name: row.number for row in rows}

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.feasible import TARGET_M_S, Suggestion, suggest
-from tailbeat.floor import floor, lsq_max_abs_m_s, plant_config
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.identified import Identified
-from tailbeat.reference import Limits, from_csv
+from tailbeat.app.cli import run
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Limits, from_csv
+from tailbeat.learning.error_bound import floor, lsq_max_abs_m_s
+from tailbeat.learning.error_bound_solve import plant_config
+from tailbeat.learning.feasible import TARGET_M_S, Suggestion, suggest
+from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.identification import Identified
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)

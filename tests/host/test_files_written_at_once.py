@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import filelock
-from tailbeat.errors import InputError
+from tailbeat.core import locks
+from tailbeat.core.errors import InputError
+from tailbeat.core.files import replacing, replacing_text, write_whole
+from tailbeat.core.locks import WRITE_LOCK, locked
+from tailbeat.core.records import crc32
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Journal
-from tailbeat.filelock import WRITE_LOCK, locked
-from tailbeat.keys import KeyStore, new_key
-from tailbeat.lasting import replacing, replacing_text, write_whole
-from tailbeat.logbook import Logbook
-from tailbeat.partfile import PartFile
-from tailbeat.records import crc32
+from tailbeat.experiment.library import Logbook
+from tailbeat.link.ftp.partfile import PartFile
+from tailbeat.link.keystore import KeyStore, new_key
 
 WRITERS = 3
 ROUNDS = 60
@@ -160,7 +160,7 @@ def test_a_folder_without_locks_is_used_without(
     def no_locks(descriptor: int, how: int) -> None:
         raise OSError(95, "not supported")
 
-    monkeypatch.setattr(filelock.fcntl, "flock", no_locks)
+    monkeypatch.setattr(locks.fcntl, "flock", no_locks)
     with locked(tmp_path, wait_s=0.0):
         pass
 

@@ -14,10 +14,10 @@ import pytest
 av = pytest.importorskip("av")
 cv2 = pytest.importorskip("cv2")
 
-from tailbeat.camera.pictures import film as filmfile  # noqa: E402
-from tailbeat.camera.pictures.film import Film, FilmWriter  # noqa: E402
-from tailbeat.camera.pictures.picture import Image, Picture  # noqa: E402
-from tailbeat.errors import InputError  # noqa: E402
+from tailbeat.core.errors import InputError  # noqa: E402
+from tailbeat.sensors.camera.source import film as filmfile  # noqa: E402
+from tailbeat.sensors.camera.source.film import Film, FilmWriter  # noqa: E402
+from tailbeat.sensors.camera.source.picture import Image, Picture  # noqa: E402
 
 SIZE = (96, 64)
 COUNT = 40

@@ -13,25 +13,26 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tailbeat import reference
-from tailbeat.cli.app import app
-from tailbeat.day import first, proof
-from tailbeat.day.battery import Drain
-from tailbeat.day.first import Step, first_session
-from tailbeat.day.person import Decision, Event
-from tailbeat.day.raising import Raise, next_raise
-from tailbeat.day.standing import fall_per_swim, standing_of, swims_left, words
-from tailbeat.day.swum import Swum
-from tailbeat.experiment.board import copy_state
+from tailbeat.app.cli.app import app
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.trial_checks import Straightness
+from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import begin
-from tailbeat.fish import Fish
-from tailbeat.model import fitting
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.identified import Identified
-from tailbeat.parameters import known_parameters
-from tailbeat.saturation import needed_rad, servo_rad
-from tailbeat.straight import Straightness
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.learning import fit
+from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.saturation import needed_rad, servo_rad
+from tailbeat.link.params import known_parameters
+from tailbeat.session import commission, commission_steps
+from tailbeat.session.battery import Drain
+from tailbeat.session.collect import Swum
+from tailbeat.session.commission import Step, first_session
+from tailbeat.session.commission_steps import Raise, next_raise
+from tailbeat.session.operator import Decision, Event
+from tailbeat.session.status import fall_per_swim, standing_of, swims_left, words
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 THESIS = reference.thesis()
 DEFAULTS = {name: known.default for name, known in known_parameters().items()}
@@ -79,7 +80,7 @@ def test_in_small_steps_up_to_what_the_reference_needs() -> None:
     params, steps = dict(DEFAULTS), []
     while isinstance(found := next_raise(params, THESIS, known(), STRAIGHT), Raise):
         assert found.name == "AMP_MAX_RAD" and found.was == params["AMP_MAX_RAD"]
-        assert 0 < found.to - found.was <= first.RAISE_MAX_RAD + 1e-9
+        assert 0 < found.to - found.was <= commission.RAISE_MAX_RAD + 1e-9
         steps.append(found.to)
         params["AMP_MAX_RAD"] = float(np.float32(found.to))
     need = needed_rad(known(), THESIS)
@@ -148,20 +149,22 @@ def test_the_tank_ends_it() -> None:
 
 def test_a_profile_that_fits_or_none() -> None:
     params = DEFAULTS | {"AMP_MAX_RAD": 0.7}
-    long = proof.profile(0.7, known(), params)
-    short = proof.profile(0.7, known(), params | {"TANK_LEN_M": 1.4})
+    long = commission_steps.profile(0.7, known(), params)
+    short = commission_steps.profile(0.7, known(), params | {"TANK_LEN_M": 1.4})
     assert long is not None and short is not None and len(short) < len(long)
     assert long.max() == pytest.approx(0.7) and np.all(long[-4:] == 0)
-    assert proof.profile(0.7, known(), params | {"TANK_LEN_M": 0.9}) is None
+    assert commission_steps.profile(0.7, known(), params | {"TANK_LEN_M": 0.9}) is None
 
 
 def test_proofs(fish: Fish) -> None:
     fish.link.run(6.0)
     before = fish.params.get("AMP_MAX_RAD").value
-    found = proof.prove(fish, 0.6, known(), Somebody())
+    found = commission_steps.prove(fish, 0.6, known(), Somebody())
     assert found.why_not == "" and "of the speed foretold" in found.words
     assert found.straight is not None and not found.straight.crooked
-    stronger = proof.prove(fish, 0.6, known(replace(TANK, slope_m_s_rad=0.3)), Somebody())
+    stronger = commission_steps.prove(
+        fish, 0.6, known(replace(TANK, slope_m_s_rad=0.3)), Somebody()
+    )
     assert "slower than foretold" in stronger.why_not
     assert fish.params.get("AMP_MAX_RAD").value == before
     assert fish.status().state == "IDLE" and fish.status().pending_trial is None
@@ -171,7 +174,7 @@ def test_a_proof_that_turns() -> None:
     board = SimBoard("tank", seed=1, tail_centre_rad=0.3)
     with Fish(SimTransport(board)) as fish:
         fish.link.run(15.0)
-        found = proof.prove(fish, 0.6, known(), Somebody())
+        found = commission_steps.prove(fish, 0.6, known(), Somebody())
     assert "NOT STRAIGHT" in found.why_not
 
 
@@ -181,7 +184,7 @@ def test_a_proof_that_turns() -> None:
 @pytest.fixture
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     """Identified without a bootstrap, which takes seconds and is tested elsewhere."""
-    monkeypatch.setattr(fitting, "bootstrap", lambda *_, **__: [])
+    monkeypatch.setattr(fit, "bootstrap", lambda *_, **__: [])
 
 
 @pytest.fixture
@@ -192,9 +195,9 @@ def known_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         self.identified, self.straight = known(), STRAIGHT
         return Step("identify", True, "seen")
 
-    monkeypatch.setattr(first._Session, "identify", identify)
-    monkeypatch.setattr(first._Session, "trim", lambda self: Step("trim", False, "left out"))
-    monkeypatch.setattr(first._Session, "design", lambda self: Step("design", True, "given"))
+    monkeypatch.setattr(commission._Session, "identify", identify)
+    monkeypatch.setattr(commission._Session, "trim", lambda self: Step("trim", False, "left out"))
+    monkeypatch.setattr(commission._Session, "design", lambda self: Step("design", True, "given"))
 
 
 def limit(fish: Fish) -> float:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from littlefs import LittleFS, UserContext
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.camera.base import Frame
-from tailbeat.errors import ConnectError, LinkLostError, Refused, TailbeatError, TransferError
-from tailbeat.fish import Fish
-from tailbeat.results import BeatEvent
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError, TransferError
+from tailbeat.core.frames import Frame
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.messages import BeatEvent
 
 
 def test_who_it_is(fish: Fish) -> None:
@@ -334,7 +334,7 @@ def test_a_second_ctrl_c_ends_the_waiting(ready: Fish, monkeypatch: pytest.Monke
 
 def test_a_trial_that_never_ends_is_given_up(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
     assert ready.sim is not None
-    monkeypatch.setattr("tailbeat.trialrun._is_over", lambda run: False)
+    monkeypatch.setattr("tailbeat.session.trial._is_over", lambda run: False)
     begin = ready.transport.now_s()
     with pytest.raises(TailbeatError, match="makes no progress"):
         ready.run_trial()
@@ -419,7 +419,7 @@ def test_what_was_learned_on_a_board_that_counts_no_visits(
     counted = fish.learned_record()
     assert counted is not None and counted[-3:] == b"\1\1\1"
     with monkeypatch.context() as older:
-        older.setattr("tailbeat.fish._VISITS", 99)  # a set that this board does not know
+        older.setattr("tailbeat.board.fish._VISITS", 99)  # a set that this board does not know
         assert fish.visits() is None
         record = fish.learned_record()
         assert fish.amplitudes().input is None  # and it does not tell what made its input

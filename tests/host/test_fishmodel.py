@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tailbeat.errors import InputError
-from tailbeat.floor import plant_beats, plant_config
-from tailbeat.model.fishmodel import Conditions, FishModel
+from tailbeat.core.errors import InputError
+from tailbeat.learning.error_bound_solve import plant_beats, plant_config
+from tailbeat.learning.fish_model import Conditions, FishModel
 
 CASES = [
     # kappa, delay, start, beat, parts

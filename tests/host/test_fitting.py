@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.floor import plant_beats, plant_config
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.fitting import Prior, Scatter, bootstrap, fit, sample
-from tailbeat.model.swim import Swim
+from tailbeat.core.errors import InputError
+from tailbeat.learning.error_bound_solve import plant_beats, plant_config
+from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fit import Prior, Scatter, bootstrap, fit, sample
 
 SIGMA_M_S = 0.0007
 TRUE = FishModel(8.0, 0.22, 0.18, 0.4)

@@ -14,30 +14,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.cli import run as run_command
-from tailbeat.errors import ConnectError, InputError, TailbeatError
-from tailbeat.experiment import Experiment
-from tailbeat.faults import BAD_FORMAT, WRONG_STATE, refusal
-from tailbeat.fish import Fish
-from tailbeat.flashing import (
-    Backup,
-    FlashError,
-    FlashPlan,
-    FlashReport,
-    Surroundings,
-    flash,
-    put_back,
-)
-from tailbeat.flashing.keep import key_warning
-from tailbeat.flashing.ports import BoardPort
-from tailbeat.flashing.programs import Outcome, run_program
-from tailbeat.keys import KeyStore
-from tailbeat.provision import HELD, OPEN, set_key, trust_of
-from tailbeat.transport.hearing import START_LINE
-from tailbeat.transport.simulated import CONSOLE, FLASH_BYTES, RADIO, SimBoard, SimTransport
-from tailbeat.transport.usbids import USB_IDS, PortKind
+from tailbeat.app.cli import run as run_command
+from tailbeat.board.fish import Fish
+from tailbeat.board.flash.ports import BoardPort
+from tailbeat.board.flash.procedure import FlashError, FlashPlan, FlashReport, Surroundings, flash
+from tailbeat.board.flash.tools import Outcome, run_program
+from tailbeat.board.provision import HELD, OPEN, set_key, trust_of
+from tailbeat.board.restore import put_back
+from tailbeat.board.snapshot import Backup, key_warning
+from tailbeat.core import records
+from tailbeat.core.errors import ConnectError, InputError, TailbeatError
+from tailbeat.core.faults import BAD_FORMAT, WRONG_STATE, refusal
+from tailbeat.experiment.folder import Experiment
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.heard import START_LINE
+from tailbeat.link.keystore import KeyStore
+from tailbeat.link.usb_ids import USB_IDS, PortKind
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
+from tailbeat.sim.native import SimBoard
 
 ACM, USB, CLONE = "/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0"
 
@@ -269,7 +263,7 @@ def due(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Due:
     due = Due(tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("tailbeat.fish.open_transport", due.open_transport)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", due.open_transport)
     return due
 
 
@@ -380,7 +374,7 @@ class Older:
             upload(fish, record)
 
         self.monkeypatch.setattr(Fish, "upload_learned", upload_learned)
-        self.monkeypatch.setattr("tailbeat.fish._VISITS", 99)  # a set that no board knows
+        self.monkeypatch.setattr("tailbeat.board.fish._VISITS", 99)  # a set that no board knows
 
 
 def test_an_older_image_gets_what_was_learned_without_the_counts(
@@ -466,7 +460,9 @@ def test_the_key_does_not_come_back_by_radio(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     del keyed
-    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # this board stands for a real one
+    monkeypatch.setattr(
+        "tailbeat.board.provision._SHORT_LIVED", ()
+    )  # this board stands for a real one
     backup = due.flash(image).backup
     due.board.flash = b"\xff" * FLASH_BYTES
     due.board.power_cycle()
@@ -768,7 +764,7 @@ def test_a_port_that_may_not_be_opened(
     def refused(url: str | None) -> SimTransport:
         raise ConnectError(f"cannot open {url} (Permission denied)", "Join the group dialout.")
 
-    monkeypatch.setattr("tailbeat.fish.open_transport", refused)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", refused)
     due.state(mode="firmware")
     assert untouched(due, image).remedy.startswith("Join the group dialout. If its firmware hangs")
 
@@ -971,7 +967,7 @@ def test_the_link_breaks_while_restoring(
 def command(
     due: Due, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[int, str, str]]:
-    monkeypatch.setattr("tailbeat.flashing.procedure.Surroundings", due.around)
+    monkeypatch.setattr("tailbeat.board.flash.procedure.Surroundings", due.around)
 
     def call(*words: str) -> tuple[int, str, str]:
         status = run_command(["flash", *words])

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import _native
-from tailbeat._native import ffi, lib
-from tailbeat.errors import InputError
-from tailbeat.extras import BUILD_IMAGE
-from tailbeat.flashing import Backup, Image
-from tailbeat.flashing.backup import new_folder
+from tailbeat.board.flash.image import Image
+from tailbeat.board.snapshot import Backup, new_folder
+from tailbeat.core import native
+from tailbeat.core.errors import InputError
+from tailbeat.core.extras import BUILD_IMAGE
+from tailbeat.core.native import ffi, lib
 
 BUILD_ID = b"0.1.0-v3-14-ge16d899-dirty"
 MARKED = b"tailbeat build id: " + BUILD_ID + b"\0"
@@ -43,7 +43,7 @@ def test_a_long_id_is_cut_on_the_wire(tmp_path: Path) -> None:
 
 
 def test_the_firmware_carries_its_id_as_the_tool_looks_for_it(tmp_path: Path) -> None:
-    library = next(_native.HERE.glob("*tailbeat_native*.so"), None)
+    library = next(native.HERE.glob("*tailbeat_native*.so"), None)
     if library is None:
         pytest.skip("the native library has another name here")
     content = library.read_bytes()
@@ -110,7 +110,7 @@ def test_a_backup_comes_back_as_it_was(tmp_path: Path) -> None:
 
 
 def test_a_disk_that_forgets_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tailbeat.flashing.backup.replace_file", lambda path, _: path.touch())
+    monkeypatch.setattr("tailbeat.board.snapshot.replace_file", lambda path, _: path.touch())
     with pytest.raises(InputError):
         backup().write(tmp_path)
 

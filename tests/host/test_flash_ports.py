@@ -18,18 +18,20 @@ import numpy as np
 import pytest
 import serial
 
-from tailbeat import records
-from tailbeat.errors import ConnectError, InputError
-from tailbeat.fish import Fish
-from tailbeat.flashing import FlashPlan, Surroundings, flash, ports
-from tailbeat.flashing.keep import keep
-from tailbeat.flashing.ports import BoardPort
-from tailbeat.flashing.programs import Outcome, run_program
-from tailbeat.flashing.putback import put_back
-from tailbeat.simserver import SimServer
-from tailbeat.transport.serialport import SerialTransport, likely_ports
-from tailbeat.transport.simulated import FLASH_BYTES, SimBoard, SimTransport
-from tailbeat.transport.usbids import USB_IDS, PortKind
+from tailbeat.board.fish import Fish
+from tailbeat.board.flash import ports
+from tailbeat.board.flash.ports import BoardPort
+from tailbeat.board.flash.procedure import FlashPlan, Surroundings, flash
+from tailbeat.board.flash.tools import Outcome, run_program
+from tailbeat.board.restore import put_back
+from tailbeat.board.snapshot import keep
+from tailbeat.core import records
+from tailbeat.core.errors import ConnectError, InputError
+from tailbeat.link.serial import SerialTransport, likely_ports
+from tailbeat.link.usb_ids import USB_IDS, PortKind
+from tailbeat.sim.board import FLASH_BYTES, SimTransport
+from tailbeat.sim.native import SimBoard
+from tailbeat.sim.server import SimServer
 
 ACM = "/dev/ttyACM0"
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
@@ -72,7 +74,7 @@ def test_the_only_port_is_found_among_others(
     assert found == BoardPort(ACM, kinds[ids[1]])
     assert found.by_usb == (ids[1] != 0x003D)
     plugged = [*OTHERS, Listed(ACM, *ids)]
-    monkeypatch.setattr("tailbeat.transport.serialport.list_ports.comports", lambda: plugged)
+    monkeypatch.setattr("tailbeat.link.serial.list_ports.comports", lambda: plugged)
     assert list(likely_ports()) == ([ACM] if ids[0] in (0x2341, 0x2A03) else [])
 
 
@@ -211,13 +213,13 @@ def test_the_touch(kind: PortKind, after: list[str], monkeypatch: pytest.MonkeyP
 def test_nobody_else_opens_at_1200_baud() -> None:
     with pytest.raises(InputError, match="1200 baud would erase the board"):
         SerialTransport(ACM, 1200)
-    source = Path(ports.__file__).resolve().parents[1]
+    source = Path(ports.__file__).resolve().parents[2]
     users = [
         path.relative_to(source).as_posix()
         for path in source.rglob("*.py")
         if "serial.Serial(" in path.read_text()
     ]
-    assert sorted(users) == ["flashing/ports.py", "transport/serialport.py"]
+    assert sorted(users) == ["board/flash/ports.py", "link/serial.py"]
 
 
 # The board at the other end
@@ -255,7 +257,9 @@ class Resets(SimTransport):
 def test_a_wired_connect_survives_the_reboot_it_causes(
     boot_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: Resets(SimBoard(), boot_s))
+    monkeypatch.setattr(
+        "tailbeat.board.fish.open_transport", lambda url: Resets(SimBoard(), boot_s)
+    )
     with Fish.connect(ACM) as fish:
         assert fish.info().status.state == "IDLE"
         assert len(fish.params.list()) > 10

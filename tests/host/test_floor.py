@@ -8,26 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.errors import InputError
-from tailbeat.floor import (
-    DRAG,
-    SATURATED,
-    SLEW,
-    START,
-    band,
-    floor,
-    lsq_max_abs_m_s,
-    plant_beats,
-    plant_config,
-)
-from tailbeat.floorplant import SimulatedPlant
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.fitting import Prior, fit
-from tailbeat.model.identified import Identified
-from tailbeat.model.planner import plan
-from tailbeat.model.swim import Swim
-from tailbeat.reference import Reference
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Reference
+from tailbeat.learning.error_bound import DRAG, SATURATED, SLEW, START, band, floor, lsq_max_abs_m_s
+from tailbeat.learning.error_bound_solve import SimulatedPlant, plant_beats, plant_config
+from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fit import Prior, fit
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import plan
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.errors import LinkLostError, TransferError
-from tailbeat.fish import Fish
-from tailbeat.ftp import FtpError
-from tailbeat.ftpread import join
-from tailbeat.records import crc32
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import LinkLostError, TransferError
+from tailbeat.core.records import crc32
+from tailbeat.link.ftp.download import join
+from tailbeat.link.ftp.wire import FtpError
 
 PATH = "/in/speeds.bin"
 

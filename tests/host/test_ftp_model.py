@@ -14,10 +14,10 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from tailbeat import _dialect as mavlink
-from tailbeat.records import crc32
-from tailbeat.transport.inprocess import CONSOLE, RADIO
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.core.records import crc32
+from tailbeat.link import _dialect as mavlink
+from tailbeat.sim.board import CONSOLE, RADIO
+from tailbeat.sim.native import SimBoard
 
 NONE, TERMINATE, RESET, LIST, OPEN, READ, CREATE, WRITE, REMOVE = range(9)
 OPEN_TO_WRITE, CRC, BURST, ACK, NAK = 11, 14, 15, 128, 129

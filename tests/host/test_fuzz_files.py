@@ -18,11 +18,12 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import crash, records
-from tailbeat.errors import TailbeatError
-from tailbeat.fish import Fish
-from tailbeat.trial_log import beats_csv, parse_trial
-from tailbeat.vn100.decode import decode
+from tailbeat.board import crash
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import TailbeatError
+from tailbeat.core.trial_file import beats_csv, parse_trial
+from tailbeat.sensors.vn100.decode import decode
 
 SEED = 20
 ENDLESS_S = 10
@@ -47,7 +48,7 @@ Read = Callable[[bytes], None]
 @pytest.fixture(scope="module")
 def ulog(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A trial of three beats with all its kinds of records."""
-    from tailbeat import reference
+    from tailbeat.core import reference
 
     folder = tmp_path_factory.mktemp("fuzz")
     with Fish.connect("sim:tank", seed=3) as fish:

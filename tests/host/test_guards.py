@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from tailbeat.camera.base import Afresh, CameraGone, Frame, Unseen
-from tailbeat.fish import Fish
-from tailbeat.guards import RoomGuard, Seen, together, when
-from tailbeat.reference import Reference, cosine, thesis
-from tailbeat.results import BeatEvent
-from tailbeat.travel import room_guard, travel_next
+from tailbeat.board.fish import Fish
+from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
+from tailbeat.core.reference import Reference, cosine, thesis
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.guards import RoomGuard, Seen, together, when
+from tailbeat.session.room import room_guard, travel_next
 
 ROOM_M = 3.0 - 0.36
 

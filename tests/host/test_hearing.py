@@ -8,20 +8,22 @@ from collections.abc import Callable
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.doctor import PROBLEM, examine
-from tailbeat.errors import ConnectError
-from tailbeat.fish import Fish
-from tailbeat.transport import find
-from tailbeat.transport.hearing import Hearing
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.board import connect
+from tailbeat.board.diagnostics import examine
+from tailbeat.board.diagnostics.evidence import PROBLEM
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import ConnectError
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.heard import Hearing
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 from .radio_model import FAST, SLOW, Burst, Recorded, board_bursts, flat, heartbeat, received
 
 
 def kind_of(bursts: list[Burst]) -> str:
     hearing = Hearing("x")
-    assert find.hear_board(Recorded(bursts), find.LISTEN_S, hearing) is None
+    assert connect.hear_board(Recorded(bursts), connect.LISTEN_S, hearing) is None
     return hearing.kind
 
 
@@ -98,7 +100,7 @@ def test_a_healthy_link_with_noise_is_not_mistaken(seed: int) -> None:
         for t, data in board_bursts(3.5, seed + 1)
     ]
     hearing = Hearing("x")
-    if find.hear_board(Recorded(noisy), find.LISTEN_S, hearing) is None:
+    if connect.hear_board(Recorded(noisy), connect.LISTEN_S, hearing) is None:
         assert hearing.kind == "damaged"
 
 
@@ -123,7 +125,7 @@ WORDS = "bytes come on /dev/rfcomm0 but no MAVLink: the radio module is probably
 
 def test_whoever_connects_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     port = through_a_factory_module()
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: port)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: port)
     with pytest.raises(ConnectError) as told:
         Fish.connect("/dev/rfcomm0")
     assert (told.value.message, told.value.remedy) == (WORDS, REMEDY)
@@ -132,17 +134,17 @@ def test_whoever_connects_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_whoever_looks_for_a_fish_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     port = through_a_factory_module()
-    monkeypatch.setattr(find, "likely_ports", lambda: iter([port.name]))
-    monkeypatch.setattr(find, "SerialTransport", lambda path: port)
-    monkeypatch.setattr(find, "DEFAULT_PORT", 1)
+    monkeypatch.setattr(connect, "likely_ports", lambda: iter([port.name]))
+    monkeypatch.setattr(connect, "SerialTransport", lambda path: port)
+    monkeypatch.setattr(connect, "DEFAULT_PORT", 1)
     with pytest.raises(ConnectError) as told:
-        find.find_board()
+        connect.find_board()
     assert (told.value.message, told.value.remedy) == (WORDS, REMEDY)
 
 
 def test_the_doctor_says_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "tailbeat.doctor.reach.open_transport", lambda _: through_a_factory_module()
+        "tailbeat.board.diagnostics.evidence.open_transport", lambda _: through_a_factory_module()
     )
     found = examine("/dev/rfcomm0")[-1]
     assert (found.name, found.status, found.text, found.remedy) == ("board", PROBLEM, WORDS, REMEDY)
@@ -151,4 +153,4 @@ def test_the_doctor_says_it_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_simulated_radio_is_none_of_this() -> None:
     hearing = Hearing("sim")
-    assert find.hear_board(SimTransport(SimBoard("tank")), find.LISTEN_S, hearing) is not None
+    assert connect.hear_board(SimTransport(SimBoard("tank")), connect.LISTEN_S, hearing) is not None

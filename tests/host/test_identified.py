@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.fitting import Fit, Scatter
-from tailbeat.model.identified import Identified
-from tailbeat.model.swim import Swim
+from tailbeat.core.errors import InputError
+from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fit import Fit, Scatter
+from tailbeat.learning.identification import Identified
 
 MODEL = FishModel(10.0, 0.2126, 0.2047, 0.316)
 

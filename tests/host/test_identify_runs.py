@@ -15,27 +15,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import reference
-from tailbeat.camera.base import Frame
-from tailbeat.camera.tank.wall import HIT
-from tailbeat.cli import run
-from tailbeat.cli.board import _reference
-from tailbeat.cli.identify import _attendant
-from tailbeat.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.fish import Event, Fish
-from tailbeat.flashing.backup import Backup
-from tailbeat.floor import plant_beats, plant_config
-from tailbeat.model import lent
-from tailbeat.model.account import account_of, from_trials
-from tailbeat.model.fishmodel import Conditions, FishModel
-from tailbeat.model.fitting import Prior
-from tailbeat.model.guided import Attendant, identify_fish, set_params
-from tailbeat.model.runs import Course, Limits, Run, identify_runs
-from tailbeat.model.safekeeping import put_safe
-from tailbeat.model.swim import Swim
-from tailbeat.records import record_crc
-from tailbeat.results import BeatEvent
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.app.cli.board import _reference
+from tailbeat.app.cli.identify import _attendant
+from tailbeat.board import loan
+from tailbeat.board.fish import Event, Fish
+from tailbeat.board.snapshot import Backup, put_safe
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
+from tailbeat.core.frames import Frame
+from tailbeat.core.records import record_crc
+from tailbeat.learning.error_bound_solve import plant_beats, plant_config
+from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.fit import Prior
+from tailbeat.learning.fit_quality import account_of, from_trials
+from tailbeat.learning.identification_runs import Course, Limits, Run, identify_runs
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.guards import HIT
+from tailbeat.session.identify import Attendant, identify_fish, set_params
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 Array = NDArray[np.float64]
 
@@ -332,7 +331,7 @@ def test_when_the_link_stays_away_a_copy_is_left(
 ) -> None:
     before = state(learned)
     record = learned.learned_record()
-    monkeypatch.setattr(lent, "_restore", failing(1, LinkLostError("gone", "")))
+    monkeypatch.setattr(loan, "_restore", failing(1, LinkLostError("gone", "")))
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
         identify_fish(learned, Attendant(), tmp_path / "safe", quick=True)
     copy = Backup.read(tmp_path / "safe")
@@ -347,7 +346,7 @@ class Killed(BaseException):
 def killed(learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fish:
     """A computer died in the second run; its trial is pending, the copy lies in ``safe``."""
     with monkeypatch.context() as patch:
-        patch.setattr(lent, "_put_back", lambda *_: None)
+        patch.setattr(loan, "_put_back", lambda *_: None)
         with pytest.raises(Killed):
             identify_fish(
                 learned, Attendant(keep=failing(2, Killed())), tmp_path / "safe", quick=True
@@ -376,19 +375,19 @@ def test_without_another_swim_it_is_put_back_too(
     fish = request.getfixturevalue("killed")
     trials = len(fish.trials())
     heard: list[str] = []
-    assert lent.put_back_left(fish, tmp_path / "safe", heard.append)
+    assert loan.put_back_left(fish, tmp_path / "safe", heard.append)
     assert state(fish) == before and len(fish.trials()) == trials
     assert len(heard) == 1 and "gets back" in heard[0]
     assert not (tmp_path / "safe").exists()
-    assert not lent.put_back_left(fish, tmp_path / "safe", heard.append) and len(heard) == 1
+    assert not loan.put_back_left(fish, tmp_path / "safe", heard.append) and len(heard) == 1
 
 
 def test_a_trial_is_no_run_after_all(learned: Fish, tmp_path: Path) -> None:
     """A copy that lies there says nothing while the board has its own reference."""
     learned.run_trial()
     before = state(learned)
-    put_safe(tmp_path / "safe", lent._held(learned, {}, ()), print)
-    assert not lent.put_back_left(learned, tmp_path / "safe", print)
+    put_safe(tmp_path / "safe", loan._held(learned, {}, ()), print)
+    assert not loan.put_back_left(learned, tmp_path / "safe", print)
     assert state(learned) == before
 
 
@@ -500,7 +499,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_a_real_fish_waits_for_somebody(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tailbeat.results.SIMULATED_FISH", ())
+    monkeypatch.setattr("tailbeat.link.messages.SIMULATED_FISH", ())
     line = ["identify", "--connect", "sim:tank?seed=3", "--logbook", str(tmp_path)]
     assert run([*line, "--json"]) == 1
     assert "Add --yes" in capsys.readouterr().err

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.model.identified import Identified
-from tailbeat.model.table import Table, ThesisFish, from_table, identify_table
+from tailbeat.app.cli import run
+from tailbeat.core.errors import InputError
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.speed_table import Table, ThesisFish, from_table, identify_table
 
 AMPLITUDES = (math.pi / 4, 7 * math.pi / 36, 5 * math.pi / 36)
 SPEEDS = (0.12762, 0.09282, 0.05117)

@@ -11,13 +11,12 @@ from typing import Any
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.cli import run
-from tailbeat.errors import Refused
-from tailbeat.fish import Fish
-from tailbeat.imu_stream import unwrapped_s
-from tailbeat.link import Framer
-from tailbeat.results import IMU_HEALTH, imu_health
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import Refused
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import Framer
+from tailbeat.link.messages import IMU_HEALTH, imu_health, unwrapped_s
 
 BOOT_US = (1 << 32) - 500_000  # the board's clock; its low half wraps soon
 NO_IMU, NOT_SIGNED = 59, 62
@@ -138,7 +137,7 @@ def shell(
         fish.clock.sync()
         return fish
 
-    monkeypatch.setattr("tailbeat.fish.Fish.connect", connect)
+    monkeypatch.setattr("tailbeat.board.fish.Fish.connect", connect)
 
     def command(*words: str, status: int = 0) -> str:
         assert run(["imu", *words]) == status

@@ -7,11 +7,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.link import Message
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.link.mavlink import Message
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 VERDICT_S = 5.0
 STREAMING = 3

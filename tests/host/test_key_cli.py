@@ -12,14 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.cli import run
-from tailbeat.errors import LinkLostError, Refused
-from tailbeat.fish import Fish
-from tailbeat.keys import KeyStore, StoredKey
-from tailbeat.link import Framer
-from tailbeat.provision import (
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import (
     _SHORT_LIVED,
     connect_notice,
     give_back,
@@ -27,9 +22,14 @@ from tailbeat.provision import (
     set_key,
     signing_time,
 )
-from tailbeat.transport import emulated
-from tailbeat.transport.inprocess import CONSOLE, RADIO
-from tailbeat.transport.simulated import FLASH_BYTES, SimBoard, SimTransport
+from tailbeat.core import records
+from tailbeat.core.errors import LinkLostError, Refused
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.keystore import KeyStore, StoredKey
+from tailbeat.link.mavlink import Framer
+from tailbeat.sim import emulated
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
+from tailbeat.sim.native import SimBoard
 
 
 class Tap:
@@ -75,7 +75,7 @@ class Laptop:
 
     def call(self, *words: str) -> tuple[int, str, str]:
         self.here()
-        self.monkeypatch.setattr("tailbeat.fish.open_transport", self.open_transport)
+        self.monkeypatch.setattr("tailbeat.board.fish.open_transport", self.open_transport)
         return (run([*words]), *self.capsys.readouterr())
 
     def text(self, *words: str, err: str = "") -> str:
@@ -350,7 +350,7 @@ def test_a_laptop_whose_clock_is_wrong(
     second = laptop("second")
     copy(owner, second)
     now_s = (year - 1970) * 365.25 * 86400
-    monkeypatch.setattr("tailbeat.provision.time.time", lambda: now_s)
+    monkeypatch.setattr("tailbeat.board.provision.time.time", lambda: now_s)
     with second.fish(CONSOLE) as fish:
         fish.params.set("LAW_LEAD", 1)
         set_key(fish, now_s=lambda: now_s)
@@ -434,7 +434,9 @@ def test_a_strangers_doctor_names_the_key(
     owner: Laptop, laptop: Callable[[str], Laptop], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stranger = laptop("stranger")
-    monkeypatch.setattr("tailbeat.doctor.reach.open_transport", stranger.open_transport)
+    monkeypatch.setattr(
+        "tailbeat.board.diagnostics.evidence.open_transport", stranger.open_transport
+    )
     for laptop_, problems in ((owner, []), (stranger, ["key"])):
         status, out, err = laptop_.call("doctor", "--connect", "radio", "--json")
         checks = json.loads(out)["checks"]
@@ -537,7 +539,9 @@ def test_a_spoofed_status_fools_nobody(owner: Laptop) -> None:
 
 
 def test_a_board_that_lost_its_key_is_told(owner: Laptop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # this board stands for a real one
+    monkeypatch.setattr(
+        "tailbeat.board.provision._SHORT_LIVED", ()
+    )  # this board stands for a real one
     key = owner.key()
     owner.board.flash = b"\xff" * FLASH_BYTES
     owner.board.power_cycle()
@@ -560,7 +564,7 @@ def test_a_simulated_board_may_forget_its_key(
         status = run([*words, "--connect", "sim", "--json"])
         out, err = capsys.readouterr()
         assert (status, err, 'lost": {' in out) == (0, "", False), words
-    monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
+    monkeypatch.setattr("tailbeat.board.provision.in_process", lambda transport: None)
     with Fish.connect("sim") as fish:
         assert connect_notice(fish) is None
 
@@ -609,9 +613,9 @@ def test_notices_at_connect(
     owner = laptop("owner")
     with owner.fish() as fish:
         assert connect_notice(fish) is None
-        monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
+        monkeypatch.setattr("tailbeat.board.provision.in_process", lambda transport: None)
         assert connect_notice(fish) is None, "nor by TCP"
-        monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # it stands for a real one
+        monkeypatch.setattr("tailbeat.board.provision._SHORT_LIVED", ())  # it stands for a real one
         notice = connect_notice(fish)
         assert notice is not None
         assert notice.startswith("no key: anyone in radio range can move this tail")
@@ -621,8 +625,8 @@ def test_notices_at_connect(
 def test_no_key_is_told_once_a_day(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("tailbeat.provision.in_process", lambda transport: None)
-    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())  # it stands for a real one
+    monkeypatch.setattr("tailbeat.board.provision.in_process", lambda transport: None)
+    monkeypatch.setattr("tailbeat.board.provision._SHORT_LIVED", ())  # it stands for a real one
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
 
     def is_told() -> bool:
@@ -643,7 +647,7 @@ def test_no_key_is_told_once_a_day(
 def test_a_lost_key_is_told_every_time(
     owner: Laptop, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("tailbeat.provision._SHORT_LIVED", ())
+    monkeypatch.setattr("tailbeat.board.provision._SHORT_LIVED", ())
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path))
     owner.board.flash = b"\xff" * FLASH_BYTES
     owner.board.power_cycle()

@@ -10,16 +10,23 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.filelock import WRITE_LOCK
-from tailbeat.fish import Fish
-from tailbeat.keys import KeyStore, StoredKey, decode_key, encode_key, new_key, write_private
-from tailbeat.provision import connect_notice, key_status, set_key
-from tailbeat.signing import Signing
-from tailbeat.transport.inprocess import CONSOLE, SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import connect_notice, key_status, set_key
+from tailbeat.core.errors import InputError
+from tailbeat.core.locks import WRITE_LOCK
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.keystore import (
+    KeyStore,
+    StoredKey,
+    decode_key,
+    encode_key,
+    new_key,
+    write_private,
+)
+from tailbeat.link.signing import Signing
+from tailbeat.sim.board import CONSOLE, SimTransport
+from tailbeat.sim.native import SimBoard
 
 BOARD = "00112233445566778899aabbccddeeff"
 KEY = StoredKey(bytes(range(1, 33)), BOARD, "fish", "2026-01-01T00:00:00+00:00", link_id=9)
@@ -126,7 +133,7 @@ def test_an_interrupted_write_leaves_the_old_file(
         raise OSError(28, "No space left on device")
 
     (old,) = keys_folder.glob("*.json")
-    monkeypatch.setattr("tailbeat.lasting.os.fsync", full)
+    monkeypatch.setattr("tailbeat.core.files.os.fsync", full)
     with pytest.raises(InputError, match="No space left"):
         store.save(replace(KEY, used=5))
     monkeypatch.undo()
@@ -268,7 +275,7 @@ def test_ctrl_c_while_a_key_is_set(
             fish.clock.sync()
             set_key(fish)
     before = store.usable()
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda _: Interrupted(board, arrives))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda _: Interrupted(board, arrives))
     assert run(["key", "set", "--connect", "wire"]) == 130
     assert capsys.readouterr().err == (
         "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat key"

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat import reference
-from tailbeat.fish import Fish
-from tailbeat.recompute import recompute_beats
-from tailbeat.transport.badline import BadLine, Delay
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
-from tailbeat.trial_log import read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_file import read_trial
+from tailbeat.link.impaired import BadLine, Delay
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 SEEDS = 6
 RMS_MAX_M_S = 1.5e-3

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tailbeat._native import ffi, lib
+from tailbeat.core.native import ffi, lib
 
 Floats = npt.NDArray[Any]
 HOLD, KEEP, HOLD_NEW, HOLD_OLD = range(4)

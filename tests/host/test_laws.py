@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import laws
-from tailbeat.errors import InputError
-from tailbeat.laws import Law, Past
-from tailbeat.parameters import known_parameters
+from tailbeat.core import law as laws
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law, Past
+from tailbeat.link.params import known_parameters
 
 F = np.float32
 

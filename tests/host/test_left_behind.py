@@ -15,25 +15,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.cli import run
-from tailbeat.cli.ending import ended, ended_as_by_ctrl_c
-from tailbeat.day import ritual, series
-from tailbeat.day.account import Account
-from tailbeat.day.person import Decision, Event
-from tailbeat.day.repeat import Plan
-from tailbeat.day.series import Options, Until, swim_series
-from tailbeat.day.swum import Swum
-from tailbeat.errors import InputError, TailbeatError
-from tailbeat.experiment import Experiment
-from tailbeat.experiment.board import BoardState, copy_state, held_state
+from tailbeat.app.cli import run
+from tailbeat.app.cli._display import ended, ended_as_by_ctrl_c
+from tailbeat.board import loan as lent_module
+from tailbeat.board.fish import Fish
+from tailbeat.board.loan import lent, safe_folder
+from tailbeat.core import records
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.experiment.board_state import BoardState, copy_state, held_state
 from tailbeat.experiment.current import begin, current
-from tailbeat.experiment.lock import alone
-from tailbeat.fish import Fish
-from tailbeat.logbook import logbook_of
-from tailbeat.model import lent as lent_module
-from tailbeat.model.lent import lent, safe_folder
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.experiment.folder import Experiment, alone
+from tailbeat.experiment.library import logbook_of
+from tailbeat.session import series
+from tailbeat.session.collect import Swum
+from tailbeat.session.log import Account
+from tailbeat.session.operator import Decision, Event
+from tailbeat.session.preflight import checklist
+from tailbeat.session.repeat import Plan
+from tailbeat.session.series import Options, Until, swim_series
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 SPEEDS = [0.03, 0.06, 0.07, 0.06, 0.03]
 OTHER = [0.02, 0.05, 0.05, 0.02]
@@ -46,7 +47,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     monkeypatch.chdir(tmp_path)
     simulated = SimBoard("tank", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
         fish.params.set("LAW_LEAD", 1)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
@@ -373,7 +374,7 @@ def test_ended_by_a_signal(
                 Tank.sent = True
                 os.kill(os.getpid(), number)
 
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: Tank(board))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: Tank(board))
     before = signal.getsignal(number)
     status, line = says(*KEEP)
     assert status == 130 and "trial 1" in line and Tank.sent
@@ -400,13 +401,13 @@ def test_the_battery_sags_while_it_rests(
     says: Says, board: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert says(*KEEP)[0] == 0
-    look = ritual._look_at_battery
+    look = checklist._look_at_battery
 
     def sags(fish: Fish, *rest: Any) -> None:
         board.set_battery_v(6.4)
         look(fish, rest[0], fish.status())
 
-    monkeypatch.setattr(ritual, "_look_at_battery", sags)
+    monkeypatch.setattr(checklist, "_look_at_battery", sags)
     status, _ = says(*KEEP, "--until", "battery")
     assert status == 0, "as was asked for"
     assert len(journal("swum")) == 1

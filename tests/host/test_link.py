@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tailbeat import _dialect as mavlink
-from tailbeat.errors import LinkLostError, Refused
-from tailbeat.fish import Fish
-from tailbeat.link import Framer
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import LinkLostError, Refused
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import Framer
 
 
 def mav() -> mavlink.MAVLink:

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import records, trialrun
-from tailbeat.camera.base import CameraGone, Frame, Unseen
-from tailbeat.camera.pictures.picture import Picture
-from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tank.wall import WallGuard
-from tailbeat.camera.tracking.live import VideoCamera
-from tailbeat.camera.tracking.repeats import Repeats
-from tailbeat.camera.tracking.track import LOST, SEEN
-from tailbeat.camera.tracking.tracker import Place
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.results import BeatEvent, BoardStatus
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import InputError
+from tailbeat.core.frames import CameraGone, Frame, Unseen
+from tailbeat.link.messages import BeatEvent, BoardStatus
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.source.picture import Picture
+from tailbeat.sensors.camera.tracking.live import VideoCamera
+from tailbeat.sensors.camera.tracking.track import LOST, SEEN
+from tailbeat.sensors.camera.tracking.tracker import Place, Repeats
+from tailbeat.session import trial as trialrun
+from tailbeat.session.guards import WallGuard
 
 GRACE_S = 600.0  # after which a thread hangs; nothing waits so long otherwise
 IMAGE = np.zeros((4, 6), dtype=np.uint8)

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from tailbeat.cli.display import Display
-from tailbeat.cli.livewords import live_text
-from tailbeat.cli.person import TerminalPerson
-from tailbeat.day.person import Decision
-from tailbeat.day.swum import Swum
-from tailbeat.errors import InputError
-from tailbeat.results import TrialOutcome
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli._operator import TerminalPerson
+from tailbeat.app.cli._words import live_text
+from tailbeat.core.errors import InputError
+from tailbeat.link.messages import TrialOutcome
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision
 
 from .test_trial_run_guided import Typed
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.logbook import DISCARDED, RUN, Logbook, logbook_of
-from tailbeat.records import encode_reference
-from tailbeat.trial_log import read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.records import encode_reference
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.library import DISCARDED, RUN, Logbook, logbook_of
 
 FISH = "00112233445566778899aabbccddeeff"
 
@@ -165,7 +165,7 @@ def test_a_number_taken_meanwhile_is_not_taken_twice(
     logbook: Logbook, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another process finishes with the number between our look and our claim."""
-    from tailbeat import logbook as module
+    from tailbeat.experiment import library as module
 
     real, raced = module._order, []
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.errors import Refused
-from tailbeat.fish import Fish
-from tailbeat.link import Framer, Message
-from tailbeat.transport.badline import BadLine, Cut, Delay, Duplicate
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import Refused
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.impaired import BadLine, Cut, Delay, Duplicate
+from tailbeat.link.mavlink import Framer, Message
 
 
 def message_of(frame: bytes) -> Message | None:

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.camera.marker.markers import Marker, detector_for
-from tailbeat.camera.marker.sighting import Sighting, Window
-from tailbeat.camera.pictures.picture import Image
-from tailbeat.errors import InputError
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.marker.detector import Marker, detector_for
+from tailbeat.sensors.camera.marker.tags import Sighting, Window
+from tailbeat.sensors.camera.source.picture import Image
 
 Floats = NDArray[np.float64]
 

@@ -10,17 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import judge, laws, reference
-from tailbeat._native import ffi, lib
-from tailbeat.dryrun import dry_run
+from tailbeat.board.fish import Fish
+from tailbeat.core import judge, reference
+from tailbeat.core import law as laws
+from tailbeat.core.native import ffi, lib
+from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps, _rows
+from tailbeat.experiment.journal import Told
 from tailbeat.experiment.relearn import _Board, relearn
-from tailbeat.experiment.told import Told
-from tailbeat.fish import Fish
-from tailbeat.progress import progress_of, scores_of
-from tailbeat.sweep.shoal import Shoal
-from tailbeat.trial_log import Trial, read_trial
-from tailbeat.verdict import (
+from tailbeat.learning.convergence import (
     SCATTER_M_S,
     Score,
     best_of,
@@ -29,6 +27,9 @@ from tailbeat.verdict import (
     noise_band,
     repeat_limits,
 )
+from tailbeat.learning.verdict import progress_of, scores_of
+from tailbeat.session.dry_run import dry_run
+from tailbeat.studies.montecarlo.batch import Shoal
 
 from . import made_analyses as made
 from .swum_experiment import swim_experiment
@@ -300,7 +301,7 @@ def test_firmware_that_keeps_no_peaks_is_foretold_by_its_own_rule(
 
     monkeypatch.setattr(laws, "learn", noted)
     dry_run(fish)
-    monkeypatch.setattr("tailbeat.fish._PEAKS", 99)  # a set that older firmware does not know
+    monkeypatch.setattr("tailbeat.board.fish._PEAKS", 99)  # a set that older firmware does not know
     assert fish.peaks() is None
     dry_run(fish)
     assert kept == [True, False]

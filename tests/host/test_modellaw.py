@@ -13,25 +13,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import laws
-from tailbeat.boardreference import REST, board_reference
-from tailbeat.cli.modelled import learn_with_model
-from tailbeat.demo import DemoOptions, run_demo
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment
-from tailbeat.fish import Fish
-from tailbeat.laws import Law
-from tailbeat.logbook import Logbook
-from tailbeat.model.belief import believe
-from tailbeat.model.fishmodel import Conditions, FishModel
-from tailbeat.model.fitting import Prior
-from tailbeat.model.identified import Identified
-from tailbeat.model.modellaw import Proposal, foretold, propose
-from tailbeat.model.provenance import again, document_of
-from tailbeat.model.swim import Swim
-from tailbeat.modelstep import Step, next_of, numbered_anew, swims_since
-from tailbeat.reference import Reference, cosine, thesis, trapezoid
-from tailbeat.sweep.shoal import Shoal
+from tailbeat.app.cli.learn import learn_with_model
+from tailbeat.app.demo import DemoOptions, run_demo
+from tailbeat.board.fish import REST, Fish, board_reference
+from tailbeat.core import law as laws
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import Logbook
+from tailbeat.learning.belief import believe
+from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.fit import Prior
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.model_law import Proposal, again, document_of, foretold, propose
+from tailbeat.session.model_step import Step, next_of, numbered_anew, swims_since
+from tailbeat.studies.montecarlo.batch import Shoal
 
 Array = NDArray[np.float64]
 
@@ -364,7 +361,7 @@ def test_words_after_a_rollback_are_true(
             fish.learn()
     proposal = replace(foreseeing(law, median_m_s), amplitude_rad=np.full(SHORT.beats, 0.3))
     monkeypatch.setattr(
-        "tailbeat.modelstep.next_step", lambda *_: Step(proposal, None, {"law": law})
+        "tailbeat.session.model_step.next_step", lambda *_: Step(proposal, None, {"law": law})
     )
     pulls: list[int] = []
     pull = fish.pull_trial

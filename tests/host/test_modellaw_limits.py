@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tailbeat.laws import Law
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.identified import Identified
-from tailbeat.model.modellaw import Proposal, foretold, propose
-from tailbeat.model.swim import Swim, last_input
-from tailbeat.reference import thesis
-from tailbeat.sweep.shoal import Shoal
+from tailbeat.core.law import Law
+from tailbeat.core.reference import thesis
+from tailbeat.learning.fish_model import FishModel, Swim, last_input
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.model_law import Proposal, foretold, propose
+from tailbeat.studies.montecarlo.batch import Shoal
 
 LIMIT_RAD = math.pi / 4
 REFERENCE = thesis()

@@ -7,23 +7,23 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import _native
-from tailbeat._native import ffi, lib
+from tailbeat.core import native
+from tailbeat.core.native import ffi, lib
 
 
 def test_every_struct_has_the_compilers_size() -> None:
-    assert _native.layout_mismatches(_native.load()) == []
+    assert native.layout_mismatches(native.load()) == []
 
 
 def test_a_wrong_declaration_is_noticed(tmp_path: Path) -> None:
     for name in ("native.cdef", "libtailbeat_native.so"):
-        shutil.copy(_native.HERE / name, tmp_path / name)
+        shutil.copy(native.HERE / name, tmp_path / name)
     cdef = tmp_path / "native.cdef"
     text = cdef.read_text()
     assert "number_t kp_rad_s_m;" in text
     cdef.write_text(text.replace("number_t kp_rad_s_m;", "double kp_rad_s_m;"))
     assert any(
-        line.startswith("law_t: ") for line in _native.layout_mismatches(_native.load(tmp_path))
+        line.startswith("law_t: ") for line in native.layout_mismatches(native.load(tmp_path))
     )
 
 
@@ -41,15 +41,15 @@ def test_functions_and_constants_work() -> None:
 
 
 def test_missing_library_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(_native.NativeLibraryError, match="pip install"):
-        _native.load(tmp_path)
+    with pytest.raises(native.NativeLibraryError, match="pip install"):
+        native.load(tmp_path)
 
 
 def test_broken_library_is_explained(tmp_path: Path) -> None:
-    shutil.copy(_native.HERE / "native.cdef", tmp_path)
+    shutil.copy(native.HERE / "native.cdef", tmp_path)
     (tmp_path / "libtailbeat_native.so").write_bytes(b"not a library")
-    with pytest.raises(_native.NativeLibraryError, match="does not load"):
-        _native.load(tmp_path)
+    with pytest.raises(native.NativeLibraryError, match="does not load"):
+        native.load(tmp_path)
 
 
 def _resolves(name: str) -> bool:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.fish import Fish
-from tailbeat.reference import from_text
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import from_text
+from tailbeat.sim.native import SimBoard
 
 from .tank_day import Day, Tank
 
@@ -26,7 +26,7 @@ def day_of(
 ) -> Callable[[SimBoard], Day]:
     def make(board: SimBoard) -> Day:
         tank = Tank(board)
-        monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: tank)
+        monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: tank)
         monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
         monkeypatch.chdir(tmp_path)
         return Day(board, tank, capsys)

@@ -16,21 +16,21 @@ import numpy as np
 import pytest
 
 import tailbeat
-from tailbeat import cli
-from tailbeat import fish as fishmodule
-from tailbeat.cli import run
-from tailbeat.errors import InputError, Refused, TransferError
+from tailbeat.app import cli
+from tailbeat.app.cli import run
+from tailbeat.board import fish as fishmodule
+from tailbeat.board.connect import open_transport
+from tailbeat.board.fish import Fish
+from tailbeat.core.csv import read_speeds
+from tailbeat.core.errors import InputError, Refused, TransferError
+from tailbeat.core.reference import from_csv, from_text
 from tailbeat.experiment.current import make
 from tailbeat.experiment.export import export
-from tailbeat.fish import Fish
-from tailbeat.ftp import RemoteFile, _remote_file
-from tailbeat.reference import from_csv, from_text
+from tailbeat.link.ftp.client import RemoteFile, _remote_file
 from tailbeat.report.paper import write_report
-from tailbeat.simserver import parse_listen
-from tailbeat.speedcsv import read_speeds
-from tailbeat.transport.find import open_transport
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
+from tailbeat.sim.server import parse_listen
 
 from .swum_experiment import REFERENCE, swim_one
 
@@ -129,11 +129,11 @@ def test_nothing_is_loaded_before_ctrl_c_is_caught() -> None:
     time in which Ctrl-C ends in a traceback."""
     look = (
         f"import os, sys; sys.path.append({str(SITE)!r}); had = set(sys.modules);"
-        " import tailbeat.cli; print(*set(sys.modules) - had)"
+        " import tailbeat.app.cli; print(*set(sys.modules) - had)"
     )
     command = [sys.executable, "-I", "-S", "-c", look]
     told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert set(told.split()) == {"__future__", "tailbeat", "tailbeat.cli"}
+    assert set(told.split()) == {"__future__", "tailbeat", "tailbeat.app", "tailbeat.app.cli"}
 
 
 # Files.

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tailbeat import presets
-from tailbeat.errors import InputError, Refused
-from tailbeat.fish import Fish
-from tailbeat.laws import Law, Past
-from tailbeat.parameters import known_parameters
+from tailbeat.board import presets
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.law import Law, Past
+from tailbeat.link.params import known_parameters
 
 
 def test_list_has_all_with_their_limits(fish: Fish) -> None:

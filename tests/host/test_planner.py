@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
-from tailbeat import reference
-from tailbeat.errors import InputError
-from tailbeat.floor import plant_beats, plant_config
-from tailbeat.model.fishmodel import Conditions, FishModel
-from tailbeat.model.planner import box_step, plan
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.learning.error_bound_solve import plant_beats, plant_config
+from tailbeat.learning.fish_model import Conditions, FishModel
+from tailbeat.learning.planner import box_step, plan
 
 Array = NDArray[np.float64]
 

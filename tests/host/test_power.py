@@ -9,9 +9,9 @@ from typing import Any, cast
 
 import pytest
 
-from tailbeat.day.power import accepted, switched_off_since
+from tailbeat.board.fish import Fish
 from tailbeat.experiment.journal import Journal
-from tailbeat.fish import Fish
+from tailbeat.session.battery import accepted, switched_off_since
 
 
 def board(now_s: float, simulated: bool = False) -> Fish:

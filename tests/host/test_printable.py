@@ -13,16 +13,16 @@ from typing import Any
 import pytest
 
 import tailbeat
-from tailbeat import _dialect as mavlink
-from tailbeat.cli import run
-from tailbeat.cli.common import echo, say, table
+from tailbeat.app.cli import run
+from tailbeat.app.cli._terminal import echo, say, table
+from tailbeat.app.web.view import Snapshot, logged
+from tailbeat.board.fish import Fish, text_event
+from tailbeat.core.printable import printable, printable_lines
 from tailbeat.experiment.folder import Experiment
-from tailbeat.fish import Fish, text_event
-from tailbeat.parameters import _parameter
-from tailbeat.printable import printable, printable_lines
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
-from tailbeat.ui.snapshot import Snapshot, logged
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.params import _parameter
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 HOSTILE = "\x1b]0;x\x07\x1b[2J\r\x9b31m\u202eevil\u2066\u200f\u2028\x00\x7f\ud800"
 SAFE = r"\x1b]0;x\x07\x1b[2J\r\x9b31m\u202eevil\u2066\u200f\u2028\x00\x7f\ud800"  # one line, ASCII
@@ -102,10 +102,10 @@ def test_lines_tables_and_the_page(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_commands_print_through_one_function() -> None:
     """``echo`` and ``say``; another way out needs a reason and a line here."""
-    own = {"common.py": 3, "display.py": 1, "key.py": 1, "__init__.py": 1, "vn100.py": 2}
+    own = {"_terminal.py": 3, "_display.py": 1, "key.py": 1, "__init__.py": 1, "vn100.py": 2}
     ways = re.compile(r"typer\.echo\(|std(?:out|err)\.write\(|(?<![.\w])print\(")
     found = {}
-    for path in (Path(tailbeat.__file__).parent / "cli").glob("*.py"):
+    for path in (Path(tailbeat.__file__).parent / "app" / "cli").glob("*.py"):
         if count := len(ways.findall(path.read_text(encoding="utf-8"))):
             found[path.name] = count
     assert found == own

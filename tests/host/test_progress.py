@@ -13,15 +13,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tailbeat.cli import run
-from tailbeat.fish import Fish
-from tailbeat.logbook import Kept, Logbook
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.identified import Identified
-from tailbeat.model.swim import swim_of
-from tailbeat.progress import progress_of, series_of
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.library import Kept, Logbook
+from tailbeat.learning.fish_model import FishModel, swim_of
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.verdict import progress_of, series_of
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 TRIALS = 4
 Run = Callable[..., tuple[str, str]]
@@ -46,13 +46,13 @@ def board() -> SimBoard:
 
 @pytest.fixture
 def connected(board: SimBoard, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
 
 
 @pytest.fixture(scope="module")
 def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the trials of a short reference, learned on the board."""
-    from tailbeat.reference import from_text
+    from tailbeat.core.reference import from_text
 
     folder = tmp_path_factory.mktemp("swum")
     csv = folder / "swim.csv"
@@ -182,7 +182,7 @@ def test_a_fluctuating_series_gets_a_falling_gain(
     worst = (0.05, 0.02, 0.012, 0.021, 0.010, 0.022, 0.012, 0.02, 0.011)
     trials = [made(at + 1, value) for at, value in enumerate(worst)]
     kept = [Kept(trial, swum / "0001.ulg") for trial in trials]
-    monkeypatch.setattr("tailbeat.progress.read_trials", lambda folder: (kept, []))
+    monkeypatch.setattr("tailbeat.learning.verdict.read_trials", lambda folder: (kept, []))
     set_to: dict[str, float] = {}
 
     class Params:
@@ -196,9 +196,9 @@ def test_a_fluctuating_series_gets_a_falling_gain(
 
     noted: dict[str, float] = {}
     monkeypatch.setattr(
-        "tailbeat.experiment.meant.note_set", lambda _, params: noted.update(params)
+        "tailbeat.experiment.current.note_set", lambda _, params: noted.update(params)
     )
-    monkeypatch.setattr("tailbeat.cli.progress.connected", connected)
+    monkeypatch.setattr("tailbeat.app.cli.progress.connected", connected)
     out, _ = tailbeat("progress", "--experiment", str(swum), "--apply", "--json")
     found = json.loads(out)
     assert found["fluctuation"] > 1.3

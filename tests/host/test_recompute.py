@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.camera.tank.wall import HIT
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.recompute import recompute_beats
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.session.guards import HIT
 
 BEATS = 12
 VISION, UPLOAD, IMU, MODEL = range(4)

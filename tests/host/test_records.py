@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tailbeat import records
-from tailbeat.errors import InputError
-from tailbeat.results import Amplitudes
+from tailbeat.core import records
+from tailbeat.core.errors import InputError
+from tailbeat.link.messages import Amplitudes
 
 speeds = st.lists(st.floats(0, 0.25, width=32), min_size=1, max_size=512)
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from tailbeat import reference
-from tailbeat.errors import InputError
-from tailbeat.records import decode_reference
-from tailbeat.reference import Limits, Reference
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.records import decode_reference
+from tailbeat.core.reference import Limits, Reference
 
 
 def test_thesis_is_the_exact_mean_of_8_31() -> None:

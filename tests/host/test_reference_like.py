@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import reference as references
-from tailbeat.cli import run
-from tailbeat.errors import LinkLostError
-from tailbeat.fish import Fish
-from tailbeat.flashing.backup import Backup
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.transfer import likeness, transfer
-from tailbeat.transfer.upload import carry, plan
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.board.snapshot import Backup
+from tailbeat.core import reference as references
+from tailbeat.core.errors import LinkLostError
+from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.transfer import likeness, transfer
+from tailbeat.session.transfer import carry, plan
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 OLD = "trapezoid:0.06,4,6"
 SLOWER = "trapezoid:0.048,5,7.5"
@@ -32,7 +33,7 @@ UPLOADED = 2
 def simulated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SimBoard:
     """A board that stays between commands, with a logbook."""
     board = SimBoard("tank", **QUIET)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(board))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     monkeypatch.chdir(tmp_path)
     return board
@@ -155,7 +156,7 @@ def test_from_files(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     words = ["experiment", "new", "--reference", OLD, "--connect", "the board"]
     assert run([*words, "--json"]) == 0
     folder = Path(json.loads(shell.capsys.readouterr().out)["folder"])
-    from tailbeat.experiment import Experiment
+    from tailbeat.experiment.folder import Experiment
 
     for path in files:
         Experiment.open(folder).add_raw(path.name, path.read_bytes())
@@ -174,7 +175,7 @@ def test_from_files(learned: Fish, shell: Shell, tmp_path: Path) -> None:
 
 def test_by_name_from_the_board_and_the_logbook(learned: Fish, shell: Shell) -> None:
     assert shell.upload(SLOWER, "--like", OLD, "--dry-run")["like"]["from"].startswith("the board")
-    from tailbeat.logbook import logbook_of
+    from tailbeat.experiment.library import logbook_of
 
     book = logbook_of(learned)
     assert book is not None
@@ -306,8 +307,8 @@ def test_a_trial_that_swam_too_far_is_not_repeated(learned: Fish, monkeypatch: A
     """The reference fits; what its fish did, scaled, does not."""
     from dataclasses import replace
 
-    from tailbeat.errors import InputError
-    from tailbeat.transfer import upload
+    from tailbeat.core.errors import InputError
+    from tailbeat.session import transfer as upload
 
     found = upload.of_records(learned.reference_record(), learned.learned_record(), "the board")
     far = replace(found, travel_m=4.0)
@@ -320,7 +321,7 @@ def test_a_trial_that_swam_too_far_is_not_repeated(learned: Fish, monkeypatch: A
 
 
 def test_an_identified_fish_is_believed(learned: Fish, shell: Shell, tmp_path: Path) -> None:
-    from tailbeat.model.identified import Identified
+    from tailbeat.learning.identification import Identified
 
     model = FishModel(5.0, 0.219, 0.15, 0.3)
     path = tmp_path / "fish.json"

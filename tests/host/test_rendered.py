@@ -11,26 +11,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.camera.marker.markers import Marker
-from tailbeat.camera.pictures.film import Film
-from tailbeat.camera.pictures.picture import Image
-from tailbeat.camera.rendered.canvas import Canvas
-from tailbeat.camera.rendered.exercise import Exercise, ExerciseOptions, make_exercise
-from tailbeat.camera.rendered.optics import Optics
-from tailbeat.camera.rendered.painter import Painter, Truth
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.rendered.source import RenderedDevice
-from tailbeat.camera.rendered.sprites import Body
-from tailbeat.camera.rendered.stamp import stamp
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.camera.tank.calibration import Calibration, load_calibration
-from tailbeat.camera.timing.sync import sync, sync_by_yaw
-from tailbeat.camera.tracking.track import track
-from tailbeat.errors import InputError
-from tailbeat.transport.inprocess import CameraFrame
-from tailbeat.transport.simulated import SimBoard
-from tailbeat.trial_log import read_trial
+from tailbeat.app.exercise import Exercise, ExerciseOptions, make_exercise
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_file import read_trial
+from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
+from tailbeat.sensors.camera.marker.detector import Marker
+from tailbeat.sensors.camera.render.canvas import Canvas, stamp
+from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.render.scene import Optics, Scene
+from tailbeat.sensors.camera.render.source import RenderedDevice
+from tailbeat.sensors.camera.render.sprites import Body
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.source.film import Film
+from tailbeat.sensors.camera.source.picture import Image
+from tailbeat.sensors.camera.sync.sync import sync, sync_by_yaw
+from tailbeat.sensors.camera.tracking.track import track
+from tailbeat.sim.board import CameraFrame
+from tailbeat.sim.native import SimBoard
 
 cv2 = pytest.importorskip("cv2")
 
@@ -313,7 +311,7 @@ def test_pictures_that_get_lost_are_counted() -> None:
 
 
 def test_without_a_scene_the_exposure_is_the_boards() -> None:
-    from tailbeat.camera.rendered.source import scene_of
+    from tailbeat.sensors.camera.render.source import scene_of
 
     board = SimBoard("tank", 1, camera_exposure_s=0.004)
     assert scene_of(SimulatedCamera(board)) == Scene(exposure_s=0.004)
@@ -483,7 +481,7 @@ def test_senseless_words_are_told_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from tailbeat.cli import run
+    from tailbeat.app.cli import run
 
     monkeypatch.chdir(tmp_path)
     assert run(["camera", "render", *words]) == 1

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.report import Series, Swim, render_png, write_html
+from tailbeat.report.demo_data import Series, Swim
+from tailbeat.report.demo_page import write_html
+from tailbeat.report.demo_picture import render_png
 
 
 def swim(i: int, beats: int = 40) -> Swim:

@@ -27,16 +27,17 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy.io import loadmat
 
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.experiment import Experiment
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import from_text
 from tailbeat.experiment.analysis import Analysis, analyse
-from tailbeat.fish import Fish
-from tailbeat.reference import from_text
-from tailbeat.report.figures import comparison, contraction, learning, swims, trials
-from tailbeat.report.figures.style import LOOKS, PAGE, PAPER, labels, save, written
+from tailbeat.experiment.folder import Experiment
+from tailbeat.report import style as swims
+from tailbeat.report.figures import comparison, contraction, learning, trials
 from tailbeat.report.page import Material, Picture, headline, page
 from tailbeat.report.paper import FIGURES, Drawing, write_report
+from tailbeat.report.style import LOOKS, PAGE, PAPER, labels, save, written
 
 from . import made_analyses as made
 
@@ -127,7 +128,7 @@ def reported(days: tuple[Experiment, Experiment], tmp_path_factory: pytest.TempP
 
     folder = tmp_path_factory.mktemp("report")
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("tailbeat.report.figures.style.written", some)
+        patched.setattr("tailbeat.report.style.written", some)
         write_report(days[0], paper=True, against=[days[1]], folder=folder)
     return folder
 

@@ -16,30 +16,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import records, reference
-from tailbeat.cli import keeping
-from tailbeat.cli.display import Display
-from tailbeat.cli.session import _person
-from tailbeat.day.account import Account
-from tailbeat.day.logs import keep_log, outcome_of
-from tailbeat.day.person import Decision, Event
-from tailbeat.day.repeat import Plan, repeat_best
-from tailbeat.day.restore import Restored, restore
-from tailbeat.day.series import Options, Until, swim_series
-from tailbeat.day.shift import Shift, shift_of
-from tailbeat.day.swum import Swum
-from tailbeat.day.swums import swum_of
-from tailbeat.day.trim import find_centre
-from tailbeat.errors import InputError, TailbeatError
-from tailbeat.experiment import Experiment
-from tailbeat.experiment.board import copy_state, held_state
-from tailbeat.experiment.current import begin, current, use
-from tailbeat.experiment.meant import note_set, strayed
-from tailbeat.fish import Fish
-from tailbeat.model import lent
-from tailbeat.model.guided import prior_of
-from tailbeat.model.lent import broken_off
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import _library
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli.session import _person
+from tailbeat.board import loan
+from tailbeat.board.fish import Fish
+from tailbeat.board.loan import broken_off
+from tailbeat.core import records, reference
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.experiment.board_state import copy_state, held_state
+from tailbeat.experiment.current import begin, current, note_set, strayed, use
+from tailbeat.experiment.folder import Experiment
+from tailbeat.session.collect import Swum, keep_log, outcome_of, swum_of
+from tailbeat.session.identify import prior_of
+from tailbeat.session.log import Account
+from tailbeat.session.operator import Decision, Event
+from tailbeat.session.repeat import Plan, repeat_best
+from tailbeat.session.resume import Restored, restore
+from tailbeat.session.series import Options, Until, swim_series
+from tailbeat.session.shift import Shift, shift_of
+from tailbeat.session.trim import find_centre
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 from .conftest import BadRadio
 
@@ -343,14 +341,14 @@ def test_a_trim_that_was_broken_off_is_put_back(
     restore(swapped, experiment)
     before = {name: p.value for name, p in swapped.params.list().items()}
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(lent, "_put_back", lambda *_: None)
+        patch.setattr(loan, "_put_back", lambda *_: None)
         find_centre(swapped, Dying())
     assert broken_off(swapped) == "tailbeat session resume"
     swapped.link.run(10.0)
     assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
     swapped.clear()
     use(swapped, experiment)
-    keeping.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
+    _library.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
     assert broken_off(swapped) is not None
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)
@@ -705,7 +703,7 @@ def test_a_full_disk(
 
 def test_words_for_people(swapped: Fish, experiment: Experiment) -> None:
     found: Restored = restore(swapped, experiment)
-    from tailbeat.cli.session import _restored_lines
+    from tailbeat.app.cli.session import _restored_lines
 
     lines = _restored_lines(found, experiment)
     assert lines[0].startswith("given back, as") and "LAW_LEAD 1.5" in lines[0]

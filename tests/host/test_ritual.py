@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.day.person import Event
-from tailbeat.day.ritual import GivenUp, NotReady, Wanted, prepare
-from tailbeat.day.sight import Sight
-from tailbeat.day.step import Step
-from tailbeat.day.stillness import drift_of
-from tailbeat.errors import InputError, LinkLostError, Refused
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError, LinkLostError, Refused
+from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.link import _dialect as mavlink
+from tailbeat.session.operator import Event
+from tailbeat.session.preflight.checklist import prepare
+from tailbeat.session.preflight.pose import Sight
+from tailbeat.session.preflight.step import GivenUp, NotReady, Step, Wanted
+from tailbeat.session.preflight.stillness import drift_of
 
 from .conftest import BadRadio
 from .tank_side import Overhead, Script, drifts, lies
@@ -134,7 +134,7 @@ def test_a_board_that_has_restarted_has_rested_as_long_as_it_is_up(ready: Fish) 
 def test_a_log_that_is_gone_counts_as_a_swim_just_now(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tailbeat.ftp import FtpError
+    from tailbeat.link.ftp.wire import FtpError
 
     def none(path: str, size: int) -> bytes:
         raise FtpError(10, path)
@@ -176,10 +176,11 @@ def test_no_room_is_told_before_anybody_waits(ready: Fish) -> None:
 def test_what_may_be_too_far_at_worst_is_a_notice(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tailbeat.travel import Travel
+    from tailbeat.session.room import Travel
 
     monkeypatch.setattr(
-        "tailbeat.day.ritual.travel_next", lambda *_: Travel(2.5, 2.71, 2.64, "a test")
+        "tailbeat.session.preflight.checklist.travel_next",
+        lambda *_: Travel(2.5, 2.71, 2.64, "a test"),
     )
     person = Script()
     prepare(ready, replace(QUICK, still_s=0.0), None, person)

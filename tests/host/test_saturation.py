@@ -8,15 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tailbeat.day.judging import told
-from tailbeat.fish import Fish
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.model.identified import Identified
-from tailbeat.model.swim import swim_of
-from tailbeat.parameters import known_parameters
-from tailbeat.progress import progress_of
-from tailbeat.reference import thesis, trapezoid
-from tailbeat.saturation import (
+from tailbeat.app.web.view import Snapshot, after
+from tailbeat.board.fish import Fish
+from tailbeat.core.reference import thesis, trapezoid
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.learning.fish_model import FishModel, swim_of
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.saturation import (
     KnownFish,
     at_limit,
     expected_saturation,
@@ -24,8 +22,9 @@ from tailbeat.saturation import (
     needed_rad,
     saturation_of,
 )
-from tailbeat.trial_log import Trial, read_trial
-from tailbeat.ui.snapshot import Snapshot, after
+from tailbeat.learning.verdict import progress_of
+from tailbeat.link.params import known_parameters
+from tailbeat.session.execute import told
 
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)
 TRIALS = 6

@@ -28,5 +28,5 @@ def test_the_source_distribution_carries_the_c_sources(tmp_path: Path) -> None:
     assert {f"source/{path}" for path in c_files} <= names
     assert {"CMakeLists.txt", "pyproject.toml", "build_backend.py"} <= names
     assert {"source/CMakeLists.txt", "source/tools/fetch_deps.py"} <= names
-    assert "tailbeat/cli/__init__.py" in names
+    assert "tailbeat/app/cli/__init__.py" in names
     assert not (HOST / "source").exists()

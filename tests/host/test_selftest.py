@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import selftest
-from tailbeat.selftest import SelftestError, SelftestReport, SelftestResult
+from tailbeat.core import selftest
+from tailbeat.core.selftest import SelftestError, SelftestReport, SelftestResult
 
 OUTPUT = """\
 /x/tests/unit/test_gait.c:12:test_starts_at_zero:PASS

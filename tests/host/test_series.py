@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.day import series as series_module
-from tailbeat.day.battery import Drain, forecast, too_low
-from tailbeat.day.person import Decision, Event
-from tailbeat.day.ritual import GivenUp
-from tailbeat.day.series import Options, SeriesEnd, Until, swim_series
-from tailbeat.day.swum import Swum
-from tailbeat.errors import InputError, Refused, TailbeatError
-from tailbeat.experiment import Experiment
-from tailbeat.experiment.current import begin
-from tailbeat.experiment.meant import note_set
-from tailbeat.fish import Fish
-from tailbeat.logbook import DISCARDED, Logbook
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import InputError, Refused, TailbeatError
+from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.current import begin, note_set
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import DISCARDED, Logbook
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.session import series as series_module
+from tailbeat.session.battery import Drain, forecast, too_low
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision, Event
+from tailbeat.session.preflight.step import GivenUp
+from tailbeat.session.series import Options, SeriesEnd, Until, swim_series
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 KEEP, AGAIN = Decision("keep"), Decision("repeat", "once more")
 BUMPED = Decision("discard", "bumped the wall")
@@ -76,7 +76,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     """A fish with a reference that always connects again as the same."""
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     simulated = SimBoard("tank", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
         fish.params.set("LAW_LEAD", 1)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
@@ -578,7 +578,7 @@ def test_ctrl_c_once_it_is_armed(
     swim: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from tailbeat.day.ritual import Wanted
+    from tailbeat.session.preflight.step import Wanted
 
     real = series_module.countdown
 
@@ -824,7 +824,7 @@ def test_a_ritual_that_is_given_up(
     def given_up(*_: Any) -> None:
         raise GivenUp("nobody wanted to wait", "Begin again.")
 
-    from tailbeat.day.ritual import Wanted
+    from tailbeat.session.preflight.step import Wanted
 
     monkeypatch.setattr(series_module, "prepare", given_up)
     end = swim(Script(), wanted=Wanted())
@@ -835,7 +835,7 @@ def test_a_ritual_that_is_given_up(
 def test_with_the_ritual(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
 ) -> None:
-    from tailbeat.day.ritual import Wanted
+    from tailbeat.session.preflight.step import Wanted
 
     person = Script()
     end = swim(person, swims=2, wanted=Wanted(rest_s=20.0, still_s=4.0, countdown_s=3.0))
@@ -853,7 +853,7 @@ def test_with_the_ritual(
 def test_ctrl_c_in_any_call_of_the_person_with_the_ritual(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
 ) -> None:
-    from tailbeat.day.ritual import Wanted
+    from tailbeat.session.preflight.step import Wanted
 
     wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=2.0)
     whole = Calls(0, KeyboardInterrupt())

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat._native import ffi, lib
-from tailbeat.camera.speed.beatfit import BeatFit
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.reference import thesis
-from tailbeat.sweep.shoal import Shoal, Swims
-from tailbeat.transport.world import World
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
+from tailbeat.core.reference import thesis
+from tailbeat.sensors.camera.speed.line_fit import BeatFit
+from tailbeat.sim.world import World
+from tailbeat.studies.montecarlo.batch import Shoal, Swims
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from typing import TextIO
 
 import pytest
 
-from tailbeat import reference
-from tailbeat.errors import ConnectError, InputError, Refused
-from tailbeat.fish import Fish
-from tailbeat.provision import connect_notice, set_key
-from tailbeat.simserver import SimServer, parse_listen
-from tailbeat.transport import find
-from tailbeat.transport.simulated import SimBoard
+from tailbeat.board import connect as find
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import connect_notice, set_key
+from tailbeat.core import reference
+from tailbeat.core.errors import ConnectError, InputError, Refused
+from tailbeat.sim.native import SimBoard
+from tailbeat.sim.server import SimServer, parse_listen
 
 SPEED = 40.0
 PATIENCE_S = 600.0

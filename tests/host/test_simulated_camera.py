@@ -12,14 +12,14 @@ import time
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat._native import lib
-from tailbeat.camera.base import CameraGone, Frame
-from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
-from tailbeat.transport.world import FRAME_US, World
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import InputError
+from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.native import lib
+from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sim.board import CameraFrame, SimulatedBoard
+from tailbeat.sim.world import FRAME_US, World
 
 EXPOSURE_S = 0.02
 YAW_PER_TAIL = -10 / 45  # hal/sim/felt.h

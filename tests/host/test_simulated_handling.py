@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.reference import Reference
-from tailbeat.simwords import WORDS, Lines, obey
-from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Reference
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sim.board import CameraFrame, SimTransport, SimulatedBoard
+from tailbeat.sim.commands import WORDS, Lines, obey
+from tailbeat.sim.native import SimBoard
 
 US_PER_RAD = 572.9578
 TURN_PER_M_RAD = -3.0

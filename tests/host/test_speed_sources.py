@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat import reference
-from tailbeat.fish import Fish
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.trial_file import Trial, read_trial
 
 VISION, _, IMU, MODEL = range(4)
 SEEDS = [12, pytest.param(40, marks=pytest.mark.soak)]

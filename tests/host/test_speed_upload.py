@@ -11,19 +11,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat._native import ffi, lib
-from tailbeat.camera.speed import swimspeed
-from tailbeat.cli import run
-from tailbeat.errors import InputError, Refused
-from tailbeat.fish import Fish
-from tailbeat.speedcsv import BeatSpeeds, read_speeds
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import read_trial
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core.csv import BeatSpeeds, read_speeds
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.native import ffi, lib
+from tailbeat.core.trial_file import read_trial
+from tailbeat.sensors.camera.speed import smoother
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 Floats = NDArray[np.float64]
 Write = Callable[[str], Path]
 
-HEADER = ",".join(swimspeed.COLUMNS)
+HEADER = ",".join(smoother.COLUMNS)
 
 
 @pytest.fixture
@@ -203,15 +204,15 @@ def test_files_with_nothing_in_them(write: Write, text: str) -> None:
 
 def test_what_the_tracker_writes_is_what_is_read(tmp_path: Path) -> None:
     t = np.arange(0, 61) / 10 + 100
-    made = swimspeed.SpeedCurve(t, curve(t - 100), 1e-3 + 1e-5 * t, 1.0, 100.0, 0.0, 1e-3)
+    made = smoother.SpeedCurve(t, curve(t - 100), 1e-3 + 1e-5 * t, 1.0, 100.0, 0.0, 1e-3)
     path = tmp_path / "speed.csv"
-    swimspeed.write_speeds(made, path, 12)
+    smoother.write_speeds(made, path, 12)
     found = read_speeds(path, 6, 1.0, 12)
     speed, sigma = made.beats(6)
     assert found.sigma_m_s is not None
     np.testing.assert_allclose(found.speed_m_s, speed, atol=2e-6)
     np.testing.assert_allclose(found.sigma_m_s, sigma, atol=2e-6)
-    swimspeed.write_speeds(made, path)
+    smoother.write_speeds(made, path)
     with pytest.raises(InputError, match="not paired"):
         read_speeds(path, 6, 1.0, 12)
 
@@ -223,7 +224,7 @@ Upload = Callable[..., tuple[int, Any, str]]
 def board(monkeypatch: pytest.MonkeyPatch, reference: bytes) -> Iterator[SimBoard]:
     """One that waits for the speeds of trial 1, of eight beats."""
     simulated = SimBoard("tank", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
         fish.params.set("SPD_SOURCE", 1)
         fish.upload_reference(reference)

@@ -11,20 +11,20 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.camera.base import Frame
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.fish import Fish
-from tailbeat.guards import Seen
-from tailbeat.reference import thesis
-from tailbeat.straight import (
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.frames import Frame
+from tailbeat.core.reference import thesis
+from tailbeat.core.trial_checks import (
     CROOKED_RAD,
     Course,
     Straightness,
     straightness,
     straightness_of_frames,
 )
-from tailbeat.trial_log import NO_MOTION, Beats, Rest, Slots, Trial, read_trial
+from tailbeat.core.trial_file import NO_MOTION, Beats, Rest, Slots, Trial, read_trial
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.session.guards import Seen
 
 Turn = Callable[[np.ndarray], np.ndarray]
 

@@ -18,21 +18,21 @@ import pyarrow.parquet as pq
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tailbeat import laws
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.laws import Law
-from tailbeat.model.swim import SIGMA_M_S
-from tailbeat.reference import from_text
-from tailbeat.sweep import cell as cell_module
-from tailbeat.sweep import learners, runner
-from tailbeat.sweep.cell import Cell, cells, run_cell
-from tailbeat.sweep.recipe import Recipe, load, parse
-from tailbeat.sweep.results import Store, identity
-from tailbeat.sweep.runner import Interrupted, compute, sweep
-from tailbeat.sweep.shoal import Swims
-from tailbeat.sweep.summary import summarise
-from tailbeat.workers import terminate
+from tailbeat.app.cli import run
+from tailbeat.core import law as laws
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.parallel import terminate
+from tailbeat.core.reference import from_text
+from tailbeat.learning.fish_model import SIGMA_M_S
+from tailbeat.studies.montecarlo import cell as cell_module
+from tailbeat.studies.montecarlo import learners, runner
+from tailbeat.studies.montecarlo.batch import Swims
+from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
+from tailbeat.studies.montecarlo.recipe import Recipe, load, parse
+from tailbeat.studies.montecarlo.results import Store, identity
+from tailbeat.studies.montecarlo.runner import Interrupted, compute, sweep
+from tailbeat.studies.montecarlo.summary import summarise
 
 CLAIM = """
 [[claim]]
@@ -294,7 +294,7 @@ def test_the_same_bytes_by_a_dask_cluster(
         assert outcome.results.read_bytes() == bytes_of_algebra
         with pytest.MonkeyPatch.context() as patch:
             here = identity() | {"numpy": "0.0"}
-            patch.setattr("tailbeat.sweep.cluster.identity", _Once(here))
+            patch.setattr("tailbeat.studies.montecarlo.runner.identity", _Once(here))
             with pytest.raises(InputError, match=r"has another numpy .* here 0.0"):
                 sweep(
                     replace(tiny, seeds=4), tmp_path / "other", scheduler=cluster.scheduler_address
@@ -311,8 +311,10 @@ def test_a_worker_that_joins_later_must_be_alike(
         main = threading.current_thread() is threading.main_thread()
         return identity() if main else identity() | {"scipy": "0.1"}
 
-    monkeypatch.setattr("tailbeat.sweep.cluster.identity", another_there)
-    monkeypatch.setattr("tailbeat.sweep.cluster._check_workers", lambda client, scheduler: None)
+    monkeypatch.setattr("tailbeat.studies.montecarlo.runner.identity", another_there)
+    monkeypatch.setattr(
+        "tailbeat.studies.montecarlo.runner._check_workers", lambda client, scheduler: None
+    )
     with (
         distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
@@ -344,7 +346,7 @@ def test_a_cluster_that_is_not_there(
     tiny: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("tailbeat.sweep.cluster._ANSWER_S", 0.2)
+    monkeypatch.setattr("tailbeat.studies.montecarlo.runner._ANSWER_S", 0.2)
     for address in ("tcp://127.0.0.1:1", "nonsense"):
         with pytest.raises(InputError, match="no Dask scheduler answers at"):
             sweep(tiny, tmp_path, scheduler=address)
@@ -571,8 +573,8 @@ def test_ctrl_c_stops_it_quietly(tmp_path: Path) -> None:
     (tmp_path / "slow.toml").write_text(slow)
     code = (
         "import os, signal, sys\n"
-        "from tailbeat.cli import run\n"
-        "import tailbeat.sweep.results as results\n"
+        "from tailbeat.app.cli import run\n"
+        "import tailbeat.studies.montecarlo.results as results\n"
         "put = results.Store.put\n"
         "def once(self, cell, data):\n"
         "    put(self, cell, data)\n"

@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tailbeat.sweep.cell import cells
-from tailbeat.sweep.recipe import Claim, load, packaged
-from tailbeat.sweep.results import schema
-from tailbeat.sweep.summary import Rows, judge
+from tailbeat.studies.montecarlo.cell import cells
+from tailbeat.studies.montecarlo.recipe import Claim, load, packaged
+from tailbeat.studies.montecarlo.results import schema
+from tailbeat.studies.montecarlo.summary import Rows, judge
 
 BOUNDS = {  # of each recipe's claims: statistic, iteration, at least, at most, for which plants
     "camera-noise": [

@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.camera.base import Frame
-from tailbeat.camera.pictures.film import Film
-from tailbeat.camera.pictures.picture import Picture
-from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.timing.sync import Sync
-from tailbeat.camera.tracking.live import VideoCamera
-from tailbeat.camera.tracking.tracker import Place
-from tailbeat.cli import run
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.transport.inprocess import CameraFrame, SimulatedBoard
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.trial_log import read_trial
+from tailbeat.app.cli import run
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import InputError
+from tailbeat.core.frames import Frame
+from tailbeat.core.trial_file import read_trial
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.source.film import Film
+from tailbeat.sensors.camera.source.picture import Picture
+from tailbeat.sensors.camera.sync.sync import Sync
+from tailbeat.sensors.camera.tracking.live import VideoCamera
+from tailbeat.sensors.camera.tracking.tracker import Place
+from tailbeat.sim.board import CameraFrame, SimTransport, SimulatedBoard
+from tailbeat.sim.native import SimBoard
 
 SIZE = (64, 48)
 Swim = Callable[..., tuple[int, Any, str]]
@@ -75,8 +75,8 @@ class Eyes:
 def board(monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     """One with a camera of its own at /dev/video0, and six beats to swim."""
     simulated = SimBoard("tank", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
-    monkeypatch.setattr("tailbeat.camera.tracking.tracker.Tracker", Eyes)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.sensors.camera.tracking.tracker.Tracker", Eyes)
     with Fish.connect("it") as fish:
         fish.upload_reference(records.encode_reference(1.0, [0.03, 0.06, 0.08, 0.08, 0.08, 0.03]))
         fish.params.set("DU_MAX_RAD", 0)
@@ -93,7 +93,7 @@ def swim(
         assert threaded  # as it must be for a real device
         return VideoCamera(source, tracker, False, on_picture)
 
-    monkeypatch.setattr("tailbeat.camera.tracking.live.VideoCamera", in_step)
+    monkeypatch.setattr("tailbeat.sensors.camera.tracking.live.VideoCamera", in_step)
 
     def command(*words: str, prepare: Callable[[Device], None] | None = None) -> Any:
         devices = []
@@ -108,7 +108,7 @@ def swim(
                 prepare(devices[-1])
             return devices[-1]
 
-        monkeypatch.setattr("tailbeat.camera.pictures.device.Device", opened)
+        monkeypatch.setattr("tailbeat.sensors.camera.source.device.Device", opened)
         status = run(["trial", "run", "--connect", "it", *words])
         out, err = capsys.readouterr()
         assert all(device.closed for device in devices)
@@ -198,7 +198,7 @@ def test_a_device_pulled_out_in_mid_swim(
 
 def led(monkeypatch: pytest.MonkeyPatch, start_s: float, trial: int = 1) -> None:
     monkeypatch.setattr(
-        "tailbeat.camera.timing.sync.sync_by_led",
+        "tailbeat.sensors.camera.sync.sync.sync_by_led",
         lambda track, known: Sync(start_s, 0.004, "led", trial, 1.0),
     )
 
@@ -290,7 +290,7 @@ def test_a_rendered_fish(
 ) -> None:
     """The only one here with real pictures and the real tracker."""
     simulated = SimBoard("tank", seed=1, camera_fps=15)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
         fish.upload_reference(records.encode_reference(1.0, [0.03, 0.06]))
         fish.params.set("DU_MAX_RAD", 0)

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat.camera.base import Frame
-from tailbeat.camera.simulated import SimulatedCamera
-from tailbeat.camera.speed import ripplefilter
-from tailbeat.camera.speed.swimspeed import (
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.frames import Frame
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.speed import ripple_filter
+from tailbeat.sensors.camera.speed.smoother import (
     COLUMNS,
     SpeedCurve,
     swim_direction_rad,
     swim_speed,
     write_speeds,
 )
-from tailbeat.camera.tracking.track import LOST, SEEN, Track
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.reference import Reference, thesis
+from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
 
 SEEDS = range(1, 3)
 STEP_SEEDS = range(1, 5)
@@ -79,7 +79,7 @@ def swum(seed: int, fps: float, lost: float, amplitudes=None):
 def _start_s(fish: Fish, boot_s: float) -> float:
     from tempfile import TemporaryDirectory
 
-    from tailbeat.trial_log import read_trial
+    from tailbeat.core.trial_file import read_trial
 
     with TemporaryDirectory() as folder:
         trial = read_trial(fish.pull_trial(fish.trials()[-1].number, Path(folder)))
@@ -135,12 +135,12 @@ def test_a_swim_in_steps_has_larger_errors_and_says_so() -> None:
 
 def dense(t_s, way, beat_s, by, ends):
     """Way between two moments and its variance, by plain Gaussian conditioning on everything."""
-    mean, cov = ripplefilter.prior(by, float(way[np.isfinite(way)][0]))
-    count, n = len(t_s), ripplefilter.STATES
+    mean, cov = ripple_filter.prior(by, float(way[np.isfinite(way)][0]))
+    count, n = len(t_s), ripple_filter.STATES
     means, blocks = [mean[0]], [[cov[0]]]
     for k in range(1, count):
-        step = ripplefilter.transition(t_s[k] - t_s[k - 1], beat_s)
-        noise = ripplefilter.process_noise(t_s[k] - t_s[k - 1], beat_s, by)[0]
+        step = ripple_filter.transition(t_s[k] - t_s[k - 1], beat_s)
+        noise = ripple_filter.process_noise(t_s[k] - t_s[k - 1], beat_s, by)[0]
         blocks.append([step @ block for block in blocks[-1]])
         blocks[k].append(step @ blocks[k - 1][k - 1] @ step.T + noise)
         means.append(step @ means[-1])
@@ -152,9 +152,9 @@ def dense(t_s, way, beat_s, by, ends):
     seen = np.flatnonzero(np.isfinite(way))
     rows = np.zeros((len(seen) + 1, count * n))
     for row, k in enumerate(seen):
-        rows[row, k * n : k * n + n] = ripplefilter.SEEN_AS
-    rows[-1, ends[1] * n : ends[1] * n + n] += ripplefilter.SEEN_AS
-    rows[-1, ends[0] * n : ends[0] * n + n] -= ripplefilter.SEEN_AS
+        rows[row, k * n : k * n + n] = ripple_filter.SEEN_AS
+    rows[-1, ends[1] * n : ends[1] * n + n] += ripple_filter.SEEN_AS
+    rows[-1, ends[0] * n : ends[0] * n + n] -= ripple_filter.SEEN_AS
     all_cov = rows @ joint @ rows.T
     all_mean = rows @ np.concatenate(means)
     data = all_cov[:-1, :-1] + np.eye(len(seen))
@@ -164,38 +164,38 @@ def dense(t_s, way, beat_s, by, ends):
 
 
 def test_the_smoother_gives_what_plain_gaussian_conditioning_gives(monkeypatch) -> None:
-    from tailbeat.camera.speed import swimspeed
+    from tailbeat.sensors.camera.speed import smoother
 
     # A vague prior costs the dense way its digits.
-    monkeypatch.setattr(ripplefilter, "_WAY_SPREAD", 1e2)
-    monkeypatch.setattr(ripplefilter, "_SPEED_SPREAD", 1e2)
-    monkeypatch.setattr(ripplefilter, "_RISE_SPREAD", 1e1)
+    monkeypatch.setattr(ripple_filter, "_WAY_SPREAD", 1e2)
+    monkeypatch.setattr(ripple_filter, "_SPEED_SPREAD", 1e2)
+    monkeypatch.setattr(ripple_filter, "_RISE_SPREAD", 1e1)
     random = np.random.default_rng(5)
     t_s = np.sort(np.concatenate([np.arange(45) * 0.05, random.uniform(0, 2.2, 12)]))
     t_s = np.round(t_s, 6)
     way = 30 * t_s + np.sin(2 * np.pi * t_s) + random.normal(size=len(t_s))
     way[::7] = np.nan
-    by = ripplefilter.Candidates(np.array([20.0]), np.array([0.8]), np.array([0.4]))
-    smoothed = ripplefilter.smooth(t_s, 1.0, ripplefilter.forward(t_s, way, 1.0, by, keep=True))
+    by = ripple_filter.Candidates(np.array([20.0]), np.array([0.8]), np.array([0.4]))
+    smoothed = ripple_filter.smooth(t_s, 1.0, ripple_filter.forward(t_s, way, 1.0, by, keep=True))
     on_grid = np.arange(0, len(t_s), 4)
-    speed, sigma = swimspeed._mean_speeds(smoothed, on_grid, 1.0)
+    speed, sigma = smoother._mean_speeds(smoothed, on_grid, 1.0)
     for at in range(len(speed)):
-        ends = on_grid[at], on_grid[at + swimspeed.STEPS_PER_BEAT]
+        ends = on_grid[at], on_grid[at + smoother.STEPS_PER_BEAT]
         value, variance = dense(t_s, way, 1.0, by, ends)
         assert speed[at] == pytest.approx(value, rel=1e-6)
         assert sigma[at] ** 2 == pytest.approx(variance, rel=1e-4)
 
 
 def test_the_likelihood_is_that_of_the_innovations() -> None:
-    by = ripplefilter.Candidates(np.array([5.0, 50.0]), np.array([0.5, 2.0]), np.array([0.1, 1.0]))
+    by = ripple_filter.Candidates(np.array([5.0, 50.0]), np.array([0.5, 2.0]), np.array([0.1, 1.0]))
     t_s = np.arange(60) * 0.04
     way = np.random.default_rng(2).normal(size=60)
-    both = ripplefilter.forward(t_s, way, 1.0, by, keep=False)
+    both = ripple_filter.forward(t_s, way, 1.0, by, keep=False)
     for k in range(2):
-        one = ripplefilter.Candidates(
+        one = ripple_filter.Candidates(
             by.jerk[k : k + 1], by.ripple[k : k + 1], by.second[k : k + 1]
         )
-        alone = ripplefilter.forward(t_s, way, 1.0, one, keep=True)
+        alone = ripple_filter.forward(t_s, way, 1.0, one, keep=True)
         assert alone.innovation is not None
         assert both.chi2[k] == pytest.approx(np.sum(alone.innovation[1:] ** 2))
         assert both.log_variance[k] == pytest.approx(alone.log_variance[0])

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from tailbeat import reference
-from tailbeat.camera.base import Frame
-from tailbeat.camera.timing.ledcode import Waveform
-from tailbeat.camera.timing.ledsync import read_led
-from tailbeat.camera.timing.sync import WrongPair, sync, sync_by_led, sync_by_yaw
-from tailbeat.camera.timing.yawsync import read_yaw
-from tailbeat.camera.tracking.track import LOST, SEEN, Track
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.trial_log import NO_MOTION, Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.frames import Frame
+from tailbeat.core.trial_file import NO_MOTION, Trial, read_trial
+from tailbeat.sensors.camera.sync.led import read_led
+from tailbeat.sensors.camera.sync.led_search import Waveform
+from tailbeat.sensors.camera.sync.sync import WrongPair, sync, sync_by_led, sync_by_yaw
+from tailbeat.sensors.camera.sync.yaw import read_yaw
+from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
 
 from .led_films import LedFilm
 

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from threadpoolctl import threadpool_limits
 
-from tailbeat.cli import run
-from tailbeat.thesis import study
+from tailbeat.app.cli import run
+from tailbeat.studies.thesis import study
 
 STUBS = '''
 """Examples with known answers."""
@@ -23,9 +23,9 @@ from functools import partial
 
 import numpy as np
 
-from tailbeat.errors import InputError
-from tailbeat.thesis import progress
-from tailbeat.thesis.example import Claim, Example, Figure, Run, VERDICTS
+from tailbeat.core.errors import InputError
+from tailbeat.studies.thesis import progress
+from tailbeat.studies.thesis.example import Claim, Example, Figure, Run, VERDICTS
 
 LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"
 
@@ -327,8 +327,8 @@ def script(folder: Path, body: str) -> subprocess.CompletedProcess[str]:
         """
         import os, signal, sys
         sys.path.insert(0, sys.argv[1])
-        from tailbeat.cli import run
-        from tailbeat.thesis import study
+        from tailbeat.app.cli import run
+        from tailbeat.studies.thesis import study
         import thesis_stubs
         study.REGISTRY = "thesis_stubs"
         """

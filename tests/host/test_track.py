@@ -11,17 +11,18 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from tailbeat.camera.base import Frame
-from tailbeat.camera.marker.markers import Marker
-from tailbeat.camera.marker.sighting import Sighting
-from tailbeat.camera.pictures.film import Film
-from tailbeat.camera.pictures.picture import Picture
-from tailbeat.camera.speed.swimspeed import SpeedCurve
-from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tracking import track as tracks
-from tailbeat.camera.tracking.glow import GLOW_SHAPE
-from tailbeat.camera.tracking.overlay import Overlay
-from tailbeat.camera.tracking.track import (
+from tailbeat.core.errors import InputError
+from tailbeat.core.frames import Frame
+from tailbeat.report.figures.track import draw_track
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.marker.detector import Marker
+from tailbeat.sensors.camera.marker.tags import Sighting
+from tailbeat.sensors.camera.source.film import Film
+from tailbeat.sensors.camera.source.picture import Picture
+from tailbeat.sensors.camera.speed.smoother import SpeedCurve
+from tailbeat.sensors.camera.tracking import track as tracks
+from tailbeat.sensors.camera.tracking.overlay import Overlay
+from tailbeat.sensors.camera.tracking.track import (
     BRIDGED,
     COLUMNS,
     LOST,
@@ -33,9 +34,7 @@ from tailbeat.camera.tracking.track import (
     track_of,
     write_track,
 )
-from tailbeat.camera.tracking.tracker import Place
-from tailbeat.errors import InputError
-from tailbeat.report.track_png import draw_track
+from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Place
 
 cv2 = pytest.importorskip("cv2")
 pytest.importorskip("av")

@@ -12,23 +12,24 @@ import cv2
 import numpy as np
 import pytest
 
-from tailbeat.camera.marker.blob import BlobDetector
-from tailbeat.camera.marker.markers import Marker
-from tailbeat.camera.marker.sighting import Sighting, Window
-from tailbeat.camera.pictures.picture import Image, Picture
-from tailbeat.camera.rendered.painter import Painter, Truth
-from tailbeat.camera.rendered.scene import Scene
-from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tracking.glow import (
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.marker.blob import BlobDetector
+from tailbeat.sensors.camera.marker.detector import Marker
+from tailbeat.sensors.camera.marker.tags import Sighting, Window
+from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.source.picture import Image, Picture
+from tailbeat.sensors.camera.tracking.tracker import (
     GLOW_CELL_M,
     GLOW_HALF_WIDTH_M,
     GLOW_LEFT_M,
     GLOW_RIGHT_M,
     GLOW_SHAPE,
+    Place,
+    Tracker,
     glow_around,
 )
-from tailbeat.camera.tracking.tracker import Place, Tracker
-from tailbeat.errors import InputError
 
 FPS = 25.0
 ARUCO = Marker("aruco", None, 0.06)
@@ -225,7 +226,8 @@ class Told:
 def told(monkeypatch: pytest.MonkeyPatch) -> Told:
     detector = Told()
     monkeypatch.setattr(
-        "tailbeat.camera.tracking.tracker.detector_for", lambda marker, calibration: detector
+        "tailbeat.sensors.camera.tracking.tracker.detector_for",
+        lambda marker, calibration: detector,
     )
     return detector
 

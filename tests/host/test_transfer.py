@@ -11,12 +11,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from tailbeat import reference as references
-from tailbeat.errors import InputError
-from tailbeat.model.fishmodel import FishModel
-from tailbeat.reference import Reference
-from tailbeat.transfer import TOLERANCE, Likeness, likeness, scaled_input, transfer
-from tailbeat.transfer.beatcurve import BeatCurve, overlap
+from tailbeat.core import reference as references
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Reference
+from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.transfer import (
+    TOLERANCE,
+    BeatCurve,
+    Likeness,
+    likeness,
+    overlap,
+    scaled_input,
+    transfer,
+)
 
 Array = NDArray[np.float64]
 Function = Callable[[Array], Array]

@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.dryrun import dry_run
-from tailbeat.errors import LinkLostError, TransferError
-from tailbeat.fish import Fish
-from tailbeat.link import TRIES
-from tailbeat.recompute import recompute_beats
-from tailbeat.records import crc32
-from tailbeat.transport.badline import (
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import LinkLostError, TransferError
+from tailbeat.core.records import crc32
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_file import read_trial
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.impaired import (
     BadLine,
     Corrupt,
     Cut,
@@ -30,9 +29,10 @@ from tailbeat.transport.badline import (
     Truncate,
     hc05,
 )
-from tailbeat.transport.inprocess import SimTransport
-from tailbeat.transport.simulated import SimBoard
-from tailbeat.trial_log import read_trial
+from tailbeat.link.mavlink import TRIES
+from tailbeat.session.dry_run import dry_run
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 PATH = "/in/speeds.bin"
 BEATS, TRIALS = 6, 6

@@ -11,15 +11,16 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat.camera.base import CameraGone
-from tailbeat.camera.simulated import RemoteCamera, SimulatedCamera
-from tailbeat.errors import ConnectError, InputError, LinkLostError
-from tailbeat.fish import Fish
-from tailbeat.transport import find
-from tailbeat.transport.base import Transport
-from tailbeat.transport.simulated import SimBoard, SimTransport
-from tailbeat.transport.tcp import TcpTransport
+from tailbeat.board import connect
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import ConnectError, InputError, LinkLostError
+from tailbeat.core.frames import CameraGone
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.sockets import TcpTransport
+from tailbeat.link.transport import Transport
+from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 
 def take(transport: Transport, count: int) -> bytes:
@@ -43,7 +44,7 @@ def heartbeat(vehicle: int = mavlink.MAV_TYPE_SUBMARINE) -> bytes:
 
 
 def test_tcp(listener: socket.socket) -> None:
-    transport = find.open_transport(f"tcp:127.0.0.1:{listener.getsockname()[1]}")
+    transport = connect.open_transport(f"tcp:127.0.0.1:{listener.getsockname()[1]}")
     peer, _ = listener.accept()
     with peer, contextlib.closing(transport):
         assert transport.read() == b""
@@ -78,18 +79,18 @@ def test_tcp_nobody_there(listener: socket.socket) -> None:
     port = listener.getsockname()[1]
     listener.close()
     with pytest.raises(ConnectError) as refused:
-        find.open_transport(f"tcp:127.0.0.1:{port}")
+        connect.open_transport(f"tcp:127.0.0.1:{port}")
     assert "tailbeat sim" in str(refused.value)
 
 
 @pytest.mark.parametrize("url", ["tcp:..:5", "udp:..:5"])
 def test_names_no_host_can_have(url: str) -> None:
     with pytest.raises(ConnectError):
-        find.open_transport(url)
+        connect.open_transport(url)
 
 
 def test_tcp_version_6_in_brackets() -> None:
-    assert find.tcp_address("tcp:[::1]:5760") == ("::1", 5760)
+    assert connect.tcp_address("tcp:[::1]:5760") == ("::1", 5760)
 
 
 def test_tcp_reopens(listener: socket.socket) -> None:
@@ -113,7 +114,7 @@ def test_udp_answers_who_spoke() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    transport = find.open_transport(f"udp:{port}")
+    transport = connect.open_transport(f"udp:{port}")
     with contextlib.closing(transport), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
         board.settimeout(600)
         transport.write(b"nobody hears this")
@@ -127,7 +128,7 @@ def test_udp_speaks_first_to_a_named_peer() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
         board.bind(("127.0.0.1", 0))
         board.settimeout(600)
-        transport = find.open_transport(f"udp:127.0.0.1:{board.getsockname()[1]}")
+        transport = connect.open_transport(f"udp:127.0.0.1:{board.getsockname()[1]}")
         with contextlib.closing(transport):
             transport.write(b"hello")
             data, sender = board.recvfrom(64)
@@ -142,7 +143,7 @@ def test_serial_on_a_pty() -> None:
 
     master, slave = pty.openpty()
     tty.setraw(slave)
-    transport = find.open_transport(os.ttyname(slave))
+    transport = connect.open_transport(os.ttyname(slave))
     os.write(master, b"hello")
     assert take(transport, 5) == b"hello"
     transport.write(b"fish")
@@ -154,7 +155,7 @@ def test_serial_on_a_pty() -> None:
 
 def test_serial_missing() -> None:
     with pytest.raises(ConnectError) as missing:
-        find.open_transport("/dev/no-such-port")
+        connect.open_transport("/dev/no-such-port")
     assert "/dev/no-such-port" in str(missing.value)
 
 
@@ -167,23 +168,23 @@ def test_serial_missing() -> None:
 )  # fmt: skip
 def test_senseless_addresses(url: str) -> None:
     with pytest.raises(InputError) as bad:
-        find.open_transport(url)
+        connect.open_transport(url)
     assert "\n" not in str(bad.value)
 
 
 def test_sim_address_with_values() -> None:
-    transport = find.open_transport("sim:thesis?seed=9&mass=0.5", camera_fps=50.0)
+    transport = connect.open_transport("sim:thesis?seed=9&mass=0.5", camera_fps=50.0)
     assert isinstance(transport, SimTransport)
     board = transport.board
     assert (board.plant, board.seed) == ("thesis", 9)
     assert board.config["mass_kg"] == 0.5
     assert board.config["camera_fps"] == 50.0
-    assert find.open_transport("sim").board.plant == "tank"
-    assert find.open_transport("sim?plant=thesis").board.plant == "thesis"
-    assert find.open_transport(f"sim?seed={2**64 - 1}").board.seed == 2**64 - 1
-    assert find.open_transport("sim?kappa=5").board.config["kappa_per_m"] == 5.0
+    assert connect.open_transport("sim").board.plant == "tank"
+    assert connect.open_transport("sim?plant=thesis").board.plant == "thesis"
+    assert connect.open_transport(f"sim?seed={2**64 - 1}").board.seed == 2**64 - 1
+    assert connect.open_transport("sim?kappa=5").board.config["kappa_per_m"] == 5.0
     with pytest.raises(InputError):
-        find.open_transport("tcp:127.0.0.1:1", kappa=5.0)
+        connect.open_transport("tcp:127.0.0.1:1", kappa=5.0)
 
 
 def test_a_simulated_board_has_an_id_of_its_own_unless_a_seed_is_given() -> None:
@@ -198,10 +199,10 @@ def test_a_simulated_board_has_an_id_of_its_own_unless_a_seed_is_given() -> None
 
 
 def test_finding_a_fish(listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(find, "likely_ports", lambda: iter(["/dev/no-such-port"]))
-    monkeypatch.setattr(find, "DEFAULT_PORT", listener.getsockname()[1])
+    monkeypatch.setattr(connect, "likely_ports", lambda: iter(["/dev/no-such-port"]))
+    monkeypatch.setattr(connect, "DEFAULT_PORT", listener.getsockname()[1])
     with pytest.raises(ConnectError) as nobody:
-        find.find_board(listen_s=0.1)
+        connect.find_board(listen_s=0.1)
     text = str(nobody.value)
     assert "/dev/no-such-port" in text
     assert "no tailbeat heartbeat" in text
@@ -214,9 +215,9 @@ def test_another_vehicle_is_not_a_fish(listener: socket.socket) -> None:
     peer, _ = listener.accept()
     with peer, contextlib.closing(transport):
         peer.sendall(heartbeat(mavlink.MAV_TYPE_QUADROTOR))
-        assert find.hear_board(transport, 0.2) is None
+        assert connect.hear_board(transport, 0.2) is None
         peer.sendall(b"noise" + heartbeat())
-        assert find.hear_board(transport, 5.0) is not None
+        assert connect.hear_board(transport, 5.0) is not None
 
 
 def test_simulated_time_passes_only_in_waits() -> None:

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import reference
-from tailbeat.errors import InputError, Refused
-from tailbeat.fish import Fish
-from tailbeat.logbook import Logbook
-from tailbeat.reference import thesis
-from tailbeat.travel import Travel, last_measured, travel_next, travel_of
-from tailbeat.trial_log import Trial, read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.reference import thesis
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.library import Logbook
+from tailbeat.session.room import Travel, last_measured, travel_next, travel_of
 
 THESIS_LIMITS = {"AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0.0}
 ROOM_M = 3.0 - 0.36

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import laws, reference
-from tailbeat.camera.tank.wall import HIT
-from tailbeat.demo import same_bits
-from tailbeat.errors import InputError
-from tailbeat.fish import Fish
-from tailbeat.laws import Law
-from tailbeat.transport.inprocess import in_process
-from tailbeat.trial_log import (
+from tailbeat.app.demo import same_bits
+from tailbeat.board.fish import Fish
+from tailbeat.core import law, reference
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.trial_file import (
     NO_MOTION,
     Trial,
     beats_csv,
@@ -23,6 +21,8 @@ from tailbeat.trial_log import (
     parse_trial,
     read_trial,
 )
+from tailbeat.session.guards import HIT
+from tailbeat.sim.board import in_process
 
 BEATS = 12
 
@@ -70,7 +70,7 @@ def test_what_a_file_tells(trial: Trial) -> None:
     assert len(trial.battery_v) >= BEATS - 1
     wanted = reference.trapezoid(0.06, 3, BEATS - 6).speed_m_s
     assert same_bits(trial.beats.reference_m_s, wanted)
-    assert same_bits(trial.beats.amplitude_rad, laws.first(Law(lead_beats=1), wanted))
+    assert same_bits(trial.beats.amplitude_rad, law.first(Law(lead_beats=1), wanted))
 
 
 def test_the_last_record_of_a_beat_counts(files: dict[str, Path]) -> None:

@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.cli import run
-from tailbeat.cli.display import Display
-from tailbeat.cli.keys import Keys, TerminalGone, terminal_keys
-from tailbeat.cli.person import TerminalPerson, Undecided
-from tailbeat.day.person import Decision
-from tailbeat.day.swum import Swum
-from tailbeat.experiment import Experiment
-from tailbeat.fish import Fish
-from tailbeat.results import TrialOutcome
-from tailbeat.transport.simulated import SimBoard, SimTransport
+from tailbeat.app.cli import run
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli._keyboard import Keys, TerminalGone, terminal_keys
+from tailbeat.app.cli._operator import TerminalPerson, Undecided
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.experiment.folder import Experiment
+from tailbeat.link.messages import TrialOutcome
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.native import SimBoard
 
 Command = Callable[..., tuple[int, Any, str]]
 SPEEDS = [0.03, 0.06, 0.07, 0.06, 0.03]
@@ -36,7 +37,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
     monkeypatch.chdir(tmp_path)
     simulated = SimBoard("tank", seed=1)
-    monkeypatch.setattr("tailbeat.fish.open_transport", lambda url: SimTransport(simulated))
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
         fish.params.set("LAW_LEAD", 1)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
@@ -174,7 +175,7 @@ def test_what_can_be_told_before_there_is_a_board(
     def connect(url: str | None) -> None:
         raise AssertionError("nobody is to be called")
 
-    monkeypatch.setattr("tailbeat.fish.open_transport", connect)
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", connect)
     assert run(list(words)) in (1, 2)
     err = capsys.readouterr().err
     assert told in err and err.count("\n") == 1
@@ -444,7 +445,7 @@ def type_when_asked(keys: Keys, hand: int, monkeypatch: pytest.MonkeyPatch) -> N
         os.write(hand, b"bumped the wall\n")
         return real(descriptor, count)
 
-    monkeypatch.setattr("tailbeat.cli.keys.os.read", read)
+    monkeypatch.setattr("tailbeat.app.cli._keyboard.os.read", read)
 
 
 @posix

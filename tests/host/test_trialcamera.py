@@ -6,9 +6,9 @@ from typing import Any, cast
 
 import pytest
 
-from tailbeat.camera.base import CameraGone
-from tailbeat.trialcamera import TrialCamera
-from tailbeat.trialrun import _look_afresh, _Run
+from tailbeat.core.frames import CameraGone
+from tailbeat.session.trial import _look_afresh, _Run
+from tailbeat.session.trial_camera import TrialCamera
 
 
 class LostCamera:

@@ -12,23 +12,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tailbeat import reference, trialrun
-from tailbeat.cli.app import app
-from tailbeat.day import trim
-from tailbeat.day.person import Decision, Event
-from tailbeat.day.ritual import GivenUp
-from tailbeat.day.swum import Swum
-from tailbeat.day.trim import CENTRE, Trim, TrimSwim, apply, centre_of, find_centre, plan
-from tailbeat.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.fish import Fish
-from tailbeat.logbook import RUN, Logbook
-from tailbeat.model import lent
-from tailbeat.model.lent import safe_folder, set_for_good
-from tailbeat.parameters import known_parameters
-from tailbeat.reference import thesis
-from tailbeat.straight import straightness
-from tailbeat.travel import belief_of
-from tailbeat.trial_log import read_trial
+from tailbeat.app.cli.app import app
+from tailbeat.board import loan
+from tailbeat.board.fish import Fish
+from tailbeat.board.loan import safe_folder, set_for_good
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
+from tailbeat.core.reference import thesis
+from tailbeat.core.trial_checks import straightness
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.library import RUN, Logbook
+from tailbeat.link.params import known_parameters
+from tailbeat.session import trial, trim
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision, Event
+from tailbeat.session.preflight.step import GivenUp
+from tailbeat.session.room import belief_of
+from tailbeat.session.trim import CENTRE, Trim, TrimSwim, apply, centre_of, find_centre, plan
 
 US_RAD = 572.9578
 PARAMS = {name: known.default for name, known in known_parameters().items()}
@@ -217,8 +217,8 @@ def test_a_trim_that_was_broken_off_is_put_back_by_the_next(
             raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(lent, "_put_back", lambda *_: None)
-        patch.setattr(trialrun, "_abort", lambda _: None)
+        patch.setattr(loan, "_put_back", lambda *_: None)
+        patch.setattr(trial, "_abort", lambda _: None)
         with pytest.raises(Killed):
             find_centre(learned, Somebody(fail))
     assert learned.params.get(CENTRE).value != 1500
@@ -240,7 +240,7 @@ def test_when_the_link_stays_away_a_copy_is_left(
     def gone(*_: Any) -> None:
         raise LinkLostError("gone", "")
 
-    monkeypatch.setattr(lent, "_restore", gone)
+    monkeypatch.setattr(loan, "_restore", gone)
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
         find_centre(learned, Somebody())
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.reference import thesis
-from tailbeat.ui.access import Access, is_loopback, new_token
-from tailbeat.ui.addresses import reached_at
-from tailbeat.ui.tools import reference_of_csv, reference_of_text
+from tailbeat.app.web.access import Access, is_loopback, new_token
+from tailbeat.app.web.server import reached_at
+from tailbeat.app.web.tools import reference_of_csv, reference_of_text
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import thesis
 
 TOKEN = "s3cret-Token_16c"
 Headers = dict[str, str]
@@ -202,7 +202,7 @@ def test_compared_in_constant_time(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append((given, wanted))
         return False
 
-    monkeypatch.setattr("tailbeat.ui.access.secrets.compare_digest", compare)
+    monkeypatch.setattr("tailbeat.app.web.access.secrets.compare_digest", compare)
     assert knock(TOKEN, LAN, query=f"token={TOKEN}").status == 403
     assert (TOKEN.encode(), TOKEN.encode()) in seen
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from tailbeat.ui import gate as module
-from tailbeat.ui.access import Rules
-from tailbeat.ui.gate import Gate, Limits
+from tailbeat.app.web import gate as module
+from tailbeat.app.web.access import Rules
+from tailbeat.app.web.gate import Gate, Limits
 
 LIMITS = Limits(waiting=12, waiting_each=8, served=6, served_each=4)
 PATIENCE_S = 600.0

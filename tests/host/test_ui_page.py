@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
+from tailbeat.app.web import charts, words
+from tailbeat.app.web.view import LOG_LINES, Snapshot, after, logged
+from tailbeat.core.trial_checks import Straightness
 from tailbeat.experiment.analysis import TrialRow
-from tailbeat.straight import Straightness
-from tailbeat.ui import charts, words
-from tailbeat.ui.snapshot import LOG_LINES, Snapshot, after, logged
 
 NOW = Snapshot(
     phase="idle",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from tailbeat.ui.access import Access
-from tailbeat.ui.turns import WAITING_MAX, Turns
+from tailbeat.app.web.access import Access
+from tailbeat.app.web.inbox import WAITING_MAX, Turns
 
 MANY = 150
 OWN = [(b"host", b"127.0.0.1:8080"), (b"origin", b"http://127.0.0.1:8080")]

@@ -11,12 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import studentized_range, t
 
-from tailbeat import reference, verdict
-from tailbeat.model.fishmodel import Conditions, FishModel
-from tailbeat.model.fitting import Scatter
-from tailbeat.model.identified import Identified
-from tailbeat.trial_log import Beats, Slots, Trial
-from tailbeat.verdict import NoiseBand, Score, judge, judge_all, noise_band
+from tailbeat.core import reference
+from tailbeat.core.trial_file import Beats, Slots, Trial
+from tailbeat.learning import convergence
+from tailbeat.learning.convergence import NoiseBand, Score, judge, judge_all, noise_band
+from tailbeat.learning.fish_model import Conditions, FishModel
+from tailbeat.learning.fit import Scatter
+from tailbeat.learning.identification import Identified
 
 Array = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ def test_the_band_of_few_repeats_covers_the_next(repeats: int, sigma_mm: float) 
 def test_the_default_band_fits_the_published_scatter(kappa: float) -> None:
     """p90 over median is 1.28 sigma, the band 1.96."""
     median, p90 = PUBLISHED[int(kappa)]
-    high = verdict.default_band(median / 1e3).high
+    high = convergence.default_band(median / 1e3).high
     assert high - 1 == pytest.approx((p90 / median - 1) * 1.96 / 1.2816, rel=0.15)
 
 
@@ -186,8 +187,8 @@ def test_the_expected_band_is_that_of_simulated_repeats(kappa: float) -> None:
     model = fish(kappa)
     scatter = Scatter(gain=0.02, flow_m_s=0.0015, start_m_s=0.002)
     known = Identified(model, [model], np.eye(4), scatter=scatter)
-    band = verdict.expected_band(known, reference.thesis(), amplitude)
-    assert band == verdict.expected_band(known, reference.thesis(), amplitude)
+    band = convergence.expected_band(known, reference.thesis(), amplitude)
+    assert band == convergence.expected_band(known, reference.thesis(), amplitude)
     random = np.random.default_rng(7)
     noise = random.normal(0, 0.001, (2000, len(amplitude)))
     worst = euler(kappa, amplitude, random.normal(size=(2000, 3)), noise)
@@ -209,7 +210,9 @@ def test_all_that_scatters_widens_the_expected_band(what: str) -> None:
         wanted = replace(wanted, speed_m_s=np.zeros(40, np.float32))
         amplitude = np.zeros(40)
     bands = [
-        verdict.expected_band(Identified(model, [model], np.eye(4), scatter=s), wanted, amplitude)
+        convergence.expected_band(
+            Identified(model, [model], np.eye(4), scatter=s), wanted, amplitude
+        )
         for s in (none, replace(none, **{what: 0.02}))
     ]
     quiet, loud = (band.high - band.low for band in bands)
@@ -217,7 +220,7 @@ def test_all_that_scatters_widens_the_expected_band(what: str) -> None:
 
 
 def test_the_table_of_ranges_is_the_studentized_range() -> None:
-    for at, value in enumerate(verdict._RANGE_SIGMAS):
+    for at, value in enumerate(convergence._RANGE_SIGMAS):
         if at in (0, 3, 8, 18):
             assert value == pytest.approx(studentized_range.ppf(0.95, at + 2, 1e6), abs=0.01)
 
@@ -246,7 +249,7 @@ def test_stops_when_learned_and_not_before(kappa: float, gain: float) -> None:
         ends = range(1, trials + 1)
         stop = next((n for n in ends if judge(scores[:n], rest_m_s=REST).stop), trials + 9)
         learned = 1 + int(np.flatnonzero(true <= 1.1 * true.min())[0])
-        early += bool(true[:stop].min() - true.min() > verdict.SCATTER_M_S)
+        early += bool(true[:stop].min() - true.min() > convergence.SCATTER_M_S)
         late += stop > learned + 4
     assert early / runs <= 0.05
     assert late / runs <= 0.10
@@ -300,8 +303,8 @@ def test_each_verdict_has_the_band_of_the_best_until_then() -> None:
 
 def test_input_crc_names_amplitudes() -> None:
     one = np.array([0.1, 0.2], np.float32)
-    assert verdict.input_crc(one) == verdict.input_crc(one.astype(np.float64))
-    assert verdict.input_crc(one) != verdict.input_crc(one[::-1])
+    assert convergence.input_crc(one) == convergence.input_crc(one.astype(np.float64))
+    assert convergence.input_crc(one) != convergence.input_crc(one[::-1])
 
 
 def trial_of(number: int, amplitude: Array, error: Array, executed: int | None = None) -> Trial:
@@ -328,9 +331,9 @@ def trial_of(number: int, amplitude: Array, error: Array, executed: int | None =
 
 def test_scores_of_trials() -> None:
     wild = np.linspace(-0.1, 0.9, 10)
-    whole = verdict.score_of(trial_of(3, wild, np.linspace(-0.02, 0.01, 10)))
-    again = verdict.score_of(trial_of(4, np.clip(wild, 0, 0.5), np.zeros(10)))
-    short = verdict.score_of(trial_of(5, wild, np.full(10, 0.003), executed=4))
+    whole = convergence.score_of(trial_of(3, wild, np.linspace(-0.02, 0.01, 10)))
+    again = convergence.score_of(trial_of(4, np.clip(wild, 0, 0.5), np.zeros(10)))
+    short = convergence.score_of(trial_of(5, wild, np.full(10, 0.003), executed=4))
     assert whole.max_abs_error_m_s == pytest.approx(0.02, abs=1e-6)
     assert whole.judged
     assert whole.input_crc == again.input_crc == short.input_crc  # as swum
@@ -344,14 +347,14 @@ def test_visits_count_what_each_beat_was_swum() -> None:
     hole = error.copy()
     hole[1] = np.nan
     trials = [trial_of(1, wild, error), trial_of(2, wild, error, 4), trial_of(3, wild, hole)]
-    np.testing.assert_array_equal(verdict.visits(trials), [3, 2, 3, 3, 2, 2])
+    np.testing.assert_array_equal(convergence.visits(trials), [3, 2, 3, 3, 2, 2])
     stopped = replace(trial_of(4, wild, error), executed_beats=2)  # glided on, and was seen
-    np.testing.assert_array_equal(verdict.visits([stopped]), [1, 1, 0, 0, 0, 0])
-    assert len(verdict.visits([])) == 0
+    np.testing.assert_array_equal(convergence.visits([stopped]), [1, 1, 0, 0, 0, 0])
+    assert len(convergence.visits([])) == 0
 
 
 def test_a_rollback_is_seen_in_the_files() -> None:
-    from tailbeat.progress import progress_of, scores_of
+    from tailbeat.learning.verdict import progress_of, scores_of
 
     inputs = [0.1, 0.2, 0.3, 0.4, 0.2, 0.25]
     worst = [0.03, 0.012, 0.017, 0.018, 0.0121, 0.0119]

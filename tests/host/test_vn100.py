@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat._native import ffi, lib
-from tailbeat.cli import run
-from tailbeat.vn100 import Binary, Line, Message, Reader, Summary, decode
-from tailbeat.vn100.fields import ASCII, BINARY
-from tailbeat.vn100.problems import all_problems, problem_info
+from tailbeat.app.cli import run
+from tailbeat.core.imu_fields import ASCII, BINARY
+from tailbeat.core.imu_problems import all_problems, problem_info
+from tailbeat.core.native import ffi, lib
+from tailbeat.sensors.vn100 import decode
+from tailbeat.sensors.vn100.decode import Binary, Line, Message, Reader
+from tailbeat.sensors.vn100.summary import Summary
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = Path(os.environ.get("TAILBEAT_RECORDINGS", ROOT.parent / "shared/data/vn100"))

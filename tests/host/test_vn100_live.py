@@ -16,13 +16,12 @@ from typing import Any
 
 import pytest
 
-from tailbeat._native import ffi, lib
-from tailbeat.cli import run
-from tailbeat.errors import InputError, LinkLostError
-from tailbeat.vn100 import Reader
-from tailbeat.vn100.driver import Driver
-from tailbeat.vn100.live import Live, SensorError, configure, find_baud
-from tailbeat.vn100.source import BAUDS, SerialSource
+from tailbeat.app.cli import run
+from tailbeat.core.errors import InputError, LinkLostError
+from tailbeat.core.native import ffi, lib
+from tailbeat.sensors.vn100.decode import Reader
+from tailbeat.sensors.vn100.driver import Driver
+from tailbeat.sensors.vn100.live import BAUDS, Live, SensorError, SerialSource, configure, find_baud
 
 YMR = (
     b"$VNYMR,+100.949,-007.330,+000.715,-00.0049,-00.2449,+00.5397,-01.258,-00.100,-09.701,"
@@ -170,8 +169,8 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
     """Makes the command open this source, under the name of a port."""
 
     def put(source: Any) -> None:
-        monkeypatch.setattr("tailbeat.vn100.source.open_source", lambda name, baud: source)
-        monkeypatch.setattr("tailbeat.vn100.source.is_port", lambda name: True)
+        monkeypatch.setattr("tailbeat.sensors.vn100.live.open_source", lambda name, baud: source)
+        monkeypatch.setattr("tailbeat.sensors.vn100.live.is_port", lambda name: True)
 
     return put
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.camera.base import Afresh, CameraGone, Frame, Unseen
-from tailbeat.camera.tank.calibration import Calibration
-from tailbeat.camera.tank.wall import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WallGuard
-from tailbeat.fish import Fish
-from tailbeat.reference import thesis
-from tailbeat.results import BeatEvent
-from tailbeat.trial_log import read_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
+from tailbeat.core.reference import thesis
+from tailbeat.core.trial_file import read_trial
+from tailbeat.link.messages import BeatEvent
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.session.guards import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WallGuard
 
 FPS = 25.0
 TANK = ((-0.5, -0.9), (2.5, -0.9), (2.5, 0.9), (-0.5, 0.9))  # the thesis's; start 0.5 m from a wall

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.bench import COMPILER, compile_program
 
 IMAGE = Path(__file__).resolve().parents[2] / "build" / "firmware" / "tailbeat.elf"

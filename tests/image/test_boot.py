@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
-from tailbeat import reference
-from tailbeat.errors import Refused
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.hearing import Hearing
-from tailbeat.transport.inprocess import CONSOLE, RADIO, SimTransport
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
+from tailbeat.core.errors import Refused
+from tailbeat.link.heard import Hearing
+from tailbeat.sim.board import CONSOLE, RADIO, SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
 
 # Watchdog of 1 s first, flash wait states before speed, then crystal, its detector, the switch to

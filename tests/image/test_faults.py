@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.errors import Refused
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import Refused
+from tailbeat.link import _dialect as mavlink
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
 from vboard.periph.flash import BANK_BYTES, FLASH_BASE
 from vboard.periph.pins import PinTrace

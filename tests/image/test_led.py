@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat._native import lib
-from tailbeat.camera.base import Frame
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.inprocess import CameraFrame, SimTransport
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.frames import Frame
+from tailbeat.core.native import lib
+from tailbeat.sim.board import CameraFrame, SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
 from vboard.periph.pins import PinTrace
 

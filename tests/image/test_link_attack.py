@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.demo import same_bits
-from tailbeat.dryrun import dry_run
-from tailbeat.fish import Fish
-from tailbeat.transport.badline import BadLine, Corrupt, Drop, Fault
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.app.demo import same_bits
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.link.impaired import BadLine, Corrupt, Drop, Fault
+from tailbeat.session.dry_run import dry_run
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 
 PATH = "/in/speeds.bin"
 BYTES = 2000

@@ -10,14 +10,14 @@ from itertools import pairwise
 import pytest
 from littlefs import LittleFS, UserContext
 
-from tailbeat import _dialect as mavlink
-from tailbeat import records
-from tailbeat.camera.speed.beatfit import BeatFit
-from tailbeat.fish import Fish
-from tailbeat.link import BOARD_COMPONENT, BOARD_SYSTEM, Link
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.inprocess import CONSOLE, FLASH_BYTES, SimTransport
-from tailbeat.trialcamera import vision_message
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link
+from tailbeat.sensors.camera.speed.line_fit import BeatFit
+from tailbeat.session.trial_camera import vision_message
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
 from vboard.periph.pins import PinTrace
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.transport.emulated import EmulatedBoard
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.flashlog import FlashLog, PageWrite, PowerLost, power_lost_at
 
 from .power_cut import aftermath, cuts

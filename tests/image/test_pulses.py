@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
 from vboard.periph.pins import PinTrace, Pulse
 

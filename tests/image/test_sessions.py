@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import laws, records
-from tailbeat.demo import compare, same_bits
-from tailbeat.dryrun import dry_run
-from tailbeat.errors import Refused
-from tailbeat.fish import Fish
-from tailbeat.recompute import recompute_beats
-from tailbeat.trial_log import read_trial
+from tailbeat.app.demo import compare, same_bits
+from tailbeat.board.fish import Fish
+from tailbeat.core import law as laws
+from tailbeat.core import records
+from tailbeat.core.errors import Refused
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_file import read_trial
+from tailbeat.session.dry_run import dry_run
 
 TRIALS = 3
 BEATS, BEAT_S = 6, 1.0

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from tailbeat import records
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 PAINT = 0xA5

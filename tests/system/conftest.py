@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 import pytest
 
-START = "from tailbeat.cli import main; main()"
+START = "from tailbeat.app.cli import main; main()"
 
 
 @contextmanager

@@ -7,8 +7,8 @@ import statistics
 
 import pytest
 
-from tailbeat import reference
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
+from tailbeat.core import reference
 
 ZERO_INPUT_ERROR_M_S = 0.0791
 SEEDS = [6, pytest.param(20, marks=pytest.mark.soak)]

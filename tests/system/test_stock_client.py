@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import records
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
 
 
 @pytest.fixture

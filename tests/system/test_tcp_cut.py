@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat import records
-from tailbeat.errors import LinkLostError
-from tailbeat.fish import Fish
-from tailbeat.transport.tcp import TcpTransport
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.errors import LinkLostError
+from tailbeat.link.sockets import TcpTransport
 
 
 @pytest.fixture

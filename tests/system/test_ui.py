@@ -22,9 +22,9 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tailbeat.fish import Fish
+from tailbeat.board.fish import Fish
 
-START = "from tailbeat.cli import main; main()"
+START = "from tailbeat.app.cli import main; main()"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LAPTOP, PHONE = (1366, 768), (390, 844)
 PATIENCE_S = 600.0

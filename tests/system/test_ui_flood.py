@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-START = "from tailbeat.cli import main; main()"
+START = "from tailbeat.app.cli import main; main()"
 NOBODY = "tcp:127.0.0.1:1"
 DESCRIPTORS = 1024
 IDLE = 1500

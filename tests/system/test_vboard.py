@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tailbeat import records
-from tailbeat import reference as references
-from tailbeat.demo import DemoOptions, run_demo
-from tailbeat.extras import BUILD_IMAGE
-from tailbeat.fish import Fish
+from tailbeat.app.demo import DemoOptions, run_demo
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core import reference as references
+from tailbeat.core.extras import BUILD_IMAGE
 
 IMAGE = Path(__file__).parents[2] / "build" / "firmware" / "tailbeat.elf"
-START = "from tailbeat.cli import main; main()"
+START = "from tailbeat.app.cli import main; main()"
 BEATS = 3
 
 
@@ -133,7 +133,7 @@ def test_a_short_demo_knows_it_is_emulated(image: Path, tmp_path: Path) -> None:
         plant="thesis", trials=1, seed=7, connect=f"vboard:{image}", out=tmp_path / "out"
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tailbeat.demo.reference.thesis", lambda: reference)
+        patch.setattr("tailbeat.app.demo.reference.thesis", lambda: reference)
         found = run_demo(options)
     assert (found.plant, found.seed, found.lead) == ("thesis", 7, 0)
     true = found.trials[1].true_max_abs_error_m_s

@@ -18,24 +18,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
+from tailbeat.core.errors import InputError
+from tailbeat.core.files import canonical, plain, write_whole
+from tailbeat.core.judge import on_common_beats
+from tailbeat.core.records import decode_reference
+from tailbeat.core.reference import Reference
+from tailbeat.core.trial_checks import Straightness, straightness
+from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import JUDGING
-from tailbeat.experiment.told import Told, told_of
-from tailbeat.judge import on_common_beats
-from tailbeat.lasting import write_whole
-from tailbeat.plain import canonical, plain
-from tailbeat.progress import scores_of
-from tailbeat.records import decode_reference
-from tailbeat.reference import Reference
-from tailbeat.results import SIMULATED_FISH
-from tailbeat.saturation import at_limit, saturation_of
-from tailbeat.straight import Straightness, straightness
-from tailbeat.trial_log import Trial, read_trial
-from tailbeat.verdict import Score, best_of, comparable, score_of
+from tailbeat.experiment.journal import Told, told_of
+from tailbeat.learning.convergence import Score, best_of, comparable, score_of
+from tailbeat.learning.saturation import at_limit, saturation_of
+from tailbeat.learning.verdict import scores_of
+from tailbeat.link.messages import SIMULATED_FISH
 
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
-    from tailbeat.model.identified import Identified
+    from tailbeat.learning.identification import Identified
 
 Floats = NDArray[np.float64]
 
@@ -325,7 +324,7 @@ def _longest(experiment: Experiment) -> list[tuple[Path, list[str]]]:
 
 def _identified(experiment: Experiment, problems: list[str]) -> Identified | None:
     """The last one: a fish may be identified anew on the way."""
-    from tailbeat.model.identified import Identified
+    from tailbeat.learning.identification import Identified
 
     told = [str(entry.get("file", "")) for entry in experiment.journal.entries("identified")]
     name = Path(told[-1]).name if told else "identified.json"
@@ -369,8 +368,8 @@ def _is_of(
         return False
     if identified is None or identified.source != "runs":
         return True
-    from tailbeat.model.provenance import swim_crc
-    from tailbeat.model.swim import swim_of
+    from tailbeat.learning.fish_model import swim_of
+    from tailbeat.learning.model_law import swim_crc
 
     return swim_crc(swim_of(trial)) not in {swim_crc(swim) for swim in identified.swims}
 
@@ -570,7 +569,8 @@ def _floor(
     identified: Identified | None, settings: Mapping[str, Any], held: Reference, limit: float
 ) -> tuple[float, float, str]:
     """(smallest max|e|, max|e| of the least-squares input, of what)."""
-    from tailbeat.floor import floor, plant_config
+    from tailbeat.learning.error_bound import floor
+    from tailbeat.learning.error_bound_solve import plant_config
 
     simulator = settings.get("simulator")
     if identified is not None:

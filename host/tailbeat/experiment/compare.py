@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.verdict import best_of, judge_all, score_of
+from tailbeat.core.errors import InputError
+from tailbeat.learning.convergence import best_of, judge_all, score_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

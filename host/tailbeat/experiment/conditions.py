@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.errors import InputError
+from tailbeat.core.errors import InputError
 
 if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment

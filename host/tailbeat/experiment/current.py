@@ -1,22 +1,36 @@
-"""Which experiment a fish is in: what 'trial run' adds to when no folder is named."""
+"""Which experiment a fish is in: what 'trial run' adds to when no folder is named.
+
+Which parameters a board is meant to have: what its experiment had last, what was set since.
+
+Everything else is lost (a battery swap takes what was not saved) or somebody else's doing. A swim
+would go on with it, and the law learn by it, without a word: so it is told first.
+
+An experiment knows its own in its journal and its copy of the board's state. Before there is one,
+and between two, the fish's logbook does: ``meant.json``, what commands have set on this board.
+
+A second ``experiment new`` before anything was swum in the first.
+"""
 
 from __future__ import annotations
 
 import json
+import struct
+from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.errors import InputError
-from tailbeat.experiment.board import held_state
+from tailbeat.core.errors import InputError
+from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import logbook_of
 from tailbeat.experiment.redo import write_redo
-from tailbeat.faults import NO_REFERENCE, refusal
-from tailbeat.simulatorsettings import simulator_settings
+from tailbeat.sim.settings import simulator_settings
 
 if TYPE_CHECKING:
-    from tailbeat.fish import Fish
-    from tailbeat.reference import Reference
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.reference import Reference
 
 _CURRENT = "experiment.json"
 _IDENTIFIED = "identified.json"
@@ -27,7 +41,7 @@ Conditions = dict[str, str | float]
 
 def current(fish: Fish) -> Experiment | None:
     """The one last made or used with this fish, if its folder is still there; from its logbook."""
-    from tailbeat.logbook import logbook_of
+    from tailbeat.experiment.library import logbook_of
 
     if (book := logbook_of(fish)) is None:
         return None
@@ -49,7 +63,7 @@ def swims_for(fish: Fish) -> Experiment | None:
 
 def use(fish: Fish, experiment: Experiment) -> None:
     """Makes it the current one. Does nothing for a board without a logbook."""
-    from tailbeat.logbook import logbook_of
+    from tailbeat.experiment.library import logbook_of
 
     if (book := logbook_of(fish)) is None:
         return
@@ -92,7 +106,7 @@ def require_same(fish: Fish, experiment: Experiment) -> None:
 def require_own(fish: Fish) -> None:
     """Raises InputError when the board still holds the reference of a run that was broken off:
     what it swam along that would be learned as if it were the fish's own."""
-    from tailbeat.model.lent import broken_off
+    from tailbeat.board.loan import broken_off
 
     if (puts_back := broken_off(fish)) is not None:
         raise InputError(
@@ -111,7 +125,7 @@ def reference_of(experiment: Experiment) -> bytes | None:
 
 def reference_crc(experiment: Experiment) -> int | None:
     """Of ``reference_of``."""
-    from tailbeat.records import record_crc
+    from tailbeat.core.records import record_crc
 
     record = reference_of(experiment)
     return None if record is None else record_crc(record)
@@ -133,7 +147,7 @@ def begin(
 def own_reference(fish: Fish) -> Reference:
     """The board's reference, with its name. Raises Refused without one, InputError with one that is
     not its own (``require_own``)."""
-    from tailbeat.boardreference import board_reference
+    from tailbeat.board.fish import board_reference
 
     require_own(fish)
     if (held := board_reference(fish)) is None:
@@ -151,8 +165,8 @@ def make(
 ) -> Experiment:
     """As ``begin``, of a reference that the board may get later. ``words``: what else is to be set:
     operator, configuration. Raises InputError when the board is not as it was set last."""
-    from tailbeat.experiment.meant import note_board, require_as_set
-    from tailbeat.laws import Law, Past
+    pass
+    from tailbeat.core.law import Law, Past
 
     require_as_set(fish)
     info = fish.info()
@@ -184,7 +198,7 @@ def make(
 
 
 def _copy_identified(fish: Fish, experiment: Experiment) -> None:
-    from tailbeat.logbook import logbook_of
+    from tailbeat.experiment.library import logbook_of
 
     book = logbook_of(fish)
     if book is not None and (path := book.folder / _IDENTIFIED).is_file():
@@ -193,8 +207,8 @@ def _copy_identified(fish: Fish, experiment: Experiment) -> None:
 
 def _named(fish: Fish, held: Reference) -> Reference:
     """A board knows no names: the logbook does, and the thesis's is known by its CRC."""
-    from tailbeat.logbook import logbook_of
-    from tailbeat.reference import Reference, thesis
+    from tailbeat.core.reference import Reference, thesis
+    from tailbeat.experiment.library import logbook_of
 
     book, usual = logbook_of(fish), thesis()
     name = book.reference_name(held.crc) if book is not None else None
@@ -207,3 +221,156 @@ def _name_before(fish: Fish) -> str | None:
     """What the fish was called in the experiment it was in."""
     before = current(fish)
     return str(before.settings().get("fish", "")) or None if before is not None else None
+
+
+Strayed = dict[str, tuple[float, float]]
+"""Parameters that are not as they are meant to be: (what the board has, what is meant)."""
+
+_MEANT = "meant.json"
+_NAMED_MAX = 3
+_OFF = "it was switched off, or somebody else has set it"
+_REMEDY = (
+    "To give it back, as after a battery swap: tailbeat session resume. If it is meant so:"
+    " tailbeat params save"
+)
+
+
+def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | None = None) -> None:
+    """What was set on purpose, into the logbook and into ``experiment``, by default the one the
+    fish swims for. Raises InputError (disk full); the board then counts as strayed."""
+    note_board(fish, params)
+    if (experiment := experiment or swims_for(fish)) is None:
+        return
+    known = expected_params(experiment)
+    new = {n: v for n, v in params.items() if n not in known or not same(known[n], v)}
+    if new:
+        experiment.journal.add("set", params=new)
+        set_held_params(experiment, new)
+
+
+def note_board(fish: Fish, params: Mapping[str, float]) -> None:
+    """What the board is meant to have, into the logbook alone. Does nothing for a board without
+    one. Raises InputError."""
+    if (book := logbook_of(fish)) is not None:
+        with book.changing():
+            book.put(_MEANT, _board_params(fish) | dict(params))
+
+
+def note_all(fish: Fish) -> None:
+    """Whatever the board has now was set on purpose."""
+    note_set(fish, _values(fish))
+
+
+def note_restored(fish: Fish) -> None:
+    """The board has what it is meant to have again: the logbook follows. Raises InputError."""
+    note_board(fish, _values(fish))
+
+
+def strayed(fish: Fish, experiment: Experiment | None) -> Strayed:
+    """From what ``experiment`` had, or without one from what was set. What only one of the two
+    knows is another firmware's."""
+    wanted = _board_params(fish) if experiment is None else expected_params(experiment)
+    now = _values(fish)
+    return {
+        name: (now[name], value)
+        for name, value in wanted.items()
+        if name in now and not same(now[name], value)
+    }
+
+
+def require_meant(fish: Fish, experiment: Experiment) -> None:
+    """Raises InputError when the board's parameters are not as ``experiment`` had them."""
+    if not (found := strayed(fish, experiment)):
+        return
+    known = _board_params(fish)
+    if all(name in known and same(known[name], now) for name, (now, _) in found.items()):
+        raise InputError(
+            f"the board is set for another experiment than {experiment.name} ({_words(found)}).",
+            f"To go on with what {experiment.name} had: tailbeat session resume. With what the"
+            " board has: tailbeat params save",
+        )
+    raise InputError(
+        f"the board is not as {experiment.name} last had it ({_words(found)}): {_OFF}.", _REMEDY
+    )
+
+
+def require_as_set(fish: Fish) -> None:
+    """Raises InputError when the board's parameters are not as commands have set them; for a board
+    that swims for no experiment yet."""
+    if found := strayed(fish, None):
+        raise InputError(f"the board is not as it was set last ({_words(found)}): {_OFF}.", _REMEDY)
+
+
+def require_meant_here(fish: Fish) -> None:
+    """As ``require_meant``, in the experiment the fish swims for, or ``require_as_set``."""
+    if (experiment := swims_for(fish)) is not None:
+        require_meant(fish, experiment)
+    else:
+        require_as_set(fish)
+
+
+def accept(fish: Fish) -> Strayed:
+    """Whatever the board has is meant so from now on; what had strayed."""
+    found = strayed(fish, swims_for(fish))
+    note_all(fish)
+    return found
+
+
+def same(value: float, other: float) -> bool:
+    """As a board holds them."""
+    return struct.pack("<f", value) == struct.pack("<f", other)
+
+
+def _values(fish: Fish) -> dict[str, float]:
+    return {name: p.value for name, p in fish.params.list().items()}
+
+
+def _words(found: Strayed) -> str:
+    words = [f"{name} is {now:g}, was {was:g}" for name, (now, was) in found.items()]
+    if len(words) > _NAMED_MAX:
+        words = [*words[:_NAMED_MAX], f"{len(words) - _NAMED_MAX} more"]
+    return ", ".join(words)
+
+
+def _board_params(fish: Fish) -> dict[str, float]:
+    """As the logbook has them; empty = nothing was set. Raises InputError when it is damaged."""
+    book = logbook_of(fish)
+    if book is None or not (path := book.folder / _MEANT).is_file():
+        return {}
+    try:
+        held = json.loads(path.read_bytes())
+        return {str(name): float(value) for name, value in held.items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path} is damaged: nobody knows how the board was set.",
+            "Look at its parameters (tailbeat params list), then delete the file.",
+        ) from error
+
+
+def untouched(experiment: Experiment) -> bool:
+    """Nothing was swum in it, noted or set: only what making it has put there."""
+    if any(experiment.raw.glob("*.ulg")):
+        return False
+    return {entry["what"] for entry in experiment.journal.entries()} <= {"made", "opened"}
+
+
+def made_before(
+    fish: Fish, root: Path, reference: Reference, wanted: dict[str, Any]
+) -> Experiment | None:
+    """The experiment the fish is in, when it is untouched, in ``root``, of this reference and the
+    board's parameters, and no setting of ``wanted`` differs: there is nothing to make. Raises
+    InputError when only those differ: what was mistyped is mended, and no empty folder is left."""
+    found = current(fish)
+    if found is None or found.folder.resolve().parent != root.resolve():
+        return None
+    if reference_crc(found) != reference.crc or not untouched(found):
+        return None
+    held = found.settings()
+    if held.get("params") != {key: param.value for key, param in fish.params.list().items()}:
+        return None
+    if all(held.get(key) == value for key, value in wanted.items()):
+        return found
+    raise InputError(
+        f"nothing was swum yet in {found.folder}, with other settings.",
+        f"Mend those: tailbeat experiment set {found.folder} ...; for one beside it: --another",
+    )

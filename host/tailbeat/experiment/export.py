@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tailbeat.beatcsv import spreadsheet_text
-from tailbeat.errors import InputError
+from tailbeat.core.csv import spreadsheet_text
+from tailbeat.core.errors import InputError
+from tailbeat.core.extras import is_installed, need, remedy
+from tailbeat.core.files import write_whole
+from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.analysis import analyse, round_to
 from tailbeat.experiment.folder import Experiment
-from tailbeat.extras import is_installed, need, remedy
-from tailbeat.lasting import write_whole
-from tailbeat.trial_log import Trial
 
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import Analysis, TrialRow

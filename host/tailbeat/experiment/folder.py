@@ -3,6 +3,8 @@
 ``DATE_fish_reference_law_NN/`` with ``raw/`` (what came from the board, read-only, listed in
 ``raw/SHA256SUMS`` as ``sha256sum -c`` reads it), ``notes.md``, ``settings.json`` and
 ``journal.jsonl``; docs/experiment-folder.md says what else may lie in it.
+
+One program at a time swims in an experiment; the system lets go when that program dies.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import re
 import shutil
 import sys
@@ -19,11 +22,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tailbeat.errors import InputError, reason
+from tailbeat.core.errors import InputError, reason
+from tailbeat.core.files import MAKE_ROOM, TEMPORARY, write_whole
+from tailbeat.core.locks import WRITE_LOCK, locked, try_lock
+from tailbeat.core.trial_file import Trial, parse_trial, read_trial
 from tailbeat.experiment.journal import Journal
-from tailbeat.filelock import WRITE_LOCK, locked
-from tailbeat.lasting import MAKE_ROOM, TEMPORARY, write_whole
-from tailbeat.trial_log import Trial, parse_trial, read_trial
 
 _SETTINGS = "settings.json"
 
@@ -366,3 +369,25 @@ def _tool() -> dict[str, str]:
     except PackageNotFoundError:
         tailbeat = "unknown"
     return {"tailbeat": tailbeat, "python": sys.version.split()[0]}
+
+
+LOCK = ".lock"
+
+
+@contextlib.contextmanager
+def alone(experiment: Experiment) -> Iterator[None]:
+    """For the length of a block. Raises InputError when another program is in one."""
+    path = experiment.folder / LOCK
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        raise InputError(f"cannot make {path} ({reason(error)}).", MAKE_ROOM) from error
+    try:
+        if not try_lock(descriptor):
+            raise InputError(
+                f"another program swims in {experiment.name}.",
+                "Go on there, at its terminal or its page; or end it, then begin again.",
+            )
+        yield
+    finally:
+        os.close(descriptor)

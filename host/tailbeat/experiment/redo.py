@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.lasting import MAKE_ROOM, write_whole
+from tailbeat.core.files import MAKE_ROOM, write_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -89,7 +89,7 @@ def _before(settings: Mapping[str, Any]) -> Iterator[str]:
 
 def _simulator(settings: Mapping[str, Any]) -> list[str]:
     """The command that makes the fish: one in the tool itself is new in every command."""
-    from tailbeat.transport.world import PLANTS, config_values, make_config
+    from tailbeat.sim.world import PLANTS, config_values, make_config
 
     plant, seed = str(settings["plant"]), settings.get("seed", 1)
     words = ["tailbeat", "sim", "--plant", plant, "--seed", str(seed)]
@@ -112,7 +112,7 @@ def _new(settings: Mapping[str, Any]) -> list[str]:
 
 
 def _changed(params: Mapping[str, float]) -> dict[str, float]:
-    from tailbeat._native import ffi, lib
+    from tailbeat.core.native import ffi, lib
 
     fresh = ffi.new("params_t *")
     lib.params_reset(fresh)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat import laws
-from tailbeat._native import ffi, lib
-from tailbeat.records import decode_learned
+from tailbeat.core import law as laws
+from tailbeat.core.native import ffi, lib
+from tailbeat.core.records import decode_learned
 
 if TYPE_CHECKING:
+    from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.analysis import Analysis, TrialRow
-    from tailbeat.experiment.board import BoardState
-    from tailbeat.trial_log import Trial
+    from tailbeat.experiment.board_state import BoardState
 
 Floats = NDArray[np.float32]
 

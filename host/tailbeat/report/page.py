@@ -11,7 +11,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.experiment.conditions import WATER_TEMPERATURE
-from tailbeat.report.figures.style import PAGE, SIMULATED, freedom_words, mm, simulated_mark
+from tailbeat.report.style import PAGE, SIMULATED, freedom_words, mm, simulated_mark
 
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import Analysis, TrialRow

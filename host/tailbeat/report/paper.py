@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.errors import InputError, reason
+from tailbeat.core.errors import InputError, reason
 from tailbeat.experiment.analysis import round_to
 
 if TYPE_CHECKING:
@@ -79,11 +79,10 @@ class _Options:
 def _write(
     experiment: Experiment, analyses: Sequence[Analysis], folder: Path, options: _Options
 ) -> Written:
-    from tailbeat.experiment.replay import MADE
-    from tailbeat.lasting import write_whole
-    from tailbeat.plain import canonical
-    from tailbeat.report.figures.style import simulated_mark
+    from tailbeat.core.files import canonical, write_whole
     from tailbeat.report.page import material, page
+    from tailbeat.report.replay import MADE
+    from tailbeat.report.style import simulated_mark
 
     folder.mkdir(parents=True, exist_ok=True)
     beside = experiment.folder if options.in_place else folder
@@ -113,8 +112,8 @@ def draw_all(analyses: Sequence[Analysis]) -> list[Drawing]:
     """The figures there are of these; a comparison takes two."""
     from importlib import import_module
 
-    from tailbeat.report.figures.style import PAGE, PAPER, written
     from tailbeat.report.page import Picture
+    from tailbeat.report.style import PAGE, PAPER, written
 
     drawings = []
     for name in FIGURES if len(analyses) > 1 else FIGURES[:-1]:
@@ -135,7 +134,7 @@ def _remove_comparison(folder: Path) -> None:
 
 def _told(experiment: Experiment, options: _Options) -> dict[str, Any]:
     """Where the others lie seen from this experiment, so that a copy of all of them replays."""
-    from tailbeat.experiment.replay import made_with
+    from tailbeat.report.replay import made_with
 
     others = [Path(os.path.relpath(one.folder, experiment.folder)) for one in options.against]
     against = [other.as_posix() for other in others]
@@ -157,8 +156,8 @@ def require_one_reference(analyses: Sequence[Analysis]) -> None:
 
 def _paper_figures(drawings: Sequence[Drawing], mark: str, folder: Path) -> list[Path]:
     """``mark``: what the captions say of simulated fish."""
-    from tailbeat.lasting import write_whole
-    from tailbeat.report.figures.style import written
+    from tailbeat.core.files import write_whole
+    from tailbeat.report.style import written
 
     paths, captions = [], []
     for drawing in drawings:
@@ -189,8 +188,8 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
     count."""
     import csv
 
+    from tailbeat.core.files import replacing_text
     from tailbeat.experiment.compare import compare
-    from tailbeat.lasting import replacing_text
 
     rows: list[list[Any]] = []
     for other in analyses[1:]:
@@ -209,7 +208,7 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
 
 
 def _cell(value: Any) -> Any:
-    from tailbeat.beatcsv import spreadsheet_text
+    from tailbeat.core.csv import spreadsheet_text
 
     return spreadsheet_text(value) if isinstance(value, str) else value
 

@@ -14,18 +14,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.thesis import picture
-from tailbeat.thesis.chapter2 import claims as chapter2_claims
-from tailbeat.thesis.chapter2 import examples as chapter2
-from tailbeat.thesis.chapter2 import figures as chapter2_figures
-from tailbeat.thesis.chapter2 import tasks as average
-from tailbeat.thesis.chapter2.plants import WANTED
-from tailbeat.thesis.chapter2.tasks import EXAMPLE1, EXAMPLE1_N30, EXAMPLE2, SUBSTITUTE
-from tailbeat.thesis.conditions import reached_probability
-from tailbeat.thesis.cut import first_within, stays_within
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Example, Run
-from tailbeat.thesis.options import Options
+from tailbeat.core.errors import InputError
+from tailbeat.studies.thesis import picture
+from tailbeat.studies.thesis.chapter2 import claims as chapter2_claims
+from tailbeat.studies.thesis.chapter2 import examples as chapter2
+from tailbeat.studies.thesis.chapter2 import figures as chapter2_figures
+from tailbeat.studies.thesis.chapter2 import plants as average
+from tailbeat.studies.thesis.chapter2.plants import (
+    EXAMPLE1,
+    EXAMPLE1_N30,
+    EXAMPLE2,
+    SUBSTITUTE,
+    WANTED,
+)
+from tailbeat.studies.thesis.conditions import reached_probability
+from tailbeat.studies.thesis.cut import first_within, stays_within
+from tailbeat.studies.thesis.example import (
+    COMES_OUT,
+    DOES_NOT,
+    UNDER_A_READING,
+    Example,
+    Options,
+    Run,
+)
 
 EXAMPLES = {example.id: example for example in chapter2.EXAMPLES}
 SEEDS, GOLDEN_SEEDS = 60, 400

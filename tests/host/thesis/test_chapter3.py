@@ -10,17 +10,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.errors import InputError
-from tailbeat.thesis import picture
-from tailbeat.thesis.chapter3 import claims as chapter3_claims
-from tailbeat.thesis.chapter3 import examples as chapter3
-from tailbeat.thesis.chapter3 import figures as chapter3_figures
-from tailbeat.thesis.chapter3.plants import fish_rate_printed, fish_wanted_input
-from tailbeat.thesis.chapter3.tasks import EXAMPLE1, FISH, Moving
-from tailbeat.thesis.conditions import beta_bounds, normal_reached, rho_least, window_contraction
-from tailbeat.thesis.cut import swim
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Example, Run
-from tailbeat.thesis.options import Options
+from tailbeat.core.errors import InputError
+from tailbeat.studies.thesis import picture
+from tailbeat.studies.thesis.chapter3 import claims as chapter3_claims
+from tailbeat.studies.thesis.chapter3 import examples as chapter3
+from tailbeat.studies.thesis.chapter3 import figures as chapter3_figures
+from tailbeat.studies.thesis.chapter3.plants import (
+    EXAMPLE1,
+    FISH,
+    Moving,
+    fish_rate_printed,
+    fish_wanted_input,
+)
+from tailbeat.studies.thesis.conditions import (
+    beta_bounds,
+    normal_reached,
+    rho_least,
+    window_contraction,
+)
+from tailbeat.studies.thesis.cut import swim
+from tailbeat.studies.thesis.example import (
+    COMES_OUT,
+    DOES_NOT,
+    UNDER_A_READING,
+    Example,
+    Options,
+    Run,
+)
 
 EXAMPLES = {example.id: example for example in chapter3.EXAMPLES}
 SEEDS, GOLDEN_SEEDS = 100, 200

@@ -13,15 +13,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.thesis.chapter4 import claims
-from tailbeat.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
-from tailbeat.thesis.chapter4.examples import EXAMPLES
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example, Run
-from tailbeat.thesis.feedback import Chapter4, Grid, Scheme, Trials, run_trials
-from tailbeat.thesis.native import Precision
-from tailbeat.thesis.options import Options
-from tailbeat.thesis.study import CachedStudy
+from tailbeat.core.errors import InputError
+from tailbeat.studies.thesis.chapter4 import claims
+from tailbeat.studies.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
+from tailbeat.studies.thesis.chapter4.examples import EXAMPLES
+from tailbeat.studies.thesis.example import (
+    COMES_OUT,
+    DOES_NOT,
+    UNDER_A_READING,
+    Claim,
+    Example,
+    Options,
+    Run,
+)
+from tailbeat.studies.thesis.feedback import Chapter4, Grid, Scheme, Trials, run_trials
+from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.study import CachedStudy
 
 Doubles = NDArray[np.float64]
 Slope = Callable[[float, Doubles], Doubles]

@@ -12,16 +12,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.thesis.chapter4.claims import grows
-from tailbeat.thesis.chapter5 import claims
-from tailbeat.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2
-from tailbeat.thesis.chapter5.examples import EXAMPLES
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Example, Run
-from tailbeat.thesis.feedback import Chapter5, Grid, run_trials
-from tailbeat.thesis.native import Precision
-from tailbeat.thesis.options import Options
-from tailbeat.thesis.study import CachedStudy
+from tailbeat.core.errors import InputError
+from tailbeat.studies.thesis.chapter4.claims import grows
+from tailbeat.studies.thesis.chapter5 import claims
+from tailbeat.studies.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2
+from tailbeat.studies.thesis.chapter5.examples import EXAMPLES
+from tailbeat.studies.thesis.example import (
+    COMES_OUT,
+    DOES_NOT,
+    UNDER_A_READING,
+    Example,
+    Options,
+    Run,
+)
+from tailbeat.studies.thesis.feedback import Chapter5, Grid, run_trials
+from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.study import CachedStudy
 
 Doubles = NDArray[np.float64]
 

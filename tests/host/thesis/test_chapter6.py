@@ -12,18 +12,24 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from tailbeat.errors import InputError
-from tailbeat.onethread import one_thread
-from tailbeat.thesis.chapter6 import examples as chapter6
-from tailbeat.thesis.chapter6 import frequency
-from tailbeat.thesis.chapter6 import task as rod
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, VERDICTS, Claim
-from tailbeat.thesis.heat import CHAPTER6, HeatPlant, Scheme, reference, times
-from tailbeat.thesis.heat_trials import learn, slope, zero_phase
-from tailbeat.thesis.learner import LearnerConfig
-from tailbeat.thesis.native import Precision
-from tailbeat.thesis.options import Options
-from tailbeat.thesis.study import CachedStudy
+from tailbeat.core.errors import InputError
+from tailbeat.core.parallel import one_thread
+from tailbeat.studies.thesis.chapter6 import examples as chapter6
+from tailbeat.studies.thesis.chapter6 import plants
+from tailbeat.studies.thesis.chapter6 import plants as rod
+from tailbeat.studies.thesis.example import (
+    COMES_OUT,
+    DOES_NOT,
+    UNDER_A_READING,
+    VERDICTS,
+    Claim,
+    Options,
+)
+from tailbeat.studies.thesis.heat import CHAPTER6, HeatPlant, Scheme, reference, times
+from tailbeat.studies.thesis.heat_trials import learn, slope, zero_phase
+from tailbeat.studies.thesis.learner import LearnerConfig
+from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.study import CachedStudy
 
 (EXAMPLE,) = chapter6.EXAMPLES
 PRECISIONS = get_args(Precision)
@@ -254,43 +260,43 @@ def test_the_filter() -> None:
 
 def test_frequencies() -> None:
     omega, wide = np.linspace(0, 10, 10_001), np.linspace(0, 300, 60_001)
-    assert frequency.cut_off(20, 0.01, 2) == pytest.approx(10.03, abs=0.005)
-    assert frequency.cut_off(20, 0.01, 1) == pytest.approx(13.93, abs=0.005)
-    assert frequency.best_rho(frequency.modelled, 0.01)[0] == pytest.approx(2.84033, abs=1e-5)
-    assert frequency.best_rho(frequency.rod, 0.01)[0] == pytest.approx(1, abs=1e-5)
-    by_model = frequency.best_rho(frequency.modelled, omega)
+    assert plants.cut_off(20, 0.01, 2) == pytest.approx(10.03, abs=0.005)
+    assert plants.cut_off(20, 0.01, 1) == pytest.approx(13.93, abs=0.005)
+    assert plants.best_rho(plants.modelled, 0.01)[0] == pytest.approx(2.84033, abs=1e-5)
+    assert plants.best_rho(plants.rod, 0.01)[0] == pytest.approx(1, abs=1e-5)
+    by_model = plants.best_rho(plants.modelled, omega)
     assert by_model == pytest.approx((2.05252, 0.66767), abs=1e-5)
-    unrounded = frequency.modelled_unrounded
-    assert frequency.best_rho(unrounded, 0.01)[0] == pytest.approx(2.84157, abs=1e-5)
-    assert frequency.best_rho(unrounded, omega) == pytest.approx((2.05317, 0.66778), abs=1e-5)
-    assert frequency.widest_band(0.01) == pytest.approx(11.187, abs=5e-4)
-    assert frequency.best_rho(frequency.rod, omega) == pytest.approx((0.19406, 0.99141), rel=1e-4)
-    with_q = frequency.best_rho(frequency.rod, wide, frequency.zero_phase(wide, 20, 0.01))
+    unrounded = plants.modelled_unrounded
+    assert plants.best_rho(unrounded, 0.01)[0] == pytest.approx(2.84157, abs=1e-5)
+    assert plants.best_rho(unrounded, omega) == pytest.approx((2.05317, 0.66778), abs=1e-5)
+    assert plants.widest_band(0.01) == pytest.approx(11.187, abs=5e-4)
+    assert plants.best_rho(plants.rod, omega) == pytest.approx((0.19406, 0.99141), rel=1e-4)
+    with_q = plants.best_rho(plants.rod, wide, plants.zero_phase_frequency(wide, 20, 0.01))
     assert with_q == pytest.approx((0.5088, 0.7507), rel=1e-3)
-    assert frequency.left_over(frequency.rod, 0.7444, omega) == pytest.approx(1.0585, abs=5e-5)
+    assert plants.left_over(plants.rod, 0.7444, omega) == pytest.approx(1.0585, abs=5e-5)
     narrow = np.linspace(0, 5.567, 4001)
-    assert frequency.best_rho(frequency.rod, narrow)[0] == pytest.approx(0.7444, rel=1e-3)
+    assert plants.best_rho(plants.rod, narrow)[0] == pytest.approx(0.7444, rel=1e-3)
 
 
 def test_the_half_differentiator() -> None:
     at = np.array([1.0, 5.0, 10.0, 20.0, 100.0, 250.0])
     true = np.sqrt(1j * at)
-    off = np.abs(frequency.half_differentiator(at) / true - 1)
+    off = np.abs(plants.half_differentiator(at) / true - 1)
     assert off == pytest.approx([2.13, 0.70, 0.40, 0.22, 0.10, 0.49], abs=0.025)
-    assert abs(frequency.half_differentiator(0.0)[0]) == pytest.approx(5.302 / 1.925, rel=1e-6)
-    assert abs(frequency.modelled(0.0)[0]) == pytest.approx(0.352, abs=5e-4)
-    over, under = frequency.half_differentiator_coefficients()
+    assert abs(plants.half_differentiator(0.0)[0]) == pytest.approx(5.302 / 1.925, rel=1e-6)
+    assert abs(plants.modelled(0.0)[0]) == pytest.approx(0.352, abs=5e-4)
+    over, under = plants.half_differentiator_coefficients()
     assert over == pytest.approx([1, -0.5, 0.1, -0.175, 0.05, -0.1])
     assert under == pytest.approx(np.abs(over))
-    assert np.sqrt(200) * over == pytest.approx(frequency.PRINTED_OVER, rel=2.5e-4)
-    assert under == pytest.approx(frequency.PRINTED_UNDER)
+    assert np.sqrt(200) * over == pytest.approx(plants.PRINTED_OVER, rel=2.5e-4)
+    assert under == pytest.approx(plants.PRINTED_UNDER)
 
 
 def test_what_acts_at_the_ends_and_inside() -> None:
     """Lemma 6.1 against closed forms, and, as printed, against the slips that it leads to."""
     s, x = 0.7 - 2.1j, 0.3
     r = np.sqrt(s)
-    ends = frequency.from_the_ends(x, s)
+    ends = plants.from_the_ends(x, s)
     hyperbolic = np.sinh(r)
     wanted = [
         [-np.cosh(r * (1 - x)) / (r * hyperbolic), np.cosh(r * x) / (r * hyperbolic)],
@@ -298,16 +304,16 @@ def test_what_acts_at_the_ends_and_inside() -> None:
     ]
     assert ends.ravel() == pytest.approx(np.ravel(wanted), rel=1e-12)
     assert expm(np.array([[0, 1], [s, 0]]) * x).ravel() == pytest.approx(
-        frequency.along(x, s).ravel(), rel=1e-12
+        plants.along(x, s).ravel(), rel=1e-12
     )
-    printed = frequency.from_the_ends(x, s, frequency.along_printed)
+    printed = plants.from_the_ends(x, s, plants.along_printed)
     assert printed[:, 0] == pytest.approx([-np.exp(-r * x) / r, 0], abs=1e-12)
-    kernel = frequency.from_inside(0.0, x, s)[0, 1]
+    kernel = plants.from_inside(0.0, x, s)[0, 1]
     assert kernel == pytest.approx(-np.cosh(r * (1 - x)) / (r * hyperbolic), rel=1e-12)
-    kernel = frequency.from_inside(0.0, x, s, frequency.along_printed)[0, 1]
+    kernel = plants.from_inside(0.0, x, s, plants.along_printed)[0, 1]
     assert kernel == pytest.approx(-np.sinh(r * (1 - x)) / (r * hyperbolic), rel=1e-12)
-    assert max(frequency.off_at_the_ends(s)) < 1e-4 and frequency.off_inside(s) < 1e-6
-    assert min(frequency.off_at_the_ends(s, frequency.along_printed)) > 0.1
+    assert max(plants.off_at_the_ends(s)) < 1e-4 and plants.off_inside(s) < 1e-6
+    assert min(plants.off_at_the_ends(s, plants.along_printed)) > 0.1
 
 
 @cache
@@ -350,8 +356,8 @@ def test_a_verdict_follows_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> 
     """With another gain, and the right exp(Fx), the same claims read otherwise."""
     good = rod.law
     monkeypatch.setattr(rod, "law", lambda step=0.01, rho=2.839, q_len=None: good(step, rho, q_len))
-    monkeypatch.setattr(frequency, "along_printed", frequency.along)
-    monkeypatch.setattr(frequency, "PRINTED_OVER", (20.0, *frequency.PRINTED_OVER[1:]))
+    monkeypatch.setattr(plants, "along_printed", plants.along)
+    monkeypatch.setattr(plants, "PRINTED_OVER", (20.0, *plants.PRINTED_OVER[1:]))
     found = {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, Options()))}
     assert found["it is 0.0371 within 7 iterations"].verdict == DOES_NOT
     assert found["each trial shrinks the error"].verdict == DOES_NOT

@@ -13,28 +13,34 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tailbeat.errors import InputError
-from tailbeat.onethread import one_thread
-from tailbeat.thesis.advection import AdvectionPlant, PlantFailed, Uptake
-from tailbeat.thesis.chapter7 import claims as judging
-from tailbeat.thesis.chapter7 import examples as chapter7
-from tailbeat.thesis.chapter7 import task as anticipatory
-from tailbeat.thesis.chapter7.task import BY_TIME, DELTAS, STEADY
-from tailbeat.thesis.chapter7.theta import gain_for, promised, theta
-from tailbeat.thesis.example import (
+from tailbeat.core.errors import InputError
+from tailbeat.core.parallel import one_thread
+from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant, PlantFailed, Uptake
+from tailbeat.studies.thesis.chapter7 import claims as judging
+from tailbeat.studies.thesis.chapter7 import examples as chapter7
+from tailbeat.studies.thesis.chapter7 import plants as anticipatory
+from tailbeat.studies.thesis.chapter7.plants import (
+    BY_TIME,
+    DELTAS,
+    STEADY,
+    gain_for,
+    promised,
+    theta,
+)
+from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
     UNDER_A_READING,
     VERDICTS,
     Claim,
     Example,
+    Options,
     Run,
 )
-from tailbeat.thesis.heat import CHAPTER7, HeatPlant, reference, times
-from tailbeat.thesis.heat_trials import learn
-from tailbeat.thesis.native import Precision
-from tailbeat.thesis.options import Options
-from tailbeat.thesis.study import CachedStudy
+from tailbeat.studies.thesis.heat import CHAPTER7, HeatPlant, reference, times
+from tailbeat.studies.thesis.heat_trials import learn
+from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.study import CachedStudy
 
 PRINTED, HEAT = chapter7.EXAMPLES
 PRECISIONS = get_args(Precision)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.floorplant import plant_beats
-from tailbeat.reference import thesis
-from tailbeat.thesis.chapter8 import claims as fishclaims
-from tailbeat.thesis.chapter8 import fish as fish_module
-from tailbeat.thesis.chapter8.examples import EXAMPLES, draw
-from tailbeat.thesis.chapter8.fish import (
+from tailbeat.core.errors import InputError
+from tailbeat.core.reference import thesis
+from tailbeat.learning.error_bound_solve import plant_beats
+from tailbeat.studies.thesis.chapter8 import claims as fishclaims
+from tailbeat.studies.thesis.chapter8 import plants as fish_module
+from tailbeat.studies.thesis.chapter8.examples import EXAMPLES, draw
+from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
     Fish,
@@ -25,10 +25,17 @@ from tailbeat.thesis.chapter8.fish import (
     trials,
     wanted_beats,
 )
-from tailbeat.thesis.example import COMES_OUT, DOES_NOT, UNDER_A_READING, Claim, Example, Run
-from tailbeat.thesis.native import Precision
-from tailbeat.thesis.options import Options
-from tailbeat.thesis.study import CachedStudy
+from tailbeat.studies.thesis.example import (
+    COMES_OUT,
+    DOES_NOT,
+    UNDER_A_READING,
+    Claim,
+    Example,
+    Options,
+    Run,
+)
+from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.study import CachedStudy
 
 Doubles = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tailbeat.thesis.learner import Learner, LearnerConfig, LearnerRefused
+from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused
 
 TRIALS = 7
 

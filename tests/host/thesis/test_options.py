@@ -13,15 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tailbeat.errors import InputError
-from tailbeat.thesis import progress
-from tailbeat.thesis.arithmetic import expression
-from tailbeat.thesis.choice import checked, choose
-from tailbeat.thesis.example import Example
-from tailbeat.thesis.examples import EXAMPLES
-from tailbeat.thesis.limits import ITERATIONS_MAX, Span, errors_beyond, last_iteration
-from tailbeat.thesis.options import Options
-from tailbeat.thesis.study import Order, compute
+from tailbeat.core.errors import InputError
+from tailbeat.studies.thesis import study
+from tailbeat.studies.thesis.arithmetic import expression
+from tailbeat.studies.thesis.example import Example, Options
+from tailbeat.studies.thesis.limits import ITERATIONS_MAX, Span, errors_beyond, last_iteration
+from tailbeat.studies.thesis.registry import EXAMPLES
+from tailbeat.studies.thesis.study import Order, checked, choose, compute
 
 BY_ID = {one.id: one for one in EXAMPLES}
 CHEAP = ("ch2-ex2-substitute", "ch3-ex1", "ch6-heat", "ch7-heat", "ch8-sim-4", "ch4-ex1",
@@ -184,7 +182,7 @@ def test_last_iteration() -> None:
 @pytest.mark.parametrize("example", CHEAP)
 def test_progress_is_told_trial_by_trial(example: str) -> None:
     told: list[float] = []
-    with progress.heard(told.append):
+    with study.heard(told.append):
         BY_ID[example].run(Options(iterations=5))
     assert len(told) >= 5 and told == sorted(told) and told[-1] == 1.0
     BY_ID[example].run(Options(iterations=1))  # nobody listens any more
@@ -239,10 +237,10 @@ def test_the_limit_of_trials_with_feedback(monkeypatch: pytest.MonkeyPatch) -> N
         peaks.append(float(np.abs(wanted).max()))
         return 0.3
 
-    monkeypatch.setattr("tailbeat.thesis.feedback.errors_beyond", low)
+    monkeypatch.setattr("tailbeat.studies.thesis.feedback.errors_beyond", low)
     run = BY_ID["ch5-case1-sign"].run(Options(iterations=4))
     assert run.diverged == 1 and len(peaks) == 1
-    monkeypatch.setattr("tailbeat.thesis.feedback.errors_beyond", lambda wanted: 0.51)
+    monkeypatch.setattr("tailbeat.studies.thesis.feedback.errors_beyond", lambda wanted: 0.51)
     assert BY_ID["ch5-case1-sign"].run(Options(iterations=4)).diverged is None
     assert 0.5 < peaks[0] < 10.0
 

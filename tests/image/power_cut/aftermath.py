@@ -8,10 +8,10 @@ from pathlib import Path
 
 from littlefs import LittleFS
 
-from tailbeat import records
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.trial_log import parse_trial
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.core.trial_file import parse_trial
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_S
 from vboard.flashlog import FlashLog
 

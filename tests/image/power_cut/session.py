@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
-from tailbeat import records
-from tailbeat.fish import Fish
-from tailbeat.transport.emulated import EmulatedBoard
-from tailbeat.transport.find import hear_board
-from tailbeat.transport.inprocess import SimTransport
+from tailbeat.board.connect import hear_board
+from tailbeat.board.fish import Fish
+from tailbeat.core import records
+from tailbeat.sim.board import SimTransport
+from tailbeat.sim.emulated import EmulatedBoard
 from vboard.flashlog import FlashLog, PageWrite
 
 SEED = 3

@@ -1,1 +1,1 @@
-"""Figures of experiments, for a page and for a paper: the same drawing code, two styles."""
+"""The figures of a report, one module each."""

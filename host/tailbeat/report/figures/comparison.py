@@ -10,18 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tailbeat.errors import InputError
+from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import student_t
 from tailbeat.experiment.compare import compare, counted
-from tailbeat.report.figures.style import (
-    LOOKS,
-    Style,
-    blank,
-    drawing,
-    earlier_words,
-    labels,
-    nothing,
-)
+from tailbeat.report.style import LOOKS, Style, blank, drawing, earlier_words, labels, nothing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

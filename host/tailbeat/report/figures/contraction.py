@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.experiment.analysis import student_t
-from tailbeat.report.figures import swims
-from tailbeat.report.figures.style import (
+from tailbeat.report import style as swims
+from tailbeat.report.style import (
     BAND,
     INK,
     LOOKS,

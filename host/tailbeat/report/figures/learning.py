@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.report.figures import swims
-from tailbeat.report.figures.style import (
+from tailbeat.report import style as swims
+from tailbeat.report.style import (
     BAND,
     GREY,
     INK,

@@ -9,24 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.report.figures.style import (
-    GREY,
-    INK,
-    Look,
-    Style,
-    blank,
-    drawing,
-    head_legend,
-    mm,
-    nothing,
-)
+from tailbeat.report.style import GREY, INK, Look, Style, blank, drawing, head_legend, mm, nothing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.analysis import Analysis, TrialRow
-    from tailbeat.trial_log import Trial
 
     Array = NDArray[np.float64]
 

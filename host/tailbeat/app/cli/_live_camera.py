@@ -1,0 +1,244 @@
+"""The camera of a live swim, from the options of ``trial run``, and what is to be told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import InputError, TailbeatError
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera
+    from tailbeat.sensors.camera.calibration.file import Calibration
+    from tailbeat.sensors.camera.marker.detector import Marker
+    from tailbeat.sensors.camera.source.film import Recorder
+    from tailbeat.sensors.camera.source.picture import PictureSource
+    from tailbeat.sensors.camera.tracking.live import VideoCamera
+    from tailbeat.sensors.camera.tracking.track import Track
+
+RENDERED = "rendered"
+LATE_MAX_S = 0.03
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """What ``trial run`` was told about its camera. ``address``: tcp:HOST:PORT (positions),
+    RENDERED, or a device; None = that of a simulated board, if it is one. ``wall_m`` None = the
+    usual zone where there are walls in the calibration."""
+
+    address: str | None
+    marker: Marker
+    calibration: Path | None
+    latency_s: float
+    video: Path | None
+    wall_m: float | None
+
+    def check(self) -> LiveOptions:
+        """Itself; what can be told before there is a fish. Raises InputError."""
+        from tailbeat.board.connect import tcp_address
+        from tailbeat.sensors.camera.calibration.file import load_calibration
+
+        if self.calibration is not None:
+            load_calibration(self.calibration)
+        positions = self.address is None or self.address.startswith("tcp:")
+        if self.address is not None and positions:
+            tcp_address(self.address)
+        if self.video is not None:
+            _require_film(self.video, positions)
+        if self.calibration is None and not positions and self.address != RENDERED:
+            raise InputError(
+                "a camera needs a calibration",
+                "Give --calibration TANK.json; make one: tailbeat camera calibrate",
+            )
+        return self
+
+
+def _require_film(film: Path, positions: bool) -> None:
+    if positions:
+        raise InputError(
+            "--video films what a camera sees, and here there are only positions",
+            "Give the camera itself: --camera DEVICE",
+        )
+    if film.exists():
+        raise InputError(f"{film} is there already", "Give --video another name.")
+
+
+@dataclass(frozen=True)
+class Live:
+    """An open camera and what goes with it. ``camera`` None = left to run_trial."""
+
+    camera: Camera | None
+    guard: Guard | None
+    video: VideoCamera | None  # the same camera when it is one that takes pictures
+    recorder: Recorder | None = None  # its film is kept once told that a trial has begun
+
+
+@contextmanager
+def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
+    """The camera for the length of a swim. Raises InputError, ConnectError."""
+    from tailbeat.sensors.camera.calibration.file import load_calibration
+
+    options.check()
+    file = options.calibration
+    known = None if file is None else load_calibration(file)
+    if options.address is None or options.address.startswith("tcp:"):
+        with _positions(fish, options) as positions:
+            yield Live(positions, _guard(fish, known, options.wall_m), None)
+        return
+    with ExitStack() as stack:
+        source, calibration = _source(fish, options, known)
+        stack.callback(source.close)
+        calibration.check_size(source.size_px, source.name)
+        recorder = None
+        if options.video is not None:
+            recorder = _recorder(options.video, source)
+            stack.callback(recorder.close)
+            if known is None:
+                calibration.save(options.video.with_suffix(".tank.json"))
+        threaded = options.address != RENDERED
+        camera = _video_camera(source, options.marker, calibration, recorder, threaded)
+        stack.callback(camera.close)
+        yield Live(camera, _guard(fish, calibration, options.wall_m), camera, recorder)
+
+
+def _recorder(film: Path, source: PictureSource) -> Recorder:
+    from tailbeat.sensors.camera.source.film import Recorder
+
+    return Recorder(film, source.size_px, source.fps)
+
+
+@contextmanager
+def _positions(fish: Fish, options: LiveOptions) -> Iterator[Camera | None]:
+    """A camera that others look through; None = that of a simulated board, if it is one."""
+    if options.address is None:
+        yield None
+        return
+    from tailbeat.board.connect import tcp_address
+    from tailbeat.sensors.camera.simulated import RemoteCamera
+
+    with closing(RemoteCamera(*tcp_address(options.address))) as camera:
+        yield camera
+
+
+def _source(
+    fish: Fish, options: LiveOptions, known: Calibration | None
+) -> tuple[PictureSource, Calibration]:
+    """A device, or the simulated fish as a camera would see it, with the true calibration unless
+    another is given."""
+    if known is not None and options.address != RENDERED:
+        from tailbeat.sensors.camera.source.device import Device
+
+        device = Device(str(options.address), known.size_px, latency_s=options.latency_s)
+        return device, known
+    from tailbeat.sensors.camera.render.source import RenderedDevice, scene_of
+    from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+
+    seen = fish.default_camera()
+    if not isinstance(seen, SimulatedCamera | RemoteCamera):
+        raise InputError("only a simulated fish can be drawn", "Start one: tailbeat sim")
+    marker, usual = options.marker, scene_of(seen)
+    scene = replace(
+        usual,
+        marker=marker.kind,
+        marker_id=usual.marker_id if marker.id is None else marker.id,
+        marker_side_m=usual.marker_side_m if marker.side_m is None else marker.side_m,
+    )
+    return RenderedDevice(seen, scene), known or scene.calibration()
+
+
+def _video_camera(
+    source: PictureSource,
+    marker: Marker,
+    calibration: Calibration,
+    recorder: Recorder | None,
+    threaded: bool,
+) -> VideoCamera:
+    from tailbeat.sensors.camera.tracking.live import VideoCamera
+    from tailbeat.sensors.camera.tracking.tracker import Tracker
+
+    tracker = Tracker(marker, calibration, source.name, glow=True)
+    return VideoCamera(source, tracker, threaded, recorder)
+
+
+def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:
+    from tailbeat.core.records import decode_reference
+    from tailbeat.session.guards import WallGuard
+
+    walls = calibration is not None and calibration.area_m is not None
+    if wall_m and not walls:
+        raise InputError(
+            "--wall needs to know where the walls are",
+            "Give a --calibration with the tank's area; make one: tailbeat camera calibrate",
+        )
+    if calibration is None or not walls:
+        return None
+    record = fish.reference_record()
+    beat_s = decode_reference(record).beat_s if record else 1.0
+    return WallGuard(calibration, wall_m, beat_s=beat_s, kappa_per_m=_kappa_per_m(fish))
+
+
+def _kappa_per_m(fish: Fish) -> float:
+    """The fish's drag: as identified, else as the board has it."""
+    from tailbeat.experiment.library import logbook_of
+
+    book = logbook_of(fish)
+    with suppress(InputError):
+        if book is not None and (identified := book.identified()) is not None:
+            return identified.model.kappa_per_m
+    return fish.params.get("MDL_KAPPA").value
+
+
+def camera_report(fish: Fish, camera: VideoCamera, trial: int) -> dict[str, float]:
+    """How a swim's camera did: pictures that should have come, those with the fish, those nobody
+    had time for; if the LED's code was seen, also how much the stamps are late (``late_s``,
+    ``late_sigma_s``)."""
+    seen = camera.track()
+    report: dict[str, float] = {
+        "pictures": len(seen.t_s),
+        "seen": int(seen.seen().sum()),
+        "dropped": camera.dropped,
+    }
+    with suppress(TailbeatError):  # no LED to be seen, or a trial's file that cannot be had
+        report |= _lateness(fish, camera, seen, trial)
+    return report
+
+
+def _lateness(fish: Fish, camera: VideoCamera, seen: Track, trial: int) -> dict[str, float]:
+    from tailbeat.core.trial_file import read_trial
+    from tailbeat.sensors.camera.sync.sync import sync_by_led
+
+    found = sync_by_led(seen, None)
+    if found.trial != trial % 256:
+        return {}
+    with TemporaryDirectory() as folder:
+        begun_s = read_trial(fish.pull_trial(trial, Path(folder))).start_us * 1e-6
+    by_board = camera.clock == "board"
+    start_s = found.start_s if by_board else fish.clock.board_s(found.start_s)
+    return {"late_s": start_s - begun_s, "late_sigma_s": found.sigma_s}
+
+
+def camera_text(report: dict[str, float]) -> str:
+    """The report in one line."""
+    line = f"camera: {report['pictures']:.0f} pictures, the fish seen in {report['seen']:.0f}"
+    line += f", {report['dropped']:.0f} dropped" if report["dropped"] else ""
+    if "late_s" in report:
+        line += f"; stamps late by {report['late_s'] * 1e3:.0f} +- "
+        line += f"{report['late_sigma_s'] * 1e3:.0f} ms"
+    return line
+
+
+def lateness_warning(report: dict[str, float], latency_s: float) -> str | None:
+    """What to do about stamps that are too late or too early to belong to their beats."""
+    late_s = report.get("late_s", 0.0)
+    if abs(late_s) <= LATE_MAX_S:
+        return None
+    side = "late" if late_s > 0 else "early"
+    return (
+        f"the pictures' stamps are {abs(late_s) * 1e3:.0f} ms {side} by the fish's LED;"
+        f" next time give --latency {latency_s + late_s:.3f}"
+    )

@@ -1,0 +1,179 @@
+"""The person at a terminal: sees what goes on, stops it with a key, decides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from tailbeat.app.cli._display import ended
+from tailbeat.app.cli._words import (
+    countdown_text,
+    decided_text,
+    learned_text,
+    link_news,
+    live_text,
+    loud,
+    step_text,
+    swum_lines,
+)
+from tailbeat.core.errors import TailbeatError
+from tailbeat.core.faults import ABORT_COMMAND, fault_info
+from tailbeat.session.collect import is_good, proposed
+from tailbeat.session.guards import BY_HAND
+from tailbeat.session.operator import Decision
+
+if TYPE_CHECKING:
+    from tailbeat.app.cli._display import Display
+    from tailbeat.app.cli._keyboard import Keys
+    from tailbeat.session.collect import Swum
+    from tailbeat.session.operator import Event
+
+_LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
+KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}
+COUNTS = {"c": ("keep", "it counts"), "d": ("discard", "discard")}  # of a repeat
+_ENTER = ("\r", "\n")
+_ESCAPE = "\x1b"
+_ABORTED = fault_info(ABORT_COMMAND).meaning
+_FIRST_STEP = "board"  # of the ritual: what was typed before it is not meant for it
+
+
+class Undecided(TailbeatError):
+    """There is nobody to say what becomes of a swim; it waits on the board."""
+
+
+class TerminalPerson:
+    """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
+    who is there and stopped the swim is asked all the same, before it is learned from. ``idle`` is
+    called again and again while a question waits. ``kinds``: letter to kind of decision and its
+    word."""
+
+    def __init__(
+        self,
+        display: Display,
+        keys: Keys | None,
+        then: Decision | None = None,
+        idle: Callable[[], None] = lambda: None,
+        kinds: Mapping[str, tuple[str, str]] = KINDS,
+    ) -> None:
+        self._kinds = kinds
+        self._display, self._keys, self._then, self._idle = display, keys, then, idle
+        self._enter_may_follow = False  # the one that many type after a letter
+        self._stopped_by_hand = False
+
+    def tell(self, event: Event) -> None:
+        """Shows it."""
+        kind, display = event["event"], self._display
+        if self._keys is not None and kind == "step" and event["step"] == _FIRST_STEP:
+            self._keys.forget()
+        if kind in ("countdown", "started"):
+            self._enter_may_follow = self._stopped_by_hand = False
+        if kind == "guard" and event["reason"] == BY_HAND:
+            self._stopped_by_hand = True
+        if kind == "text" and self._stopped_by_hand and event["text"] == _ABORTED:
+            return  # whoever pressed the key knows
+        if kind == "step":
+            line = step_text(event)
+            display.show(line) if event["ok"] is None else display.keep(line)
+        elif kind == "countdown":
+            display.bell()
+            display.show(countdown_text(event))
+        elif kind == "live":
+            display.show(live_text(event, self._keys is not None, display.width))
+        elif kind == "swum":
+            for line in swum_lines(event):
+                display.keep(line)
+        elif kind == "decided":
+            display.keep(decided_text(event))
+        elif kind == "learned":
+            display.keep(learned_text(event))
+        elif kind == "verdict":
+            display.keep(event["words"])
+            if event["saturation"] and not event["stop"]:
+                display.keep(event["saturation"])
+        elif (words := link_news(event) or loud(event)) is not None:
+            display.keep(f"tailbeat: {words}", loud=True)
+
+    def wants_abort(self) -> bool:
+        """Any key, but for the Enter after an answer."""
+        keys = self._keys
+        if keys is None or not keys.pressed():
+            return False
+        if self._enter_may_follow:
+            self._enter_may_follow = False
+            return keys.key(0.0) not in _ENTER
+        return True
+
+    def decide(self, swum: Swum) -> Decision:
+        """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
+        the swim is not plainly good."""
+        proposal = proposed(swum)
+        learned_unseen = proposal.kind != "keep" and self._then == Decision("keep")
+        if self._then is not None and not (self._keys is not None and learned_unseen):
+            return self._then
+        if self._keys is not None:
+            return self._ask(self._keys, swum, proposal)
+        if is_good(swum):
+            return Decision("keep")
+        raise Undecided(
+            f"trial {swum.outcome.number} waits on the board: {'; '.join(swum.problems)}",
+            "Say what becomes of it: tailbeat trial run --then keep|repeat|discard --reason WHY,"
+            " or at a terminal.",
+        )
+
+    def confirm(self, question: str) -> bool:
+        """With y; without a terminal the answer is no."""
+        if self._keys is None:
+            return False
+        self._keys.forget()
+        self._display.ask(f"{question} y/n ")
+        key = self._key(self._keys, ("y", "n"))
+        self._display.keep(key)
+        return key == "y"
+
+    def _ask(self, keys: Keys, swum: Swum, proposal: Decision) -> Decision:
+        letters = [
+            k for k, (kind, _) in self._kinds.items() if kind != "keep" or swum.measured_beats
+        ]
+        words = ", ".join(f"{letter} = {self._kinds[letter][1]}" for letter in letters)
+        usual = next(pair for pair in self._kinds.values() if pair[0] == proposal.kind)
+        keys.forget()  # the key that stopped the tail is no answer
+        self._display.bell()
+        self._display.ask(f"{words}, Enter = {usual[1]}: ")
+        key = self._key(keys, (*letters, *_ENTER))
+        kind, word = usual if key in _ENTER else self._kinds[key]
+        self._display.keep(word)
+        if kind == "keep":
+            return Decision("keep")
+        return Decision(kind, self._reason(keys, proposal.reason))  # type: ignore[arg-type]
+
+    def _reason(self, keys: Keys, usual: str) -> str:
+        self._display.ask(f"why? [{usual}] " if usual else "why? ")
+        while not (reason := keys.line() or usual):
+            self._display.ask("a reason is needed, one word is enough: ")
+        self._enter_may_follow = False
+        return reason
+
+    def _key(self, keys: Keys, wanted: tuple[str, ...]) -> str:
+        """One of ``wanted``, however long it takes; what else there is to press is said once.
+        Escape puts the question off, as Ctrl-C."""
+        reminded = False
+        while True:
+            key = keys.key(_LOOK_S)
+            if why := ended():
+                raise KeyboardInterrupt(why)
+            if key == _ESCAPE:
+                raise KeyboardInterrupt("put off")
+            if key is not None and key in wanted:
+                self._enter_may_follow = key not in _ENTER
+                return key
+            if key is not None and not reminded:
+                reminded = True
+                self._display.ask(f"({_named(wanted)}) ")
+            self._idle()
+
+
+def _named(keys: tuple[str, ...]) -> str:
+    """``k, r, d or Enter``."""
+    names = [key for key in keys if key not in _ENTER]
+    names += ["Enter"] if len(names) < len(keys) else []
+    return f"{', '.join(names[:-1])} or {names[-1]}"

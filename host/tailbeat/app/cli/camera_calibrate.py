@@ -1,0 +1,306 @@
+"""camera calibrate, print."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from tailbeat.app.cli._terminal import Json, progress_bar, say
+
+if TYPE_CHECKING:
+    from tailbeat.sensors.camera.calibration.calibrate import Calibrated, Ruler, RulerCheck
+    from tailbeat.sensors.camera.calibration.file import Calibration
+    from tailbeat.sensors.camera.marker.sheets import Sheet
+
+
+FishKind = Literal["aruco", "apriltag"]
+Paper = Literal["a4", "a3", "letter"]
+_FISH_ID = 7
+_OPTIONS: dict[str, tuple[str, ...]] = {
+    "board": (),
+    "marker": ("--kind", "--id", "--side"),
+    "anchors": ("--id", "--side"),
+    "ruler": ("--side",),
+}
+
+
+def print_(
+    what: Annotated[
+        str,
+        typer.Argument(metavar="WHAT", help="board, marker (the fish's), anchors or ruler."),
+    ],
+    kind: Annotated[
+        FishKind | None, typer.Option("--kind", help="Of the fish's marker. Default: aruco.")
+    ] = None,
+    number: Annotated[
+        int | None,
+        typer.Option("--id", help="Of the fish's marker (default 7), or this one anchor only."),
+    ] = None,
+    side: Annotated[
+        float | None,
+        typer.Option("--side", metavar="MM", help="Of a marker's black square.", min=1.0),
+    ] = None,
+    paper: Annotated[Paper, typer.Option("--paper", help="Size of the sheet.")] = "a4",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="PDF", help="Default: WHAT.pdf here.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write a sheet to print, exact to the millimetre.
+
+    Print it at 100 % and measure the line of 100 mm on it.
+
+    Example: tailbeat camera print marker --id 7 --side 60
+    """
+    if what not in _OPTIONS:
+        raise typer.BadParameter(f"no sheet '{what}': there are {', '.join(_OPTIONS)}")
+    given = {"--kind": kind, "--id": number, "--side": side}
+    for option, value in given.items():
+        if value is not None and option not in _OPTIONS[what]:
+            raise typer.BadParameter(f"{option} does not apply to the sheet '{what}'")
+    from tailbeat.sensors.camera.marker.sheets import write_sheet
+
+    sheet = _sheet(what, kind, number, side, paper)
+    path = out or Path(f"{what}.pdf")
+    write_sheet(sheet, path)
+    document = {"file": path, "sheet": sheet.name, "paper": sheet.paper, "text": sheet.text}
+    say(json, document, f"{path}: {sheet.text}")
+
+
+def _sheet(
+    what: str, kind: FishKind | None, number: int | None, side: float | None, paper: Paper
+) -> Sheet:
+    from tailbeat.sensors.camera.marker import sheets
+
+    if what == "board":
+        return sheets.board_sheet(paper)
+    if what == "marker":
+        number = _FISH_ID if number is None else number
+        return sheets.fish_sheet(kind or "aruco", number, side or sheets.FISH_SIDE_MM, paper)
+    if what == "anchors":
+        return sheets.anchors_sheet(side or sheets.TANK_SIDE_MM, paper, number)
+    return sheets.ruler_sheet(side or sheets.TANK_SIDE_MM, paper)
+
+
+def calibrate(
+    points: Annotated[
+        Path | None,
+        typer.Option("--points", metavar="CSV", help="u_px,v_px,x_m,y_m or id,x_m,y_m."),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option("--picture", metavar="FILE", help="The tank with these points; or a film."),
+    ] = None,
+    board: Annotated[
+        list[Path] | None,
+        typer.Option("--board", metavar="PATH", help="Pictures of the board, a folder, a film."),
+    ] = None,
+    area: Annotated[
+        str | None,
+        typer.Option(
+            "--area",
+            metavar="LENGTH,WIDTH",
+            help="The water, m, from 0,0 on; or X0,Y0,X1,Y1. Default: between the points.",
+        ),
+    ] = None,
+    raise_m: Annotated[
+        float,
+        typer.Option("--raise", metavar="M", help="The marker's plane is so far above the points."),
+    ] = 0.0,
+    depth_m: Annotated[
+        float,
+        typer.Option(
+            "--depth",
+            metavar="M",
+            help="The marker is so far under water. The points lie on the surface; if not, --raise "
+            "is the surface's height above them.",
+        ),
+    ] = 0.0,
+    ruler: Annotated[
+        list[Path] | None,
+        typer.Option("--ruler", metavar="FILE", help="The ruler at the marker's height."),
+    ] = None,
+    ruler_length_m: Annotated[
+        float | None,
+        typer.Option("--ruler-length", metavar="M", help="Between the middles of its markers."),
+    ] = None,
+    ruler_points: Annotated[
+        str | None,
+        typer.Option("--ruler-points", metavar="U1,V1,U2,V2", help="Its ends, in pixels, instead."),
+    ] = None,
+    camera: Annotated[
+        str, typer.Option("--camera", metavar="TEXT", help="Which camera, in your words.")
+    ] = "",
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Write it there.")] = Path(
+        "tank.json"
+    ),
+    check: Annotated[
+        Path | None,
+        typer.Option("--check", metavar="FILE", help="Check this one by a ruler; write nothing."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Calibrate a camera over a tank: pixels become metres. See docs/camera-calibration.md.
+
+    Example: tailbeat camera calibrate --board board/ --picture tank.png --points tank.csv
+    --area 3.0,1.8 --ruler ruler.png --ruler-length 1.2
+    """
+    rulers = _rulers(ruler or [], ruler_length_m, ruler_points)
+    if check is not None:
+        if points is not None or picture is not None or board:
+            raise typer.BadParameter("--check goes with --ruler only")
+        _check(check, rulers, json)
+        return
+    if points is None or picture is None:
+        raise typer.BadParameter("give --points CSV and --picture FILE (or --check FILE)")
+    made = _made(points, picture, board or [], (raise_m, depth_m), area, rulers, json)
+    calibration = replace(made.calibration, camera=camera, made_at=_now())
+    calibration.save(out)
+    say(json, _document(made, calibration, out), lambda: _text(made, out))
+
+
+def _now() -> str:
+    from datetime import datetime
+
+    return datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _made(
+    points: Path,
+    picture: Path,
+    board: list[Path],
+    heights_m: tuple[float, float],
+    area: str | None,
+    rulers: list[Ruler],
+    json: bool,
+) -> Calibrated:
+    from tailbeat.sensors.camera.calibration.calibrate import Height
+    from tailbeat.sensors.camera.calibration.calibrate import calibrate as make
+    from tailbeat.sensors.camera.calibration.points import read_points, rectangle
+    from tailbeat.sensors.camera.source.open import read_all, read_grey
+
+    places = read_points(points)
+    area_m = rectangle(_numbers(area, "--area")) if area is not None else None
+    with progress_bar(json, "looking") as show:
+        done = [0]
+
+        def look(name: str) -> None:
+            done[0] += 1
+            show(done[0] / (done[0] + 5), name)  # how many pictures a film gives is not known
+
+        return make(
+            places, (str(picture), read_grey(picture)), read_all(board), Height(*heights_m),
+            area_m, rulers, look,
+        )  # fmt: skip
+
+
+def _rulers(pictures: list[Path], length_m: float | None, points: str | None) -> list[Ruler]:
+    import numpy as np
+
+    from tailbeat.sensors.camera.calibration.calibrate import Ruler, ruler_in
+    from tailbeat.sensors.camera.source.open import read_grey
+
+    if not pictures and points is None:
+        return []
+    if length_m is None:
+        raise typer.BadParameter("how long is the ruler? --ruler-length METRES")
+    if points is None:
+        return [ruler_in(read_grey(path), str(path), length_m) for path in pictures]
+    if len(pictures) > 1:
+        raise typer.BadParameter("--ruler-points are in one picture")
+    ends = _numbers(points, "--ruler-points")
+    if len(ends) != 4:
+        raise typer.BadParameter("--ruler-points are four numbers: U1,V1,U2,V2")
+    size = read_grey(pictures[0]).shape[1::-1] if pictures else None
+    name = str(pictures[0]) if pictures else "the ruler"
+    size_px = (int(size[0]), int(size[1])) if size is not None else None
+    return [Ruler(name, np.array(ends).reshape(2, 2), length_m, size_px)]
+
+
+def _numbers(text: str, option: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise typer.BadParameter(
+            f"{option}: '{text}' are no numbers with commas between"
+        ) from error
+
+
+def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
+    from tailbeat.sensors.camera.calibration.calibrate import check_scale
+    from tailbeat.sensors.camera.calibration.file import load_calibration
+
+    if not rulers:
+        raise typer.BadParameter("what to check it by? --ruler FILE --ruler-length METRES")
+    checks = check_scale(load_calibration(path), rulers)
+    document = {"file": path, "rulers": [_ruler_document(check) for check in checks]}
+    say(json, document, lambda: "\n".join(map(_ruler_text, checks)))
+
+
+def _ruler_document(check: RulerCheck) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return asdict(check) | {"scale_error": check.scale_error}
+
+
+def _ruler_text(check: RulerCheck) -> str:
+    return (
+        f"ruler      {check.true_m:g} m measures {check.measured_m:.4f} m: "
+        f"{check.scale_error * 100:+.2f} %, sigma {check.sigma * 100:.2f} % ({check.name})"
+    )
+
+
+def _document(made: Calibrated, calibration: Calibration, out: Path) -> dict[str, Any]:
+    found, plane = made.intrinsics, made.plane
+    return {
+        "file": out,
+        "size_px": calibration.size_px,
+        "rms_px": calibration.rms_px,
+        "focal_sigma": found.focal_sigma if found else None,
+        "board_used": found.used if found else (),
+        "board_dropped": found.dropped if found else {},
+        "board_unseen": found.unseen if found else (),
+        "board_covered": found.covered if found else None,
+        "plane_rms_m": plane.rms_m,
+        "plane_foretold_m": plane.foretold_m,
+        "points_left_out": {made.points[i]: off for i, off in plane.left_out.items()},
+        "plane": calibration.plane,
+        "camera_height_m": made.camera.height_m if made.camera else None,
+        "area_m": calibration.area_m,
+        "anchors": calibration.anchors,
+        "mm_per_px": made.mm_per_px,
+        "scale_error": calibration.scale_error,
+        "rulers": [_ruler_document(check) for check in made.rulers],
+        "notes": made.notes,
+    }
+
+
+def _text(made: Calibrated, out: Path) -> str:
+    plane, count = made.plane, len(made.plane.off_m)
+    foretold = plane.foretold_m
+    each = f"; each is foretold by the others within {foretold * 1e3:.1f} mm" if foretold else ""
+    lines = [
+        f"camera     {_camera_text(made)}",
+        f"points     {count}, {plane.rms_m * 1e3:.1f} mm off (RMS){each}",
+        f"plane      {made.calibration.plane}",
+        f"middle     {made.mm_per_px:.2f} mm per pixel",
+        *map(_ruler_text, made.rulers),
+        *(f"note       {note}" for note in made.notes),
+        f"written    {out}",
+    ]
+    return "\n".join(lines)
+
+
+def _camera_text(made: Calibrated) -> str:
+    width, height = made.calibration.size_px
+    found = made.intrinsics
+    if found is None:
+        return f"{width}x{height}, taken to be free of distortion"
+    return (
+        f"{width}x{height}; {len(found.used)} pictures of the board, {found.rms_px:.2f} px RMS, "
+        f"corners in {found.covered * 100:.0f} % of the picture; focal length "
+        f"{made.calibration.camera_matrix[0, 0]:.0f} px, sigma {found.focal_sigma * 100:.1f} %"
+    )

@@ -1,0 +1,231 @@
+"""design: gain, lead and filter for a fish, and what they will do."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.app.cli._options import reference_names
+from tailbeat.app.cli._terminal import Connect, Json, connected, mm, say
+from tailbeat.core.files import plain
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.reference import Reference
+    from tailbeat.learning.design import Design
+    from tailbeat.learning.identification import Identified
+
+
+def design(
+    identified: Annotated[
+        Path | None,
+        typer.Option("--identified", metavar="FILE", help="What 'tailbeat identify' has written."),
+    ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="CSV", help="Steady speeds: amplitude_rad,speed_m_s."),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            "--reference",
+            help="As for 'reference upload'; default: the board's, or thesis without a board.",
+            autocompletion=reference_names,
+            show_default=False,
+        ),
+    ] = None,
+    gain: Annotated[
+        float | None, typer.Option("--gain", help="Judge this gain, rad per m/s.")
+    ] = None,
+    lead: Annotated[
+        float | None, typer.Option("--lead", help="Judge this lead: 0, 0.5, 1, ... beats.")
+    ] = None,
+    q: Annotated[
+        int | None, typer.Option("--q", min=1, help="Length of the filter Q; 1 = none.")
+    ] = None,
+    amplitude_max_rad: Annotated[
+        float | None,
+        typer.Option(
+            "--amplitude-max",
+            min=0.01,
+            max=1.0471976,
+            help="rad; default: the board's, or pi/4 without a board.",
+            show_default=False,
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Also a law that does not learn.")] = False,
+    apply: Annotated[bool, typer.Option("--apply", help="Make it the connected board's.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Choose gain, lead and filter for an identified fish, or judge those given.
+
+    The fish: a file, a table of steady speeds, or what the logbook has of the connected one.
+    Without --apply nothing changes on the board.
+
+    Example: tailbeat design --table amplitude.csv --gain 4
+    """
+    from tailbeat.core.errors import InputError
+    from tailbeat.learning.design import design as design_law
+
+    if identified is not None and table is not None:
+        raise typer.BadParameter("--identified and --table exclude each other")
+    with ExitStack() as stack:
+        fish = None
+        if apply or (identified is None and table is None):
+            fish = stack.enter_context(connected(connect))
+        known = _identified(identified, table, fish)
+        wanted = _reference(reference, fish)
+        step_rad = fish.params.get("DU_MAX_RAD").value if fish else 0.0
+        if amplitude_max_rad is None:
+            amplitude_max_rad = fish.params.get("AMP_MAX_RAD").value if fish else math.pi / 4
+        found = design_law(known, wanted, amplitude_max_rad, gain, lead, q, step_max_rad=step_rad)
+        if found.refused and not force:
+            raise InputError(
+                found.refused, f"Use --gain {found.static_gain_best:.2f}, or --force to insist."
+            )
+        if apply and fish is not None:
+            _apply(fish, found)
+        if plot is not None:
+            _plot(plot, known, wanted, found)
+    say(json, _document(found, wanted, known, apply), lambda: _text(found, apply))
+
+
+def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Identified:
+    from tailbeat.core.errors import InputError
+    from tailbeat.learning.identification import Identified
+
+    if file is not None:
+        return Identified.load(file)
+    if table is not None:
+        from tailbeat.learning.speed_table import from_table
+
+        return from_table(table).identified
+    from tailbeat.experiment.library import Logbook
+
+    known = Logbook.of(fish.unique_id()).identified() if fish is not None else None
+    if known is None:
+        raise InputError(
+            "this fish has not been identified.",
+            "Let it swim 'tailbeat identify' first, or give --table CSV with steady speeds.",
+        )
+    return known
+
+
+def _reference(text: str | None, fish: Fish | None) -> Reference:
+    from tailbeat.board.fish import board_reference
+    from tailbeat.core.reference import from_text, thesis
+
+    if text is not None:
+        return from_text(text)
+    held = board_reference(fish) if fish is not None else None
+    return held or thesis()
+
+
+def _apply(fish: Fish, found: Design) -> None:
+    """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
+    last trial alone, so those go with it."""
+    from tailbeat.core.law import LAST
+    from tailbeat.experiment.current import note_set
+
+    law = found.law
+    wanted = {
+        "LAW_KD": law.kd_rad_s2_m,
+        "LAW_GAIN": law.kp_rad_s_m,
+        "LAW_LEAD": law.lead_beats,
+        "LAW_Q_LEN": law.q_len,
+        "LAW_TAIL": law.tail,
+        "LAW_FADE": law.fade,
+    }
+    if "LAW_KIND" in fish.params.list():  # older firmware has no other
+        wanted["LAW_KIND"] = LAST
+    note_set(fish, {name: fish.params.set(name, value).value for name, value in wanted.items()})
+
+
+def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
+    from tailbeat.learning.design import design as design_law
+    from tailbeat.report.figures.law import render_law
+
+    thesis = design_law(
+        known, wanted, found.law.amplitude_max_rad, 4.0, 0.0, 1, step_max_rad=found.law.step_max_rad
+    )
+    render_law(found, thesis, path)
+
+
+def _document(found: Design, wanted: Reference, known: Identified, applied: bool) -> dict[str, Any]:
+    law = found.law
+    short = {
+        "gain_rad_s_m": law.kp_rad_s_m,
+        "lead_beats": law.lead_beats,
+        "q_len": law.q_len,
+        "reference": wanted.name,
+        "source": known.source,
+        "assumed": list(known.assumed),
+        "applied": applied,
+        "worst_cycles": found.worst_cycles,
+    }
+    return short | {str(key): value for key, value in plain(found).items()}
+
+
+def _text(found: Design, applied: bool) -> str:
+    lines = [
+        f"law        {law_words(found)}",
+        f"steady     errors become {found.ratio_dc:.2f} of themselves per trial; gain "
+        f"{found.static_gain_best:.2f} does best, below {found.static_gain_max:.2f} they shrink",
+        f"worst      {_worst(found)}",
+        f"proved     {_proved(found)}",
+        f"simulated  max|e| {_series(found)} mm/s from iteration 0 on (medians)",
+        f"           90 % of the last: {mm(float(found.series.low_m_s[-1]))} to "
+        f"{mm(float(found.series.high_m_s[-1]))} mm/s",
+        f"floor      {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
+    ]
+    if found.refused:
+        lines.append(f"forced     {found.refused.rstrip('.')}")
+    lines += [f"warning    {line}" for line in found.warnings]
+    if applied:
+        lines.append(
+            "applied    it is the board's now, with LAW_KD, LAW_TAIL, LAW_FADE and LAW_KIND 0; "
+            "'tailbeat params save' makes it last"
+        )
+    return "\n".join(lines)
+
+
+def _worst(found: Design) -> str:
+    low, high = (speed * 1e3 for speed in found.speeds_m_s)
+    models = f"any of {found.models} models" if found.models > 2 else "the model"
+    return (
+        f"{found.ratio_max:.2f} per trial at {found.worst_cycles:.2f} cycles/beat, by {models} at "
+        f"{low:.0f} to {high:.0f} mm/s; {found.ratio_slow:.2f} at less, down to "
+        f"{found.slow_from_m_s * 1e3:.0f} mm/s"
+    )
+
+
+def _proved(found: Design) -> str:
+    if not found.input_ratio < 1:
+        return (
+            "nothing of the saturated law: one step may take amplitudes away from the fixed point "
+            f"(norm {found.input_ratio:.2f})"
+        )
+    return (
+        "of the saturated law, for small errors outside the dead zone: one step leaves at most "
+        f"{found.input_ratio:.2f} of the amplitudes' distance from the fixed point when the "
+        f"{found.input_beats} beats of that speed are off; not that all further steps do"
+    )
+
+
+def law_words(found: Design) -> str:
+    """The law in words: ``gain 4.57 rad s/m, lead 1 beat, no filter``."""
+    law = found.law
+    lead = f"lead {law.lead_beats:g} beat{'' if law.lead_beats == 1 else 's'}"
+    lead = lead if law.lead_beats else "no lead"
+    q = f"filter of length {law.q_len}" if law.q_len > 1 else "no filter"
+    return f"gain {law.kp_rad_s_m:g} rad s/m, {lead}, {q}"
+
+
+def _series(found: Design) -> str:
+    return " ".join(mm(float(value)) for value in found.series.median_m_s)

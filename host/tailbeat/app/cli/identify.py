@@ -1,0 +1,431 @@
+"""identify."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.app.cli._options import (
+    CalibrationOption,
+    CameraOption,
+    LatencyOption,
+    MarkerIdOption,
+    MarkerKindOption,
+    MarkerSideOption,
+    WallOption,
+    marker_of,
+)
+from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, progress_bar, say, table
+from tailbeat.core.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from tailbeat.app.cli._display import Display
+    from tailbeat.app.cli._live_camera import Live, LiveOptions
+    from tailbeat.app.cli._operator import TerminalPerson
+    from tailbeat.board.fish import Fish
+    from tailbeat.experiment.library import Logbook
+    from tailbeat.learning.fit_quality import Account
+    from tailbeat.learning.identification import Identified
+    from tailbeat.learning.identification_runs import Limits, Run
+    from tailbeat.learning.speed_table import Table
+    from tailbeat.session.identify import Attendant
+
+_FISH = "With --table: the fish's "
+
+
+def identify(
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE", help="More files for --trials.")
+    ] = None,
+    table_: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="CSV", help="Steady speeds: amplitude_rad,speed_m_s."),
+    ] = None,
+    trials: Annotated[
+        list[Path] | None,
+        typer.Option("--trials", metavar="FILE...", help="Swim nothing; use these trial files."),
+    ] = None,
+    experiment: Annotated[
+        Path | None,
+        typer.Option("--experiment", metavar="DIR", help="Swim nothing; use its trials."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Write what was found there.")] = None,
+    logbook: Annotated[
+        Path | None,
+        typer.Option("--logbook", metavar="DIR", help="Folder of the logbooks, if not the usual."),
+    ] = None,
+    params: Annotated[
+        bool, typer.Option("--params/--no-params", help="Set the board's MDL_... and save them.")
+    ] = True,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="PNG", help="Draw map, runs and residuals.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Neither wait nor ask before a run.")] = False,
+    margin_m: Annotated[
+        float, typer.Option("--margin", min=0.0, help="Of the tank's length, left free, m.")
+    ] = 0.15,
+    mass_kg: Annotated[float, typer.Option("--mass", help=_FISH + "mass, kg.")] = 0.4,
+    length_m: Annotated[float, typer.Option("--length", help=_FISH + "length, m.")] = 0.36,
+    density_kg_m3: Annotated[
+        float, typer.Option("--density", help="With --table: the water's, kg/m3.")
+    ] = 1000.0,
+    tail_area_m2: Annotated[
+        float | None,
+        typer.Option("--area", help=_FISH + "tail area, m2; default pi*0.165^2/4."),
+    ] = None,
+    rest: Annotated[
+        float,
+        typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each run."),
+    ] = 30.0,
+    camera: CameraOption = None,
+    calibration: CalibrationOption = None,
+    marker: MarkerKindOption = "aruco",
+    marker_id: MarkerIdOption = None,
+    marker_side: MarkerSideOption = None,
+    latency: LatencyOption = 0.0,
+    wall: WallOption = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Find out what the fish is like: drag, speed over amplitude, dead zone, delay.
+
+    Swims three cruises and a coast-down, gentlest first, within the tank; the board gets back what
+    it had learned. At a terminal each run begins with the ritual of 'trial run' (rest, pose, still
+    water, countdown) and any key stops the tail; --yes leaves the ritual out. With --table,
+    --trials or --experiment nothing is swum.
+
+    Example: tailbeat identify --plot fish.png
+    """
+    sources = [table_ is not None, bool(trials or files), experiment is not None]
+    if sum(sources) > 1:
+        raise typer.BadParameter("--table, --trials and --experiment exclude each other")
+    for option, path in (("--out", out), ("--plot", plot)):
+        if path is not None and not path.parent.is_dir():
+            raise InputError(f"{option}: there is no folder {path.parent}.", "Make it, then again.")
+    if table_ is not None:
+        from tailbeat.learning.speed_table import ThesisFish
+
+        area = ThesisFish.tail_area_m2 if tail_area_m2 is None else tail_area_m2
+        about = ThesisFish(mass_kg, length_m, density_kg_m3, area)
+        _from_table(table_, about, out, plot, json)
+    elif any(sources):
+        _from_trials([*(trials or []), *(files or [])], experiment, out, logbook, plot, json)
+    else:
+        from tailbeat.app.cli._live_camera import LiveOptions
+
+        on_fish = marker_of(marker, marker_id, marker_side)
+        options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
+        asked = _Asked(yes, json, margin_m, rest, options)
+        _swum(connect, asked, out, logbook, params, plot)
+
+
+def _from_table(path: Path, about: Any, out: Path | None, plot: Path | None, json: bool) -> None:
+    from tailbeat.learning.speed_table import from_table
+
+    found = from_table(path, about)
+    if out is not None:
+        found.identified.save(out)
+    if plot is not None:
+        from tailbeat.report.figures.identification import draw_table
+
+        draw_table(found, plot)
+    document = found.as_dict() | {"saved": out, "plot": plot}
+    say(json, document, lambda: _table_text(found, out))
+
+
+def _table_text(found: Table, out: Path | None) -> str:
+    rows = [
+        [
+            f"{row['amplitude_rad']:.4f}",
+            *(mm(row[name]) for name in ("speed_m_s", "line_m_s", "line_residual_m_s")),
+            *(mm(row[name]) for name in ("thesis_m_s", "thesis_residual_m_s")),
+        ]
+        for row in found.rows()
+    ]
+    header = ["amplitude rad", "speed mm/s", "line", "miss", "thesis's model", "miss"]
+    line = found.line
+    lines = [
+        f"alpha {found.alpha_kg_m:.2f} kg/m; speed = {line.slope_m_s_rad:.3f} m/s/rad x "
+        f"(amplitude - {line.dead_zone_rad:.3f} rad), pieces {found.gain_min_m_s_rad:.3f} to "
+        f"{found.gain_max_m_s_rad:.3f}",
+        f"note: {found.note}",
+        table(header, rows),
+    ]
+    return "\n".join([*lines, *([f"saved in {out}"] if out else [])])
+
+
+def _from_trials(
+    files: list[Path],
+    experiment: Path | None,
+    out: Path | None,
+    logbook: Path | None,
+    plot: Path | None,
+    json: bool,
+) -> None:
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.experiment.library import Logbook
+    from tailbeat.learning.fit_quality import account_of, from_trials
+
+    if experiment is not None:
+        files = sorted(Experiment.open(experiment).raw.glob("*.ulg"))
+    identified, simulated = from_trials(files)
+    book = None
+    if logbook is not None or not simulated:
+        book = Logbook.of(identified.unique_id, logbook)
+    _finish(account_of(identified), None, book, out, plot, simulated, None, json)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What was given on the command line for the swims."""
+
+    yes: bool
+    json: bool
+    margin_m: float
+    rest_s: float
+    camera: LiveOptions
+
+    @property
+    def alone(self) -> bool:
+        """Nobody is asked anything."""
+        return self.yes or self.json
+
+
+def _swum(
+    connect: str | None,
+    asked: _Asked,
+    out: Path | None,
+    logbook: Path | None,
+    params: bool,
+    plot: Path | None,
+) -> None:
+    from tailbeat.app.cli._live_camera import live_camera
+    from tailbeat.board.fish import board_reference
+    from tailbeat.board.loan import put_back_left, safe_folder
+    from tailbeat.experiment.library import logbook_of
+    from tailbeat.learning.fit_quality import account_of, with_drag
+    from tailbeat.learning.identification_runs import Limits
+    from tailbeat.learning.speed_table import ThesisFish
+    from tailbeat.session.identify import prior_of, set_params
+
+    with connected(connect) as fish, live_camera(fish, asked.camera) as live:
+        simulated = fish.info().simulated
+        book = logbook_of(fish, logbook)
+        put_back_left(fish, safe_folder(book), _note)
+        values = {name: p.value for name, p in fish.params.list().items()}
+        limits = replace(Limits.from_params(values), margin_m=asked.margin_m)
+        found = _found(fish, live, book, limits, asked, values)
+        identified = with_drag(found, ThesisFish(length_m=values["FISH_LEN_M"]))
+        held = set_params(fish, identified) if params else None
+        bare = board_reference(fish) is None
+    account = account_of(identified, prior_of(values))
+    _finish(account, held, book, out, plot, simulated, limits, asked.json, bare)
+
+
+def _found(
+    fish: Fish,
+    live: Live,
+    book: Logbook | None,
+    limits: Limits,
+    asked: _Asked,
+    values: dict[str, float],
+) -> Identified:
+    from tailbeat.app.cli._display import Display
+    from tailbeat.app.cli._keyboard import terminal_keys
+    from tailbeat.app.cli._operator import TerminalPerson
+    from tailbeat.board.loan import safe_folder
+    from tailbeat.link.messages import SPEED_SOURCES
+    from tailbeat.session.identify import identify_fish
+
+    wait = not (asked.yes or fish.info().simulated)
+    if wait and asked.json:
+        raise InputError(
+            "nobody can be asked before each run with --json.",
+            "Add --yes when the fish is free to swim four times by itself.",
+        )
+    by_hand = not asked.alone and SPEED_SOURCES[round(values["SPD_SOURCE"])] == "upload"
+    with ExitStack() as stack:
+        display = stack.enter_context(Display(quiet=asked.json))
+        there = None
+        if display.moves and sys.stdin.isatty():
+            # the names of files with speeds are typed in lines
+            keys = None if by_hand else stack.enter_context(terminal_keys())
+            there = _There(fish, live, display, TerminalPerson(display, keys), not by_hand, asked)
+        # a bar would overwrite the questions
+        quiet = asked.json or wait or by_hand or (there is not None and not asked.alone)
+        show = stack.enter_context(progress_bar(quiet, "identify"))
+        attendant = _attendant(limits, book, wait, asked.alone, asked.json, show, there)
+        attendant = replace(attendant, guard=live.guard)
+        return identify_fish(fish, attendant, safe_folder(book), live.camera, limits)
+
+
+@dataclass(frozen=True)
+class _There:
+    """Somebody at the terminal, who sees each run and, with ``keys``, stops it with one."""
+
+    fish: Fish
+    live: Live
+    display: Display
+    person: TerminalPerson
+    keys: bool
+    asked: _Asked
+
+    def ready(self, wait: bool) -> None:
+        """What goes before a run; nothing with --yes."""
+        from tailbeat.session.preflight.checklist import prepare
+        from tailbeat.session.preflight.countdown import countdown
+        from tailbeat.session.preflight.step import GivenUp, Wanted
+
+        if self.asked.alone:
+            return
+        if not self.keys:
+            _wait_for_enter(wait)
+        elif wait and not self.person.confirm("Put the fish at rest at its wall. Ready?"):
+            raise GivenUp("not identified: the answer was no.", "The board has back what it held.")
+        wanted = Wanted(rest_s=self.asked.rest_s)
+        prepare(self.fish, wanted, self.live.camera, self.person)
+        countdown(self.fish, wanted, self.person)
+
+    def follow(self, event: dict[str, Any], run: Run) -> None:
+        """Shows it."""
+        if event["event"] == "beat":
+            stops = "; any key stops it" if self.keys else ""
+            self.display.show(f"run {run.number}, beat {event['beat'] + 1}{stops}")
+        else:
+            self.person.tell(event)
+
+
+def _wait_for_enter(wait: bool) -> None:
+    if wait:
+        typer.prompt(
+            "Put the fish at rest at its wall, then press Enter (Ctrl-C ends it)",
+            default="", show_default=False, prompt_suffix=" ", err=True,
+        )  # fmt: skip
+
+
+def _note(text: str) -> None:
+    echo(f"tailbeat: {text}", err=True)
+
+
+def _attendant(
+    limits: Limits,
+    book: Logbook | None,
+    wait: bool,
+    alone: bool,
+    json: bool,
+    show: Any,
+    there: _There | None = None,
+) -> Attendant:
+    """Whoever sees to it. ``alone``: nobody who could be asked for speeds."""
+    from tailbeat.experiment.library import RUN
+    from tailbeat.learning.identification_runs import FRACTIONS
+    from tailbeat.session.identify import Attendant
+
+    now: list[Run] = []
+
+    def before(run: Run) -> None:
+        now.append(run)
+        if not json:
+            echo(_run_text(run, limits), err=True)
+        if there is not None:
+            there.ready(wait)
+        else:
+            _wait_for_enter(wait)
+
+    def follow(event: dict[str, Any]) -> None:
+        if there is not None and not alone:
+            there.follow(event, now[-1])
+        elif event["event"] == "beat" and now:
+            done = (len(now) - 1 + (event["beat"] + 1) / now[-1].beats) / (len(FRACTIONS) + 1)
+            show(min(done, 1.0), f"run {now[-1].number}, beat {event['beat'] + 1}")
+        elif event["event"] in ("warning", "hold", "guard"):
+            _note(event.get("text") or event.get("reason") or "")
+
+    def speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
+        from tailbeat.core.csv import read_speeds
+
+        while True:
+            name = typer.prompt(f"Speeds of trial {trial} (CSV t_s,v_m_s or beat,speed_m_s)")
+            try:
+                return read_speeds(Path(name), beats, beat_s, trial).speed_m_s
+            except InputError as error:
+                echo(f"tailbeat: {error}", err=True)
+
+    def keep(path: Path) -> None:
+        if book is not None:
+            book.keep(path, RUN)
+
+    stop = there.person.wants_abort if there is not None else lambda: False
+    return Attendant(before, None if alone else speeds, follow, keep, _note, wants_abort=stop)
+
+
+def _run_text(run: Run, limits: Limits) -> str:
+    import math
+
+    room = f" of {limits.usable_m:.2f} m" if math.isfinite(limits.usable_m) else ""
+    return (
+        f"run {run.number}, {run.kind}: {run.beats} beats, up to {run.cruise_rad:.2f} rad "
+        f"({math.degrees(run.cruise_rad):.0f} degrees); about {run.travel_m:.2f} m, at worst "
+        f"{run.travel_worst_m:.2f}{room}"
+    )
+
+
+def _finish(
+    account: Account,
+    held: dict[str, float] | None,
+    book: Logbook | None,
+    out: Path | None,
+    plot: Path | None,
+    simulated: bool,
+    limits: Limits | None,
+    json: bool,
+    bare: bool = False,
+) -> None:
+    """Saves, draws and prints. ``bare``: the board has no reference."""
+    saved = []
+    if book is not None:
+        saved.append(book.set_identified(account.identified))
+    if out is not None:
+        account.identified.save(out)
+        saved.append(out)
+    if plot is not None:
+        from tailbeat.report.figures.identification import draw_account
+
+        draw_account(account, plot, simulated)
+    document = account.as_dict() | {"params": held, "saved": saved, "plot": plot}
+    document["usable_m"] = limits.usable_m if limits else None
+    say(json, document, lambda: _text(account, held, saved, bare))
+
+
+def _text(
+    account: Account, held: dict[str, float] | None, saved: list[Path], bare: bool = False
+) -> str:
+    from tailbeat.learning.fit_quality import NAMES
+
+    known: Identified = account.identified
+    rows = [
+        [label, f"{getattr(known.model, name):.3g}", unit, f"{low:.3g} to {high:.3g}"]
+        for name, (label, unit) in NAMES.items()
+        for low, high in [known.band[name]]
+    ]
+    volts = f"; battery {account.battery_text}" if account.battery_v else ""
+    drag = f"; alpha {known.alpha_kg_m:.1f} kg/m" if known.alpha_kg_m else ""
+    lines = [
+        f"identified from {len(account.swims)} swims: the model misses {account.beats} beats by "
+        f"{mm(account.rms_m_s)} mm/s RMS{volts}{drag}",
+        table(["", "", "", "95 % interval"], rows, left=(0, 2, 3)),
+        *(f"warning: {text}" for text in account.warnings),
+    ]
+    if held:
+        lines.append(f"the board has it, for good: {', '.join(held)}")
+    lines += [f"saved in {path}" for path in saved]
+    if bare:
+        lines.append("the board has no reference yet: tailbeat reference upload thesis")
+    return "\n".join(lines)

@@ -1,0 +1,337 @@
+"""learn, law, speed upload.
+
+learn --law model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.app.cli._library import told_if_another, verdict_after_learning, verdict_text
+from tailbeat.app.cli._terminal import (
+    TRIAL_MAX,
+    Connect,
+    Json,
+    connected,
+    echo,
+    mm,
+    progress_bar,
+    say,
+)
+from tailbeat.core.errors import InputError
+from tailbeat.core.faults import NO_TRIAL, refusal
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.experiment.library import Logbook
+    from tailbeat.learning.convergence import Verdict
+    from tailbeat.learning.fish_model import Swim
+    from tailbeat.learning.identification import Identified
+    from tailbeat.link.messages import LearnReport
+    from tailbeat.session.model_step import Next, Step
+
+_SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
+
+speed_app = typer.Typer(no_args_is_help=True, help="Speeds measured after the swim.")
+
+
+def learn(
+    number: Annotated[
+        int | None,
+        typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the pending one."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Compute the same numbers here; change nothing.")
+    ] = False,
+    restore_best: Annotated[
+        bool, typer.Option("--restore-best", help="Swim the best amplitudes so far next.")
+    ] = False,
+    law: Annotated[
+        str, typer.Option("--law", metavar="p|model", help="model: this computer plans the next.")
+    ] = "p",
+    identified: Annotated[
+        Path | None,
+        typer.Option("--identified", metavar="FILE", help="With --law model: what identify wrote."),
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Let the board learn from the trial that waits for it.
+
+    With --law model the next amplitudes come from the identified fish, re-fitted on all its swims;
+    without a trial that waits they are planned from what is known. In an experiment the trial is
+    kept: its log, the decision and what was learned are written down there.
+
+    Example: tailbeat learn --law model
+    """
+    if dry_run and restore_best:
+        raise typer.BadParameter("--dry-run and --restore-best exclude each other")
+    if law not in ("p", "model"):
+        raise typer.BadParameter("--law is p or model")
+    if identified is not None and law != "model":
+        raise typer.BadParameter("--identified is for --law model")
+    if restore_best and law == "model":
+        raise typer.BadParameter("--restore-best and --law model exclude each other")
+    with connected(connect) as fish:
+        if law == "model":
+            pass
+
+            learn_with_model(fish, number, identified, dry_run, json)
+            return
+        if dry_run:
+            from tailbeat.session.dry_run import dry_run as compute
+
+            found = compute(fish, number)
+            say(json, found.as_dict(), found.text)
+            return
+        if restore_best:
+            from tailbeat.session.decide import restore_best_noted
+
+            restore_best_noted(fish)
+            held = fish.amplitudes()
+            text = f"the best amplitudes swim next, as iteration {held.iteration}"
+            say(
+                json,
+                {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values},
+                text,
+            )
+            return
+        from tailbeat.core.trial_checks import never_corrected
+        from tailbeat.learning.convergence import rollback_words
+        from tailbeat.session.decide import learn_noted, not_noted
+
+        report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
+        held, visits = fish.amplitudes(), fish.visits()
+        if line := not_noted(fish):
+            echo(f"tailbeat: {line}", err=True)
+        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
+    document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
+    document["amplitude_rad"] = held.values
+    document["visits"] = visits
+    document["verdict"] = verdict
+    text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
+    text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
+    text += f"; {rollback_words()}" if report.rolled_back else ""
+    missing = never_corrected(visits)
+    say(json, document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
+
+
+def law(
+    config: Annotated[Path, typer.Option("--config", help="LAW.json: fields of the law.")],
+    amplitudes: Annotated[Path, typer.Option("--input", help="CSV beat,amplitude_rad.")],
+    errors: Annotated[Path, typer.Option("--error", help="CSV beat,error_m_s; empty = none.")],
+    json: Json = False,
+) -> None:
+    """Apply the learning law once, with the code the board runs.
+
+    Example: tailbeat law --config law.json --input u.csv --error e.csv
+    """
+    from tailbeat.core import law as laws
+    from tailbeat.core.csv import read_column
+
+    old = read_column(amplitudes, "amplitude_rad")
+    error = read_column(errors, "error_m_s", gaps=True)
+    chosen = laws.load(config)
+    following, report = laws.update(
+        chosen, old, [0.0 if e != e else e for e in error], [e == e for e in error]
+    )
+    document = {
+        "law": chosen,
+        "amplitude_rad": following,
+        "applied_rad": laws.saturate(chosen, following),
+        "report": report,
+    }
+    rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(following)]
+    say(json, document, "\n".join(["beat,amplitude_rad", *rows]))
+
+
+@speed_app.command("upload")
+def upload(
+    number: Annotated[
+        int, typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="The pending trial.")
+    ],
+    file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
+    sigma_m_s: Annotated[
+        float | None,
+        typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s."),
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Give the pending trial speeds measured after the swim, for example from a video.
+
+    With t_s,v_m_s the speed is averaged over each beat; with beat,speed_m_s it is taken as it is
+    and an empty cell means not measured. What 'camera track' writes also says how sure each speed
+    is and of which trial they are; without that the standard deviation is 0.001 m/s.
+
+    Example: tailbeat speed upload 3 speed.csv
+    """
+    import numpy as np
+
+    from tailbeat.core.csv import read_speeds
+    from tailbeat.core.records import decode_reference
+
+    if sigma_m_s is not None and not 0 < sigma_m_s <= 1:
+        raise typer.BadParameter("--sigma is in m/s, more than 0, like 0.001")
+    with connected(connect) as fish:
+        record = fish.reference_record()
+        beat_s = decode_reference(record).beat_s if record else 1.0
+        beats = fish.status().beats
+        found = read_speeds(file, beats, beat_s, number)
+        sigma = found.sigma_m_s if sigma_m_s is None else None
+        if sigma is None:
+            sigma = np.full(beats, sigma_m_s or _SPEED_SIGMA_M_S, dtype=np.float32)
+        fish.upload_speeds(number, found.speed_m_s, sigma)
+    document = {
+        "trial": number,
+        "measured_beats": found.measured,
+        "speed_m_s": found.speed_m_s,
+        "sigma_m_s": np.where(np.isfinite(found.speed_m_s), sigma, np.nan),
+    }
+    say(json, document, f"trial {number} has speeds for {found.measured} of {beats} beats")
+
+
+_RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
+_ANEW = (
+    "trial numbers come again: the logbook holds swims of this board before it started anew; "
+    "for another fish name another logbook in TAILBEAT_LOGBOOK"
+)
+
+
+def learn_with_model(
+    fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool, json: bool
+) -> None:
+    """The pending trial, if there is one, then the amplitudes that swim next."""
+    from tailbeat.experiment.library import logbook_of
+    from tailbeat.session.decide import learn_noted, state_noted
+    from tailbeat.session.model_step import (
+        next_of,
+        next_step,
+        numbered_anew,
+        setting_of,
+        swims_since,
+        upload,
+    )
+
+    pending = fish.status().pending_trial
+    if number not in (None, pending):
+        raise refusal(NO_TRIAL)
+    unique_id = fish.unique_id()
+    book = logbook_of(fish)
+    identified = _identified(book, identified_file)
+    told_if_another(identified, unique_id)
+    setting = setting_of(fish)
+    every, kept = _swims(fish, pending, book, dry_run, json)
+    swims = swims_since(identified, every, unique_id)
+    if numbered_anew(every, swims):
+        echo(f"tailbeat: {_ANEW}", err=True)
+    step = next_step(setting, identified, swims)
+    if dry_run:
+        _say(step, pending, None, None, None, json)
+        return
+    report = None if pending is None else learn_noted(fish, pending, "learn --law model")
+    restored = report.rolled_back if report else fish.amplitudes().input == _RESTORED
+    following = next_of(step.proposal, restored, fish.status().best_max_abs_error_m_s)
+    if following.upload:
+        if book is not None:
+            book.add_proposal(step.document)
+        upload(fish, setting, step.proposal)
+        state_noted(fish)
+    verdict = None
+    if report is not None:
+        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json, kept)
+    if verdict is not None and verdict.kind == "rolled_back" and following.upload:
+        verdict = replace(verdict, words=f"{verdict.words}, which the model's plan replaces")
+    _say(step, pending, report, following, verdict, json)
+
+
+def _identified(book: Logbook | None, file: Path | None) -> Identified:
+    from tailbeat.learning.identification import Identified
+
+    if file is not None:
+        return Identified.load(file)
+    found = book.identified() if book is not None else None
+    if found is None:
+        raise InputError(
+            "the fish has not been identified.", "tailbeat identify, or give --identified FILE."
+        )
+    return found
+
+
+def _swims(
+    fish: Fish, pending: int | None, book: Logbook | None, dry_run: bool, json: bool
+) -> tuple[list[Swim], Path | None]:
+    """All in the logbook and the pending one, which is kept there unless it is a dry run; and where
+    it is kept."""
+    from tailbeat.core.trial_file import read_trial
+    from tailbeat.learning.fish_model import swim_of
+
+    if pending is None:
+        return book.swims() if book is not None else [], None
+    with TemporaryDirectory() as folder, progress_bar(json, f"trial {pending}") as show:
+        path = fish.pull_trial(
+            pending,
+            Path(folder),
+            lambda done, total: show(done / max(total, 1), f"{done} bytes"),
+        )
+        if book is None:
+            swim = swim_of(read_trial(path))
+            return [swim] if swim.measured.any() else [], None
+        if dry_run:
+            return book.swims(path), None
+        kept = book.keep(path)
+        return book.swims(kept), kept
+
+
+def _say(
+    step: Step,
+    pending: int | None,
+    report: LearnReport | None,
+    following: Next | None,
+    verdict: Verdict | None,
+    json: bool,
+) -> None:
+    """``following`` None: a dry run."""
+    document: dict[str, Any] = {
+        **step.document,
+        "trial": pending,
+        "foretold_max_abs_error_m_s": step.foretold_m_s,
+        "learned": report,
+        "uploaded": following is not None and following.upload,
+        "next": following.words if following is not None else "",
+        "dry_run": following is None,
+        "verdict": verdict,
+    }
+    say(json, document, lambda: _text(step, report, following) + verdict_text(verdict))
+
+
+def _text(step: Step, report: LearnReport | None, following: Next | None) -> str:
+    proposal = step.proposal
+    parts = []
+    if report is not None:
+        said = f"trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
+        parts.append(said + _expected(", predicted", step.foretold_m_s))
+    parts.append(proposal.reason)
+    if report is not None and report.rolled_back:
+        parts.append("worse twice")
+    if following is not None and following.words:
+        parts.append(following.words)
+    if following is not None and not following.upload:
+        return "; ".join(parts)
+    word = "would swim next" if following is None else "next"
+    parts.append(word + _expected(" max|e|", proposal.predicted_max_abs_error_m_s) + " mm/s")
+    if proposal.limited_beats:
+        parts.append(f"DU_MAX_RAD holds {proposal.limited_beats} beats back")
+    return "; ".join(parts)
+
+
+def _expected(word: str, quantiles: tuple[float, float, float] | None) -> str:
+    if quantiles is None:
+        return ""
+    low, median, high = (mm(value) for value in quantiles)
+    return f"{word} {median} ({low} to {high})"

@@ -1,0 +1,222 @@
+"""progress: what the trials prove, and when to stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, say, table
+
+if TYPE_CHECKING:
+    from tailbeat.experiment.library import Kept
+    from tailbeat.learning.identification import Identified
+    from tailbeat.learning.verdict import Progress
+
+
+def progress(
+    experiment: Annotated[
+        Path | None,
+        typer.Option("--experiment", metavar="DIR", help="Its trials; default: the logbook's."),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", metavar="CRC", help="0x1a2b3c4d, or list; default: the last."),
+    ] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Set the advised LAW_FADE, LAW_FADE_FROM on the board.")
+    ] = False,
+    logbook: Annotated[
+        Path | None, typer.Option("--logbook", metavar="DIR", help="Folder of all logbooks.")
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Print what each trial proved, noise or progress, and whether to go on.
+
+    Example: tailbeat progress --experiment experiments/2026-05-04_fish_thesis_p4_01
+    """
+    known = _material(experiment, logbook, connect)
+    for problem in known.problems:
+        echo(f"tailbeat: {problem}", err=True)
+    if reference == "list":
+        rows = references_of(known)
+        say(json, {"references": rows}, lambda: _references_text(rows))
+        return
+    from tailbeat.learning.verdict import progress_of
+
+    trials = [one.trial for one in known.kept if not one.mark]
+    found = progress_of(trials, _crc(reference), known.identified, known.problems)
+    for problem in found.problems[len(known.problems) :]:
+        echo(f"tailbeat: {problem}", err=True)
+    left_out = _discarded(known, found)
+    applied = _apply(found, connect) if apply else None
+    if plot is not None:
+        from tailbeat.report.figures.series import progress_png
+
+        progress_png(found, plot)
+    document = _document(found) | {"applied": applied, "discarded": left_out}
+    say(json, document, lambda: _text(found, applied, left_out))
+
+
+@dataclass(frozen=True)
+class _Material:
+    kept: list[Kept]
+    identified: Identified | None
+    problems: list[str]
+
+
+def _material(experiment: Path | None, root: Path | None, connect: str | None) -> _Material:
+    from tailbeat.app.cli._library import sound_identified
+    from tailbeat.core.errors import InputError
+    from tailbeat.experiment.library import logbook_of
+
+    if experiment is not None:
+        from tailbeat.learning.verdict import read_trials
+
+        kept, problems = read_trials(experiment)
+        return _Material(kept, _identified_in(experiment), problems)
+    with connected(connect) as fish:
+        book = logbook_of(fish, root)
+    if book is None:
+        raise InputError(
+            "a simulated fish in this process keeps no logbook.",
+            "Give --experiment DIR, or --logbook DIR.",
+        )
+    kept, problems = book.kept()
+    return _Material(kept, sound_identified(book), problems)
+
+
+def _identified_in(experiment: Path) -> Identified | None:
+    """What lies beside the trials."""
+    from tailbeat.learning.identification import Identified
+
+    for folder in (experiment / "raw", experiment):
+        if (folder / "identified.json").is_file():
+            return Identified.load(folder / "identified.json")
+    return None
+
+
+def references_of(known: _Material) -> list[dict[str, Any]]:
+    """Every reference that was swum, in the order of its last trial."""
+    from datetime import datetime
+
+    rows: dict[int, dict[str, Any]] = {}
+    for one in known.kept:
+        if one.mark:
+            continue
+        crc = one.trial.reference_crc
+        row = rows.pop(crc, {"reference_crc": crc, "trials": 0})
+        kept_at = datetime.fromtimestamp(one.path.stat().st_mtime)
+        rows[crc] = {
+            **row,
+            "trials": row["trials"] + 1,
+            "beats": len(one.trial.beats.samples),
+            "last": kept_at.isoformat(sep=" ", timespec="minutes"),
+        }
+    return list(rows.values())
+
+
+def _references_text(rows: list[dict[str, Any]]) -> str:
+    cells = [
+        [f"{row['reference_crc']:#010x}", str(row["trials"]), str(row["beats"]), row["last"]]
+        for row in rows
+    ]
+    return table(["reference", "trials", "beats", "last"], cells, left=(0, 3))
+
+
+def _discarded(known: _Material, found: Progress) -> list[int]:
+    from tailbeat.experiment.library import DISCARDED
+
+    mine = [one for one in known.kept if one.trial.reference_crc == found.reference_crc]
+    return [one.trial.number for one in mine if one.mark == DISCARDED]
+
+
+def _crc(text: str | None) -> int | None:
+    from tailbeat.core.errors import InputError
+
+    if text is None:
+        return None
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise InputError(f"'{text}' is no reference's CRC.", "Write it like 0x1a2b3c4d.") from None
+
+
+def _apply(found: Progress, connect: str | None) -> dict[str, float]:
+    from tailbeat.core.errors import InputError
+    from tailbeat.experiment.current import note_set
+
+    if found.fade is None:
+        raise InputError(
+            "there is nothing to apply: the series fluctuates no more than its noise.",
+            "Run it without --apply.",
+        )
+    wanted = {"LAW_FADE": found.fade.fade, "LAW_FADE_FROM": float(found.fade.fade_from)}
+    with connected(connect) as fish:
+        held = {name: fish.params.set(name, value).value for name, value in wanted.items()}
+        note_set(fish, held)
+    return held
+
+
+def _document(found: Progress) -> dict[str, Any]:
+    fade = found.fade
+    return {
+        "reference_crc": found.reference_crc,
+        "trials": found.rows,
+        "verdict": found.verdict,
+        "floor_m_s": found.floor_m_s,
+        "visits": found.visits,
+        "fluctuation": found.fluctuation,
+        "fade": fade and {"LAW_FADE": fade.fade, "LAW_FADE_FROM": fade.fade_from},
+        "problems": found.problems,
+    }
+
+
+def _text(found: Progress, applied: dict[str, float] | None, discarded: list[int]) -> str:
+    from tailbeat.core.trial_checks import never_measured
+
+    header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
+    rows = [
+        [
+            str(row.trial),
+            str(row.iteration),
+            mm(row.max_abs_error_m_s),
+            mm(row.rms_error_m_s),
+            f"trial {row.repeat_of}" if row.repeat_of else "",
+            row.words.partition(" (")[0],
+        ]
+        for row in found.rows
+    ]
+    lines = [table(header, rows, left=(5,))]
+    if discarded:
+        lines.append(f"discarded, not counted: trial {', '.join(map(str, discarded))}")
+    if missing := never_measured(found.visits):
+        lines.append(missing)
+    return "\n".join([*lines, *_conclusion(found, applied)])
+
+
+def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
+    verdict = found.verdict
+    lines = []
+    if verdict.best_trial:
+        best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
+        floor = f"; floor (least squares) {mm(found.floor_m_s)} mm/s"
+        lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
+    if verdict.stop:
+        lines += [f"stop: {verdict.stop_reason}", verdict.advice]
+    elif verdict.saturation is not None:
+        lines.append(verdict.saturation.text)
+    else:
+        lines.append("go on: tailbeat trial run, tailbeat learn")
+    if found.fade is not None and found.fluctuation is not None:
+        names = f"LAW_FADE {found.fade.fade:g}, LAW_FADE_FROM {found.fade.fade_from}"
+        how = "set" if applied else "set it with --apply"
+        lines.append(
+            f"trials fluctuate {found.fluctuation:.1f} times as much as repeats: "
+            f"let the gain fall, {names} ({how})"
+        )
+    return lines

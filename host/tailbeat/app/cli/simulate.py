@@ -1,0 +1,241 @@
+"""demo, sim, vboard, selftest."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tailbeat.app.cli._terminal import (
+    Json,
+    assignments,
+    echo,
+    json_line,
+    mm,
+    progress_bar,
+    say,
+    table,
+)
+
+if TYPE_CHECKING:
+    from tailbeat.app.demo import DemoResult
+    from tailbeat.sim.board import SimulatedBoard
+    from tailbeat.sim.server import Addresses
+
+Plant = Annotated[
+    str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish and the water.")
+]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        min=0,
+        help="Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
+        " board of its own.",
+    ),
+]
+Listen = Annotated[
+    str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
+]
+Pty = Annotated[bool, typer.Option("--pty", help="Serve the wired console on a pty too.")]
+Speed = Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="A value of the simulator, SI; repeatable."),
+]
+
+
+def demo(
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            "--plant", metavar="tank|thesis", help="Model of the fish and the water; default: tank."
+        ),
+    ] = None,
+    gain: Annotated[float, typer.Option("--gain", help="Learning gain, rad s/m.")] = 4.0,
+    lead: Annotated[
+        float | None,
+        typer.Option("--lead", min=0, help="Beats, in halves; default 0 (thesis) or 1 (tank)."),
+    ] = None,
+    trials: Annotated[int, typer.Option("--trials", min=1, help="Trials to swim.")] = 6,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", min=0, help="Same seed, same run, bit for bit; default: 1."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write; default: below experiments/.")
+    ] = None,
+    law: Annotated[
+        str, typer.Option("--law", metavar="p|model", help="model: identify the fish first.")
+    ] = "p",
+    settings: Set = None,
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            "--connect", metavar="URL", help="Learn on this board instead; vboard = flash image."
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """A fish learns the thesis's speed profile, from connecting to the report.
+
+    Example: tailbeat demo --plant tank --gain 4 --trials 6
+    """
+    from tailbeat.app.demo import DemoOptions, run_demo
+
+    options = DemoOptions(
+        plant, gain, lead, trials, seed, out, connect, assignments(settings or []), law
+    )
+    with progress_bar(json, "demo") as show:
+        result = run_demo(options, show)
+    say(json, result.as_dict(), lambda: _demo_text(result))
+
+
+def _demo_text(result: DemoResult) -> str:
+    rows = [
+        [
+            str(row.iteration),
+            str(row.trial or "-"),
+            mm(row.max_abs_error_m_s),
+            mm(row.rms_error_m_s),
+            mm(row.true_max_abs_error_m_s),
+            str(row.saturated_beats),
+            "zero input, not swum" if row.trial == 0 else row.end,
+        ]
+        for row in result.trials
+    ]
+    header = ["iteration", "trial", "max|e|", "RMS", "true max|e|", "saturated", "end"]
+    first, last = result.trials[0], result.trials[-1]
+    down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
+    law = ""
+    if result.identified is not None:
+        from tailbeat.app.demo import identified_text
+
+        law = f"law model, {identified_text(result.identified)}; else P, "
+    lines = [
+        f"plant {result.plant}, {law}gain {result.gain:g} rad s/m, lead {result.lead:g}"
+        + ("" if result.seed is None else f", seed {result.seed}")
+        + "; errors in mm/s, over beats",
+        table(header, rows, left=(6,)),
+        f"max|e| down {down * 100:.0f} % in {last.iteration} iterations; "
+        "host and board agree bit for bit",
+    ]
+    if result.floor_m_s is not None:
+        lines.append(
+            f"floor {mm(result.floor_m_s)} mm/s: no input can do better on this plant without "
+            f"noise (least squares: {mm(result.floor_lsq_m_s)})"
+        )
+    return "\n".join([*lines, f"report {result.report}"])
+
+
+def sim(
+    plant: Plant = "tank",
+    seed: Seed = None,
+    listen: Listen = "tcp:127.0.0.1:5760",
+    pty: Pty = False,
+    speed: Speed = 1.0,
+    settings: Set = None,
+    json: Json = False,
+) -> None:
+    """A simulated fish for other programs, until Ctrl-C; its camera, its wired console and the
+    world around it are on the next three ports. The world takes lines like "push -0.05"; say help.
+
+    Example: tailbeat sim --plant tank --speed 10 --set kappa_per_m=5
+    """
+    from tailbeat.sim.native import SimBoard
+
+    board = SimBoard(plant, **_values(seed, settings))
+    _serve(board, "simulated fish", listen, pty, speed, json)
+
+
+def vboard(
+    image: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="IMAGE", help="The flash image, .elf; default: build/firmware/tailbeat.elf."
+        ),
+    ] = None,
+    plant: Plant = "tank",
+    seed: Seed = None,
+    listen: Listen = "tcp:127.0.0.1:5760",
+    pty: Pty = False,
+    speed: Speed = 1.0,
+    settings: Set = None,
+    json: Json = False,
+) -> None:
+    """The flash image on an emulated board with a simulated fish around it, until Ctrl-C.
+
+    Example: tailbeat vboard build/firmware/tailbeat.elf --pty
+    """
+    from tailbeat.sim.emulated import EmulatedBoard
+
+    board = EmulatedBoard(image, plant, **_values(seed, settings))
+    _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
+
+
+def _values(seed: int | None, settings: list[str] | None) -> dict[str, float]:
+    return ({} if seed is None else {"seed": seed}) | assignments(settings or [])
+
+
+def _serve(
+    board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float, json: bool
+) -> None:
+    from tailbeat.sim.server import SimServer
+
+    def slow(pace: float) -> None:
+        words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
+        echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
+
+    server = SimServer(board, listen, pty, speed, slow)
+    stopped: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):  # even if started to ignore them, by a shell's &
+        signal.signal(number, lambda got, _: stopped.append(got))
+    try:
+        if json:
+            json_line(server.addresses.as_dict())
+        else:
+            echo(_serve_text(f"{what} ({board.plant})", speed, server.addresses))
+            sys.stdout.flush()
+        server.serve(lambda: bool(stopped))
+    finally:
+        server.close()
+
+
+def _serve_text(what: str, speed: float, at: Addresses) -> str:
+    from tailbeat.sim.server import parse_listen
+
+    pace = "" if speed == 1 else f" at {speed:g} x real time"
+    line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
+    console = at.console + (f" and {at.pty}" if at.pty else "")
+    host, port = parse_listen(at.world)
+    world = f"{at.world}: echo help | nc {host} {port}"
+    return f"{line}\nconsole on {console}\ncamera on {at.camera}\nworld on {world}"
+
+
+def selftest(
+    source: Annotated[
+        Path | None, typer.Option("--source", help="Folder of a clone; default: look for it.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Build the firmware's unit tests for this computer and run them.
+
+    Example: tailbeat selftest
+    """
+    from tailbeat.core.selftest import run_selftest
+
+    with progress_bar(json, "building and running") as show:
+        show(0.0, "")
+        report = run_selftest(source)
+    failed = [
+        f"FAILED {test.suite}: {test.name} {test.message}".rstrip()
+        for test in report.tests
+        if not test.ok
+    ]
+    summary = f"{report.passed} tests passed" + (f", {report.failed} failed" if failed else "")
+    say(json, report.as_dict(), "\n".join([*failed, summary]))
+    if failed:
+        raise typer.Exit(1)

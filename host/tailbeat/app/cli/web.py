@@ -1,0 +1,129 @@
+"""ui."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tailbeat.app.cli._options import (
+    CalibrationOption,
+    CameraOption,
+    LatencyOption,
+    MarkerIdOption,
+    MarkerKindOption,
+    MarkerSideOption,
+    marker_of,
+)
+from tailbeat.app.cli._terminal import Connect, Json, echo, json_line
+
+if TYPE_CHECKING:
+    from tailbeat.app.cli._live_camera import LiveOptions
+    from tailbeat.app.web.worker import Eyes
+    from tailbeat.board.fish import Fish
+
+
+def ui(
+    connect: Connect = None,
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host",
+            metavar="ADDRESS",
+            help="Where to listen; 0.0.0.0 = also for a phone in the same network, with a token.",
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="0 = any that is free.")
+    ] = 8080,
+    open_: Annotated[
+        bool, typer.Option("--open/--no-open", help="Show the page in a browser at once.")
+    ] = True,
+    root: Annotated[Path, typer.Option("--root", help="Folder for new experiments.")] = Path(
+        "experiments"
+    ),
+    camera: CameraOption = None,
+    calibration: CalibrationOption = None,
+    marker: MarkerKindOption = "aruco",
+    marker_id: MarkerIdOption = None,
+    marker_side: MarkerSideOption = None,
+    latency: LatencyOption = 0.0,
+    speed: Annotated[
+        float, typer.Option("--speed", help="With --connect sim: simulated seconds per second.")
+    ] = 1.0,
+    json: Json = False,
+) -> None:
+    """The day at the tank as a web page on this computer: start, abort, decide, look. Ctrl-C ends
+    it and stops the tail.
+
+    Example: tailbeat ui --connect sim --speed 5
+    """
+    from tailbeat.app.cli._live_camera import LiveOptions
+    from tailbeat.app.web.worker import Conductor
+    from tailbeat.core.extras import need
+
+    need("nicegui", "web", "The page needs NiceGUI")
+    from tailbeat.app.web.server import listen, serve
+
+    on_fish = marker_of(marker, marker_id, marker_side)
+    options = LiveOptions(camera, on_fish, calibration, latency, None, None)
+    place = listen(host, port)
+    with contextlib.closing(place.listener), _board(connect, speed) as make:
+        if json:
+            json_line({"urls": place.urls, "port": place.port})
+        else:
+            echo("\n".join(f"the page: {url}" for url in place.urls) + "\n(Ctrl-C ends it)")
+            sys.stdout.flush()
+        serve(Conductor(make, root, _eyes(options)), place, open_ and not json)
+
+
+@contextlib.contextmanager
+def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
+    """How to connect. A board that would live in this process gets a time of its own: otherwise its
+    swims would be over before anybody could look."""
+    from tailbeat.board.fish import Fish
+
+    if url is None or url.partition(":")[0] not in ("sim", "vboard"):
+        yield lambda: Fish.connect(url)
+        return
+    from threading import Event, Thread
+
+    from tailbeat.board.connect import open_transport
+    from tailbeat.sim.board import in_process
+    from tailbeat.sim.server import SimServer
+
+    transport = in_process(open_transport(url))
+    assert transport is not None
+    server = SimServer(transport.board, "tcp:127.0.0.1:0", speed=speed)
+    ended = Event()
+    thread = Thread(target=server.serve, args=(ended.is_set,), name="board", daemon=True)
+    thread.start()
+    try:
+        yield lambda: Fish.connect(server.addresses.listen)
+    finally:
+        ended.set()
+        thread.join()
+        server.close()
+
+
+def _eyes(options: LiveOptions) -> Eyes:
+    """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
+    from tailbeat.app.cli._live_camera import live_camera
+    from tailbeat.app.web.worker import no_eyes
+    from tailbeat.board.fish import Guard
+    from tailbeat.core.frames import Camera
+
+    @contextlib.contextmanager
+    def open_eyes(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
+        with live_camera(fish, options) as live:
+            if live.camera is not None:
+                yield live.camera, live.guard
+                return
+            with no_eyes(fish) as (camera, _):
+                yield camera, live.guard
+
+    return open_eyes

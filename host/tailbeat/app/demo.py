@@ -1,0 +1,475 @@
+"""The main job, end to end: a fish learns the thesis's speed profile.
+
+Connect, apply the preset of the thesis, upload, arm, swim, pull the log over the wire, learn on the
+board; after every step the host recomputes its numbers with the same C code and compares the bits.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlencode
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.board import presets
+from tailbeat.board.connect import is_simulated
+from tailbeat.board.presets import THESIS
+from tailbeat.core import law as laws
+from tailbeat.core import reference
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.folder import Experiment
+from tailbeat.report.demo_data import Series, Swim
+from tailbeat.report.demo_page import write_html
+from tailbeat.report.demo_picture import render_png
+from tailbeat.sim.world import DEFAULT_SEED
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.learning.fish_model import FishModel
+    from tailbeat.learning.identification import Identified
+    from tailbeat.link.messages import LearnReport
+    from tailbeat.sim.board import SimulatedBoard
+
+AMPLITUDE_MAX_RAD = THESIS["AMP_MAX_RAD"]
+LEAD_BEATS = {"thesis": THESIS["LAW_LEAD"]}  # the thesis's plant has no delay
+_LEAD_BEATS = 1.0  # any other's
+LAWS = ("p", "model")
+EXPERIMENTS = Path("experiments")
+_SAMPLE_S = 0.04
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """``connect``: None = the simulated board. ``plant``, ``seed`` and ``overrides`` (fields of the
+    simulator's configuration, SI) are refused for a board without a simulated fish in this process;
+    None = as the address says, else tank and 1."""
+
+    plant: str | None = None
+    gain: float = 4.0
+    lead: float | None = None
+    trials: int = 6
+    seed: int | None = None
+    out: Path | None = None
+    connect: str | None = None
+    overrides: dict[str, float] = field(default_factory=dict)
+    law: str = "p"  # or "model": identify first, then learn with the model
+
+
+@dataclass(frozen=True)
+class DemoTrial:
+    """One row of the result; None where only a simulator in this process could tell."""
+
+    iteration: int
+    trial: int  # 0 = not swum
+    max_abs_error_m_s: float
+    rms_error_m_s: float
+    true_max_abs_error_m_s: float | None
+    max_abs_error_25hz_m_s: float | None
+    saturated_beats: int
+    distance_m: float
+    duration_s: float
+    end: str
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What ``tailbeat demo --json`` prints."""
+
+    plant: str
+    gain: float
+    lead: float
+    seed: int | None  # None: not simulated in this process
+    floor_m_s: float | None
+    floor_lsq_m_s: float | None
+    trials: list[DemoTrial]
+    report: Path
+    law: str = "p"
+    identified: FishModel | None = None  # what law model began with
+
+    def as_dict(self) -> dict[str, Any]:
+        """SI units, JSON types."""
+        return asdict(self) | {"report": str(self.report)}
+
+
+class Mismatch(TailbeatError):
+    """Host and board computed different numbers from the same trial."""
+
+
+def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None) -> DemoResult:
+    """Runs the demo and writes the experiment folder with report.html and report.png."""
+    if options.trials < 1:
+        raise InputError(f"{options.trials} trials are no demo.", "Give --trials 1 or more.")
+    if options.law not in LAWS:
+        raise InputError(f"there is no law '{options.law}'.", f"Use {' or '.join(LAWS)}.")
+    from tailbeat.board.fish import Fish
+
+    with Fish.connect(_address(options), **options.overrides) as fish:
+        return _Demo(fish, options).run(progress)
+
+
+def _address(options: DemoOptions) -> str:
+    """Where to connect, with plant and seed if they are given. A demo is reproducible: without a
+    seed the simulated board has the usual one."""
+    url = options.connect or "sim"
+    seed = options.seed
+    if seed is None and is_simulated(url) and "seed=" not in url:
+        seed = DEFAULT_SEED
+    wanted = {"plant": options.plant, "seed": seed}
+    given = {name: value for name, value in wanted.items() if value is not None}
+    if not given:
+        return url
+    if not is_simulated(url):
+        raise InputError(
+            f"{' and '.join(given)} given for a board that is not simulated here",
+            "Leave them out, or connect to sim or vboard.",
+        )
+    return f"{url}{'&' if '?' in url else '?'}{urlencode(given)}"
+
+
+class _Demo:
+    def __init__(self, fish: Fish, options: DemoOptions) -> None:
+        self.fish, self.options = fish, options
+        self.sim: SimulatedBoard | None = fish.sim
+        self.plant = self.sim.plant if self.sim else "unknown"
+        lead = LEAD_BEATS.get(self.plant, _LEAD_BEATS)
+        self.lead = lead if options.lead is None else options.lead
+        self.reference = reference.thesis()
+        self.rows = [_zero_row(self.reference)]
+        self.trials: list[Trial] = []
+        self.identified: Identified | None = None  # law model only
+        self.teacher: Teacher | None = None
+
+    def run(self, progress: Progress) -> DemoResult:
+        self._prepare()
+        if self.options.law == "model":
+            self._identify(progress)
+        experiment = self._experiment()
+        count = self.options.trials
+        self._begin(experiment)
+        for i in range(1, count + 1):
+            progress((i - 1) / count, f"trial {i} of {count}")
+            self._one_trial(experiment)
+        progress(1.0, "report")
+        floor = self._floor()
+        result = DemoResult(
+            plant=self.plant,
+            gain=self.options.gain,
+            lead=self.lead,
+            seed=self.sim.seed if self.sim else None,
+            floor_m_s=floor[0],
+            floor_lsq_m_s=floor[1],
+            trials=self.rows,
+            report=experiment.folder / "report.html",
+            law=self.options.law,
+            identified=self.identified.model if self.identified else None,
+        )
+        self._report(experiment, result)
+        return result
+
+    def _prepare(self) -> None:
+        fish = self.fish
+        if fish.status().pending_trial is not None:
+            raise InputError(
+                "the board still holds a trial that is neither learned nor discarded.",
+                "tailbeat learn, or tailbeat trial discard.",
+            )
+        law = {"LAW_GAIN": self.options.gain, "LAW_LEAD": float(self.lead)}
+        presets.apply(fish, {**THESIS, **law})
+        self.params = {name: p.value for name, p in fish.params.list().items()}
+        self.law = laws.Law.from_params(self.params, self.reference.beat_s)
+        for problem in self.reference.check(reference.Limits.from_params(self.params)):
+            raise InputError(problem.meaning, problem.remedy)
+        self.info = fish.info()
+
+    def _identify(self, progress: Progress) -> None:
+        from tailbeat.session.identify import Attendant, identify_fish
+
+        attendant = Attendant(
+            before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}")
+        )
+        self.identified = identify_fish(self.fish, attendant, quick=True)
+
+    def _begin(self, experiment: Experiment) -> None:
+        """The reference, and with the model law the first amplitudes."""
+        self.fish.upload_reference(self.reference.record())
+        if self.identified is not None:
+            self.teacher = Teacher(self.fish, self.identified, experiment)
+            self.teacher.teach([])
+
+    def _experiment(self) -> Experiment:
+        kind = "vboard" if self.info.board == "emulated" else "sim"
+        fish = f"{kind}-{self.plant}" if self.sim else self.info.board
+        label = "model" if self.identified is not None else self.law.label()
+        names = fish, self.reference.name, label
+        out = self.options.out
+        if out is None:
+            experiment = Experiment.new(EXPERIMENTS, *names)
+        else:
+            if (out / "settings.json").exists():
+                _make_room(Experiment.open(out))
+            experiment = Experiment.at(out, *names)
+        experiment.write_settings(
+            {
+                "made_by": "demo",
+                "simulated": self.info.simulated,
+                "plant": self.plant,
+                "seed": self.sim.seed if self.sim else None,
+                "simulator": self.sim.config if self.sim else None,
+                "params": self.params,
+                "firmware": self.info.build_id,
+                "board": self.info.board,
+                "unique_id": self.info.unique_id,
+            }
+        )
+        experiment.add_raw("reference.bin", self.reference.record())
+        self.reference.to_csv(experiment.folder / "reference.csv")
+        return experiment
+
+    def _one_trial(self, experiment: Experiment) -> None:
+        fish = self.fish
+        fish.arm()
+        outcome = fish.run_trial()
+        with tempfile.TemporaryDirectory() as folder:
+            pulled = fish.pull_trial(outcome.number, Path(folder))
+            path = experiment.add_raw(pulled.name, pulled.read_bytes())
+        if outcome.interrupted:
+            raise KeyboardInterrupt
+        trial = read_trial(path)
+        if trial.problems:
+            raise TailbeatError(f"{path.name}: {trial.problems[0]}.", "Look at the file.")
+        if outcome.end != "complete":
+            raise TailbeatError(
+                f"trial {outcome.number} ended with {outcome.end} after "
+                f"{outcome.executed_beats} beats.",
+                f"Its file is {path}; clear the board and start again.",
+            )
+        visits = fish.visits() if self.law.fade else None
+        report = fish.learn(outcome.number)
+        compare(trial, self.law, fish.amplitudes().values, report.rolled_back, visits)
+        self.trials.append(trial)
+        if self.teacher is not None:
+            self.teacher.teach(self.trials)
+        self.rows.append(self._row(trial, report))
+
+    def _row(self, trial: Trial, report: LearnReport) -> DemoTrial:
+        true, fine = self._truth()
+        return DemoTrial(
+            iteration=trial.iteration,
+            trial=trial.number,
+            max_abs_error_m_s=report.max_abs_error_m_s,
+            rms_error_m_s=report.rms_error_m_s,
+            true_max_abs_error_m_s=true,
+            max_abs_error_25hz_m_s=fine,
+            saturated_beats=report.saturated_beats,
+            distance_m=distance_m(trial),
+            duration_s=trial.executed_beats * self.reference.beat_s,
+            end=trial.end,
+        )
+
+    def _truth(self) -> tuple[float | None, float | None]:
+        """max|e| of the last swim by the simulator's own state: over beats, and at 25 Hz."""
+        if self.sim is None:
+            return None, None
+        beats = self.sim.true_beats()[: self.reference.beats]
+        true = np.abs(self.reference.speed_m_s[: len(beats)] - beats)
+        speeds = self.sim.true_speeds_25hz()[: round(self.reference.duration_s / _SAMPLE_S)]
+        wanted = reference.thesis_speed(np.arange(len(speeds), dtype=np.float64) * _SAMPLE_S)
+        return float(true.max()), float(np.abs(wanted - speeds).max())
+
+    def _floor(self) -> tuple[float | None, float | None]:
+        if self.sim is None:
+            return None, None
+        from tailbeat.learning.error_bound import floor
+        from tailbeat.learning.error_bound_solve import plant_config
+
+        fixed = ("seed", "plant")
+        values = {name: v for name, v in self.sim.config.items() if name not in fixed}
+        config = plant_config(self.plant, values)
+        found = floor(config, self.reference, AMPLITUDE_MAX_RAD)
+        return found.minimax_m_s, found.lsq_max_abs_m_s
+
+    def _settings(self) -> dict[str, str]:
+        settings = {name: f"{value:g}" for name, value in self.params.items()}
+        if self.identified is not None:
+            return {"law": "model", "fish": identified_text(self.identified.model), **settings}
+        return settings
+
+    def _law_text(self) -> str:
+        lead = f"{self.lead:g} beat{'' if self.lead in (0.5, 1) else 's'}"
+        return f"gain {self.options.gain:g} rad·s/m, lead {lead}"
+
+    def _report(self, experiment: Experiment, result: DemoResult) -> None:
+        series = self._series(result)
+        png = render_png(series, experiment.folder / "report.png")
+        write_html(series, png, result.report)
+        experiment.note(f"demo: {len(self.trials)} trials, see report.html")
+
+    def _series(self, result: DemoResult) -> Series:
+        simulated = self.info.simulated
+        who = "A simulated fish" if simulated else "The fish"
+        board = "emulated board, " if self.info.board == "emulated" else ""
+        plant = f"{plant_text(self.plant, self.sim)}, seed {result.seed}; " if self.sim else ""
+        law = f"law P, {self._law_text()}"
+        if self.identified is not None:
+            drag = self.identified.model.kappa_per_m
+            law = f"law model, identified drag/mass {drag:.1f} 1/m"
+        swims = [
+            Swim(
+                iteration=row.iteration,
+                number=row.trial,
+                speed_m_s=trial.beats.speed_m_s,
+                amplitude_rad=trial.beats.applied_rad,
+                max_abs_error_m_s=row.max_abs_error_m_s,
+                rms_error_m_s=row.rms_error_m_s,
+                saturated_beats=row.saturated_beats,
+                distance_m=row.distance_m,
+                end=row.end,
+            )
+            for row, trial in zip(self.rows[1:], self.trials, strict=True)
+        ]
+        return Series(
+            title=f"{who} learns the {self.reference.name} speed profile",
+            subtitle=f"{board}{plant}{law}",
+            simulated=simulated,
+            reference_name=self.reference.name,
+            reference_m_s=self.reference.speed_m_s,
+            beat_s=self.reference.beat_s,
+            amplitude_max_rad=AMPLITUDE_MAX_RAD,
+            start_error_m_s=self.rows[0].max_abs_error_m_s,
+            floor_m_s=result.floor_m_s,
+            floor_lsq_m_s=result.floor_lsq_m_s,
+            swims=swims,
+            settings=self._settings(),
+            versions={
+                "tailbeat": _version(),
+                "firmware": self.info.build_id,
+                "board": f"{self.info.board} board {self.info.unique_id}",
+            },
+        )
+
+
+class Teacher:
+    """Gives the board the model's amplitudes; what they came from goes into the experiment."""
+
+    def __init__(self, fish: Fish, identified: Identified, experiment: Experiment) -> None:
+        from tailbeat.session.model_step import setting_of
+
+        self.fish, self.identified, self.experiment = fish, identified, experiment
+        self.setting = setting_of(fish)
+        experiment.add_raw("identified.json", _json_bytes(identified.as_dict()))
+
+    def teach(self, trials: list[Trial]) -> None:
+        """After ``trials``, all since the identification."""
+        from tailbeat.learning.fish_model import swim_of
+        from tailbeat.session.model_step import next_step, upload
+
+        step = next_step(self.setting, self.identified, [swim_of(trial) for trial in trials])
+        name = f"proposal-{len(trials) + 1:04d}.json"
+        self.experiment.add_raw(name, _json_bytes(step.document))
+        upload(self.fish, self.setting, step.proposal)
+
+
+def _json_bytes(document: dict[str, Any]) -> bytes:
+    return json.dumps(document, indent=1, allow_nan=False).encode() + b"\n"
+
+
+def identified_text(model: FishModel) -> str:
+    """The model in a few words."""
+    return (
+        f"identified: drag/mass {model.kappa_per_m:.1f} 1/m, {model.slope_m_s_rad:.3f} m/s/rad "
+        f"beyond {model.dead_zone_rad:.3f} rad, delay {model.delay_s:.2f} s"
+    )
+
+
+def compare(
+    trial: Trial,
+    law: laws.Law,
+    learned: NDArray[np.float32],
+    rolled_back: bool = False,
+    visits: NDArray[np.uint8] | None = None,
+) -> None:
+    """Raises Mismatch unless the host gets the board's beat means and next amplitudes, bit for bit,
+    from the trial's file and the board's ``visits`` before it learned."""
+    beats = trial.beats
+    speed, _ = recompute_beats(trial)
+    if not same_bits(speed, beats.speed_m_s):
+        raise Mismatch(
+            f"trial {trial.number}: the beat means recomputed from its file differ.",
+            "Tool and firmware may differ in version.",
+        )
+    if rolled_back:
+        return
+    error, measured = laws.errors_of(beats.reference_m_s, beats.speed_m_s)
+    expected, _ = laws.update(law, beats.amplitude_rad, error, measured, visits)
+    if not same_bits(expected, learned):
+        raise Mismatch(
+            f"trial {trial.number}: the amplitudes the board learned are not what the law gives.",
+            "Tool and firmware may differ in version.",
+        )
+
+
+def same_bits(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
+    """Equal as bit patterns; NaNs count as equal."""
+    if a.shape != b.shape:
+        return False
+    same = a.view(np.uint32) == b.view(np.uint32)
+    return bool(np.all(same | (np.isnan(a) & np.isnan(b))))
+
+
+def distance_m(trial: Trial) -> float:
+    """Measured distance, m; beats without a speed count as 0."""
+    return float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * trial.beat_s
+
+
+def plant_text(plant: str, sim: SimulatedBoard | None) -> str:
+    """The plant in a few words."""
+    if plant == "tank" and sim is not None:
+        return f"tank plant, drag/mass {sim.config['kappa_per_m']:g} 1/m"
+    return f"{plant} plant"
+
+
+def _zero_row(wanted: reference.Reference) -> DemoTrial:
+    """Iteration 0, the zero input: its error is the reference."""
+    speed = wanted.speed_m_s.astype(np.float64)
+    time = np.arange(round(wanted.duration_s / _SAMPLE_S), dtype=np.float64) * _SAMPLE_S
+    return DemoTrial(
+        iteration=0,
+        trial=0,
+        max_abs_error_m_s=float(speed.max()),
+        rms_error_m_s=float(np.sqrt(np.mean(speed**2))),
+        true_max_abs_error_m_s=float(speed.max()),
+        max_abs_error_25hz_m_s=float(reference.thesis_speed(time).max()),
+        saturated_beats=0,
+        distance_m=0.0,
+        duration_s=0.0,
+        end="complete",
+    )
+
+
+def _make_room(old: Experiment) -> None:
+    """A simulated demo can be made again; anything else is somebody's data."""
+    settings = old.settings()
+    if settings.get("made_by") != "demo" or not settings.get("simulated"):
+        raise InputError(
+            f"{old.folder} holds an experiment that no demo made.", "Choose another --out."
+        )
+    old.clear()
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("tailbeat")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,212 @@
+"""The charts as options for ECharts: pure functions of a snapshot, so that they can be looked at
+without a browser.
+
+Colours differ in lightness too, and lines in dashes and marks: they are told apart in grey.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tailbeat.app.web.view import Snapshot
+    from tailbeat.experiment.analysis import TrialRow
+
+Options = dict[str, Any]
+
+REFERENCE, MEASURED, LIMIT, QUIET = "#8a8f98", "#0b4f8a", "#b3261e", "#c4c9d1"
+_INK, _GRID = "#3c4450", "#e3e6ea"
+_FONT = {"fontSize": 12, "color": _INK}
+_DASHES = "path://M0,3h7v3h-7zM10,3h7v3h-7z"
+_FLOOR_MM_S = 0.1  # below it a logarithmic axis shows nothing of interest
+
+
+def speed_chart(now: Snapshot) -> Options:
+    """Wanted and measured speed per beat, mm/s."""
+    wanted = [round(v * 1e3, 2) for v in now.reference_m_s]
+    measured = [None if v is None else round(v * 1e3, 2) for v in now.speed_m_s]
+    options = _frame(
+        "mm/s",
+        [
+            {
+                "name": "wanted",
+                "type": "line",
+                "data": wanted,
+                "symbol": "none",
+                "lineStyle": {"color": REFERENCE, "width": 3, "type": [7, 5]},
+                "itemStyle": {"color": REFERENCE},
+            },
+            {
+                "name": "measured",
+                "type": "line",
+                "data": measured,
+                "symbol": "circle",
+                "showAllSymbol": True,
+                "symbolSize": 6,
+                "lineStyle": {"color": MEASURED, "width": 2},
+                "itemStyle": {"color": MEASURED},
+            },
+        ],
+        beats=len(wanted),
+        top=_above([*wanted, *(v for v in measured if v is not None)]),
+    )
+    options["legend"]["data"] = [{"name": "wanted", "icon": _DASHES}, {"name": "measured"}]
+    return options
+
+
+def amplitude_chart(now: Snapshot) -> Options:
+    """Amplitude of each beat, degrees, with the largest that is allowed."""
+    degrees = [None if a is None else round(math.degrees(a), 2) for a in now.amplitude_rad]
+    bars: Options = {
+        "name": "amplitude",
+        "type": "bar",
+        "data": degrees,
+        "barCategoryGap": "25%",
+        "itemStyle": {"color": MEASURED},
+    }
+    top = None
+    if now.amplitude_max_rad is not None:
+        limit = math.degrees(now.amplitude_max_rad)
+        top = _above([limit])
+        bars["markLine"] = _line(limit, f"limit {limit:.0f}°", LIMIT)
+    return _frame("degrees", [bars], beats=len(degrees), top=top)
+
+
+def error_chart(now: Snapshot) -> Options:
+    """Largest error of each swim by iteration, on a logarithmic axis, with the floor."""
+    open_trial = now.swum.outcome.number if now.swum is not None else None
+    rows = [
+        row
+        for row in now.rows
+        if _drawable(row.max_abs_error_m_s) and (row.decision or row.trial != open_trial)
+    ]
+    kept = _points(rows, ("keep", ""))
+    repeats = _points(rows, ("repeat",))
+    dropped = _points(rows, ("discard",))
+    series: list[Options] = [
+        {
+            "name": "kept",
+            "type": "line",
+            "data": kept,
+            "symbol": "circle",
+            "symbolSize": 9,
+            "lineStyle": {"color": MEASURED, "width": 2},
+            "itemStyle": {"color": MEASURED},
+        },
+    ]
+    if repeats:
+        series.append(_marks("repeated", repeats, "emptyDiamond", MEASURED))
+    if dropped:
+        series.append(_marks("discarded", dropped, "path://M0,0L10,10M0,10L10,0", REFERENCE))
+    if now.floor_m_s is not None and _drawable(now.floor_m_s):
+        floor = now.floor_m_s * 1e3
+        series[0]["markLine"] = _line(floor, f"floor {floor:.1f}: no input does better", LIMIT)
+    options = _frame("mm/s", series, beats=0, top=None)
+    last = max((row.iteration for row in rows), default=1)
+    options["xAxis"] = _x_axis("iteration") | {
+        "type": "value",
+        "min": 0,
+        "max": max(5, last + 1),
+        "minInterval": 1,
+    }
+    options["yAxis"] |= _octaves(now, rows)
+    return options
+
+
+def _octaves(now: Snapshot, rows: Sequence[TrialRow]) -> Options:
+    """Powers of two around what is drawn: of ten there would be a label or two."""
+    values = [row.max_abs_error_m_s for row in rows]
+    values += [v for v in (now.floor_m_s, now.start_error_m_s) if v is not None and _drawable(v)]
+    low = max(min(values, default=0.008) * 1e3, _FLOOR_MM_S)
+    high = max(max(values, default=0.064) * 1e3, 2 * low)
+    return {
+        "type": "log",
+        "logBase": 2,
+        "min": 2.0 ** math.floor(math.log2(low) - 0.2),
+        "max": 2.0 ** math.ceil(math.log2(high)),
+    }
+
+
+def _drawable(value: float | None) -> bool:
+    return value is not None and math.isfinite(value) and value > 0
+
+
+def _points(rows: Sequence[TrialRow], decisions: tuple[str, ...]) -> list[list[float]]:
+    return [
+        [row.iteration, round(row.max_abs_error_m_s * 1e3, 3)]
+        for row in rows
+        if row.decision in decisions
+    ]
+
+
+def _marks(name: str, points: list[list[float]], symbol: str, colour: str) -> Options:
+    return {
+        "name": name,
+        "type": "scatter",
+        "data": points,
+        "symbol": symbol,
+        "symbolSize": 10,
+        "itemStyle": {"color": colour, "borderColor": colour, "borderWidth": 2},
+    }
+
+
+def _line(value: float, words: str, colour: str) -> Options:
+    return {
+        "silent": True,
+        "symbol": "none",
+        "animation": False,
+        "lineStyle": {"color": colour, "width": 2, "type": [2, 3]},
+        "label": {
+            "formatter": words,
+            "position": "insideStartTop",
+            "color": colour,
+            "fontSize": 12,
+        },
+        "data": [{"yAxis": round(value, 3)}],
+    }
+
+
+def _above(values: Sequence[float]) -> float | None:
+    """A round top for an axis; None = nothing to go by."""
+    most = max(values, default=0.0) * 1.25
+    return 20.0 * math.ceil(most / 20.0) if most > 0 else None
+
+
+def _x_axis(name: str) -> Options:
+    return {
+        "name": name,
+        "nameLocation": "middle",
+        "nameGap": 26,
+        "nameTextStyle": _FONT,
+        "axisLabel": _FONT,
+        "axisLine": {"lineStyle": {"color": _INK}},
+        "splitLine": {"show": False},
+    }
+
+
+def _frame(unit: str, series: list[Options], beats: int, top: float | None) -> Options:
+    """What all charts share. Never animated: what moves here is the fish."""
+    value: Options = {
+        "type": "value",
+        "name": unit,
+        "nameTextStyle": _FONT | {"align": "left", "padding": [0, 0, 0, -26]},
+        "axisLabel": _FONT,
+        "min": 0,
+        "splitLine": {"lineStyle": {"color": _GRID}},
+    }
+    if top is not None:
+        value["max"] = top
+    return {
+        "animation": False,
+        "textStyle": {"fontFamily": "inherit"},
+        "grid": {"left": 44, "right": 14, "top": 34, "bottom": 44},
+        "legend": {"top": 0, "right": 4, "textStyle": _FONT, "itemWidth": 26}
+        if len(series) > 1
+        else {"show": False},
+        "tooltip": {"trigger": "axis", "confine": True},
+        "xAxis": _x_axis("beat") | {"type": "category", "data": list(range(1, beats + 1))},
+        "yAxis": value,
+        "series": series,
+    }

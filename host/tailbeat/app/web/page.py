@@ -1,0 +1,184 @@
+"""Notes written before there is an experiment: they wait on disk until it begins.
+
+The page: one for each browser, all of the same conductor.
+
+Everything on it is drawn from the conductor's snapshot five times a second, so that browsers which
+come, go or reload always show how things stand.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from nicegui import ui
+
+from tailbeat.app.web import charts, words
+from tailbeat.app.web.dialogs import Asking, Deciding
+from tailbeat.app.web.server import serve_downloads
+from tailbeat.app.web.status import Header, Status, Trials, dress
+from tailbeat.app.web.tools import LogCard, NotesCard, ReferenceCard
+from tailbeat.app.web.view import MOVING
+from tailbeat.core.locks import locked
+from tailbeat.experiment.journal import Journal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tailbeat.app.web.view import Snapshot
+    from tailbeat.app.web.worker import Conductor
+    from tailbeat.experiment.folder import Experiment
+
+
+def put_by(root: Path, unique_id: str, text: str, at: datetime) -> None:
+    """Keeps it for the next experiment of this fish. Raises InputError, OSError."""
+    root.mkdir(parents=True, exist_ok=True)
+    with locked(root):
+        _waiting(root, unique_id).add("note", at, text=text)
+
+
+def bring(root: Path, unique_id: str, experiment: Experiment) -> int:
+    """Writes what waits into the experiment, with the time of each; how many. What a full disk
+    stops waits on. Raises InputError, OSError."""
+    waiting = _waiting(root, unique_id)
+    if not waiting.path.exists():
+        return 0
+    with locked(root):
+        return _bring(waiting, experiment)
+
+
+def _bring(waiting: Journal, experiment: Experiment) -> int:
+    notes = waiting.entries("note")
+    there = {(entry["time"], entry["text"]) for entry in experiment.journal.entries("note")}
+    for note in notes:
+        if (note["time"], note["text"]) not in there:  # else it was stopped half way
+            experiment.note(note["text"], datetime.fromisoformat(note["time"]))
+    waiting.path.unlink(missing_ok=True)
+    return len(notes)
+
+
+def _waiting(root: Path, unique_id: str) -> Journal:
+    return Journal(root / f"notes-{unique_id}.jsonl")
+
+
+_PERIOD_S = 0.2
+_TICKS = 5  # periods between two signs of life
+
+
+def build(conductor: Conductor) -> None:
+    """Registers the page and what goes with it."""
+    serve_downloads(conductor)
+
+    @ui.page("/", title="tailbeat")
+    def page() -> None:
+        _Page(conductor)
+
+
+def _asset(name: str) -> str:
+    return files("tailbeat.app.web").joinpath(name).read_text(encoding="utf-8")
+
+
+class _Part(Protocol):
+    """What shows a snapshot."""
+
+    def refresh(self, now: Snapshot) -> None:
+        """Shows it."""
+
+
+class _Chart:
+    """Redrawn when what it shows has changed."""
+
+    def __init__(
+        self, title: str, hint: str, draw: Callable[[Snapshot], dict[str, Any]], name: str
+    ) -> None:
+        self._draw = draw
+        self._shown: dict[str, Any] = {}
+        with ui.element("section").classes("card"):
+            ui.label(title).classes("title")
+            ui.label(hint).classes("hint")
+            self._chart = ui.echart({}).classes(f"chart live {name}")
+
+    def refresh(self, now: Snapshot) -> None:
+        options = self._draw(now)
+        if options == self._shown:
+            return
+        self._shown = options
+        self._chart.options.clear()
+        self._chart.options.update(options)
+        self._chart.update()
+
+
+class _Page:
+    """One browser's."""
+
+    def __init__(self, conductor: Conductor) -> None:
+        self._conductor = conductor
+        self._serial = -1
+        self._periods = 0
+        ui.add_head_html(f"<style>{_asset('page.css')}</style>")
+        ui.add_body_html(f"{_asset('fixed.html')}<script>{_asset('page.js')}</script>")
+        ui.colors(primary="#0b4f8a", negative="#b3261e", warning="#ffe2a8")
+        with ui.element("div").classes("root") as self._root:
+            self._header = Header()
+            with ui.element("main").classes("all"):
+                with ui.element("div").classes("side"):
+                    self._status = Status(conductor)
+                    self._reference = ReferenceCard(conductor)
+                    self._notes = NotesCard(conductor)
+                with ui.element("div").classes("main"):
+                    self._charts = self._make_charts()
+                    self._trials = Trials()
+                    self._log = LogCard()
+            self._tick = ui.label("0").classes("tick")
+        others = (self._trials, self._log, Deciding(conductor), Asking(conductor))
+        self._parts: list[_Part] = [self._status, self._reference, *self._charts, *others]
+        self.refresh()
+        ui.timer(_PERIOD_S, self.refresh)
+
+    @staticmethod
+    def _make_charts() -> list[_Chart]:
+        with ui.element("div").classes("charts"):
+            drawn = [
+                _Chart(
+                    "Speed of each beat",
+                    "Dashed: wanted. Dots: measured; a gap was not measured.",
+                    charts.speed_chart,
+                    "speed-chart",
+                ),
+                _Chart(
+                    "Amplitude of each beat",
+                    "How far the tail swings to either side; this is what is learned.",
+                    charts.amplitude_chart,
+                    "amplitude-chart",
+                ),
+            ]
+        drawn.append(
+            _Chart(
+                "Largest error of each swim",
+                "One iteration = learned once more. Dotted, once the fish has been identified:"
+                " the floor, below which no amplitudes get.",
+                charts.error_chart,
+                "error-chart",
+            )
+        )
+        return drawn
+
+    def refresh(self) -> None:
+        """Draws what has changed."""
+        now, silent_s = self._conductor.now, self._conductor.silent_s()
+        self._header.refresh(now, silent_s)
+        dress(self._root, "stale" if words.is_stale(now, silent_s) else "fresh", ("stale", "fresh"))
+        self._periods += 1
+        if self._periods % _TICKS == 0:
+            self._tick.set_text(str(self._periods))
+        if now.serial == self._serial:
+            return
+        self._serial = now.serial
+        moving = now.phase in (*MOVING, "connecting")
+        dress(self._root, "moving" if moving else "calm", ("moving", "calm"))
+        dress(self._root, "filled" if now.reference_m_s else "bare", ("filled", "bare"))
+        self._root.props(f"data-phase={now.phase} data-state={now.state or 'none'}")
+        for part in self._parts:
+            part.refresh(now)

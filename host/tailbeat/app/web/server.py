@@ -1,0 +1,216 @@
+"""Under which addresses other computers see this one.
+
+What can be taken home from the page: logs as they came from the board, and their beats.
+
+Serves the page until it is told to end; the tail is stopped first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import ipaddress
+import os
+import signal
+import socket
+import struct
+import sys
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from tailbeat.app.web.access import Access, Rules, is_loopback, new_token
+from tailbeat.app.web.gate import Gate
+from tailbeat.app.web.inbox import Turns
+from tailbeat.core.errors import ConnectError, TailbeatError, reason
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from tailbeat.app.web.worker import Conductor
+
+_SIOCGIFADDR = 0x8915
+_ANY = ("0.0.0.0", "::")
+
+
+def reached_at(host: str) -> list[str]:
+    """The hosts to put into an address for a server that listens on ``host``; at least one."""
+    if host not in _ANY:
+        return [f"[{host}]" if ":" in host else host]
+    found = dict.fromkeys([*_of_interfaces(), *_of_name()])
+    usual = [one for one in found if not ipaddress.ip_address(one).is_loopback]
+    return usual or ["127.0.0.1"]
+
+
+def _of_interfaces() -> list[str]:
+    """Linux tells the address of every interface; nothing is sent."""
+    try:
+        from fcntl import ioctl
+    except ImportError:
+        return []
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+        for _, name in socket.if_nameindex():
+            with contextlib.suppress(OSError):  # an interface without an address
+                request = struct.pack("256s", name.encode()[:15])
+                answer = ioctl(asked.fileno(), _SIOCGIFADDR, request)
+                found.append(socket.inet_ntoa(answer[20:24]))
+    return found
+
+
+def _of_name() -> list[str]:
+    with contextlib.suppress(OSError):
+        entries = socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+        return [str(entry[4][0]) for entry in entries]
+    return []
+
+
+def serve_downloads(conductor: Conductor) -> None:
+    """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
+    from fastapi import HTTPException
+    from fastapi.responses import FileResponse, Response
+    from nicegui import app
+
+    @app.get("/raw/{name}")
+    def raw(name: str) -> Response:
+        path = conductor.raw_file(name)
+        if path is None or not path.is_file():
+            raise HTTPException(404, "there is no such trial")
+        return FileResponse(path, media_type="application/octet-stream", filename=name)
+
+    @app.get("/beats/{name}.csv")
+    def beats(name: str) -> Response:
+        path = conductor.raw_file(f"{name}.ulg")
+        if path is None or not path.is_file():
+            raise HTTPException(404, "there is no such trial")
+        try:
+            text = _beats_csv(path)
+        except TailbeatError as error:
+            raise HTTPException(422, str(error)) from error
+        headers = {"content-disposition": f'attachment; filename="{name}.csv"'}
+        return Response(text, media_type="text/csv", headers=headers)
+
+
+def _beats_csv(path: Path) -> str:
+    from tailbeat.core.trial_file import beats_csv, read_trial
+
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "beats.csv"
+        beats_csv(read_trial(path), out)
+        return out.read_text(encoding="utf-8")
+
+
+_BACKLOG = 1024
+_DRAIN_S = 2
+_RECONNECT_S = 10.0  # a phone that slept for a moment finds its page as it was
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the page listens. ``urls``: what to type; with the token, if there is one."""
+
+    listener: socket.socket
+    token: str | None
+    urls: list[str]
+
+    @property
+    def port(self) -> int:
+        """The number, also when any free one was asked for."""
+        return int(self.listener.getsockname()[1])
+
+
+def listen(host: str, port: int) -> Place:
+    """Takes the port. On another address than this computer's own there is a token."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+        listener.listen(_BACKLOG)  # from here on who asks waits, and nobody else gets the port
+    except (OSError, UnicodeError) as error:
+        listener.close()
+        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        raise ConnectError(
+            f"the page cannot listen on {host}:{port} ({reason(error)})",
+            "Another page may run there already; else choose another port: --port 8081"
+            if taken
+            else "Give --host an address of this computer, or 0.0.0.0 for all of them.",
+        ) from error
+    number = listener.getsockname()[1]
+    token = None if is_loopback(host) else new_token()
+    asked = "" if token is None else f"?token={token}"
+    return Place(listener, token, [f"http://{one}:{number}/{asked}" for one in reached_at(host)])
+
+
+def serve(conductor: Conductor, place: Place, show: bool = False) -> None:
+    """Runs until a signal ends it. Blocks; in the main thread only."""
+    import uvicorn
+    from fastapi import FastAPI
+    from nicegui import app, ui
+
+    from tailbeat.app.web.gate import Entrance
+    from tailbeat.app.web.page import build
+
+    build(conductor)
+    outer = FastAPI(openapi_url=None)
+    ui.run_with(
+        outer,
+        title="tailbeat",
+        favicon="🐟",
+        language="en-US",
+        tailwind=False,
+        reconnect_timeout=_RECONNECT_S,
+        show_welcome_message=False,
+    )
+    if show:
+        app.on_startup(lambda: _open(place.urls[0]))
+    in_turn = Turns(outer)
+
+    def abort() -> None:
+        conductor.ask("abort")
+
+    door = Access(in_turn, place.token, place.port, abort)
+    gate = Gate(place.listener, Rules(place.token, place.port), abort)
+    config = uvicorn.Config(
+        door,
+        interface="asgi3",
+        loop="asyncio",
+        http="h11",  # as the gate, so that both read a header alike
+        ws="wsproto",
+        log_level="warning",
+        server_header=False,
+        timeout_graceful_shutdown=_DRAIN_S,
+    )
+
+    class TailFirst(uvicorn.Server):
+        """Stops the tail before it does anything else, and then ends in good order."""
+
+        def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+            conductor.ask("abort")
+            self.force_exit: bool = bool(self.should_exit)
+            self.should_exit: bool = True
+
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets=[])  # the gate takes the connections
+            gate.open(Entrance(self, asyncio.get_running_loop()).take)
+
+    server = TailFirst(config)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, server.handle_exit)  # the terminal was closed
+    conductor.start()
+    try:
+        server.run()
+    finally:
+        gate.close()
+        conductor.close()
+
+
+def _open(url: str) -> None:
+    """In a browser with windows; one in the terminal would take it over."""
+    windows = sys.platform in ("darwin", "win32")
+    if windows or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        with contextlib.suppress(webbrowser.Error):
+            webbrowser.open(url)

@@ -1,0 +1,1 @@
+"""One connected fish: connecting, what it stores, diagnostics, flashing."""

@@ -1,0 +1,389 @@
+"""What one check found.
+
+How good the link is, and how the two clocks run: a few seconds of questions and answers.
+
+The way to the board: the port, and whether a board is heard there.
+
+All that the checks look at, asked from the board once. What it does not say is None.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import statistics
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from tailbeat.board.connect import LISTEN_S, find_board, hear_board, open_transport
+from tailbeat.board.crash import CrashReport
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import MISSING, KeyStatus, key_status, trust_of
+from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link import messages as results
+from tailbeat.link.heard import Hearing
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
+from tailbeat.link.messages import BoardStatus, ImuInfo
+from tailbeat.link.serial import CLOSE_IT, SerialTransport, holders, is_radio
+from tailbeat.link.timesync import ClockSample
+from tailbeat.link.transport import Transport
+from tailbeat.sim.board import in_process
+
+OK, WARNING, PROBLEM = "ok", "warning", "problem"
+
+Figure = float | int | str | bool | None
+Figures = dict[str, Figure]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check's result: how it went, in words, what to do, and the figures behind it."""
+
+    name: str
+    status: str
+    text: str
+    remedy: str = ""
+    measured: Mapping[str, Figure] = field(default_factory=dict)
+
+    @property
+    def line(self) -> str:
+        """What it says and what to do, in one line."""
+        return f"{self.text}. {self.remedy}" if self.remedy else self.text
+
+
+def worst(findings: list[Finding]) -> str:
+    """The worst status among them."""
+    found = {finding.status for finding in findings}
+    return next((status for status in (PROBLEM, WARNING) if status in found), OK)
+
+
+_PINGS_PER_S = 10
+_LATE_S = 2.5  # an HC-05 holds an answer for 0.4 s at most, a buffer in between for longer
+_SILENCE_S = 0.5  # after which a list has ended
+_SPAN_MIN_S = 0.02  # what comes quicker has no speed to speak of
+
+
+@dataclass(frozen=True)
+class ClockReading:
+    """The board's clock by ours: ``board_s`` at ``host_s``, give or take ``sigma_s``; it runs
+    ``rate`` times as fast, give or take ``rate_error``."""
+
+    host_s: float
+    board_s: float
+    sigma_s: float
+    rate: float
+    rate_error: float
+
+
+@dataclass(frozen=True)
+class Pings:
+    """``samples``: those answered, in the order sent."""
+
+    asked: int
+    samples: list[ClockSample]
+
+    @property
+    def lost(self) -> int:
+        """Unanswered."""
+        return self.asked - len(self.samples)
+
+    @property
+    def median_s(self) -> float:
+        """Round trip."""
+        return statistics.median(s.round_trip_s for s in self.samples)
+
+    @property
+    def max_s(self) -> float:
+        """Longest round trip."""
+        return max(s.round_trip_s for s in self.samples)
+
+    def clock(self) -> ClockReading | None:
+        """By the quickest answers of the beginning and of the end."""
+        third = len(self.samples) // 3
+        if third == 0:
+            return None
+        quickest = [
+            min(part, key=lambda s: s.round_trip_s)
+            for part in (self.samples[:third], self.samples[-third:])
+        ]
+        first, last = quickest
+        span_s = last.host_s - first.host_s
+        if span_s <= 0:
+            return None
+        error = (first.round_trip_s + last.round_trip_s) / 2 / span_s
+        rate = (last.board_s - first.board_s) / span_s
+        return ClockReading(last.host_s, last.board_s, last.round_trip_s / 2, rate, error)
+
+
+@dataclass(frozen=True)
+class Burst:
+    """A list that the board sends as fast as the line takes it. ``bytes_per_s``: None when it was
+    too quick to tell."""
+
+    frames: int
+    missing: int
+    bytes_per_s: float | None
+
+
+def ping(link: Link, duration_s: float) -> Pings:
+    """TIMESYNC at an even pace for ``duration_s`` of the transport's clock."""
+    transport = link.transport
+    sent: dict[int, float] = {}
+    samples: list[ClockSample] = []
+
+    def hear(message: Message) -> None:
+        if message.get_type() == "TIMESYNC" and message.tc1 and message.ts1 in sent:
+            sent_s, now_s = sent.pop(message.ts1), transport.now_s()
+            samples.append(ClockSample((sent_s + now_s) / 2, message.tc1 * 1e-9, now_s - sent_s))
+
+    count = max(3, round(duration_s * _PINGS_PER_S))
+    stop = link.subscribe(hear)
+    try:
+        begin_s = transport.now_s()
+        for number in range(1, count + 1):
+            sent[number] = transport.now_s()
+            link.send(mavlink.MAVLink_timesync_message(0, number))
+            link.run(max(0.0, begin_s + number / _PINGS_PER_S - transport.now_s()))
+        deadline = transport.now_s() + link.patient(_LATE_S)
+        while sent and (left := deadline - transport.now_s()) > 0:
+            link.idle(left)
+    finally:
+        stop()
+    return Pings(count, samples)
+
+
+def burst(link: Link) -> tuple[Burst, dict[str, float]]:
+    """The parameters in one go: how fast, how many got lost, and what came."""
+    values: dict[str, float] = {}
+    arrived: list[tuple[float, int]] = []
+    count = 0
+    link.flush()
+    link.send(mavlink.MAVLink_param_request_list_message(BOARD_SYSTEM, BOARD_COMPONENT))
+    silence_s = link.patient(_SILENCE_S)
+    while count == 0 or len(values) < count:
+        message = link.recv("PARAM_VALUE", silence_s)
+        if message is None:
+            break
+        count = message.param_count
+        values[message.param_id] = message.param_value
+        arrived.append((link.transport.now_s(), len(message.get_msgbuf())))
+    return Burst(len(values), count - len(values), _bytes_per_s(arrived)), values
+
+
+def _bytes_per_s(arrived: list[tuple[float, int]]) -> float | None:
+    """Of all but the first that came: that one's time on the line is not known."""
+    if not arrived:
+        return None
+    begin_s, end_s = arrived[0][0], arrived[-1][0]
+    later = sum(size for time_s, size in arrived if time_s > begin_s)
+    return later / (end_s - begin_s) if end_s - begin_s >= _SPAN_MIN_S else None
+
+
+def reach(url: str | None) -> tuple[list[Finding], Transport | None]:
+    """Opens and listens; no transport when that fails."""
+    try:
+        transport = find_board() if url is None else open_transport(url)
+    except ConnectError as error:
+        return [Finding("port", PROBLEM, error.message, error.remedy)], None
+    port = _port(transport)
+    board = Finding("board", OK, "a tailbeat board is heard")
+    if url is not None:
+        board = _listen(transport)
+    if board.status == OK:
+        return [port, board], transport
+    transport.close()
+    return [port, board], None
+
+
+def by_radio(transport: Transport) -> bool:
+    """Whether the way to the board is known to be its radio."""
+    return isinstance(transport, SerialTransport) and is_radio(transport.name)
+
+
+def _port(transport: Transport) -> Finding:
+    users = holders(transport.name) if isinstance(transport, SerialTransport) else []
+    if users:
+        text = f"{transport.name} opens, but it is in use by {', '.join(users)}, too"
+        return Finding("port", PROBLEM, text, CLOSE_IT)
+    return Finding("port", OK, _what(transport))
+
+
+def _what(transport: Transport) -> str:
+    if in_process(transport) is not None:
+        return f"{transport.name}, a board in this process"
+    if isinstance(transport, SerialTransport):
+        kind = "the radio" if by_radio(transport) else "a serial port"
+        return f"{transport.name} opens, {kind}"
+    return f"{transport.name} opens"
+
+
+def _listen(transport: Transport) -> Finding:
+    hearing = Hearing(transport.name)
+    begin_s = transport.now_s()
+    try:
+        heard = hear_board(transport, LISTEN_S, hearing) is not None
+    except TailbeatError as error:
+        return Finding("board", PROBLEM, error.message, error.remedy)
+    measured: Figures = {
+        "bytes": hearing.count,
+        "heard": "board" if heard else hearing.kind,
+        "after_s": round(transport.now_s() - begin_s, 3),
+    }
+    if heard:
+        return Finding("board", OK, "a tailbeat board is heard", "", measured)
+    return Finding("board", PROBLEM, *hearing.words(), measured)
+
+
+# The version last: a line of text with the build follows it.
+ASKED = ("TAILBEAT_STATUS", "TAILBEAT_HEALTH", "TAILBEAT_IMU_INFO", "AUTOPILOT_VERSION")
+PARAMETERS = ("BATT_LOW_V", "BATT_CRIT_V", "SPD_SOURCE", "IMU_TIMEOUT_S")
+_TRIES, _TRIES_LOSSY = 4, 12
+_REPLY_S = 0.7
+_BUSY = ("RUNNING", "SETTLING", "LEARNING")
+_NAME = "tailbeat "
+
+Health = dict[str, int | str]
+
+
+@dataclass
+class Patient:
+    """``unanswered``: messages the board did not give though it answered others. ``untold``: those
+    it refused us, because it has a key and we have not."""
+
+    by_radio: bool
+    in_process: bool
+    pings: Pings
+    burst: Burst | None = None
+    damaged_here: int = 0
+    damaged_there: int = 0
+    version: Message | None = None
+    build_id: str | None = None
+    status: BoardStatus | None = None
+    health: Health | None = None
+    imu: ImuInfo | None = None
+    crash: CrashReport | None = None
+    key: KeyStatus | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    unanswered: list[str] = field(default_factory=list)
+    untold: list[str] = field(default_factory=list)
+
+    @property
+    def busy(self) -> bool:
+        """A trial is under way: the link is not to be loaded."""
+        return self.status is not None and self.status.state in _BUSY
+
+    @property
+    def kind(self) -> str:
+        """Fish, simulated, emulated, or unknown."""
+        number = None if self.version is None else self.version.board_version
+        return results.BOARD_KINDS.get(number or 0, "unknown")
+
+
+def gather(transport: Transport, measure_s: float) -> Patient:
+    """Asks for everything. Raises LinkLostError when the board answers nothing at all."""
+    fish = Fish(transport)
+    fish.clock.sync()
+    link = fish.link
+    # A stranger would have to wait for it twice.
+    before = None if link.signing.locked else _ask(link, "TAILBEAT_HEALTH")
+    damaged = link.framer.bad_frames
+    patient = Patient(by_radio(transport), in_process(transport) is not None, Pings(0, []))
+    patient.pings = ping(link, measure_s)
+    _read(patient, link)
+    if not patient.busy:
+        patient.burst, patient.parameters = burst(link)
+    patient.damaged_here = link.framer.bad_frames - damaged
+    if before is not None and patient.health is not None:
+        there = int(patient.health["link_bad_frames"]) - before.link_bad_frames
+        patient.damaged_there = max(0, there)
+    _look_further(patient, fish)
+    return patient
+
+
+def of_connected(fish: Fish, measure_s: float) -> Patient:
+    """What matters before a swim, of a fish that is connected: link, battery, IMU."""
+    link = fish.link
+    patient = Patient(
+        by_radio(fish.transport), in_process(fish.transport) is not None, ping(link, measure_s)
+    )
+    patient.status = fish.status()
+    patient.health = fish.health()
+    patient.imu = fish.imu_verdict()
+    patient.parameters = {name: fish.params.get(name).value for name in PARAMETERS}
+    return patient
+
+
+def _read(patient: Patient, link: Link) -> None:
+    tries = _TRIES_LOSSY if patient.pings.lost else _TRIES
+    messages: dict[str, Message | None] = dict.fromkeys(ASKED)
+    for kind in ASKED:
+        try:
+            messages[kind] = _ask(link, kind, tries)
+        except Refused:
+            patient.untold.append(kind)
+    silent = [kind for kind, message in messages.items() if message is None]
+    patient.unanswered = [kind for kind in silent if kind not in patient.untold]
+    if len(patient.unanswered) == len(ASKED):
+        raise link.lost(tries, tries * _REPLY_S)
+    status, health, imu, version = (messages[kind] for kind in ASKED)
+    if version is not None:
+        patient.version = version
+        patient.build_id = _build_id(link) or text_of(bytes(version.flight_custom_version))
+    if status is not None:
+        patient.status = BoardStatus.of(status)
+    if health is not None:
+        patient.health = results.health_dict(health)
+    if imu is not None:
+        patient.imu = ImuInfo.of(imu)
+
+
+def _look_further(patient: Patient, fish: Fish) -> None:
+    for name in PARAMETERS:
+        if name not in patient.parameters:
+            with contextlib.suppress(TailbeatError):
+                patient.parameters[name] = fish.params.get(name).value
+    if patient.imu is not None:
+        patient.imu = fish.imu_verdict()
+    if not patient.busy:
+        with contextlib.suppress(TailbeatError):
+            patient.crash = fish.crash_report()
+    told = patient.version is not None and patient.health is not None
+    if told or trust_of(fish) == MISSING:
+        patient.key = key_status(fish, patient.health or {})
+
+
+def _ask(link: Link, kind: str, tries: int = _TRIES) -> Message | None:
+    """A message, with less patience than link.request: it may be one that never comes. Raises
+    Refused when the board does not tell it to strangers, which we are."""
+    if link.signing.locked:
+        return _overhear(link, kind)
+    number = next(n for n, message in mavlink.mavlink_map.items() if message.msgname == kind)
+    request = mavlink.MAVLink_command_long_message(
+        BOARD_SYSTEM, BOARD_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0
+    )
+    link.flush()
+    for _ in range(tries):
+        link.send(request)
+        message = link.recv(kind, link.patient(_REPLY_S))
+        if message is not None:
+            return message
+    return None
+
+
+def _overhear(link: Link, kind: str) -> Message | None:
+    """What a board tells by itself; the rest it refuses."""
+    with contextlib.suppress(LinkLostError):
+        return link.request(kind)
+    return None
+
+
+def _build_id(link: Link) -> str | None:
+    """The board says it in a line of text behind its version."""
+    for _ in range(_TRIES):
+        heard = link.recv(
+            "STATUSTEXT", link.patient(0.5), lambda m: text_of(m.text).startswith(_NAME)
+        )
+        if heard is not None:
+            return text_of(heard.text).removeprefix(_NAME)
+        _ask(link, "AUTOPILOT_VERSION")
+    return None

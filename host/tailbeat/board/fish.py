@@ -1,0 +1,499 @@
+"""The reference of a connected board, and the one that stands for none.
+
+The fish: everything a person does with a board, as methods.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.board import crash
+from tailbeat.board.connect import open_transport, require_board
+from tailbeat.board.crash import CrashReport
+from tailbeat.core import records
+from tailbeat.core.errors import ConnectError, Refused, TransferError
+from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, WRONG_STATE, refusal
+from tailbeat.core.frames import Camera
+from tailbeat.core.imu_problems import STARTING
+from tailbeat.core.records import decode_reference
+from tailbeat.core.reference import Reference
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link import messages
+from tailbeat.link.ftp.client import FtpClient, Progress
+from tailbeat.link.ftp.wire import FtpError
+from tailbeat.link.mavlink import Link, Message, text_of
+from tailbeat.link.messages import (
+    Amplitudes,
+    BeatEvent,
+    BoardInfo,
+    BoardStatus,
+    ImuFrame,
+    ImuInfo,
+    LearnReport,
+    TrialFile,
+    TrialOutcome,
+    imu_frames,
+)
+from tailbeat.link.params import Parameters
+from tailbeat.link.sockets import TcpTransport
+from tailbeat.link.timesync import BoardClock
+from tailbeat.link.transport import Transport
+from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sim.board import SimulatedBoard, in_process
+
+# A board cannot lose its reference again. After an identification on one that had none a beat at
+# rest stands for none: no run's amplitudes may swim again.
+REST = Reference(1.0, np.zeros(1, np.float32), "rest")
+
+
+def board_reference(fish: Fish) -> Reference | None:
+    """None when it has none, or one that is zero throughout."""
+    record = fish.reference_record()
+    if record is None:
+        return None
+    held = decode_reference(record)
+    if not np.any(held.speed_m_s):
+        return None
+    return Reference(held.beat_s, held.speed_m_s, f"{held.crc:08x}")
+
+
+TRIALS = "/trials"
+LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
+_IMU_VERDICT_S = 6.0  # of board time, after which it knows
+_IMU_LOOK_S = 0.25
+_AMPLITUDES_PER_PIECE = 32
+_NEXT = mavlink.TAILBEAT_AMPLITUDE_SET_NEXT
+_BEST = mavlink.TAILBEAT_AMPLITUDE_SET_BEST
+_VISITS = mavlink.TAILBEAT_AMPLITUDE_SET_VISITS
+_VISITS_MAX = 255
+_PEAKS = mavlink.TAILBEAT_AMPLITUDE_SET_PEAKS
+_FTP_NOT_FOUND = 10
+_STEADY_TRIES = 5
+_NAME = "tailbeat "
+_STOPPED = ("ABORTED", "FAULT")
+
+Event = dict[str, Any]
+OnEvent = Callable[[Event], None]
+Guard = Callable[[object], str | None]
+"""Sees camera.base.Frame, Unseen, Afresh and CameraGone and results.BeatEvent as they come (ignore
+what you do not know); a reason aborts the trial."""
+
+
+class HasRecord(Protocol):
+    """A reference, as far as uploading it goes."""
+
+    def record(self) -> bytes:
+        """The bytes of the board's file."""
+
+
+class Fish:
+    """One connected board. Use as a context manager, or close() it."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.link = Link(transport)
+        self.clock = BoardClock(self.link)
+        self.params = Parameters(self.link)
+        self.ftp = FtpClient(self.link)
+        self._counts_visits: bool | None = None  # None: not asked yet
+
+    @classmethod
+    def connect(cls, url: str | None = None, /, **sim_overrides: float) -> Fish:
+        """Opens ``url`` (None: find the fish) and greets the board. Raises ConnectError."""
+        transport = open_transport(url, **sim_overrides)
+        try:
+            if url is not None:
+                require_board(transport)
+            fish = cls(transport)
+            fish.clock.sync()
+        except BaseException:
+            transport.close()
+            raise
+        return fish
+
+    def __enter__(self) -> Fish:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the connection; the board stays as it is."""
+        self.link.close()
+
+    @property
+    def sim(self) -> SimulatedBoard | None:
+        """The board when it lives in this process: the simulator's or an emulated one, either with
+        a simulated fish around it."""
+        transport = in_process(self.transport)
+        return None if transport is None else transport.board
+
+    def info(self) -> BoardInfo:
+        """Who the board is and where it stands."""
+        m = self.link.request("AUTOPILOT_VERSION")
+        kind = messages.BOARD_KINDS.get(m.board_version, "unknown")
+        version = m.flight_sw_version
+        return BoardInfo(
+            build_id=self._build_id() or text_of(bytes(m.flight_custom_version)),
+            version=f"{version >> 24 & 255}.{version >> 16 & 255}.{version >> 8 & 255}",
+            board=kind,
+            simulated=kind in messages.SIMULATED_FISH,
+            unique_id=_unique_id(m),
+            connection=self.transport.name,
+            status=self.status(),
+        )
+
+    def unique_id(self) -> str:
+        """The number its chip was made with, in hexadecimal digits."""
+        return _unique_id(self.link.request("AUTOPILOT_VERSION"))
+
+    def status(self) -> BoardStatus:
+        """Where the board stands now."""
+        return BoardStatus.of(self.link.request("TAILBEAT_STATUS"))
+
+    def health(self) -> dict[str, int | str]:
+        """Counters of what went wrong since boot."""
+        return messages.health_dict(self.link.request("TAILBEAT_HEALTH"))
+
+    def imu_info(self) -> ImuInfo:
+        """Which IMU the board has, and why it does not stream if it does not."""
+        return ImuInfo.of(self.link.request("TAILBEAT_IMU_INFO"))
+
+    def imu_verdict(self) -> ImuInfo:
+        """The same once the board knows: a few seconds after its start, the IMU's, or a change of
+        the IMU's parameters."""
+        end_s = self.clock.now_s() + _IMU_VERDICT_S
+        while (info := self.imu_info()).problem.number == STARTING and self.clock.now_s() < end_s:
+            self.link.run(_IMU_LOOK_S / self.clock.rate)
+        return info
+
+    def imu_save(self) -> None:
+        """Writes the IMU's settings into its own flash and restarts it; IDLE only."""
+        self.link.command(mavlink.TAILBEAT_CMD_IMU_SAVE)
+
+    def imu_frames(self, duration_s: float = math.inf) -> Generator[ImuFrame, None, None]:
+        """The IMU's raw frames as they come, for so long of board time. Close the generator, or
+        use it up, to end the stream."""
+        return imu_frames(self.link, self.clock, duration_s)
+
+    def upload_reference(
+        self, reference: bytes | HasRecord, progress: Progress | None = None
+    ) -> int:
+        """Makes ``reference`` the board's; its CRC. Does nothing when the board has it already."""
+        record = reference if isinstance(reference, bytes) else reference.record()
+        crc = records.record_crc(record)
+        if self.status().reference_crc != crc:
+            self._upload(records.FILE_REFERENCE, record, progress)
+        return crc
+
+    def reference_record(self) -> bytes | None:
+        """The board's reference as it is stored, see records.decode_reference."""
+        return self._record("/reference.bin")
+
+    def past_record(self, path: str) -> bytes | None:
+        """A past trial that the board's average looks back on, see records.past_path."""
+        return self._record(path)
+
+    def crash_report(self) -> CrashReport | None:
+        """How the firmware last died; None when it never has."""
+        record = self.crash_record()
+        return None if record is None else crash.decode_crash(record)
+
+    def crash_record(self) -> bytes | None:
+        """The same as it is stored."""
+        return self._record(crash.PATH)
+
+    def _record(self, path: str) -> bytes | None:
+        try:
+            return self.ftp.read(path)
+        except FtpError as error:
+            if error.code == _FTP_NOT_FOUND:
+                return None
+            raise
+
+    def upload_amplitudes(self, amplitude_rad: ArrayLike) -> None:
+        """Makes amplitudes computed elsewhere the next ones to swim."""
+        crc = self.status().reference_crc
+        if crc is None:
+            raise refusal(NO_REFERENCE)
+        self._upload(records.FILE_AMPLITUDES, records.encode_amplitudes(crc, amplitude_rad))
+
+    def learned_record(self) -> bytes | None:
+        """All that was learned, as upload_learned takes it; None when there is nothing."""
+        status = self.status()
+        if status.iteration == 0:
+            return None
+        visits = self.visits()
+        best = self.amplitudes(best=True) if status.best_iteration else None
+        peaks = None if visits is None or best is None else self.peaks()
+        return records.encode_learned(status, self.amplitudes(), best, visits, peaks)
+
+    def upload_learned(self, record: bytes) -> None:
+        """Makes ``record`` all that the board has learned; it must be of the board's reference."""
+        self._upload(records.FILE_LEARNED, record)
+
+    def upload_speeds(self, trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> None:
+        """Gives the pending trial its speeds, one per beat; NaN = not measured."""
+        record = records.encode_speeds(trial, speed_m_s, sigma_m_s)
+        self._upload(records.FILE_SPEEDS, record)
+
+    def arm(self, blink_s: float = 0.0) -> None:
+        """Ready to swim; the LED blinks for so long (60 s at most) before it is lit for good.
+        Refused when a trial is pending, without a reference, …"""
+        self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0, blink_s)
+
+    def disarm(self) -> None:
+        """Back to idle; a running trial is aborted."""
+        self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+
+    def clear(self) -> None:
+        """Leaves ABORTED or FAULT."""
+        self.link.command(mavlink.TAILBEAT_CMD_CLEAR)
+
+    def abort(self, wall: bool = False) -> None:
+        """Stops the tail now; ``wall``: because the fish comes too close to one (fault WALL)."""
+        reason = mavlink.TAILBEAT_ABORT_WALL if wall else mavlink.TAILBEAT_ABORT_COMMAND
+        self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, float(reason), timeout_s=0.3)
+
+    def learn(self, trial: int | None = None) -> LearnReport:
+        """Learns from the pending trial (or ``trial``)."""
+        number = trial if trial is not None else self._pending()
+        heard: list[Message] = []
+        stop = self.link.subscribe(heard.append)
+        try:
+            self.link.command(mavlink.TAILBEAT_CMD_LEARN, float(number), timeout_s=LEARN_TIMEOUT_S)
+        except Refused as refused:
+            state = self.status().state if refused.number == WRONG_STATE else ""
+            if state not in _STOPPED:
+                raise
+            meaning, remedy = f"the board is stopped ({state})", "tailbeat clear, then learn."
+            raise Refused(refused.number, refused.name, meaning, remedy) from None
+        finally:
+            stop()
+        for message in heard:
+            if message.get_type() == "TAILBEAT_LEARN_REPORT" and message.trial == number:
+                return LearnReport.of(message)
+        report = self.link.request("TAILBEAT_LEARN_REPORT", where=lambda m: m.trial == number)
+        return LearnReport.of(report)
+
+    def discard(self, trial: int | None = None) -> None:
+        """Drops the pending trial without learning; its log stays."""
+        number = trial if trial is not None else self._pending()
+        try:
+            self.link.command(mavlink.TAILBEAT_CMD_DISCARD, float(number))
+        except Refused as refused:  # one that came twice finds it dropped already
+            if refused.number != NO_TRIAL or (self.link.said == 1 and trial is not None):
+                raise
+
+    def restore_best(self) -> None:
+        """Makes the best amplitudes so far the next ones."""
+        self.link.command(mavlink.TAILBEAT_CMD_RESTORE_BEST)
+
+    def amplitudes(self, best: bool = False) -> Amplitudes:
+        """The amplitudes that swim next (unsaturated) or the best so far (as swum), bit for bit."""
+        stored = self._stored(_BEST if best else _NEXT)
+        # 0 is also what a board says that does not tell: one that counts no visits.
+        told = stored.input != 0 or self._tells_input()
+        return stored if told else replace(stored, input=None)
+
+    def _tells_input(self) -> bool:
+        if self._counts_visits is None:
+            self.visits()
+        return self._counts_visits is True
+
+    def visits(self) -> NDArray[np.uint8] | None:
+        """How many trials have corrected each beat, 255 at most; None when the board does not
+        count them."""
+        try:
+            counts = self._stored(_VISITS).values
+        except Refused as refused:
+            if refused.number != BAD_DATA:
+                raise
+            self._counts_visits = False
+            return None
+        if not ((counts >= 0) & (counts <= _VISITS_MAX)).all():
+            raise TransferError(
+                "the board's update counts are no numbers from 0 to 255",
+                "Its firmware or its storage is damaged: tailbeat doctor",
+            )
+        self._counts_visits = True
+        return counts.astype(np.uint8)
+
+    def peaks(self) -> NDArray[np.float32] | None:
+        """|e| of the best trial's largest errors at their beats, m/s, and 0 at all others.
+
+        Negative where it is an earlier best's, at a beat that the best did not measure. None: the
+        board does not keep them."""
+        try:
+            return self._stored(_PEAKS).values
+        except Refused as refused:
+            if refused.number != BAD_DATA:
+                raise
+            return None
+
+    def _stored(self, kind: int) -> Amplitudes:
+        for _ in range(_STEADY_TRIES):
+            first = self._amplitudes_piece(0, kind)
+            values = list(first.amplitude_rad[: first.count])
+            steady = True
+            while steady and len(values) < first.beats:
+                piece = self._amplitudes_piece(len(values), kind)
+                steady = piece.count > 0 and _same_series(piece, first)
+                values += piece.amplitude_rad[: piece.count]
+            if steady:
+                array = np.array(values, dtype=np.float32)
+                made_by = first.input
+                return Amplitudes(first.iteration, first.beats, first.reference_crc, array, made_by)
+        raise TransferError(
+            "the board's amplitudes change while they are read", "Try again when it is idle."
+        )
+
+    def trials(self) -> list[TrialFile]:
+        """Trial logs on the board, oldest first."""
+        found = []
+        for entry in self.ftp.list(TRIALS):
+            stem, _, kind = entry.name.partition(".")
+            if kind == "ulg" and stem.isascii() and stem.isdigit():
+                found.append(TrialFile(int(stem), f"{TRIALS}/{entry.name}", entry.size))
+        return sorted(found, key=lambda trial: trial.number)
+
+    def pull_trial(self, number: int, folder: Path, progress: Progress | None = None) -> Path:
+        """Copies a trial's log into ``folder``; resumes what an earlier call began."""
+        name = f"{number:04d}.ulg"
+        local = folder / name
+        self.ftp.pull(f"{TRIALS}/{name}", local, progress)
+        return local
+
+    def run_trial(
+        self,
+        camera: Camera | None = None,
+        on_event: OnEvent | None = None,
+        guard: Guard | None = None,
+        reconnect_s: float = 60.0,
+        direction_rad: float = 0.0,
+    ) -> TrialOutcome:
+        """Swims the next trial to its end; see trialrun.run_trial."""
+        from tailbeat.session.trial import run_trial
+
+        return run_trial(self, camera, on_event, guard, reconnect_s, direction_rad)
+
+    def watch(self) -> Iterator[Event]:
+        """Everything the board tells, as it comes, for ever."""
+        kinds = tuple(_WATCHED)
+        while True:
+            message = self.link.recv(kinds, 1.0)
+            if message is not None:
+                yield _WATCHED[message.get_type()](message)
+
+    def default_camera(self) -> Camera | None:
+        """The camera that belongs to a simulated board; None for a real one."""
+        if (board := self.sim) is not None:
+            return SimulatedCamera(board) if board.config["camera_fps"] > 0 else None
+        if isinstance(self.transport, TcpTransport) and self._kind() != "fish":
+            try:
+                return RemoteCamera(self.transport.host, self.transport.port + 1)
+            except ConnectError:
+                return None
+        return None
+
+    def _build_id(self) -> str | None:
+        """The board says it in a line of text behind its version."""
+        patience_s = self.link.patient(0.5)
+        m = self.link.recv("STATUSTEXT", patience_s, lambda m: text_of(m.text).startswith(_NAME))
+        return text_of(m.text).removeprefix(_NAME) if m else None
+
+    def _kind(self) -> str:
+        version = self.link.request("AUTOPILOT_VERSION")
+        return messages.BOARD_KINDS.get(version.board_version, "unknown")
+
+    def _pending(self) -> int:
+        number = self.status().pending_trial
+        if number is None:
+            raise refusal(NO_TRIAL)
+        return number
+
+    def _upload(self, file: int, record: bytes, progress: Progress | None = None) -> None:
+        self.ftp.write(records.PATHS[file], record, progress)
+        crc = records.crc32(record)
+        signed = crc - (1 << 32) if crc & 0x80000000 else crc
+        try:
+            self.link.command_int(mavlink.TAILBEAT_CMD_COMMIT, float(file), len(record), signed)
+        except Refused as refused:
+            if refused.number != BAD_FILE or self._is_there(file):
+                raise  # one that came twice finds the file gone: it was taken over at the first
+
+    def _is_there(self, file: int) -> bool:
+        try:
+            self.ftp.crc32(records.PATHS[file])
+        except FtpError as error:
+            if error.code == _FTP_NOT_FOUND:
+                return False
+            raise
+        return True
+
+    def _amplitudes_piece(self, first: int, kind: int) -> Message:
+        return self.link.request(
+            "TAILBEAT_AMPLITUDES",
+            first,
+            kind,
+            where=lambda m: m.first == first and m.set == kind and m.count <= _AMPLITUDES_PER_PIECE,
+        )
+
+
+def _unique_id(version: Message) -> str:
+    return bytes(version.uid2)[:16].hex()
+
+
+def _same_series(piece: Message, first: Message) -> bool:
+    return bool(
+        piece.iteration == first.iteration
+        and piece.beats == first.beats
+        and piece.reference_crc == first.reference_crc
+    )
+
+
+def status_event(status: BoardStatus) -> Event:
+    """A status as one event; the fault as number and name."""
+    event: Event = {"event": "status", **vars(status)}
+    event["fault"] = status.fault.number
+    event["fault_name"] = status.fault.name
+    return event
+
+
+def beat_event(beat: BeatEvent) -> Event:
+    """A settled beat as one event."""
+    return {"event": "beat", **vars(beat)}
+
+
+def _live_event(m: Message) -> Event:
+    values = {name: getattr(m, name) for name in m.get_fieldnames() if name != "time_boot_ms"}
+    values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
+    return {"event": "live", "time_s": m.time_boot_ms * 1e-3, **values}
+
+
+def text_event(m: Message) -> Event:
+    """A line of text as one event."""
+    return {"event": "text", "severity": m.severity, "text": text_of(m.text)}
+
+
+_WATCHED: dict[str, Callable[[Message], Event]] = {
+    "TAILBEAT_STATUS": lambda m: status_event(BoardStatus.of(m)),
+    "TAILBEAT_BEAT": lambda m: beat_event(BeatEvent.of(m)),
+    "TAILBEAT_LIVE": _live_event,
+    "TAILBEAT_HEALTH": lambda m: {"event": "health", **messages.health_dict(m)},
+    "TAILBEAT_LEARN_REPORT": lambda m: {"event": "learned", **vars(LearnReport.of(m))},
+    "STATUSTEXT": text_event,
+}

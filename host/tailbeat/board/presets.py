@@ -1,0 +1,46 @@
+"""Named sets of parameter values: ``tailbeat params preset NAME``, and what the demo runs with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import InputError
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.link.params import Parameter
+
+THESIS: Mapping[str, float] = {
+    "AMP_MAX_RAD": math.pi / 4,
+    "DU_MAX_RAD": 0.0,
+    "LAW_GAIN": 4.0,
+    "LAW_KD": 0.0,
+    "LAW_LEAD": 0.0,
+    "LAW_TAIL": 0.0,
+    "LAW_Q_LEN": 1.0,
+    "LAW_FADE": 0.0,
+    "LAW_KIND": 0.0,
+}
+"""The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8."""
+
+PRESETS: Mapping[str, Mapping[str, float]] = {"thesis": THESIS}
+
+
+def preset(name: str) -> Mapping[str, float]:
+    """The values of a preset, by parameter name. Raises InputError."""
+    try:
+        return PRESETS[name]
+    except KeyError:
+        raise InputError(
+            f"there is no preset '{name}'.", f"Use {' or '.join(sorted(PRESETS))}."
+        ) from None
+
+
+def apply(fish: Fish, values: Mapping[str, float]) -> dict[str, tuple[float, Parameter]]:
+    """Sets each parameter; its value before and what the board holds now."""
+    return {
+        name: (fish.params.get(name).value, fish.params.set(name, value))
+        for name, value in values.items()
+    }

@@ -1,1 +1,0 @@
-"""Pictures with the time they were taken at: films, devices, still pictures."""

@@ -1,1 +1,0 @@
-"""Speed from positions."""

@@ -1,1 +1,0 @@
-"""From pixels to metres: lens, plane, walls."""

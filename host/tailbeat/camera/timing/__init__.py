@@ -1,1 +1,0 @@
-"""When in a film the swim began, and whether it is that trial."""

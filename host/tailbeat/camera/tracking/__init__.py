@@ -1,1 +1,0 @@
-"""One fish, from picture to picture."""

@@ -1,0 +1,1 @@
+"""What every layer uses: errors, files, records, references, trial files, law, native library."""

@@ -1,0 +1,93 @@
+"""The board's fault table: numbers on the wire, words for people (supervisor/faults.def)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+from tailbeat.core.errors import Refused
+from tailbeat.core.native import ffi, lib
+
+NONE = 0
+ABORT_COMMAND = 1
+TILT = 4
+REBOOT = 5
+WALL = 6
+BATTERY_CRITICAL = 20
+STORAGE = 22
+WATCHDOG = 24
+CRASH = 25
+BATTERY_SENSE = 31
+WRONG_STATE = 40
+NO_REFERENCE = 41
+BATTERY_LOW = 42
+STALE_COMMAND = 44
+TRIAL_PENDING = 45
+NO_TRIAL = 46
+BAD_DATA = 49
+BAD_FILE = 50
+BAD_FORMAT = 51
+BAD_PARAM = 54
+NO_BEST = 55
+UNKNOWN_COMMAND = 57
+NOT_STILL = 60
+NOT_SIGNED = 62
+NOT_FRESH = 63
+NOT_WIRED = 64
+LAW_FEEDBACK = 66
+LAW_SIGN = 67
+
+_KINDS = ("none", "abort", "fault", "refusal")
+
+
+@dataclass(frozen=True)
+class FaultInfo:
+    """One row of the table. ``kind``: none, abort, fault or refusal."""
+
+    number: int
+    name: str
+    kind: str
+    meaning: str
+    remedy: str
+
+
+@cache
+def all_faults() -> tuple[FaultInfo, ...]:
+    """Every row, in rising order of number."""
+    return tuple(_row(row) for row in range(lib.fault_count()))
+
+
+@cache
+def fault_info(number: int) -> FaultInfo:
+    """The row of ``number``; a made-up row when the table has none (a newer firmware)."""
+    for fault in all_faults():
+        if fault.number == number:
+            return fault
+    return FaultInfo(
+        number,
+        f"FAULT_{number}",
+        "fault",
+        f"the board gave fault {number}, which this tool does not know",
+        "Tool and firmware differ in version; update the tool.",
+    )
+
+
+def refusal(number: int) -> Refused:
+    """The exception for a request turned down with fault ``number``."""
+    info = fault_info(number)
+    return Refused(info.number, info.name, info.meaning, info.remedy)
+
+
+def _row(row: int) -> FaultInfo:
+    info = lib.fault_row(row)
+    return FaultInfo(
+        int(info.number),
+        _text(info.name),
+        _KINDS[int(info.kind)],
+        _text(info.meaning),
+        _text(lib.fault_remedy(row)),
+    )
+
+
+def _text(pointer: object) -> str:
+    return str(ffi.string(pointer).decode())

@@ -1,0 +1,383 @@
+"""The learning law, computed by the C code the board runs (firmware/ilc/law.h), bit for bit."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.core.errors import InputError, reason
+
+Floats = NDArray[np.float32]
+
+_PARAMS = {
+    "LAW_GAIN": "kp_rad_s_m",
+    "LAW_KD": "kd_rad_s2_m",
+    "AMP_MAX_RAD": "amplitude_max_rad",
+    "DU_MAX_RAD": "step_max_rad",
+    "LAW_LEAD": "lead_beats",
+    "LAW_FADE": "fade",
+    "LAW_FADE_FROM": "fade_from",
+    "LAW_Q_LEN": "q_len",
+    "LAW_TAIL": "tail",
+}
+_SINCE_FADE = {"LAW_FADE": 0.0, "LAW_FADE_FROM": 5.0}  # files of older firmware have neither
+_SHORT = {
+    "gain": "kp_rad_s_m",
+    "kp": "kp_rad_s_m",
+    "kd": "kd_rad_s2_m",
+    "lead": "lead_beats",
+    "amplitude_max": "amplitude_max_rad",
+    "step_max": "step_max_rad",
+}
+_TAILS = {"hold": 0, "keep": 1, "hold-new": 2, "hold-old": 3}
+LAST, MEAN, WINDOW = 0, 1, 2  # what a law learns from, LAW_KIND
+_KINDS = ("kind", "LAW_KIND")
+_WHOLE = ("fade_from", "q_len", "tail")
+_VISITS_MAX = 255
+_BEATS_MAX = 512
+_REFUSALS = {
+    1: (
+        "the law does not fit: a gain is not finite, a limit is not above 0, fade is below 0, "
+        "lead_beats is no multiple of 0.5, lead_beats or q_len is too long, or a mean has a kd.",
+        "The lead must be shorter than the trial and 2*q_len-1 must fit into it; "
+        "with LAW_KIND 1, LAW_KD is 0.",
+    ),
+    2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
+    3: ("no beat has a measured speed.", "Upload the speeds of the trial, or swim it again."),
+}
+
+
+@dataclass(frozen=True)
+class Law:
+    """Mirror of ``law_t``; the plain law of the thesis (8.16) is ``Law(kp_rad_s_m=gamma)``."""
+
+    kp_rad_s_m: float = 4.0
+    kd_rad_s2_m: float = 0.0
+    amplitude_max_rad: float = math.pi / 4
+    step_max_rad: float = 0.0
+    beat_s: float = 1.0
+    lead_beats: float = 0  # a multiple of 0.5
+    fade: float = 0.0  # a beat's gain is divided by 1 + fade * (visits beyond fade_from)
+    fade_from: int = 5
+    q_len: int = 1
+    tail: int = 0
+
+    @classmethod
+    def from_params(cls, params: Mapping[str, float], beat_s: float = 1.0) -> Law:
+        """The law the board runs with these parameters."""
+        known = _SINCE_FADE | dict(params)
+        values: dict[str, Any] = {field: known[name] for name, field in _PARAMS.items()}
+        for field in _WHOLE:
+            values[field] = int(values[field])
+        return cls(**values, beat_s=beat_s)
+
+    def native(self, ffi: Any) -> Any:
+        """A ``law_t *`` with these values."""
+        return ffi.new("law_t *", vars(self))
+
+    def label(self) -> str:
+        """Short text for a folder name, ``p4`` or ``p4-lead0.5``."""
+        text = f"p{self.kp_rad_s_m:g}"
+        text += f"d{self.kd_rad_s2_m:g}" if self.kd_rad_s2_m else ""
+        text += f"-lead{self.lead_beats:g}" if self.lead_beats else ""
+        text += f"-fade{self.fade:g}" if self.fade else ""
+        return text + (f"-q{self.q_len}" if self.q_len > 1 else "")
+
+
+@dataclass(frozen=True)
+class Past:
+    """What the board's law learns from: ``kind`` LAST, MEAN or WINDOW, the last ``window`` trials.
+    LAW_KIND and LAW_WINDOW; firmware without them has the last trial alone."""
+
+    kind: int = LAST
+    window: int = 3
+
+    @classmethod
+    def from_params(cls, params: Mapping[str, float]) -> Past:
+        """What the board learns from with these parameters."""
+        return cls(int(params.get("LAW_KIND", cls.kind)), int(params.get("LAW_WINDOW", cls.window)))
+
+    def label(self) -> str:
+        """What a folder name says of it ahead of the law's label; "" for the last trial."""
+        return {LAST: "", MEAN: "mean-"}.get(self.kind, f"avg{self.window}-")
+
+
+@dataclass(frozen=True)
+class LawReport:
+    """Mirror of ``law_report_t``; errors over measured beats, m/s."""
+
+    max_abs_error_m_s: float
+    rms_error_m_s: float
+    measured_beats: int
+    saturated_beats: int
+
+
+def load(path: Path) -> Law:
+    """Reads a LAW.json: an object of ``Law`` fields or of parameter names; what is missing is
+    as in (8.16), with amplitudes up to pi/4. ``gain`` and ``lead`` are understood too, and the
+    tail by name: hold, keep, hold-new or hold-old."""
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot read {path} ({reason(error)}).",
+            'Give a file like {"kp_rad_s_m": 4, "lead_beats": 1}.',
+        ) from error
+    if not isinstance(raw, dict):
+        raise InputError(f"{path.name} holds no JSON object.", 'Write it like {"kp_rad_s_m": 4}.')
+    values: dict[str, Any] = {}
+    for key, value in raw.items():
+        if key in _KINDS:
+            _check_kind(path, key, value)
+            continue
+        field = _PARAMS.get(key) or _SHORT.get(key) or key
+        values[field] = _law_value(path, key, field, value)
+    return Law(**values)
+
+
+def _check_kind(path: Path, key: str, value: object) -> None:
+    if isinstance(value, bool) or value != LAST:
+        raise InputError(
+            f"{path.name}: {key} is not 0. An average needs its earlier trials, and this applies "
+            "the law to one.",
+            f"Leave {key} out; the board averages with LAW_KIND 1 or 2, see 'learn --dry-run'.",
+        )
+
+
+def _law_value(path: Path, key: str, field: str, value: object) -> float | int:
+    names = [f.name for f in fields(Law)]
+    if field not in names:
+        raise InputError(f"{path.name}: unknown key {key}.", f"Known are {', '.join(names)}.")
+    if field == "tail" and isinstance(value, str) and value in _TAILS:
+        return _TAILS[value]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{path.name}: {key} is not a number.", "Write it like 4 or 0.785.")
+    if field == "lead_beats":
+        return _lead(path, key, value)
+    if field not in _WHOLE:
+        return float(value)
+    if not 0 <= value <= 65535 or value != int(value) or (field == "tail" and value > 3):
+        raise InputError(f"{path.name}: {key} is not a whole number that fits.", "Use 0, 1, 2, …")
+    return int(value)
+
+
+def _lead(path: Path, key: str, value: float) -> float:
+    if not 0 <= value <= 65535 or 2 * value != int(2 * value):
+        raise InputError(
+            f"{path.name}: {key} is no multiple of half a beat.", "Use 0, 0.5, 1, 1.5, …"
+        )
+    return float(value)
+
+
+def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
+    """(error, measured) per beat: reference minus speed in float32, 0 where the speed is NaN."""
+    reference = np.asarray(reference_m_s, dtype=np.float32)
+    speed = np.asarray(speed_m_s, dtype=np.float32)
+    measured = np.isfinite(speed)
+    error = np.where(measured, reference - np.where(measured, speed, 0), 0).astype(np.float32)
+    return error, measured
+
+
+class _Call:
+    """The C arguments of one law call, kept alive together."""
+
+    def __init__(
+        self,
+        law: Law,
+        amplitudes: Floats,
+        errors: Floats,
+        measured: ArrayLike | None,
+        visits: ArrayLike | None = None,
+    ):
+        from tailbeat.core.native import ffi, lib
+
+        beats = len(amplitudes)
+        if len(errors) != beats or not 1 <= beats <= _BEATS_MAX:
+            raise InputError(
+                f"{beats} amplitudes and {len(errors)} errors do not make a trial.",
+                "Give one of each per beat, 1 to 512 beats.",
+            )
+        mask = np.ones(beats, bool) if measured is None else np.asarray(measured, dtype=bool)
+        self.ffi, self.lib, self.beats = ffi, lib, beats
+        self.law = law.native(ffi)
+        self.amplitudes = ffi.new("float[]", amplitudes.tolist())
+        self.errors = ffi.new("float[]", errors.tolist())
+        self.mask = ffi.new("uint8_t[]", mask.astype(int).tolist())
+        self.visits = ffi.new("uint8_t[]", _counts(visits, beats))
+        self.trial = ffi.new(
+            "law_trial_t *",
+            {
+                "beats": beats,
+                "error_m_s": self.errors,
+                "measured": self.mask,
+                "visits": self.visits,
+            },
+        )
+        self.report = ffi.new("law_report_t *")
+        self.scratch = ffi.new("float[]", beats)
+
+    def check(self, result: int) -> None:
+        if result:
+            raise InputError(*_REFUSALS[result])
+
+    def law_report(self) -> LawReport:
+        return LawReport(*(getattr(self.report, f.name) for f in fields(LawReport)))
+
+    def next_amplitudes(self) -> Floats:
+        return np.frombuffer(self.ffi.buffer(self.amplitudes), dtype=np.float32).copy()
+
+
+def _counts(visits: ArrayLike | None, beats: int) -> list[int]:
+    counts = np.zeros(beats, np.int64) if visits is None else np.asarray(visits, dtype=np.int64)
+    if counts.shape != (beats,) or np.any((counts < 0) | (counts > _VISITS_MAX)):
+        raise InputError(
+            "the visits are not one count per beat.", f"Give whole numbers from 0 to {_VISITS_MAX}."
+        )
+    return [int(count) for count in counts]
+
+
+def update(
+    law: Law,
+    amplitudes: ArrayLike,
+    errors: ArrayLike,
+    measured: ArrayLike | None = None,
+    visits: ArrayLike | None = None,
+) -> tuple[Floats, LawReport]:
+    """One step of the law: (next amplitudes in rad, unsaturated; report).
+
+    ``amplitudes`` rad and ``errors`` m/s have one value per beat; ``measured`` False = no speed;
+    ``visits``: how many trials have corrected each beat before, 0 to 255 (default: none).
+    """
+    u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
+    call = _Call(law, u, e, measured, visits)
+    call.check(
+        call.lib.law_update(call.law, call.trial, call.amplitudes, call.scratch, call.report)
+    )
+    return call.next_amplitudes(), call.law_report()
+
+
+def judge(
+    law: Law, amplitudes: ArrayLike, errors: ArrayLike, measured: ArrayLike | None = None
+) -> LawReport:
+    """Max|e|, RMS and saturation of a trial, without learning."""
+    u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
+    call = _Call(law, u, e, measured)
+    call.check(call.lib.law_judge(call.law, call.trial, call.amplitudes, call.report))
+    return call.law_report()
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the board remembers between trials (firmware/ilc/memory.h). Amplitudes in rad."""
+
+    iteration: int
+    amplitude_rad: Floats
+    best_iteration: int  # 0 = no best yet
+    best_rad: Floats
+    best_max_abs_error_m_s: float
+    worse_streak: int
+    visits: NDArray[np.uint8] | None = None  # None: none
+    peaks: Floats | None = None  # Fish.peaks; None: not known
+
+
+@dataclass(frozen=True)
+class PastTrial:
+    """A trial that was learned from, or the mean of ``trials`` of them, as the board keeps it."""
+
+    amplitude_rad: Floats  # as swum
+    error_m_s: Floats  # NaN = not measured
+    trials: int = 1
+
+
+def learn(
+    law: Law,
+    memory: Memory,
+    errors: ArrayLike,
+    measured: ArrayLike,
+    complete: bool,
+    rollback_ratio: float,
+    past: Past | None = None,
+    earlier: Sequence[PastTrial] = (),
+    beyond: int = 0,
+) -> tuple[Floats, LawReport, bool]:
+    """What the board would make of a trial: (next amplitudes, report, rolled back).
+
+    ``earlier``: with a moving average the trials it looks back on, newest first; with a mean that
+    of all of them. ``beyond``: LAW_BEYOND.
+    """
+    call = _Call(law, memory.amplitude_rad, np.asarray(errors, dtype=np.float32), measured)
+    native = call.ffi.new("memory_t *")
+    call.lib.memory_begin(native, 1, call.beats)
+    for name in ("iteration", "best_iteration", "worse_streak"):
+        setattr(native, name, getattr(memory, name))
+    native.best_max_abs_error_m_s = memory.best_max_abs_error_m_s
+    native.amplitude_rad[0 : call.beats] = memory.amplitude_rad.tolist()
+    native.visits[0 : call.beats] = _counts(memory.visits, call.beats)
+    if memory.best_iteration:
+        native.best_rad[0 : call.beats] = memory.best_rad.tolist()
+    if memory.peaks is not None:
+        from tailbeat.core.records import fill_peaks
+
+        fill_peaks(native.peaks, memory.peaks)
+    report = call.ffi.new("memory_report_t *")
+    rules = call.ffi.new("memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": beyond})
+    kept = _kept(call, past or Past(), earlier)
+    call.check(call.lib.learn_past_add(kept, call.law, native, rules, call.scratch))
+    call.check(
+        call.lib.memory_learn(
+            native, call.law, call.trial, 1, complete, rules, call.scratch, report
+        )
+    )
+    following = np.frombuffer(call.ffi.buffer(native.amplitude_rad), dtype=np.float32)
+    found = LawReport(*(getattr(report.law, f.name) for f in fields(LawReport)))
+    return following[: call.beats].copy(), found, bool(report.rolled_back)
+
+
+def _kept(call: _Call, past: Past, earlier: Sequence[PastTrial]) -> Any:
+    """``earlier`` where the C code looks for them."""
+    kept = call.ffi.new("learn_past_t *")
+    if not call.lib.learn_past_begin(kept, past.kind, past.window):
+        raise InputError(
+            f"there is no law that learns from kind {past.kind}, window {past.window}.",
+            "Kinds are 0, 1 and 2, windows 2 to 8.",
+        )
+    kept.trials = sum(one.trials for one in earlier)
+    for slot, one in enumerate(reversed(earlier)):
+        measured = np.isfinite(one.error_m_s)
+        kept.trial[slot].amplitude_rad[0 : call.beats] = one.amplitude_rad.tolist()
+        kept.trial[slot].error_m_s[0 : call.beats] = np.where(measured, one.error_m_s, 0).tolist()
+        kept.trial[slot].measured[0 : call.beats] = measured.astype(int).tolist()
+    return kept
+
+
+def first(law: Law, reference_m_s: ArrayLike) -> Floats:
+    """The amplitudes of iteration 1: the law applied to the zero input, whose error is the
+    reference. Without the step limit, as on the board."""
+    from tailbeat.core.native import ffi, lib
+
+    reference = np.asarray(reference_m_s, dtype=np.float32)
+    memory = ffi.new("memory_t *")
+    lib.memory_begin(memory, 1, len(reference))
+    scratch = ffi.new("float[]", len(reference))
+    values = ffi.new("float[]", reference.tolist())
+    result = lib.memory_first(memory, law.native(ffi), values, scratch)
+    if result:
+        raise InputError(*_REFUSALS[result])
+    amplitudes = np.frombuffer(ffi.buffer(memory.amplitude_rad), dtype=np.float32)
+    return amplitudes[: len(reference)].copy()
+
+
+def saturate(law: Law, amplitudes: ArrayLike) -> Floats:
+    """What the servo gets."""
+    from tailbeat.core.native import ffi, lib
+
+    native = law.native(ffi)
+    values = np.asarray(amplitudes, dtype=np.float32)
+    return np.array([lib.law_saturate(native, float(u)) for u in values], dtype=np.float32)

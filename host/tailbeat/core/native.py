@@ -1,0 +1,81 @@
+"""The compiled firmware and simulator, bound with cffi.
+
+``from tailbeat.core.native import ffi, lib`` loads them on first use. The declarations are the C
+headers themselves (host/native/bindings.h), so their comments are the documentation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cffi import FFI
+
+from tailbeat.core.errors import TailbeatError
+
+HERE = Path(__file__).parent
+
+if TYPE_CHECKING:
+    ffi: Any
+    lib: Any
+
+
+class NativeLibraryError(TailbeatError):
+    """The compiled part of the package is missing or does not load."""
+
+
+@dataclass(frozen=True)
+class Native:
+    """The library and the cffi instance that knows its types."""
+
+    ffi: Any
+    lib: Any
+
+
+@cache
+def load(folder: Path = HERE) -> Native:
+    """Loads the library out of ``folder``.
+
+    Raises:
+        NativeLibraryError: when it is not there or was built for another machine.
+    """
+    return load_library(folder / "native.cdef", folder / "libtailbeat_native.so")
+
+
+def load_library(cdef: Path, library: Path) -> Native:
+    """Loads ``library`` by the declarations in ``cdef``; raises as ``load``."""
+    for path in (cdef, library):
+        if not path.exists():
+            raise NativeLibraryError(
+                f"{path.name} is missing beside _native.py: this is not the installed package",
+                "Run 'pip install ./host' and use that.",
+            )
+    found = FFI()
+    found.cdef(cdef.read_text(encoding="utf-8"))
+    try:
+        return Native(found, found.dlopen(str(library)))
+    except OSError as error:
+        raise NativeLibraryError(
+            f"{library.name} does not load ({error})", "Reinstall it with 'pip install ./host'."
+        ) from error
+
+
+def layout_mismatches(native: Native) -> list[str]:
+    """Structs whose size differs between cffi's reading of the headers and the compiled library."""
+    wrong = []
+    row = native.lib.native_layout()
+    while row.name != native.ffi.NULL:
+        name = native.ffi.string(row.name).decode()
+        size = native.ffi.sizeof(name)
+        if size != row.size_bytes:
+            wrong.append(f"{name}: {size} bytes here, {row.size_bytes} in the library")
+        row += 1
+    return wrong
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("ffi", "lib"):
+        return getattr(load(), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

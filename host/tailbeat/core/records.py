@@ -1,0 +1,304 @@
+"""The small binary files of docs/protocol.md, through the firmware's own encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.faults import fault_info
+from tailbeat.core.native import ffi, lib
+
+if TYPE_CHECKING:
+    from tailbeat.link.messages import Amplitudes, BoardStatus
+
+Float32 = NDArray[np.float32]
+
+FILE_REFERENCE = 0
+FILE_AMPLITUDES = 1
+FILE_SPEEDS = 2
+FILE_LEARNED = 3
+PATHS = {
+    FILE_REFERENCE: "/in/reference.bin",
+    FILE_AMPLITUDES: "/in/amplitudes.bin",
+    FILE_SPEEDS: "/in/speeds.bin",
+    FILE_LEARNED: "/in/learned.bin",
+}
+
+PAST_FILES = 8
+
+_HEADER_BYTES = 12
+_UNVISITED = b"\1\0"  # version of a learned record without visits
+_INPUT = slice(26, 28)  # of a learned record: what made its amplitudes
+_FIXED_BYTES = 128  # more than the header and fixed fields of any record
+_BEATS_MAX = len(ffi.new("reference_t *").speed_m_s)
+
+
+@dataclass(frozen=True)
+class ReferenceRecord:
+    """A decoded reference. ``speed_m_s``: float32, shape (beats,)."""
+
+    beat_s: float
+    speed_m_s: Float32
+    crc: int
+
+
+@dataclass(frozen=True)
+class SpeedsRecord:
+    """Decoded speeds of a trial; NaN = not measured. Arrays: float32, shape (beats,), m/s."""
+
+    trial: int
+    speed_m_s: Float32
+    sigma_m_s: Float32
+
+
+@dataclass(frozen=True)
+class AmplitudesRecord:
+    """Decoded amplitudes, rad, for the reference with ``reference_crc``."""
+
+    reference_crc: int
+    amplitude_rad: Float32
+
+
+@dataclass(frozen=True)
+class LearnedRecord:
+    """What was learned along the reference with ``reference_crc``. ``amplitude_rad`` swims next
+    (unsaturated), ``best_rad`` is the best as swum, if ``best_iteration`` is not 0. ``input``: what
+    made the next ones, memory_input_t. Arrays: float32, shape (beats,)."""
+
+    reference_crc: int
+    iteration: int
+    best_iteration: int
+    input: int
+    best_max_abs_error_m_s: float
+    amplitude_rad: Float32
+    best_rad: Float32
+
+
+@dataclass(frozen=True)
+class PastRecord:
+    """A decoded past trial, or the mean of ``trials`` (``kind`` 2 or 1, LAW_KIND). Arrays: float32,
+    shape (beats,); an error NaN = not measured. ``previous_crc`` 0: the average begins with it."""
+
+    crc: int
+    learned_crc: int
+    previous_crc: int
+    kind: int
+    trials: int
+    amplitude_rad: Float32
+    error_m_s: Float32
+
+
+def crc32(data: bytes, crc: int = 0) -> int:
+    """CRC-32 of MAVLink FTP (``b"123456789"`` gives 0x2DFD2D88); ``crc`` goes on from a piece."""
+    return int(lib.crc32_update(crc, ffi.from_buffer(data), len(data)))
+
+
+def record_crc(record: bytes) -> int:
+    """The CRC a record carries; for a reference this is its identity."""
+    if len(record) < _HEADER_BYTES:
+        raise InputError("the record is too short", "Encode it again.")
+    return int.from_bytes(record[8:12], "little")
+
+
+def encode_reference(beat_s: float, speed_m_s: ArrayLike) -> bytes:
+    """The file that, uploaded and committed, becomes the reference."""
+    speeds = _beats(speed_m_s, "speed")
+    struct = ffi.new("reference_t *")
+    struct.beats = len(speeds)
+    struct.beat_s = beat_s
+    _fill(struct.speed_m_s, speeds)
+    return _encode(lib.record_encode_reference, struct, 1, len(speeds))
+
+
+def decode_reference(record: bytes) -> ReferenceRecord:
+    """Raises InputError when ``record`` is not a sound reference."""
+    struct = ffi.new("reference_t *")
+    _check(lib.record_decode_reference(ffi.from_buffer(record), len(record), struct), "reference")
+    return ReferenceRecord(
+        float(struct.beat_s), _array(struct.speed_m_s, struct.beats), int(struct.crc)
+    )
+
+
+def encode_speeds(trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> bytes:
+    """Speeds of the pending trial, one per beat; NaN = not measured."""
+    speeds = _beats(speed_m_s, "speed")
+    sigmas = np.broadcast_to(np.asarray(sigma_m_s, dtype=np.float32), speeds.shape)
+    struct = ffi.new("speed_upload_t *")
+    struct.trial = trial
+    struct.beats = len(speeds)
+    _fill(struct.speed_m_s, speeds)
+    _fill(struct.sigma_m_s, np.ascontiguousarray(sigmas))
+    return _encode(lib.record_encode_speeds, struct, 2, len(speeds))
+
+
+def decode_speeds(record: bytes) -> SpeedsRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("speed_upload_t *")
+    _check(lib.record_decode_speeds(ffi.from_buffer(record), len(record), struct), "speeds file")
+    beats = struct.beats
+    return SpeedsRecord(
+        int(struct.trial), _array(struct.speed_m_s, beats), _array(struct.sigma_m_s, beats)
+    )
+
+
+def encode_amplitudes(reference_crc: int, amplitude_rad: ArrayLike) -> bytes:
+    """Amplitudes the host computed itself, one per beat of the reference."""
+    amplitudes = _beats(amplitude_rad, "amplitude")
+    struct = ffi.new("amplitudes_upload_t *")
+    struct.reference_crc = reference_crc
+    struct.beats = len(amplitudes)
+    _fill(struct.amplitude_rad, amplitudes)
+    return _encode(lib.record_encode_amplitudes, struct, 1, len(amplitudes))
+
+
+def decode_amplitudes(record: bytes) -> AmplitudesRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("amplitudes_upload_t *")
+    fault = lib.record_decode_amplitudes(ffi.from_buffer(record), len(record), struct)
+    _check(fault, "amplitudes file")
+    return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
+
+
+def past_path(iteration: int) -> str:
+    """Where the board keeps the past trial of ``iteration``, or the mean up to it."""
+    return f"/past{iteration % PAST_FILES}.bin"
+
+
+def decode_past(record: bytes) -> PastRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("past_t *")
+    _check(lib.record_decode_past(ffi.from_buffer(record), len(record), struct), "past trial")
+    beats = struct.beats
+    return PastRecord(
+        crc=int(struct.crc),
+        learned_crc=int(struct.learned_crc),
+        previous_crc=int(struct.previous_crc),
+        kind=int(struct.kind),
+        trials=int(struct.trials),
+        amplitude_rad=_array(struct.amplitude_rad, beats),
+        error_m_s=_array(struct.error_m_s, beats),
+    )
+
+
+def encode_learned(
+    status: BoardStatus,
+    now: Amplitudes,
+    best: Amplitudes | None,
+    visits: NDArray[np.uint8] | None,
+    peaks: Float32 | None = None,
+) -> bytes:
+    """All that a board has learned, from what it reports. ``visits`` None: it does not count them.
+    ``peaks``: the best's largest errors, m/s, 0 at other beats; None: the board does not
+    keep them. It gets the form of the record that it knows."""
+    struct = ffi.new("memory_t *")
+    struct.reference_crc = now.reference_crc
+    struct.last_trial = status.last_learned_trial or 0
+    struct.beats = now.beats
+    struct.iteration = now.iteration
+    struct.worse_streak = status.worse_streak
+    struct.input = now.input or lib.MEMORY_INPUT_LAW  # unknown: they stay as they are
+    _fill(struct.amplitude_rad, now.values)
+    if best is not None:
+        struct.best_iteration = status.best_iteration or 0
+        struct.best_max_abs_error_m_s = status.best_max_abs_error_m_s or 0.0
+        _fill(struct.best_rad, best.values)
+    if visits is not None:
+        ffi.memmove(struct.visits, visits.tobytes(), visits.size)
+    if peaks is not None:
+        fill_peaks(struct.peaks, peaks)
+    record = _encode(lib.record_encode_memory, struct, 3, now.beats)
+    return without_visits(record) if visits is None else record
+
+
+def decode_learned(record: bytes) -> LearnedRecord:
+    """Raises InputError when ``record`` is not sound."""
+    struct = ffi.new("memory_t *")
+    fault = lib.record_decode_memory(ffi.from_buffer(record), len(record), struct)
+    _check(fault, "learned record")
+    return LearnedRecord(
+        reference_crc=int(struct.reference_crc),
+        iteration=int(struct.iteration),
+        best_iteration=int(struct.best_iteration),
+        input=int(struct.input),
+        best_max_abs_error_m_s=float(struct.best_max_abs_error_m_s),
+        amplitude_rad=_array(struct.amplitude_rad, struct.beats),
+        best_rad=_array(struct.best_rad, struct.beats),
+    )
+
+
+def fill_peaks(peaks: Any, error_m_s: Float32) -> None:
+    """The C code's judge_peaks_t from its errors at the beats of the peaks and 0 at all others."""
+    listed = [(beat, error) for beat, error in enumerate(error_m_s.tolist()) if error]
+    largest = sorted(listed, key=lambda peak: -abs(peak[1]))
+    peaks.count = min(len(largest), len(peaks.beat))
+    for at, (beat, error) in enumerate(largest[: peaks.count]):
+        peaks.beat[at], peaks.error_m_s[at] = beat, error
+
+
+def learned_visits(record: bytes) -> bytes:
+    """How often each beat was corrected, by a learned record; empty in version 1."""
+    beats = int.from_bytes(record[6:8], "little")
+    return b"" if record[4:6] == _UNVISITED else record[-beats:]
+
+
+def older_forms(record: bytes) -> list[bytes]:
+    """The same learned record for older firmware, the newest form first."""
+    flat = without_peaks(record)
+    return [form for form in (flat, without_visits(flat)) if form != record]
+
+
+def without_peaks(record: bytes) -> bytes:
+    """Version 2 of a learned record: where the best's largest errors were is not in it. Raises
+    InputError when ``record`` is not sound."""
+    if record[4:6] == _UNVISITED:
+        return record
+    struct = ffi.new("memory_t *")
+    fault = lib.record_decode_memory(ffi.from_buffer(record), len(record), struct)
+    _check(fault, "learned record")
+    struct.peaks.count = 0
+    return _encode(lib.record_encode_memory, struct, 3, struct.beats)
+
+
+def without_visits(record: bytes) -> bytes:
+    """Version 1 of a learned record. A board that knows no other asks only whether the amplitudes
+    are the first guess, which it makes anew."""
+    record = without_peaks(record)
+    if record[4:6] == _UNVISITED:
+        return record
+    first = record[_INPUT] == lib.MEMORY_INPUT_FIRST.to_bytes(2, "little")
+    body = bytearray(record[_HEADER_BYTES : -len(learned_visits(record))])
+    body[_INPUT.start - _HEADER_BYTES : _INPUT.stop - _HEADER_BYTES] = bytes([first, 0])
+    head = record[:4] + b"\1\0" + record[6:8]
+    return head + crc32(head + body).to_bytes(4, "little") + body
+
+
+def _beats(values: ArrayLike | Sequence[float], what: str) -> Float32:
+    array = np.ascontiguousarray(values, dtype=np.float32)
+    if array.ndim != 1 or not 1 <= array.size <= _BEATS_MAX:
+        raise InputError(
+            f"{array.size} {what}s given", f"Give one per beat, 1 to {_BEATS_MAX} in all."
+        )
+    return array
+
+
+def _fill(target: Any, values: Float32) -> None:
+    ffi.memmove(target, values.tobytes(), values.nbytes)
+
+
+def _array(source: Any, count: int) -> Float32:
+    return np.frombuffer(ffi.buffer(source), dtype=np.float32, count=count).copy()
+
+
+def _encode(encoder: Any, struct: Any, arrays: int, beats: int) -> bytes:
+    out = ffi.new("uint8_t[]", _FIXED_BYTES + 4 * arrays * beats)
+    return bytes(ffi.buffer(out, encoder(struct, out)))
+
+
+def _check(fault: int, what: str) -> None:
+    if fault:
+        raise InputError(f"not a sound {what}: {fault_info(int(fault)).meaning}", "Make it again.")

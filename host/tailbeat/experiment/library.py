@@ -1,0 +1,315 @@
+"""The logbook of a fish: every trial of it this computer has seen, and what was identified.
+
+A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``tailbeat/fish`` of
+the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
+``marks/`` (what is to be known of some of them, named like them), ``proposals/`` (inputs this
+computer made, and why), ``references.json`` (their names by CRC, which a board does not keep) and
+``identified.json``. The model law, the verdict and a second reference
+draw on it. Several processes may write at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.core.errors import InputError, reason
+from tailbeat.core.files import replace_file, sync_folder, write_whole
+from tailbeat.core.locks import locked
+from tailbeat.core.trial_file import Trial, parse_trial
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.reference import Reference
+    from tailbeat.learning.fish_model import Swim
+    from tailbeat.learning.identification import Identified
+
+FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
+DISCARDED = "discarded"
+RUN = "run"
+_MARKS = (DISCARDED, RUN)
+_IDENTIFIED = "identified.json"
+_REFERENCES = "references.json"
+_PART = ".part"
+_READ_ONLY = 0o444
+_DIGEST_DIGITS = 16
+_ORDERS = 999_999
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A trial of the logbook and its file. ``mark``: empty, ``discarded`` (counts for nothing) or
+    ``run`` (of an identification: the model knows it, but it is in no series)."""
+
+    trial: Trial
+    path: Path
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Logbook:
+    """One fish's folder."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, unique_id: str, root: Path | None = None) -> Logbook:
+        """The logbook of a fish; the folder is made when something is first kept. ``root``: the
+        folder of all logbooks, if not the usual one. Raises InputError."""
+        if not (unique_id.isalnum() and unique_id.isascii() and len(unique_id) <= 64):
+            raise InputError(
+                f"'{unique_id}' names no fish", "Give the unique id that 'tailbeat info' prints."
+            )
+        return cls((root or _default_root()) / unique_id.lower())
+
+    def keep(self, path: Path, mark: str = "") -> Path:
+        """Copies a trial's file; where its copy is, there or now. What is kept already, or the
+        beginning of it, is not kept again. ``mark``: as in ``Kept``. Lasting when it returns.
+        Raises InputError."""
+        copy = self._copy(path)
+        if mark:
+            self.mark(copy, mark)
+        return copy
+
+    def mark(self, copy: Path, mark: str) -> None:
+        """Says of a trial what it is, see ``Kept``; ``copy``: what ``keep`` returned."""
+        with self._writable():
+            self._marks.mkdir(parents=True, exist_ok=True)
+            (self._marks / f"{_name_of(copy)}.{mark}").touch()
+            sync_folder(self._marks)
+            sync_folder(self.folder)
+
+    def _copy(self, path: Path) -> Path:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise InputError(
+                f"cannot read {path} ({reason(error)}).", "Pull the trial again."
+            ) from error
+        number = parse_trial(content, path.name).number
+        for kept in _sorted(self._trials, f"*_{number:04d}_*.ulg"):
+            with contextlib.suppress(OSError):
+                if (held := kept.read_bytes()).startswith(content) and _is_sound(kept, held):
+                    return kept
+        return self._add(self._trials, f"_{number:04d}_{_digest(content)}.ulg", content)
+
+    def trials(self) -> list[Trial]:
+        """In the order they were kept. Damaged files are left out."""
+        return self.load()[0]
+
+    def load(self) -> tuple[list[Trial], list[str]]:
+        """All trials, in the order they were kept, and one line for each file that is not used and
+        why. Of a trial kept twice, the second time with more in its file, only that counts."""
+        found, problems = self.kept()
+        return [kept.trial for kept in found], problems
+
+    def kept(self, latest: Path | None = None) -> tuple[list[Kept], list[str]]:
+        """The same with files and marks. ``latest``: a trial's file that is to be the last of all,
+        kept or not (a board that starts again may have swum one like it before)."""
+        found: list[tuple[bytes, Kept]] = []
+        problems: list[str] = []
+        for path in _sorted(self._trials, "*.ulg"):
+            try:
+                content = path.read_bytes()
+                if not _is_sound(path, content):
+                    raise InputError(f"{path} is damaged", "Pull that trial again.")
+                self._join(found, content, path)
+            except OSError as error:
+                problems.append(f"cannot read {path} ({reason(error)})")
+            except InputError as error:
+                problems.append(str(error))
+        if latest is not None:
+            found.append(found.pop(self._join(found, latest.read_bytes(), latest)))
+        return [kept for _, kept in found], problems
+
+    def swims(self, latest: Path | None = None) -> list[Swim]:
+        """As the model sees them, without those that have no speed or were discarded."""
+        from tailbeat.learning.fish_model import swim_of
+
+        counting = [kept.trial for kept in self.kept(latest)[0] if kept.mark != DISCARDED]
+        swims = [swim_of(trial) for trial in counting]
+        return [swim for swim in swims if swim.measured.any()]
+
+    def identified(self) -> Identified | None:
+        """None when the fish has not been identified. Raises InputError: the file is damaged."""
+        from tailbeat.learning.identification import Identified
+
+        path = self.folder / _IDENTIFIED
+        return Identified.load(path) if path.is_file() else None
+
+    def set_identified(self, identified: Identified) -> Path:
+        """Replaces what was identified; the old file stays beside it, numbered."""
+        path = self.folder / _IDENTIFIED
+        with self.changing():
+            if path.is_file():
+                self._add(self.folder / "identified", ".json", path.read_bytes())
+            identified.save(path)
+        return path
+
+    def add_proposal(self, document: dict[str, Any]) -> Path:
+        """Keeps where an input came from: plain values, as JSON. Lasting when it returns."""
+        content = json.dumps(document, indent=2).encode() + b"\n"
+        return self._add(self.folder / "proposals", ".json", content)
+
+    def proposals(self) -> list[dict[str, Any]]:
+        """In the order they were added. Damaged files are left out."""
+        found = []
+        for path in _sorted(self.folder / "proposals", "*.json"):
+            with contextlib.suppress(OSError, ValueError, RecursionError):
+                document = json.loads(path.read_bytes())
+                if isinstance(document, dict):
+                    found.append(document)
+        return found
+
+    def name_reference(self, crc: int, name: str) -> None:
+        """Keeps what a reference is called. Lasting when it returns."""
+        if self.reference_name(crc) != name:
+            with self.changing():
+                self.put(_REFERENCES, self._names() | {f"{crc:08x}": name})
+
+    def put(self, name: str, document: Mapping[str, Any]) -> None:
+        """Replaces a JSON file of the folder in one step, lasting. What follows from the file as it
+        was belongs into one block of ``changing``. Raises InputError."""
+        with self._writable():
+            self.folder.mkdir(parents=True, exist_ok=True)
+        write_whole(self.folder / name, json.dumps(document, indent=2) + "\n")
+
+    def reference_name(self, crc: int) -> str | None:
+        """None: it was uploaded by another computer, or a tool that kept no names."""
+        return self._names().get(f"{crc:08x}")
+
+    def _names(self) -> dict[str, str]:
+        with contextlib.suppress(OSError, ValueError, RecursionError):
+            document = json.loads((self.folder / _REFERENCES).read_bytes())
+            if isinstance(document, dict):
+                return {str(crc): str(name) for crc, name in document.items()}
+        return {}
+
+    @property
+    def _trials(self) -> Path:
+        return self.folder / "trials"
+
+    @property
+    def _marks(self) -> Path:
+        return self.folder / "marks"
+
+    def _mark_of(self, path: Path) -> str:
+        name = _name_of(path)
+        return next((m for m in _MARKS if (self._marks / f"{name}.{m}").exists()), "")
+
+    def _join(self, found: list[tuple[bytes, Kept]], content: bytes, path: Path) -> int:
+        """Where in ``found`` the trial of this file is now. A board appends to a trial's file when
+        it gets speeds later: the longer file is the trial, in the place of the shorter."""
+        kept = Kept(parse_trial(content, path.name), path, self._mark_of(path))
+        for at, (held, other) in enumerate(found):
+            if other.trial.number != kept.trial.number:
+                continue
+            if held.startswith(content):
+                return at
+            if content.startswith(held):
+                found[at] = (content, kept)
+                return at
+        found.append((content, kept))
+        return len(found) - 1
+
+    def _add(self, folder: Path, ending: str, content: bytes) -> Path:
+        """Writes ``content`` whole or not at all, named by the next order number."""
+        with self._writable():
+            folder.mkdir(parents=True, exist_ok=True)
+            order, claim = _claim(folder)
+            path = folder / f"{order:06d}{ending}"
+            try:
+                replace_file(path, content, _READ_ONLY)
+            finally:
+                claim.unlink(missing_ok=True)
+            for made in (folder, self.folder, self.folder.parent):
+                sync_folder(made)
+        return path
+
+    @contextlib.contextmanager
+    def changing(self) -> Iterator[None]:
+        """For a file that is read, changed and written again: one process and thread at a time.
+        Makes the folder. Raises InputError."""
+        with self._writable():
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with locked(self.folder):
+                yield
+
+    @contextlib.contextmanager
+    def _writable(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(
+                f"cannot write into the logbook {self.folder} ({reason(error)})",
+                f"Make the folder writable, or name another one in {FOLDER_VARIABLE}.",
+            ) from error
+
+
+def logbook_of(fish: Fish, root: Path | None = None) -> Logbook | None:
+    """The logbook of a connected board. None for a simulated one in this process, which is a new
+    fish every time, unless a folder is named."""
+    if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
+        return None
+    return Logbook.of(fish.unique_id(), root)
+
+
+def name_reference(fish: Fish, reference: Reference) -> None:
+    """Keeps the name of a reference the fish has got; a logbook that cannot take it is no reason to
+    fail."""
+    with contextlib.suppress(InputError):
+        if (book := logbook_of(fish)) is not None:
+            book.name_reference(reference.crc, reference.name)
+
+
+def _default_root() -> Path:
+    if named := os.environ.get(FOLDER_VARIABLE):
+        return Path(named).expanduser()
+    base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(base) / "tailbeat" / "fish"
+
+
+def _sorted(folder: Path, pattern: str) -> list[Path]:
+    with contextlib.suppress(OSError):
+        return sorted(folder.glob(pattern))
+    return []
+
+
+def _claim(folder: Path) -> tuple[int, Path]:
+    """The next order number and an empty file that keeps it from all other processes."""
+    while True:
+        order = 1 + max((_order(path) for path in folder.iterdir()), default=0)
+        if order > _ORDERS:
+            raise OSError(28, "it holds 999999 files")
+        part = folder / f"{order:06d}{_PART}"
+        try:
+            os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+        except FileExistsError:
+            continue
+        if not any(path != part for path in folder.glob(f"{order:06d}*")):
+            return order, part
+        part.unlink()  # another process had finished with this number since we looked
+
+
+def _order(path: Path) -> int:
+    digits = path.name[:6]
+    return int(digits) if digits.isascii() and digits.isdigit() else 0
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:_DIGEST_DIGITS]
+
+
+def _name_of(path: Path) -> str:
+    """``NUMBER_DIGEST`` of a copy: whatever its order."""
+    return path.stem.partition("_")[2]
+
+
+def _is_sound(path: Path, content: bytes) -> bool:
+    return path.stem.rpartition("_")[2] == _digest(content)

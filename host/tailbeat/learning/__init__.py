@@ -1,0 +1,1 @@
+"""Fish model, identification, gain design, model-based learning, convergence."""

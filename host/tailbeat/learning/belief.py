@@ -1,0 +1,291 @@
+"""What the swims so far say of a fish, and what it will do next, with a band.
+
+The swims since the identification are gone through in their order. The first one opens the fit: the
+identification is its prior, widened to what the fish may have become, or to what another fish of
+the kind may be when that explains the swims better. Each further one is
+predicted from those before it. When it lies outside of what was predicted, or when no model of this
+form explains it, the model is refuted: what came before no longer counts, and the fit begins anew
+with that swim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.learning.fish_model import PARAMS, Conditions, FishModel, Swim
+from tailbeat.learning.fit import Fit, Prior, fit, speed_and_slopes, steepness
+from tailbeat.learning.identification import Identified
+
+Array = NDArray[np.float64]
+
+# Of the test of one swim, if all noise were normal and the model's form right. As the model's
+# imperfection is counted as noise of each beat, the test seldom gives a false alarm at all.
+FALSE_ALARM = 1e-3
+MEMORY_SWIMS = 12  # older ones no longer count
+
+# How far a fish may be from the one that was identified, as standard deviations in the order and
+# units of PARAMS, relative for kappa and slope. AGED: the same fish. OTHER: another of its kind;
+# wide enough for one swim to overrule. The fit's prior is the one by which the swims are likelier:
+# by the narrow one a swim's own gain and flow are not taken for the map.
+AGED = (0.05, 0.02, 0.005, 0.02)
+OTHER = (0.5, 0.2, 0.08, 0.25)
+
+_Z_90 = 1.6448536269514722  # 90 % of the standard normal lie within
+_MEAN_ABS = 0.7978845608028654  # of |N(0, 1)|: a fish begins forwards or at rest
+_STD_ABS = 0.6028102749890869
+_DRAWS = 400
+_NOISE_M_S = 0.0002  # of a beat's speed, that neither model nor measurement tells of
+_FORGET = 0.1  # of the model's imperfection, added to the disturbance's variance from swim to swim
+_WRONG_ABOUT_CHANGES = 0.05  # of the change of steady speed from swim to swim
+_WRONG_ABOUT_NEW = 0.015  # of the steady speed, on a reference that was never swum
+# The usual imperfection stands against what residuals tell of it as so many beats do.
+_USUAL_BEATS = 3  # in the identification's swims
+_IDENTIFIED_BEATS = 10  # in later ones, and then as the identification's showed it
+_IMPERFECT_MIN = 0.03
+_USUAL = 1.0
+_MISFIT = 0.2  # residuals beyond this share of the speeds: the model explains nothing
+_TINY = 1e-18  # keeps a covariance of what is known exactly invertible
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Of the measured beats of a swim. ``factors``: (beats, causes), what one standard deviation of
+    every cause that beats share does to them; ``sigma_m_s``: of each beat alone."""
+
+    mean_m_s: Array
+    factors: Array
+    sigma_m_s: Array
+
+    def band(self) -> tuple[Array, Array]:
+        """90 % of the measured speeds of a beat lie within (low, high), m/s."""
+        spread = _Z_90 * np.sqrt(np.sum(self.factors**2, axis=1) + self.sigma_m_s**2)
+        return self.mean_m_s - spread, self.mean_m_s + spread
+
+    def chance(self, speed_m_s: Array) -> float:
+        """Probability of a swim at least as odd (chi-square over the measured beats); 1 = none
+        was measured."""
+        from scipy.special import gammaincc
+
+        seen = np.isfinite(speed_m_s)
+        if not seen.any():
+            return 1.0
+        miss = (speed_m_s - self.mean_m_s)[seen]
+        f = self.factors[seen]
+        covariance = f @ f.T + np.diag(self.sigma_m_s[seen] ** 2)
+        odd = float(miss @ np.linalg.solve(covariance, miss))
+        return float(gammaincc(seen.sum() / 2, odd / 2))
+
+    def max_abs_error(
+        self, reference_m_s: Array, measured: NDArray[np.bool_] | None = None
+    ) -> tuple[float, float, float]:
+        """5 %, 50 % and 95 % quantile of a swim's max|e| over the ``measured`` beats (None = all),
+        m/s; the same draws every time."""
+        rng = np.random.default_rng(1)
+        beats, causes = self.factors.shape
+        speed = self.mean_m_s + rng.standard_normal((_DRAWS, causes)) @ self.factors.T
+        speed = speed + rng.standard_normal((_DRAWS, beats)) * self.sigma_m_s
+        error = np.abs(reference_m_s - speed)
+        peak = (error if measured is None else error[:, measured]).max(axis=1)
+        low, median, high = np.percentile(peak, (5, 50, 95))
+        return float(low), float(median), float(high)
+
+
+@dataclass(frozen=True)
+class Belief:
+    """``swims``: those the fit rests on. ``refuted``: the last swim was not as predicted, or no
+    model explains it. ``chance``: of the last swim, by the prediction that was made for it.
+    ``identified_imperfection``: as ``imperfection``, of the identification's swims."""
+
+    identified: Identified
+    prior: Prior
+    swims: tuple[Swim, ...] = ()
+    fit: Fit | None = None
+    refuted: bool = False
+    chance: float = 1.0
+    identified_imperfection: float = 1.0
+
+    @property
+    def model(self) -> FishModel:
+        """The most probable model."""
+        return self.prior.model if self.fit is None else self.fit.model
+
+    @property
+    def typical(self) -> Conditions:
+        """What a swim's conditions are on average. A flow is taken to repeat by as much as the mean
+        over the swims stands out of their scatter (James and Stein's estimate)."""
+        scatter = self.identified.scatter
+        flows = [given.flow_m_s for given in self.fit.conditions] if self.fit else []
+        flow = float(np.mean(flows)) if flows else 0.0
+        noise = scatter.flow_m_s**2 / len(flows) if flows else 0.0
+        repeats = max(0.0, 1 - noise / flow**2) if flow else 0.0
+        return Conditions(_MEAN_ABS * scatter.start_m_s, repeats * flow)
+
+    @property
+    def imperfection(self) -> float:
+        """Variance of what the model leaves out, over the usual one: as the swims' residuals tell
+        it, which are set against some beats of the usual one."""
+        odd, beats = self._oddity(self.swims, self.fit)
+        return max(
+            _IMPERFECT_MIN,
+            (_IDENTIFIED_BEATS * self.identified_imperfection + odd) / (_IDENTIFIED_BEATS + beats),
+        )
+
+    def _oddity(self, swims: Sequence[Swim], found: Fit | None) -> tuple[float, int]:
+        """(sum over the measured beats of what is left out, squared and over the usual; beats)"""
+        total, beats = 0.0, 0
+        for swim, residual in zip(swims, found.residual_m_s if found else (), strict=True):
+            seen = np.isfinite(residual)
+            excess = residual**2 - swim.sigma_m_s**2
+            total += float(np.sum((excess / self._usual(swim.amplitude_rad))[seen]))
+            beats += int(seen.sum())
+        return total, beats
+
+    def begun(self) -> Belief:
+        """With the imperfection that the identification's own swims show."""
+        swims = [swim for swim in self.identified.swims if swim.measured.any()]
+        if not swims:
+            return self
+        odd, beats = self._oddity(swims, fit(swims, self.prior, self.identified.scatter))
+        return replace(
+            self,
+            identified_imperfection=max(
+                _IMPERFECT_MIN, (_USUAL_BEATS + odd) / (_USUAL_BEATS + beats)
+            ),
+        )
+
+    def _usual(self, amplitude_rad: Array) -> Array:
+        """Variance of what a model usually leaves out of each beat, (m/s)**2."""
+        scatter = self.identified.scatter
+        steady = self.model.steady_m_s(amplitude_rad)
+        usual: Array = (
+            scatter.model_m_s**2
+            + (scatter.switch * steepness(steady)) ** 2
+            + (_WRONG_ABOUT_NEW * steady) ** 2
+        )
+        return usual
+
+    def disturbance(
+        self,
+        reference_crc: int,
+        beats: int,
+        amplitude_rad: Array | None = None,
+        imperfect_min: float = 0.0,
+    ) -> tuple[Array, Array]:
+        """(mean, variance) per beat of what the model does not explain on this reference: a Kalman
+        filter along its swims. (m/s, m^2/s^2) The variance is that of a swim with ``amplitude_rad``
+        (None = of one like the last): where amplitudes change, the model may be wrong anew. The
+        imperfection is taken to be ``imperfect_min`` at least."""
+        share = max(self.imperfection, imperfect_min)
+        mean, variance = np.zeros(beats), np.zeros(beats)
+        last: Array | None = None
+        swims = zip(self.swims, self.fit.residual_m_s if self.fit else (), strict=True)
+        for swim, residual in swims:
+            if swim.reference_crc != reference_crc or swim.beats != beats:
+                continue
+            variance = variance + share * self._unknown(last, swim.amplitude_rad)
+            last = swim.amplitude_rad
+            seen = np.isfinite(residual)
+            noise = swim.sigma_m_s**2 + _NOISE_M_S**2
+            gain = np.where(seen, variance / (variance + noise), 0.0)
+            mean = mean + gain * np.where(seen, residual - mean, 0.0)
+            variance = (1 - gain) * variance
+        if amplitude_rad is not None:
+            variance = variance + share * self._unknown(last, amplitude_rad)
+        return mean, variance
+
+    def _unknown(self, last_rad: Array | None, amplitude_rad: Array) -> Array:
+        """What other amplitudes than the last ones (None = there were none) add to the usual
+        disturbance's variance."""
+        if last_rad is None:
+            return self._usual(amplitude_rad)
+        changed = self.model.steady_m_s(amplitude_rad) - self.model.steady_m_s(last_rad)
+        scatter = self.identified.scatter
+        added: Array = (
+            _FORGET * scatter.model_m_s**2
+            + (scatter.switch * steepness(changed)) ** 2
+            + (_WRONG_ABOUT_CHANGES * changed) ** 2
+        )
+        return added
+
+    def predict(
+        self,
+        amplitude_rad: Array,
+        beat_s: float,
+        reference_crc: int,
+        sigma_m_s: Array | float,
+        imperfect_min: float = 0.0,
+    ) -> Prediction:
+        """``sigma_m_s``: the measurement's. ``imperfect_min``: as for ``disturbance``."""
+        beats = len(amplitude_rad)
+        sigma = np.broadcast_to(np.asarray(sigma_m_s, dtype=np.float64), (beats,))
+        swim = Swim(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
+        scatter = self.identified.scatter
+        speed, by = speed_and_slopes(self.model, swim, self.typical)
+        swims_differ = [_STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
+        root = np.linalg.cholesky(self.covariance + _TINY * np.eye(len(PARAMS)))
+        factors = np.hstack([by[:, : len(PARAMS)] @ root, by[:, len(PARAMS) :] * swims_differ])
+        mean, variance = self.disturbance(reference_crc, beats, amplitude_rad, imperfect_min)
+        return Prediction(speed + mean, factors, np.sqrt(sigma**2 + _NOISE_M_S**2 + variance))
+
+    @property
+    def covariance(self) -> Array:
+        """Of the model, as in Fit."""
+        if self.fit is not None:
+            return self.fit.covariance
+        p = self.prior
+        return np.diag([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]) ** 2
+
+    def after(self, swim: Swim) -> Belief:
+        """With one more swim. It is tested as if the model were as imperfect as usual: what some
+        swims did not show is seldom reason enough for P."""
+        found = self.predict(
+            swim.amplitude_rad, swim.beat_s, swim.reference_crc, swim.sigma_m_s, _USUAL
+        )
+        chance = found.chance(swim.speed_m_s)
+        if not self.swims:
+            return self._resting_on((swim,), chance, refuted=False)
+        if chance < FALSE_ALARM:
+            return self._resting_on((swim,), chance, refuted=True)
+        return self._resting_on((*self.swims, swim)[-MEMORY_SWIMS:], chance, refuted=False)
+
+    def _resting_on(self, swims: tuple[Swim, ...], chance: float, refuted: bool) -> Belief:
+        priors = [_prior(self.identified, far) for far in (AGED, OTHER)]
+        fits = [fit(swims, prior, self.identified.scatter) for prior in priors]
+        found, prior = max(zip(fits, priors, strict=True), key=lambda one: one[0].log_evidence)
+        speeds = np.concatenate([swim.speed_m_s[swim.measured] for swim in swims])
+        nonsense = found.rms_m_s > _MISFIT * float(np.sqrt(np.mean(speeds**2)))
+        return Belief(
+            self.identified,
+            prior,
+            swims,
+            found,
+            refuted or nonsense,
+            chance,
+            self.identified_imperfection,
+        )
+
+
+def believe(identified: Identified, swims: Sequence[Swim]) -> Belief:
+    """After ``swims``, oldest first, of which the last 24 count; those without a speed tell
+    nothing."""
+    belief = Belief(identified, _prior(identified, AGED)).begun()
+    for swim in [swim for swim in swims if swim.measured.any()][-2 * MEMORY_SWIMS :]:
+        belief = belief.after(swim)
+    return belief
+
+
+def _prior(identified: Identified, far: tuple[float, ...]) -> Prior:
+    """The identification's sigmas widened by how ``far`` the fish may be; what was only assumed is
+    known no better than of any fish."""
+    known = np.sqrt(np.diag(identified.covariance) + np.square(far))
+    unknown = Prior()
+    any_fish = (unknown.kappa, unknown.slope, unknown.dead_zone_rad, unknown.delay_s)
+    sigma = [
+        max(own, rough) if name in identified.assumed else own
+        for name, own, rough in zip(PARAMS, known.tolist(), any_fish, strict=True)
+    ]
+    return Prior(identified.model, *sigma)

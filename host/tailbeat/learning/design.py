@@ -1,0 +1,329 @@
+"""Gain, lead and filter for a fish, with a certificate of what they will do.
+
+Proved, for small errors around speeds outside the dead zone, for every model of the identified set:
+the ratios (``certificate``). Simulated: the series of a whole learning (``series``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.reference import Reference
+from tailbeat.learning.expected_series import Series, expected_series, next_ratio
+from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.frequency_response import (
+    FREQUENCIES,
+    Plants,
+    input_norm,
+    plants_of,
+    response,
+)
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import Plan, plan
+
+__all__ = ["Design", "Series", "design", "next_ratio", "response"]
+
+Array = NDArray[np.float64]
+
+LEAD_MAX_BEATS = 16.0
+_Q_LENS = (1, 2, 3, 4, 6, 8)
+_GAIN_MIN = 0.05  # of static_gain_best
+_GAIN_STEP = 0.01
+_AS_GOOD = 0.02  # ratios nearer than this are equals
+_MEAN_WEIGHT = 0.1
+_NEUTRAL = 0.002  # a ratio this near to 1: neither shrinks nor grows
+_MILD = 1.05
+_FAST = math.sqrt(2)  # doubles in two trials
+
+
+@dataclass(frozen=True)
+class Design:
+    """``ratio``: the worst over models and speeds, per frequency (cycles/beat). ``ratio_max`` over
+    all frequencies; ``ratio_dc`` at 0; ``ratio_slow``: over all frequencies at lower speeds, from
+    ``slow_from_m_s`` on. ``input_ratio``: the saturated law's, ||Q(I - L G)||_2 of the input error
+    towards the fixed point, on ``input_beats`` beats of the trial. ``static_gain_max``: 2/Gmax, no
+    gain above contracts at DC; ``static_gain_best``: 2/(Gmin + Gmax). ``speeds_m_s``: the range it
+    is stated for. ``floor_m_s``: max|e| of the best amplitudes by the model. ``refused``: why it
+    must not be used ("" = may); ``warnings``: one line each."""
+
+    law: Law
+    frequency_cycles: Array
+    ratio: Array
+    ratio_max: float
+    ratio_dc: float
+    ratio_slow: float
+    input_ratio: float
+    input_beats: int
+    static_gain_best: float
+    static_gain_max: float
+    speeds_m_s: tuple[float, float]
+    slow_from_m_s: float
+    models: int
+    floor_m_s: float
+    series: Series
+    refused: str = ""
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def worst_cycles(self) -> float:
+        """Where ``ratio_max`` is, cycles/beat."""
+        return float(self.frequency_cycles[int(np.argmax(self.ratio))])
+
+
+@dataclass(frozen=True)
+class _Choice:
+    gain: float
+    lead_beats: float
+    q_len: int
+    ratio: Array
+
+    @property
+    def worst(self) -> float:
+        return float(self.ratio.max())
+
+    @property
+    def mean(self) -> float:
+        return float(self.ratio.mean())
+
+    @property
+    def blend(self) -> float:
+        return self.worst + _MEAN_WEIGHT * self.mean
+
+
+def design(
+    identified: Identified,
+    reference: Reference,
+    amplitude_max_rad: float,
+    gain: float | None = None,
+    lead_beats: float | None = None,
+    q_len: int | None = None,
+    iterations: int = 10,
+    step_max_rad: float = 0.0,
+) -> Design:
+    """The law with the smallest worst ratio; what is given is kept and judged. Leads are multiples
+    of half a beat.
+
+    Gains are sought up to ``static_gain_best`` only. Beyond it the highest frequencies of a
+    sluggish fish would shrink a little faster still, but slow errors, which are nearly all of a
+    learning swim's, shrink slower, and each trial's noise comes back larger: by a/(2 - a) in
+    variance for a = gain*slope, 1 at that gain and 7 at 1.75. Laws whose worst ratios are nearly
+    equal are told apart by the mean ratio, then by the smaller lead. A filter is taken only when
+    the lead is free and some frequency grows with every lead: it rounds off corners, which on
+    references that could be followed exactly costs 2 to 7 mm/s of max|e| at length 2. Raises
+    InputError when there is nothing to design for.
+    """
+    _check(gain, lead_beats, q_len, reference)
+    models = [identified.model, *identified.models]
+    slopes = [model.slope_m_s_rad for model in models]
+    best, limit = 2 / (min(slopes) + max(slopes)), 2 / max(slopes)
+    plants = plants_of(models, reference, amplitude_max_rad)
+    leads = [lead_beats] if lead_beats is not None else _leads(models, reference)
+    lengths = [q_len] if q_len is not None else [1]
+    if q_len is None and lead_beats is None:
+        lengths = [length for length in _Q_LENS if 2 * length - 1 <= reference.beats]
+    chosen = _choose(plants, gain, leads, lengths, best)
+    law = _law(chosen, amplitude_max_rad, step_max_rad, reference.beat_s)
+    nominal = plan(identified.model, reference.speed_m_s, reference.beat_s, amplitude_max_rad)
+    input_ratio, input_beats = _input_ratio(
+        identified, nominal, plants, reference, chosen, amplitude_max_rad
+    )
+    return Design(
+        law=law,
+        frequency_cycles=FREQUENCIES,
+        ratio=chosen.ratio,
+        ratio_max=chosen.worst,
+        ratio_dc=float(chosen.ratio[0]),
+        ratio_slow=float(
+            plants.slow_ratio(chosen.gain, chosen.lead_beats, chosen.q_len).max(initial=0.0)
+        ),
+        input_ratio=input_ratio,
+        input_beats=input_beats,
+        static_gain_best=best,
+        static_gain_max=limit,
+        speeds_m_s=plants.speeds_m_s,
+        slow_from_m_s=plants.slow_from_m_s,
+        models=len(models),
+        floor_m_s=nominal.max_abs_error_m_s,
+        series=expected_series(identified, reference, law, iterations),
+        refused=_refusal(chosen, best, limit),
+        warnings=_warnings(chosen, plants, identified, reference),
+    )
+
+
+def _check(
+    gain: float | None, lead_beats: float | None, q_len: int | None, reference: Reference
+) -> None:
+    if gain is not None and not (math.isfinite(gain) and gain > 0):
+        raise InputError(f"a gain of {gain:g} learns nothing.", "Give one above 0, like 4.")
+    if lead_beats is not None:
+        low_enough = 0 <= lead_beats <= min(LEAD_MAX_BEATS, reference.beats - 1)
+        if not (low_enough and 2 * lead_beats == math.floor(2 * lead_beats)):
+            raise InputError(
+                f"a lead of {lead_beats:g} beats cannot be.",
+                f"Use 0, 0.5, 1, ... up to {LEAD_MAX_BEATS:g}, less than the trial has.",
+            )
+    if q_len is not None and not (q_len >= 1 and 2 * q_len - 1 <= reference.beats):
+        raise InputError(
+            f"a filter of {q_len} does not fit into {reference.beats} beats.", "1 is none."
+        )
+
+
+def _leads(models: Sequence[FishModel], reference: Reference) -> list[float]:
+    """Half beats up to one beat more than the longest delay."""
+    longest = max(model.delay_s for model in models) / reference.beat_s + 1
+    last = min(math.ceil(2 * longest) / 2, LEAD_MAX_BEATS, reference.beats - 1)
+    return [half / 2 for half in range(int(2 * last) + 1)]
+
+
+def _choose(
+    plants: Plants,
+    gain: float | None,
+    leads: Sequence[float],
+    lengths: Sequence[int],
+    gain_max: float,
+) -> _Choice:
+    """The first filter length that lets nothing grow; failing that, the smallest worst ratio."""
+    found: list[_Choice] = []
+    for q in lengths:
+        tried = [_with_best_gain(plants, gain, lead, q, gain_max) for lead in leads]
+        limit = min(choice.worst for choice in tried) + _AS_GOOD
+        good = min(
+            (choice for choice in tried if choice.worst <= limit),
+            key=lambda choice: (round(choice.mean / _AS_GOOD), choice.lead_beats),
+        )
+        if good.worst <= 1 + _NEUTRAL or good.ratio[0] >= 1:  # no filter helps at 0
+            return good
+        found.append(good)
+    return min(found, key=lambda choice: choice.worst)
+
+
+def _with_best_gain(
+    plants: Plants, gain: float | None, lead_beats: float, q_len: int, gain_max: float
+) -> _Choice:
+    """The gain with the smallest largest ratio; the mean decides where that does not depend on the
+    gain (a half beat's at 0.5 cycles/beat). Where something grows with every gain the smallest
+    largest ratio would be that of learning nothing: then it is the gain that is best at 0."""
+
+    def choice(gain: float) -> _Choice:
+        return _Choice(gain, lead_beats, q_len, plants.ratio(gain, lead_beats, q_len))
+
+    if gain is not None:
+        return choice(gain)
+    found = choice(_least(lambda g: choice(g).blend, gain_max))
+    return found if found.worst <= 1 + _NEUTRAL else choice(_rounded_down(gain_max))
+
+
+def _least(cost: Callable[[float], float], gain_max: float) -> float:
+    """Where a convex cost is least, in steps of 0.01."""
+    from scipy.optimize import minimize_scalar
+
+    bounds = (_GAIN_MIN * gain_max, gain_max)
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 2e-3})
+    return _rounded_down(min(float(found.x) + _GAIN_STEP / 2, gain_max))
+
+
+def _rounded_down(gain: float) -> float:
+    return round(math.floor(gain / _GAIN_STEP) * _GAIN_STEP, 2)
+
+
+def _law(choice: _Choice, amplitude_max_rad: float, step_max_rad: float, beat_s: float) -> Law:
+    return Law(
+        kp_rad_s_m=choice.gain,
+        amplitude_max_rad=amplitude_max_rad,
+        step_max_rad=step_max_rad,
+        beat_s=beat_s,
+        lead_beats=choice.lead_beats,
+        q_len=choice.q_len,
+    )
+
+
+def _input_ratio(
+    identified: Identified,
+    best: Plan,
+    plants: Plants,
+    reference: Reference,
+    choice: _Choice,
+    amplitude_max_rad: float,
+) -> tuple[float, int]:
+    """The norm of a step in the input, the largest of the set, and on how many beats: those where
+    the reference wants a speed of the certificate's range and the best amplitude is outside the
+    dead zone and below the largest. Every model is taken at the same steady speeds."""
+    amplitude, nominal = best.amplitude_rad, identified.model
+    free = (amplitude > nominal.dead_zone_rad) & (amplitude < amplitude_max_rad)
+    beats: NDArray[np.bool_] = free & (reference.speed_m_s >= plants.speeds_m_s[0])
+    steady = nominal.steady_m_s(amplitude)
+    step = (choice.gain, choice.lead_beats, choice.q_len)
+    norms = [
+        input_norm(model, model.amplitude_rad(steady), reference.beat_s, *step, beats)
+        for model in [nominal, *identified.models]
+    ]
+    return max(norms), int(beats.sum())
+
+
+def _refusal(choice: _Choice, best: float, limit: float) -> str:
+    dc = float(choice.ratio[0])
+    if dc < 1:
+        return ""
+    return (
+        f"at gain {choice.gain:g} steady errors do not shrink (ratio {dc:.2f} per trial by the "
+        f"steepest map of the set; only gains below {limit:.2f} contract, {best:.2f} does best)."
+    )
+
+
+def _warnings(
+    choice: _Choice, plants: Plants, identified: Identified, reference: Reference
+) -> list[str]:
+    slow = plants.slow_ratio(choice.gain, choice.lead_beats, choice.q_len)
+    everywhere = np.maximum(choice.ratio, slow)
+    found = [_growth(everywhere)] if choice.ratio[0] < 1 else []
+    wanted = float(np.max(reference.speed_m_s))
+    if plants.speeds_m_s[1] < wanted:
+        found.append(
+            f"the reference wants {wanted * 1e3:.0f} mm/s, but the slowest model of the set "
+            f"reaches {plants.speeds_m_s[1] * 1e3:.0f} with the largest amplitude"
+        )
+    found += [
+        f"{_ASSUMED[name]} assumed, {_range(identified, name)}"
+        for name in identified.assumed
+        if name in _ASSUMED
+    ]
+    return [line for line in found if line]
+
+
+_ASSUMED = {
+    "kappa_per_m": "drag over mass (1/m) is",
+    "delay_s": "the delay (s) is",
+    "slope_m_s_rad": "the map's slope (m/s/rad) is",
+    "dead_zone_rad": "the dead zone (rad) is",
+}
+
+
+def _range(identified: Identified, name: str) -> str:
+    values = [getattr(model, name) for model in identified.models]
+    low, high = min(values), max(values)
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+
+
+def _growth(ratio: Array) -> str:
+    """A line on frequencies that do not shrink; "" when all do."""
+    worst = float(ratio.max())
+    if worst < 1 - _NEUTRAL:
+        return ""
+    if worst <= 1 + _NEUTRAL:
+        return "errors that alternate from beat to beat neither shrink nor grow (ratio 1.00)"
+    grows = FREQUENCIES[ratio > 1 + _NEUTRAL]
+    where = f"{grows.min():.2f} to {grows.max():.2f} cycles/beat"
+    double = math.ceil(math.log(2) / math.log(worst))
+    how = "slowly" if worst < _FAST else "fast"
+    line = f"errors of {where} grow {how}, by at most {worst:.2f} per trial: they double in about "
+    line += f"{double} trial{'s' if double > 1 else ''}"
+    if worst <= _MILD:
+        return line
+    return line + "; learning will get good, stall and get worse again. Choose another lead"

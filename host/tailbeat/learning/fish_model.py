@@ -1,0 +1,161 @@
+"""A fish in four numbers: dv/dt = kappa*(vss(u(t - delay))**2 - v*|v|), vss = slope*(u - dead)+.
+
+Solved exactly by host/native/drag_model.c. Speeds of a swim are over ground: over water plus the
+flow. The thrust's ripple within a beat and the servo are left out; what beat means feel of them
+goes into the four numbers when they are fitted: on the simulated tank a 40 ms servo makes the
+slope 3 % smaller, the dead zone 3 % larger and the delay 16 ms longer.
+
+What the model learns from: one swim, as amplitudes and the speeds they gave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.core.errors import InputError
+
+if TYPE_CHECKING:
+    from tailbeat.core.trial_file import Trial
+
+Array = NDArray[np.float64]
+
+PARAMS = ("kappa_per_m", "slope_m_s_rad", "dead_zone_rad", "delay_s")
+
+
+@dataclass(frozen=True)
+class FishModel:
+    """``kappa_per_m`` alpha/M, > 0. ``slope_m_s_rad`` steady speed over amplitude beyond
+    ``dead_zone_rad``, > 0. ``delay_s`` from a beat's begin to its thrust, >= 0."""
+
+    kappa_per_m: float
+    slope_m_s_rad: float
+    dead_zone_rad: float
+    delay_s: float
+
+    def steady_m_s(self, amplitude_rad: ArrayLike) -> Array:
+        """vss: the speed an amplitude settles at."""
+        beyond = np.asarray(amplitude_rad, dtype=np.float64) - self.dead_zone_rad
+        return self.slope_m_s_rad * np.maximum(beyond, 0.0)
+
+    def amplitude_rad(self, steady_m_s: ArrayLike) -> Array:
+        """The smallest amplitude that settles at a speed; the dead zone's edge for 0."""
+        speed = np.maximum(np.asarray(steady_m_s, dtype=np.float64), 0.0)
+        return self.dead_zone_rad + speed / self.slope_m_s_rad
+
+    def beats(
+        self,
+        amplitude_rad: ArrayLike,
+        beat_s: float,
+        conditions: Conditions | None = None,
+    ) -> Array:
+        """Mean speed over ground per beat, m/s, shape (beats,)."""
+        given = conditions or Conditions()
+        w = (given.gain * self.steady_m_s(amplitude_rad)) ** 2
+        distance, _, _ = self.distance(w, beat_s, given.start_m_s)
+        mean: Array = np.diff(distance) / beat_s + given.flow_m_s
+        return mean
+
+    def distance(
+        self, w: Array, beat_s: float, start_m_s: float = 0.0, parts: int = 1, slopes: bool = False
+    ) -> tuple[Array, Array | None, Array | None]:
+        """(distance over water, its derivatives to w, those to (kappa, delay, start)) at the
+        ``beats * parts + 1`` ends of the parts of beats; None without ``slopes``. ``w``: thrust per
+        beat as the square of the steady speed, >= 0."""
+        from tailbeat.core.native import ffi, lib
+
+        w = np.ascontiguousarray(w, dtype=np.float64)
+        rows = len(w) * parts + 1
+        distance = np.empty(rows)
+        by_w = np.empty((rows, len(w))) if slopes else None
+        by_model = np.empty((rows, 3)) if slopes else None
+
+        def pointer(array: Array | None) -> object:
+            return ffi.NULL if array is None else ffi.from_buffer("double[]", array)
+
+        model = ffi.new("drag_model_t *", (self.kappa_per_m, self.delay_s, start_m_s, beat_s))
+        if not lib.drag_model_distance(
+            model, pointer(w), len(w), parts, pointer(distance), pointer(by_w), pointer(by_model)
+        ):
+            raise InputError(
+                f"the model makes no sense: {self}.",
+                "Look at its numbers; identify the fish again.",
+            )
+        return distance, by_w, by_model
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What differs from swim to swim: the speed over water at its begin (>= 0), the flow along the
+    tank, and a factor on the steady speed (battery, temperature)."""
+
+    start_m_s: float = 0.0
+    flow_m_s: float = 0.0
+    gain: float = 1.0
+
+
+SIGMA_M_S = 0.001  # of a beat's speed that tells none
+
+
+@dataclass(frozen=True)
+class Swim:
+    """All arrays have one value per beat. ``amplitude_rad``: as the tail did it (saturated; 0 where
+    the swim was over). ``speed_m_s``: measured over ground, NaN = not measured. ``sigma_m_s``: its
+    standard deviation, the measurement's alone. ``reference_crc``, ``trial``: 0 = unknown.
+    ``swum_beats``: how many were swum before an early end; None = all."""
+
+    amplitude_rad: Array
+    speed_m_s: Array
+    sigma_m_s: Array
+    beat_s: float = 1.0
+    reference_crc: int = 0
+    trial: int = 0
+    iteration: int = 0
+    battery_v: float | None = None
+    swum_beats: int | None = None
+
+    @property
+    def beats(self) -> int:
+        """Length of the swim."""
+        return len(self.amplitude_rad)
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Beats that have a speed."""
+        return np.isfinite(self.speed_m_s)
+
+
+def swim_of(trial: Trial) -> Swim:
+    """From a trial's file. Beats after an early end have amplitude 0 and no speed."""
+    beats = trial.beats
+    swum = np.arange(len(beats.applied_rad)) < trial.executed_beats
+    amplitude = np.where(swum & np.isfinite(beats.applied_rad), beats.applied_rad, 0.0)
+    speed = np.where(swum, beats.speed_m_s, np.nan).astype(np.float64)
+    known = np.isfinite(beats.sigma_m_s) & (beats.sigma_m_s > 0)
+    sigma = np.where(known, beats.sigma_m_s, SIGMA_M_S).astype(np.float64)
+    volts = [volt for _, volt in trial.battery_v]
+    return Swim(
+        amplitude_rad=amplitude.astype(np.float64),
+        speed_m_s=speed,
+        sigma_m_s=sigma,
+        beat_s=trial.beat_s,
+        reference_crc=trial.reference_crc,
+        trial=trial.number,
+        iteration=trial.iteration,
+        battery_v=float(np.mean(volts)) if volts else None,
+        swum_beats=None if swum.all() else trial.executed_beats,
+    )
+
+
+def last_input(swims: Sequence[Swim], beats: int) -> Array:
+    """The amplitudes that were swum last, beat by beat, by ``swims`` of one reference: what lies
+    beyond an early end is of an earlier swim, NaN where no swim came so far."""
+    amplitude = np.full(beats, np.nan)
+    for swim in swims:
+        end = beats if swim.swum_beats is None else swim.swum_beats
+        amplitude[:end] = swim.amplitude_rad[:end]
+    return amplitude

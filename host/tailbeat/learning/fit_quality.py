@@ -1,0 +1,227 @@
+"""What an identification is worth, for people: how well the model fits, and what to mistrust."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_file import read_trial
+from tailbeat.learning import fit
+from tailbeat.learning.fish_model import FishModel, Swim, swim_of
+from tailbeat.learning.fit import Prior
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification_runs import STILL_M_S, identify_swims
+from tailbeat.learning.speed_table import ThesisFish
+
+Array = NDArray[np.float64]
+
+_STEADY_BEATS = 6  # of one amplitude, the later half of which is steady
+_BATTERY_SPREAD_V = 0.4
+_RMS_M_S = 0.003
+# Half of the 95 % interval that is too much (relative for kappa and slope), and what narrows it.
+_WIDE = {
+    "kappa_per_m": (0.3, "a coast-down from a faster cruise narrows it"),
+    "slope_m_s_rad": (0.1, "more runs near the largest amplitude narrow it"),
+    "dead_zone_rad": (0.03, "a long cruise a little above it narrows it"),
+    "delay_s": (0.15, "a run whose amplitude changes gently, beat by beat, narrows it"),
+}
+NAMES = {
+    "kappa_per_m": ("kappa (drag over mass)", "1/m"),
+    "slope_m_s_rad": ("slope", "m/s/rad"),
+    "dead_zone_rad": ("dead zone", "rad"),
+    "delay_s": ("delay", "s"),
+}
+
+
+@dataclass(frozen=True)
+class SwimAccount:
+    """One swim. Arrays: shape (beats,). ``model_m_s``: with the swim's own start, flow and gain."""
+
+    trial: int
+    amplitude_rad: Array
+    speed_m_s: Array
+    sigma_m_s: Array
+    model_m_s: Array
+    beat_s: float
+    battery_v: float | None
+
+    @property
+    def top_rad(self) -> float:
+        """The largest amplitude."""
+        return float(self.amplitude_rad.max())
+
+    @property
+    def way_m(self) -> float:
+        """Measured way; beats without a speed as the model has them."""
+        known = np.isfinite(self.speed_m_s)
+        return float(np.where(known, self.speed_m_s, self.model_m_s).sum()) * self.beat_s
+
+
+@dataclass(frozen=True)
+class Account:
+    """``steady``: (amplitude_rad, speed_m_s) of the steady parts of the swims. ``battery_v``:
+    lowest and highest of the swims."""
+
+    identified: Identified
+    rms_m_s: float
+    beats: int
+    swims: list[SwimAccount]
+    steady: tuple[Array, Array]
+    battery_v: tuple[float, float] | None
+    warnings: list[str]
+
+    @property
+    def battery_text(self) -> str:
+        """Its range for people; empty when nobody measured it."""
+        low, high = (f"{volt:.1f}" for volt in self.battery_v or (0.0, 0.0))
+        if self.battery_v is None:
+            return ""
+        return f"{low} V" if low == high else f"{low} to {high} V"
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``--json``: SI units, keys end in them."""
+        known = self.identified
+        battery = self.battery_v or (None, None)
+        return {
+            "source": known.source,
+            "unique_id": known.unique_id,
+            "model": vars(known.model),
+            "band": known.band,
+            "assumed": known.assumed,
+            "alpha_kg_m": known.alpha_kg_m,
+            "rms_m_s": self.rms_m_s,
+            "beats": self.beats,
+            "battery_min_v": battery[0],
+            "battery_max_v": battery[1],
+            "runs": [
+                {
+                    "trial": swim.trial,
+                    "amplitude_max_rad": swim.top_rad,
+                    "beats": len(swim.amplitude_rad),
+                    "way_m": swim.way_m,
+                    "battery_v": swim.battery_v,
+                    "amplitude_rad": swim.amplitude_rad,
+                    "speed_m_s": swim.speed_m_s,
+                    "model_m_s": swim.model_m_s,
+                }
+                for swim in self.swims
+            ],
+            "warnings": self.warnings,
+        }
+
+
+def account_of(identified: Identified, prior: Prior | None = None) -> Account:
+    """The account of a fish identified from swims, with the prior it was identified with."""
+    swims = identified.swims
+    found = fit.fit(swims, prior, identified.scatter)
+    accounts = [
+        SwimAccount(
+            trial=swim.trial,
+            amplitude_rad=swim.amplitude_rad,
+            speed_m_s=swim.speed_m_s,
+            sigma_m_s=swim.sigma_m_s,
+            model_m_s=found.model.beats(swim.amplitude_rad, swim.beat_s, given),
+            beat_s=swim.beat_s,
+            battery_v=swim.battery_v,
+        )
+        for swim, given in zip(swims, found.conditions, strict=True)
+    ]
+    volts = [swim.battery_v for swim in swims if swim.battery_v is not None]
+    battery = (min(volts), max(volts)) if volts else None
+    return Account(
+        identified=identified,
+        rms_m_s=found.rms_m_s,
+        beats=found.beats,
+        swims=accounts,
+        steady=steady_points(swims),
+        battery_v=battery,
+        warnings=_warnings(identified, found.rms_m_s, battery),
+    )
+
+
+def _warnings(
+    identified: Identified, rms_m_s: float, battery: tuple[float, float] | None
+) -> list[str]:
+    found = [
+        f"{NAMES[name][0]} is known to +-{wide:.2g} {unit} only; {remedy}"
+        for name, (wide, unit, remedy) in _too_wide(identified).items()
+    ]
+    if rms_m_s > _RMS_M_S:
+        found.append(
+            f"the model misses the beats by {rms_m_s * 1e3:.1f} mm/s RMS; look at the plot for "
+            "what repeats, and whether something touched the fish"
+        )
+    if battery is not None and battery[1] - battery[0] > _BATTERY_SPREAD_V:
+        found.append(
+            f"the battery fell from {battery[1]:.1f} to {battery[0]:.1f} V; the slope is its mean"
+        )
+    return found
+
+
+def _too_wide(identified: Identified) -> dict[str, tuple[float, str, str]]:
+    """(half width, its unit, what to do) of every number known too badly, if data spoke of it."""
+    found = {}
+    for name, (low, high) in identified.band.items():
+        most, remedy = _WIDE[name]
+        relative = name in ("kappa_per_m", "slope_m_s_rad")
+        value = getattr(identified.model, name)
+        if (high - low) / 2 > most * (value if relative else 1) and name not in identified.assumed:
+            found[name] = ((high - low) / 2, NAMES[name][1], remedy)
+    return found
+
+
+def steady_points(swims: Sequence[Swim]) -> tuple[Array, Array]:
+    """(amplitude_rad, speed_m_s) of every stretch of one amplitude long enough to be steady."""
+    points = []
+    for swim in swims:
+        edges = np.flatnonzero(np.diff(swim.amplitude_rad)) + 1
+        for stretch in np.split(np.arange(swim.beats), edges):
+            later = stretch[(len(stretch) + 1) // 2 :]
+            later = later[swim.measured[later]]
+            if len(stretch) >= _STEADY_BEATS and later.size:
+                points.append((swim.amplitude_rad[stretch[0]], swim.speed_m_s[later].mean()))
+    table = np.array([p for p in points if p[0] > 0 and p[1] > STILL_M_S]).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def with_drag(identified: Identified, fish: ThesisFish) -> Identified:
+    """The same with the thesis's drag coefficient, where cruises were steady."""
+    amplitude, speed = steady_points(identified.swims)
+    if not amplitude.size:
+        return identified
+    return replace(identified, alpha_kg_m=fish.drag_kg_m(amplitude, speed))
+
+
+def from_trials(paths: Sequence[Path]) -> tuple[Identified, bool]:
+    """(what trials of one fish tell, whether it was a simulated one). Raises InputError."""
+    if not paths:
+        raise InputError("there are no trial files.", "Give some, or an experiment that has them.")
+    trials = [read_trial(path) for path in paths]
+    fish = {trial.unique_id for trial in trials}
+    if len(fish) > 1:
+        raise InputError(
+            f"the trials are of {len(fish)} different boards.", "Give those of one fish."
+        )
+    swims = [swim_of(trial) for trial in trials]
+    used = [swim for swim in swims if swim.measured.any()]
+    if not used:
+        raise InputError(
+            "no trial of these has a speed.", "Upload the speeds first: tailbeat speed upload"
+        )
+    found = identify_swims(used, source="trials", unique_id=fish.pop())
+    length_m = trials[0].params.get("FISH_LEN_M", ThesisFish.length_m)
+    about = ThesisFish(length_m=length_m, beat_s=trials[0].beat_s)
+    return with_drag(found, about), trials[0].board != "fish"
+
+
+def steady_band(models: Sequence[FishModel], amplitude_rad: Array) -> tuple[Array, Array]:
+    """95 % interval of the steady speed at each amplitude, m/s."""
+    speeds = np.array([model.steady_m_s(amplitude_rad) for model in models])
+    low, high = np.percentile(speeds, [2.5, 97.5], axis=0)
+    return low, high

@@ -1,0 +1,328 @@
+"""Learning with the model: the next amplitudes from everything that was ever swum.
+
+A pure function of raw data, so that every decision can be made again from the trial files:
+re-fit the four numbers on all swims (prior: the identified model, narrow or wide, as the swims are
+likelier), estimate what repeats and the
+model does not explain (a Kalman filter along the iterations, per beat, for this reference; a new
+one takes over the map, the drag, the delay and a flow that repeats), plan, predict with a band.
+When what was measured lies outside of what was predicted, the model is refuted and the next step is
+P with the designed gain and lead, until a fit on the swims since then predicts one again.
+
+Where an input came from: everything a proposal was made of, as JSON, and the way to make it
+again from that and the trials.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core import law as laws
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
+from tailbeat.core.reference import Reference
+from tailbeat.learning.belief import Belief, believe
+from tailbeat.learning.convergence import input_crc
+from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, Swim, last_input
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.planner import plan
+
+Array = NDArray[np.float64]
+
+FALLBACK = Law(kp_rad_s_m=4.0, lead_beats=1)
+# Between least squares (2) and minimax (infinity). The largest error is what a fish is judged by,
+# and a plan that draws the largest ones together leaves room for the scatter of swims; 6 gains
+# nearly all of that and costs little elsewhere.
+PLAN_POWER = 6.0
+_NO_THRUST = 0.75  # of the dead zone: pushes nothing even if that is smaller than believed
+
+_WORDS = {
+    "kappa_per_m": ("drag", "1/m", 1),
+    "slope_m_s_rad": ("slope", "m/s/rad", 3),
+    "dead_zone_rad": ("dead zone", "rad", 3),
+    "delay_s": ("delay", "s", 2),
+}
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The next input and why. ``law``: ``model``, or ``p`` when the model was refuted.
+    ``low_m_s``/``high_m_s``: 90 % band of the beats' measured speeds. ``trials``: numbers of the
+    swims that the model rests on. ``chance``: of a swim as odd as the last one, by its prediction.
+    ``limited_beats``: where the step limit holds the amplitude back. ``reason``: one line for
+    people."""
+
+    amplitude_rad: Array
+    predicted_m_s: Array
+    low_m_s: Array
+    high_m_s: Array
+    predicted_max_abs_error_m_s: tuple[float, float, float]  # 5 %, median, 95 %
+    model: FishModel
+    disturbance_m_s: Array
+    law: str
+    reason: str
+    trials: tuple[int, ...] = ()
+    chance: float = 1.0
+    limited_beats: int = 0
+
+
+def propose(
+    identified: Identified,
+    reference: Reference,
+    amplitude_max_rad: float,
+    swims: Sequence[Swim] = (),
+    fallback: Law | None = None,
+    step_max_rad: float = 0.0,
+) -> Proposal:
+    """``swims``: all that were swum since the identification, oldest first, of this reference (by
+    CRC) and others. ``fallback``: the P law (default: gain 4, lead 1 beat). ``step_max_rad``: the
+    most a beat's amplitude may differ from that of the last swim of this reference, 0 = any.
+
+    Costs some 10 ms, and 15 ms per swim of 40 beats. Raises InputError when
+    ``amplitude_max_rad`` makes no sense or a swim has other beats than the reference it names.
+    """
+    belief = believe(identified, swims)
+    wanted = reference.speed_m_s.astype(np.float64)
+    own = _swims_of(reference, swims)
+    swum = last_input(own, reference.beats)
+    low, high = _limits(swum, amplitude_max_rad, step_max_rad)
+    law = "p" if belief.refuted and own else "model"
+    amplitude = _planned(belief, reference, amplitude_max_rad, low, high)
+    if law == "p":
+        start = np.where(np.isfinite(swum), swum, amplitude)
+        amplitude = _p_step(fallback or FALLBACK, amplitude_max_rad, wanted, own[-1], start)
+    if step_max_rad > 0:
+        amplitude = _ready(amplitude, belief.model, amplitude_max_rad)
+    amplitude = np.clip(amplitude, low, high)
+    found = belief.predict(amplitude, reference.beat_s, reference.crc, _sigma(identified, swims))
+    band = found.band()
+    pushes = np.fmax(amplitude, swum) > belief.model.dead_zone_rad
+    held = pushes & (np.abs(amplitude - swum) >= step_max_rad * (1 - 1e-9))
+    limited = int(np.count_nonzero(held)) if step_max_rad > 0 else 0
+    return Proposal(
+        amplitude_rad=amplitude,
+        predicted_m_s=found.mean_m_s,
+        low_m_s=band[0],
+        high_m_s=band[1],
+        predicted_max_abs_error_m_s=found.max_abs_error(wanted),
+        model=belief.model,
+        disturbance_m_s=belief.disturbance(reference.crc, reference.beats)[0],
+        law=law,
+        reason=_reason(belief, law),
+        trials=tuple(swim.trial for swim in belief.swims),
+        chance=belief.chance,
+        limited_beats=limited,
+    )
+
+
+def foretold(
+    identified: Identified, reference: Reference, swims: Sequence[Swim]
+) -> tuple[float, float, float] | None:
+    """max|e| of the last of ``swims`` by what was known before it, over the beats that it has: 5 %,
+    median, 95 %, m/s. None when it was not of this reference or not measured."""
+    if not swims or swims[-1].reference_crc != reference.crc or not swims[-1].measured.any():
+        return None
+    last = swims[-1]
+    sigma = float(np.median(last.sigma_m_s[last.measured]))
+    known = believe(identified, swims[:-1])
+    found = known.predict(last.amplitude_rad, last.beat_s, last.reference_crc, sigma)
+    return found.max_abs_error(reference.speed_m_s.astype(np.float64), last.measured)
+
+
+def _swims_of(reference: Reference, swims: Sequence[Swim]) -> list[Swim]:
+    """Those of this reference."""
+    own = [swim for swim in swims if swim.reference_crc == reference.crc and swim.measured.any()]
+    for swim in own:
+        if swim.beats != reference.beats:
+            raise InputError(
+                f"trial {swim.trial} has {swim.beats} beats, its reference {reference.beats}.",
+                "Its file is damaged; take it away.",
+            )
+    return own
+
+
+def _limits(swum: Array, amplitude_max_rad: float, step_max_rad: float) -> tuple[Array, Array]:
+    """Of each beat's amplitude; a beat that was never swum may have any."""
+    step = step_max_rad if step_max_rad > 0 else np.inf
+    low = np.clip(np.nan_to_num(swum - step, nan=0.0), 0.0, amplitude_max_rad)
+    high = np.clip(np.nan_to_num(swum + step, nan=np.inf), 0.0, amplitude_max_rad)
+    return low, high
+
+
+def _ready(amplitude_rad: Array, model: FishModel, amplitude_max_rad: float) -> Array:
+    """Beats without thrust wag as much as surely pushes nothing: from 0 a limited step could end
+    inside the dead zone, swim after swim, and the beat would never push again."""
+    return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
+
+
+def _planned(
+    belief: Belief,
+    reference: Reference,
+    amplitude_max_rad: float,
+    low: Array,
+    high: Array,
+) -> Array:
+    disturbance, _ = belief.disturbance(reference.crc, reference.beats)
+    scatter = belief.identified.scatter
+    fastest = float(reference.speed_m_s.max())
+    return plan(
+        belief.model,
+        reference.speed_m_s,
+        reference.beat_s,
+        amplitude_max_rad,
+        disturbance,
+        belief.typical,
+        power=PLAN_POWER,
+        scatter_m_s=float(np.hypot(scatter.flow_m_s, scatter.gain * fastest)),
+        low_rad=low,
+        high_rad=high,
+    ).amplitude_rad
+
+
+def _p_step(
+    law: Law, amplitude_max_rad: float, wanted: Array, last: Swim, start_rad: Array
+) -> Array:
+    """The P law applied to a swim: from ``start_rad``, by its errors."""
+    limited = replace(law, amplitude_max_rad=amplitude_max_rad, beat_s=last.beat_s)
+    error, measured = laws.errors_of(wanted, last.speed_m_s)
+    following, _ = laws.update(limited, start_rad, error, measured)
+    return np.clip(following.astype(np.float64), 0.0, amplitude_max_rad)
+
+
+def _sigma(identified: Identified, swims: Sequence[Swim]) -> float:
+    """What the next swim will probably be measured with."""
+    for swim in [*identified.swims, *swims][::-1]:
+        known = swim.sigma_m_s[np.isfinite(swim.sigma_m_s)]
+        if known.size:
+            return float(np.median(known))
+    return SIGMA_M_S
+
+
+def _reason(belief: Belief, law: str) -> str:
+    count = len(belief.swims)
+    if law == "p":
+        return "the last swim was not as the model said: a step by P, and the fit begins anew"
+    if not count:
+        return "planned with the identified model, before any swim"
+    text = f"re-fitted on {count} swim{'s' if count > 1 else ''}"
+    moved = [
+        f"{_number(name, getattr(belief.model, name))} (identified {_number(name, was, bare=True)})"
+        for name, was in _moved(belief)
+    ]
+    return f"{text}: {', '.join(moved)}" if moved else text
+
+
+def _moved(belief: Belief) -> list[tuple[str, float]]:
+    """The numbers that left their identified 95 % interval, and what they were."""
+    identified = belief.identified
+    sigma = np.sqrt(np.diag(identified.covariance) + np.diag(belief.covariance))
+    found = []
+    for name, s in zip(PARAMS, sigma, strict=True):
+        was, now = getattr(identified.model, name), getattr(belief.model, name)
+        relative = name in ("kappa_per_m", "slope_m_s_rad")
+        way = np.log(now / was) if relative else now - was
+        if abs(way) > 2 * s:
+            found.append((name, was))
+    return found
+
+
+def _number(name: str, value: float, bare: bool = False) -> str:
+    word, unit, digits = _WORDS[name]
+    number = f"{value:.{digits}f}"
+    return number if bare else f"{word} {number} {unit}"
+
+
+FORMAT = "tailbeat proposal 1"
+
+
+def document_of(
+    proposal: Proposal,
+    identified: Identified,
+    reference: Reference,
+    amplitude_max_rad: float,
+    swims: Sequence[Swim],
+    fallback: Law,
+    step_max_rad: float,
+) -> dict[str, Any]:
+    """JSON types, SI units. The arguments are those ``propose`` was called with."""
+    low, median, high = proposal.predicted_max_abs_error_m_s
+    return {
+        "format": FORMAT,
+        "law": proposal.law,
+        "reason": proposal.reason,
+        "input_crc": input_crc(proposal.amplitude_rad),
+        "amplitude_rad": _numbers(proposal.amplitude_rad),
+        "predicted_m_s": _numbers(proposal.predicted_m_s),
+        "low_m_s": _numbers(proposal.low_m_s),
+        "high_m_s": _numbers(proposal.high_m_s),
+        "predicted_max_abs_error_m_s": {"low": low, "median": median, "high": high},
+        "model": asdict(proposal.model),
+        "disturbance_m_s": _numbers(proposal.disturbance_m_s),
+        "fitted_trials": list(proposal.trials),
+        "chance": proposal.chance,
+        "limited_beats": proposal.limited_beats,
+        "reference": {
+            "crc": reference.crc,
+            "name": reference.name,
+            "beat_s": reference.beat_s,
+            "speed_m_s": [float(v) for v in reference.speed_m_s],
+        },
+        "amplitude_max_rad": amplitude_max_rad,
+        "step_max_rad": step_max_rad,
+        "fallback": asdict(fallback),
+        "swims": [{"trial": swim.trial, "crc": swim_crc(swim)} for swim in swims],
+        "identified": identified.as_dict(),
+    }
+
+
+def again(document: dict[str, Any], swims: Sequence[Swim]) -> Proposal:
+    """The proposal made anew; ``swims``: of the fish, in any order, those it names among them.
+
+    Raises InputError when one is missing or no longer what it was, or the document is damaged.
+    """
+    try:
+        reference = Reference(
+            beat_s=float(document["reference"]["beat_s"]),
+            speed_m_s=np.array(document["reference"]["speed_m_s"], dtype=np.float32),
+            name=str(document["reference"]["name"]),
+        )
+        return propose(
+            Identified.from_dict(document["identified"]),
+            reference,
+            float(document["amplitude_max_rad"]),
+            _named(document["swims"], swims),
+            Law(**document["fallback"]),
+            float(document["step_max_rad"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            "this is no proposal, or it is damaged.", "Take one from the fish's logbook."
+        ) from error
+
+
+def _named(names: Sequence[dict[str, Any]], swims: Sequence[Swim]) -> list[Swim]:
+    by_crc = {swim_crc(swim): swim for swim in swims}
+    missing = [str(name["trial"]) for name in names if name["crc"] not in by_crc]
+    if missing:
+        raise InputError(
+            f"the proposal was made from other data of trial {', '.join(missing)}.",
+            "Look for that trial's file in the fish's logbook.",
+        )
+    return [by_crc[name["crc"]] for name in names]
+
+
+def swim_crc(swim: Swim) -> int:
+    """CRC-32 of all that the model learns from a swim."""
+    crc = zlib.crc32(f"{swim.trial} {swim.reference_crc} {swim.beat_s!r}".encode())
+    for values in (swim.amplitude_rad, swim.speed_m_s, swim.sigma_m_s):
+        crc = zlib.crc32(np.nan_to_num(values, nan=-1.0).astype("<f8").tobytes(), crc)
+    return crc
+
+
+def _numbers(values: NDArray[np.float64]) -> list[float]:
+    return [float(value) for value in values]

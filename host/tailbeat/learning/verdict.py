@@ -1,0 +1,278 @@
+"""A series of trials of one reference, judged: what each proved, when to stop, what to change."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_checks import straightness
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.library import Kept
+from tailbeat.learning.convergence import (
+    NoiseBand,
+    Score,
+    Verdict,
+    best_of,
+    expected_band,
+    judge_all,
+    score_of,
+    visits,
+)
+from tailbeat.learning.gain_schedule import (
+    FLUCTUATION_MAX,
+    Fade,
+    fade_advice,
+    fluctuation,
+    repeat_variance,
+    settled_after,
+)
+from tailbeat.learning.saturation import Saturation, saturation_of
+
+if TYPE_CHECKING:
+    from tailbeat.core.reference import Reference
+    from tailbeat.learning.identification import Identified
+
+REPEAT_SIGMA_M_S = 0.002  # of a beat's error between repeats, on the tank plant
+_SLOPE_M_S_RAD = 0.219  # of the line through the thesis's Table 8.1
+_WALK_PART = 0.05  # of the noise's variance: what is to be learned wanders by that much each trial
+_STEP_MIN = 0.05
+_BY_THE_LAW = ("law", "first", "restored", "")  # what made a trial's amplitudes; "" = not told
+
+
+@dataclass(frozen=True)
+class Row:
+    """One trial. ``repeat_of``: the first trial with the same amplitudes, 0 = this is the first."""
+
+    trial: int
+    iteration: int
+    end: str
+    max_abs_error_m_s: float
+    rms_error_m_s: float
+    repeat_of: int
+    verdict: str
+    words: str
+
+
+@dataclass(frozen=True)
+class Progress:
+    """``verdict``: on the last trial. ``visits``: shape (beats,). ``floor_m_s``: max|e| of the best
+    input by least squares, where the fish is identified. ``fluctuation``: of max|e| since the
+    series settled, over the noise of repeats. ``fade``: given when that is too much, and not
+    because of saturation."""
+
+    reference_crc: int
+    rows: list[Row]
+    verdict: Verdict
+    visits: NDArray[np.int64]
+    floor_m_s: float | None = None
+    fluctuation: float | None = None
+    fade: Fade | None = None
+    problems: list[str] = field(default_factory=list)
+
+
+def read_trials(folder: Path) -> tuple[list[Kept], list[str]]:
+    """The trial files of a folder by name, or of its ``raw`` (an experiment); and one line for each
+    that cannot be read. Raises InputError when there is no folder."""
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}.", "Name an experiment's folder.")
+    raw = folder / "raw"
+    trials, problems = [], []
+    for path in sorted((raw if raw.is_dir() else folder).glob("*.ulg")):
+        try:
+            trials.append(Kept(read_trial(path), path))
+        except InputError as error:
+            problems.append(str(error))
+    return trials, problems
+
+
+def progress_of(
+    trials: Sequence[Trial],
+    reference_crc: int | None = None,
+    identified: Identified | None = None,
+    problems: Sequence[str] = (),
+    rolled_back: bool = False,
+) -> Progress:
+    """``trials``, ``reference_crc``: as for ``series_of``.
+    ``rolled_back``: the board said so of the last trial. Raises InputError when there is none."""
+    series = series_of(trials, reference_crc, identified)
+    scores = scores_of(series)
+    scores[-1] = replace(scores[-1], rolled_back=rolled_back)
+    expected, floor_m_s = _by_the_model(series, scores, identified)
+    crc = series[-1].reference_crc
+    rest_m_s = float(np.nanmax(series[-1].beats.reference_m_s))
+    verdicts = judge_all(scores, expected, floor_m_s, rest_m_s)
+    last = _with_saturation(verdicts[-1], saturation_of(series[-1], identified, trials))
+    band = last.band
+    found = fluctuation(scores, band)
+    return Progress(
+        reference_crc=crc,
+        rows=_rows(series, scores, verdicts),
+        verdict=last,
+        visits=visits(series),
+        floor_m_s=floor_m_s,
+        fluctuation=found,
+        fade=_fade(series, scores, last, found, identified) if last.saturation is None else None,
+        problems=[*problems, *_crooked(series)],
+    )
+
+
+def _with_saturation(verdict: Verdict, saturation: Saturation | None) -> Verdict:
+    """A series that the amplitude limit holds back has not converged to the reference."""
+    if saturation is None or not verdict.stop:
+        return replace(verdict, saturation=saturation)
+    reason = f"{verdict.stop_reason}, but saturated: {saturation.words}"
+    return replace(verdict, saturation=saturation, stop_reason=reason, advice=saturation.action)
+
+
+def _crooked(series: Sequence[Trial]) -> list[str]:
+    """A line for each trial that was not swum straight: its errors are not of the wanted way."""
+    found = [(trial.number, straightness(trial)) for trial in series]
+    return [f"trial {number}: {one.text()}" for number, one in found if one and one.crooked]
+
+
+def series_of(
+    trials: Sequence[Trial], reference_crc: int | None = None, identified: Identified | None = None
+) -> list[Trial]:
+    """The last series of a reference (default: of the last trial's), without the runs that the fish
+    was identified by. ``trials``: oldest first, of any references. Raises InputError when there is
+    none.
+
+    A series begins anew where the iteration falls back, or does not go on after a trial of another
+    reference (the board began from nothing), and with another AMP_MAX_RAD (another largest
+    amplitude is another task).
+    """
+    swum = _without_runs(trials, identified)
+    if not swum:
+        raise InputError("there are no trials to judge.", "Swim one: tailbeat trial run")
+    crc = swum[-1].reference_crc if reference_crc is None else reference_crc
+    series: list[Trial] = []
+    between = False
+    for trial in swum:
+        if trial.reference_crc != crc:
+            between = True
+            continue
+        if series and _begins_anew(series[-1], trial, between):
+            series = []
+        series.append(trial)
+        between = False
+    if not series:
+        known = sorted({f"{trial.reference_crc:#010x}" for trial in swum})
+        raise InputError(
+            f"there is no trial of the reference {crc:#010x}.", f"There are {', '.join(known)}."
+        )
+    return series
+
+
+def _begins_anew(before: Trial, trial: Trial, between: bool) -> bool:
+    limits = [one.params.get("AMP_MAX_RAD") for one in (before, trial)]
+    back = trial.iteration <= before.iteration if between else trial.iteration < before.iteration
+    return back or limits[0] != limits[1]
+
+
+def _without_runs(trials: Sequence[Trial], identified: Identified | None) -> list[Trial]:
+    """Those of earlier identifications are marked in the logbook; a folder's files are not."""
+    if identified is None or identified.source != "runs":
+        return list(trials)
+    from tailbeat.learning.fish_model import swim_of
+    from tailbeat.learning.model_law import swim_crc
+
+    runs = {swim_crc(swim) for swim in identified.swims}
+    return [trial for trial in trials if swim_crc(swim_of(trial)) not in runs]
+
+
+def scores_of(series: Sequence[Trial]) -> list[Score]:
+    """Of trials of one reference. A trial after which the best input so far was swum again, and
+    which exceeded ROLLBACK_RATIO times the best, was rolled back."""
+    scores: list[Score] = []
+    for at, trial in enumerate(series):
+        score = score_of(trial)
+        best = best_of(scores)
+        ratio = trial.params.get("ROLLBACK_RATIO", 0.0)
+        if best is not None and ratio > 0 and at + 1 < len(series):
+            worse = score.max_abs_error_m_s > ratio * best.max_abs_error_m_s
+            restored = score_of(series[at + 1]).input_crc == best.input_crc
+            if worse and restored and score.input_crc != best.input_crc:
+                score = score_of(trial, rolled_back=True)
+        scores.append(score)
+    return scores
+
+
+def _rows(series: Sequence[Trial], scores: list[Score], verdicts: list[Verdict]) -> list[Row]:
+    first: dict[int, int] = {}
+    rows = []
+    for trial, score, verdict in zip(series, scores, verdicts, strict=True):
+        original = first.setdefault(score.input_crc, trial.number)
+        rows.append(
+            Row(
+                trial=trial.number,
+                iteration=trial.iteration,
+                end=trial.end,
+                max_abs_error_m_s=score.max_abs_error_m_s,
+                rms_error_m_s=trial.rms_error_m_s(),
+                repeat_of=original if original != trial.number else 0,
+                verdict=verdict.kind,
+                words=verdict.words,
+            )
+        )
+    return rows
+
+
+def _by_the_model(
+    series: Sequence[Trial], scores: list[Score], identified: Identified | None
+) -> tuple[Callable[[Score], NoiseBand] | None, float | None]:
+    """(noise band of a trial's input, least-squares floor) of an identified fish."""
+    best = best_of(scores)
+    if identified is None or best is None:
+        return None, None
+    from tailbeat.learning.planner import plan
+
+    trial = next(t for t, s in zip(series, scores, strict=True) if s is best)
+    wanted = _reference(trial)
+    limit = trial.params.get("AMP_MAX_RAD", math.pi / 4)
+    floor = plan(identified.model, wanted.speed_m_s, wanted.beat_s, limit).max_abs_error_m_s
+
+    def expected(score: Score) -> NoiseBand:
+        swum = next(t for t, s in zip(series, scores, strict=True) if s is score)
+        return expected_band(identified, wanted, swum.beats.applied_rad)
+
+    return expected, floor
+
+
+def _reference(trial: Trial) -> Reference:
+    from tailbeat.core.reference import Reference
+
+    return Reference(trial.beat_s, trial.beats.reference_m_s, f"{trial.reference_crc:#010x}")
+
+
+def _fade(
+    series: Sequence[Trial],
+    scores: list[Score],
+    verdict: Verdict,
+    found: float | None,
+    identified: Identified | None,
+) -> Fade | None:
+    """None also where the gain is not what made the trials fluctuate: amplitudes that the host
+    uploaded, or a fish that just did worse than noise explains."""
+    settled = settled_after(scores, verdict.band)
+    last = series[-1]
+    of_the_law = all(trial.input in _BY_THE_LAW for trial in series[settled or 0 :])
+    if not of_the_law or verdict.kind in ("worse", "rolled_back"):
+        return None
+    if found is None or found <= FLUCTUATION_MAX or settled is None:
+        return None
+    if last.params.get("LAW_FADE", 0.0) > 0:
+        return None
+    first = next(score for score in scores if score.judged)
+    assert first.error_m_s is not None
+    noise = repeat_variance(scores) or REPEAT_SIGMA_M_S**2
+    slope = identified.model.slope_m_s_rad if identified else _SLOPE_M_S_RAD
+    step = min(max(last.params.get("LAW_GAIN", 4.0) * slope, _STEP_MIN), 1.0)
+    start = float(np.nanmean(first.error_m_s.astype(np.float64) ** 2))
+    return fade_advice(noise, start, step, _WALK_PART * noise, settled)

@@ -1,0 +1,1 @@
+"""Talking to a board: serial ports, sockets, MAVLink, signing, parameters, file transfer."""

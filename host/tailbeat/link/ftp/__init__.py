@@ -1,0 +1,1 @@
+"""MAVLink FTP with a sliding window."""

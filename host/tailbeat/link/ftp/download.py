@@ -1,0 +1,258 @@
+"""Reading a file from the board: bursts keep the line full, holes are asked for meanwhile.
+
+The board sends a burst of packets on one request. Before it ends the next one is asked for. What is
+missing in between, because a frame was lost, is asked for at once, by requests of their own that
+the board answers between two packets of the burst, so that no time on the line is lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import TailbeatError, TransferError
+from tailbeat.link.ftp.window import Stall, Window
+from tailbeat.link.ftp.wire import (
+    BURST,
+    DATA_BYTES,
+    END_OF_FILE,
+    INVALID_SESSION,
+    NO_SESSION,
+    OPEN_READ,
+    READ,
+    TERMINATE,
+    FtpError,
+    Reply,
+    is_for_us,
+    parse,
+)
+
+if TYPE_CHECKING:
+    from tailbeat.link.ftp.client import FtpClient, Progress
+
+_BURST_PACKETS = 160  # of the board's bursts; others may end earlier, and say so
+_LEAD_PACKETS = 6  # before its end the next one is asked for: what the board's sender holds
+_READS_MAX = 4  # under way beside a burst
+_READS_ALONE = 3  # under way otherwise: what the board's sender holds
+_READ_MIN_BYTES = 30
+_PAUSE_S = 0.5  # while a burst fills the line: to ask anew costs more than to wait so long
+_QUEUE_S = 0.2  # what the board's sender holds before an answer
+_END_PACKETS = 24  # before the end the line is about to be empty, and waiting costs
+_JUDGED_PACKETS = 24
+_LOSS_HIGH, _LOSS_LOW = 0.5, 0.3  # of the packets, where smaller or larger ones get more through
+
+
+class FileChangedError(TransferError):
+    """The file on the board is not the one that was being read."""
+
+
+class Download:
+    """An open file on the board."""
+
+    def __init__(self, client: FtpClient, path: str) -> None:
+        self._client = client
+        self._link = client.link
+        self._path = path
+        self.size = -1
+        self._open()
+
+    def __enter__(self) -> Download:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Closes it, and does not wait: who opens the next one takes a silent session over."""
+        with contextlib.suppress(TailbeatError):
+            self._client.send(TERMINATE, self._session)
+
+    def fetch(
+        self,
+        held: bytearray,
+        origin: int,
+        progress: Progress | None,
+        append: Callable[[bytes], None],
+    ) -> None:
+        """Extends ``held``, whose first byte is the file's ``origin``, to the end of the file."""
+        pieces = _Pieces(origin + len(held))
+        self._begin(pieces)
+        stall = Stall(self._link, "pull again; it goes on where it stopped")
+        while pieces.have < self.size:
+            self._ask()
+            reply = self._hear()
+            useful = pieces.useful
+            joined = self._take(reply) if reply is not None else b""
+            if pieces.useful > useful:
+                stall.moved()
+            if joined:
+                held += joined
+                append(joined)
+                if progress:
+                    progress(pieces.have, self.size)
+            stall.check(f"{self._path}: {pieces.have} of {self.size} bytes came")
+        if progress:
+            progress(self.size, self.size)
+
+    def _begin(self, pieces: _Pieces) -> None:
+        self._pieces = pieces
+        self._window = Window(self._link, self._client.round_trip)
+        self._size = DATA_BYTES
+        self._arrived = 0
+        self._judged_from = pieces.frontier
+        self._credit = _READS_ALONE
+        self._burst_begin = self._burst_end = pieces.frontier
+        self._burst_tries = 0
+        self._burst_due_s = 0.0
+
+    def _open(self) -> None:
+        reply = self._client.open(OPEN_READ, self._path)
+        size = int.from_bytes(reply.data[:4], "little")
+        if self.size not in (-1, size):
+            raise FileChangedError(f"{self._path} changed while it was read", "Pull it again.")
+        self._session, self.size = reply.session, size
+
+    def _ask(self) -> None:
+        """Asks for whatever is due."""
+        now_s = self._link.transport.now_s()
+        frontier = self._pieces.frontier
+        lead = _LEAD_PACKETS * self._size
+        if self._burst_end < self.size and frontier >= self._burst_end - lead:
+            self._ask_burst(self._burst_end)
+        elif frontier < self.size and now_s >= self._burst_due_s:
+            if self._burst_tries % 2 == 0:
+                self._size = max(self._size // 2, _READ_MIN_BYTES)
+            self._ask_burst(frontier)
+        streams = frontier < self.size
+        most = _READS_MAX if streams else _READS_ALONE
+        for offset, length in self._pieces.missing(self._size):
+            if self._credit <= 0 or self._window.under_way() >= most:
+                return
+            if not self._window.waits(offset):
+                self._ask_read(offset, length, streams)
+
+    def _ask_burst(self, offset: int) -> None:
+        """The next burst, or, when no packet of the last one came, that one again."""
+        again = offset < self._burst_end
+        self._burst_tries = self._burst_tries + 1 if again else 1
+        self._burst_begin = offset
+        self._burst_end = min(offset + _BURST_PACKETS * self._size, self.size)
+        self._client.send(BURST, self._session, offset, self._size)
+        self._expect_burst(0.0)
+
+    def _expect_burst(self, least_s: float) -> None:
+        patience_s = max(self._client.round_trip.patience_s(self._burst_tries), least_s)
+        self._burst_due_s = self._link.transport.now_s() + self._link.patient(patience_s)
+
+    def _ask_read(self, offset: int, length: int, streams: bool) -> None:
+        """A frame of full length is the likeliest to be hit, so every second try halves it."""
+        tries = self._window.tries(offset)
+        length = min(length, max(DATA_BYTES >> tries // 2, _READ_MIN_BYTES))
+        ends = self.size - self._pieces.frontier < _END_PACKETS * self._size
+        self._window.say(offset, (_QUEUE_S if ends else _PAUSE_S) if streams else 0.0)
+        self._client.send(READ, self._session, offset, length)
+        if streams:
+            self._credit -= 1
+
+    def _hear(self) -> Reply | None:
+        """The next answer, at most until something is to be asked again."""
+        now_s = self._link.transport.now_s()
+        due_s = self._window.next_due_s()
+        if self._pieces.frontier < self.size:
+            due_s = min(due_s, self._burst_due_s)
+        wait_s = min(max(due_s - now_s, 0.001), 1.0)
+        message = self._link.recv("FILE_TRANSFER_PROTOCOL", wait_s, is_for_us)
+        reply = parse(message) if message is not None else None
+        ours = reply is not None and reply.session == self._session
+        return reply if ours and reply is not None and reply.request in (READ, BURST) else None
+
+    def _take(self, reply: Reply) -> bytes:
+        """What now joins on to what is held."""
+        if reply.error:
+            self._refused(reply)
+            return b""
+        if reply.offset + len(reply.data) > self.size:
+            return b""
+        self._credit = min(self._credit + 1, _READS_ALONE)
+        if reply.request == READ:
+            self._window.answered(reply.offset)
+        else:
+            self._follow_burst(reply)
+        return self._pieces.put(reply.offset, reply.data)
+
+    def _follow_burst(self, reply: Reply) -> None:
+        end = reply.offset + len(reply.data)
+        self._credit = min(self._credit, 1)  # room for one answer beside the burst is kept
+        self._burst_tries = 1
+        last = end > self.size - _LEAD_PACKETS * self._size or reply.complete
+        self._expect_burst(0.0 if last else _PAUSE_S)
+        self._arrived += 1
+        self._pieces.pass_over(reply.offset)
+        self._judge(end)
+        if reply.complete and self._burst_begin < end < self._burst_end:
+            self._burst_end = end
+
+    def _judge(self, end: int) -> None:
+        """Packets of a length that gets through."""
+        expected = (end - self._judged_from) // self._size
+        if expected < _JUDGED_PACKETS:
+            return
+        loss = 1.0 - self._arrived / expected
+        self._judged_from, self._arrived = end, 0
+        if loss > _LOSS_HIGH and self._size > _READ_MIN_BYTES:
+            self._size = max(self._size // 2, _READ_MIN_BYTES)
+            self._burst_end = end  # the next one now
+        elif loss < _LOSS_LOW:
+            self._size = min(2 * self._size, DATA_BYTES)
+
+    def _refused(self, reply: Reply) -> None:
+        if reply.error == END_OF_FILE:
+            return
+        if reply.error not in (INVALID_SESSION, NO_SESSION):
+            raise FtpError(reply.error, self._path)
+        self._open()  # the board has restarted, or ended a session that was silent too long
+        self._window.forget()
+        self._burst_begin = self._burst_end = self._pieces.frontier
+
+
+class _Pieces:
+    """What came ahead of a hole is kept until the hole is filled."""
+
+    def __init__(self, have: int) -> None:
+        self.have = have  # without a hole
+        self.frontier = have  # bytes from here on have not been sent yet
+        self.useful = 0  # pieces that brought something new
+        self._ahead: dict[int, bytes] = {}
+
+    def pass_over(self, offset: int) -> None:
+        """A burst has come to ``offset``: what is missing before it is a hole."""
+        self.frontier = max(self.frontier, offset)
+
+    def put(self, offset: int, data: bytes) -> bytes:
+        """Bytes of the file; returns what of it all now joins on to what is held."""
+        known = len(self._ahead.get(offset, b""))
+        if offset + len(data) > self.have and offset <= self.frontier and len(data) > known:
+            self.useful += 1
+            self._ahead[offset] = data
+            self.frontier = max(self.frontier, offset + len(data))
+        joined = join(self._ahead, self.have)
+        self.have += len(joined)
+        return joined
+
+    def missing(self, most: int) -> Iterator[tuple[int, int]]:
+        """(offset, length) of the holes, in pieces of at most so many bytes."""
+        at = self.have
+        for offset in (*sorted(self._ahead), self.frontier):
+            while at < offset:
+                length = min(most, offset - at)
+                yield at, length
+                at += length
+            at = max(at, offset + len(self._ahead.get(offset, b"")))
+
+
+def join(ahead: dict[int, bytes], have: int) -> bytes:
+    """Takes from ``ahead`` all that joins on to the first ``have`` bytes."""
+    joined = bytearray()
+    for offset in sorted(ahead):
+        if offset > have + len(joined):
+            break
+        joined += ahead.pop(offset)[have + len(joined) - offset :]
+    return bytes(joined)

@@ -1,0 +1,426 @@
+"""The MAVLink conversation with one board: framing, heartbeats, requests with retries."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
+from tailbeat.core.faults import NOT_FRESH, NOT_SIGNED, UNKNOWN_COMMAND, WRONG_STATE, refusal
+from tailbeat.core.printable import printable
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.signing import Signing
+from tailbeat.link.transport import Transport
+
+Message = Any  # pymavlink's message classes carry their fields dynamically
+Where = Callable[[Message], bool]
+
+HOST_SYSTEM = 255
+HOST_COMPONENT = 190
+BOARD_SYSTEM = 1
+BOARD_COMPONENT = 1
+
+HEARTBEAT_PERIOD_S = 1.0  # of board time
+REPLY_TIMEOUT_S = 0.5
+TRIES = 16  # one try in three fails where a fifth of the frames is lost each way
+_TRIES_MIN = 6
+_DEAD_S = 6.0  # a board that says nothing at all for so long is not asked so often
+_HEARD_S = 3.0
+_BACKOFF = 1.3
+_TIMEOUT_MAX_S = 2.0
+_INBOX_MAX = 8192
+_PROGRESS_MAX = 100  # of "in progress" before a command is said again
+_MARKER = 0xFD
+_HEADER_BYTES = 10
+_CRC_BYTES = 2
+_SIGNATURE_BYTES = 13
+_THINK_S = 0.1
+_SIGNED_TRIES = 3
+_COMES_WITHIN_S = {"TAILBEAT_STATUS": 4.0, "TAILBEAT_HEALTH": 12.0}
+_FTP_OPCODE = 3  # in the payload
+_FTP_CHANGES = range(6, 14)  # create, write, remove, folders, open to write, truncate, rename
+
+
+class Framer:
+    """Bytes to messages. Behind the marker of a damaged frame the search goes on."""
+
+    def __init__(self, mav: Any) -> None:
+        self._mav = mav
+        self._buffer = bytearray()
+        self.bad_frames = 0
+
+    def push(self, data: bytes) -> list[Message]:
+        """Messages completed by ``data``. Never raises, whatever the bytes are."""
+        buffer = self._buffer
+        buffer += data
+        messages: list[Message] = []
+        at = 0
+        while True:
+            at = buffer.find(_MARKER, at)
+            if at < 0:
+                buffer.clear()
+                return messages
+            if len(buffer) - at < _HEADER_BYTES:
+                break
+            length = self.frame_length(buffer, at)
+            if length > len(buffer) - at:
+                break
+            message = self._decode(buffer[at : at + length]) if length else None
+            if message is None:
+                at += 1
+            else:
+                messages.append(message)
+                at += length
+        del buffer[:at]
+        return messages
+
+    @staticmethod
+    def frame_length(buffer: bytearray, at: int) -> int:
+        """Whole length of the frame at ``at``; 0 when this cannot be one."""
+        flags = buffer[at + 2]
+        kind = mavlink.mavlink_map.get(int.from_bytes(buffer[at + 7 : at + 10], "little"))
+        if flags & ~1 or kind is None or buffer[at + 1] > kind.unpacker.size:
+            return 0
+        tail = _CRC_BYTES + (_SIGNATURE_BYTES if flags & 1 else 0)
+        return _HEADER_BYTES + int(buffer[at + 1]) + tail
+
+    def _decode(self, frame: bytearray) -> Message | None:
+        try:
+            return self._mav.decode(frame)
+        except Exception:  # whatever damaged bytes provoke in generated code is a bad frame
+            self.bad_frames += 1
+            return None
+
+
+class Link:
+    """One board behind one transport.
+
+    Every wait keeps the board's heartbeat rule satisfied, whatever is being waited for. ``rate`` is
+    how many seconds pass on the board per second of the transport's clock; BoardClock keeps it.
+    With a board that has a key everything sent is signed, and what it has not signed is dropped.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        system: int = HOST_SYSTEM,
+        component: int = HOST_COMPONENT,
+        signing: Signing | None = None,
+    ) -> None:
+        self.transport = transport
+        self.signing = Signing() if signing is None else signing
+        self.rate = 1.0
+        self.heartbeat_period_s = HEARTBEAT_PERIOD_S
+        self.said = 0  # how often the last command was
+        self.last_heard_s = transport.now_s()
+        self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.framer = Framer(mavlink.MAVLink(None))
+        self._inbox: deque[Message] = deque(maxlen=_INBOX_MAX)
+        self._callbacks: list[Callable[[Message], None]] = []
+        self._last_heartbeat_s = -math.inf
+        self._distrusted: Refused | None = None
+        self._more_tries = 0
+
+    def close(self) -> None:
+        """Ends the conversation."""
+        self.signing.save()
+        self.transport.close()
+
+    def reopen(self) -> None:
+        """Connects anew after a loss; half-read bytes and old messages go. Raises ConnectError."""
+        self.transport.reopen()
+        self.framer = Framer(mavlink.MAVLink(None))
+        self._inbox.clear()
+        self._last_heartbeat_s = -math.inf
+
+    def subscribe(self, callback: Callable[[Message], None]) -> Callable[[], None]:
+        """Calls back for every message from the board; call the result to stop that."""
+        self._callbacks.append(callback)
+
+        def unsubscribe() -> None:
+            with contextlib.suppress(ValueError):
+                self._callbacks.remove(callback)
+
+        return unsubscribe
+
+    def send(self, message: Message) -> None:
+        """Packs and sends one message, signed when the board wants that. Raises Refused when it
+        would be of no use, and the board cannot say so in its answer."""
+        mav = self.mav
+        if self.signing.locked and _needs_trust(message):
+            raise refusal(NOT_SIGNED)
+        data = self.signing.pack(message, mav, self.transport.now_s(), self.rate)
+        self.transport.write(data)
+        mav.seq = (mav.seq + 1) & 0xFF
+
+    def pump(self) -> None:
+        """Takes in what has arrived and sends the heartbeat if it is due. Never blocks."""
+        now = self.transport.now_s()
+        if now >= self._heartbeat_due_s():
+            self._send_heartbeat(now)
+        data = self.transport.read()
+        if data:
+            self._dispatch(self.framer.push(data), now)
+
+    def idle(self, timeout_s: float) -> None:
+        """Waits once, at most ``timeout_s`` and less when bytes or a heartbeat are due; pumps."""
+        now = self.transport.now_s()
+        self.transport.wait(max(0.0, min(timeout_s, self._heartbeat_due_s() - now)))
+        self.pump()
+
+    def run(self, duration_s: float) -> None:
+        """Keeps the conversation going for ``duration_s``."""
+        deadline = self.transport.now_s() + duration_s
+        while (left := deadline - self.transport.now_s()) > 0:
+            self.idle(left)
+        self.flush()
+
+    def flush(self) -> None:
+        """Forgets messages that have arrived and were not asked for."""
+        self.pump()
+        self._inbox.clear()
+
+    def begin(self) -> None:
+        """Before a question: forgets what came before it."""
+        self._distrusted = None
+        self._more_tries = _SIGNED_TRIES
+        self.flush()
+
+    def patient(self, timeout_s: float) -> float:
+        """``timeout_s``, stretched for a board that runs slower than the clock."""
+        return timeout_s / min(1.0, max(self.rate, 1e-3))
+
+    def recv(
+        self, kinds: str | Iterable[str], timeout_s: float, where: Where | None = None
+    ) -> Message | None:
+        """The next message of one of ``kinds`` for which ``where`` holds; None after the timeout.
+
+        Messages before it are dropped (subscribers have seen them), those behind it stay.
+        """
+        wanted = {kinds} if isinstance(kinds, str) else set(kinds)
+        deadline = self.transport.now_s() + timeout_s
+        self.pump()
+        while True:
+            while self._inbox:
+                message = self._inbox.popleft()
+                if message.get_type() in wanted and (where is None or where(message)):
+                    return message
+            left = deadline - self.transport.now_s()
+            if left <= 0:
+                return None
+            self.idle(left)
+
+    def attempts(self, tries: int = TRIES, timeout_s: float = REPLY_TIMEOUT_S) -> Iterator[float]:
+        """Timeouts of successive tries; raises LinkLostError when they are used up, or Refused
+        when the board answered but did not believe."""
+        begin = self.transport.now_s()
+        asked = 0
+        while asked < tries:
+            asked += 1
+            yield self.patient(timeout_s)
+            timeout_s = min(timeout_s * _BACKOFF, max(timeout_s, _TIMEOUT_MAX_S))
+            silent_s = self.transport.now_s() - max(begin, self.last_heard_s)
+            if asked >= _TRIES_MIN and silent_s > self.patient(_DEAD_S):
+                break
+        raise self._distrusted or self.lost(asked, self.transport.now_s() - begin)
+
+    def lost(self, tries: int, waited_s: float) -> LinkLostError:
+        """The error for a board that does not answer, or is not believed."""
+        if why := self.signing.why_silent():
+            return LinkLostError(
+                f"the board on {self.transport.name} is not believed: {why}",
+                "Look with 'tailbeat key status' what is there; connect again.",
+            )
+        asked = f"(asked {tries} times in {waited_s:.1f} s)"
+        silent_s = self.transport.now_s() - self.last_heard_s
+        if silent_s < min(waited_s, self.patient(_HEARD_S)):
+            return LinkLostError(
+                f"the board on {self.transport.name} is heard but does not answer {asked}",
+                "What is sent does not reach it: check the wire from the radio's TX to the board,"
+                " bring the radios closer; connect again.",
+            )
+        return LinkLostError(
+            f"the board does not answer on {self.transport.name} {asked}",
+            "Check power, cable and radio (the antenna must be out of the water); connect again.",
+        )
+
+    def command(
+        self, command: int, *params: float, tries: int = TRIES, timeout_s: float = REPLY_TIMEOUT_S
+    ) -> Message:
+        """COMMAND_LONG with the same content until acknowledged. Raises Refused."""
+        values = list(params) + [0.0] * (7 - len(params))
+        self.begin()
+        for attempt, patience_s in enumerate(self.attempts(tries, timeout_s)):
+            self.send(self._command_long(command, values, attempt))
+            self.said = attempt + 1
+            if (ack := self._acknowledged(command, patience_s)) is not None:
+                return ack
+        raise AssertionError("attempts always raises at its end")
+
+    def command_int(self, command: int, param1: float, x: int, y: int) -> Message:
+        """COMMAND_INT until acknowledged; ``x`` and ``y`` are int32. Raises Refused."""
+        message = mavlink.MAVLink_command_int_message(
+            BOARD_SYSTEM, BOARD_COMPONENT, 0, command, 0, 0, param1, 0.0, 0.0, 0.0, x, y, 0.0
+        )
+        self.begin()
+        for attempt, patience_s in enumerate(self.attempts()):
+            self.send(message)
+            self.said = attempt + 1
+            if (ack := self._acknowledged(command, patience_s)) is not None:
+                return ack
+        raise AssertionError("attempts always raises at its end")
+
+    def request(self, kind: str, *params: float, where: Where | None = None) -> Message:
+        """Asks for a message by name and returns it; ``params`` from param2 on. Raises Refused.
+
+        From a board that does not obey us we take it when it comes by itself."""
+        if self.signing.locked and kind in _COMES_WITHIN_S:
+            message = self.recv(kind, self.patient(_COMES_WITHIN_S[kind]), where)
+            if message is None:
+                raise self.lost(1, _COMES_WITHIN_S[kind])
+            return message
+        number = _message_id(kind)
+        command = mavlink.MAV_CMD_REQUEST_MESSAGE
+        values = [float(v) for v in (number, *params)] + [0.0] * (6 - len(params))
+
+        def fits(message: Message) -> bool:
+            if message.get_type() == kind:
+                return where is None or where(message)
+            return message.command == command and _denied(message)
+
+        self.begin()
+        for attempt, patience_s in enumerate(self.attempts()):
+            self.send(self._command_long(command, values, attempt))
+            message = self.recv((kind, "COMMAND_ACK"), patience_s, fits)
+            if message is None:
+                continue
+            if message.get_type() == "COMMAND_ACK":
+                self._turned_down(message)
+                continue
+            return message
+        raise AssertionError("attempts always raises at its end")
+
+    @staticmethod
+    def _command_long(command: int, values: list[float], attempt: int) -> Message:
+        return mavlink.MAVLink_command_long_message(
+            BOARD_SYSTEM, BOARD_COMPONENT, command, min(attempt, 255), *values
+        )
+
+    def _acknowledged(self, command: int, patience_s: float) -> Message | None:
+        def fits(message: Message) -> bool:
+            return bool(message.command == command)
+
+        ack = self.recv("COMMAND_ACK", patience_s, fits)
+        for _ in range(_PROGRESS_MAX):
+            if ack is None or ack.result != mavlink.MAV_RESULT_IN_PROGRESS:
+                break
+            ack = self.recv("COMMAND_ACK", patience_s, fits)
+        else:
+            return None
+        if ack is not None and self.said > 1:
+            self.pass_by()
+        if ack is not None and _denied(ack):
+            self._turned_down(ack)
+            return None
+        return ack
+
+    def accepted(self, ack: Message) -> bool:
+        """Whether a COMMAND_ACK is a yes; not when it is to be said again. Raises Refused."""
+        if _denied(ack):
+            self._turned_down(ack)
+            return False
+        return bool(ack.result == mavlink.MAV_RESULT_ACCEPTED)
+
+    def pass_by(self) -> None:
+        """Lets answers pass that may still come to what was said more than once. The line keeps the
+        order: what is asked now is answered behind them."""
+        for patience_s in self.attempts():
+            stamp = int(self.transport.now_s() * 1e9) + 1
+            self.send(mavlink.MAVLink_timesync_message(0, stamp))
+            if self.recv("TIMESYNC", patience_s, _has_stamp(stamp)) is not None:
+                return
+
+    def _turned_down(self, ack: Message) -> None:
+        """Raises Refused, unless it was only the signature and we can do better now: from the
+        answer we know the board's time."""
+        refused = _refused(ack)
+        if refused.number not in (NOT_SIGNED, NOT_FRESH) or not self.once_more():
+            raise refused
+        self._distrusted = refused
+
+    def once_more(self) -> bool:
+        """Whether to ask again after a refusal that may have been of the signature: its time was
+        old if the board has restarted, and is not any more now that it has answered."""
+        self._more_tries -= 1
+        if self.signing.key is None or self._more_tries < 0:
+            return False
+        self.run(_THINK_S)  # it may have to store how far time has come
+        return True
+
+    def _heartbeat_due_s(self) -> float:
+        return self._last_heartbeat_s + self.heartbeat_period_s / max(self.rate, 1e-3)
+
+    def _send_heartbeat(self, now: float) -> None:
+        self._last_heartbeat_s = now
+        self.send(
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_GCS,
+                mavlink.MAV_AUTOPILOT_INVALID,
+                0,
+                0,
+                mavlink.MAV_STATE_ACTIVE,
+                3,
+            )
+        )
+
+    def _dispatch(self, messages: list[Message], now: float) -> None:
+        for message in messages:
+            header = message.get_header()
+            if header.srcSystem != BOARD_SYSTEM or header.srcComponent != BOARD_COMPONENT:
+                continue
+            if not self.signing.admit(message.get_msgbuf(), now):
+                continue
+            self.last_heard_s = now
+            self._inbox.append(message)
+            for callback in tuple(self._callbacks):
+                callback(message)
+
+
+def _has_stamp(stamp: int) -> Where:
+    return lambda message: bool(message.ts1 == stamp)
+
+
+def text_of(field: bytes | str) -> str:
+    """A char[] field as text: up to the first zero, damaged bytes replaced, controls as escapes."""
+    if isinstance(field, bytes):
+        field = field.decode("utf-8", "replace")
+    return printable(field.split("\0", 1)[0])
+
+
+def _message_id(kind: str) -> int:
+    for number, message in mavlink.mavlink_map.items():
+        if message.msgname == kind:
+            return int(number)
+    raise TailbeatError(f"there is no message {kind}", "Tool and dialect differ in version.")
+
+
+def _needs_trust(message: Message) -> bool:
+    """Whether it changes something, and is answered by a number that is not a fault's."""
+    kind = message.get_type()
+    if kind == "FILE_TRANSFER_PROTOCOL":
+        return message.payload[_FTP_OPCODE] in _FTP_CHANGES
+    return bool(kind == "PARAM_SET")
+
+
+def _denied(ack: Message) -> bool:
+    return ack.result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+def _refused(ack: Message) -> Refused:
+    if ack.result_param2 > 0:
+        return refusal(ack.result_param2)
+    unsupported = ack.result == mavlink.MAV_RESULT_UNSUPPORTED
+    return refusal(UNKNOWN_COMMAND if unsupported else WRONG_STATE)

@@ -1,0 +1,1 @@
+"""Speed of the fish from a camera above the tank."""

@@ -1,0 +1,380 @@
+"""A stick of known length in the tank: are the metres of a calibration metres?
+
+Makes a calibration: from pictures of the board, known points in the tank, and a ruler.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.calibration.file import SCALE_ERROR_MAX, Calibration, check_sense
+from tailbeat.sensors.camera.calibration.intrinsics import Intrinsics, find_intrinsics
+from tailbeat.sensors.camera.calibration.lens import Lens
+from tailbeat.sensors.camera.calibration.plane import (
+    WATER,
+    CameraPlace,
+    Plane,
+    camera_place,
+    fit_plane,
+    raised,
+    refraction_error_m,
+)
+from tailbeat.sensors.camera.calibration.points import (
+    TankPoint,
+    check_area_seen,
+    check_given_area,
+    hull,
+    located,
+    tank_anchors,
+)
+from tailbeat.sensors.camera.marker.printed import RULER_IDS, anchors_of, find_markers
+from tailbeat.sensors.camera.source.picture import Image
+
+Floats = NDArray[np.float64]
+
+END_SIGMA_PX = 0.2
+SIGMA_MAX = SCALE_ERROR_MAX / 2
+
+
+@dataclass(frozen=True)
+class RulerCheck:
+    """``scale_error``: measured over true length, less one. ``sigma``: of that, from finding the
+    ends within END_SIGMA_PX each."""
+
+    name: str
+    true_m: float
+    measured_m: float
+    sigma: float
+
+    @property
+    def scale_error(self) -> float:
+        """Relative; positive = the calibration takes things for longer than they are."""
+        return self.measured_m / self.true_m - 1
+
+
+def ruler_ends(seen: dict[int, tuple[float, float]], name: str) -> Floats:
+    """Pixels (2, 2) of the ruler's two among the markers ``seen`` in the picture ``name``. Raises
+    InputError when they are not both there."""
+    missing = [str(i) for i in RULER_IDS if i not in seen]
+    if missing:
+        raise InputError(
+            f"{name} does not show the ruler's marker{'s' * (len(missing) - 1)} "
+            f"{' and '.join(missing)}",
+            "Lay the ruler flat, wholly in view, without glare; print it: tailbeat camera print "
+            "ruler",
+        )
+    return np.array([seen[i] for i in RULER_IDS])
+
+
+def check_ruler(calibration: Calibration, ends_px: Floats, true_m: float, name: str) -> RulerCheck:
+    """Measures the ruler between ``ends_px`` (2, 2). Raises InputError when it is too short in the
+    picture to tell half a percent. Whether the scale is right: ``refuse_scale``."""
+    if not 0 < true_m < np.inf:
+        raise InputError(f"a ruler of {true_m:g} m cannot be", "Its length in metres.")
+    width, height = calibration.size_px
+    inside = (ends_px >= -0.5) & (ends_px <= [width - 0.5, height - 0.5])
+    if not inside.all():
+        raise InputError(
+            f"{name}: the ruler's ends are not in the picture of {width}x{height}",
+            "Give them as U1,V1,U2,V2 in pixels.",
+        )
+    measured = _length(calibration, ends_px)
+    slopes = [
+        (_length(calibration, ends_px + step) - _length(calibration, ends_px - step)) / 2
+        for step in np.eye(4).reshape(4, 2, 2)
+    ]
+    sigma = END_SIGMA_PX * float(np.linalg.norm(slopes)) / true_m
+    if not sigma <= SIGMA_MAX:
+        raise InputError(
+            f"{name}: the ruler is too short in the picture to check by: {true_m:g} m "
+            f"within {sigma * 100:.1f} %",
+            "Use one as long as the tank allows, at least a quarter of the picture.",
+        )
+    return RulerCheck(name, true_m, measured, sigma)
+
+
+def refuse_scale(check: RulerCheck, known_camera: bool) -> None:
+    """Raises InputError, with what can be wrong, when the scale is off by more than
+    SCALE_ERROR_MAX. ``known_camera``: the lens is from pictures of the board."""
+    if abs(check.scale_error) <= SCALE_ERROR_MAX:
+        return
+    board = (
+        "The camera was taken to be free of distortion: give pictures of the board (--board). "
+        if not known_camera
+        else ""
+    )
+    raise InputError(
+        f"{check.name}: the ruler of {check.true_m:g} m measures {check.measured_m:.3f} m, "
+        f"{check.scale_error * 100:+.1f} % (sigma {check.sigma * 100:.1f} %, at most "
+        f"{SCALE_ERROR_MAX * 100:g} %)",
+        f"{board}Is the ruler at the marker's height (if not the points, then --raise or --depth)? "
+        "Are the points and the ruler's length typed right? Is it the same camera, zoom and "
+        "setting?",
+    )
+
+
+def _length(calibration: Calibration, ends_px: Floats) -> float:
+    a, b = calibration.to_tank(ends_px)
+    return float(np.hypot(*(b - a)))
+
+
+_FORETOLD_MAX_M = 0.02
+_NEEDS_BOARD = (
+    "needs the camera's focal length: from points in one plane alone nobody can tell how large "
+    "things are above or below it"
+)
+
+
+@dataclass(frozen=True)
+class Height:
+    """Where the marker swims. ``raise_m``: how far its plane, or with ``depth_m`` the water's
+    surface, is above the plane of the points. ``depth_m``: of the marker under the surface."""
+
+    raise_m: float = 0.0
+    depth_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """``ends_px`` (2, 2): where its ends are in a picture called ``name``, of ``size_px`` (None =
+    not known) and with the tank's ``anchors``: id -> centre in pixels."""
+
+    name: str
+    ends_px: Floats
+    true_m: float
+    size_px: tuple[int, int] | None = None
+    anchors: dict[int, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """``calibration``, and how good it is. ``mm_per_px``: in the middle of the picture. ``notes``:
+    what a person should know."""
+
+    calibration: Calibration
+    intrinsics: Intrinsics | None
+    plane: Plane
+    points: tuple[str, ...]
+    camera: CameraPlace | None
+    rulers: tuple[RulerCheck, ...]
+    mm_per_px: float
+    notes: tuple[str, ...]
+
+
+def calibrate(
+    points: list[TankPoint],
+    tank: tuple[str, Image],
+    board: Iterable[tuple[str, Image]] = (),
+    height: Height | None = None,
+    area_m: Floats | None = None,
+    rulers: list[Ruler] | None = None,
+    look: Callable[[str], None] = lambda name: None,
+) -> Calibrated:
+    """``tank``: name of the picture the points are in, and that picture, grey. ``board``: pictures
+    of the ChArUco board; none = the camera is taken to be without distortion. ``area_m``: corners
+    (n, 2); None = the hull of the points. ``look`` is told each picture before it is looked at.
+    Raises InputError for whatever does not fit, the ruler's scale included."""
+    name, image = tank
+    size_px = (image.shape[1], image.shape[0])
+    board = list(board)
+    intrinsics = find_intrinsics(board, look) if board else None
+    if intrinsics is not None:
+        _check_same_size(intrinsics, size_px, name)
+    lens = _lens(intrinsics, size_px)
+    look(name)
+    here = located(points, find_markers(image, name) if _by_marker(points) else {}, name)
+    pixels, places = _arrays(here, size_px, name)
+    names = [point.name for point in here]
+    known_camera = intrinsics is not None
+    plane = fit_plane(lens, pixels, places, names, known_camera)
+    camera = camera_place(lens, plane, pixels, places, names) if known_camera else None
+    area = _area(area_m, places, list(plane.left_out))
+    matrix, words = _marker_plane(plane, camera, height or Height(), area)
+    kept = [point for i, point in enumerate(here) if i not in plane.left_out]
+    calibration = Calibration(
+        size_px, lens.camera_matrix, lens.distortion, matrix, area, tank_anchors(kept),
+        rms_px=intrinsics.rms_px if intrinsics else None, plane_rms_m=plane.rms_m, plane=words,
+    )  # fmt: skip
+    check_sense(calibration, "what comes out")
+    check_area_seen(calibration)
+    calibration, checks = _with_scale(calibration, rulers or [])
+    notes = [
+        *_notes(intrinsics, plane, names, len(points) - len(here), places),
+        *_area_note(area_m),
+    ]
+    if not checks:
+        notes += _unchecked(plane, intrinsics)
+    return Calibrated(
+        calibration, intrinsics, plane, tuple(names), camera, checks, _mm_per_px(calibration),
+        tuple(notes),
+    )  # fmt: skip
+
+
+def check_scale(calibration: Calibration, rulers: list[Ruler]) -> tuple[RulerCheck, ...]:
+    """Measures the rulers. Raises InputError when one is off by more than SCALE_ERROR_MAX, or its
+    picture is of another camera or of one that has been moved."""
+    for ruler in rulers:
+        if ruler.size_px is not None:
+            calibration.check_size(ruler.size_px, ruler.name)
+        calibration.check_anchors(ruler.anchors, ruler.name)
+    checks = tuple(check_ruler(calibration, r.ends_px, r.true_m, r.name) for r in rulers)
+    for check in checks:
+        refuse_scale(check, known_camera=calibration.rms_px is not None)
+    return checks
+
+
+def ruler_in(image: Image, name: str, true_m: float) -> Ruler:
+    """The printed ruler's ends, found in a grey picture. Raises InputError."""
+    seen = find_markers(image, name)
+    size_px = (image.shape[1], image.shape[0])
+    return Ruler(name, ruler_ends(seen, name), true_m, size_px, anchors_of(seen))
+
+
+def _by_marker(points: list[TankPoint]) -> bool:
+    return any(point.pixel is None for point in points)
+
+
+def _check_same_size(intrinsics: Intrinsics, size_px: tuple[int, int], name: str) -> None:
+    if intrinsics.size_px != size_px:
+        ours, theirs = ("x".join(map(str, size)) for size in (size_px, intrinsics.size_px))
+        raise InputError(
+            f"{name} has {ours}, the pictures of the board have {theirs}",
+            "Take all of them in the setting that films the fish; a film instead of a picture will "
+            "do, too.",
+        )
+
+
+def _lens(intrinsics: Intrinsics | None, size_px: tuple[int, int]) -> Lens:
+    """Without intrinsics the focal length is anything: without distortion it drops out."""
+    if intrinsics is not None:
+        return Lens(intrinsics.camera_matrix, intrinsics.distortion)
+    width, height = size_px
+    matrix = [[width, 0.0, (width - 1) / 2], [0.0, width, (height - 1) / 2], [0.0, 0.0, 1.0]]
+    return Lens(np.array(matrix), np.zeros(5))
+
+
+def _arrays(points: list[TankPoint], size_px: tuple[int, int], name: str) -> tuple[Floats, Floats]:
+    pixels = np.array([point.pixel for point in points], dtype=float)
+    outside = ((pixels < -0.5) | (pixels > np.array(size_px) - 0.5)).any(axis=1)
+    if outside.any():
+        where = points[int(np.argmax(outside))].name
+        raise InputError(
+            f"the point at {where} is not in {name} ({size_px[0]}x{size_px[1]})",
+            "u counts to the right, v down, from the upper left corner.",
+        )
+    return pixels, np.array([point.place_m for point in points], dtype=float)
+
+
+def _area(area_m: Floats | None, places: Floats, left_out: list[int]) -> Floats:
+    good = np.delete(places, left_out, axis=0)
+    if area_m is None:
+        return hull(good)
+    check_given_area(area_m, good)
+    return area_m
+
+
+def _marker_plane(
+    plane: Plane, camera: CameraPlace | None, height: Height, area: Floats
+) -> tuple[Floats, str]:
+    if height.depth_m < 0:
+        raise InputError("a depth is not negative", "Above the points: --raise METRES")
+    if height.raise_m == 0 and height.depth_m == 0:
+        return plane.tank_from_image, "the marker swims in the plane of the points"
+    if camera is None:
+        option = "--depth" if height.depth_m else "--raise"
+        raise InputError(
+            f"{option} {_NEEDS_BOARD}",
+            "Give pictures of the board (--board), or lay the points at the marker's height.",
+        )
+    apparent = height.raise_m - height.depth_m / WATER
+    moved = raised(plane.tank_from_image, camera, apparent)
+    words = f"camera {camera.height_m:.2f} m above the points; "
+    if not height.depth_m:
+        return moved, f"{words}the marker's plane is {_above(height.raise_m)}"
+    over_water = camera.height_m - height.raise_m
+    reach = float(np.linalg.norm(area - camera.foot_m, axis=1).max())
+    error_m = refraction_error_m(over_water, height.depth_m, reach)
+    farther_m = refraction_error_m(over_water, height.depth_m, reach * 1.01)
+    percent = (farther_m - error_m) / (0.01 * reach) * 100
+    surface = f"; the surface is {_above(height.raise_m)}" if height.raise_m else ""
+    return moved, (
+        f"{words}the marker is {height.depth_m * 1e3:.0f} mm under water and taken to be "
+        f"{height.depth_m / WATER * 1e3:.0f} mm under the surface, as it looks from above"
+        f"{surface}; at the farthest corner, {reach:.2f} m from the camera's foot, that leaves "
+        f"{error_m * 1e3:.1f} mm, and {percent:.1f} % of a speed"
+    )
+
+
+def _above(raise_m: float) -> str:
+    where = "above" if raise_m > 0 else "below"
+    return f"{abs(raise_m) * 1e3:.0f} mm {where} the points"
+
+
+def _with_scale(
+    calibration: Calibration, rulers: list[Ruler]
+) -> tuple[Calibration, tuple[RulerCheck, ...]]:
+    checks = check_scale(calibration, rulers)
+    if not checks:
+        return calibration, ()
+    worst = max((check.scale_error for check in checks), key=abs)
+    return replace(calibration, scale_error=worst), checks
+
+
+def _notes(
+    intrinsics: Intrinsics | None, plane: Plane, names: list[str], unseen: int, places: Floats
+) -> list[str]:
+    notes = []
+    if intrinsics is None:
+        notes.append(
+            "no pictures of the board: the camera is taken to be free of distortion; near the "
+            "picture's edges few are"
+        )
+    elif intrinsics.unseen:
+        notes.append(
+            f"the board was never in the {', '.join(intrinsics.unseen)} of the picture: distortion "
+            "there is a guess"
+        )
+    notes += [f"{name} was not used: {why}" for name, why in _dropped(intrinsics).items()]
+    for i, off_m in plane.left_out.items():
+        x, y = places[i]
+        notes.append(
+            f"{names[i]} ({x:g}, {y:g} m) is {off_m * 1e3:.0f} mm off the others and was left out: "
+            "check it"
+        )
+    if unseen:
+        notes.append(f"{unseen} of the tank's markers were not seen")
+    if plane.foretold_m is None:
+        notes.append("four points always fit: with more of them, errors would show")
+    return notes
+
+
+def _unchecked(plane: Plane, intrinsics: Intrinsics | None) -> list[str]:
+    notes = []
+    if plane.foretold_m is not None and plane.foretold_m > _FORETOLD_MAX_M:
+        lens = "" if intrinsics else "the lens bends lines (--board), or "
+        notes.append(
+            f"each point is foretold by the others only within {plane.foretold_m * 1e3:.0f} mm "
+            f"(good: below 10): {lens}a point is wrong; nothing here tells how wrong speeds are"
+        )
+    return [*notes, "the scale was not checked: lay a ruler into the tank (--ruler)"]
+
+
+def _dropped(intrinsics: Intrinsics | None) -> dict[str, str]:
+    return intrinsics.dropped if intrinsics is not None else {}
+
+
+def _area_note(area_m: Floats | None) -> list[str]:
+    return [] if area_m is not None else ["the area is the hull of the points (--area is better)"]
+
+
+def _mm_per_px(calibration: Calibration) -> float:
+    width, height = calibration.size_px
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    cross = calibration.to_tank(middle + np.array([[-0.5, 0], [0.5, 0], [0, -0.5], [0, 0.5]]))
+    steps = np.hypot(*(cross[1::2] - cross[::2]).T)
+    return float(steps.mean() * 1e3)

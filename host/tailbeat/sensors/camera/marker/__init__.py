@@ -1,0 +1,1 @@
+"""Finding the marker in a picture."""

@@ -1,0 +1,86 @@
+"""The three ways to see the fish: ArUco, AprilTag, and a blob moving before a still background."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
+from tailbeat.sensors.camera.marker.tags import Detector
+from tailbeat.sensors.camera.opencv import need_cv2
+
+MarkerKind = Literal["aruco", "apriltag", "blob"]
+KINDS: tuple[MarkerKind, ...] = ("aruco", "apriltag", "blob")
+
+APRILTAG_IDS = 587  # of the family 36h11
+_BODY_WIDTH_M = 0.09  # of the thesis's fish; half and double are taken as well
+_SIDE_MAX_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Marker:
+    """What is on the fish. aruco = DICT_4X4_50, apriltag = 36h11. ``side_m``: of the printed black
+    square, or the width of the body of a blob; None = not known, then its size is not checked (a
+    blob's never is, it only tells what to look for). ``id`` None = any, as long as there is
+    only one beside the tank's anchors (ids ANCHOR_ID_MIN and up, tank/calibration.py)."""
+
+    kind: MarkerKind = "aruco"
+    id: int | None = None
+    side_m: float | None = None
+
+
+def detector_for(marker: Marker, calibration: Calibration | None = None) -> Detector:
+    """The detector of that kind; a blob's knows from ``calibration`` where the water is and how big
+    the fish appears. Raises InputError for ids the dictionary does not have or that are the tank's,
+    sizes that are none, and without OpenCV."""
+    need_cv2()
+    if marker.side_m is not None and not 0 < marker.side_m < _SIDE_MAX_M:
+        raise InputError(
+            f"a marker {marker.side_m * 1000:g} mm wide makes no sense",
+            "Give the length of the printed black square's side: --marker-side, in metres.",
+        )
+    if marker.kind == "blob":
+        from tailbeat.sensors.camera.marker.blob import BlobDetector
+
+        return BlobDetector() if calibration is None else _blob_detector(marker, calibration)
+    from tailbeat.sensors.camera.marker.tags import TagDetector
+
+    _check_id(marker)
+    return TagDetector(marker.kind, lambda number: _may_be(marker, number))
+
+
+def _may_be(marker: Marker, number: int) -> bool:
+    if marker.id is not None:
+        return number == marker.id
+    return marker.kind != "aruco" or number < ANCHOR_ID_MIN
+
+
+def _check_id(marker: Marker) -> None:
+    most = {"aruco": ANCHOR_ID_MIN, "apriltag": APRILTAG_IDS}[marker.kind] - 1
+    if marker.id is None or 0 <= marker.id <= most:
+        return
+    name = {"aruco": "ArUco 4x4 markers for the fish", "apriltag": "AprilTags 36h11"}[marker.kind]
+    tank = f" (from {ANCHOR_ID_MIN} on they are the tank's)" if marker.kind == "aruco" else ""
+    raise InputError(
+        f"there is no marker {marker.id}: {name} have the ids 0 to {most}{tank}",
+        "Print one of those, or leave the id away when there is only one marker in the water.",
+    )
+
+
+def _blob_detector(marker: Marker, calibration: Calibration) -> Detector:
+    import cv2
+
+    from tailbeat.sensors.camera.marker.blob import BlobDetector
+
+    middle_px = np.array(calibration.size_px) / 2
+    places = calibration.to_tank(middle_px + np.array([[0.0, 0.0], [1.0, 0.0]]))
+    metres_per_px = float(np.linalg.norm(places[1] - places[0]))
+    water = None
+    if calibration.area_m is not None:
+        water = np.zeros(calibration.size_px[::-1], np.uint8)
+        outline = np.rint(calibration.to_pixels(calibration.area_m)).astype(np.int32)
+        cv2.fillPoly(water, [outline], (255,))
+    return BlobDetector((marker.side_m or _BODY_WIDTH_M) / metres_per_px, water)

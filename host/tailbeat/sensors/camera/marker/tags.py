@@ -1,0 +1,327 @@
+"""What a detector finds in one picture.
+
+Where a marker's black square ends, far below a pixel: a straight line through each of its sides.
+
+Every side is crossed by 24 short profiles. The middle of a profile's rise from black to white is a
+point of the side; a line that does not mind a few bad points goes through all of a side, and lines
+meet in corners. Centre of a 25 pixel marker on pictures of known truth (tests/host/test_markers.py
+draws them; noise 2 of 255, blur 0.6 px), RMS over 150: this 0.02 px, OpenCV's CORNER_REFINE_CONTOUR
+0.11, SUBPIX 0.23, NONE 0.34, APRILTAG 0.65 (most of that a shift of 0.45 px in u and in v).
+
+Printed markers: ArUco and AprilTag, found and decoded by OpenCV, measured by edges.py.
+
+The marker is glued with its top towards the fish's head: the top of what OpenCV draws
+(cv2.aruco.generateImageMarker). For AprilTags pupil-apriltags, with AprilRobotics' own code inside,
+calls the other end the top (measured): with a tag that was not drawn by OpenCV look at the heading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.sensors.camera.source.picture import Image
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A marker, in pixels of the distorted picture: u to the right, v down, (0, 0) in the middle of
+    the first pixel.
+
+    ``front_px`` is the middle of the marker's front edge (the one towards the fish's head), the
+    front end of a blob. ``corners_px`` has shape (4, 2), clockwise as printed, from the front left;
+    None for blobs. ``side_px`` is the mean length of the marker's sides, a blob's width.
+    ``quality``: 1 = as sharp as can be, 0 = hardly believable. ``turns``: how often so far the
+    detector took the other end for the head; then all it said before was the wrong way round.
+    """
+
+    centre_px: tuple[float, float]
+    front_px: tuple[float, float]
+    side_px: float
+    quality: float
+    corners_px: Points | None = None
+    turns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Part of a picture: pixels left <= u < right, top <= v < bottom, inside the picture."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+class Detector(Protocol):
+    """Finds the fish's marker. May keep state between pictures (a background)."""
+
+    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+        """All markers of the wanted kind in ``grey``, shape (height, width), or in its ``window``;
+        positions count in the whole picture. Best first; [] = none."""
+
+
+Floats = NDArray[np.float64]
+
+_PROFILES = 24
+_ALONG = np.linspace(-0.44, 0.44, _PROFILES)  # of a side's length; its ends belong to two sides
+_STEP_PX = 0.25
+_REACH_CELLS = 0.75  # stays inside the black border, one cell wide
+_REACH_PX = (1.75, 4.0)  # a detector's corners are off by up to 1 px
+_ROUNDS = 2
+_NOISE_FLOOR = 0.25  # of a profile's steepest rise; less is noise
+_RESIDUAL_FLOOR_PX = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Square:
+    """``corners`` as given, but exact. ``residual_px``: RMS distance of the sides' points from
+    their lines. ``contrast``: median rise from black to white across the sides, grey levels."""
+
+    corners: Points
+    residual_px: float
+    contrast: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sides:
+    """Points found along the sides of a guessed square; arrays (4, profiles)."""
+
+    starts: Points  # (4, 2)
+    along: Points  # (4, 2), a side as a vector
+    outward: Points  # (4, 2), unit vectors
+    offset_px: Floats  # of the edge from the guessed side, outward
+    weight: Floats  # how clear the edge is; 0 = there is none
+    rise: Floats  # grey levels
+
+
+def fit_square(grey: Image, corners: Points, cells: int) -> Square | None:
+    """The square whose corners, clockwise, are near ``corners`` (4, 2); ``cells`` of the marker
+    along a side, border included. None when there is no square in ``grey`` there."""
+    for _ in range(_ROUNDS):
+        sides = find_sides(grey, corners, cells)
+        moved, residual_px = _through(sides)
+        if not np.all(np.isfinite(moved)) or np.max(np.abs(moved - corners)) > _REACH_PX[1]:
+            return None
+        corners = moved
+    return Square(corners, residual_px, float(np.median(sides.rise)))
+
+
+def find_sides(grey: Image, corners: Points, cells: int) -> Sides:
+    """Profiles across the sides of the square with these ``corners``."""
+    along = np.roll(corners, -1, axis=0) - corners
+    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+    outward = np.column_stack([along[:, 1], -along[:, 0]]) / length
+    reach = float(np.clip(_REACH_CELLS * length.mean() / cells, *_REACH_PX))
+    steps = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
+    base = corners[:, None] + (0.5 + _ALONG)[None, :, None] * along[:, None]
+    points = base[:, :, None] + steps[None, None, :, None] * outward[:, None, None]
+    rise = np.diff(_sample(grey, points), axis=2)
+    steepest = rise.max(axis=2, keepdims=True)
+    clear = np.where(rise > _NOISE_FLOOR * steepest, rise, 0.0) ** 2
+    weight = clear.sum(axis=2)
+    middle = (steps[1:] + steps[:-1]) / 2
+    offset = (clear * middle).sum(axis=2) / np.maximum(weight, 1e-9)
+    # One glaring profile must not outweigh its side.
+    weight = np.minimum(weight, _middle(weight))
+    return Sides(corners, along, outward, offset, weight, np.clip(rise, 0, None).sum(axis=2))
+
+
+def _sample(grey: Image, points: Floats) -> Floats:
+    low = np.floor(points.min(axis=(0, 1, 2))).astype(int) - 1
+    high = np.ceil(points.max(axis=(0, 1, 2))).astype(int) + 2
+    low, high = np.maximum(low, 0), np.minimum(high, grey.shape[::-1])
+    if np.any(high <= low):
+        return np.zeros(points.shape[:3])
+    # Of bytes, remap gives whole grey levels only.
+    part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    at = (points - low).astype(np.float32).reshape(4 * _PROFILES, -1, 2)
+    values = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    return np.asarray(values, np.float64).reshape(points.shape[:3])
+
+
+def _through(sides: Sides) -> tuple[Points, float]:
+    """The corners where robust lines through each side's points meet, and the points' residual."""
+    weight = sides.weight
+    for _ in range(3):
+        total = np.maximum(weight.sum(axis=1), 1e-9)
+        x_mean = (weight * _ALONG).sum(axis=1) / total
+        y_mean = (weight * sides.offset_px).sum(axis=1) / total
+        x = _ALONG - x_mean[:, None]
+        y = sides.offset_px - y_mean[:, None]
+        slope = (weight * x * y).sum(axis=1) / np.maximum((weight * x * x).sum(axis=1), 1e-9)
+        residual = y - slope[:, None] * x
+        spread = 1.48 * _middle(np.abs(residual))
+        tolerance = 2 * np.maximum(spread, _RESIDUAL_FLOOR_PX)
+        weight = sides.weight / (1 + (residual / tolerance) ** 2)
+    ends = y_mean[:, None] + slope[:, None] * (np.array([-0.5, 0.5]) - x_mean[:, None])
+    first = sides.starts + sides.outward * ends[:, :1]
+    along = sides.along + sides.outward * (ends[:, 1:] - ends[:, :1])
+    rms = float(np.sqrt((weight * residual**2).sum() / max(weight.sum(), 1e-9)))
+    return _meet(first, along), rms
+
+
+def _middle(values: Floats) -> Floats:
+    """The median of each row, as a column; np.median takes 22 times as long for so few."""
+    return np.asarray(np.sort(values, axis=1)[:, values.shape[1] // 2, None])
+
+
+def _meet(points: Points, along: Points) -> Points:
+    """Where each line meets the one before it."""
+    before, direction = np.roll(points, 1, axis=0), np.roll(along, 1, axis=0)
+    across = direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0]
+    gap = points - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = (gap[:, 0] * along[:, 1] - gap[:, 1] * along[:, 0]) / across
+    return np.asarray(before + part[:, None] * direction)
+
+
+TagKind = Literal["aruco", "apriltag"]
+
+_DICTIONARY = {"aruco": cv2.aruco.DICT_4X4_50, "apriltag": cv2.aruco.DICT_APRILTAG_36h11}
+CELLS = {"aruco": 6, "apriltag": 8}  # along a side, black border included
+
+_SIDE_MIN_PX = 10  # smaller ones are never decoded
+_SMALL_WINDOW_PX = 400  # up to there a window is doubled before it is searched
+_DEEP_EVERY = 10  # fruitless searches of the whole picture
+
+# Quality 1 needs all of these; see quality().
+_CELL_GOOD_PX, _CELL_BAD_PX = 4.0, 1.5
+_CONTRAST_GOOD = 80.0
+_RESIDUAL_BAD_PX = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Tag:
+    """One marker that was decoded: its number and its black square."""
+
+    id: int
+    square: Square
+
+
+class TagReader:
+    """Reads all markers of one kind.
+
+    The whole picture is searched as it is; when that finds nothing wanted, the first and every
+    tenth time at double size as well (four times the time): markers under 20 pixels or a little
+    out of focus are decoded only so. Windows up to 400 pixels are always doubled.
+    """
+
+    def __init__(self, kind: TagKind) -> None:
+        self._dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARY[kind])
+        self._cells = CELLS[kind]
+        self._fruitless = 0
+
+    def read(
+        self,
+        grey: Image,
+        window: Window | None = None,
+        wanted: Callable[[Tag], bool] = lambda tag: True,
+    ) -> list[Tag]:
+        """All markers in ``grey`` or its ``window``; searches harder when none is ``wanted``."""
+        if window is not None:
+            small = max(window.right - window.left, window.bottom - window.top)
+            return self._read(grey, window, 2 if small <= _SMALL_WINDOW_PX else 1)
+        whole = Window(0, 0, grey.shape[1], grey.shape[0])
+        tags = self._read(grey, whole, 1)
+        if any(wanted(tag) for tag in tags):
+            self._fruitless = 0
+            return tags
+        self._fruitless += 1
+        return tags if self._fruitless % _DEEP_EVERY != 1 else self._read(grey, whole, 2)
+
+    def _read(self, grey: Image, window: Window, zoom: int) -> list[Tag]:
+        part = grey[window.top : window.bottom, window.left : window.right]
+        if min(part.shape) < _SIDE_MIN_PX:
+            return []
+        if zoom != 1:
+            part = cv2.resize(part, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)  # type: ignore[assignment]
+        found, ids, _ = self._detector(max(part.shape), zoom).detectMarkers(part)
+        if not found:
+            return []
+        shift = np.array([window.left, window.top], float)
+        guesses = [(np.asarray(f[0], float) + 0.5) / zoom - 0.5 + shift for f in found]
+        squares = [fit_square(grey, guess, self._cells) for guess in guesses]
+        return [Tag(int(i), s) for i, s in zip(ids.ravel(), squares, strict=True) if s is not None]
+
+    def _detector(self, longest_px: int, zoom: int) -> cv2.aruco.ArucoDetector:
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+        parameters.minMarkerPerimeterRate = 4 * _SIDE_MIN_PX * zoom / longest_px
+        # At its default of 0.125 doubled ArUco markers of 60 pixels were missed in 7 of 60 pictures
+        # (12 of 60 with blur 1 px and noise 4), at 0.02 in none.
+        parameters.minMarkerDistanceRate = 0.02
+        return cv2.aruco.ArucoDetector(self._dictionary, parameters)
+
+
+class TagDetector:
+    """Finds the fish's marker (sighting.Detector). ``belongs``: which ids can be the fish's."""
+
+    def __init__(self, kind: TagKind, belongs: Callable[[int], bool]) -> None:
+        self._reader = TagReader(kind)
+        self._cells = CELLS[kind]
+        self._belongs = belongs
+        self.other_ids: set[int] = set()  # of this kind, seen but not the fish's
+
+    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+        """All of the fish's markers, best first."""
+        tags = self._reader.read(grey, window, lambda tag: self._belongs(tag.id))
+        self.other_ids.update(tag.id for tag in tags if not self._belongs(tag.id))
+        mine = [sighting_of(tag.square, self._cells) for tag in tags if self._belongs(tag.id)]
+        return _once(sorted(mine, key=lambda sighting: -sighting.quality))
+
+
+def sighting_of(square: Square, cells: int) -> Sighting:
+    """The square as a sighting; its front edge is between the first two corners."""
+    corners = square.corners
+    side_px = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+    centre, front = _middles(corners)
+    return Sighting(centre, front, side_px, quality(square, side_px / cells), corners)
+
+
+def centre_of(square: Square) -> tuple[float, float]:
+    """The picture of the square's centre, in pixels."""
+    return _middles(square.corners)[0]
+
+
+def quality(square: Square, cell_px: float) -> float:
+    """1 = as sharp as can be, 0 = hardly believable; the product of three:
+
+    size: 0 where a cell is 1.5 pixels wide, 1 from 4 pixels; contrast: rise from black to white
+    over 80 grey levels, at most 1; straightness: 1 / (1 + (RMS residual of the sides / 0.4 px)^2).
+    """
+    size = np.clip((cell_px - _CELL_BAD_PX) / (_CELL_GOOD_PX - _CELL_BAD_PX), 0, 1)
+    contrast = np.clip(square.contrast / _CONTRAST_GOOD, 0, 1)
+    straight = 1 / (1 + (square.residual_px / _RESIDUAL_BAD_PX) ** 2)
+    return float(size * contrast * straight)
+
+
+def _middles(corners: Points) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The pictures of the square's centre and of the middle of its front edge."""
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+    # Around their mean the corners keep their precision in the float32 that OpenCV wants.
+    around = corners.mean(axis=0)
+    to_picture = cv2.getPerspectiveTransform(square, (corners - around).astype(np.float32))
+    pictures = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 1.0]]) @ to_picture.T
+    centre, front = pictures[:, :2] / pictures[:, 2:] + around
+    return (float(centre[0]), float(centre[1])), (float(front[0]), float(front[1]))
+
+
+def _once(sightings: list[Sighting]) -> list[Sighting]:
+    """Without those that lie on a better one."""
+    kept: list[Sighting] = []
+    for one in sightings:
+        if all(_apart(one, other) > max(one.side_px, other.side_px) / 2 for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _apart(one: Sighting, other: Sighting) -> float:
+    return float(np.hypot(*np.subtract(one.centre_px, other.centre_px)))

@@ -1,0 +1,217 @@
+"""What the fish, its marker and what may cover it look like from above. Greys of 255.
+
+What stands still: floor, walls, rim and the anchors on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.sensors.camera.marker.detector import MarkerKind
+from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.render.canvas import (
+    FINER,
+    Canvas,
+    Sprite,
+    card_m,
+    stamp,
+    whole_elements,
+)
+from tailbeat.sensors.camera.render.scene import (
+    ANCHOR_SIDE_M,
+    RIM_M,
+    Optics,
+    Scene,
+    along_edges,
+    chance,
+)
+from tailbeat.sensors.camera.source.picture import Image
+
+Floats = NDArray[np.float64]
+
+NOSE_M, TAIL_TIP_M = 0.20, -0.16  # from the marker's centre; a fish of 36 cm
+LED_RADIUS_M, LED_RING_M = 0.006, 0.008
+_HULL_HALF_M = 0.045
+_OVERLAP_M = 0.001  # of the ring, on the card
+_WIDEST_M = 0.02  # where along the hull
+_TAIL_ROOT_M, _TAIL_END_M = 0.015, 0.005  # half widths of the plate
+
+_HULL, _HULL_EDGE, _BACK, _TAIL, _EYE = 158, 120, 140, 142, 40
+_RING, _LAMP_OFF = 18, 62
+_FOAM = 205
+
+
+@dataclass(frozen=True)
+class Body:
+    """Where things are along the fish, metres from the marker's centre; all of it follows from the
+    marker's size."""
+
+    marker_side_m: float
+
+    @property
+    def led_m(self) -> float:
+        """Middle of the LED, behind the card."""
+        return -card_m(self.marker_side_m) - LED_RING_M + _OVERLAP_M
+
+    @property
+    def hinge_m(self) -> float:
+        """Of the tail, under the hull's end."""
+        return self.led_m - LED_RING_M
+
+
+def printed(kind: MarkerKind, number: int, side_m: float, px_per_m: float) -> Sprite:
+    """The marker on its card, the print's top towards x (the head). ``px_per_m`` as of
+    ``whole_elements``."""
+    half_m = card_m(side_m)
+    canvas = Canvas((-half_m, half_m), half_m, px_per_m)
+    canvas.print_marker(kind, number, side_m)
+    return canvas.sprite()
+
+
+def body(scene: Scene, led: float, px_per_m: float) -> Sprite:
+    """The stiff part of the fish with marker and LED, lit for ``led`` of the exposure."""
+    where = Body(scene.marker_side_m)
+    half_m = max(_HULL_HALF_M, card_m(scene.marker_side_m))
+    canvas = Canvas((where.hinge_m, NOSE_M), half_m, px_per_m)
+    along = np.linspace(where.hinge_m, NOSE_M, 80)
+    for part, grey in ((1.0, _HULL_EDGE), (0.86, _HULL), (0.3, _BACK)):
+        half = part * _half_width(along)
+        canvas.fill(np.concatenate([np.c_[along, half], np.c_[along, -half][::-1]]), grey)
+    for side in (-1, 1):
+        canvas.fill(_ring(NOSE_M - 0.03, side * 0.019, 0.004), _EYE)
+    if scene.marker != "blob":
+        canvas.print_marker(scene.marker, scene.marker_id, scene.marker_side_m)
+    if scene.led:
+        canvas.fill(_ring(where.led_m, 0, LED_RING_M), _RING)
+        canvas.fill(_ring(where.led_m, 0, LED_RADIUS_M), _LAMP_OFF + led * (255 - _LAMP_OFF))
+    return canvas.sprite()
+
+
+def tail(where: Body, px_per_m: float) -> Sprite:
+    """The plate, from its hinge backward (x = 0 is the hinge)."""
+    end_m = TAIL_TIP_M - where.hinge_m
+    canvas = Canvas((end_m, 0.01), _TAIL_ROOT_M, px_per_m)
+    along = np.array([0.01, 0.4 * end_m, 0.75 * end_m, end_m])
+    half = np.array([_TAIL_ROOT_M, 0.7 * _TAIL_ROOT_M, _TAIL_END_M, 0.8 * _TAIL_END_M])
+    canvas.fill(np.concatenate([np.c_[along, half], np.c_[along, -half][::-1]]), _TAIL)
+    return canvas.sprite()
+
+
+def foam(side_m: float, seed: int, px_per_m: float) -> Sprite:
+    """A patch of foam over the half of a marker with y > 0, card included."""
+    half_m = side_m * 0.75
+    canvas = Canvas((-half_m, half_m), half_m, px_per_m)
+    canvas.fill(np.array([[-half_m, 0], [half_m, 0], [half_m, half_m], [-half_m, half_m]]), _FOAM)
+    for k in range(70):
+        x, y, size, grey = (chance(seed, "foam", k, what) for what in "xysg")
+        radius_m = half_m * (0.06 + 0.12 * size)
+        inside_m = half_m - radius_m
+        place = (2 * x - 1) * inside_m, radius_m + y * (half_m - 2 * radius_m)
+        canvas.fill(_ring(*place, radius_m), _FOAM - 45 + 90 * grey)
+    return canvas.sprite()
+
+
+def _half_width(along_m: Floats) -> Floats:
+    """A blunt head and a narrow stern."""
+    ahead = np.maximum(0, (along_m - _WIDEST_M) / (NOSE_M - _WIDEST_M))
+    astern = (_WIDEST_M - along_m) / 0.2
+    shape = np.where(ahead > 0, np.sqrt(np.clip(1 - ahead**2.4, 0, 1)), 1 - 2.2 * astern**2)
+    return np.asarray(_HULL_HALF_M * shape)
+
+
+def _ring(x_m: float, y_m: float, radius_m: float) -> Floats:
+    around = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    return np.column_stack([x_m + radius_m * np.cos(around), y_m + radius_m * np.sin(around)])
+
+
+cv2 = need_cv2()
+
+Grey = NDArray[np.float32]
+
+_FLOOR_M = 0.4  # how deep 0.5 m of water look, in air
+_TILE_M = 0.3
+_ROOM, _RIM, _WALLS, _FLOOR, _JOINT = 48, 172, (84, 66, 92, 74), 100, 88
+_SPECKLE = 2.5  # standard deviation of the floor's texture
+_DIM = 0.22  # how much darker the picture's corners are
+_FINE = 2  # samples per pixel
+_SHIFT = 4
+
+
+def backdrop(scene: Scene, optics: Optics) -> Image:
+    """The empty tank, as the lens draws it, without waves and noise."""
+    fine = _surfaces(scene, optics)
+    grey = cv2.resize(fine, scene.size_px, interpolation=cv2.INTER_AREA)
+    grey += _speckle(scene, optics)
+    grey *= dimming(scene)
+    if scene.blur_px > 0:
+        grey = cv2.GaussianBlur(grey, (0, 0), scene.blur_px)
+    image: Image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    px_per_m = whole_elements("aruco", ANCHOR_SIDE_M, FINER * optics.px_per_m)
+    for number, place in scene.anchors_m().items():
+        tile = printed("aruco", number, ANCHOR_SIDE_M, px_per_m)
+        stamp(image, tile, [optics.near(place, 0.0, ANCHOR_SIDE_M)], scene.blur_px)
+    return image
+
+
+def water(scene: Scene, optics: Optics) -> Image:
+    """255 where there is water, 0 elsewhere."""
+    mask: Image = np.zeros(scene.size_px[::-1], np.uint8)
+    points = optics.pixels(along_edges(scene.walls_m()))
+    cv2.fillPoly(mask, [np.round(points).astype(np.int32)], 255)
+    return mask
+
+
+def dimming(scene: Scene) -> Grey:
+    """How bright each pixel is against the middle one."""
+    width, height = scene.size_px
+    u = np.linspace(-1, 1, width, dtype=np.float32) ** 2
+    v = np.linspace(-1, 1, height, dtype=np.float32)[:, None] ** 2
+    return np.asarray(1 - np.float32(_DIM / 2) * (u + v))
+
+
+def _surfaces(scene: Scene, optics: Optics) -> Grey:
+    width, height = scene.size_px
+    fine: Grey = np.full((height * _FINE, width * _FINE), _ROOM, np.float32)
+    rim, edge = scene.walls_m(RIM_M), scene.walls_m()
+    _fill(fine, optics.pixels(along_edges(rim)), _RIM)
+    for k, grey in enumerate(_WALLS):
+        line = np.linspace(edge[k], edge[(k + 1) % 4], 25)
+        top, bottom = (optics.pixels(line, depth_m) for depth_m in (0.0, _FLOOR_M))
+        _fill(fine, np.concatenate([top, bottom[::-1]]), grey)
+    _fill(fine, optics.pixels(along_edges(edge), _FLOOR_M), _FLOOR)
+    _joints(fine, scene, optics)
+    return fine
+
+
+def _joints(fine: Grey, scene: Scene, optics: Optics) -> None:
+    """Lines between the floor's tiles."""
+    (left, top), _, (right, bottom), _ = scene.walls_m()
+    x, y = np.arange(left + _TILE_M, right, _TILE_M), np.arange(top + _TILE_M, bottom, _TILE_M)
+    lines = [np.linspace((at, top), (at, bottom), 25) for at in x]
+    lines += [np.linspace((left, at), (right, at), 25) for at in y]
+    for line in lines:
+        points = [_fixed(optics.pixels(line, _FLOOR_M))]
+        cv2.polylines(fine, points, False, _JOINT, _FINE, cv2.LINE_8, _SHIFT)
+
+
+def _fill(fine: Grey, points_px: NDArray[np.float64], grey: float) -> None:
+    cv2.fillPoly(fine, [_fixed(points_px)], grey, cv2.LINE_8, _SHIFT)
+
+
+def _fixed(points_px: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Pixels to the finer picture, in OpenCV's fractions."""
+    places = (points_px + 0.5) * _FINE - 0.5
+    return np.round(places * (1 << _SHIFT)).astype(np.int32)
+
+
+def _speckle(scene: Scene, optics: Optics) -> Grey:
+    chances = np.random.default_rng([scene.seed, 1])
+    width, height = scene.size_px
+    rough = chances.standard_normal((height, width), dtype=np.float32)
+    sigma = 0.006 * optics.px_per_m
+    fine = cv2.GaussianBlur(rough, (0, 0), sigma)
+    coarse = cv2.GaussianBlur(rough, (0, 0), 8 * sigma)
+    return np.asarray(_SPECKLE * (fine / fine.std() + coarse / coarse.std()), dtype=np.float32)

@@ -1,0 +1,1 @@
+"""Where pictures come from: films, stills, connected cameras."""

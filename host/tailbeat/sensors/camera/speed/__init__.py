@@ -1,0 +1,1 @@
+"""Speed from tracked positions."""

@@ -1,0 +1,1 @@
+"""The clock offset between camera and board."""

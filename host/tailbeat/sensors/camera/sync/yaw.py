@@ -1,0 +1,342 @@
+"""How the fish's heading swung in a swim, as its IMU felt it: from the trial's file.
+
+Fits the IMU's wobble to the camera's headings: shift in time, size, and how well it fits.
+
+Camera headings are the IMU's, shifted in time and scaled, plus whatever drifts (gyroscope,
+currents: a broken line with a knot every two beats), plus noise. Before and after the swim the tail
+is still, so the onset counts as well.
+
+When the swim began, by the fish's wobble: finds the best begin and judges whether film and file
+belong together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.native import lib
+from tailbeat.core.trial_file import SLOT_S, Trial
+from tailbeat.sensors.camera.tracking.track import Track
+
+Floats = NDArray[np.float64]
+
+BEATS_MIN = 5
+# On top of the wire. A VN-100 filters nothing that is late: its output is the mean over just the
+# time since its last one (register 85), from 800 Hz samples. The simulated one is a servo frame
+# late (LAG_US in hal/sim/vn100_sense.c: its fish is known up to one frame ago). What a real one and
+# its mounting add has not been measured. So anything from nothing to a servo frame, evenly: its
+# middle, and its standard deviation; a simulated swim is found 10 ms too early.
+_LATE_S = 0.010
+LATE_SIGMA_S = 0.006
+_BITS_PER_BYTE = 10
+
+
+class Wobble:
+    """The IMU's heading over time since the swim's begin: the sum of its turns at the ends of the
+    slots, and a cubic spline through them (ten points per beat). Before the swim, and after it if
+    the turns reach to its end, it stands still. The IMU tells it late: by its frame's way over the
+    wire and 10 +- LATE_SIGMA_S more (half a servo frame: nothing in the data sheet, a whole one in
+    the simulator)."""
+
+    def __init__(self, trial: Trial) -> None:
+        """Raises InputError when the file holds no turns or the swim was too short."""
+        turn = trial.slots.table()["turn_rad"]
+        known = np.isfinite(turn)
+        index = trial.slots.index[known].astype(int)
+        swim_s = trial.executed_beats * trial.beat_s
+        if trial.executed_beats < BEATS_MIN:
+            raise too_short(trial)
+        if len(index) * SLOT_S < BEATS_MIN * trial.beat_s:
+            raise InputError(
+                f"the file of trial {trial.number} does not say how the fish turned",
+                "Without an IMU, or with an older firmware, film the LED or say --start.",
+            )
+        self.beat_s = trial.beat_s
+        self.end_s = (int(index.max()) + 1) * SLOT_S
+        slots = np.full(int(index.max()) + 1, np.nan)
+        slots[index] = turn[known]
+        self._known = np.isfinite(slots)
+        self._still_after = self.end_s > swim_s - 1.5 * SLOT_S
+        heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(slots))])
+        self._spline = CubicSpline(np.arange(len(heading)) * SLOT_S, heading)
+        wire_s = _BITS_PER_BYTE * int(lib.NATIVE_IMU_FRAME_BYTES) / _baud(trial)
+        self._late_s = _LATE_S + wire_s
+
+    def heading_rad(self, t_s: Floats) -> Floats:
+        """At times since the begin; unknown turns count as none."""
+        return np.asarray(self._spline(np.clip(t_s + self._late_s, 0, self.end_s)))
+
+    def known(self, t_s: Floats) -> NDArray[np.bool_]:
+        """Whether the fish's turns are known then."""
+        slot = np.clip((t_s / SLOT_S).astype(int), 0, len(self._known) - 1)
+        after = (t_s >= self.end_s) & self._still_after
+        return np.asarray((t_s < 0) | after | ((t_s < self.end_s) & self._known[slot]))
+
+
+def too_short(trial: Trial) -> InputError:
+    """That of a swim that was aborted before its wobble or LED tell anything."""
+    beats = trial.executed_beats
+    return InputError(
+        f"trial {trial.number} swam only {beats} beat{'s' * (beats != 1)}: "
+        "too short to be put in time with a film",
+        "Say when the swim begins: --start.",
+    )
+
+
+def _baud(trial: Trial) -> float:
+    baud = trial.params.get("IMU_BAUD", 0.0)
+    return baud if baud > 0 else 115200.0
+
+
+Bools = NDArray[np.bool_]
+
+_COARSE_STEP_S = 0.05
+_FINE_STEP_S = 0.005
+_FINE_REACH_S = 0.1
+_OTHER_BEAT = 0.5  # beats: where the neighbours begin
+_KNOT_BEATS = 2.0
+_STILL_BEFORE_S, _STILL_AFTER_S = 1.0, 0.3
+_OVERLAP_MIN_BEATS = 5.0
+_LAG_S = 0.5  # residuals further apart are taken to be independent
+_HARMONICS = 3
+# From beat to beat: marker askew, IMU's scale. Clean simulated films need none of it (uneven is
+# 0.3 to 1.3 with it, median 0.7 at 25/s, 0.5 at 60/s); of a real marker, nobody measured it.
+_SCALE_SIGMA = 0.02
+_POWER_MIN_RAD2 = 1e-18  # nothing divides by less
+
+
+@dataclass(frozen=True)
+class YawFit:
+    """``begin_s``: the track's time of the swim's begin. ``scale``: the camera's wobble over the
+    IMU's. ``noise_rad``: the camera's, per picture; ``wobble_rad``: RMS of the IMU's.
+    ``seen_rad``: RMS of the camera's, less noise. ``explained``: part of that, 0..1. ``excess``:
+    what is left beyond noise over the wobble, as variances. ``uneven``: mean chi^2 of the scale's
+    changes over ``beats`` beats.
+    ``ahead``: log likelihood ratio to the best begin half a beat or more away."""
+
+    begin_s: float
+    sigma_s: float
+    scale: float
+    noise_rad: float
+    wobble_rad: float
+    seen_rad: float
+    explained: float
+    excess: float
+    uneven: float
+    beats: int
+    ahead: float
+
+
+class Headings:
+    """The camera's headings, shape (pictures,), without what drifts."""
+
+    def __init__(self, t_s: Floats, heading_rad: Floats, beat_s: float) -> None:
+        self.t_s, self.beat_s = t_s, beat_s
+        knots = np.arange(t_s[0], t_s[-1] + _KNOT_BEATS * beat_s, _KNOT_BEATS * beat_s)
+        hats = np.array([np.interp(t_s, knots, row) for row in np.eye(len(knots))]).T
+        self._drift, _ = np.linalg.qr(hats[:, hats.any(axis=0)])
+        self.rest = self.without_drift(heading_rad)
+
+    def without_drift(self, series: Floats) -> Floats:
+        """Less the broken line that fits it best."""
+        return np.asarray(series - self._drift @ (self._drift.T @ series))
+
+
+def scan(headings: Headings, wobble: Wobble) -> tuple[Floats, Floats]:
+    """Begins, and the power of the headings that each explains (rad^2, summed over pictures)."""
+    overlap_s = _OVERLAP_MIN_BEATS * wobble.beat_s
+    first, last = headings.t_s[0] - wobble.end_s + overlap_s, headings.t_s[-1] - overlap_s
+    begins = np.arange(first, last, _COARSE_STEP_S)
+    return begins, np.array([explained_power(headings, wobble, begin) for begin in begins])
+
+
+def explained_power(headings: Headings, wobble: Wobble, begin_s: float) -> float:
+    """Of the wobble that begins then, at its best size; 0 when it would have to be turned over."""
+    shape = _shape(headings, wobble, begin_s)
+    power = float(shape @ shape)
+    along = float(shape @ headings.rest)
+    return along * abs(along) / power if power > 0 else 0.0
+
+
+def _shape(headings: Headings, wobble: Wobble, begin_s: float) -> Floats:
+    return headings.without_drift(wobble.heading_rad(headings.t_s - begin_s))
+
+
+def refine(headings: Headings, wobble: Wobble, begin_s: float) -> float:
+    """The best begin near that one: the top of a parabola."""
+    for reach_s, step_s in ((_FINE_REACH_S, 0.02), (0.03, _FINE_STEP_S)):
+        begins = begin_s + np.arange(-reach_s, reach_s + step_s / 2, step_s)
+        power = np.array([explained_power(headings, wobble, begin) for begin in begins])
+        top = int(np.clip(np.argmax(power), 1, len(begins) - 2))
+        left, middle, right = power[top - 1 : top + 2]
+        bend = left - 2 * middle + right
+        shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
+        begin_s = float(begins[top] + np.clip(shift, -1, 1) * step_s)
+    return begin_s
+
+
+def look(headings: Headings, wobble: Wobble, begins: Floats, power: Floats, top: float) -> YawFit:
+    """How well the begin ``top`` fits; ``begins`` and ``power`` as ``scan`` gave them."""
+    since_s = headings.t_s - top
+    near = (since_s > -_STILL_BEFORE_S) & (since_s < wobble.end_s + _STILL_AFTER_S)
+    near &= wobble.known(since_s)
+    shape = _shape(headings, wobble, top)[near]
+    rest = headings.rest[near]
+    scale = float(shape @ rest / (shape @ shape))
+    left = rest - scale * shape
+    noise = _noise_rad(headings.rest[near], since_s[near], wobble)
+    slope = (_shape(headings, wobble, top + 1e-3) - _shape(headings, wobble, top - 1e-3))[near]
+    slope *= scale / 2e-3
+    error_s = _sigma_s(slope, left, since_s[near])
+    wobble_rad = float(np.sqrt(np.mean(shape**2)))
+    over = max(0.0, float(np.mean(left**2)) - noise**2)
+    whole = max(float(np.mean(rest**2)) - noise**2, 1e-12)
+    spread = max(float(np.mean(left**2)), _POWER_MIN_RAD2) * _correlation(left, since_s[near])
+    uneven, beats = _uneven(shape * scale, left, since_s[near], noise, wobble.beat_s)
+    others = np.where(np.abs(begins - top) > _OTHER_BEAT * wobble.beat_s, power, 0.0)
+    rival = refine(headings, wobble, float(begins[np.argmax(others)]))
+    return YawFit(
+        begin_s=top,
+        sigma_s=float(np.hypot(error_s, LATE_SIGMA_S)),
+        scale=scale,
+        noise_rad=noise,
+        wobble_rad=wobble_rad,
+        seen_rad=float(np.sqrt(whole)),
+        explained=float(np.clip(1 - over / whole, 0, 1)),
+        excess=over / max((scale * wobble_rad) ** 2, 1e-12),
+        uneven=uneven,
+        beats=beats,
+        ahead=(explained_power(headings, wobble, top) - explained_power(headings, wobble, rival))
+        / (2 * spread),
+    )
+
+
+def _noise_rad(rest: Floats, since_s: Floats, wobble: Wobble) -> float:
+    """Of one heading: what is left when every beat gets the harmonics that fit it best."""
+    beat = np.floor(since_s / wobble.beat_s).astype(int)
+    squares, free = 0.0, 0
+    for k in np.unique(beat):
+        mine = beat == k
+        phase = 2 * np.pi * since_s[mine] / wobble.beat_s
+        waves = [f(m * phase) for m in range(1, _HARMONICS + 1) for f in (np.sin, np.cos)]
+        basis = np.array([np.ones_like(phase), phase, *waves]).T
+        if len(basis) < basis.shape[1] + 3:
+            continue
+        _, residue, rank, _ = np.linalg.lstsq(basis, rest[mine], rcond=None)
+        if len(residue):
+            squares += float(residue[0])
+            free += len(basis) - int(rank)
+    return float(np.sqrt(squares / free)) if free else float(np.std(rest))
+
+
+def _correlation(left: Floats, t_s: Floats) -> float:
+    """How many residuals count as one, >= 1: the sum of their correlations up to _LAG_S."""
+    lags = max(1, round(_LAG_S / float(np.median(np.diff(t_s)))))
+    power = float(left @ left)
+    sums = [float(left[:-lag] @ left[lag:]) for lag in range(1, min(lags, len(left) - 1) + 1)]
+    return max(1.0, 1.0 + 2.0 * sum(sums) / power) if power > 0 else 1.0
+
+
+def _sigma_s(slope: Floats, left: Floats, t_s: Floats) -> float:
+    """Of the begin, by least squares with residuals that go together for _LAG_S (Newey-West)."""
+    lags = max(1, round(_LAG_S / float(np.median(np.diff(t_s)))))
+    score = slope * left
+    total = float(score @ score)
+    for lag in range(1, min(lags, len(score) - 1) + 1):
+        total += 2 * (1 - lag / (lags + 1)) * float(score[:-lag] @ score[lag:])
+    plain = float(np.mean(left**2)) * float(slope @ slope)
+    return float(np.sqrt(max(total, plain)) / (slope @ slope))
+
+
+def _uneven(
+    shape: Floats, left: Floats, since_s: Floats, noise: float, beat_s: float
+) -> tuple[float, int]:
+    """Mean over the beats of (what of the residual looks like more or less of the wobble)^2, in its
+    own sigmas, and the beats that have a wobble to speak of."""
+    beat = np.floor(since_s / beat_s).astype(int)
+    values = []
+    for k in np.unique(beat):
+        mine = shape[beat == k]
+        power = float(mine @ mine)
+        if power < 4 * noise**2:
+            continue
+        part = float(mine @ left[beat == k]) / power
+        values.append(part**2 / (noise**2 / power + _SCALE_SIGMA**2))
+    return (float(np.mean(values)) if values else 0.0), len(values)
+
+
+SCALE_MIN, SCALE_MAX = 0.85, 1.2  # both are angles of the same fish
+# Of right pairs (100 simulated swims of a learning fish each at 25 and 60 pictures/s, 10 % lost):
+# clean, and with glare (another 0.02 rad of noise, 5 % of the headings 0.3 rad off; 25/s is worst).
+#   excess                         clean <= 0.0024   glare <= 0.025   (95 %: 0.011)
+#   ahead                          clean >= 34       glare >= 3       (median 31: 20 % are refused)
+#   (uneven - 1) * sqrt(beats)     clean <= 1.9      glare <= 7.6     (95 %: 1.6)
+#   seen / noise                   clean >= 3.5      glare >= 1.5
+# So each limit is a factor of three or more from clean films. Wrong pairs show in uneven: with 3
+# sigmas instead of 6, 43 instead of 80 of 800 would be taken, but right ones come near to 3.
+EXCESS_MAX = 0.03
+AHEAD_MIN = 10.0
+_UNEVEN_SIGMAS = 6.0  # over sqrt(beats); a mean of chi^2 scatters by sqrt(2) of that
+_OFF_MIN_RAD, _OFF_SIGMAS = 0.1, 6.0
+_STILL_RAD = 1e-6  # headings that do not even scatter: frozen pictures, a fish held
+_SEEN_MIN = 0.45  # wobble per noise
+AMBIGUOUS = "it fits at another beat as well"
+
+
+class Misfit(Exception):
+    """Film and file are not of one swim; the text says why."""
+
+
+def read_yaw(track: Track, trial: Trial) -> YawFit:
+    """The best begin. Raises InputError when the file holds no turns or the film no wobble, Misfit
+    when the two do not belong together or it cannot be said which beat is the first."""
+    wobble = Wobble(trial)
+    seen = track.seen() & np.isfinite(track.heading_rad)
+    seen[seen] = _believed(track.heading_rad[seen])
+    if np.count_nonzero(seen) < 2:
+        raise _no_wobble(track)
+    headings = Headings(track.t_s[seen], track.heading_rad[seen], trial.beat_s)
+    if float(np.sqrt(np.mean(headings.rest**2))) < _STILL_RAD:
+        raise _no_wobble(track)
+    begins, power = scan(headings, wobble)
+    if len(begins) == 0:
+        raise _no_wobble(track)
+    top = refine(headings, wobble, float(begins[np.argmax(power)]))
+    found = look(headings, wobble, begins, power, top)
+    if not found.seen_rad >= _SEEN_MIN * found.noise_rad:
+        raise _no_wobble(track)
+    if reason := _misfit(found):
+        raise Misfit(reason)
+    return found
+
+
+def _believed(heading_rad: Floats) -> NDArray[np.bool_]:
+    """Not those far from the median of their five neighbours: a marker seen askew."""
+    off = np.abs(heading_rad - median_filter(heading_rad, 5, mode="nearest"))
+    return np.asarray(off <= max(_OFF_MIN_RAD, _OFF_SIGMAS * 1.4826 * float(np.median(off))))
+
+
+def _misfit(found: YawFit) -> str:
+    """Why the two do not belong together; "" = they do."""
+    if found.excess > EXCESS_MAX:
+        return f"only {found.explained:.0%} of the wobble in the film is in the file"
+    if not SCALE_MIN <= found.scale <= SCALE_MAX:
+        return f"the fish in the film turns {found.scale:.2f} times as far as in the file"
+    if found.uneven > 1 + _UNEVEN_SIGMAS / np.sqrt(max(found.beats, 1)):
+        return "the beats of the film are not as large as those of the file"
+    if found.ahead < AHEAD_MIN:
+        return AMBIGUOUS
+    return ""
+
+
+def _no_wobble(track: Track) -> InputError:
+    return InputError(
+        f"{track.name}: the fish's heading shows no wobble to find the swim by",
+        "Film the LED, or say --start.",
+    )

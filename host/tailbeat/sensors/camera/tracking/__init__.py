@@ -1,0 +1,1 @@
+"""The marker followed from picture to picture."""

@@ -1,0 +1,173 @@
+"""A real camera as a stream of positions, while the fish swims."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Literal
+
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.sensors.camera.source.picture import Picture, PictureSource
+from tailbeat.sensors.camera.tracking.track import Track, track_of
+from tailbeat.sensors.camera.tracking.tracker import Place, Tracker
+
+OnPicture = Callable[[Picture], None]
+
+_QUEUE_S = 0.5
+_KEPT_S = 600.0
+_IDLE_S = 0.01  # before a device that had nothing, and did not wait for it, is asked again
+_END_S = 3.0  # a device waits for a picture for 2 s at most
+
+
+class VideoCamera:
+    """Pictures in, frames out (camera.base.Camera). A source that blocks is read in a thread of its
+    own, its pictures are looked at in another; when that cannot keep up the oldest pictures are
+    dropped and counted, never queued beyond half a second. One in virtual time (``threaded`` False)
+    is read in frames().
+
+    What goes wrong in the threads is raised by the next frames() that has no frames to give, once:
+    CameraGone when the source fails or ends, otherwise what the tracker (two fish) or
+    ``on_picture`` raised. After that there are no more frames; ``on_picture`` goes on as long as
+    there are pictures.
+    """
+
+    clock: Literal["host", "board"]
+    fps: float
+    dropped: int  # pictures nobody had time for
+    blind_words = "the camera does not see the fish"
+
+    def __init__(
+        self,
+        source: PictureSource,
+        tracker: Tracker,
+        threaded: bool = True,
+        on_picture: OnPicture | None = None,
+    ) -> None:
+        """Takes ``source`` over and closes it. ``on_picture`` sees every picture, dropped ones too
+        (a recorder), in the thread that reads. Raises InputError for a film."""
+        if source.clock == "video":
+            raise InputError(
+                f"{source.name} is a film, not a camera", "Track it with: tailbeat camera track"
+            )
+        self.clock, self.fps, self.dropped = source.clock, source.fps, 0
+        self._source, self._tracker, self._on_picture = source, tracker, on_picture
+        kept = max(1, round(_KEPT_S * source.fps))
+        self._places: deque[Place] = deque(maxlen=kept)
+        self._frames: deque[Frame] = deque(maxlen=kept)
+        self._waiting: deque[Picture] = deque(maxlen=max(1, round(_QUEUE_S * source.fps)))
+        self._error: Exception | None = None
+        self._failed = False
+        self._reads = True
+        self._change = threading.Condition()
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+        if threaded:
+            for name, work in (("look", self._look_all), ("read", self._read_all)):
+                thread = threading.Thread(target=work, name=f"camera-{name}", daemon=True)
+                thread.start()
+                self._threads.append(thread)
+
+    def frames(self) -> list[Frame]:
+        """Frames since the last call; pictures without a fish give none."""
+        if not self._threads:
+            self._look_now()
+        with self._change:
+            frames = list(self._frames)
+            self._frames.clear()
+            if frames or self._error is None:
+                return frames
+            error, self._error = self._error, None
+        raise error
+
+    def track(self) -> Track:
+        """All that was seen since the camera was opened, at most the last ten minutes."""
+        with self._change:
+            places = list(self._places)
+        return track_of(places, self._source.name)
+
+    def close(self) -> None:
+        """Ends the threads and closes the source; may be called twice."""
+        self._ending.set()
+        with self._change:
+            self._change.notify_all()
+        for thread in self._threads:
+            thread.join(_END_S)
+        if not self._threads:
+            self._source.close()
+
+    def _look_now(self) -> None:
+        """All pictures that are due."""
+        try:
+            while not (self._ending.is_set() or self._failed) and (picture := self._read()):
+                self._look(picture)
+        except Exception as error:
+            self._fail(error)
+
+    def _read_all(self) -> None:
+        """The thread that reads. It closes the source, which nobody else may do under its hands."""
+        try:
+            while not self._ending.is_set():
+                picture = self._read()
+                if picture is None:
+                    self._ending.wait(_IDLE_S)
+                else:
+                    self._hand_over(picture)
+        except Exception as error:
+            self._fail(error)
+        finally:
+            self._source.close()
+            with self._change:
+                self._reads = False
+                self._change.notify_all()
+
+    def _look_all(self) -> None:
+        """The thread that tracks; it ends with the last picture of the one that reads."""
+        try:
+            while (picture := self._next()) is not None:
+                self._look(picture)
+        except Exception as error:
+            self._fail(error)
+
+    def _read(self) -> Picture | None:
+        try:
+            picture = self._source.read()
+        except TailbeatError as error:
+            raise CameraGone(error.message, error.remedy) from error
+        if picture is None and self._source.ended:
+            raise CameraGone(
+                f"{self._source.name} gives no pictures any more", "Look at its plug and its cable."
+            )
+        if picture is not None and self._on_picture is not None:
+            self._on_picture(picture)
+        return picture
+
+    def _hand_over(self, picture: Picture) -> None:
+        with self._change:
+            if self._failed:
+                return
+            self.dropped += len(self._waiting) == self._waiting.maxlen
+            self._waiting.append(picture)  # a full deque drops its oldest
+            self._change.notify_all()
+
+    def _next(self) -> Picture | None:
+        with self._change:
+            while not self._waiting and self._reads and not self._ending.is_set():
+                self._change.wait()
+            if not self._waiting or self._ending.is_set():
+                return None
+            return self._waiting.popleft()
+
+    def _look(self, picture: Picture) -> None:
+        place = self._tracker.look(picture)
+        with self._change:
+            self._places.append(place)
+            if place.frame is not None:
+                self._frames.append(place.frame)
+
+    def _fail(self, error: Exception) -> None:
+        """The first error counts; those of a camera that is being closed do not."""
+        with self._change:
+            if not (self._failed or self._ending.is_set()):
+                self._error, self._failed = error, True

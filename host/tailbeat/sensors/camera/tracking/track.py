@@ -1,0 +1,267 @@
+"""A film's worth of positions."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.csv import read_table
+from tailbeat.core.errors import InputError
+from tailbeat.core.files import write_whole
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.marker.detector import KINDS, Marker
+from tailbeat.sensors.camera.marker.printed import RULER_IDS
+from tailbeat.sensors.camera.source.picture import PictureSource
+from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Glow, Place, Tracker
+
+Floats = NDArray[np.float64]
+
+SEEN, BRIDGED, LOST = 0, 1, 2
+STATES = ("seen", "bridged", "lost")
+BRIDGED_IN_A_ROW_MAX = 5
+COLUMNS = ("picture", "t_s", "x_m", "y_m", "heading_rad", "quality", "state")
+_LACK_PERIODS = 1.5
+_PERIOD_OF = 25  # distances between pictures
+_PAUSE_MAX_S = 600.0
+
+
+@dataclass(frozen=True)
+class Track:
+    """One row per picture that should have been taken, arrays of shape (rows,).
+
+    SEEN: measured. BRIDGED: not seen, at most five in a row, taken from its neighbours by a
+    straight line; for eyes only, no estimate uses it. LOST: longer holes, and those at either end;
+    NaN. ``heading_rad`` is unwrapped.
+
+    Pictures that the film lacks are rows as well: where two time stamps lie further apart than 1.5
+    periods, evenly spread between them. The period is the median of the 25 distances before (of
+    the first 25 at the begin), so that it follows a film whose rate changes; where it suddenly
+    halves, the next twelve distances hold one row too many each, bridged and of no consequence.
+    ``glow`` (rows, *GLOW_SHAPE), 0 where not seen; None = not asked for. ``marker_side_m``: as
+    Tracker.measured_side_m.
+    """
+
+    t_s: Floats
+    x_m: Floats
+    y_m: Floats
+    heading_rad: Floats
+    quality: Floats
+    state: NDArray[np.uint8]
+    fps: float  # by the time stamps: one over their median distance; 0 = fewer than two
+    name: str = ""
+    glow: Glow | None = None
+    marker_side_m: float | None = None
+
+    def seen(self) -> NDArray[np.bool_]:
+        """Rows that were measured."""
+        return np.asarray(self.state == SEEN)
+
+
+Progress = Callable[[int, float], None]
+"""Called with the pictures done and the part done (0..1; NaN = a source without a known end)."""
+
+
+def track(
+    source: PictureSource,
+    marker: Marker,
+    calibration: Calibration,
+    glow: bool = False,
+    progress: Progress | None = None,
+    on_place: Callable[..., None] | None = None,
+) -> Track:
+    """All of ``source``, to its end, or to where it has nothing for now (virtual time).
+    ``on_place(picture, place)`` sees each (an overlay).
+
+    Raises InputError: no picture, never a marker, what Tracker.look raises, and what the source
+    raises: there is no track of a film that is damaged further on.
+    """
+    tracker = Tracker(marker, calibration, source.name, glow)
+    expected = getattr(source, "pictures", None)
+    places: list[Place] = []
+    while (picture := source.read()) is not None:
+        place = tracker.look(picture)
+        places.append(place)
+        if on_place is not None:
+            on_place(picture, place)
+        if progress is not None:
+            done = len(places)
+            progress(done, min(1.0, done / expected) if expected else math.nan)
+    if not places:
+        raise InputError(f"{source.name} holds no picture.", "Give a film of a swim.")
+    if all(place.frame is None for place in places):
+        raise _no_marker(source.name, marker, len(places), tracker.other_ids)
+    return replace(track_of(places, source.name), marker_side_m=tracker.measured_side_m)
+
+
+def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -> InputError:
+    if marker.kind == "blob":
+        return InputError(
+            f"{name}: nothing moves in any of {pictures} pictures.",
+            "A blob must swim before a background that stands still; with a tag on the fish try "
+            "--marker aruco or --marker apriltag.",
+        )
+    which = "" if marker.id is None else f" with id {marker.id}"
+    message = f"{name}: no {marker.kind} marker{which} in any of {pictures} pictures."
+    fishs = [number for number in other_ids if not _is_tanks(marker, number)]
+    if fishs:
+        found = ", ".join(map(str, fishs))
+        return InputError(message, f"What is there has the id {found}: give that, or none.")
+    others = " or ".join(f"--marker {kind}" for kind in KINDS if kind != marker.kind)
+    return InputError(
+        message, f"It must lie flat and sharp in view, 20 pixels wide or more; or try {others}."
+    )
+
+
+def _is_tanks(marker: Marker, number: int) -> bool:
+    return marker.kind == "aruco" and number >= min(RULER_IDS)
+
+
+def track_of(places: Sequence[Place], name: str = "") -> Track:
+    """Rows from what was seen picture by picture; none from none. Time stamps rise. A blob's head
+    is where it was taken to be last. Raises InputError for a pause of more than ten minutes."""
+    places = _one_head(places)
+    taken_s = np.array([place.t_s for place in places], np.float64)
+    t_s, at = _rows(taken_s, name)
+    seen = np.array([place.frame is not None for place in places], bool)
+    state = np.full(len(t_s), LOST, np.uint8)
+    state[at[seen]] = SEEN
+    values = np.full((3, len(t_s)), np.nan)
+    quality = np.zeros(len(t_s))
+    glow = None
+    if any(place.glow is not None for place in places):
+        glow = np.zeros((len(t_s), *GLOW_SHAPE), np.uint8)
+    for row, place in zip(at, places, strict=True):
+        if place.frame is not None:
+            frame = place.frame
+            values[:, row] = frame.x_m, frame.y_m, frame.heading_rad
+            quality[row] = place.sighting.quality if place.sighting is not None else 1.0
+        if glow is not None and place.glow is not None:
+            glow[row] = place.glow
+    x_m, y_m, heading_rad = values
+    heading_rad[at[seen]] = np.unwrap(heading_rad[at[seen]])
+    _bridge(state, t_s, [x_m, y_m, heading_rad])
+    return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(taken_s), name, glow)
+
+
+def _one_head(places: Sequence[Place]) -> list[Place]:
+    """With those turned around that the detector itself turned around later."""
+    turns = [0 if place.sighting is None else place.sighting.turns for place in places]
+    last = max(turns, default=0)
+    return [
+        place.turned() if (last - by_then) % 2 else place
+        for place, by_then in zip(places, turns, strict=True)
+    ]
+
+
+def _fps(taken_s: Floats) -> float:
+    return float(1 / np.median(np.diff(taken_s))) if len(taken_s) > 1 else 0.0
+
+
+def _rows(taken_s: Floats, name: str) -> tuple[Floats, NDArray[np.intp]]:
+    """Times of all rows, and the row of each picture."""
+    if len(taken_s) < 2:
+        return taken_s, np.arange(len(taken_s))
+    gaps = np.diff(taken_s)
+    longest = int(np.argmax(gaps))
+    if gaps[longest] > _PAUSE_MAX_S:
+        raise InputError(
+            f"{name} pauses for {gaps[longest]:.0f} s after picture {longest}.",
+            "Give a film of one swim, in one piece.",
+        )
+    periods = gaps / _periods(gaps)
+    lacking = np.where(periods > _LACK_PERIODS, np.rint(periods) - 1, 0).astype(np.intp)
+    at = np.concatenate([[0], np.cumsum(lacking + 1)])
+    return np.interp(np.arange(at[-1] + 1), at, taken_s), at
+
+
+def _periods(gaps: Floats) -> Floats:
+    """The usual distance of pictures at each of ``gaps``."""
+    if len(gaps) <= _PERIOD_OF:
+        return np.full(len(gaps), np.median(gaps))
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(gaps, _PERIOD_OF), axis=1)
+    return np.concatenate([np.full(_PERIOD_OF, medians[0]), medians[:-1]])
+
+
+def _bridge(state: NDArray[np.uint8], t_s: Floats, columns: list[Floats]) -> None:
+    """Fills short holes between rows that were seen, in place."""
+    seen = np.flatnonzero(state == SEEN)
+    for before, after in pairwise(seen):
+        if 1 < after - before <= BRIDGED_IN_A_ROW_MAX + 1:
+            hole = slice(before + 1, after)
+            state[hole] = BRIDGED
+            for column in columns:
+                ends = t_s[[before, after]], column[[before, after]]
+                column[hole] = np.interp(t_s[hole], *ends)
+
+
+def write_track(track: Track, path: Path) -> None:
+    """CSV with COLUMNS, whole or not at all; empty cells where LOST. ``picture`` counts rows."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    columns = (track.t_s, track.x_m, track.y_m, track.heading_rad, track.quality)
+    for row, (state, *values) in enumerate(zip(track.state, *columns, strict=True)):
+        cells = [f"{value:.6f}" if math.isfinite(value) else "" for value in values]
+        writer.writerow([row, *cells, STATES[state]])
+    write_whole(path, out.getvalue())
+
+
+def read_track(path: Path) -> Track:
+    """Reads it back (no glow). Raises InputError with row and column."""
+    table = read_table(path, ",".join(COLUMNS))
+    header = [cell.strip() for cell in table[0]] if table else []
+    for column in COLUMNS:
+        if column not in header:
+            raise InputError(
+                f"{path.name}, row 1: the header has no column {column}.",
+                "Give a file that tailbeat camera track wrote.",
+            )
+    rows = [
+        (number, *_read_row(path, number, dict(zip(header, map(str.strip, row), strict=False))))
+        for number, row in enumerate(table[1:], start=2)
+        if any(cell.strip() for cell in row)
+    ]
+    if not rows:
+        raise InputError(f"{path.name} has a header but no rows.", "Track the film again.")
+    numbers, states, values = zip(*rows, strict=True)
+    t_s, x_m, y_m, heading_rad, quality = np.array(values, np.float64).T.copy()
+    back = np.flatnonzero(np.diff(t_s) <= 0)
+    if back.size:
+        raise InputError(
+            f"{path.name}, row {numbers[back[0] + 1]}, column t_s: time does not rise.",
+            "Sort by time.",
+        )
+    state = np.array(states, np.uint8)
+    return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(t_s), path.name)
+
+
+def _read_row(path: Path, number: int, cells: dict[str, str]) -> tuple[int, list[float]]:
+    state = cells.get("state", "")
+    if state not in STATES:
+        raise InputError(
+            f"{path.name}, row {number}, column state: '{state}' is none of {', '.join(STATES)}.",
+            "Track the film again.",
+        )
+    values = []
+    for column in COLUMNS[1:-1]:
+        cell = cells.get(column, "")
+        may_miss = state == STATES[LOST] and column != "t_s"
+        try:
+            value = float(cell) if cell or not may_miss else math.nan
+        except ValueError:
+            value = math.inf
+        if math.isinf(value) or (math.isnan(value) and not may_miss):
+            raise InputError(
+                f"{path.name}, row {number}, column {column}: '{cell}' is no finite number.",
+                "Write it like 0.0791.",
+            )
+        values.append(value)
+    return STATES.index(state), values

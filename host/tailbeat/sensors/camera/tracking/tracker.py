@@ -1,0 +1,317 @@
+"""How bright the water and the body around the marker are, cell by cell: there the LED blinks.
+
+A picture that a driver repeats with fresh stamps, told apart from a fish that rests.
+
+Follows one fish from picture to picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.frames import Camera, Frame
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.marker.detector import Marker, detector_for
+from tailbeat.sensors.camera.marker.tags import Points, Sighting, Window
+from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.source.picture import Image, Picture
+from tailbeat.sensors.camera.tracking.checks import PERSISTS, Anchors, MarkerSize, SecondFish
+
+# A patch of the water around the fish, fixed to its marker: in it the LED stands still.
+GLOW_LEFT_M, GLOW_RIGHT_M = -0.25, 0.15  # along the fish, from the marker's centre; head = +
+GLOW_HALF_WIDTH_M = 0.06
+GLOW_CELL_M = 0.01
+GLOW_SHAPE = (
+    round(2 * GLOW_HALF_WIDTH_M / GLOW_CELL_M),
+    round((GLOW_RIGHT_M - GLOW_LEFT_M) / GLOW_CELL_M),
+)
+
+Glow = NDArray[np.uint8]
+
+_SAMPLES_MAX = 12  # per cell and direction
+
+_PATCH_M = np.array(
+    [
+        [GLOW_LEFT_M, -GLOW_HALF_WIDTH_M],
+        [GLOW_RIGHT_M, -GLOW_HALF_WIDTH_M],
+        [GLOW_RIGHT_M, GLOW_HALF_WIDTH_M],
+        [GLOW_LEFT_M, GLOW_HALF_WIDTH_M],
+    ]
+)
+
+
+def glow_around(grey: Image, frame: Frame, calibration: Calibration) -> Glow:
+    """The brightest pixel of each cell, GLOW_SHAPE; 0 outside the picture. Row 0 is the fish's left
+    side, column 0 its tail's end; cell (r, c) reaches from GLOW_LEFT_M + c GLOW_CELL_M along the
+    fish and from r GLOW_CELL_M - GLOW_HALF_WIDTH_M to its right."""
+    cv2 = need_cv2()
+    cos, sin = np.cos(frame.heading_rad), np.sin(frame.heading_rad)
+    places = _PATCH_M @ np.array([[cos, sin], [-sin, cos]]) + [frame.x_m, frame.y_m]
+    corners = calibration.to_pixels(places)
+    per_cell = _samples(corners)
+    rows, columns = GLOW_SHAPE[0] * per_cell, GLOW_SHAPE[1] * per_cell
+    # Over 0.4 m even a wide lens bends by less than a cell: four corners are enough.
+    flat = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32) - 0.5
+    to_patch = cv2.getPerspectiveTransform(corners.astype(np.float32), flat.astype(np.float32))
+    patch = cv2.warpPerspective(grey, to_patch, (columns, rows), flags=cv2.INTER_LINEAR)
+    cells = patch.reshape(GLOW_SHAPE[0], per_cell, GLOW_SHAPE[1], per_cell)
+    return np.asarray(cells.max(axis=(1, 3)), np.uint8)
+
+
+def _samples(corners: NDArray[np.float64]) -> int:
+    """As many as a cell has pixels, so that no bright pixel falls between them."""
+    length_px = float(np.linalg.norm(corners[1] - corners[0]))
+    return int(np.clip(np.ceil(length_px / GLOW_SHAPE[1]), 1, _SAMPLES_MAX))
+
+
+FROZEN_S = 1.0
+
+
+class Repeats:
+    """Positions in, those that say something new out.
+
+    No two positions of a noisy camera are the same in every bit, nor two of a fish that moves (the
+    board's own rule, firmware/speed/doubt.h). So a run of equal ones is held back, until another
+    shows that the camera was only coarse, or until it has lasted for a second: then it is dropped
+    as ``frozen``. Not so before a change was seen: a fish that rests looks the same to a camera
+    without noise; unless must_move() was said. Never of a ``camera`` that is ``computed``.
+    """
+
+    frozen: bool  # the last position is one of a picture that stands still
+
+    def __init__(self, camera: Camera | None = None) -> None:
+        self._camera = camera
+        self.forget()
+
+    def forget(self) -> None:
+        """What came before does not count."""
+        self.frozen = self._changed = False
+        self._first: Frame | None = None
+        self._held: list[Frame] = []
+
+    def must_move(self) -> None:
+        """The tail beats so that no fish would rest."""
+        self._changed = True
+
+    def new(self, frames: list[Frame]) -> list[Frame]:
+        """Of ``frames`` and those held back what may be believed now, in order."""
+        if is_computed(self._camera):
+            return frames
+        believed: list[Frame] = []
+        for frame in frames:
+            believed += self._take(frame)
+        return believed
+
+    def _take(self, frame: Frame) -> list[Frame]:
+        first, held = self._first, self._held
+        if first is None or _position(first) != _position(frame):
+            self._changed |= first is not None
+            self._first, self._held, self.frozen = frame, [], False
+            return [*held, frame]
+        if not self._changed:
+            return [frame]
+        self.frozen = frame.t_s - first.t_s > FROZEN_S
+        self._held = [] if self.frozen else [*held, frame]
+        return []
+
+
+def is_computed(camera: Camera | None) -> bool:
+    """Whether its positions come from a plant: with fresh stamps they are fresh, however equal."""
+    return bool(getattr(camera, "computed", False))
+
+
+def _position(frame: Frame) -> tuple[float, float, float]:
+    return frame.x_m, frame.y_m, frame.heading_rad
+
+
+EVERYWHERE_EVERY_S = 1.0
+STAYS_NEAR_S = 0.2  # a marker that is covered for a moment is not looked for elsewhere
+FORGOTTEN_AFTER_S = 0.5  # then the fish can be anywhere
+SPEED_MAX_M_S, JUMP_MAX_M = 1.0, 0.05  # what a fish can do, and what a sighting can be off
+_WINDOW_SIDES = 1.2  # half a window, in markers
+_WINDOW_M, _WINDOW_M_S = 0.02, 0.5  # and what the prediction can be off
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What one picture said. ``frame`` None = the fish was not seen. ``glow``: brightest pixel of
+    each cell of the patch around the fish, GLOW_SHAPE; None when not seen or not asked for.
+    ``glow_turned``: the same if its head is the other end, of a blob."""
+
+    index: int
+    t_s: float
+    frame: Frame | None
+    sighting: Sighting | None
+    glow: Glow | None
+    glow_turned: Glow | None = None
+
+    def turned(self) -> Place:
+        """The same with the head at the other end (not so in the ``sighting``)."""
+        if self.frame is None:
+            return self
+        frame = replace(self.frame, heading_rad=self.frame.heading_rad + np.pi)
+        return replace(self, frame=frame, glow=self.glow_turned, glow_turned=self.glow)
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    sighting: Sighting
+    frame: Frame
+
+    @property
+    def t_s(self) -> float:
+        return self.frame.t_s
+
+
+class Tracker:
+    """Looks first where the fish should be, then everywhere; everywhere also once a second, so that
+    a second fish does not go unnoticed.
+
+    A fish that is suddenly where it cannot have swum is not believed before it has been there for
+    three pictures.
+    """
+
+    def __init__(
+        self, marker: Marker, calibration: Calibration, name: str, glow: bool = False
+    ) -> None:
+        """``name``: of the film or device, for messages. Raises what detector_for raises."""
+        self._detector = detector_for(marker, calibration)
+        # It has to see every picture as a whole, and may take the tail for the head.
+        self._blob = marker.kind == "blob"
+        self._calibration = calibration
+        self._name = name
+        self._glow = glow
+        self._anchors = Anchors(calibration, name)
+        self._size = MarkerSize(marker, calibration, name)
+        self._second = SecondFish(calibration, name)
+        self._everywhere_s = -np.inf  # when it is due
+        self._before: _Seen | None = None
+        self._last: _Seen | None = None
+        self._doubted: list[_Seen] = []
+
+    @property
+    def other_ids(self) -> list[int]:
+        """Markers of the right kind that were seen but are not the fish's; for messages."""
+        return sorted(getattr(self._detector, "other_ids", ()))
+
+    @property
+    def measured_side_m(self) -> float | None:
+        """Of the marker, in the calibrated plane: the median of the first second of sightings.
+        None = not known yet, or a blob."""
+        return self._size.measured_m
+
+    def look(self, picture: Picture) -> Place:
+        """The fish in the next picture. Raises InputError for two fish, a picture of another size,
+        anchors that are elsewhere (first pictures), a marker whose size contradicts the
+        calibration by more than 5 % (median of the first second of sightings)."""
+        grey = _grey(picture.image)
+        self._calibration.check_size((grey.shape[1], grey.shape[0]), self._name)
+        self._anchors.look(picture.t_s, grey)
+        sighting = self._find(grey, picture.t_s)
+        if sighting is None:
+            return Place(picture.index, picture.t_s, None, None, None)
+        seen = _Seen(sighting, self._frame(picture.t_s, sighting))
+        if not self._believed(seen):
+            return Place(picture.index, picture.t_s, None, None, None)
+        self._size.look(picture.t_s, sighting.corners_px)
+        self._before, self._last = self._last, seen
+        place = Place(picture.index, picture.t_s, seen.frame, sighting, None)
+        return self._with_glow(place, grey) if self._glow else place
+
+    def _with_glow(self, place: Place, grey: Image) -> Place:
+        assert place.frame is not None
+        glow = glow_around(grey, place.frame, self._calibration)
+        if not self._blob:
+            return replace(place, glow=glow)
+        other = place.turned().frame
+        assert other is not None
+        glow_turned = glow_around(grey, other, self._calibration)
+        return replace(place, glow=glow, glow_turned=glow_turned)
+
+    def _find(self, grey: Image, t_s: float) -> Sighting | None:
+        guess = self._prediction(t_s)
+        due = t_s >= self._everywhere_s or self._second.suspected or self._blob
+        if guess is not None and not due:
+            window = self._window(guess, t_s, grey)
+            sightings = self._detector.find(grey, window)
+            if sightings or self._is_near(t_s):
+                return _nearest(sightings, guess) if sightings else None
+        sightings = self._detector.find(grey)
+        self._everywhere_s = t_s + EVERYWHERE_EVERY_S
+        if not sightings:
+            return None
+        fish = sightings[0] if guess is None else _nearest(sightings, guess)
+        self._second.look(fish, sightings)
+        return fish
+
+    def _is_near(self, t_s: float) -> bool:
+        return self._last is not None and t_s - self._last.t_s <= STAYS_NEAR_S
+
+    def _prediction(self, t_s: float) -> Points | None:
+        """Where the fish should be, in pixels; None = lost."""
+        last, before = self._last, self._before
+        if last is None or not 0 <= t_s - last.t_s <= FORGOTTEN_AFTER_S:
+            return None
+        centre = np.array(last.sighting.centre_px)
+        if before is None or last.t_s - before.t_s > FORGOTTEN_AFTER_S:
+            return centre
+        step = centre - before.sighting.centre_px
+        return np.asarray(centre + step * (t_s - last.t_s) / (last.t_s - before.t_s))
+
+    def _window(self, guess: Points, t_s: float, grey: Image) -> Window:
+        assert self._last is not None
+        sighting, frame = self._last.sighting, self._last.frame
+        front = self._calibration.to_tank(np.array([sighting.front_px]))[0]
+        px_per_m = np.hypot(*np.subtract(sighting.front_px, sighting.centre_px)) / max(
+            float(np.hypot(*(front - (frame.x_m, frame.y_m)))), 1e-9
+        )
+        off_m = _WINDOW_M + _WINDOW_M_S * (t_s - frame.t_s)
+        half = _WINDOW_SIDES * sighting.side_px + px_per_m * off_m
+        low = np.floor(guess - half).astype(int)
+        high = np.ceil(guess + half).astype(int) + 1
+        height, width = grey.shape
+        left, right = np.clip((low[0], high[0]), 0, width)
+        top, bottom = np.clip((low[1], high[1]), 0, height)
+        return Window(int(left), int(top), int(right), int(bottom))
+
+    def _frame(self, t_s: float, sighting: Sighting) -> Frame:
+        pixels = np.array([sighting.centre_px, sighting.front_px])
+        (x, y), (front_x, front_y) = self._calibration.to_tank(pixels)
+        heading = float(np.arctan2(front_y - y, front_x - x))
+        return Frame(t_s, float(x), float(y), heading)
+
+    def _believed(self, seen: _Seen) -> bool:
+        if self._last is None or _can_swim(self._last, seen):
+            self._doubted = []
+            return True
+        if self._doubted and not _can_swim(self._doubted[-1], seen):
+            self._doubted = []
+        self._doubted.append(seen)
+        if len(self._doubted) < PERSISTS:
+            return False
+        # Its velocity is that of the place it jumped to.
+        self._last = self._doubted[-2]
+        self._doubted = []
+        return True
+
+
+def _can_swim(start: _Seen, end: _Seen) -> bool:
+    apart_s = end.t_s - start.t_s
+    if apart_s > FORGOTTEN_AFTER_S:
+        return True
+    apart_m = np.hypot(end.frame.x_m - start.frame.x_m, end.frame.y_m - start.frame.y_m)
+    return bool(apart_m <= SPEED_MAX_M_S * apart_s + JUMP_MAX_M)
+
+
+def _nearest(sightings: list[Sighting], guess: Points) -> Sighting:
+    return min(sightings, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
+
+
+def _grey(image: Image) -> Image:
+    if image.ndim == 2:
+        return image
+    cv2 = need_cv2()
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

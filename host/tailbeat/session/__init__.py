@@ -1,0 +1,1 @@
+"""Running trials: series, preflight checks, guards, commissioning, decisions."""

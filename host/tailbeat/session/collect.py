@@ -1,0 +1,344 @@
+"""The board between swims: stopped, settling, made safe.
+
+What is known of one swim when somebody has to decide what becomes of it.
+
+Why beats of a swim have no speed, as far as its log tells.
+
+Puts together what is known of a swim, and what speaks against keeping it.
+
+The log of a swim, from the board into the experiment's raw files, and what it tells.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tailbeat.core.errors import InputError, TailbeatError, reason
+from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, fault_info
+from tailbeat.core.trial_checks import straightness, straightness_of_frames
+from tailbeat.core.trial_file import read_trial
+from tailbeat.learning.convergence import score_of
+from tailbeat.learning.disturbance import bump_of
+from tailbeat.learning.fish_model import swim_of
+from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
+from tailbeat.session.guards import BY_HAND
+from tailbeat.session.operator import Decision
+from tailbeat.session.positions import as_csv, stash_of
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.faults import FaultInfo
+    from tailbeat.core.frames import Frame
+    from tailbeat.core.trial_checks import Straightness
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.link.messages import BoardStatus
+    from tailbeat.session.preflight.step import Ready
+
+STOPPED = ("ABORTED", "FAULT")
+_BUSY = ("BOOT", "RUNNING", "SETTLING", "LEARNING")
+_IMU_REST_S = 30.0  # of board time: so long it waits for the fish to rest after a swim
+_MARGIN_S = 2.0
+_LOOK_S = 0.25
+_SAFE_TRIES = 3
+
+
+def dangerous(fault: FaultInfo) -> bool:
+    """Whether somebody has to look at the fish before it swims again: the board stopped by a rule
+    of its own (battery, tilt, late tick, restart), not because the link or a person said so."""
+    return fault.kind == "fault" or fault.number in (TILT, REBOOT)
+
+
+def stop_words(status: BoardStatus) -> str:
+    """Why the board is stopped, and what to do about it."""
+    fault = status.fault
+    return f"the board stopped ({fault.name}): {fault.meaning}. {fault.remedy}"
+
+
+def make_safe(fish: Fish) -> None:
+    """The tail still and nothing armed, as far as the board can be reached; another Ctrl-C does
+    not hinder it."""
+    for _ in range(_SAFE_TRIES):
+        try:
+            with contextlib.suppress(TailbeatError):
+                _make_safe(fish)
+            return
+        except KeyboardInterrupt:
+            continue
+
+
+def _make_safe(fish: Fish) -> None:
+    status = fish.status()
+    if status.state == "RUNNING":
+        fish.abort()
+    elif status.state == "ARMED":
+        fish.disarm()
+
+
+def require_still(fish: Fish) -> None:
+    """Raises TailbeatError when the tail beats: somebody else swims this fish."""
+    if fish.status().state == "RUNNING":
+        raise TailbeatError("the fish swims already", "Wait, or stop it: tailbeat trial abort")
+
+
+def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
+    """The status once the last swim is over for the board, too. ``expected``: a trial that may yet
+    become pending after it was cut."""
+    rate = max(fish.clock.rate, 1.0)
+    wait_s = fish.params.get("SETTLE_S").value + _MARGIN_S
+    if SPEED_SOURCES[round(fish.params.get("SPD_SOURCE").value)] == "imu":
+        wait_s += _IMU_REST_S
+    end_s = fish.transport.now_s() + wait_s / rate
+    while True:
+        status = fish.status()
+        waits = status.state in STOPPED and status.pending_trial is None
+        waits = waits and expected is not None and status.trial == expected
+        if (status.state not in _BUSY and not waits) or fish.transport.now_s() >= end_s:
+            return status
+        fish.link.run(_LOOK_S / rate)
+
+
+@dataclass(frozen=True)
+class Swum:
+    """``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``:
+    what the ritual found; None = there was none. ``measured_beats``: of ``beats`` of the reference.
+    ``problems``: what speaks against keeping it, in words (few speeds, not straight). ``judged``:
+    enough of its beats are measured (verdict.Score)."""
+
+    outcome: TrialOutcome
+    file: Path
+    ready: Ready | None
+    straight: Straightness | None
+    max_abs_error_m_s: float
+    rms_error_m_s: float
+    measured_beats: int
+    beats: int
+    battery_start_v: float | None
+    battery_end_v: float | None
+    problems: tuple[str, ...] = ()
+    judged: bool = False
+
+
+NO_SPEED = "beats have no speed"
+
+
+def unmeasured(trial: Trial) -> str:
+    """In words; empty when every beat that was swum has a speed."""
+    known = np.isfinite(trial.beats.speed_m_s[: trial.executed_beats])
+    missing = np.flatnonzero(~known)
+    if not missing.size:
+        return ""
+    words = f"{missing.size} of {trial.executed_beats} {NO_SPEED}"
+    hole_s = _longest_hole_s(trial, missing)
+    if not hole_s:
+        return words
+    return (
+        f"{words}: none came from the camera for {hole_s:.1f} s; it lost sight of the fish, or this"
+        " computer is too slow for it (end other programs, take smaller pictures)"
+    )
+
+
+def _longest_hole_s(trial: Trial, missing: np.ndarray[tuple[int], np.dtype[np.intp]]) -> float:
+    """Between speeds of the camera that came in time, next to beats without one; 0: no hole is
+    longer than SPD_GAP_S, or speeds did not come from a camera as it swam."""
+    allowed_s = trial.params.get("SPD_GAP_S", 0.0)
+    source = SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0.0))]
+    if source != "vision" or trial.uploaded or not allowed_s:
+        return 0.0
+    table = trial.slots.table()
+    end_s = trial.executed_beats * trial.beat_s
+    times = np.concatenate([[0.0], np.sort(table["t_s"][table["samples"] > 0]), [end_s]])
+    begins, ends = times[:-1], times[1:]
+    at_s = missing[:, None] * trial.beat_s
+    touched = ((begins < at_s + trial.beat_s) & (ends > at_s)).any(axis=0)
+    holes = (ends - begins)[touched]
+    longest = float(holes.max()) if holes.size else 0.0
+    return longest if longest > allowed_s else 0.0
+
+
+NOT_COMPLETE = "not complete:"
+
+
+def swum_of(outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: str = "") -> Swum:
+    """``stopped``: the reason of whoever stopped it from here; empty = nobody, or what the journal
+    says."""
+    trial = log.trial
+    measured = int(np.isfinite(trial.beats.speed_m_s).sum())
+    volts = [volt for t_s, volt in trial.battery_v if t_s >= 0] or [
+        volt for _, volt in trial.battery_v
+    ]
+    return Swum(
+        outcome=outcome,
+        file=log.path,
+        ready=ready,
+        straight=log.straight,
+        max_abs_error_m_s=trial.max_abs_error_m_s(),
+        rms_error_m_s=trial.rms_error_m_s(),
+        measured_beats=measured,
+        beats=len(trial.beats.samples),
+        battery_start_v=ready.battery_v if ready else (volts[0] if volts else None),
+        battery_end_v=volts[-1] if volts else None,
+        problems=tuple(_problems(outcome, log, measured, stopped or log.stopped)),
+        judged=score_of(trial).judged,
+    )
+
+
+def _problems(outcome: TrialOutcome, log: Log, measured: int, stopped: str) -> list[str]:
+    trial, problems = log.trial, []
+    if outcome.end != "complete":
+        by = f" ({stopped})" if stopped else ""
+        problems.append(f"{NOT_COMPLETE} {outcome.end}{by}")
+    problems += _unmeasured(trial, measured)
+    if log.straight is not None and log.straight.crooked:
+        off_deg = math.degrees(log.straight.worst_yaw_rad)
+        problems.append(f"not straight: {off_deg:+.0f} degrees off ({log.straight.source})")
+    if (bump := bump_of(swim_of(trial))) is not None:
+        problems.append(bump.words())
+    return problems + list(trial.problems)
+
+
+def _unmeasured(trial: Trial, measured: int) -> list[str]:
+    if measured == 0:
+        return ["no beat has a speed: there is nothing to learn from"]
+    words = unmeasured(trial)
+    return [words] if words else []
+
+
+def is_good(swum: Swum) -> bool:
+    """Whether nobody need be asked: it was executed to its end, and nothing speaks against it but
+    a few missing beats."""
+    others = [one for one in swum.problems if not (swum.judged and NO_SPEED in one)]
+    return swum.outcome.end == "complete" and not others
+
+
+def stopped_by(problems: Iterable[str]) -> str:
+    """The reason of whoever stopped a swim from here, out of what was said of it; empty = nobody
+    did, or nobody said."""
+    for problem in problems:
+        if problem.startswith(NOT_COMPLETE) and problem.endswith(")"):
+            return problem.partition(" (")[2].removesuffix(")")
+    return ""
+
+
+def proposed(swum: Swum) -> Decision:
+    """What a careful person would say; the one who is there decides. It follows from the swim's
+    end and its problems, which are in its log and in the journal: asked again later it is the
+    same."""
+    stopped = stopped_by(swum.problems)
+    if swum.outcome.end == _ended(WALL):
+        return Decision("discard", "too close to the wall")
+    if stopped == BY_HAND:
+        return Decision("discard", BY_HAND)
+    if swum.outcome.end == _ended(ABORT_COMMAND) and not stopped:  # no guard of this program's
+        return Decision("discard", "stopped by a command")
+    if swum.measured_beats == 0:
+        return Decision("discard", "no speeds")
+    return Decision("keep")
+
+
+def _ended(fault: int) -> str:
+    return f"aborted:{fault_info(fault).name}"
+
+
+@dataclass(frozen=True)
+class Log:
+    """A swim's raw file, and what is in it and beside it. ``stopped``: why this program stopped it,
+    as the journal has it; empty = it did not, or the journal does not know the swim yet."""
+
+    path: Path
+    trial: Trial
+    straight: Straightness | None
+    stopped: str = ""
+
+
+@contextlib.contextmanager
+def trial_is_safe(number: int, experiment: Experiment) -> Iterator[None]:
+    """What the disk refuses comes out as one line; the trial waits on the board meanwhile."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"cannot keep trial {number} in {experiment.folder} ({reason(error)}); nothing is lost,"
+            " it waits on the board",
+            "Make room there and run the same command again: it goes on with this trial.",
+        ) from error
+
+
+def peek_log(fish: Fish, experiment: Experiment, number: int) -> Trial:
+    """Pulls the log and keeps nothing. Raises InputError (disk full)."""
+    with trial_is_safe(number, experiment):
+        folder = experiment.folder / ".pulling"
+        folder.mkdir(exist_ok=True)
+        return read_trial(fish.pull_trial(number, folder))
+
+
+def drop_peeked(experiment: Experiment, number: int) -> None:
+    """Of a log that is not to be kept, and what the camera may have seen of a swim before it."""
+    folder = experiment.folder / ".pulling"
+    with contextlib.suppress(OSError):
+        (folder / f"{number:04d}.ulg").unlink(missing_ok=True)
+        stash_of(experiment, number).drop()
+        folder.rmdir()
+
+
+def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
+    """Pulls the log (an interrupted pull goes on), and keeps it and the positions of the camera.
+    Raises InputError (disk full)."""
+    with trial_is_safe(number, experiment):
+        folder = experiment.folder / ".pulling"
+        folder.mkdir(exist_ok=True)
+        pulled = fish.pull_trial(number, folder)
+        kept = experiment.keep_trial(pulled)
+        trial = read_trial(kept)
+        stash = stash_of(experiment, number)
+        frames = stash.take(trial)
+        if frames:
+            experiment.add_raw(f"{kept.stem}_positions.csv", as_csv(frames, 0.0).encode())
+        for path in (pulled, stash.path):
+            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # the beginning of another trial may lie there
+            folder.rmdir()
+    return Log(kept, trial, _straight(trial, frames), _stopped(experiment, kept))
+
+
+def _stopped(experiment: Experiment, kept: Path) -> str:
+    told = [entry for entry in experiment.journal.entries("swum") if entry.get("file") == kept.name]
+    return stopped_by(map(str, told[-1].get("problems") or ())) if told else ""
+
+
+def _straight(trial: Trial, frames: Sequence[Frame]) -> Straightness | None:
+    found = straightness(trial)
+    if found is None and frames and trial.executed_beats:
+        return straightness_of_frames(frames, 0.0, trial.executed_beats, trial.beat_s)
+    return found
+
+
+def outcome_of(trial: Trial) -> TrialOutcome:
+    """Of a swim that nobody here saw: as its log tells it."""
+    beats = trial.beats
+    events = [
+        BeatEvent(
+            trial.number,
+            k,
+            float(beats.applied_rad[k]),
+            float(beats.reference_m_s[k]),
+            _number(beats.speed_m_s[k]),
+            _number(beats.sigma_m_s[k]),
+            int(beats.samples[k]),
+            bool(beats.amplitude_rad[k] > beats.applied_rad[k]),
+            provisional=False,
+        )
+        for k in range(min(trial.executed_beats, len(beats.samples)))
+    ]
+    return TrialOutcome(trial.number, trial.iteration, trial.end, trial.executed_beats, events)
+
+
+def _number(value: np.float32) -> float | None:
+    return float(value) if np.isfinite(value) else None

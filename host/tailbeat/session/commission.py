@@ -1,0 +1,359 @@
+"""The first session with a fish nobody knows: its limits rise step by step, each with the reason.
+
+From the defaults (0.5 rad at most, 0.15 rad per trial): look at the board, trim, identify with
+gentle runs, design gain and lead, then allow as much amplitude as the reference needs and the tank
+has room for. A step that fails leaves the limits where they were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tailbeat.board.diagnostics import look_at
+from tailbeat.board.diagnostics.evidence import PROBLEM
+from tailbeat.board.loan import put_back_left, safe_folder, set_for_good
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.trial_checks import straightness
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.library import RUN, logbook_of, name_reference
+from tailbeat.learning.saturation import needed_rad, servo_rad
+from tailbeat.link.messages import SPEED_SOURCES
+from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
+from tailbeat.session.preflight.checklist import prepare
+from tailbeat.session.preflight.countdown import countdown
+from tailbeat.session.preflight.step import GivenUp, Wanted
+from tailbeat.session.trim import apply, find_centre
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera
+    from tailbeat.core.law import Law
+    from tailbeat.core.reference import Reference
+    from tailbeat.core.trial_checks import Straightness
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.experiment.library import Logbook
+    from tailbeat.learning.identification import Identified
+    from tailbeat.learning.identification_runs import Run
+    from tailbeat.session.identify import Attendant
+    from tailbeat.session.operator import Person
+
+__all__ = ["RAISE_MAX_RAD", "Raise", "Step", "advice", "first_session", "next_raise"]
+
+_CAMERA_LOOK_S = 1.5  # of board time
+_RAISES_MAX = 8
+_HANDS = "Put the fish at rest at its wall. Ready?"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step that was taken. ``name``: look, trim, identify, design, limits. ``done`` False: it
+    failed or was left out, as ``words`` say. ``raises``: what it raised."""
+
+    name: str
+    done: bool
+    words: str
+    raises: tuple[Raise, ...] = ()
+
+
+def first_session(
+    fish: Fish,
+    reference: Reference,
+    person: Person,
+    camera: Camera | None = None,
+    guard: Guard | None = None,
+    wanted: Wanted | None = None,
+) -> Iterator[Step]:
+    """Yields each step when it is done. Asks (person.confirm) before the fish swims and before
+    anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
+    reference. Ends early, with a step that is not done, when one fails that the next ones need.
+    Raises LinkLostError."""
+    own = fish.default_camera() if camera is None else None
+    try:
+        session = _Session(fish, reference, person, camera or own, guard, wanted or Wanted())
+        yield from _steps(session)
+    finally:
+        if own is not None:
+            own.close()
+
+
+def _steps(session: _Session) -> Iterator[Step]:
+    needed: list[tuple[str, Callable[[], Step], bool]] = [
+        ("look", session.look, True),
+        ("trim", session.trim, False),
+        ("identify", session.identify, True),
+        ("design", session.design, True),
+    ]
+    for name, take, must in needed:
+        step = _taken(name, take)
+        yield step
+        if must and not step.done:
+            return
+    for _ in range(_RAISES_MAX):
+        step = _taken("limits", session.raise_limit)
+        yield step
+        if not step.raises:
+            return
+
+
+def advice(fish: Fish, experiment: Experiment) -> list[str]:
+    """What may be raised next, or why nothing may: one line each. Changes nothing."""
+    from tailbeat.board.fish import board_reference
+    from tailbeat.session.log import Account
+
+    reference = board_reference(fish)
+    if reference is None:
+        return []
+    params = _params(fish)
+    trials = Account(experiment, experiment.journal).counting()
+    if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
+        return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
+    straight = straightness(trials[-1]) if trials else None
+    learned = experiment.journal.entries("learned")
+    rolled_back = bool(learned and learned[-1].get("rolled_back"))
+    found = next_raise(params, reference, _identified(fish), straight, rolled_back)
+    if isinstance(found, str):
+        return [found]
+    return [
+        f"AMP_MAX_RAD may go {found.text.removeprefix('AMP_MAX_RAD ')}",
+        f"to do that: tailbeat params set AMP_MAX_RAD {found.to:g}, tailbeat params save "
+        "(trials with another limit are judged as a new series)",
+    ]
+
+
+def _taken(name: str, take: Callable[[], Step]) -> Step:
+    """A step that fails is told, with what to do; the link must be there for the next one."""
+    from tailbeat.core.errors import LinkLostError
+
+    try:
+        return take()
+    except LinkLostError:
+        raise
+    except TailbeatError as error:
+        return Step(name, False, str(error))
+
+
+@dataclass
+class _Session:
+    """State of one first session. ``straight``: of the last swim that tells."""
+
+    fish: Fish
+    reference: Reference
+    person: Person
+    camera: Camera | None
+    guard: Guard | None
+    wanted: Wanted
+    straight: Straightness | None = field(default=None, init=False)
+    identified: Identified | None = field(default=None, init=False)
+
+    def look(self) -> Step:
+        """Whether it can swim at all; then the reference."""
+        fish = self.fish
+        put_back_left(fish, safe_folder(logbook_of(fish)), self._note)
+        _require_idle(fish)
+        params = _params(fish)
+        findings = look_at(fish)
+        problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
+        told = [f"{one.name}: {one.text}" for one in findings if one.status != PROBLEM]
+        source = SPEED_SOURCES[round(params["SPD_SOURCE"])]
+        if source != "vision":
+            told.append(f"speeds by {source}")
+        seen, why = self._seen(source)
+        told.append(seen) if not why else problems.append(why)
+        if problems:
+            return Step("look", False, "; ".join(problems))
+        self._ask(_tank_question(params), "The tank's length was not confirmed")
+        self._give_reference()
+        return Step("look", True, "; ".join(told))
+
+    def _seen(self, source: str) -> tuple[str, str]:
+        """(what the camera sees, what is wrong)."""
+        if source == "upload":
+            return "", (
+                "speeds: SPD_SOURCE is upload, and the first session needs them while it swims;"
+                " set another, or do it by hand: tailbeat identify, tailbeat design"
+            )
+        if self.camera is None:
+            text = "camera: there is none, and SPD_SOURCE is vision. Give --camera"
+            return ("no camera", "") if source != "vision" else ("", text)
+        self.fish.link.run(_CAMERA_LOOK_S / max(self.fish.clock.rate, 1.0))
+        frames = self.camera.frames()
+        if not frames:
+            return "", "camera: it does not see the fish. Look at light and marker: camera track"
+        return f"camera: it sees the fish ({len(frames)} pictures)", ""
+
+    def _give_reference(self) -> None:
+        from tailbeat.core.reference import Limits
+
+        problems = self.reference.check(Limits.from_params(_params(self.fish)))
+        if problems:
+            raise InputError(problems[0].meaning, problems[0].remedy)
+        status = self.fish.status()
+        another = status.reference_crc not in (None, self.reference.crc)
+        if another and status.best_iteration is not None:
+            text = "The board has learned along another reference and will forget that. Go on?"
+            self._ask(text, "What the board has learned is kept")
+        self.fish.upload_reference(self.reference)
+        name_reference(self.fish, self.reference)
+
+    def trim(self) -> Step:
+        """Left out where nothing feels a turn."""
+        fish = self.fish
+        if self.camera is None and fish.sim is None and not fish.imu_verdict().problem.well:
+            text = "left out: no IMU and no camera to feel a turn by"
+            self._note(f"trim {text}")
+            return Step("trim", False, text)
+        found = find_centre(fish, self.person, self.camera, self.guard, self.wanted)
+        words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
+        if abs(found.centre_us - found.was_us) <= found.sigma_us:
+            return Step("trim", True, f"{words} ({found.source}); {found.was_us:.0f} us stays")
+        self._ask(f"{words}, not at {found.was_us:.0f}. Set it?", "The centre stays")
+        apply(fish, found)
+        return Step("trim", True, f"{words} ({found.source}), was {found.was_us:.0f}; set")
+
+    def identify(self) -> Step:
+        """Within the limits as they are."""
+        from tailbeat.session.identify import identify_fish, set_params
+
+        book = logbook_of(self.fish)
+        attendant = self._attendant(book)
+        found = identify_fish(self.fish, attendant, safe_folder(book), self.camera)
+        self.identified = found
+        if book is not None:
+            book.set_identified(found)
+        set_params(self.fish, found)
+        model = found.model
+        return Step(
+            "identify",
+            True,
+            f"{len(found.swims)} runs: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
+            f"{model.dead_zone_rad:.2f} rad, drag over mass {model.kappa_per_m:.1f} 1/m, delay "
+            f"{model.delay_s:.2f} s",
+        )
+
+    def _attendant(self, book: Logbook | None) -> Attendant:
+        from tailbeat.session.identify import Attendant
+
+        def before(run: Run) -> None:
+            text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
+            text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
+            self._ask(text, "Not identified")
+            prepare(self.fish, self.wanted, self.camera, self.person)
+            countdown(self.fish, self.wanted, self.person)
+
+        return Attendant(
+            before=before,
+            event=self.person.tell,
+            keep=lambda path: self._keep(path, book),
+            note=self._note,
+            guard=self.guard,
+            wants_abort=self.person.wants_abort,
+        )
+
+    def _note(self, text: str) -> None:
+        self.person.tell({"event": "notice", "text": text})
+
+    def _keep(self, path: Path, book: Logbook | None) -> None:
+        self.straight = straightness(read_trial(path)) or self.straight
+        if book is not None:
+            book.keep(path, RUN)
+
+    def design(self) -> Step:
+        """For the limit that the reference will need."""
+        from tailbeat.learning.design import design
+
+        assert self.identified is not None
+        params = _params(self.fish)
+        most = min(needed_rad(self.identified, self.reference), servo_rad(params))
+        found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
+        if found.refused:
+            return Step("design", False, found.refused)
+        set_for_good(self.fish, _law_params(found.law, params))
+        return Step(
+            "design",
+            True,
+            f"{_law_words(found.law)}: errors shrink most surely, steady ones to "
+            f"{found.ratio_dc:.2f} of themselves per trial, the worst to {found.ratio_max:.2f}; "
+            f"gains from {found.static_gain_max:.2f} on would not learn",
+        )
+
+    def raise_limit(self) -> Step:
+        """One step; a swim with it proves it before it is set."""
+        found = next_raise(_params(self.fish), self.reference, self.identified, self.straight)
+        if isinstance(found, str):
+            return Step("limits", True, found)
+        assert self.identified is not None
+        text = f"{found.text}. One short swim proves it. {_HANDS}"
+        self._ask(text, f"{found.name} stays {found.was:.2f}")
+        proof = prove(
+            self.fish, found.to, self.identified, self.person, self.camera, self.guard, self.wanted
+        )
+        self.straight = proof.straight or self.straight
+        if proof.why_not:
+            return Step("limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}")
+        set_for_good(self.fish, {found.name: found.to})
+        return Step("limits", True, f"{found.text}; {proof.words}", (found,))
+
+    def _ask(self, question: str, otherwise: str) -> None:
+        if not self.person.confirm(question):
+            raise GivenUp(
+                f"{otherwise}: the answer was no.",
+                "Begin again with 'tailbeat session first'; --yes answers for a script.",
+            )
+
+
+def _require_idle(fish: Fish) -> None:
+    status = fish.status()
+    if status.pending_trial is not None:
+        raise InputError(
+            f"trial {status.pending_trial} is neither learned nor discarded.",
+            "tailbeat learn, or tailbeat trial discard --reason WHY.",
+        )
+    if status.state != "IDLE":
+        raise InputError(
+            f"the board is {status.state}, not IDLE.", "tailbeat disarm or tailbeat clear."
+        )
+
+
+def _tank_question(params: dict[str, float]) -> str:
+    tank_m, fish_m = params["TANK_LEN_M"], params["FISH_LEN_M"]
+    if tank_m <= 0:
+        return "TANK_LEN_M is 0: nothing keeps the fish from the far wall. Go on all the same?"
+    return (
+        f"By TANK_LEN_M the tank is {tank_m:.2f} m long and by FISH_LEN_M the fish {fish_m:.2f} m: "
+        f"it may swim {tank_m - fish_m:.2f} m. Is that right?"
+    )
+
+
+def _law_params(law: Law, params: dict[str, float]) -> dict[str, float]:
+    """As cli.design sets them: the certificate is for kd = 0, the last error held beyond the end, a
+    gain that stays, the last trial alone."""
+    wanted = {
+        "LAW_KD": law.kd_rad_s2_m,
+        "LAW_GAIN": law.kp_rad_s_m,
+        "LAW_LEAD": law.lead_beats,
+        "LAW_Q_LEN": float(law.q_len),
+        "LAW_TAIL": float(law.tail),
+        "LAW_FADE": law.fade,
+        "LAW_KIND": 0.0,
+    }
+    return {name: value for name, value in wanted.items() if name in params}
+
+
+def _law_words(law: Law) -> str:
+    lead = f"lead {law.lead_beats:g} beat{'' if law.lead_beats == 1 else 's'}"
+    q = f", filter of length {law.q_len}" if law.q_len > 1 else ""
+    return f"gain {law.kp_rad_s_m:g} rad s/m, {lead if law.lead_beats else 'no lead'}{q}"
+
+
+def _params(fish: Fish) -> dict[str, float]:
+    return {name: p.value for name, p in fish.params.list().items()}
+
+
+def _identified(fish: Fish) -> Identified | None:
+    try:
+        return book.identified() if (book := logbook_of(fish)) is not None else None
+    except InputError:
+        return None

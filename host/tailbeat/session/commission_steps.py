@@ -1,0 +1,253 @@
+"""How far AMP_MAX_RAD may rise, and why no farther. Pure rules.
+
+One short swim with a larger amplitude, before the limit rises to it for good.
+
+The model was fitted below the old limit. Beyond it the servo may be too slow, the tail may touch
+something, the fish may roll or turn; a swim shows it while the old limit still holds on the board.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.board.loan import lent, safe_folder
+from tailbeat.core.errors import TailbeatError
+from tailbeat.core.trial_checks import Straightness, straightness
+from tailbeat.experiment.library import RUN, logbook_of
+from tailbeat.learning.saturation import (
+    GRAIN_RAD,
+    down_to_grain,
+    hold_rad,
+    needed_rad,
+    servo_rad,
+    up_to_grain,
+)
+from tailbeat.session.guards import BY_HAND, RoomGuard, together, when
+from tailbeat.session.preflight.checklist import prepare
+from tailbeat.session.preflight.countdown import countdown
+from tailbeat.session.room import travel_of
+from tailbeat.session.shift import slope_of
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera
+    from tailbeat.core.reference import Reference
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.learning.identification import Identified
+    from tailbeat.link.messages import TrialOutcome
+    from tailbeat.session.operator import Person
+    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.room import Travel
+
+AMP_MAX = "AMP_MAX_RAD"
+RAISE_MAX_RAD = 0.1
+
+
+@dataclass(frozen=True)
+class Raise:
+    """A limit that may be raised. ``reason``: why that far and no farther, with its figures."""
+
+    name: str
+    was: float
+    to: float
+    reason: str
+
+    @property
+    def text(self) -> str:
+        """``AMP_MAX_RAD from 0.50 to 0.60: ...``."""
+        return f"{self.name} from {self.was:.2f} to {self.to:.2f}: {self.reason}"
+
+
+def next_raise(
+    params: Mapping[str, float],
+    reference: Reference,
+    identified: Identified | None,
+    straight: Straightness | None,
+    rolled_back: bool = False,
+) -> Raise | str:
+    """The next step for AMP_MAX_RAD (at most RAISE_MAX_RAD at once), or why there is none: enough
+    for the reference with a margin, not identified, not straight, rolled back, no room in the tank,
+    the servo's range. DU_MAX_RAD stays: it slows the way to an amplitude, and forbids none."""
+    now = params[AMP_MAX]
+    stays = f"{AMP_MAX} stays {now:.2f}"
+    if identified is None:
+        return f"{stays}: nobody knows yet what amplitude the reference needs: tailbeat identify"
+    need = needed_rad(identified, reference)
+    if need <= now + GRAIN_RAD / 2:
+        return f"{stays}: enough, the reference needs {need:.2f} with what learning adds"
+    if (why := _not_now(straight, rolled_back)) is not None:
+        return f"{stays}: {why}"
+    servo = servo_rad(params)
+    to = min(now + RAISE_MAX_RAD, up_to_grain(need), down_to_grain(servo))
+    if to < now + GRAIN_RAD / 2:
+        return f"{stays}: {_servo_words(params, servo, need)}"
+    travel = _travel(params, reference, identified, to)
+    if not travel.fits:
+        return f"{stays}: no room for more, the swim would come {travel.text()}"
+    return Raise(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
+
+
+def _not_now(straight: Straightness | None, rolled_back: bool) -> str | None:
+    if rolled_back:
+        return (
+            "the board has just rolled back to its best input, and what went wrong would have more"
+            " room; swim until it learns again"
+        )
+    if straight is None:
+        return (
+            "nothing tells whether it swims straight (an IMU or a camera would); if you see that it"
+            " does, raise it yourself: tailbeat params set"
+        )
+    if straight.crooked:
+        off = abs(math.degrees(straight.worst_yaw_rad))
+        return f"it does not swim straight ({off:.0f} degrees off): tailbeat trim"
+    return None
+
+
+def _servo_words(params: Mapping[str, float], servo: float, need: float) -> str:
+    low, high = params["SERVO_MIN_US"], params["SERVO_MAX_US"]
+    return (
+        f"the servo turns {servo:.2f} rad to the shorter side ({low:.0f} to {high:.0f} us around "
+        f"{params['SERVO_CENTRE_US']:.0f}), and the reference needs {need:.2f}; use a slower one"
+    )
+
+
+def _travel(
+    params: Mapping[str, float], reference: Reference, identified: Identified, to: float
+) -> Travel:
+    """Of what the law tends to with that limit: the best input of the model."""
+    from tailbeat.learning.planner import plan
+
+    best = plan(identified.model, reference.speed_m_s, reference.beat_s, to)
+    allowed = dict(params) | {AMP_MAX: to}
+    return travel_of(best.amplitude_rad, allowed, reference.beat_s, identified)
+
+
+def _reason(
+    params: Mapping[str, float],
+    reference: Reference,
+    identified: Identified,
+    need: float,
+    to: float,
+    travel: Travel,
+) -> str:
+    top = float(np.max(reference.speed_m_s)) * 1e3
+    words = (
+        f"{hold_rad(identified, reference):.2f} rad hold the {top:.0f} mm/s of the reference, and "
+        f"it needs {need:.2f} with what learning adds"
+    )
+    if to < need - GRAIN_RAD / 2:
+        at_once = to >= params[AMP_MAX] + RAISE_MAX_RAD - GRAIN_RAD / 2
+        limit = f"at most {RAISE_MAX_RAD:g} at once" if at_once else "the servo turns no farther"
+        words += f"; {limit}"
+    step = params.get("DU_MAX_RAD", 0.0)
+    if step > 0:
+        words += f"; DU_MAX_RAD stays {step:.2f} per trial"
+    return f"{words}; way {travel.text()}"
+
+
+Array = NDArray[np.float64]
+
+AS_TOLD = 0.15  # of the speed the model tells: beyond it the model is not this fish up there
+_RAMP_BEATS, _CRUISE_BEATS, _CRUISE_LEAST, _COAST_BEATS = 4, 10, 4, 4
+_MARGIN_M = 0.15  # of the tank, left free, as identify does
+
+
+@dataclass(frozen=True)
+class Proof:
+    """``why_not``: what speaks against the amplitude; empty = nothing. ``words``: what was seen."""
+
+    words: str
+    why_not: str
+    straight: Straightness | None
+
+
+def prove(
+    fish: Fish,
+    amplitude_rad: float,
+    identified: Identified,
+    person: Person,
+    camera: Camera | None = None,
+    guard: Guard | None = None,
+    wanted: Wanted | None = None,
+) -> Proof:
+    """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
+    afterwards, also when it fails. ``wanted``: of the ritual before it; None = none. Raises
+    TailbeatError when the swim ends early."""
+    book = logbook_of(fish)
+
+    def note(text: str) -> None:
+        person.tell({"event": "notice", "text": text})
+
+    def keep(path: Path) -> None:
+        if book is not None:
+            book.keep(path, RUN)
+
+    with lent(fish, safe_folder(book), note, "session first", (AMP_MAX,)) as board:
+        allowed = board.params | {AMP_MAX: amplitude_rad}
+        amplitude = profile(amplitude_rad, identified, allowed)
+        if amplitude is None:
+            return Proof("", "the tank is too short even for the shortest swim with it", None)
+        predicted = identified.model.beats(amplitude, 1.0)
+        replace(board, params=allowed).prepare(
+            "first session", amplitude, predicted, {AMP_MAX: amplitude_rad}
+        )
+        if wanted is not None:
+            prepare(fish, wanted, camera, person)
+            countdown(fish, wanted, person)
+        watch = together(
+            guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
+            when(person.wants_abort, BY_HAND),
+        )  # fmt: skip
+        trial = board.swim(camera, person.tell, watch, lambda o: _judge(fish, o), keep)
+    return judged(trial, identified)
+
+
+def profile(
+    amplitude_rad: float, identified: Identified, params: Mapping[str, float]
+) -> Array | None:
+    """Up in four steps, as long at the amplitude as fits, then a coast; None = nothing fits."""
+    foot = min(identified.model.dead_zone_rad, amplitude_rad)
+    steps = np.arange(1, _RAMP_BEATS + 1) / (_RAMP_BEATS + 1)
+    ramp = foot + (amplitude_rad - foot) * steps
+    for beats in range(_CRUISE_BEATS, _CRUISE_LEAST - 1, -1):
+        swim = np.concatenate([ramp, np.full(beats, amplitude_rad), np.zeros(_COAST_BEATS)])
+        travel = travel_of(swim, params, 1.0, identified)
+        if travel.worst_m <= travel.room_m - _MARGIN_M:
+            return swim
+    return None
+
+
+def judged(trial: Trial, identified: Identified) -> Proof:
+    """What the swim says of the amplitude."""
+    straight = straightness(trial)
+    part = slope_of(trial, identified.model)
+    words = f"proved by a swim: {part:.2f} of the speed foretold"
+    if straight is not None:
+        words += f", {straight.text()}"
+    if straight is not None and straight.crooked:
+        return Proof(words, straight.text(), straight)
+    if np.isnan(part):
+        return Proof(words, "its swim has no speeds", straight)
+    if abs(part - 1) > AS_TOLD:
+        how = "slower" if part < 1 else "faster"
+        why = f"it swam {abs(part - 1):.0%} {how} than foretold: look at servo and tail, identify"
+        return Proof(words, why, straight)
+    return Proof(words, "", straight)
+
+
+def _judge(fish: Fish, outcome: TrialOutcome) -> None:
+    if outcome.end == "complete":
+        return
+    raise TailbeatError(
+        f"the swim that was to prove it ended with {outcome.end} after "
+        f"{outcome.executed_beats} beats; the limit stays.",
+        "Put it right, then: tailbeat session first",
+    )

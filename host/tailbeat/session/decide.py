@@ -1,0 +1,297 @@
+"""Single commands (learn, trial discard) in the experiment the fish is in: what they decide and
+what the board learns is written down as a series writes it, and in the same order.
+
+What is decided on a swim, carried out: journal and logbook first, then the board.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import InputError, Refused, TailbeatError
+from tailbeat.core.faults import WRONG_STATE, fault_info
+from tailbeat.experiment.board_state import copy_state
+from tailbeat.experiment.current import current, require_meant, require_meant_here, swims_for
+from tailbeat.experiment.library import DISCARDED, logbook_of
+from tailbeat.experiment.redo import write_redo
+from tailbeat.learning.convergence import rollback_words
+from tailbeat.session.collect import (
+    STOPPED,
+    dangerous,
+    keep_log,
+    outcome_of,
+    settled,
+    stop_words,
+    swum_of,
+)
+from tailbeat.session.log import Account
+from tailbeat.session.operator import Decision
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.link.messages import BoardStatus, LearnReport
+    from tailbeat.session.collect import Swum
+    from tailbeat.session.operator import DecisionKind, Person
+
+_NO_REASON = "by command, no reason given"
+
+
+@dataclass(frozen=True)
+class Noted:
+    """A decision that is in the experiment's journal. ``added``: by this command."""
+
+    account: Account
+    swum: Swum
+    added: bool
+
+    def learned(self, fish: Fish, report: LearnReport) -> None:
+        """What the board says it has learned, and its state. Raises InputError (disk full)."""
+        _write_down(fish, self.account, report)
+
+
+def pending_of(fish: Fish, number: int | None, command: str) -> int | None:
+    """The trial that waits, if it is the one that is meant. Raises Refused when the board is
+    stopped: it would turn ``command`` down."""
+    status = fish.status()
+    pending = status.pending_trial
+    if pending is None or number not in (None, pending):
+        return None
+    if status.state in STOPPED:
+        fault, refused = status.fault, fault_info(WRONG_STATE)
+        raise Refused(
+            refused.number,
+            refused.name,
+            f"the board is stopped ({fault.name}: {fault.meaning})",
+            f"tailbeat clear, then again: tailbeat {command}",
+        )
+    return pending
+
+
+def noted_decision(fish: Fish, number: int, kind: DecisionKind, reason: str = "") -> Noted | None:
+    """Into the experiment the fish swims for, with the trial's log, before the board hears of it.
+    None when it swims for none. Raises InputError (disk full)."""
+    if (account := _account(fish)) is None:
+        return None
+    log = keep_log(fish, account.experiment, number)
+    swum = swum_of(outcome_of(log.trial), log, None)
+    account.swum(swum)
+    before = account.decision_on(swum.file)
+    if kind == "keep" and before is not None and before.kind == kind:
+        return Noted(account, swum, added=False)  # as trial run --no-learn has it
+    account.decided(swum, Decision(kind, reason or _NO_REASON))
+    return Noted(account, swum, added=True)
+
+
+@contextlib.contextmanager
+def withdrawn_if_refused(noted: Noted | None) -> Iterator[None]:
+    """Around what tells the board: a decision that it refuses is asked again."""
+    try:
+        yield
+    except Refused as refused:
+        if noted is not None and noted.added:
+            noted.account.withdrawn(noted.swum, str(refused))
+        raise
+
+
+def learn_noted(fish: Fish, number: int | None, command: str) -> LearnReport:
+    """The board learns from the pending trial, whose log and decision its experiment has before.
+    When nothing waits, what the board has learned last and could not be written down then (disk
+    full) is written down. Raises InputError (disk full; parameters that are not as they are meant
+    to be), and Refused, of a stopped board before anything is written."""
+    pending = pending_of(fish, number, command)
+    if pending is not None:
+        require_meant_here(fish)
+    if pending is None and (owing := _owing(fish)) is not None:
+        account, owed = owing
+        if number in (None, owed):
+            report = fish.learn(owed)  # said again it only tells what it learned
+            _write_down(fish, account, report)
+            return report
+    noted = None if pending is None else noted_decision(fish, pending, "keep")
+    with withdrawn_if_refused(noted):
+        report = fish.learn(number)
+    if noted is not None:
+        noted.learned(fish, report)
+    return report
+
+
+def not_noted(fish: Fish) -> str:
+    """What a person should know when the fish is in an experiment that its swims are not of; empty
+    otherwise."""
+    experiment = current(fish)
+    if experiment is None or swims_for(fish) is not None:
+        return ""
+    return (
+        f"not written into {experiment.name}, which is of another reference; a new one begins with"
+        " the next guided trial run, or now: tailbeat experiment new"
+    )
+
+
+def restore_best_noted(fish: Fish) -> None:
+    """The best amplitudes swim next; the experiment knows."""
+    account = _account(fish)
+    fish.restore_best()
+    if account is None:
+        return
+    improved = [one for one in account.journal.entries("learned") if one.get("improved")]
+    account.journal.add("restored", trial=improved[-1]["trial"] if improved else None)
+    copy_state(fish, account.experiment)
+    write_redo(account.experiment)
+
+
+def state_noted(fish: Fish) -> None:
+    """Other amplitudes swim next: the experiment's copy of the board's state follows."""
+    if (account := _account(fish)) is not None:
+        copy_state(fish, account.experiment)
+
+
+def _account(fish: Fish) -> Account | None:
+    experiment = swims_for(fish)
+    return None if experiment is None else Account(experiment, experiment.journal)
+
+
+def _owing(fish: Fish) -> tuple[Account, int] | None:
+    """The trial that the board has learned from without the experiment's knowing it."""
+    account, status = _account(fish), fish.status()
+    if account is None or status.pending_trial is not None:
+        return None
+    owed = account.owed()
+    return (account, owed) if owed is not None and owed == status.last_learned_trial else None
+
+
+def _write_down(fish: Fish, account: Account, report: LearnReport) -> None:
+    account.journal.add("learned", **asdict(report))
+    copy_state(fish, account.experiment)
+    write_redo(account.experiment)
+
+
+_ROLLED_BACK = (
+    f"{rollback_words()}. Look before it swims on: did the fish, the water or the battery change?"
+    " If so, one repeat tells; if not, halve the gain"
+)
+
+
+@dataclass(frozen=True)
+class Done:
+    """What became of a decision. ``learned``: nothing was to be learned, or it was learned before,
+    when None. ``left``: the board stopped by a rule of its own and was left so, in words."""
+
+    learned: LearnReport | None = None
+    left: str = ""
+
+
+@dataclass(frozen=True)
+class Office:
+    """Decides with the person and carries it out."""
+
+    fish: Fish
+    person: Person
+    account: Account
+    learn: bool
+
+    def decide(self, swum: Swum) -> Decision:
+        """As it was decided before, else as the person says; journalled when this returns. Raises
+        InputError for what cannot be."""
+        decision = self.account.decision_on(swum.file)
+        if decision is None:
+            decision = self._of_itself(swum) or self.person.decide(swum)
+            self._require_possible(swum, decision)
+            self.account.decided(swum, decision)
+        told = {"trial": swum.outcome.number, "decision": decision.kind, "reason": decision.reason}
+        self.person.tell({"event": "decided", **told})
+        return decision
+
+    def carry_out(self, swum: Swum, decision: Decision) -> Done:
+        """The board learns from the trial or drops it. Clears what stopped it, unless that was a
+        rule of the board's own. Raises Refused; then it is asked again; InputError when the board
+        would learn with parameters nobody meant."""
+        self._file(swum, decision)
+        status = self.fish.status()
+        number = swum.outcome.number
+        if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
+            status = settled(self.fish, number)
+        if status.state in STOPPED:
+            if dangerous(status.fault):
+                return Done(left=stop_words(status))
+            self.fish.clear()
+            status = self.fish.status()
+        if decision.kind == "keep":  # somebody may have swapped the battery while it was asked
+            require_meant(self.fish, self.account.experiment)
+        try:
+            learned = self._on_board(swum, decision, status)
+        except Refused as refused:
+            self.account.withdrawn(swum, str(refused))
+            raise
+        self._require_done(swum, decision)
+        copy_state(self.fish, self.account.experiment)
+        return Done(learned)
+
+    def write_down(self, report: LearnReport) -> None:
+        """What the board has learned: journalled and told."""
+        self.account.journal.add("learned", **asdict(report))
+        self.person.tell({"event": "learned", **asdict(report)})
+        if report.rolled_back:
+            self.person.tell({"event": "notice", "text": _ROLLED_BACK})
+
+    def _of_itself(self, swum: Swum) -> Decision | None:
+        """Of a swim without a speed that the board does not hold: nobody can bring it any."""
+        number, end = swum.outcome.number, swum.outcome.end
+        if swum.measured_beats or self.fish.status().pending_trial == number:
+            return None
+        text = f"trial {number} ({end}) has no speeds: discarded, it counts for nothing"
+        self.person.tell({"event": "notice", "text": text})
+        return Decision("discard", f"{end}, no speeds")
+
+    def _require_possible(self, swum: Swum, decision: Decision) -> None:
+        number = swum.outcome.number
+        if decision.kind == "keep" and swum.measured_beats == 0:
+            raise InputError(
+                f"trial {number} has no speeds, so nothing can be learned from it; it waits",
+                f"Upload them (tailbeat speed upload --trial {number}), or discard it:"
+                " tailbeat trial discard --reason WHY",
+            )
+
+    def _require_done(self, swum: Swum, decision: Decision) -> None:
+        """Another program may have answered while this one asked. Raises TailbeatError."""
+        number, status = swum.outcome.number, self.fish.status()
+        waits = status.pending_trial == number
+        learned = status.last_learned_trial == number
+        if decision.kind != "keep" and learned:
+            what, remedy = (
+                "has learned from it",
+                "To swim the best so far next: tailbeat learn --restore-best",
+            )
+        elif decision.kind == "keep" and swum.measured_beats and not (learned or waits):
+            what, remedy = "does not hold it any more and has not learned from it", "Swim it again"
+        else:
+            return
+        self.account.withdrawn(swum, f"the board {what}")
+        raise TailbeatError(
+            f"trial {number} was decided on ({decision.kind}), but the board {what}: another "
+            "program was quicker; the decision is withdrawn",
+            f"{remedy}. See that only one program swims this fish.",
+        )
+
+    def _file(self, swum: Swum, decision: Decision) -> None:
+        """Into the fish's logbook; one that cannot take it is no reason to stop."""
+        try:
+            if (book := logbook_of(self.fish)) is not None:
+                book.keep(swum.file, DISCARDED if decision.kind == "discard" else "")
+        except TailbeatError as error:
+            self.person.tell({"event": "notice", "text": f"not kept in the logbook: {error}"})
+
+    def _on_board(self, swum: Swum, decision: Decision, status: BoardStatus) -> LearnReport | None:
+        number = swum.outcome.number
+        if status.pending_trial != number:
+            return None  # cut before a beat was swum, or carried out before
+        if decision.kind != "keep":
+            self.fish.discard(number)
+            return None
+        if not self.learn:
+            return None
+        report = self.fish.learn(number)
+        self.write_down(report)
+        return report

@@ -1,0 +1,159 @@
+"""The verdict on a series: by the trials of its experiment that count.
+
+One swim of a series: the guards around it, and the live view while it goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import TailbeatError
+from tailbeat.experiment.library import logbook_of
+from tailbeat.link.messages import SIMULATED_FISH
+from tailbeat.session.collect import trial_is_safe
+from tailbeat.session.guards import BY_HAND, Seen, together, when
+from tailbeat.session.positions import stash_of
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.learning.convergence import Verdict
+    from tailbeat.learning.identification import Identified
+    from tailbeat.link.mavlink import Message
+    from tailbeat.link.messages import TrialOutcome
+    from tailbeat.session.log import Account
+    from tailbeat.session.operator import Event, Person
+
+
+def judged(account: Account, around: Around, rolled_back: bool) -> Verdict | None:
+    """On the last trial; None, with a notice, when it cannot be given: the board has learned all
+    the same."""
+    from tailbeat.learning.verdict import progress_of
+
+    try:
+        trials = account.counting()
+        return progress_of(trials, None, _identified(around.fish), (), rolled_back).verdict
+    except TailbeatError as error:
+        around.person.tell({"event": "notice", "text": f"no verdict: {error}"})
+        return None
+
+
+def told(person: Person, verdict: Verdict | None) -> None:
+    """Tells it."""
+    if verdict is None:
+        return
+    values = ("words", "stop", "stop_reason", "advice")
+    saturated = "" if verdict.saturation is None else verdict.saturation.text
+    event = {name: getattr(verdict, name) for name in values}
+    person.tell({"event": "verdict", **event, "saturation": saturated})
+
+
+def _identified(fish: Fish) -> Identified | None:
+    book = logbook_of(fish)
+    return None if book is None else book.identified()
+
+
+_LIVE_PERIOD_S = 0.1  # of the transport's clock: what an eye follows
+_RUNNING = 3  # TAILBEAT_STATE
+
+
+@dataclass
+class Live:
+    """What the board tells while it swims, as one event now and then. A guard that stops nothing:
+    it is asked all the time, so it also shows how long the link has been silent."""
+
+    fish: Fish
+    person: Person
+    simulated: bool
+    _event: Event = field(default_factory=dict, init=False)
+    _told_s: float = field(default=-math.inf, init=False)
+    _running: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self._event = {
+            "event": "live",
+            "beat": None,
+            "beats": None,
+            "speed_m_s": None,
+            "reference_m_s": None,
+            "amplitude_rad": None,
+            "battery_v": None,
+            "silent_s": None,
+            "simulated": self.simulated,
+        }
+
+    def hear(self, message: Message) -> None:
+        """A message of the board's."""
+        kind, event = message.get_type(), self._event
+        if kind == "TAILBEAT_STATUS":
+            event |= {"beats": message.beats, "battery_v": message.battery_mv * 1e-3}
+            self._running = message.state == _RUNNING
+            if self._running:
+                event["beat"] = message.beat
+        elif kind == "TAILBEAT_LIVE" and self._running:
+            event |= {"beat": message.beat, "amplitude_rad": message.amplitude_rad}
+            if math.isfinite(message.speed_m_s):
+                event["speed_m_s"] = message.speed_m_s
+        elif kind == "TAILBEAT_BEAT":
+            event["reference_m_s"] = message.reference_m_s
+            if math.isfinite(message.speed_m_s):
+                event["speed_m_s"] = message.speed_m_s
+
+    def __call__(self, _: object) -> None:
+        """Tells, when it is time to."""
+        link = self.fish.link
+        now_s = link.transport.now_s()
+        if now_s - self._told_s < _LIVE_PERIOD_S:
+            return
+        self._told_s = now_s
+        silent_s = (now_s - link.last_heard_s) * self.fish.clock.rate
+        self.person.tell(self._event | {"silent_s": silent_s})
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a swim is done with. ``guard``: of the caller."""
+
+    fish: Fish
+    person: Person
+    camera: Camera | None
+    guard: Guard | None
+    reconnect_s: float
+
+
+@dataclass(frozen=True)
+class Swim:
+    """How it went. ``stopped``: why something here stopped it; empty = nothing did."""
+
+    outcome: TrialOutcome
+    stopped: str
+
+
+def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float) -> Swim:
+    """Swims the next trial and keeps what the camera saw. ``room`` ends it by distance. Raises what
+    Fish.run_trial raises."""
+    fish, person = around.fish, around.person
+    live = Live(fish, person, fish.info().board in SIMULATED_FISH)
+    stopped: list[str] = []
+
+    def on_event(event: Event) -> None:
+        if event["event"] == "guard":
+            stopped.append(event["reason"])
+        person.tell(event)
+
+    seen, camera = Seen(), around.camera
+    guard = together(around.guard, room, when(person.wants_abort, BY_HAND), seen, live)
+    stop_listening = fish.link.subscribe(live.hear)
+    try:
+        outcome = fish.run_trial(
+            camera, on_event, guard, around.reconnect_s, direction_rad=heading_rad
+        )
+        if camera is not None:
+            with trial_is_safe(outcome.number, experiment):
+                stash_of(experiment, outcome.number).put(seen.frames, camera, fish.clock)
+    finally:
+        stop_listening()
+    return Swim(outcome, stopped[0] if stopped else "")

@@ -1,0 +1,397 @@
+"""Stops the tail before the fish meets a wall.
+
+Guards of a swim that are not walls: the tank's length, a key, and all of several.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
+from tailbeat.link.messages import BeatEvent
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Guard
+    from tailbeat.sensors.camera.calibration.file import Calibration
+
+Floats = NDArray[np.float64]
+
+CRUISE_M_S = 0.08
+STOP_S = 0.5  # before the tail rests: picture, radio, and thrust that is under way
+KAPPA_PER_M = 10.0
+TOUCH_M_S = 0.01  # what comes slower than this does no harm
+NOSE_M = 0.20  # from the marker's centre to the tip of the head of a 36 cm fish
+LENGTH_M = 0.36
+HIT = "wall:"
+
+_WINDOW_S = 1.0  # or the nearest number of whole beats
+_WINDOW_MIN_S = 0.5
+_WHOLE = 0.9  # of the window, from which on the body's sway can be told from a speed
+_FRAMES_MIN = 6
+_SWIM_MAX_M_S = 0.5  # the nose, too, which sways at 0.25 m/s
+_JUMP_M = 0.05
+_AGREEING = 3
+_UNSEEN_S = 1.0
+_BLIND_S = 2.0
+
+
+def glide_m(speed_m_s: float, kappa_per_m: float) -> float:
+    """How far a fish goes on after its last thrust until it does no harm any more: drag takes the
+    speed down by exp(-kappa * way)."""
+    return max(math.log(max(speed_m_s, TOUCH_M_S) / TOUCH_M_S) / kappa_per_m, 0.0)
+
+
+def stopping_m(speed_m_s: float, kappa_per_m: float) -> float:
+    """How far it comes from the picture that shows it."""
+    return STOP_S * max(speed_m_s, 0.0) + glide_m(speed_m_s, kappa_per_m)
+
+
+class WallGuard:
+    """A guard for run_trial: sees frames, gives a reason to abort.
+
+    The fish's nose and tail keep away from the edges of ``calibration.area_m``: from each edge by
+    the way the fish needs to stop, at the speed it comes towards it (``stopping_m``; with
+    ``kappa_per_m`` 10, 0.25 m at 0.08 m/s). So a reference of 2.2 m fits into a tank of 3 m, since
+    a fish that slows down may come closer. ``zone_m``: instead, so far at 0.08 m/s, in proportion
+    to the speed otherwise. An edge that it does not come closer to at 0.01 m/s
+    or more does not count: the wall behind it at the start, one that it swims along. Without an
+    area, or with ``zone_m`` 0, it never aborts.
+
+    Its velocity is the mean over whole beats of ``beat_s``: the body's sway is not a speed. While
+    less is known only what goes along its heading counts.
+
+    A jump that no fish can swim (a wrong detection) is not believed before the third picture says
+    the same. A fish that is not seen (Unseen, or a picture that is not believed) is taken to go on
+    as it did, after a second as fast as then or as it should, whichever is more. A camera that is
+    gone (CameraGone), or has never seen the fish within 2 s, is a reason of its own. Afresh begins
+    anew.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        zone_m: float | None = None,
+        nose_m: float = NOSE_M,
+        beat_s: float = 1.0,
+        kappa_per_m: float = KAPPA_PER_M,
+    ) -> None:
+        area = calibration.area_m if zone_m is None or zone_m > 0 else None
+        self._walls = None if area is None else _inward(np.asarray(area, dtype=np.float64))
+        self._zone_s = None if zone_m is None else zone_m / CRUISE_M_S
+        self._kappa_per_m = kappa_per_m
+        self._ends_m = np.array([nose_m, nose_m - LENGTH_M])
+        self._beat_s = beat_s
+        self._window_s = beat_s * max(1, round(_WINDOW_S / beat_s))
+        self._begin()
+
+    def _begin(self) -> None:
+        self._seen: deque[Frame] = deque()
+        self._doubted: list[Frame] = []
+        self._velocity = np.zeros(2)
+        self._reference_m_s = 0.0  # of the last beat
+        self._since_s = math.nan  # the first moment there is word of
+        self._reckoned_s = 0.0  # how far in time, and where to since it was seen
+        self._ahead_m = np.zeros(2)
+
+    def __call__(self, what: object) -> str | None:
+        """The reason to abort, starting with HIT when it is a wall, or None. ``what``: a Frame,
+        Unseen, a BeatEvent, Afresh, CameraGone; all else is ignored."""
+        if self._walls is None:
+            return None
+        if isinstance(what, Frame):
+            return self._look(what)
+        if isinstance(what, Unseen):
+            return self._reckon(what.t_s)
+        if isinstance(what, BeatEvent):
+            self._reference_m_s = what.reference_m_s
+        if isinstance(what, Afresh):
+            self._begin()
+        if isinstance(what, CameraGone):
+            return "the camera that guards the walls is gone"
+        return None
+
+    def _look(self, frame: Frame) -> str | None:
+        if not self._believed(frame):
+            return self._reckon(frame.t_s)
+        self._velocity = self._fitted()
+        self._reckoned_s, self._ahead_m = frame.t_s, np.zeros(2)
+        return self._judge(self._place(frame), self._velocity, "")
+
+    def _believed(self, frame: Frame) -> bool:
+        """Takes a frame into what was seen; not one before or far from the last."""
+        if not all(map(math.isfinite, (frame.t_s, frame.x_m, frame.y_m, frame.heading_rad))):
+            return False
+        seen = self._seen
+        if seen and frame.t_s <= seen[-1].t_s:
+            return False
+        if seen and not self._within_reach(seen[-1], frame):
+            if self._doubted and not self._within_reach(self._doubted[-1], frame):
+                self._doubted.clear()
+            self._doubted.append(frame)
+            if len(self._doubted) < _AGREEING:
+                return False
+            seen.clear()
+            seen.extend(self._doubted[:-1])
+        self._doubted.clear()
+        seen.append(frame)
+        while frame.t_s - seen[0].t_s > self._window_s * 1.001:
+            seen.popleft()
+        return True
+
+    def _within_reach(self, before: Frame, after: Frame) -> bool:
+        """Also by the ends: a marker that is read back to front stays where it is."""
+        moved = np.abs(self._place(after) - self._place(before)).max()
+        return bool(moved <= _SWIM_MAX_M_S * (after.t_s - before.t_s) + _JUMP_M)
+
+    def _fitted(self) -> Floats:
+        """Velocity by a line through what was seen, across the heading by one that also follows the
+        body's sway; nothing across it before that was seen for whole beats. The last one known
+        while not even the line is long enough."""
+        t = np.array([f.t_s for f in self._seen])
+        span_s = t[-1] - t[0]
+        if span_s < min(_WINDOW_MIN_S, _WHOLE * self._window_s):
+            return self._velocity
+        t -= t.mean()
+        xy = np.array([(f.x_m, f.y_m) for f in self._seen])
+        headings = np.array([f.heading_rad for f in self._seen])
+        mean_rad = math.atan2(np.sin(headings).sum(), np.cos(headings).sum())
+        along = np.array([math.cos(mean_rad), math.sin(mean_rad)])
+        velocity: Floats = (t @ xy @ along) / (t @ t) * along
+        gaps_s = np.diff(t)
+        whole = span_s >= _WHOLE * self._window_s and gaps_s.max() <= self._beat_s / 4
+        if whole and len(t) >= _FRAMES_MIN:
+            across = np.array([-along[1], along[0]])
+            velocity += _beside_sway(t, xy @ across, self._beat_s) * across
+        return velocity
+
+    def _reckon(self, now_s: float) -> str | None:
+        """Where a fish that is not seen has come to."""
+        if not math.isfinite(now_s):
+            return None
+        if not self._seen:
+            self._since_s = now_s if math.isnan(self._since_s) else self._since_s
+            blind = now_s - self._since_s > _BLIND_S
+            return "the camera that guards the walls does not see the fish" if blind else None
+        last = self._seen[-1]
+        if now_s <= self._reckoned_s:
+            return None
+        long_ago = now_s - last.t_s > _UNSEEN_S
+        velocity = self._supposed(last) if long_ago else self._velocity
+        self._ahead_m = self._ahead_m + velocity * (now_s - self._reckoned_s)
+        self._reckoned_s = now_s
+        how = ", not seen any more" if long_ago else ""
+        return self._judge(self._place(last) + self._ahead_m, velocity, how)
+
+    def _supposed(self, last: Frame) -> Floats:
+        """Velocity of a fish that nobody sees."""
+        speed = float(np.hypot(*self._velocity))
+        along = np.array([math.cos(last.heading_rad), math.sin(last.heading_rad)])
+        if speed > 2 * TOUCH_M_S:
+            along = self._velocity / speed
+        supposed: Floats = max(speed, self._reference_m_s) * along
+        return supposed
+
+    def _place(self, frame: Frame) -> Floats:
+        """Nose and end of the tail, (2, 2)."""
+        along = np.array([math.cos(frame.heading_rad), math.sin(frame.heading_rad)])
+        place: Floats = np.array([frame.x_m, frame.y_m]) + self._ends_m[:, None] * along
+        return place
+
+    def _zone_m(self, towards_m_s: Floats) -> Floats:
+        """How near is too near, for each wall."""
+        if self._zone_s is not None:
+            return self._zone_s * towards_m_s
+        return np.array([stopping_m(float(v), self._kappa_per_m) for v in towards_m_s])
+
+    def _judge(self, place: Floats, velocity: Floats, how: str) -> str | None:
+        assert self._walls is not None
+        inward, offset = self._walls
+        left_m = (place @ inward.T - offset).min(axis=0)
+        towards_m_s = -(inward @ velocity)
+        near = (towards_m_s >= TOUCH_M_S) & (left_m < self._zone_m(towards_m_s))
+        if not near.any():
+            return None
+        worst = int(np.argmin(np.where(near, left_m, np.inf)))
+        return f"{HIT} {max(left_m[worst], 0):.2f} m away at {towards_m_s[worst]:.3f} m/s{how}"
+
+
+def _beside_sway(t_s: Floats, y_m: Floats, beat_s: float) -> float:
+    """Slope of a line, were it not for an oscillation of one period per beat: a line alone, over
+    one beat, would take up to 6/pi of its amplitude for a way."""
+    phase = math.tau * t_s / beat_s
+    terms = np.stack([t_s, np.ones_like(t_s), np.sin(phase), np.cos(phase)], axis=1)
+    return float(np.linalg.lstsq(terms, y_m, rcond=None)[0][0])
+
+
+def _inward(corners: Floats) -> tuple[Floats, Floats]:
+    """Of each edge the unit vector into the area, (n, 2), and ``offset``: a point p is
+    inward @ p - offset away from it, inside positive."""
+    along = np.roll(corners, -1, axis=0) - corners
+    inward = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    offset = (inward * corners).sum(axis=1)
+    if (corners.mean(axis=0) @ inward.T < offset).any():
+        inward, offset = -inward, -offset
+    return inward, offset
+
+
+Array = NDArray[np.float64]
+
+TOO_FAR = "room:"  # how its reasons begin
+BY_HAND = "stopped by hand"  # the reason of a person who wants it to end
+
+_LATE_S = 2.0  # SPD_LATE_S + SPD_GAP_S as they are by default
+_STOP_S = 0.5  # radio, the glide to the centre, thrust that is under way
+_LOOK_BACK = 4  # beats
+_PLANNED_M = 0.1  # less is too little to tell by how much a fish differs from what was planned
+_RATIO = (0.25, 4.0)
+
+
+def together(*guards: Guard | None) -> Guard:
+    """Asks every guard (all see everything); the first reason counts."""
+    there = [guard for guard in guards if guard is not None]
+
+    def ask(seen: object) -> str | None:
+        reasons = [guard(seen) for guard in there]
+        return next((reason for reason in reasons if reason), None)
+
+    return ask
+
+
+@dataclass
+class RoomGuard:
+    """Stops a fish that has swum as far as the tank allows, less the way it glides on: by the sums
+    of its beats' speeds, which come ``late_s`` after their ends. ``room_m`` 0 or infinite: never.
+
+    ``planned_m_s``: the speeds that are expected, per beat and for the glide after the last one.
+    A fish that will come to rest in time if it goes on differing from them as it did is let swim;
+    without them it is stopped where it could just still be. A beat without a speed counts as fast
+    as the last one, or as planned. ``way_m``: so far, up to the end of the last beat heard of.
+    """
+
+    room_m: float
+    beat_s: float = 1.0
+    kappa_per_m: float = 10.0
+    planned_m_s: ArrayLike | None = None
+    late_s: float = _LATE_S
+    way_m: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        planned = () if self.planned_m_s is None else self.planned_m_s
+        self._planned = np.asarray(planned, dtype=np.float64)
+        self._begin()
+
+    @classmethod
+    def of_params(
+        cls,
+        params: Mapping[str, float],
+        beat_s: float = 1.0,
+        kappa_per_m: float | None = None,
+        planned_m_s: ArrayLike | None = None,
+    ) -> RoomGuard:
+        """For a board with these parameters. ``kappa_per_m`` None: MDL_KAPPA."""
+        tank_m = params["TANK_LEN_M"]
+        room_m = max(tank_m - params["FISH_LEN_M"], 0.01) if tank_m > 0 else math.inf
+        kappa = params["MDL_KAPPA"] if kappa_per_m is None else kappa_per_m
+        late_s = params["SPD_LATE_S"] + params["SPD_GAP_S"]
+        return cls(room_m, beat_s, kappa, planned_m_s, late_s)
+
+    def _begin(self) -> None:
+        self.way_m = 0.0
+        self._speeds: list[float] = []
+        self._measured: list[bool] = []
+
+    def __call__(self, seen: object) -> str | None:
+        """Looks at results.BeatEvent, and at Afresh, which begins anew."""
+        if isinstance(seen, Afresh):
+            self._begin()
+        if not isinstance(seen, BeatEvent) or self.room_m <= 0 or math.isinf(self.room_m):
+            return None
+        if seen.beat < len(self._speeds):
+            return None
+        while len(self._speeds) < seen.beat:
+            self._take(None)
+        self._take(seen.speed_m_s)
+        return self._judge()
+
+    def _take(self, speed_m_s: float | None) -> None:
+        known = speed_m_s is not None and math.isfinite(speed_m_s)
+        speed = float(speed_m_s) if known and speed_m_s is not None else self._supposed()
+        self._speeds.append(speed)
+        self._measured.append(known)
+        self.way_m += speed * self.beat_s
+
+    def _supposed(self) -> float:
+        """Speed of the next beat, which nobody measured."""
+        last = self._speeds[-1] if self._speeds else 0.0
+        beat = len(self._speeds)
+        return self._ratio() * float(self._planned[beat]) if beat < len(self._planned) else last
+
+    def _judge(self) -> str | None:
+        """Whether now is the last moment: a beat later, with what is under way, would be too late
+        to stop."""
+        at_m_s = max(self._ahead_m_s(), 0.0)
+        under_way_m = at_m_s * (self.late_s + self.beat_s + _STOP_S)
+        reach_m = self.way_m + under_way_m + glide_m(at_m_s, self.kappa_per_m)
+        if reach_m < self.room_m or self._will_rest_in_time():
+            return None
+        return (
+            f"{TOO_FAR} it has swum {self.way_m:.2f} m and needs to "
+            f"{min(reach_m, 9.99):.2f} m to stop; there are {self.room_m:.2f} m"
+        )
+
+    def _ahead_m_s(self) -> float:
+        """The fastest it may be until a stop takes hold: as fast as it was, and faster by as much
+        as is planned."""
+        last = self._speeds[-1]
+        beat = len(self._speeds)
+        soon = self._planned[beat : beat + math.ceil(self.late_s / self.beat_s) + 2]
+        return max(last, self._ratio() * float(soon.max())) if soon.size else last
+
+    def _ratio(self) -> float:
+        """How much faster than planned it swims: of all its beats or the last few, which is more;
+        1 while too little is known."""
+        count = min(len(self._speeds), len(self._planned))
+        known = np.array(self._measured[:count], dtype=bool)
+        speed, planned = np.array(self._speeds[:count]), self._planned[:count]
+        ratios = []
+        for part in (slice(0, count), slice(max(count - _LOOK_BACK, 0), count)):
+            seen = known[part]
+            expected = float(planned[part][seen].sum())
+            if expected * self.beat_s >= _PLANNED_M:
+                ratios.append(float(speed[part][seen].sum()) / expected)
+        return min(max(max(ratios, default=1.0), _RATIO[0]), _RATIO[1])
+
+    def _will_rest_in_time(self) -> bool:
+        """By what is planned, if the rest of it differs as what is known did."""
+        beat = len(self._speeds)
+        if not len(self._planned) or beat > len(self._planned):
+            return False
+        left_m = float(self._planned[beat:].sum()) * self.beat_s
+        return self.way_m + self._ratio() * left_m < self.room_m
+
+
+def when(wanted: Callable[[], bool], reason: str) -> Guard:
+    """Aborts with ``reason`` as soon as ``wanted()``."""
+    return lambda _: reason if wanted() else None
+
+
+@dataclass
+class Seen:
+    """Keeps every frame of the swim; stops nothing."""
+
+    frames: list[Frame] = field(default_factory=list)
+
+    def __call__(self, seen: object) -> str | None:
+        """Takes frames, and forgets them on Afresh."""
+        if isinstance(seen, Afresh):
+            self.frames.clear()
+        elif isinstance(seen, Frame):
+            self.frames.append(seen)
+        return None

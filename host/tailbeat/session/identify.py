@@ -1,0 +1,166 @@
+"""Identifies a connected fish: the runs of ``runs`` swum one by one on its board, which is lent for
+that (``lent``): it has everything back afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.board.loan import Lent, lent, set_for_good
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.learning.fish_model import FishModel, Swim, swim_of
+from tailbeat.learning.fit import Prior
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification_runs import Limits, Run, identify_runs
+from tailbeat.link.messages import SPEED_SOURCES, TrialOutcome
+from tailbeat.session.guards import BY_HAND, RoomGuard, together, when
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Event, Fish, Guard
+    from tailbeat.core.frames import Camera
+
+Array = NDArray[np.float64]
+
+MODEL_PARAMS = {
+    "MDL_KAPPA": "kappa_per_m",
+    "MDL_SLOPE": "slope_m_s_rad",
+    "MDL_DEAD_RAD": "dead_zone_rad",
+    "MDL_DELAY_S": "delay_s",
+}
+_SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
+_NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
+_GLIDES_ON = 0.5  # of the drag that is believed: a fish nobody knows may glide twice as far
+
+
+@dataclass(frozen=True)
+class Attendant:
+    """Who sees to an identification. ``before``: told of each run once the board has its
+    amplitudes, returns when it may begin, raises to end it all. ``speeds``: (trial, beats, beat_s)
+    to speeds measured after the swim, NaN = not measured, one per beat; None: nobody can give any.
+    ``event``: what happens meanwhile. ``keep``: gets every trial's file. ``note``: told what else a
+    person should know. ``guard``: of the walls; what it stops has told enough once it has swum a
+    little. ``wants_abort``: whether to stop the tail and end it all, asked some ten times a
+    second."""
+
+    before: Callable[[Run], None] = lambda run: None
+    speeds: Callable[[int, int, float], ArrayLike] | None = None
+    event: Callable[[Event], None] = lambda event: None
+    keep: Callable[[Path], object] = lambda path: None
+    note: Callable[[str], None] = lambda text: None
+    guard: Guard | None = None
+    wants_abort: Callable[[], bool] = lambda: False
+
+
+def identify_fish(
+    fish: Fish,
+    attendant: Attendant,
+    safe: Path | None = None,
+    camera: Camera | None = None,
+    limits: Limits | None = None,
+    quick: bool = False,
+) -> Identified:
+    """Swims the runs and fits the fish to them. ``safe``: folder for the copy of what the board
+    held; a copy that is there already is put back when a run was broken off, and never overwritten.
+    Raises InputError when the board cannot begin, TailbeatError when a run goes wrong."""
+    source = SPEED_SOURCES[round(fish.params.get("SPD_SOURCE").value)]
+    if source == "upload" and attendant.speeds is None:
+        raise InputError(
+            "SPD_SOURCE is upload, and nobody is asked for the speeds.",
+            "Leave out --yes and --json, or swim by hand and give the files with --trials.",
+        )
+    with lent(fish, safe, attendant.note, "identify") as board:
+        swimmer = _Swimmer(board, attendant, source, camera)
+        return identify_runs(
+            swimmer.swim,
+            limits or Limits.from_params(board.params),
+            prior_of(board.params),
+            on_run=swimmer.begin,
+            quick=quick,
+            unique_id=board.held.unique_id,
+        )
+
+
+def prior_of(params: dict[str, float]) -> Prior:
+    """Around the model the board has, as wide as for any fish."""
+    values = {field: params[name] for name, field in MODEL_PARAMS.items()}
+    fits = values["kappa_per_m"] > 0 and values["slope_m_s_rad"] > 0
+    return Prior(FishModel(**values)) if fits else Prior()
+
+
+def set_params(fish: Fish, identified: Identified) -> dict[str, float]:
+    """The model becomes the board's, for good; what was assumed does not. Other parameters that
+    were changed but not saved stay so."""
+    wanted = {
+        name: getattr(identified.model, field)
+        for name, field in MODEL_PARAMS.items()
+        if field not in identified.assumed
+    }
+    return set_for_good(fish, wanted)
+
+
+@dataclass
+class _Swimmer:
+    """Swims runs on the board."""
+
+    board: Lent
+    attendant: Attendant
+    source: str
+    camera: Camera | None
+    run: Run | None = field(default=None)
+    stopped: bool = field(default=False, init=False)
+
+    def begin(self, run: Run) -> None:
+        self.run = run
+
+    def swim(self, amplitude: Array) -> Swim:
+        run = self.run
+        assert run is not None
+        self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
+        self.attendant.before(run)
+        guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
+        swum = self.board.swim(
+            self.camera, self.attendant.event, guard, self._judge, self.attendant.keep
+        )
+        return swim_of(swum)
+
+    def _stop(self) -> bool:
+        self.stopped = self.stopped or self.attendant.wants_abort()
+        return self.stopped
+
+    def _room(self, run: Run) -> RoomGuard:
+        """A run ends in its coast-down, so that what is predicted of it is all there is."""
+        kappa = self.board.params["MDL_KAPPA"] * _GLIDES_ON
+        return RoomGuard.of_params(self.board.params, 1.0, kappa, run.predicted_m_s)
+
+    def _judge(self, outcome: TrialOutcome) -> None:
+        assert self.run is not None
+        if outcome.end != "complete":
+            self._judge_end(self.run, outcome.end, outcome.executed_beats)
+        if self.source == "upload":
+            self._upload_speeds(outcome.number)
+
+    def _judge_end(self, run: Run, end: str, beats: int) -> None:
+        """A run that was stopped for lack of room has told enough."""
+        self.board.fish.clear()
+        if self.stopped:
+            raise TailbeatError(
+                f"run {run.number} was {BY_HAND}.",
+                "The board has back what it held; begin again when it is put right.",
+            )
+        if end in _NO_ROOM and beats > 2:
+            return
+        raise TailbeatError(
+            f"run {run.number} ended with {end} after {beats} beats.",
+            "Put it right, then identify again.",
+        )
+
+    def _upload_speeds(self, trial: int) -> None:
+        assert self.run is not None and self.attendant.speeds is not None
+        speeds = self.attendant.speeds(trial, self.run.beats, 1.0)
+        self.board.fish.upload_speeds(trial, speeds, np.full(self.run.beats, _SPEED_SIGMA_M_S))

@@ -1,0 +1,193 @@
+"""What the journal of an experiment tells a series that goes on: what was begun, swum, decided."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.current import reference_crc
+from tailbeat.session.battery import Drain
+from tailbeat.session.operator import KINDS, Decision
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.experiment.journal import Journal
+    from tailbeat.session.collect import Swum
+    from tailbeat.session.preflight.step import Ready
+
+Entry = dict[str, Any]
+_CLOCKS_AGREE_S = 1.0
+
+
+@dataclass(frozen=True)
+class Account:
+    """Trials are known by their raw files: a board whose storage was made anew counts from 1
+    again, and a number alone would mistake one trial's decision for another's."""
+
+    experiment: Experiment
+    journal: Journal
+
+    def begun(
+        self, trial: int, iteration: int, ready: Ready | None, battery_v: float, board_s: float
+    ) -> None:
+        """Before the countdown: whatever happens from now on, this trial is asked for. ``board_s``:
+        now, by the board's clock."""
+        self.journal.add(
+            "begun",
+            trial=trial,
+            iteration=max(1, iteration),  # a board that was never armed counts from 0
+            **_found(ready),
+            battery_start_v=battery_v,
+            board_s=board_s,
+        )
+
+    def is_begun(self, trial: Trial) -> bool:
+        """Whether a log is of the swim that was begun last: by its number, its reference, and that
+        it started later."""
+        last = self._last(("begun", "swum", "void"))
+        crc = reference_crc(self.experiment)
+        if (
+            last is None
+            or last.get("trial") != trial.number
+            or crc not in (None, trial.reference_crc)
+        ):
+            return False
+        begun_s = last.get("board_s") if last["what"] == "begun" else None
+        return begun_s is None or trial.start_us * 1e-6 >= begun_s - _CLOCKS_AGREE_S
+
+    def first_yaw_deg(self, since: datetime) -> float | None:
+        """Of the IMU at the first start after ``since`` and after the battery was last changed:
+        the IMU counts its yaw anew when it is switched on."""
+        found = None
+        for entry in self.journal.entries():
+            if entry["what"] == "resumed":
+                found = None
+            pose = entry.get("pose") if entry["what"] == "begun" else None
+            if found is None and pose and datetime.fromisoformat(entry["time"]) >= since:
+                found = pose.get("yaw_deg")
+        return found
+
+    def open_trial(self) -> int | None:
+        """A trial that was begun and is not known to have been swum, or on which nobody decided."""
+        last = self._last(("begun", "swum", "void", "decided", "learned"))
+        is_open = last is not None and last["what"] in ("begun", "swum")
+        return int(last["trial"]) if is_open and last is not None else None
+
+    def void(self, trial: int, end: str) -> None:
+        """Given up, or ended before its first beat; the board has no log of it."""
+        self.journal.add("void", trial=trial, end=end)
+
+    def swum(self, swum: Swum) -> None:
+        """Once its log is in the raw files; a second time does nothing."""
+        number, file = swum.outcome.number, swum.file.name
+        if any(entry.get("file") == file for entry in self.journal.entries("swum")):
+            return
+        begun = self._last(("begun", "swum"))
+        found = _found(swum.ready)
+        if swum.ready is None and begun and begun["what"] == "begun" and begun["trial"] == number:
+            found = {key: begun.get(key) for key in found}
+        self.journal.add(
+            "swum",
+            trial=number,
+            iteration=swum.outcome.iteration,
+            end=swum.outcome.end,
+            file=file,
+            **found,
+            battery_start_v=swum.battery_start_v,
+            battery_end_v=swum.battery_end_v,
+            straight=None if swum.straight is None else asdict(swum.straight),
+            problems=list(swum.problems),
+        )
+
+    def decided(self, swum: Swum, decision: Decision) -> None:
+        """Before the board hears of it."""
+        self.journal.add(
+            "decided",
+            trial=swum.outcome.number,
+            decision=decision.kind,
+            reason=decision.reason,
+            file=swum.file.name,
+        )
+
+    def withdrawn(self, swum: Swum, why: str) -> None:
+        """The board refused what was decided: it is asked again."""
+        self.journal.add("withdrawn", trial=swum.outcome.number, file=swum.file.name, reason=why)
+
+    def decision_on(self, file: Path) -> Decision | None:
+        """What was decided on a trial."""
+        return self._decisions().get(file.name)
+
+    def _decisions(self) -> dict[str, Decision]:
+        """The last on every file, by its name."""
+        found: dict[str, Decision] = {}
+        for entry in self.journal.entries():
+            name = str(entry.get("file"))
+            if entry["what"] == "withdrawn":
+                found.pop(name, None)
+            elif entry["what"] == "decided" and entry["decision"] in KINDS:
+                found[name] = Decision(entry["decision"], entry.get("reason") or "")
+        return found
+
+    def owed(self) -> int | None:
+        """A trial decided to be learned from, of which nothing is known since: the board may have
+        learned, but what it said was not written down."""
+        last = self._last(("decided", "withdrawn", "learned", "begun"))
+        owes = last is not None and last["what"] == "decided" and last["decision"] == "keep"
+        return int(last["trial"]) if owes and last is not None else None
+
+    def counting(self) -> list[Trial]:
+        """Trials in the order they were swum, without the discarded."""
+        trials, decisions = [], self._decisions()
+        for entry in self.journal.entries("swum"):
+            path = self.experiment.raw / str(entry.get("file"))
+            decision = decisions.get(path.name)
+            if decision is not None and decision.kind != "discard" and path.is_file():
+                trials.append(read_trial(path))
+        return trials
+
+    def drains(self) -> list[Drain]:
+        """Of the swims since the battery was last changed."""
+        drains: list[Drain] = []
+        for entry in self.journal.entries():
+            if entry["what"] == "resumed":
+                drains = []
+            elif entry["what"] == "swum" and (drain := self._drain(entry)) is not None:
+                drains.append(drain)
+        return drains
+
+    def _drain(self, entry: Mapping[str, Any]) -> Drain | None:
+        start_v, end_v = entry.get("battery_start_v"), entry.get("battery_end_v")
+        if start_v is None or end_v is None:
+            return None
+        try:
+            trial = read_trial(self.experiment.raw / str(entry.get("file")))
+        except InputError:
+            return Drain(start_v, end_v, end_v)
+        least_v = min((volt for t_s, volt in trial.battery_v if t_s >= 0), default=end_v)
+        return Drain(start_v, end_v, min(least_v, end_v))
+
+    def _last(self, kinds: tuple[str, ...]) -> Entry | None:
+        found = None
+        for entry in self.journal.entries():
+            if entry["what"] in kinds:
+                found = entry
+        return found
+
+
+def _found(ready: Ready | None) -> Entry:
+    """What the ritual found, as the journal keeps it."""
+    if ready is None:
+        return {"rested_s": None, "pose": None, "drift": None, "travel": None}
+    return {
+        "rested_s": ready.rested_s,
+        "pose": None if ready.pose is None else asdict(ready.pose),
+        "drift": None if ready.drift is None else asdict(ready.drift),
+        "travel": asdict(ready.travel),
+    }

@@ -1,0 +1,61 @@
+"""Whoever is at the tank: a terminal, a page in a browser, a script."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+from tailbeat.core.errors import InputError
+
+if TYPE_CHECKING:
+    from tailbeat.session.collect import Swum
+
+Event = dict[str, Any]
+"""``event`` names it. Besides those of Fish.run_trial:
+
+``step``: {step, text, ok, left_s} of the ritual; ``ok`` None = under way, ``left_s`` None = unknown
+``countdown``: {left_s}, whole seconds, 0 = it swims
+``live``: {beat, beats, speed_m_s, reference_m_s, amplitude_rad, battery_v, silent_s, simulated};
+None = not known
+``swum``: {trial, ...} the fields of Swum; ``decided``: {trial, decision, reason}
+``learned``: the fields of LearnReport; ``verdict``: {words, stop, stop_reason, advice, saturation}
+``notice``: {text}, something to know that stops nothing
+"""
+
+DecisionKind = Literal["keep", "repeat", "discard"]
+KINDS: tuple[DecisionKind, ...] = ("keep", "repeat", "discard")
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What becomes of a swim. ``keep``: it is learned from. ``repeat``: its log counts as a repeat,
+    nothing is learned, the same amplitudes swim again. ``discard``: it counts for nothing, the same
+    amplitudes swim again. ``reason``: needed unless it is kept."""
+
+    kind: DecisionKind
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError(f"'{self.kind}' is no decision.", f"Say {', '.join(KINDS)}.")
+        if self.kind != "keep" and not self.reason.strip():
+            raise InputError(
+                f"a swim to {self.kind} needs a reason.", "Say it in a few words: bumped the wall."
+            )
+
+
+class Person(Protocol):
+    """All methods are called in the thread that swims, none is called in another."""
+
+    def tell(self, event: Event) -> None:
+        """Something happened. Must return at once."""
+
+    def wants_abort(self) -> bool:
+        """Whether the tail is to stop, or the waiting before the start to end; asked some ten times
+        a second. Stays true until the swim or the waiting has ended."""
+
+    def decide(self, swum: Swum) -> Decision:
+        """What becomes of it; may take as long as it likes, the tail is still."""
+
+    def confirm(self, question: str) -> bool:
+        """A question with yes or no; as above."""

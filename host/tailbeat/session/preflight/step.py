@@ -1,0 +1,144 @@
+"""What the ritual asks for, what it finds, and how it says no.
+
+One step of the ritual while it is waited for: tells how it stands, and when it is given up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import TailbeatError
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.session.operator import Person
+    from tailbeat.session.room import Travel
+
+
+class NotReady(TailbeatError):
+    """A swim may not begin; nothing on the board has changed."""
+
+
+class BatteryLow(NotReady):
+    """Before anything has swum; the board would not arm."""
+
+
+class GivenUp(NotReady):
+    """The person did not want to wait any longer."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for. Times in s of board time. ``rest_s`` since the last swim's end.
+    ``drift_max_m_s`` over ``still_s``; 0 s = not looked at. ``countdown_s``: 0 to 60.
+    ``patience_s``: how long a step may take after the rest. ``start_yaw_deg``: of the IMU at an
+    earlier start of the same series; None = not compared."""
+
+    rest_s: float = 30.0
+    still_s: float = 10.0
+    drift_max_m_s: float = 0.002
+    heading_max_rad: float = math.radians(10.0)
+    aside_max_m: float = 0.10
+    countdown_s: float = 5.0
+    patience_s: float = 120.0
+    start_yaw_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the fish lies: mean over a second. ``source`` ``camera``: position and heading in the
+    tank's frame, and ``yaw_deg`` (VN-100, as mounted) if there is an IMU; ``imu``: the yaw only.
+    None = not known."""
+
+    source: str
+    x_m: float | None = None
+    y_m: float | None = None
+    heading_rad: float | None = None
+    yaw_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Speed of a fish that nobody touches: over ground by the camera, so that of the water too; by
+    the IMU (``source`` ``imu``) only that nothing moves it, with no speed (NaN)."""
+
+    source: str
+    speed_m_s: float
+    sigma_m_s: float
+    over_s: float
+
+
+@dataclass(frozen=True)
+class Ready:
+    """What the ritual found. ``rested_s``: at least; None = has not swum since it was made."""
+
+    travel: Travel
+    rested_s: float | None
+    pose: Pose | None
+    drift: Drift | None
+    battery_v: float
+
+
+_LOOK_S = 0.1  # of board time; so often the person is asked
+_TELL_S = 0.5  # words that change all the time are told so often
+_SILENT_S = 5.0  # of board time without a word from the board, after which it is asked
+
+
+class Step:
+    """``name`` as in person.Event; times in s of board time, from when it was made."""
+
+    def __init__(self, fish: Fish, person: Person, name: str, patience_s: float = math.inf) -> None:
+        self.fish = fish
+        self._person, self._name, self._patience_s = person, name, patience_s
+        self._begin_s = fish.transport.now_s()
+        self._told: tuple[str, bool | None, int | None] | None = None
+        self._told_at_s = -math.inf
+
+    @property
+    def elapsed_s(self) -> float:
+        """How long it has taken."""
+        return (self.fish.transport.now_s() - self._begin_s) * self.fish.clock.rate
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the patience is used up."""
+        return self.elapsed_s > self._patience_s
+
+    def tell(self, text: str, ok: bool | None = None, left_s: float | None = None) -> None:
+        """How it stands, unless that has just been said."""
+        whole_s = None if left_s is None else math.ceil(max(left_s, 0.0))
+        now = (text, ok, whole_s)
+        same_second = self._told is not None and now[1:] == self._told[1:]
+        if now == self._told or (same_second and self.elapsed_s - self._told_at_s < _TELL_S):
+            return
+        self._told, self._told_at_s = now, self.elapsed_s
+        self._person.tell(
+            {"event": "step", "step": self._name, "text": text, "ok": ok, "left_s": whole_s}
+        )
+
+    def notice(self, text: str) -> None:
+        """Something to know that stops nothing."""
+        self._person.tell({"event": "notice", "text": text})
+
+    def refuse(self, what: str, remedy: str) -> NotReady:
+        """The error to raise, told."""
+        self._told = None
+        self.tell(what, ok=False)
+        return NotReady(what, remedy)
+
+    def wait(self) -> None:
+        """A moment. Raises GivenUp when the person wants no more, LinkLostError when the board has
+        gone."""
+        fish = self.fish
+        if self._person.wants_abort():
+            self.tell("given up", ok=False)
+            raise GivenUp(
+                f"given up at the step '{self._name}'", "Nothing has swum. Begin again when ready."
+            )
+        fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
+        fish.clock.keep()
+        silent_s = (fish.transport.now_s() - fish.link.last_heard_s) * fish.clock.rate
+        if silent_s > _SILENT_S:
+            fish.status()

@@ -1,0 +1,302 @@
+"""One repeat of the best after the hull was open: it tells how far the fish has shifted."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.faults import NO_BEST, refusal
+from tailbeat.core.files import write_whole
+from tailbeat.core.records import decode_learned
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.board_state import copy_state
+from tailbeat.experiment.library import logbook_of
+from tailbeat.learning.convergence import input_crc
+from tailbeat.link.messages import BoardStatus
+from tailbeat.session.collect import (
+    STOPPED,
+    keep_log,
+    make_safe,
+    outcome_of,
+    proposed,
+    settled,
+    swum_of,
+)
+from tailbeat.session.log import Account
+from tailbeat.session.operator import Decision
+from tailbeat.session.series import Until, swim_series
+from tailbeat.session.shift import Shift, require_best, shift_of
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.learning.fish_model import FishModel
+    from tailbeat.learning.identification import Identified
+    from tailbeat.session.collect import Swum
+    from tailbeat.session.operator import Event, Person
+    from tailbeat.session.series import Options
+
+__all__ = ["Plan", "Shift", "end_repeat", "idle", "repeat_best"]
+
+REASON = "battery swap"
+AGAIN = "tailbeat session resume"
+_RESTORED_INPUT = 3  # what made the amplitudes that swim next, memory_input_t
+_TRIES = 3
+_DISCARDS_MAX = 3
+
+
+def idle(fish: Fish) -> BoardStatus:
+    """Its status; a board that has just been switched on is not IDLE at once. Raises InputError."""
+    status = settled(fish)
+    if status.state != "IDLE":
+        what = f" ({status.fault.name}: {status.fault.meaning})" if status.fault.number else ""
+        raise InputError(
+            f"the board is {status.state}{what}, not IDLE.",
+            f"tailbeat clear or tailbeat disarm, then: {AGAIN}",
+        )
+    return status
+
+
+def repeat_best(
+    fish: Fish,
+    experiment: Experiment,
+    person: Person,
+    options: Options,
+    camera: Camera | None = None,
+    guard: Guard | None = None,
+) -> tuple[Swum, Shift]:
+    """Swims the best amplitudes once (through the ritual, journalled as a repeat, not learned),
+    then puts back the amplitudes and the iteration that were to swim next, also when it fails. A
+    repeat that an earlier call left on the board is taken as it is. Raises what the series raises,
+    GivenUp, and InputError when there is no best, or nothing of it to compare with."""
+    account = Account(experiment, experiment.journal)
+    before = account.counting()
+    plan = Plan.of(experiment)
+    status = idle(fish)
+    if status.pending_trial is not None and not _swam_the_best(fish, plan, status.pending_trial):
+        raise InputError(
+            f"trial {status.pending_trial} waits on the board, neither learned nor discarded.",
+            f"tailbeat learn, or tailbeat trial discard --reason WHY; then: {AGAIN}",
+        )
+    if status.pending_trial is None:
+        end_repeat(fish, experiment)
+        plan = _begin_repeat(fish, experiment, before, status)
+    assert plan is not None
+    try:
+        if status.pending_trial is not None:
+            swum = _left_over(fish, experiment, account, person)
+        else:
+            fish.restore_best()
+            swum = _swum(fish, experiment, person, options, camera, guard)
+    finally:
+        _put_back(fish, experiment, plan)
+    shift = _judged(fish, before, swum)
+    experiment.journal.add("shifted", **asdict(shift))
+    return swum, shift
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to swim next once the repeat is swum, and the repeat's number: on the disk from
+    before the board's amplitudes change until they are back."""
+
+    learned: bytes
+    trial: int
+
+    @staticmethod
+    def path(experiment: Experiment) -> Path:
+        return experiment.folder / "board" / "repeat.json"
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> Plan | None:
+        """None: no repeat is under way, or its file is torn (it is written in one step)."""
+        try:
+            raw = json.loads(cls.path(experiment).read_bytes())
+            return cls(bytes.fromhex(raw["learned"]), int(raw["trial"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def write(self, experiment: Experiment) -> None:
+        path = self.path(experiment)
+        try:
+            path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot make {path.parent}.", "Make the folder writable.") from error
+        write_whole(path, json.dumps({"learned": self.learned.hex(), "trial": self.trial}) + "\n")
+
+
+def _begin_repeat(
+    fish: Fish, experiment: Experiment, before: list[Trial], status: BoardStatus
+) -> Plan:
+    learned = fish.learned_record()
+    if status.best_iteration is None or learned is None:
+        raise refusal(NO_BEST)
+    require_best(_series(fish, before), input_crc(fish.amplitudes(best=True).values))
+    plan = Plan(learned, status.next_trial)
+    plan.write(experiment)
+    return plan
+
+
+def _swum(
+    fish: Fish,
+    experiment: Experiment,
+    person: Person,
+    options: Options,
+    camera: Camera | None,
+    guard: Guard | None,
+) -> Swum:
+    """One swim that counts, by the machinery of a series."""
+    one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",), of_best=True)
+    end = swim_series(fish, experiment, _Repeating(person), one, camera, guard)
+    if end.why == "swims" and end.rounds:
+        return end.rounds[-1].swum
+    from tailbeat.session.preflight.step import GivenUp
+
+    raise GivenUp(f"no repeat was swum: {end.words}", f"When it is put right: {AGAIN}")
+
+
+@dataclass
+class _Repeating:
+    """The person, who is asked only whether the swim counts at all."""
+
+    person: Person
+    discards: int = field(default=0, init=False)
+
+    def tell(self, event: Event) -> None:
+        self.person.tell(event)
+
+    def wants_abort(self) -> bool:
+        return self.person.wants_abort()
+
+    def confirm(self, question: str) -> bool:
+        return self.person.confirm(question)
+
+    def decide(self, swum: Swum) -> Decision:
+        decision = self.person.decide(swum)
+        if decision.kind != "discard" and not swum.judged:
+            why = proposed(swum)
+            text = why.reason or f"{swum.measured_beats} of {swum.beats} beats have a speed"
+            decision = Decision("discard", f"tells no shift: {text}")
+        if decision.kind != "discard":
+            return Decision("repeat", REASON)
+        self.discards += 1
+        if self.discards >= _DISCARDS_MAX:
+            raise TailbeatError(
+                f"{self.discards} repeats came to nothing, the last one: {decision.reason}.",
+                f"Put it right, then: {AGAIN}",
+            )
+        return decision
+
+
+def _left_over(fish: Fish, experiment: Experiment, account: Account, person: Person) -> Swum:
+    """The repeat of an earlier call that was broken off after the swim."""
+    number = fish.status().pending_trial
+    assert number is not None
+    text = f"trial {number} is the repeat of an earlier call; it is not swum again"
+    person.tell({"event": "notice", "text": text})
+    log = keep_log(fish, experiment, number)
+    swum = swum_of(outcome_of(log.trial), log, None)
+    account.swum(swum)
+    person.tell({"event": "swum", "trial": number, **vars(swum)})
+    decision = account.decision_on(swum.file)
+    if decision is None:
+        decision = _Repeating(person).decide(swum)
+        account.decided(swum, decision)
+    if decision.kind == "discard":
+        raise TailbeatError(f"the repeat was discarded: {decision.reason}.", f"Again: {AGAIN}")
+    if (book := logbook_of(fish)) is not None:
+        book.keep(swum.file)
+    return swum
+
+
+def _put_back(fish: Fish, experiment: Experiment, plan: Plan) -> None:
+    """Ctrl-C does not stop it halfway. What fails is done by the next call: the plan stays."""
+    for attempt in range(1, _TRIES + 1):
+        try:
+            _undo(fish, experiment, plan)
+            return
+        except KeyboardInterrupt:
+            if attempt == _TRIES:
+                raise
+        except TailbeatError as error:
+            raise TailbeatError(
+                "the amplitudes that were to swim next could not be put back "
+                f"({error.message.rstrip('.')}); they are kept in {Plan.path(experiment)}",
+                f"Connect again, then: {AGAIN}",
+            ) from error
+
+
+def _undo(fish: Fish, experiment: Experiment, plan: Plan) -> None:
+    make_safe(fish)
+    status = settled(fish)
+    if status.state in STOPPED:
+        fish.clear()
+    pending = fish.status().pending_trial
+    if pending is not None and not _swam_the_best(fish, plan, pending):
+        raise TailbeatError(f"trial {pending} waits on the board")
+    if pending is not None:
+        fish.discard(pending)  # its log stays on the board
+    if fish.learned_record() != plan.learned:
+        fish.upload_learned(plan.learned)
+    copy_state(fish, experiment)
+    Plan.path(experiment).unlink(missing_ok=True)
+
+
+def _swam_the_best(fish: Fish, plan: Plan | None, pending: int) -> bool:
+    """Whether the trial that waits is a repeat of ``plan``, which nobody has learned from."""
+    return plan is not None and pending >= plan.trial and _has_the_best(fish, plan)
+
+
+def _has_the_best(fish: Fish, plan: Plan) -> bool:
+    """Whether the best amplitudes are still in the place of those that were to swim next."""
+    mine = fish.learned_record()
+    if mine is None:
+        return False
+    now, wanted = decode_learned(mine), decode_learned(plan.learned)
+    same = (now.reference_crc, now.iteration) == (wanted.reference_crc, wanted.iteration)
+    return same and now.input == _RESTORED_INPUT
+
+
+def end_repeat(fish: Fish, experiment: Experiment) -> None:
+    """What a repeat that was broken off has left: the best as the next to swim. A board that has
+    learned since, or was given something else, is left alone."""
+    if (plan := Plan.of(experiment)) is None:
+        return
+    if _has_the_best(fish, plan):
+        fish.upload_learned(plan.learned)
+        copy_state(fish, experiment)
+    Plan.path(experiment).unlink(missing_ok=True)
+
+
+def _judged(fish: Fish, before: list[Trial], swum: Swum) -> Shift:
+    identified = _identified(fish)
+    repeat = read_trial(swum.file)
+    earlier = [trial for trial in _series(fish, before) if trial.number != repeat.number]
+    return shift_of(earlier, repeat, _model(fish, identified), identified, swum.straight)
+
+
+def _series(fish: Fish, trials: list[Trial]) -> list[Trial]:
+    """The last one of the board's reference. Raises InputError when there is none."""
+    from tailbeat.learning.verdict import series_of
+
+    return series_of(trials, fish.status().reference_crc, _identified(fish))
+
+
+def _identified(fish: Fish) -> Identified | None:
+    try:
+        return book.identified() if (book := logbook_of(fish)) is not None else None
+    except InputError:
+        return None  # a damaged file: the expected band is the one of any fish
+
+
+def _model(fish: Fish, identified: Identified | None) -> FishModel:
+    if identified is not None:
+        return identified.model
+    from tailbeat.session.identify import prior_of
+
+    return prior_of({name: p.value for name, p in fish.params.list().items()}).model

@@ -1,0 +1,247 @@
+"""How far the fish will come with the amplitudes it is about to swim, and whether there is room."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.core.errors import InputError, Refused, TransferError
+from tailbeat.link.ftp.wire import FtpError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.experiment.library import Logbook
+    from tailbeat.learning.fish_model import FishModel
+    from tailbeat.learning.fit import Scatter
+    from tailbeat.learning.identification import Identified
+    from tailbeat.session.guards import RoomGuard
+
+Array = NDArray[np.float64]
+
+_ROUNDING = 1e-6
+_TELLING_M = 0.1  # a trial that came less far says nothing of a longer one
+_MISS = 2.0  # the rest of a miss, after the fit, beyond which it was no swim like this one
+_had: WeakKeyDictionary[Fish, Trial] = WeakKeyDictionary()  # fetched last, by this connection
+_FIRST = 1  # memory_input_t: arming makes the amplitudes anew
+
+
+@dataclass(frozen=True)
+class Travel:
+    """Way over ground until the glide after the last beat is over. ``worst_m``: by a fish and a day
+    that are as far off as may be believed (2 sigmas). ``room_m``: the tank's length less the
+    fish's, infinite when TANK_LEN_M is 0. ``by``: what it was reckoned with, in words."""
+
+    expected_m: float
+    worst_m: float
+    room_m: float
+    by: str
+
+    @property
+    def fits(self) -> bool:
+        """Whether what is expected has room."""
+        return self.expected_m <= self.room_m + _ROUNDING
+
+    def text(self) -> str:
+        """One line: ``about 2.21 m, at worst 2.40, of 2.64 m (by the identified fish)``."""
+        room = f", of {self.room_m:.2f} m" if math.isfinite(self.room_m) else ""
+        return f"about {self.expected_m:.2f} m, at worst {self.worst_m:.2f}{room} (by {self.by})"
+
+    def require_room(self) -> None:
+        """Raises InputError, with the figures and what to do, when it does not fit."""
+        if self.fits:
+            return
+        raise InputError(
+            f"the next swim would come {self.expected_m:.2f} m (by {self.by}), and the tank has "
+            f"room for {max(self.room_m, 0.0):.2f} m.",
+            "Lower AMP_MAX_RAD (or LAW_GAIN before the first swim), shorten the reference, or "
+            "correct TANK_LEN_M (0 = not checked).",
+        )
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is believed of a fish: a model, its covariance (4 x 4, as fitting.Fit) and how swims
+    scatter. ``more``: how much farther it comes than the model says. ``by``: where from."""
+
+    model: FishModel
+    covariance: Array
+    scatter: Scatter
+    by: str
+    more: float = 1.0
+
+    @property
+    def glides_by_per_m(self) -> float:
+        """The drag, a sigma less of it than believed: what a fish may glide by."""
+        sigma = math.sqrt(float(self.covariance[0, 0]))
+        return self.model.kappa_per_m * math.exp(-sigma)
+
+    def speeds(self, amplitude_rad: ArrayLike, beat_s: float) -> Array:
+        """Mean speed of each beat and of the glide after the last one, m/s."""
+        from tailbeat.learning.envelope import speeds
+
+        return self.more * speeds(self.model, amplitude_rad, beat_s)
+
+
+def belief_of(
+    params: Mapping[str, float], identified: Identified | None = None, last: Trial | None = None
+) -> Belief:
+    """The identified fish, else that of MDL_..., as wide as for any fish; then what the trial
+    ``last`` teaches of it. A trial of which too little was measured teaches nothing."""
+    from tailbeat.learning.fish_model import swim_of
+    from tailbeat.learning.fit import Prior, Scatter, fit
+    from tailbeat.session.identify import prior_of
+
+    if identified is not None:
+        sigma = np.sqrt(np.diag(identified.covariance))
+        prior = Prior(identified.model, *map(float, sigma))
+        known = identified.model, identified.covariance, identified.scatter
+        by = "the identified fish"
+    else:
+        prior = prior_of(dict(params))
+        spread = np.square([prior.kappa, prior.slope, prior.dead_zone_rad, prior.delay_s])
+        known = prior.model, np.diag(spread), Scatter()
+        by = "the board's MDL_... parameters"
+    before = Belief(*known, by)
+    if last is None:
+        return before
+    swim = swim_of(last)
+    swum_m = float(np.nansum(swim.speed_m_s)) * swim.beat_s
+    if 2 * np.count_nonzero(swim.measured) < last.executed_beats or swum_m < _TELLING_M:
+        return before
+    found = fit([swim], prior, before.scatter)
+    # That swim's own gain, flow and start will not come again; what the fit leaves over will.
+    speed = found.model.beats(swim.amplitude_rad, swim.beat_s, found.conditions[0])
+    expected_m = float(np.sum(speed[swim.measured])) * swim.beat_s
+    more = swum_m / expected_m if expected_m > 0 else math.inf
+    by = f"{by} and trial {last.number}"
+    if not 1 / _MISS <= more <= _MISS:
+        return before
+    return Belief(found.model, found.covariance, before.scatter, by, more)
+
+
+def travel_by(
+    belief: Belief, amplitude_rad: ArrayLike, params: Mapping[str, float], beat_s: float
+) -> Travel:
+    """As ``travel_of``, by what is believed of the fish."""
+    from tailbeat.learning.envelope import farthest, way
+
+    swum = np.clip(np.asarray(amplitude_rad, dtype=np.float64), 0.0, params["AMP_MAX_RAD"])
+    expected_m = float(np.sum(belief.speeds(swum, beat_s))) * beat_s
+    edge, day = farthest(belief.model, belief.covariance, belief.scatter, swum, beat_s)
+    worst_m = belief.more * way(edge, swum, beat_s, day)
+    return Travel(expected_m, max(worst_m, expected_m), room_m(params), belief.by)
+
+
+def room_m(params: Mapping[str, float]) -> float:
+    """The tank's length less the fish's; infinite when the tank is not checked."""
+    tank_m = params["TANK_LEN_M"]
+    return tank_m - params["FISH_LEN_M"] if tank_m > 0 else math.inf
+
+
+def travel_of(
+    amplitude_rad: ArrayLike,
+    params: Mapping[str, float],
+    beat_s: float,
+    identified: Identified | None = None,
+    last: Trial | None = None,
+) -> Travel:
+    """Of amplitudes as swum (cut at AMP_MAX_RAD here; DU_MAX_RAD acts when the board learns, not
+    when it swims). With ``identified`` by that model; without by the thrust model of MDL_*.
+    ``last``: a measured trial of the same fish; what it came farther, or less far, than the model
+    says of its own amplitudes is expected again."""
+    return travel_by(belief_of(params, identified, last), amplitude_rad, params, beat_s)
+
+
+def travel_next(fish: Fish, book: Logbook | None) -> Travel:
+    """Of what the board will swim next, by the best that is known of it. Raises Refused without a
+    reference. Nothing on the board changes: before the first arming the amplitudes are those that
+    arming will compute."""
+    following = _next(fish, book)
+    return travel_by(following.belief, following.amplitude_rad, following.params, following.beat_s)
+
+
+def room_guard(fish: Fish, book: Logbook | None) -> RoomGuard:
+    """The guard for what the board will swim next, by the same knowledge. One for each swim."""
+    from tailbeat.session.guards import RoomGuard
+
+    following = _next(fish, book)
+    return RoomGuard.of_params(
+        following.params,
+        following.beat_s,
+        following.belief.glides_by_per_m,
+        following.belief.speeds(following.amplitude_rad, following.beat_s),
+    )
+
+
+@dataclass(frozen=True)
+class _Next:
+    """What swims next, as swum, and what is believed of who swims it."""
+
+    amplitude_rad: Array
+    beat_s: float
+    params: dict[str, float]
+    belief: Belief
+
+
+def _next(fish: Fish, book: Logbook | None) -> _Next:
+    from tailbeat.core import law as laws
+    from tailbeat.core.faults import NO_REFERENCE, refusal
+    from tailbeat.core.records import decode_reference
+
+    record = fish.reference_record()
+    if record is None:
+        raise refusal(NO_REFERENCE)
+    wanted = decode_reference(record)
+    params = {name: p.value for name, p in fish.params.list().items()}
+    law = laws.Law.from_params(params, wanted.beat_s)
+    held = fish.amplitudes() if fish.status().iteration else None
+    if held is None or held.input == _FIRST:
+        values = laws.first(law, wanted.speed_m_s)
+    else:
+        values = held.values
+    amplitude = laws.saturate(law, values).astype(np.float64)
+    belief = belief_of(params, _identified(book), last_measured(fish, book))
+    return _Next(amplitude, wanted.beat_s, params, belief)
+
+
+def _identified(book: Logbook | None) -> Identified | None:
+    """A damaged file is no reason not to swim: then the board's parameters count."""
+    try:
+        return book.identified() if book is not None else None
+    except InputError:
+        return None
+
+
+def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
+    """The trial the board learned from last, else the last of the logbook that counts, is of no
+    identification and has speeds. One that the logbook lacks is fetched, once."""
+    number = fish.status().last_learned_trial
+    counting = [one.trial for one in book.kept()[0] if not one.mark] if book is not None else []
+    measured = [trial for trial in counting if np.isfinite(trial.beats.speed_m_s).any()]
+    if number is not None and number not in [trial.number for trial in measured]:
+        with contextlib.suppress(Refused, InputError, TransferError, FtpError):
+            return _fetched(fish, number)
+    return measured[-1] if measured else None
+
+
+def _fetched(fish: Fish, number: int) -> Trial:
+    from tempfile import TemporaryDirectory
+
+    from tailbeat.core.trial_file import read_trial
+
+    held = _had.get(fish)
+    if held is None or held.number != number:
+        with TemporaryDirectory() as folder:
+            held = read_trial(fish.pull_trial(number, Path(folder)))
+        _had[fish] = held
+    return held

@@ -1,0 +1,456 @@
+"""When a series of swims ends.
+
+Swims one trial after the other: ritual, swim, keep, decide, learn, until there is enough.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import InputError, Refused
+from tailbeat.core.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
+from tailbeat.experiment.board_state import copy_state, require_not_lost
+from tailbeat.experiment.current import require_meant, require_own, require_same
+from tailbeat.experiment.folder import alone
+from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.redo import write_redo
+from tailbeat.session.battery import accepted, forecast, switched_off_since, too_low
+from tailbeat.session.collect import (
+    STOPPED,
+    dangerous,
+    drop_peeked,
+    keep_log,
+    make_safe,
+    outcome_of,
+    peek_log,
+    require_still,
+    settled,
+    stop_words,
+    swum_of,
+)
+from tailbeat.session.decide import Done, Office
+from tailbeat.session.execute import Around, judged, swim, told
+from tailbeat.session.guards import BY_HAND
+from tailbeat.session.log import Account
+from tailbeat.session.operator import Decision
+from tailbeat.session.preflight.checklist import prepare
+from tailbeat.session.preflight.countdown import countdown
+from tailbeat.session.preflight.step import BatteryLow, GivenUp, Wanted
+from tailbeat.session.room import room_guard, travel_next
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.learning.convergence import Verdict
+    from tailbeat.link.messages import LearnReport
+    from tailbeat.session.collect import Swum
+    from tailbeat.session.operator import DecisionKind, Person
+    from tailbeat.session.preflight.step import Ready
+
+__all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
+
+CONVERGED, BATTERY = "converged", "battery"
+_SWIMS_MAX = 999
+
+
+@dataclass(frozen=True)
+class Until:
+    """When a series ends: after ``swims`` swims that were kept, when the verdict says that there is
+    nothing more to gain (``converged``), always when the battery is too low to swim on."""
+
+    swims: int | None = 1
+    converged: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> Until:
+        """``converged``, ``battery`` or a number. Raises InputError."""
+        word = text.strip().lower()
+        if word == CONVERGED:
+            return cls(None, converged=True)
+        if word == BATTERY:
+            return cls(None)
+        if word.isascii() and word.isdigit() and 1 <= int(word) <= _SWIMS_MAX:
+            return cls(int(word))
+        raise InputError(
+            f"'{text}' says no end of a series.",
+            f"Say {CONVERGED}, {BATTERY} or a number of swims (1 to {_SWIMS_MAX}).",
+        )
+
+
+GOES_ON = "nothing is lost, the same command goes on from here"
+BY_CTRL_C = f"stopped by Ctrl-C; {GOES_ON}"
+
+
+@dataclass(frozen=True)
+class Options:
+    """``wanted`` None: no ritual. ``learn``: kept swims are learned from at once; otherwise the
+    series ends with the first, which waits. ``counts``: what a swim must have become to count for
+    ``until.swims``. ``of_best``: these are the repeats of the best after a battery swap. ``typed``:
+    the command, for the journal."""
+
+    until: Until = field(default_factory=Until)
+    wanted: Wanted | None = field(default_factory=Wanted)
+    learn: bool = True
+    reconnect_s: float = 60.0
+    counts: tuple[DecisionKind, ...] = ("keep",)
+    of_best: bool = False
+    typed: str = ""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One swim and what became of it. ``learned`` None: nothing was learned."""
+
+    swum: Swum
+    decision: Decision
+    learned: LearnReport | None
+
+
+@dataclass(frozen=True)
+class SeriesEnd:
+    """``why``: ``swims``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
+    limit), ``battery``, ``interrupted`` (Ctrl-C or the person), or ``stopped`` (the board stopped
+    by a rule of its own and is left so, with its reason)."""
+
+    why: str
+    words: str
+    rounds: list[Round]
+    verdict: Verdict | None
+
+    @property
+    def swums(self) -> list[Swum]:
+        """The swims, in order."""
+        return [one.swum for one in self.rounds]
+
+
+def swim_series(
+    fish: Fish,
+    experiment: Experiment,
+    person: Person,
+    options: Options,
+    camera: Camera | None = None,
+    guard: Guard | None = None,
+) -> SeriesEnd:
+    """Swims until ``options.until``. The experiment must be of this fish and of the board's
+    reference (``require_same``). Order of every round: a trial that still waits on the board is
+    decided first; ritual; swim; its log pulled into the raw files; the decision, journalled; only
+    then the board learns or discards; its state copied (``experiment.board``). So whatever fails on
+    the way (disk full, link gone, Ctrl-C) the next call goes on where this one stopped and nothing
+    is lost.
+
+    Raises InputError, and touches nothing, when the board holds what is not its own (a trim or a
+    repeat that was broken off), has lost what the copy of its state knows, has other parameters
+    than it is meant to have (``experiment.meant``), or another program swims in this experiment. A
+    board that was switched off and has all that needs a person's consent: the fish may have
+    shifted.
+
+    A swim stopped by the person is decided on like any other; then the series ends. Raises what the
+    ritual, the swim and the disk raise; the tail is still then."""
+    require_own(fish)
+    require_same(fish, experiment)
+    with alone(experiment):
+        require_still(fish)
+        if not options.of_best:
+            _require_no_repeat(experiment)
+        require_not_lost(fish, experiment)
+        require_meant(fish, experiment)
+        if options.typed:
+            experiment.journal.add("typed", command=options.typed)
+        return _swim_series(fish, experiment, person, options, camera, guard)
+
+
+def _require_no_repeat(experiment: Experiment) -> None:
+    from tailbeat.session.repeat import AGAIN, Plan
+
+    if Plan.of(experiment) is not None:
+        raise InputError(
+            "a repeat of the best after a battery swap was broken off, and the board still has the"
+            " best amplitudes in place of those that swim next.",
+            f"To finish it: {AGAIN}",
+        )
+
+
+def _swim_series(
+    fish: Fish,
+    experiment: Experiment,
+    person: Person,
+    options: Options,
+    camera: Camera | None,
+    guard: Guard | None,
+) -> SeriesEnd:
+    around = Around(fish, person, camera, guard, options.reconnect_s)
+    account = Account(experiment, experiment.journal)
+    series = _Series(around, account, options, Office(fish, person, account, options.learn))
+    try:
+        return series.swim()
+    except GivenUp as given_up:
+        make_safe(fish)
+        return series.end("interrupted", str(given_up))
+    except KeyboardInterrupt as interrupt:
+        make_safe(fish)
+        return series.end("interrupted", f"{interrupt}; {GOES_ON}" if str(interrupt) else BY_CTRL_C)
+    except BaseException:
+        make_safe(fish)
+        raise
+
+
+@dataclass
+class _Series:
+    """State of one call of swim_series."""
+
+    around: Around
+    account: Account
+    options: Options
+    office: Office
+    rounds: list[Round] = field(default_factory=list)
+    counted: int = 0
+    verdict: Verdict | None = None
+    yaw_deg: float | None = None  # of the first start, for the ritual to compare with
+
+    def end(self, why: str, words: str) -> SeriesEnd:
+        write_redo(self.account.experiment)
+        return SeriesEnd(why, words, self.rounds, self.verdict)
+
+    def swim(self) -> SeriesEnd:
+        end = self._catch_up() or self._enough()
+        while end is None:
+            end = self._battery() or self._switched_off() or self._round() or self._enough()
+        return end
+
+    def _catch_up(self) -> SeriesEnd | None:
+        """What an earlier call, or somebody else, has left: a trial that waits, a stopped board,
+        something learned that was not written down."""
+        fish, open_trial = self.around.fish, self.account.open_trial()
+        if fish.status().state == "ARMED":
+            fish.disarm()
+        status = settled(fish, open_trial)
+        begun = open_trial is not None and open_trial < status.next_trial
+        number = status.pending_trial or (open_trial if begun else None)
+        if status.pending_trial is None:
+            self._write_down_owed(status.last_learned_trial)
+        if number is not None and (number == status.pending_trial or self._was_left(number)):
+            where = "waits on the board" if number == status.pending_trial else "was left undecided"
+            self._notice(f"trial {number} {where}; it is decided on first")
+            return self._finish_old(number)
+        last = open_trial is not None and open_trial >= status.next_trial - 1
+        if last and status.fault.number == ABORT_COMMAND:
+            fish.clear()  # it was stopped before its first beat, most likely from here
+        return self._cleared()
+
+    def _switched_off(self) -> SeriesEnd | None:
+        """Before each swim: the hull may have been open, and whether the best is repeated first is
+        the person's to say. Before there is a best nothing can tell a shift."""
+        fish, journal = self.around.fish, self.account.journal
+        require_meant(fish, self.account.experiment)
+        if self.options.of_best or fish.status().best_iteration is None:
+            return None
+        if (trial := switched_off_since(fish, journal)) is None:
+            return None
+        words = f"the board was switched off since trial {trial}, and the fish may have shifted."
+        if not self.around.person.confirm(f"{words} Go on without a repeat of the best?"):
+            return self.end("stopped", f"{words} Then: tailbeat session resume")
+        accepted(fish, journal)
+        return None
+
+    def _finish_old(self, number: int) -> SeriesEnd | None:
+        fish = self.around.fish
+        log = keep_log(fish, self.account.experiment, number)
+        swum = swum_of(outcome_of(log.trial), log, None)
+        self._take(swum)
+        status = fish.status()
+        if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
+            self._gone(swum)
+        decision = self.office.decide(swum)
+        status = fish.status()
+        if dangerous(status.fault) and (end := self._cleared()) is not None:
+            return end
+        return self._settle(swum, decision, counts=False)
+
+    def _gone(self, swum: Swum) -> None:
+        """It could have been learned from, and does not wait any more: somebody has dropped it."""
+        if self.account.decision_on(swum.file) is None:
+            self.account.decided(swum, Decision("discard", "dropped by another program"))
+
+    def _cleared(self) -> SeriesEnd | None:
+        """The board is not stopped, or the person lets it go on."""
+        status = self.around.fish.status()
+        if status.state not in STOPPED:
+            return None
+        words = stop_words(status)
+        if not self.around.person.confirm(f"{words} Clear it and go on?"):
+            return self.end("stopped", f"{words} Then: tailbeat clear")
+        self.around.fish.clear()
+        return None
+
+    def _was_left(self, number: int) -> bool:
+        """Whether the board has the log of the swim that was begun last; one that another program
+        swam in its place, or before it, is none of this experiment's."""
+        if not self._has_log(number):
+            return False
+        fish, experiment = self.around.fish, self.account.experiment
+        if self.account.is_begun(peek_log(fish, experiment, number)):
+            return True
+        drop_peeked(experiment, number)
+        self.account.void(number, "another swim")
+        self._notice(f"trial {number} on the board is not the one that was begun here; it is left")
+        return False
+
+    def _has_log(self, number: int) -> bool:
+        return any(trial.number == number for trial in self.around.fish.trials())
+
+    def _write_down_owed(self, last_learned: int | None) -> None:
+        owed = self.account.owed()
+        if owed is not None and owed == last_learned:
+            report = self.around.fish.learn(owed)  # said again it only tells what it learned
+            self.office.write_down(report)
+            copy_state(self.around.fish, self.account.experiment)
+
+    def _enough(self) -> SeriesEnd | None:
+        """Whether the series has reached its end."""
+        until, verdict = self.options.until, self.verdict
+        if until.swims is not None and self.counted >= until.swims:
+            return self.end("swims", _counted_words(self.counted))
+        if until.converged and verdict is not None and verdict.stop:
+            why = "converged" if verdict.saturation is None else "saturated"
+            return self.end(why, f"{verdict.stop_reason}: {verdict.advice}")
+        pending = self.around.fish.status().pending_trial
+        if pending is None:
+            return None
+        words = f"trial {pending} is kept and waits to be learned from: tailbeat learn"
+        if self.counted == 0:
+            raise InputError(
+                words.rpartition(":")[0], "tailbeat learn, or go on without --no-learn"
+            )
+        return self.end("swims", words)
+
+    def _battery(self) -> SeriesEnd | None:
+        """Before each swim: whether the battery still allows it."""
+        fish = self.around.fish
+        now_v = fish.status().battery_v
+        params = {name: fish.params.get(name).value for name in ("BATT_LOW_V", "BATT_CRIT_V")}
+        if (words := too_low(now_v, params)) is not None:
+            return self.end("battery", f"{words}; change it, then: tailbeat session resume")
+        if (words := forecast(now_v, self.account.drains(), params)) is not None:
+            self._notice(words)
+        return None
+
+    def _round(self) -> SeriesEnd | None:
+        camera = self.around.camera
+        own = self.around.fish.default_camera() if camera is None else None
+        try:
+            around = replace(self.around, camera=camera or own)
+            swam = self._swim(around, *self._prepare(around))
+        except BatteryLow as low:
+            return self.end("battery", f"{low}")
+        except Refused as refused:
+            if refused.number != BATTERY_LOW:
+                raise
+            return self.end("battery", f"{refused}")
+        finally:
+            if own is not None:  # nobody looks at its pictures while the person decides
+                own.close()
+        if isinstance(swam, SeriesEnd):
+            return swam
+        swum, by_hand = swam
+        decision = self.office.decide(swum)
+        end = self._settle(swum, decision, counts=True)
+        if end is None and swum.outcome.end.endswith(f":{fault_info(REBOOT).name}"):
+            return self.end("stopped", _restart_words(swum.outcome.number))
+        if end is None and by_hand:
+            return self.end("interrupted", f"trial {swum.outcome.number} was {BY_HAND}")
+        return end
+
+    def _prepare(self, around: Around) -> tuple[Ready | None, Guard]:
+        """Up to a board that is armed, with the guard that ends the swim by distance; without a
+        ritual only the room is looked at."""
+        fish, wanted, person = around.fish, self.options.wanted, around.person
+        ready, book = None, logbook_of(fish)
+        if wanted is None:
+            travel_next(fish, book).require_room()
+        else:
+            wanted = replace(wanted, start_yaw_deg=self._start_yaw_deg(wanted))
+            ready = prepare(fish, wanted, around.camera, person)
+            if ready.pose is not None and self.yaw_deg is None:
+                self.yaw_deg = ready.pose.yaw_deg
+        room, status = room_guard(fish, book), fish.status()
+        volts = ready.battery_v if ready is not None else status.battery_v
+        board_s = fish.clock.now_s()
+        self.account.begun(status.next_trial, status.iteration, ready, volts, board_s)
+        if wanted is not None:
+            self._count_down(wanted, status.next_trial)
+        return ready, room
+
+    def _count_down(self, wanted: Wanted, number: int) -> None:
+        try:
+            countdown(self.around.fish, wanted, self.around.person)
+        except BaseException:
+            with contextlib.suppress(InputError):  # what ended the countdown is what is told
+                self.account.void(number, "not started")
+            raise
+
+    def _start_yaw_deg(self, wanted: Wanted) -> float | None:
+        """Of the first start of this call, else of the first one since the board was switched
+        on."""
+        if wanted.start_yaw_deg is not None or self.yaw_deg is not None:
+            return self.yaw_deg if wanted.start_yaw_deg is None else wanted.start_yaw_deg
+        fish = self.around.fish
+        on_s = fish.clock.now_s()
+        return self.account.first_yaw_deg(datetime.now().astimezone() - timedelta(seconds=on_s))
+
+    def _swim(
+        self, around: Around, ready: Ready | None, room: Guard
+    ) -> tuple[Swum, bool] | SeriesEnd:
+        """The swim, in the raw files; and whether the person stopped it. An end when it was stopped
+        before the board had begun a log."""
+        fish, experiment = around.fish, self.account.experiment
+        pose = ready.pose if ready else None
+        heading_rad = pose.heading_rad if pose and pose.heading_rad is not None else 0.0
+        swam = swim(around, experiment, room, heading_rad)
+        number = swam.outcome.number
+        stopped = BY_HAND if swam.outcome.interrupted else swam.stopped
+        if swam.outcome.executed_beats == 0 and not self._has_log(number):
+            self.account.void(number, swam.outcome.end)
+            status = fish.status()
+            if status.state in STOPPED and not dangerous(status.fault):
+                fish.clear()
+            words = f"trial {number} ended before its first beat ({stopped or swam.outcome.end})"
+            return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
+        log = keep_log(fish, experiment, number)
+        swum = swum_of(swam.outcome, log, ready, stopped)
+        self._take(swum)
+        return swum, stopped == BY_HAND
+
+    def _take(self, swum: Swum) -> None:
+        self.account.swum(swum)
+        event = {"event": "swum", "trial": swum.outcome.number, **vars(swum)}
+        self.around.person.tell(event)
+
+    def _settle(self, swum: Swum, decision: Decision, counts: bool) -> SeriesEnd | None:
+        """Carries the decision out. An end when the board is left as it stopped."""
+        done: Done = self.office.carry_out(swum, decision)
+        self.rounds.append(Round(swum, decision, done.learned))
+        self.counted += counts and decision.kind in self.options.counts
+        if done.learned is not None:
+            self.verdict = judged(self.account, self.around, done.learned.rolled_back)
+            told(self.around.person, self.verdict)
+        if not done.left:
+            return None
+        critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
+        then = "tailbeat session resume" if critical else "tailbeat clear"
+        return self.end("stopped", f"{done.left} Then: {then}")
+
+    def _notice(self, text: str) -> None:
+        self.around.person.tell({"event": "notice", "text": text})
+
+
+def _restart_words(number: int) -> str:
+    fault = fault_info(REBOOT)
+    return f"trial {number}: {fault.meaning}. {fault.remedy} Then: tailbeat session resume"
+
+
+def _counted_words(count: int) -> str:
+    return f"{count} swim{'' if count == 1 else 's'}"

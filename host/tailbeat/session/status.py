@@ -1,0 +1,152 @@
+"""Where a session stands: the experiment, the fish, what the battery still gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import TailbeatError
+from tailbeat.experiment.library import logbook_of
+from tailbeat.session.commission import advice
+from tailbeat.session.log import Account
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.experiment.folder import Experiment
+    from tailbeat.learning.convergence import Verdict
+    from tailbeat.session.battery import Drain
+
+
+@dataclass(frozen=True)
+class Standing:
+    """``battery_start_v``: at rest before the first swim on this battery; ``fall_v``: per swim;
+    ``trials_left``: until it no longer arms. All None before a swim. ``best_trial`` 0 = none.
+    ``problem``: why there is no verdict."""
+
+    experiment: Path
+    unique_id: str
+    simulated: bool
+    state: str
+    pending_trial: int | None
+    iteration: int
+    swims: int
+    best_trial: int
+    best_max_abs_error_m_s: float
+    battery_v: float
+    battery_start_v: float | None
+    fall_v: float | None
+    trials_left: int | None
+    rolled_back: bool
+    verdict: Verdict | None
+    problem: str
+    advice: list[str]
+
+
+def standing_of(fish: Fish, experiment: Experiment) -> Standing:
+    """Asks the board and reads the experiment; changes nothing."""
+    account = Account(experiment, experiment.journal)
+    info, trials = fish.info(), account.counting()
+    status = info.status
+    learned = experiment.journal.entries("learned")
+    rolled_back = bool(learned and learned[-1].get("rolled_back"))
+    verdict, problem = _verdict(fish, trials, rolled_back)
+    drains = account.drains()
+    fall_v = fall_per_swim(drains, status.battery_v)
+    low_v = fish.params.get("BATT_LOW_V").value
+    return Standing(
+        experiment=experiment.folder,
+        unique_id=info.unique_id,
+        simulated=info.simulated,
+        state=status.state,
+        pending_trial=status.pending_trial,
+        iteration=status.iteration,
+        swims=len(experiment.journal.entries("swum")),
+        best_trial=verdict.best_trial if verdict else 0,
+        best_max_abs_error_m_s=verdict.best_max_abs_error_m_s if verdict else math.nan,
+        battery_v=status.battery_v,
+        battery_start_v=drains[0].start_v if drains else None,
+        fall_v=fall_v,
+        trials_left=swims_left(status.battery_v, low_v, fall_v),
+        rolled_back=rolled_back,
+        verdict=verdict,
+        problem=problem,
+        advice=advice(fish, experiment),
+    )
+
+
+def fall_per_swim(drains: Sequence[Drain], now_v: float) -> float | None:
+    """How far the battery fell at rest, per swim; None before the first."""
+    return (drains[0].start_v - now_v) / len(drains) if drains else None
+
+
+def swims_left(now_v: float, low_v: float, fall_v: float | None) -> int | None:
+    """Swims that may still begin; None = nobody knows (nothing was swum, it does not fall)."""
+    if low_v <= 0 or fall_v is None or fall_v <= 0:
+        return None
+    if now_v < low_v:
+        return 0
+    return math.floor((now_v - low_v) / fall_v + 1e-9) + 1
+
+
+def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Verdict | None, str]:
+    from tailbeat.learning.verdict import progress_of
+
+    try:
+        book = logbook_of(fish)
+        identified = book.identified() if book is not None else None
+        crc = fish.status().reference_crc
+        return progress_of(trials, crc, identified, (), rolled_back).verdict, ""
+    except TailbeatError as error:
+        return None, str(error)
+
+
+def words(found: Standing) -> list[str]:
+    """One line for each thing a person asks."""
+    simulated = " (simulated)" if found.simulated else ""
+    pending = f"; trial {found.pending_trial} waits for a decision" if found.pending_trial else ""
+    lines = [
+        f"experiment  {found.experiment}",
+        f"fish        {found.unique_id}{simulated}, {found.state}{pending}",
+        f"learning    {found.swims} swim{'' if found.swims == 1 else 's'}, {_next(found)}",
+        f"battery     {_battery(found)}",
+    ]
+    if found.verdict is not None:
+        lines.append(f"verdict     {_judgement(found, found.verdict)}")
+    elif found.problem:
+        lines.append(f"verdict     none: {found.problem}")
+    return lines + [f"limits      {line}" for line in found.advice]
+
+
+def _next(found: Standing) -> str:
+    """A board counts from 1 once it was armed; 0 is no number to tell anybody."""
+    if found.iteration == 0 and not found.best_trial:
+        return "nothing learned yet"
+    return f"iteration {found.iteration} swims next{_best(found)}"
+
+
+def _best(found: Standing) -> str:
+    if not found.best_trial:
+        return ", no judged trial yet"
+    return f", best trial {found.best_trial} ({found.best_max_abs_error_m_s * 1e3:.1f} mm/s)"
+
+
+def _battery(found: Standing) -> str:
+    now = f"{found.battery_v:.2f} V"
+    if found.battery_start_v is None or found.fall_v is None:
+        return f"{now}; no swim on it yet"
+    text = f"{found.battery_start_v:.2f} -> {now}, {found.fall_v * 1e3:.0f} mV per swim"
+    if found.trials_left is None:
+        return text
+    return f"{text}, about {found.trials_left} swim{'' if found.trials_left == 1 else 's'} left"
+
+
+def _judgement(found: Standing, verdict: Verdict) -> str:
+    if verdict.stop:
+        return f"{verdict.words}; stop: {verdict.stop_reason}; {verdict.advice}"
+    if verdict.saturation is not None:
+        return f"{verdict.words}; {verdict.saturation.text}"
+    return verdict.words

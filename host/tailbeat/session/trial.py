@@ -1,0 +1,465 @@
+"""One trial from arming to its end: speeds go up while beats come down."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import astuple, dataclass, field
+from typing import TYPE_CHECKING, NoReturn
+
+from tailbeat.core import records
+from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
+from tailbeat.core.faults import (
+    ABORT_COMMAND,
+    NOT_STILL,
+    REBOOT,
+    STALE_COMMAND,
+    FaultInfo,
+    fault_info,
+)
+from tailbeat.core.frames import Afresh, Camera, Unseen
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message
+from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.session.guards import HIT
+from tailbeat.session.trial_camera import TrialCamera
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, Guard, OnEvent
+
+SOURCE_VISION, SOURCE_IMU = SPEED_SOURCES.index("vision"), SPEED_SOURCES.index("imu")
+_POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
+_SILENCE_S = 3.0  # of board time, after which the link counts as lost
+_SETTLE_MARGIN_S = 2.0
+_STILL_LOOK_S = 0.5
+_STALL_S = 60.0  # of board time without a new beat or state; no beat and no settling is longer
+_RETRY_S = 0.5
+_DOUBT_FRAMES = 6  # in one attempt; a board sends two a second, a stray one proves nothing
+_HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board stops the tail
+_REST_WAIT_S = 30.0  # of board time: the board waits so long for the fish to rest after the swim
+_STILL_WAIT_S = 60.0  # of board time, for somebody to hold the fish still before the start
+
+
+@dataclass
+class _Run:
+    """State of one call of run_trial."""
+
+    fish: Fish
+    emit: OnEvent
+    guard: Guard | None
+    reconnect_s: float
+    settle_s: float = 3.0
+    source: int = SOURCE_VISION
+    camera: TrialCamera | None = None
+    asked: set[str] = field(default_factory=set)
+    number: int = 0
+    iteration: int = 0
+    beats: dict[int, BeatEvent] = field(default_factory=dict)
+    status: BoardStatus | None = None
+    stopped_at_s: float | None = None
+    abort_reason: str | None = None
+    abort_wanted: bool = False
+    at_wall: bool = False
+    progress: tuple[str, int] | None = None
+    progress_at_s: float = 0.0
+    interrupted: bool = False
+    may_swim: bool = False
+    restarted: bool = False
+    direction_rad: float = 0.0
+
+
+def run_trial(
+    fish: Fish,
+    camera: Camera | None = None,
+    on_event: OnEvent | None = None,
+    guard: Guard | None = None,
+    reconnect_s: float = 60.0,
+    direction_rad: float = 0.0,
+) -> TrialOutcome:
+    """Swims the next trial and returns when the board has stopped and the trial is stored.
+
+    Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
+    speeds along ``direction_rad`` (of the fish at its start, in the tank's frame; 0 = along x) go
+    to the board as they come. ``guard`` sees every frame and beat, how time passes
+    without a frame (camera.base.Unseen), the beginning (Afresh) and the end (CameraGone), until the
+    last beat is swum; it aborts the trial by returning a reason; one that begins with wall.HIT
+    leaves the last beats unmeasured. When the camera sees what makes no sense (two fish), the trial
+    is aborted and that is raised at the end. Whatever else is raised stops the tail first.
+    Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
+    one ends the waiting. When the link breaks this tries for ``reconnect_s`` to learn how the trial
+    ended, then raises LinkLostError; the board stops by its own rules.
+    """
+    own_camera = None
+    if camera is None:
+        camera = own_camera = fish.default_camera()
+    run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
+    run.direction_rad = direction_rad
+    stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
+    heartbeat_period_s = fish.link.heartbeat_period_s
+    fish.link.heartbeat_period_s = _HEARTBEAT_S
+    try:
+        _prepare(run, camera)
+        _start(run)
+        while not _is_over(run):
+            try:
+                _step(run)
+            except KeyboardInterrupt:
+                _interrupt(run)
+        run.may_swim = False
+        outcome = _outcome(run)
+        if run.camera is not None and run.camera.failure is not None:
+            raise run.camera.failure
+        return outcome
+    except (KeyboardInterrupt, LinkLostError):
+        raise
+    except BaseException:
+        stop_listening()  # what a listener raised it would raise again
+        _stop(run)
+        raise
+    finally:
+        stop_listening()
+        fish.link.heartbeat_period_s = heartbeat_period_s
+        if own_camera is not None:
+            own_camera.close()
+
+
+def _stop(run: _Run) -> None:
+    """Before an error leaves: a tail that beats needs its loop."""
+    if run.may_swim:
+        with contextlib.suppress(TailbeatError):
+            _abort(run)
+
+
+def _abort(run: _Run) -> None:
+    run.fish.abort(wall=True) if run.at_wall else run.fish.abort()
+
+
+def _prepare(run: _Run, camera: Camera | None) -> None:
+    fish = run.fish
+    run.settle_s = fish.params.get("SETTLE_S").value
+    window_s = fish.params.get("SPD_WINDOW_S").value
+    run.source = round(fish.params.get("SPD_SOURCE").value)
+    if camera is None and run.source == SOURCE_VISION:
+        text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
+        run.emit({"event": "warning", "text": text})
+    if camera is not None:
+        run.camera = TrialCamera(
+            fish,
+            camera,
+            window_s=max(window_s, _beat_s(fish)) if window_s > 0 else 1.0,
+            dispensable=run.source != SOURCE_VISION,
+            emit=run.emit,
+            consult=lambda what: _consult(run, what),
+            abort=lambda: _want_abort(run),
+            direction_rad=run.direction_rad,
+        )
+        run.camera.begin()
+    fish.clock.sync()
+    if fish.status().state != "ARMED":
+        fish.arm()
+
+
+def _beat_s(fish: Fish) -> float:
+    """Of the board's reference; a line over less than a beat would see part of the tail's swing."""
+    record = fish.reference_record()
+    return records.decode_reference(record).beat_s if record is not None else 1.0
+
+
+def _start(run: _Run) -> None:
+    try:
+        _command_start(run)
+    except (KeyboardInterrupt, LinkLostError):
+        with contextlib.suppress(TailbeatError):
+            run.fish.abort()  # the board may have got the command already
+        raise
+
+
+def _command_start(run: _Run) -> None:
+    fish = run.fish
+    status = fish.status()
+    run.number = status.next_trial
+    run.iteration = status.iteration
+    _send_start(run)
+    run.progress_at_s = fish.transport.now_s()
+    run.emit({"event": "started", "trial": run.number, "iteration": run.iteration})
+
+
+def _send_start(run: _Run) -> None:
+    """Starts; a fish that is not still yet is waited for."""
+    fish = run.fish
+    begin_s = fish.transport.now_s()
+    _wait_until_still(run)
+    while True:
+        try:
+            _say_start(run)
+            return
+        except Refused as refused:
+            run.may_swim = False
+            waited_s = (fish.transport.now_s() - begin_s) * fish.clock.rate
+            if refused.number != NOT_STILL or waited_s > _STILL_WAIT_S:
+                raise
+        _wait_until_still(run)
+
+
+def _say_start(run: _Run) -> None:
+    """Until the board says yes, or is seen to swim: its yes may be lost. Speeds flow meanwhile."""
+    fish = run.fish
+    _look_afresh(run, began=False)
+    for attempt, patience_s in enumerate(fish.link.attempts()):
+        if run.status is not None:  # it has spoken, does not swim: has not heard of the start
+            _look_afresh(run, began=True)
+        # The board keeps single precision: rounding up could make the command come from the
+        # future, which is harmless, rounding by more than milliseconds needs a board up for days.
+        run.may_swim = True
+        fish.link.send(
+            mavlink.MAVLink_command_long_message(
+                BOARD_SYSTEM, BOARD_COMPONENT, mavlink.TAILBEAT_CMD_TRIAL_START,
+                attempt, float(run.number), fish.clock.now_s(), 0, 0, 0, 0, 0
+            )
+        )  # fmt: skip
+        if _started(run, patience_s):
+            return
+
+
+def _look_afresh(run: _Run, began: bool) -> None:
+    """Forgets what was. ``began``: the board may swim already, nothing of the camera's raises."""
+    run.status = None
+    if run.camera is None:
+        _consult(run, Afresh())
+    else:
+        run.camera.look_afresh() if began else run.camera.begin()
+
+
+def _started(run: _Run, patience_s: float) -> bool:
+    """Whether the board is known to swim this trial before the patience ends. Raises Refused."""
+    link = run.fish.link
+    end_s = link.transport.now_s() + patience_s
+    while (left_s := end_s - link.transport.now_s()) > 0:
+        poll_s = min(_POLL_S / max(run.fish.clock.rate, 1.0), left_s)
+        ack = link.recv("COMMAND_ACK", poll_s, _answers_start)
+        if _swims(run):
+            return True
+        if ack is not None and ack.result_param2 != STALE_COMMAND and link.accepted(ack):
+            return True
+        _send_speeds(run)
+    return False
+
+
+def _answers_start(message: Message) -> bool:
+    return bool(message.command == mavlink.TAILBEAT_CMD_TRIAL_START)
+
+
+def _swims(run: _Run) -> bool:
+    """Or has swum: whatever ended it is for later."""
+    status = run.status
+    begun = ("RUNNING", "SETTLING", "ABORTED", "FAULT")
+    return status is not None and status.trial == run.number and status.state in begun
+
+
+def _wait_until_still(run: _Run) -> None:
+    """As long as the board would refuse for it; somebody may have to come and hold the fish."""
+    fish = run.fish
+    if run.source != SOURCE_IMU:
+        return
+    rest_min_s = fish.params.get("REST_MIN_S").value
+    end_s = fish.transport.now_s() + _STILL_WAIT_S / max(fish.clock.rate, 1.0)
+    while fish.transport.now_s() < end_s:
+        if fish.link.request("TAILBEAT_IMU_INFO").still_s >= rest_min_s:
+            return
+        _ask_to_hold(run, "hold the fish still; the trial starts by itself once it is")
+        fish.link.run(_STILL_LOOK_S / max(fish.clock.rate, 1.0))
+
+
+def _ask_to_hold(run: _Run, text: str) -> None:
+    if text not in run.asked:
+        run.asked.add(text)
+        run.emit({"event": "hold", "text": text})
+
+
+def _hear(run: _Run, message: Message) -> None:
+    kind = message.get_type()
+    if kind == "TAILBEAT_STATUS":
+        _take_status(run, BoardStatus.of(message))
+    elif kind == "TAILBEAT_BEAT" and message.trial == run.number:
+        beat = BeatEvent.of(message)
+        known = run.beats.get(beat.beat)
+        if known is None or (known.provisional and not beat.provisional):
+            run.beats[beat.beat] = beat
+            run.emit({"event": "beat", **vars(beat)})
+        if known is None:
+            if run.camera is not None:
+                run.camera.hear(beat)
+            _consult(run, beat)
+    elif kind == "STATUSTEXT" and run.number:
+        from tailbeat.board.fish import text_event
+
+        run.emit(text_event(message))
+
+
+def _take_status(run: _Run, status: BoardStatus) -> None:
+    if run.status is not None and status.time_s < run.status.time_s:
+        run.restarted = True
+    run.status = status
+    if run.progress != (status.state, status.beat):
+        run.progress = (status.state, status.beat)
+        run.progress_at_s = run.fish.link.transport.now_s()
+    if run.source == SOURCE_IMU and status.state == "SETTLING":
+        _ask_to_hold(run, "swum; catch the fish and hold it still until the result is there")
+
+
+def _consult(run: _Run, what: object) -> None:
+    if run.guard is not None and run.abort_reason is None and not _has_swum(run):
+        run.abort_reason = run.guard(what) or None
+        if run.abort_reason is not None:
+            run.at_wall = run.abort_reason.startswith(HIT)
+            _want_abort(run)
+            run.emit({"event": "guard", "reason": run.abort_reason})
+
+
+def _has_swum(run: _Run) -> bool:
+    """All there was to swim, or it does not swim at all; not while the start is being said."""
+    status = run.status
+    if status is None:
+        return False
+    whole = status.beats > 0 and status.beats - 1 in run.beats
+    return whole or status.state not in ("ARMED", "RUNNING")
+
+
+def _want_abort(run: _Run) -> None:
+    run.abort_wanted = True
+
+
+def _step(run: _Run) -> None:
+    """One wait, and what it brought."""
+    link = run.fish.link
+    try:
+        if run.abort_wanted and run.stopped_at_s is None:
+            _abort(run)
+            run.abort_wanted = False  # only now: what a broken link swallowed is said again
+        link.idle(_POLL_S * 2 / max(run.fish.clock.rate, 1.0))
+        link.flush()
+        _send_speeds(run)
+        run.fish.clock.keep()
+    except LinkLostError:
+        _reconnect(run)
+        return
+    silent_s = (link.transport.now_s() - link.last_heard_s) * run.fish.clock.rate
+    if silent_s > _SILENCE_S:
+        _reconnect(run)
+    if (link.transport.now_s() - run.progress_at_s) * run.fish.clock.rate > _STALL_S + run.settle_s:
+        _give_up(run)
+
+
+def _give_up(run: _Run) -> NoReturn:
+    state = run.status.state if run.status else "nothing"
+    raise TailbeatError(
+        f"trial {run.number} makes no progress; the board says {state} and was told to stop",
+        "Look with 'tailbeat info'; switch it off if the tail still beats.",
+    )
+
+
+def _send_speeds(run: _Run) -> None:
+    swimming = run.status is None or run.status.state == "RUNNING"
+    if run.camera is not None:
+        run.camera.send_speeds(swimming)
+    elif swimming:
+        _consult(run, Unseen(run.fish.clock.now_s()))
+
+
+def _is_over(run: _Run) -> bool:
+    status = run.status
+    if status is None or status.state in ("BOOT", "ARMED", "RUNNING", "SETTLING", "LEARNING"):
+        return False
+    if status.state == "IDLE" or status.pending_trial == run.number:
+        return True
+    if run.stopped_at_s is None:  # late speeds of a cut trial are still being collected
+        run.stopped_at_s = status.time_s
+    rest_s = _REST_WAIT_S if run.source == SOURCE_IMU and status.beat > 0 else 0.0
+    return status.time_s - run.stopped_at_s > run.settle_s + rest_s + _SETTLE_MARGIN_S
+
+
+def _interrupt(run: _Run) -> None:
+    """Ctrl-C: the tail stops first; a second one ends the waiting."""
+    if run.interrupted:
+        raise KeyboardInterrupt
+    run.interrupted = run.abort_wanted = True
+    run.emit({"event": "interrupted"})
+
+
+def _reconnect(run: _Run) -> None:
+    """Gets the link back, within bounds, and asks how things stand."""
+    link = run.fish.link
+    run.emit({"event": "link_lost"})
+    deadline = link.transport.now_s() + run.reconnect_s
+    retry_s = _RETRY_S
+    while link.transport.now_s() < deadline:
+        before = _disbelieved(run)
+        try:
+            link.reopen()
+            status = BoardStatus.of(link.request("TAILBEAT_STATUS"))
+            run.fish.clock.sync()
+        except (ConnectError, LinkLostError):
+            if _disbelieved(run) - before >= _DOUBT_FRAMES:
+                raise _not_believed(run) from None
+            _rest(run, min(retry_s, max(0.0, deadline - link.transport.now_s())))
+            retry_s = min(2 * retry_s, 5.0)
+            continue
+        if run.camera is not None:
+            run.camera.fit.reset()
+        run.progress_at_s = link.transport.now_s()
+        run.emit({"event": "link_back", "state": status.state})
+        return
+    why = link.signing.why_silent()
+    raise LinkLostError(
+        f"the link broke during trial {run.number} and did not come back in"
+        f" {run.reconnect_s:.0f} s" + (f": {why}" if why else ""),
+        "The board stops by itself and keeps what was swum; bring the radios closer, then look with"
+        " 'tailbeat info' and run the same command again.",
+    )
+
+
+def _disbelieved(run: _Run) -> int:
+    """Frames since the last one of the board's that was believed."""
+    return sum(astuple(run.fish.link.signing.refused))
+
+
+def _not_believed(run: _Run) -> LinkLostError:
+    return LinkLostError(
+        f"trial {run.number} was left alone, because the board is not believed:"
+        f" {run.fish.link.signing.why_silent()}",
+        "The board stops by itself; look with 'tailbeat key status' what is there, and connect"
+        " again.",
+    )
+
+
+def _rest(run: _Run, duration_s: float) -> None:
+    try:
+        run.fish.link.transport.wait(duration_s)
+    except TailbeatError:
+        import time
+
+        time.sleep(duration_s)
+
+
+def _outcome(run: _Run) -> TrialOutcome:
+    status = run.status
+    assert status is not None
+    outcome = TrialOutcome(
+        run.number,
+        run.iteration,
+        _end(run, status),
+        status.beat if status.trial == run.number else 0,
+        [run.beats[k] for k in sorted(run.beats)],
+        run.interrupted,
+    )
+    run.emit({"event": "ended", "trial": outcome.number, "end": outcome.end})
+    return outcome
+
+
+def _end(run: _Run, status: BoardStatus) -> str:
+    fault: FaultInfo = status.fault
+    if fault.number:
+        return f"{'aborted' if fault.kind == 'abort' else 'fault'}:{fault.name}"
+    if status.pending_trial == run.number and status.beat >= status.beats:
+        return "complete"
+    # Without a restart of the board somebody else has aborted and cleared it.
+    return f"aborted:{fault_info(REBOOT if run.restarted else ABORT_COMMAND).name}"

@@ -1,0 +1,179 @@
+"""The camera of one trial: its speeds go to the board, its frames to the guard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from tailbeat.core.errors import LinkLostError
+from tailbeat.core.frames import Afresh, Camera, CameraGone, Frame, Unseen
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import Message
+from tailbeat.link.messages import BeatEvent
+from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
+from tailbeat.sensors.camera.tracking.tracker import Repeats, is_computed
+
+if TYPE_CHECKING:
+    from tailbeat.board.fish import Fish, OnEvent
+
+_BLIND_S = 1.0  # of board time without a picture, after which somebody should look
+_STAMP_MAX_S = 1e6  # of board time: eleven days
+_STAMP_AHEAD_S = 10.0  # more than the clocks of a hurried simulation differ by
+_SURE_RAD = 0.3  # a fish sets out at 0.2
+# A board takes a run of zeros for a tracker that stands still (firmware/speed/doubt.h); a fish that
+# was not yet set going, before a camera without noise, is none.
+_AT_REST_M_S = 1e-9
+_NO_COVARIANCE = (math.nan,) * 8
+
+
+class TrialCamera:
+    """Once the swim has begun nothing of the camera's or the guard's raises here, only a broken
+    link: a tail that beats needs its loop.
+
+    A camera that is gone is told as a warning; the trial goes on without it if ``dispensable``
+    (another source gives the speeds) and the guard agrees. Anything else that is raised (two fish,
+    a camera that was moved) aborts, and is kept in ``failure`` for when the board has stopped.
+    ``consult(what)`` asks the guard, with every Frame, and with Unseen when there is none;
+    ``abort()`` wants the tail to stop. A picture that stands still shows no fish.
+    ``direction_rad``: of the swim in the tank's frame; speeds are those along it.
+    """
+
+    def __init__(
+        self,
+        fish: Fish,
+        camera: Camera,
+        window_s: float,
+        dispensable: bool,
+        emit: OnEvent,
+        consult: Callable[[object], None],
+        abort: Callable[[], None],
+        direction_rad: float = 0.0,
+    ) -> None:
+        self.fit = BeatFit(window_s, camera.fps)
+        self._along = (math.cos(direction_rad), math.sin(direction_rad))
+        self.failure: Exception | None = None
+        self._fish, self._camera, self._dispensable = fish, camera, dispensable
+        self._emit, self._consult, self._abort = emit, consult, abort
+        self._repeats = Repeats(camera)
+        self._gone = self._blind = self._frozen = False
+        self._seen_at_s = 0.0
+
+    def begin(self) -> None:
+        """As look_afresh, while nothing swims yet: raises what the camera raises."""
+        self._camera.frames()
+        self._camera.frames()  # an error comes after the frames before it
+        self.look_afresh()
+
+    def look_afresh(self) -> None:
+        """Forgets what was: until now the fish may have been carried or adrift."""
+        self._frames()
+        self.fit.reset()
+        self._repeats.forget()
+        self._seen_at_s = self._fish.link.transport.now_s()
+        with self._kept():
+            self._consult(Afresh())
+
+    def hear(self, beat: BeatEvent) -> None:
+        """A beat that was swum."""
+        if abs(beat.amplitude_rad) >= _SURE_RAD:
+            self._repeats.must_move()
+
+    def send_speeds(self, swimming: bool) -> None:
+        """What came since the last call. ``swimming``: the tail beats, or is about to."""
+        came = self._frames()
+        with self._kept():
+            frames = self._repeats.new([frame for frame in came if self._fits(frame.t_s)])
+            if not self._gone:
+                self._watch(bool(came), swimming)
+            if not (frames or self._gone) and swimming:
+                self._consult(Unseen(self._now_s()))
+            for frame in frames:
+                self._take(frame)
+
+    def _take(self, frame: Frame) -> None:
+        self._consult(frame)
+        sample = self.fit.add(frame.t_s, self._way_m(frame))
+        if sample is not None and sample.speed_m_s == 0 and is_computed(self._camera):
+            sample = replace(sample, speed_m_s=_AT_REST_M_S)
+        if sample is not None and (board_s := self._board_s(sample.t_s)) > 0:
+            self._fish.link.send(vision_message(board_s, sample))
+
+    def _way_m(self, frame: Frame) -> float:
+        """Along the swim. A camera that tells no y is right for a swim along x."""
+        across = self._along[1]
+        return frame.x_m * self._along[0] + frame.y_m * across if across else frame.x_m
+
+    def _fits(self, t_s: float) -> bool:
+        """Whether a frame can be of this time; one from the future would hide those to come."""
+        if not math.isfinite(t_s):
+            return False
+        ahead_s = (t_s - self._now_s()) * (
+            1.0 if self._camera.clock == "board" else self._fish.clock.rate
+        )
+        return 0 <= self._board_s(t_s) <= _STAMP_MAX_S and ahead_s <= _STAMP_AHEAD_S
+
+    def _board_s(self, t_s: float) -> float:
+        return t_s if self._camera.clock == "board" else self._fish.clock.board_s(t_s)
+
+    def _now_s(self) -> float:
+        """By the camera's clock."""
+        by_board = self._camera.clock == "board"
+        return self._fish.clock.now_s() if by_board else self._fish.transport.now_s()
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """What is raised inside ends the swim, and comes out after it."""
+        try:
+            yield
+        except LinkLostError:
+            raise
+        except Exception as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self._gone, self.failure = True, error
+        self._abort()
+        self._emit({"event": "warning", "text": f"{error}"})
+
+    def _frames(self) -> list[Frame]:
+        if self._gone:
+            return []
+        with self._kept():
+            try:
+                return self._camera.frames()
+            except CameraGone as gone:
+                self._gone = True
+                self._mourn(gone)
+        return []
+
+    def _mourn(self, gone: CameraGone) -> None:
+        self._emit({"event": "warning", "text": f"{gone} The swim has no camera any more."})
+        self._consult(gone)
+        if not self._dispensable:
+            self._abort()
+
+    def _watch(self, seen: bool, swimming: bool) -> None:
+        """Says once when the fish is out of sight while the tail beats."""
+        now_s = self._fish.transport.now_s()
+        if seen or not swimming:
+            self._seen_at_s = now_s
+        blind = (now_s - self._seen_at_s) * self._fish.clock.rate > _BLIND_S
+        if blind and not self._blind:
+            words = getattr(self._camera, "blind_words", "the camera sends no pictures")
+            self._emit({"event": "warning", "text": f"{words}; beats go unmeasured"})
+        self._blind = blind
+        if self._repeats.frozen and swimming and not self._frozen:
+            self._frozen = True
+            text = "the camera's picture stands still; beats go unmeasured"
+            self._emit({"event": "warning", "text": text})
+
+
+def vision_message(board_s: float, sample: SpeedSample) -> Message:
+    """VISION_SPEED_ESTIMATE for a mean speed along x around ``board_s``."""
+    covariance = (sample.sigma_m_s**2, *_NO_COVARIANCE)
+    return mavlink.MAVLink_vision_speed_estimate_message(
+        round(board_s * 1e6), sample.speed_m_s, math.nan, math.nan, covariance, 0
+    )

@@ -1,0 +1,367 @@
+"""Finds the servo pulse with the tail straight, from how the fish turns over two short swims."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.board.loan import Lent, lent, safe_folder, set_for_good
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.trial_checks import (
+    Course,
+    course_of,
+    course_of_frames,
+    imu_drift_rad_s,
+    with_way,
+)
+from tailbeat.experiment.library import RUN, logbook_of
+from tailbeat.learning.fit import Scatter
+from tailbeat.session.guards import BY_HAND, RoomGuard, Seen, together, when
+from tailbeat.session.preflight.step import GivenUp
+from tailbeat.session.room import Belief, Travel, belief_of, last_measured, travel_by
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.core.frames import Camera, Frame
+    from tailbeat.core.trial_file import Trial
+    from tailbeat.experiment.library import Logbook
+    from tailbeat.link.messages import TrialOutcome
+    from tailbeat.session.operator import Person
+    from tailbeat.session.preflight.step import Wanted
+
+Array = NDArray[np.float64]
+
+CENTRE = "SERVO_CENTRE_US"
+OFFSET_RAD = 0.06  # to either side: turns a fish by some 25 degrees in such a swim, no more
+SHOWN_M = 2.2  # the way of the thesis's reference, for which a turn is told in degrees
+
+_AMPLITUDE_MAX_RAD = 0.5  # enough for a brisk swim of any fish
+_RAMP_BEATS, _COAST_BEATS = 4, 2
+_CRUISE_BEATS = (8, 7, 6, 5)
+_SLOWER = 0.9
+_MARGIN_M = 0.15  # of the tank's length, left free
+_ALIKE_SIGMAS = 5.0  # two turns that differ by less tell no centre
+_FAR_RAD = 0.35  # a tail mounted further askew is no matter of trim
+_BEATS_MIN = 8  # swum of both, to tell anything
+_NOTHING = "Nothing was changed; tailbeat trim"
+_REST_S, _PATIENCE_S, _LOOK_S = 20.0, 90.0, 0.2  # of board time
+
+
+@dataclass(frozen=True)
+class TrimSwim:
+    """One of the two: its centre, and how the fish turned per metre, clockwise from above."""
+
+    centre_us: float
+    turn_rad_m: float
+    sigma_rad_m: float
+
+
+@dataclass(frozen=True)
+class Trim:
+    """``centre_us``: where it would swim straight, by the line through the swims; with its standard
+    deviation. ``source``: of the turns, ``imu`` or ``camera``. ``was_us``: what was set."""
+
+    was_us: float
+    centre_us: float
+    sigma_us: float
+    swims: tuple[TrimSwim, TrimSwim]
+    source: str
+
+    @property
+    def turn_rad_m_us(self) -> float:
+        """How much a microsecond turns it, per metre."""
+        low, high = self.swims
+        return (high.turn_rad_m - low.turn_rad_m) / (high.centre_us - low.centre_us)
+
+    def turn_rad(self, centre_us: float, way_m: float = SHOWN_M) -> float:
+        """How far it turns over a way with another centre, clockwise from above."""
+        return self.turn_rad_m_us * (centre_us - self.centre_us) * way_m
+
+    def text(self) -> str:
+        """Before and after, in two lines."""
+        before = math.degrees(self.turn_rad(self.was_us))
+        left = abs(math.degrees(self.turn_rad_m_us * self.sigma_us * SHOWN_M))
+        side = "right" if before > 0 else "left"
+        return (
+            f"centre {self.was_us:.1f} us: it turns {abs(before):.0f} degrees to the {side} over "
+            f"{SHOWN_M} m\ncentre {self.centre_us:.1f} +- {self.sigma_us:.1f} us: straight, within "
+            f"{left:.1f} degrees (by the {self.source.replace('imu', 'IMU')})"
+        )
+
+
+def centre_of(
+    swims: tuple[TrimSwim, TrimSwim], was_us: float, source: str, params: Mapping[str, float]
+) -> Trim:
+    """The line through the two, where it turns by nothing. Raises InputError when that makes no
+    sense."""
+    low, high = swims
+    apart = high.turn_rad_m - low.turn_rad_m
+    sigma = math.hypot(low.sigma_rad_m, high.sigma_rad_m)
+    if not abs(apart) > _ALIKE_SIGMAS * sigma:  # also when either is not known
+        raise InputError(
+            f"the two swims turned alike ({low.turn_rad_m:+.3f} and {high.turn_rad_m:+.3f} rad/m, "
+            f"each +- {sigma:.3f}), though the tail beat about two centres.",
+            "Look whether tail and servo are firm and the fish is free on all sides, then trim "
+            "again; nothing was changed.",
+        )
+    width = high.centre_us - low.centre_us
+    centre = low.centre_us - low.turn_rad_m * width / apart
+    by_each = math.hypot(high.turn_rad_m * low.sigma_rad_m, low.turn_rad_m * high.sigma_rad_m)
+    _check_reach(centre, was_us, params)
+    return Trim(was_us, centre, abs(width) * by_each / apart**2, swims, source)
+
+
+def _check_reach(centre_us: float, was_us: float, params: Mapping[str, float]) -> None:
+    us_rad = params["SERVO_US_RAD"]
+    low, high = params["SERVO_MIN_US"], params["SERVO_MAX_US"]
+    swing_us = params["AMP_MAX_RAD"] * us_rad
+    far = abs(centre_us - was_us) > _FAR_RAD * us_rad
+    if not far and low + swing_us <= centre_us <= high - swing_us:
+        return
+    degrees = math.degrees((centre_us - was_us) / us_rad)
+    raise InputError(
+        f"the centre would be {centre_us:.0f} us, {abs(degrees):.0f} degrees from what is set: "
+        + ("too far for a trim." if far else f"{low:.0f} to {high:.0f} us leave no full swing."),
+        "Mount the tail straighter on the servo's horn (a tooth on or back), then trim again; "
+        "nothing was changed.",
+    )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A short swim: ``amplitude_rad`` per beat of 1 s, the speeds that are predicted."""
+
+    amplitude_rad: Array
+    predicted_m_s: Array
+    travel: Travel
+
+
+def plan(belief: Belief, params: Mapping[str, float]) -> Plan:
+    """As brisk as AMP_MAX_RAD, the servo and the tank allow, gently up to it. Raises InputError
+    when the tank is too short or the fish would not move."""
+    us_rad, centre = params["SERVO_US_RAD"], params[CENTRE]
+    swing_us = min(centre - params["SERVO_MIN_US"], params["SERVO_MAX_US"] - centre)
+    most = min(params["AMP_MAX_RAD"], _AMPLITUDE_MAX_RAD, swing_us / us_rad - OFFSET_RAD)
+    foot = belief.model.dead_zone_rad
+    if most <= foot + 0.02:
+        raise InputError(
+            f"at {max(most, 0.0):.2f} rad, the most that is allowed, the fish would hardly move.",
+            f"Raise AMP_MAX_RAD above {foot + 0.1:.2f}, or look at SERVO_MIN_US and SERVO_MAX_US.",
+        )
+    travel = None
+    for beats in _CRUISE_BEATS:
+        cruise = most
+        while cruise > foot + 0.02:
+            amplitude = _profile(foot, cruise, beats)
+            travel = travel_by(belief, amplitude, params, 1.0)
+            if travel.worst_m <= travel.room_m - _MARGIN_M:
+                return Plan(amplitude, belief.speeds(amplitude, 1.0), travel)
+            cruise = foot + _SLOWER * (cruise - foot)
+            if cruise < foot + 0.5 * (most - foot):
+                break  # fewer beats rather than slower ones
+    assert travel is not None
+    raise InputError(
+        f"the tank is too short to trim: {max(travel.room_m, 0.0):.2f} m are left.",
+        "Correct TANK_LEN_M and FISH_LEN_M, or identify the fish first (tailbeat identify).",
+    )
+
+
+def _profile(foot_rad: float, cruise_rad: float, beats: int) -> Array:
+    ramp = foot_rad + (cruise_rad - foot_rad) * np.arange(1, _RAMP_BEATS + 1) / (_RAMP_BEATS + 1)
+    return np.concatenate([ramp, np.full(beats, cruise_rad), np.zeros(_COAST_BEATS)])
+
+
+def find_centre(
+    fish: Fish,
+    person: Person,
+    camera: Camera | None = None,
+    guard: Guard | None = None,
+    wanted: Wanted | None = None,
+) -> Trim:
+    """Swims twice, the tail centred a little to either side of what is set, and puts back what the
+    board had learned, its reference and its centre. ``wanted``: of the ritual before each swim;
+    None = only the person is asked. Sets nothing: see apply.
+
+    Raises InputError when the turns do not tell a centre (none was felt, the two are alike, or the
+    centre would lie beyond the servo's range), GivenUp when the person wants no more."""
+    book = logbook_of(fish)
+    belief = _belief(fish, book)
+
+    def note(text: str) -> None:
+        person.tell({"event": "notice", "text": text})
+
+    with ExitStack() as stack:
+        if camera is None and (own := fish.default_camera()) is not None:
+            camera = stack.enter_context(closing(own))
+        board = stack.enter_context(lent(fish, safe_folder(book), note, "trim", (CENTRE,)))
+        swimmer = _Swimmer(board, person, camera, guard, wanted, book)
+        planned = plan(belief, board.params)
+        was_us = board.params[CENTRE]
+        offset_us = OFFSET_RAD * board.params["SERVO_US_RAD"]
+        logs = [
+            swimmer.swim(number, was_us + side * offset_us, planned)
+            for number, side in ((1, -1.0), (2, 1.0))
+        ]
+        one, two, source = _courses(logs, planned)
+        low, high = _turned(logs[0], one, source), _turned(logs[1], two, source)
+        return centre_of((low, high), was_us, source, board.params)
+
+
+def apply(fish: Fish, trim: Trim) -> float:
+    """Sets the centre that was found, for good, and says so in the fish's experiment if it is in
+    one; what is set now."""
+    from tailbeat.experiment.current import current
+
+    value = round(trim.centre_us, 1)
+    held = set_for_good(fish, {CENTRE: value})[CENTRE]
+    if (experiment := current(fish)) is not None:
+        experiment.journal.add("trimmed", **(asdict(trim) | {"centre_us": held}))
+    return held
+
+
+def _belief(fish: Fish, book: Logbook | None) -> Belief:
+    params = {name: p.value for name, p in fish.params.list().items()}
+    identified = book.identified() if book is not None else None
+    return belief_of(params, identified, last_measured(fish, book))
+
+
+@dataclass(frozen=True)
+class _Log:
+    """A swim that was swum: its file, and the frames with their time from its begin."""
+
+    centre_us: float
+    trial: Trial
+    frames: list[Frame] = field(default_factory=list)
+
+
+@dataclass
+class _Swimmer:
+    board: Lent
+    person: Person
+    camera: Camera | None
+    guard: Guard | None
+    wanted: Wanted | None
+    book: Logbook | None
+
+    def swim(self, number: int, centre_us: float, planned: Plan) -> _Log:
+        """Asks, swims, keeps."""
+        fish = self.board.fish
+        self.board.prepare(
+            f"trim {number}", planned.amplitude_rad, _reference(planned), {CENTRE: centre_us}
+        )
+        self._ask(number, centre_us, planned)
+        room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
+        seen = Seen()
+        guards = together(self.guard, room, when(self.person.wants_abort, BY_HAND), seen)
+        trial = self.board.swim(self.camera, self.person.tell, guards, self._judge, self._keep)
+        return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
+
+    def _ask(self, number: int, centre_us: float, planned: Plan) -> None:
+        text = (
+            f"swim {number} of 2, the tail's centre at {centre_us:.0f} us: "
+            f"{len(planned.amplitude_rad)} beats, up to {planned.amplitude_rad.max():.2f} rad; "
+            f"{planned.travel.text()}"
+        )
+        self.person.tell(
+            {"event": "step", "step": f"trim {number}", "text": text, "ok": True, "left_s": None}
+        )
+        if not self.person.confirm("Is the fish at its start, free on both sides? Swim?"):
+            raise GivenUp("the trim was not wanted", _NOTHING)
+        if self.wanted is not None:
+            from tailbeat.session.preflight.checklist import prepare
+            from tailbeat.session.preflight.countdown import countdown
+
+            prepare(self.board.fish, self.wanted, self.camera, self.person)
+            countdown(self.board.fish, self.wanted, self.person)
+        else:
+            self._wait_until_still()
+
+    def _wait_until_still(self) -> None:
+        """The IMU's zero is as good as the rest before the swim is long. Without an IMU, or if the
+        fish does not come to rest, a camera has to do."""
+        fish, left_s = self.board.fish, _PATIENCE_S
+        if fish.imu_verdict().state != "streaming":
+            return
+        while fish.link.request("TAILBEAT_IMU_INFO").still_s < _REST_S and left_s > 0:
+            if self.person.wants_abort():
+                raise GivenUp("the trim was stopped by hand", _NOTHING)
+            fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
+            left_s -= _LOOK_S
+
+    def _judge(self, outcome: TrialOutcome) -> None:
+        if outcome.end == "complete":
+            return
+        self.board.fish.clear()
+        if self.person.wants_abort():
+            raise GivenUp("the trim was stopped by hand", _NOTHING)
+        if outcome.executed_beats < _BEATS_MIN:
+            raise TailbeatError(
+                f"swim {outcome.number} ended with {outcome.end} after "
+                f"{outcome.executed_beats} beats.",
+                "Put it right, then trim again; nothing was changed.",
+            )
+
+    def _keep(self, path: Path) -> None:
+        if self.book is not None:
+            self.book.keep(path, RUN)
+
+
+def _reference(planned: Plan) -> Array:
+    """What is predicted, without the glide after the last beat."""
+    return planned.predicted_m_s[: len(planned.amplitude_rad)]
+
+
+def _since_begin(
+    fish: Fish, camera: Camera | None, frames: list[Frame], trial: Trial
+) -> list[Frame]:
+    from tailbeat.core.frames import Frame
+
+    by_board = camera is not None and camera.clock == "board"
+    begin_s = trial.start_us * 1e-6
+    return [
+        Frame(
+            (f.t_s if by_board else fish.clock.board_s(f.t_s)) - begin_s,
+            f.x_m, f.y_m, f.heading_rad,
+        )
+        for f in frames
+    ]  # fmt: skip
+
+
+def _turned(log: _Log, course: Course, source: str) -> TrimSwim:
+    """With a sigma that holds what the scatter about the line does not show: a fish at rest that
+    turned a little, and water that flowed (the tail turns it by the metre through the water)."""
+    turn, sigma = course.turn_rad_m()
+    way_m = float(np.nanmax(course.way_m) - np.nanmin(course.way_m)) if sigma > 0 else math.nan
+    swim_s = float(np.count_nonzero(np.isfinite(course.way_m)))
+    drift = imu_drift_rad_s(log.trial) / math.sqrt(3) if source == "imu" else 0.0
+    flow = Scatter().flow_m_s * turn
+    return TrimSwim(
+        log.centre_us, turn, math.hypot(sigma, drift * swim_s / way_m, flow * swim_s / way_m)
+    )
+
+
+def _courses(logs: list[_Log], planned: Plan) -> tuple[Course, Course, str]:
+    """Of both swims by the same means; the IMU's first."""
+    felt = [course_of(log.trial) for log in logs]
+    known = [course for course in felt if course is not None and course.known]
+    source = "imu"
+    if len(known) < len(logs):
+        source = "camera"
+        known = [course_of_frames(log.frames, 0.0, log.trial.executed_beats, 1.0) for log in logs]
+        if not all(course.known for course in known):
+            raise InputError(
+                "nothing felt how the fish turned: the IMU did not, and no camera saw it.",
+                "Look at the IMU (tailbeat imu info), or give a --camera; nothing was changed.",
+            )
+    if not all(np.isfinite(course.way_m).any() for course in known):
+        # A wrong length of way changes the turn per metre, and not where it is none.
+        known = [with_way(course, planned.predicted_m_s, 1.0) for course in known]
+    return known[0], known[1], source

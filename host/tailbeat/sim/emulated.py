@@ -1,0 +1,456 @@
+"""The flash image on an emulated board, with the simulated fish around it.
+
+The board is tools/vboard: its processor executes the very image that is flashed. Its wires end in
+the simulator's world: servo pulses move the fish, the camera sees the LED, the battery is on its
+divider, and board and IMU understand each other when both ends of their line run at the same speed.
+Camera, noise and swims are those of the simulated board: the same pulses give the same true speeds,
+bit for bit.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.extras import BUILD_IMAGE, remedy
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
+from tailbeat.sim.world import DEFAULT_SEED, FRAME_US, World, board_number
+
+if TYPE_CHECKING:
+    from vboard.board import Board
+    from vboard.core.clock import Event
+    from vboard.wires.serial_line import SerialLine
+
+IMAGE = Path("build") / "firmware" / "tailbeat.elf"
+ID_PREFIX = b"tailbeat"  # of the unique id; by it the firmware knows that it runs here
+BAUD = 115200
+
+# As in docs/wiring.md.
+_LINES = {"USART1": RADIO, "UART": CONSOLE}
+_IMU_PORT = "USART0"
+_SERVO_CHANNEL = 4
+_SERVO_PIN = ("PIOC", 21, "B")
+_LED_PIN = ("PIOB", 27)
+_BATTERY_CHANNEL = 7
+_BATTERY_DIVIDER = 3
+_TIME_BASE = "TC0_0"  # counts half the master clock from the start of the firmware's time on
+_TIME_BASE_DIVIDER = 2
+_COUNTER_WRAP = 1 << 32
+
+_TICKS_PER_US = 84
+_BITS_PER_BYTE = 10
+_MIN_STEP_US = 1000
+_LOOK_US = 4000  # the host looks at its end of a line this often, and waits this long for more
+_IMU_LOOK_US = 2000  # while the board talks to the IMU; else once in a frame of the servo
+_IMU_SYNC = 0xFA
+_IMU_TALK_US = 500_000  # it goes on for so long after the last word
+_IDLE_FRAME_LATE_US = 1  # a frame of the servo that is due at the same time comes first
+_PICTURES_MAX = 4096
+
+
+class EmulationError(TailbeatError):
+    """The image did what no correct image does, or the emulator is wrong."""
+
+
+class EmulatedBoard:
+    """A SimulatedBoard that runs a flash image. ``image``: .elf or .bin; None = the one that `make
+    firmware` built in the clone that holds the present folder.
+
+    Keyword overrides are the fields of sim_config_t; the links run at 115200 baud, whatever it
+    says. ``seed``: None = disturbances as with 1, but a unique id of its own. ``imu_frames_sent``:
+    binary frames that the IMU has put on its line so far.
+    """
+
+    def __init__(
+        self,
+        image: Path | None = None,
+        plant: str = "tank",
+        /,
+        seed: float | None = None,
+        **overrides: float,
+    ) -> None:
+        self.image = find_image(image)
+        self._world = World(plant, DEFAULT_SEED if seed is None else seed, **overrides)
+        self._unique_id = ID_PREFIX + board_number(seed).to_bytes(8, "little")
+        self.name = f"vboard:{self.image}"
+        self.plant = plant
+        self.seed = int(DEFAULT_SEED if seed is None else seed)
+        self.config = self._world.config
+        self.watched = False
+        self._origin_us = round(self.config["boot_s"] * 1e6)
+        self._world.rest(self._origin_us)
+        self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)
+        self._time_base_start: int | None = None
+        self._idle_frame: Event | None = None
+        self._imu_message: Event | None = None
+        self._imu_look: Event | None = None
+        self._imu_talk_end = 0
+        self._led_on = False
+        self.imu_frames_sent = 0
+        self._board = self._new_board()
+        self._clock = self._board.clock
+        self._lines = {port: self._new_line(name, BAUD) for name, port in _LINES.items()}
+        self._imu = self._new_line(_IMU_PORT, self._world.imu_baud())
+        self._received = {port: bytearray() for port in self._lines}
+        self._board.wire(self._connect)
+        self._plan_idle_frame()
+        self._power_imu()
+
+    # Time.
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time; the board gets its power at ``boot_s``."""
+        return self._origin_us * 1e-6 + self._clock.now / _TICKS_PER_US * 1e-6
+
+    @property
+    def board_time_s(self) -> float:
+        """The firmware's clock, from the counter it takes its time from; 0 until that runs."""
+        self._follow_time_base()
+        if self._time_base_start is None:
+            return 0.0
+        return (self._clock.now - self._time_base_start) / _TICKS_PER_US * 1e-6
+
+    def run(self, duration_s: float, port: int = -1, camera: bool = False) -> float:
+        """Lets time pass; the time left (s) when bytes on ``port`` or a picture ended it early.
+
+        Raises EmulationError.
+        """
+        end = self._clock.now + max(_MIN_STEP_US, round(duration_s * 1e6)) * _TICKS_PER_US
+        heard_at: int | None = None
+        while self._clock.now < end:
+            self._run_until(self._next_look(end, port, camera))
+            if camera and self._take_pictures():
+                break
+            if port in self._lines and self._collect(port):
+                heard_at = self._clock.now if heard_at is None else heard_at
+                waited = self._clock.now - heard_at >= _LOOK_US * _TICKS_PER_US
+                if waited or self._lines[port].message_due() is None:
+                    break
+        self._follow_time_base()
+        return max(0, end - self._clock.now) / _TICKS_PER_US * 1e-6
+
+    def _next_look(self, end: int, port: int, camera: bool) -> int:
+        if port not in self._lines and not camera:
+            return end
+        now = self._clock.now
+        look = min(end, now + _LOOK_US * _TICKS_PER_US)
+        if port in self._lines and (due := self._lines[port].message_due()) is not None:
+            look = min(look, max(due, now + 1))
+        if camera and (due_us := self._world.camera_due_us()) is not None:
+            look = min(look, max(self._ticks(due_us), now + 1))
+        return look
+
+    def _run_until(self, tick: int) -> None:
+        from vboard.core.bus import BusViolation
+        from vboard.core.exceptions import Lockup
+
+        try:
+            with _interrupt_afterwards():
+                self._board.run_until(tick)
+        except (BusViolation, Lockup) as error:
+            raise EmulationError(
+                f"the image failed on the emulated board: {error}",
+                "If it is an image of tailbeat (make firmware), this is a mistake in the firmware"
+                " or in the emulator; see tools/vboard.",
+            ) from error
+
+    def _follow_time_base(self) -> None:
+        """Learns from the counter when the firmware's time began; again after every reset."""
+        board = self._board
+        count = board.periph[_TIME_BASE].read_cv() if board.powered else 0
+        if count == 0:
+            self._time_base_start = None
+            return
+        unit = _TIME_BASE_DIVIDER * board.chip.mck_ticks()
+        if self._time_base_start is not None:
+            expected = (self._clock.now - self._time_base_start) // unit
+            if (expected - count + 1) % _COUNTER_WRAP <= 2:
+                return
+        self._time_base_start = self._clock.now - count * unit
+
+    # Links.
+
+    def write(self, data: bytes, port: int = RADIO) -> int:
+        """Bytes towards the board, at the speed of the line."""
+        self._lines[port].send(data)
+        return len(data)
+
+    def read(self, port: int = RADIO) -> bytes:
+        """Bytes from the board."""
+        self._collect(port)
+        data = bytes(self._received[port])
+        self._received[port].clear()
+        return data
+
+    def _collect(self, port: int) -> bool:
+        self._received[port] += self._lines[port].take()
+        return bool(self._received[port])
+
+    # The world.
+
+    def camera_frames(self) -> list[CameraFrame]:
+        """Pictures that came in since the last call."""
+        self._take_pictures()
+        taken = list(self._pictures)
+        self._pictures.clear()
+        return taken
+
+    def _take_pictures(self) -> bool:
+        taken = self._world.camera_read(self._now_us())
+        self._pictures += taken
+        return bool(taken)
+
+    def truth(self) -> Truth:
+        """State of the fish at the last servo frame, at most 20 ms ago."""
+        return self._world.truth()
+
+    def true_beats(self) -> NDArray[np.float64]:
+        """True mean speed of each beat of the present or last swim, m/s."""
+        return self._world.true_beats()
+
+    def true_speeds_25hz(self) -> NDArray[np.float64]:
+        """True speed every 40 ms of the present or last swim, m/s."""
+        return self._world.true_speeds_25hz()
+
+    def set_swim(self, next_swim: int) -> None:
+        """The number the next swim's noise is keyed by (1 = first)."""
+        self._world.set_swim(next_swim)
+
+    def power_cycle(self) -> None:
+        """Power off and on again; flash stays."""
+        self._board.power_cut()
+        self._world.imu_power(on=False, now_us=self._now_us())
+        self._board.power_on()
+        self._power_imu()
+
+    def set_battery_v(self, volts: float) -> None:
+        """Battery voltage from now on."""
+        self._world.set_battery_v(volts)
+
+    def set_imu(self, plugged: bool) -> None:
+        """Plugs the IMU in or out."""
+        self._world.set_imu(self._now_us(), plugged)
+        self._plan_imu_message()
+
+    def reboot_imu(self) -> None:
+        """The IMU restarts with its saved settings."""
+        self._world.imu_reboot(self._now_us())
+        self._plan_imu_message()
+
+    def wedge_imu(self) -> None:
+        """The IMU is silent until the next power cycle."""
+        self._world.imu_wedge()
+        self._plan_imu_message()
+
+    def set_camera(self, on: bool) -> None:
+        """Switches the camera."""
+        self._world.set_camera(on)
+
+    def set_radio(self, connected: bool) -> None:
+        """Cuts or mends the radio link."""
+        line = self._lines[RADIO]
+        (line.plug if connected else line.cut)()
+
+    def set_tilt_rad(self, roll_rad: float) -> None:
+        """Rolls the fish."""
+        self._world.set_tilt_rad(roll_rad)
+
+    def set_start(self, start_m_s: float) -> None:
+        """Speed over water at which the next swim starts."""
+        self._world.set_start(start_m_s)
+
+    def push(self, by_m_s: float) -> None:
+        """A hand changes the fish's speed, within 0.3 s."""
+        self._world.push(by_m_s)
+
+    def hold(self, hold_s: float) -> None:
+        """Something stops the fish dead and lets it go after ``hold_s``."""
+        self._world.hold(hold_s)
+
+    def stir(self, by_m_s: float) -> None:
+        """Moves the water along the tank; it comes to rest with a time constant of 8 s."""
+        self._world.stir(by_m_s)
+
+    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Somebody puts the fish there, at rest; the next swim begins from there."""
+        self._world.place(x_m, y_m, heading_rad)
+
+    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
+        """Power off, another pack, power on; the ballast may have shifted."""
+        self._world.swap_battery(volts, gain, centre_rad)
+        self.power_cycle()
+
+    @property
+    def flash(self) -> bytes:
+        """The storage flash (bank 1) as it is now."""
+        return self._board.bank1
+
+    @flash.setter
+    def flash(self, image: bytes) -> None:
+        if len(image) != FLASH_BYTES:
+            raise InputError("the flash image has the wrong size", f"It has {FLASH_BYTES} bytes.")
+        self._board.bank1 = image
+
+    @property
+    def board(self) -> Board:
+        """The emulated board itself."""
+        return self._board
+
+    # Wires.
+
+    def _new_board(self) -> Board:
+        try:
+            from vboard.board import Board
+            from vboard.image import ImageError
+        except ImportError as error:
+            raise InputError(
+                f"The emulated board needs the emulator, which is not installed ({error})",
+                remedy("vboard"),
+            ) from error
+        try:
+            return Board(self.image, unique_id=self._unique_id, seed=self.seed)
+        except (ImageError, OSError) as error:
+            raise InputError(f"cannot boot this image: {error}", BUILD_IMAGE) from error
+
+    def _new_line(self, name: str, baud: int) -> SerialLine:
+        from vboard.wires.serial_line import SerialLine
+
+        return SerialLine(self._clock, baud, name)
+
+    def _connect(self) -> None:
+        """Solders the wires to the chip; it is new after each power-on."""
+        periph = self._board.periph
+        self._board.chip.divide_traps = False  # each division would cost 20 us
+        for name, port in _LINES.items():
+            periph[name].connect(self._lines[port])
+        periph[_IMU_PORT].connect(self._imu)
+        periph["PWM"].on_period.append(self._servo_frame)
+        periph[_LED_PIN[0]].on_change.append(self._show_led)
+        periph["ADC"].volts[_BATTERY_CHANNEL] = self._divided_v
+
+    def _divided_v(self) -> float:
+        return self._world.battery_v() / _BATTERY_DIVIDER
+
+    def _show_led(self) -> None:
+        """It lights at a driven pin only: a pull-up is too weak for it."""
+        name, bit = _LED_PIN
+        on = self._board.periph[name].drives_high(bit)
+        if on != self._led_on:
+            self._led_on = on
+            self._world.led(self._now_us(), on)
+
+    def _servo_frame(self, channel: int, start: int, period: int, high: int) -> None:
+        """A period of the PWM begins; its pulse is ``high`` thirds of a microsecond long."""
+        del period
+        if channel != _SERVO_CHANNEL:
+            return
+        name, bit, owner = _SERVO_PIN
+        wired = self._board.periph[name].owner(bit) == owner
+        self._world.frame(self._us(start), high if wired else 0)
+        self._plan_idle_frame()
+        self._look_at_imu()
+
+    def _plan_idle_frame(self) -> None:
+        """Without a PWM that runs the fish goes on all the same."""
+        self._clock.cancel(self._idle_frame)
+        due_us = self._world.time_us + FRAME_US + _IDLE_FRAME_LATE_US
+        self._idle_frame = self._clock.at(self._ticks(due_us), self._rest)
+
+    def _rest(self) -> None:
+        self._world.frame(self._world.time_us + FRAME_US, 0)
+        self._plan_idle_frame()
+        self._look_at_imu()
+
+    def _power_imu(self) -> None:
+        self._world.imu_power(on=True, now_us=self._now_us())
+        self._plan_imu_message()
+
+    def _plan_imu_message(self) -> None:
+        """What the IMU says next, at its own speed; the line's end is set to that."""
+        self._imu.set_baud(self._world.imu_baud())
+        self._clock.cancel(self._imu_message)
+        due_us = self._world.imu_due_us()
+        if due_us is not None:
+            self._imu_message = self._clock.at(self._ticks(due_us), self._send_imu_message)
+
+    def _send_imu_message(self) -> None:
+        if data := self._world.imu_read():
+            self._imu.send(data)
+            self.imu_frames_sent += data[0] == _IMU_SYNC
+        self._plan_imu_message()
+
+    def _look_at_imu(self) -> None:
+        """Hands over what the board has said to the IMU, and looks again when it has said all."""
+        self._clock.cancel(self._imu_look)
+        now = self._clock.now
+        if chunks := self._imu.take_timed():
+            for chunk in chunks:
+                baud = round(_BITS_PER_BYTE * _TICKS_PER_US * 1_000_000 / chunk.char_ticks)
+                self._world.imu_write(self._now_us(), chunk.data, baud)
+            self._imu_talk_end = now + _IMU_TALK_US * _TICKS_PER_US
+            self._plan_imu_message()
+        due = self._imu.message_due()
+        if due is None and now < self._imu_talk_end:
+            due = now + _IMU_LOOK_US * _TICKS_PER_US
+        if due is not None:
+            self._imu_look = self._clock.at(max(due, now + 1), self._look_at_imu)
+
+    # The board's ticks count from its power-on, the world's microseconds from before that.
+
+    def _us(self, tick: int) -> int:
+        return self._origin_us + tick // _TICKS_PER_US
+
+    def _ticks(self, time_us: int) -> int:
+        return (time_us - self._origin_us) * _TICKS_PER_US
+
+    def _now_us(self) -> int:
+        return self._us(self._clock.now)
+
+
+@contextmanager
+def _interrupt_afterwards() -> Iterator[None]:
+    """Ctrl-C comes at the end: raised in a call that the emulator makes from C, it would be lost
+    there, and leave a board that stopped between two instructions."""
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    pressed: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if pressed:
+        raise KeyboardInterrupt
+
+
+def find_image(image: Path | None) -> Path:
+    """``image``, or the one built in this clone. Raises InputError when there is none."""
+    path = image or _built_image()
+    if path.suffix not in (".elf", ".bin"):
+        raise InputError(f"{path} is no flash image", "Give the .elf or the .bin that was built.")
+    if not path.is_file():
+        raise InputError(f"there is no flash image {path}", BUILD_IMAGE)
+    return path
+
+
+def _built_image() -> Path:
+    from tailbeat.core.selftest import SelftestError, find_source
+
+    if IMAGE.is_file():
+        return IMAGE
+    try:
+        return find_source() / IMAGE
+    except SelftestError:
+        return IMAGE

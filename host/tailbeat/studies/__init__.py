@@ -1,0 +1,1 @@
+"""Monte Carlo studies and the examples of the thesis."""

@@ -1,0 +1,89 @@
+"""Many simulated fish side by side: the simulator's water, tail and camera, without board and wire.
+
+Each fish swims exactly as ``hal/sim``'s would with the same settings, seed and swim number; its
+speeds are measured from its camera's noisy pictures by a line over each beat (hal/sim/shoal.h).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
+from tailbeat.sim.world import make_config, senseless
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Swims:
+    """Shape (fish, beats), m/s over ground. ``speed_m_s``: measured, NaN = too few pictures;
+    ``sigma_m_s``: its standard deviation from the scatter about the line, NaN likewise;
+    ``true_m_s``: the simulator's own."""
+
+    speed_m_s: Array
+    sigma_m_s: Array
+    true_m_s: Array
+
+    def cut(self, executed: NDArray[np.int64]) -> Swims:
+        """As it is known of trials that ended after ``executed`` whole beats, shape (fish,). The
+        simulator's own speeds go on: they are what the amplitudes would have done."""
+        beyond = np.arange(self.speed_m_s.shape[1]) >= executed[:, None]
+        speed, sigma = (np.where(beyond, np.nan, of) for of in (self.speed_m_s, self.sigma_m_s))
+        return Swims(speed_m_s=speed, sigma_m_s=sigma, true_m_s=self.true_m_s)
+
+
+class Shoal:
+    """Fish given as settings of the simulator (fields of ``sim_config_t``, ``seed`` among them)
+    that differ from the plant's defaults. Raises InputError when a value makes no sense."""
+
+    def __init__(self, plant: str, fish: Sequence[dict[str, float]]) -> None:
+        self._count = len(fish)
+        self._configs: Any = ffi.new("sim_config_t[]", max(1, self._count))
+        for index, settings in enumerate(fish):
+            others = {name: value for name, value in settings.items() if name != "seed"}
+            config = make_config(plant, settings.get("seed", 1), others)
+            if not lib.sim_config_valid(config):
+                raise senseless()
+            self._configs[index] = config[0]
+
+    def __len__(self) -> int:
+        return self._count
+
+    def swim(
+        self, amplitude_rad: Array, number: int | NDArray[np.uint32], beat_s: float = 1.0
+    ) -> Swims:
+        """All of them swim once, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
+        noise (1 = the first swim), one for all or one for each. Raises InputError when a value
+        makes no sense."""
+        amplitude = np.ascontiguousarray(amplitude_rad, dtype=np.float64)
+        if amplitude.ndim != 2 or len(amplitude) != self._count:
+            raise InputError(
+                f"amplitudes of shape {amplitude.shape} do not fit {self._count} fish.",
+                "Give one row of amplitudes per fish.",
+            )
+        swims = np.ascontiguousarray(np.broadcast_to(number, self._count), dtype=np.uint32)
+        true, speed, sigma = (np.empty_like(amplitude) for _ in range(3))
+        if not lib.shoal_swim(
+            self._configs,
+            self._count,
+            ffi.from_buffer("uint32_t[]", swims),
+            ffi.from_buffer("double[]", amplitude),
+            amplitude.shape[1],
+            beat_s,
+            *(ffi.from_buffer("double[]", out) for out in (true, speed, sigma)),
+        ):
+            raise InputError(
+                f"no fish can swim these amplitudes in beats of {beat_s:g} s.",
+                "Amplitudes are finite, in rad; a beat is a multiple of 0.02 s.",
+            )
+        return Swims(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
+
+    def config(self, index: int) -> Any:
+        """``sim_config_t *`` of one fish, a copy."""
+        return ffi.new("sim_config_t *", self._configs[range(self._count)[index]])

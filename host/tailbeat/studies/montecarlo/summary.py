@@ -1,0 +1,334 @@
+"""What a sweep showed: medians, bands and claims, from its Parquet file alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.studies.montecarlo.recipe import BY_REPEATS, Claim, Recipe
+from tailbeat.studies.montecarlo.results import FAILED
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+Group = tuple[str, ...]
+
+FISH = ("plant", "law", "noise", "corner")
+GROUP = (*FISH, "reference")
+_QUANTILES = {"median": 50, "p05": 5, "p90": 90, "p95": 95, "max": 100, "min": 0}
+_BAND = 95  # of runs of one input, in per cent: what their largest rise stays below
+_RANGES = (  # derived column, what is predicted, its 5 % and 95 %
+    ("ratio_inside", "ratio", "ratio_low", "ratio_high"),
+    ("prediction_inside", "max_abs_error_m_s", "predicted_low_m_s", "predicted_high_m_s"),
+)
+_EARLIER = slice(4, 7)  # trials 5 to 7, by which a run has settled, and its last ones
+_LAST = slice(-3, None)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Columns of results as arrays of one length. ``codes``: of the columns that rows have been
+    chosen by, their values and which of them each row has; comparing texts row by row is slow."""
+
+    columns: dict[str, NDArray[Any]]
+    codes: dict[str, tuple[NDArray[Any], NDArray[np.int64]]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: pa.Table) -> Rows:
+        """With the derived columns."""
+        columns = {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+        floor = columns["floor_lsq_m_s"]
+        for name, of, low, high in _RANGES:
+            columns[name] = _inside(columns[of], columns[low], columns[high])
+        columns["floor_prediction_error"] = np.abs(columns["predicted_floor_m_s"] / floor - 1)
+        return cls(columns)
+
+    def __len__(self) -> int:
+        return len(self.columns["seed"])
+
+    @property
+    def failures(self) -> Rows:
+        """One row of every fish that could not be identified or taught."""
+        failed = self.where(self.columns["verdict"] == FAILED)
+        keys = list(zip(*(failed.columns[name].tolist() for name in (*FISH, "seed")), strict=True))
+        _, first = np.unique([str(key) for key in keys], return_index=True)
+        return failed.where(np.isin(np.arange(len(failed)), first))
+
+    def where(self, mask: NDArray[np.bool_]) -> Rows:
+        """Some of them."""
+        return Rows(
+            {name: values[mask] for name, values in self.columns.items()},
+            {name: (values, which[mask]) for name, (values, which) in self.codes.items()},
+        )
+
+    def only(self, names: Iterable[str]) -> Rows:
+        """All of them, with some columns."""
+        there = {name: self.columns[name] for name in names}
+        return Rows(there, {name: self._coded(name) for name in GROUP})
+
+    def _coded(self, name: str) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        if name not in self.codes:
+            self.codes[name] = np.unique(self.columns[name], return_inverse=True)
+        return self.codes[name]
+
+    def select(self, wanted: dict[str, Any]) -> Rows:
+        """Those whose columns have one of the values; ``word*``: that begin with it."""
+        mask = np.ones(len(self), dtype=bool)
+        for name, values in wanted.items():
+            many = values if isinstance(values, list) else [values]
+            begins = tuple(str(one)[:-1] for one in many if str(one).endswith("*"))
+            there, which = self._coded(name)
+            chosen = [one in many or str(one).startswith(begins) for one in there.tolist()]
+            mask &= np.array(chosen, dtype=bool)[which]
+        return self.where(mask)
+
+    def groups(self, by: tuple[str, ...] = GROUP) -> Iterator[tuple[Group, Rows]]:
+        """In the order in which they come."""
+        if not len(self):
+            return
+        coded = [self._coded(name) for name in by]
+        rows = np.stack([which for _, which in coded], axis=1)
+        keys, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        for i in np.argsort(first):
+            key = tuple(str(values[code]) for (values, _), code in zip(coded, keys[i], strict=True))
+            yield key, self.where(which.ravel() == i)
+
+    def grid(self, name: str) -> Array:
+        """(fish, iterations) of a column of one group, iteration 0 first."""
+        order = np.lexsort((self.columns["iteration"], self.columns["seed"]))
+        fish = len(np.unique(self.columns["seed"]))
+        found: Array = self.columns[name][order].reshape(fish, -1).astype(np.float64)
+        return found
+
+
+@dataclass(frozen=True)
+class Line:
+    """One group. Arrays over iterations, true max|e| in m/s, of the fish that did not fail.
+    ``fixed``: it learns nothing."""
+
+    plant: str
+    law: str
+    noise: str
+    corner: str
+    reference: str
+    fixed: bool
+    fish: int
+    failed: int
+    floor_minimax_m_s: float
+    floor_lsq_m_s: float
+    median_m_s: Array
+    low_m_s: Array
+    high_m_s: Array
+    measured_median_m_s: Array
+    true_rms_median_m_s: Array
+
+    @property
+    def over_floor(self) -> float:
+        """Median of the last iteration over the floor."""
+        return float(self.median_m_s[-1] / self.floor_lsq_m_s)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a claim came out. ``figure``: the worst group's, ``group`` says which."""
+
+    text: str
+    holds: bool
+    figure: float
+    bound: str
+    group: str
+    figures: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All of a sweep. ``failures``: the fish that could not be identified or taught, and why."""
+
+    recipe: str
+    title: str
+    lines: list[Line]
+    claims: list[Verdict]
+    failures: list[str]
+
+    @property
+    def failed(self) -> list[Verdict]:
+        """Claims that do not hold."""
+        return [claim for claim in self.claims if not claim.holds]
+
+
+def summarise(recipe: Recipe, table: pa.Table) -> Summary:
+    """From the results of a recipe, or as much of them as there is."""
+    rows = Rows.of(table)
+    lines = [_line(key, group) for key, group in rows.groups()]
+    claims = [judge(one, rows) for one in recipe.claims]
+    return Summary(recipe.name, recipe.title, lines, claims, _failures(rows.failures))
+
+
+def _failures(rows: Rows) -> list[str]:
+    names = (*FISH, "seed", "failure")
+    return [
+        f"{' / '.join(word for word in words if word)}, seed {seed}: {failure}"
+        for *words, seed, failure in zip(*(rows.columns[name] for name in names), strict=True)
+    ]
+
+
+def _inside(value: Array, low: Array, high: Array) -> Array:
+    """1 or 0; NaN where any of them is not known."""
+    known = np.isfinite(low) & np.isfinite(high) & np.isfinite(value)
+    return np.where(known, (low <= value) & (value <= high), np.nan).astype(np.float64)
+
+
+def _line(key: Group, rows: Rows) -> Line:
+    fish = len(np.unique(rows.columns["seed"]))
+    failed = len(rows.failures)
+    swam = rows.where(rows.columns["verdict"] != FAILED) if failed < fish else rows
+    true = swam.grid("true_max_abs_error_m_s")
+    low, median, high = np.percentile(true, [5, 50, 95], axis=0)
+    names = dict(zip(GROUP, key, strict=True))
+    return Line(
+        plant=names["plant"],
+        law=names["law"],
+        noise=names["noise"],
+        corner=names["corner"],
+        reference=names["reference"],
+        fixed="fixed" in rows.columns["swum_law"],
+        fish=fish,
+        failed=failed,
+        floor_minimax_m_s=float(rows.columns["floor_minimax_m_s"][0]),
+        floor_lsq_m_s=float(rows.columns["floor_lsq_m_s"][0]),
+        median_m_s=median,
+        low_m_s=low,
+        high_m_s=high,
+        measured_median_m_s=_known_median(swam.grid("max_abs_error_m_s")),
+        true_rms_median_m_s=np.median(swam.grid("true_rms_error_m_s"), axis=0),
+    )
+
+
+def _known_median(grid: Array) -> Array:
+    """Of what is known in each column, NaN where nothing is."""
+    return np.array(
+        [np.median(known) if (known := column[np.isfinite(column)]).size else np.nan
+         for column in grid.T]
+    )  # fmt: skip
+
+
+def judge(claim: Claim, rows: Rows) -> Verdict:
+    """A claim about results. Without any row that it speaks of it does not hold."""
+    needed = {*GROUP, "seed", "iteration", claim.of, *([claim.over] if claim.over else [])}
+    rows = rows.only(sorted(needed))
+    chosen = rows.select(claim.where)
+    groups = [(("all",), chosen)] if claim.pool else list(chosen.groups())
+    figures: dict[str, float] = {}
+    for key, group in groups:
+        if claim.statistic in BY_REPEATS:
+            figure = _by_repeats(claim, group, _counterpart(claim, key, rows))
+        else:
+            figure = _figure(claim, group)
+            if claim.against:
+                figure /= _figure(claim, _counterpart(claim, key, rows), against=True)
+        figures[" / ".join(word for word in key if word)] = figure
+    return _verdict(claim, figures)
+
+
+def _verdict(claim: Claim, figures: dict[str, float]) -> Verdict:
+    low = -np.inf if claim.at_least is None else claim.at_least
+    high = np.inf if claim.at_most is None else claim.at_most
+    words = [
+        *([] if claim.at_least is None else [f"at least {low:g}"]),
+        *([] if claim.at_most is None else [f"at most {high:g}"]),
+    ]
+    bound = " and ".join(words)
+    known = {key: value for key, value in figures.items() if np.isfinite(value)}
+    if not known or len(known) < len(figures):
+        missing = next((key for key in figures if key not in known), "no rows")
+        return Verdict(claim.text, False, float("nan"), bound, missing, figures)
+    worst = max(known, key=lambda key: max(known[key] - high, low - known[key]))
+    holds = low <= known[worst] <= high
+    return Verdict(claim.text, bool(holds), known[worst], bound, worst, figures)
+
+
+def _counterpart(claim: Claim, key: Group, rows: Rows) -> Rows:
+    """The rows a group is held against: of the same plant, noise and so on, but for what
+    ``against`` names; a law without corners has only one."""
+    wanted = {k: v for k, v in claim.against.items() if k not in ("iteration", "statistic")}
+    if claim.pool:
+        return rows.select({**claim.where, **wanted})
+    same = {name: value for name, value in zip(GROUP, key, strict=True) if name not in wanted}
+    if "law" in wanted:
+        same.pop("corner", None)
+    return rows.select({**same, **wanted})
+
+
+def _figure(claim: Claim, rows: Rows, against: bool = False) -> float:
+    """The statistic of a group. A counterpart without an iteration of its own stands for all of
+    its trials if it is another law, for the same iteration if not."""
+    iteration = claim.iteration
+    if against:
+        other = claim.against.get("iteration")
+        iteration = other if other is not None or "law" in claim.against else iteration
+    rows = _at(rows, iteration, claim.from_iteration)
+    values = rows.columns[claim.of].astype(np.float64)
+    if claim.over:
+        values = values / rows.columns[claim.over]
+    if not values.size or not np.isfinite(values).all():
+        return float("nan")
+    statistic = claim.against.get("statistic", claim.statistic) if against else claim.statistic
+    if statistic == "reach":
+        return _reached(rows, values, claim.level)
+    if statistic == "share":
+        return float(np.mean(values != 0))
+    return float(np.percentile(values, _QUANTILES.get(statistic, 50)))
+
+
+def _reached(rows: Rows, values: Array, level: float) -> float:
+    """Median over fish of the first iteration at which a value is at most ``level``, the one after
+    the last for a fish that never got there."""
+    grid = Rows({**rows.columns, "value": values}).grid("value")
+    reached = np.hstack([grid <= level, np.ones((len(grid), 1), dtype=bool)])
+    first = int(rows.columns["iteration"].min())
+    return float(np.median(first + np.argmax(reached, axis=1)))
+
+
+def _at(rows: Rows, iteration: int | None, from_iteration: int) -> Rows:
+    at = rows.columns["iteration"]
+    if iteration is None or not len(rows):
+        return rows.where(at >= from_iteration)
+    return rows.where(at == (at.max() if iteration < 0 else iteration))
+
+
+def _by_repeats(claim: Claim, rows: Rows, repeats: Rows) -> float:
+    """Share of runs that rise no more than 95 % of equally long runs of a fixed input do: at most
+    over the best so far (``monotone``), or in the end over what they had settled at (``settled``).
+    """
+    if not len(rows) or not len(repeats):
+        return float("nan")
+    rise = _largest_rise if claim.statistic == "monotone" else _late_rise
+    run = rows.grid(claim.of)[:, 1:]
+    same = repeats.grid(claim.of)[:, 1:][:, : run.shape[1]]
+    if same.shape[1] < run.shape[1] or not (np.isfinite(run).all() and np.isfinite(same).all()):
+        return float("nan")
+    rises, band = rise(run), np.percentile(rise(same), _BAND)
+    return float(np.mean(rises <= band)) if np.isfinite(rises).all() else float("nan")
+
+
+def _late_rise(runs: Array) -> Array:
+    """Mean max|e| of the last three trials over that of trials 5 to 7, per run; NaN when there
+    are not as many."""
+    if runs.shape[1] < _EARLIER.stop - _LAST.start:
+        return np.full(len(runs), np.nan)
+    late: Array = runs[:, _LAST].mean(axis=1) / runs[:, _EARLIER].mean(axis=1)
+    return late
+
+
+def _largest_rise(runs: Array) -> Array:
+    """max over iterations of max|e| over the smallest before, per run; 1 for a run of one trial."""
+    if runs.shape[1] < 2:
+        return np.ones(len(runs))
+    best = np.minimum.accumulate(runs, axis=1)
+    rise: Array = (runs[:, 1:] / best[:, :-1]).max(axis=1)
+    return rise

@@ -1,0 +1,173 @@
+"""Arithmetic as people type it: numbers, a few functions and names, and nothing else of Python."""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import warnings
+from collections.abc import Callable, Mapping
+
+from tailbeat.core.errors import InputError
+
+Value = Callable[[Mapping[str, float]], float]
+
+ALLOWED = (
+    "+ - * / // % **, comparisons, 'a if c else b', and, or, not, pi, "
+    "abs min max floor ceil round sqrt sin cos"
+)
+_LONGEST = 300  # characters; keeps the tree shallow enough to walk
+
+
+def _power(base: float, exponent: float) -> float:
+    found = base**exponent
+    if isinstance(found, complex):
+        raise ValueError("no real power")
+    return float(found)
+
+
+_BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: operator.mod,
+    ast.Pow: _power,
+}
+_UNARY: dict[type[ast.unaryop], Callable[[float], float]] = {
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+    ast.Not: operator.not_,
+}
+_COMPARE: dict[type[ast.cmpop], Callable[[float, float], bool]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+_FUNCTIONS: dict[str, Callable[[list[float]], float]] = {
+    "abs": lambda given: abs(given[0]),
+    "floor": lambda given: math.floor(given[0]),
+    "ceil": lambda given: math.ceil(given[0]),
+    "round": lambda given: round(given[0]),
+    "sqrt": lambda given: math.sqrt(given[0]),
+    "sin": lambda given: math.sin(given[0]),
+    "cos": lambda given: math.cos(given[0]),
+    "min": min,
+    "max": max,
+}
+_MANY = ("min", "max")
+_CONSTANTS = {"pi": math.pi}
+
+
+class _Unknown(Exception):
+    """A part of the expression that is not arithmetic."""
+
+
+def expression(text: str, names: tuple[str, ...] = ()) -> Value:
+    """The function that ``text`` is of ``names``. All values are floats, so that nothing grows
+    beyond a float; the function raises InputError where it has no finite value.
+
+    Raises:
+        InputError: when the text is anything but arithmetic, with what is allowed.
+    """
+    may = f"Allowed are numbers, {', '.join((*names, ''))}{ALLOWED}."
+    if len(text) > _LONGEST:
+        raise InputError(f"an expression of {len(text)} characters is too long.", may)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            tree = ast.parse(text.strip(), mode="eval")
+        value = _compile(tree.body, names)
+    except _Unknown as error:
+        raise InputError(f"'{text}' has {error}, which is not allowed.", may) from None
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError):
+        raise InputError(f"'{text}' is no arithmetic expression.", may) from None
+
+    def finite(given: Mapping[str, float]) -> float:
+        found = _evaluate(value, given)
+        if found is None:
+            where = "".join(f" at {name} = {given[name]:g}" for name in names)
+            raise InputError(f"'{text}' has no finite value{where}.", "Change it.")
+        return found
+
+    return finite
+
+
+def _evaluate(value: Value, given: Mapping[str, float]) -> float | None:
+    try:
+        found = float(value(given))
+    except (ArithmeticError, ValueError):
+        return None
+    return found if math.isfinite(found) else None
+
+
+def _compile(node: ast.expr, names: tuple[str, ...]) -> Value:
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        constant = float(node.value)
+        return lambda given: constant
+    if isinstance(node, ast.Name):
+        return _name(node.id, names)
+    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
+        return _binary(node, names)
+    if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
+        apply, operand = _UNARY[type(node.op)], _compile(node.operand, names)
+        return lambda given: apply(operand(given))
+    if isinstance(node, ast.IfExp):
+        test, yes, no = (_compile(part, names) for part in (node.test, node.body, node.orelse))
+        return lambda given: yes(given) if test(given) else no(given)
+    if isinstance(node, ast.BoolOp):
+        return _junction(node, names)
+    if isinstance(node, ast.Compare):
+        return _comparison(node, names)
+    if isinstance(node, ast.Call):
+        return _call(node, names)
+    raise _Unknown(f"'{ast.unparse(node)}'")
+
+
+def _name(name: str, names: tuple[str, ...]) -> Value:
+    if name in _CONSTANTS:
+        constant = _CONSTANTS[name]
+        return lambda given: constant
+    if name not in names:
+        raise _Unknown(f"the name '{name}'")
+    return lambda given: given[name]
+
+
+def _binary(node: ast.BinOp, names: tuple[str, ...]) -> Value:
+    apply = _BINARY[type(node.op)]
+    left, right = _compile(node.left, names), _compile(node.right, names)
+    return lambda given: apply(float(left(given)), float(right(given)))
+
+
+def _junction(node: ast.BoolOp, names: tuple[str, ...]) -> Value:
+    parts = [_compile(part, names) for part in node.values]
+    every = isinstance(node.op, ast.And)
+    test = all if every else any
+    return lambda given: test(bool(part(given)) for part in parts)
+
+
+def _comparison(node: ast.Compare, names: tuple[str, ...]) -> Value:
+    unknown = [op for op in node.ops if type(op) not in _COMPARE]
+    if unknown:
+        raise _Unknown(f"'{ast.unparse(node)}'")
+    tests = [_COMPARE[type(op)] for op in node.ops]
+    parts = [_compile(part, names) for part in (node.left, *node.comparators)]
+
+    def holds(given: Mapping[str, float]) -> bool:
+        values = [part(given) for part in parts]
+        return all(test(a, b) for test, a, b in zip(tests, values[:-1], values[1:], strict=True))
+
+    return holds
+
+
+def _call(node: ast.Call, names: tuple[str, ...]) -> Value:
+    name = node.func.id if isinstance(node.func, ast.Name) else ""
+    few = len(node.args) == 1 or (name in _MANY and node.args)
+    if name not in _FUNCTIONS or node.keywords or not few:
+        raise _Unknown(f"'{ast.unparse(node)}'")
+    apply = _FUNCTIONS[name]
+    parts = [_compile(part, names) for part in node.args]
+    return lambda given: float(apply([part(given) for part in parts]))

@@ -1,0 +1,160 @@
+"""The plants of chapter 2: linear, in discrete time, one input and one output.
+
+The examples of chapter 2 as tasks: plant, law (2.10), distribution of the lengths.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tailbeat.core.arrays import Doubles
+from tailbeat.studies.thesis.conditions import contraction, reached_probability
+from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
+from tailbeat.studies.thesis.learner import LearnerConfig
+
+LAST = 50  # T_d, samples
+TIMES: NDArray[np.int64] = np.arange(LAST + 1)
+# Both examples want the same. Its printed third term, sin(50 pi t), is 0 at whole t.
+WANTED: Doubles = np.sin(2 * np.pi * TIMES / 50) + np.sin(2 * np.pi * TIMES / 5)
+
+
+@dataclass(frozen=True)
+class LinearPlant:
+    """(2.1), (2.31): x(t+1) = A(t) x(t) + B u(t), y = C x. ``a``: (samples, states, states)."""
+
+    a: Doubles
+    b: Doubles
+    c: Doubles
+
+    def respond(self, inputs: Doubles, start: Doubles | None = None) -> Doubles:
+        """Outputs of inputs (series, samples) from the states ``start`` (series, states), or 0."""
+        state = np.zeros((len(inputs), len(self.b))) if start is None else start
+        outputs = np.empty_like(inputs)
+        for t, a in enumerate(self.a):
+            outputs[:, t] = state @ self.c
+            state = state @ a.T + inputs[:, t, np.newaxis] * self.b
+        return outputs
+
+    @property
+    def first_markov(self) -> float:
+        """CB: what an input does to the next output."""
+        return float(self.c @ self.b)
+
+    def wanted_input(self, wanted: Doubles) -> Doubles:
+        """u_d: the input that follows ``wanted`` exactly from the state 0; one sample less."""
+        state = np.zeros(len(self.b))
+        found = np.empty(len(wanted) - 1)
+        for t in range(len(found)):
+            free = self.a[t] @ state
+            found[t] = (wanted[t + 1] - self.c @ free) / self.first_markov
+            state = free + self.b * found[t]
+        return found
+
+
+def example1() -> LinearPlant:
+    """Example 1: CB = 1, zeros at 0.5 and 0.3."""
+    a = np.array([[0.5, 0.0, 1.0], [0.15, 0.3, 0.0], [-0.75, 0.25, -0.25]])
+    third = np.array([0.0, 0.0, 1.0])
+    return LinearPlant(np.broadcast_to(a, (len(TIMES), 3, 3)), third, third)
+
+
+def example2() -> LinearPlant:
+    """(2.37), as printed: CB = 0.1. Its inverse is unstable, frozen zeros up to -11.7."""
+    a = np.zeros((len(TIMES), 3, 3))
+    a[:, 0, 0], a[:, 0, 1] = 0.2 * np.exp(-TIMES / 100), -0.6
+    a[:, 1, 1], a[:, 1, 2] = 0.5, np.sin(TIMES)
+    a[:, 2, 2] = 0.7
+    return LinearPlant(a, np.array([1.3, 0.5, 0.6]), np.array([-0.5, 1.5, 0.0]))
+
+
+def example2_substitute() -> LinearPlant:
+    """A and B of (2.37), its third state as the output: CB = 0.6, and a stable inverse."""
+    printed = example2()
+    return LinearPlant(printed.a, printed.b, np.array([0.0, 0.0, 1.0]))
+
+
+_START_STREAM = 1
+
+
+@dataclass(frozen=True)
+class Average:
+    """An example of the chapter. ``masses``: probabilities of the lengths 50 - N … 50 + N."""
+
+    plant: LinearPlant
+    gain: float  # L
+    masses: tuple[float, ...]
+
+    @property
+    def spread(self) -> int:
+        return len(self.masses) // 2
+
+    def draw(self, seed: int, iteration: int) -> float:
+        """T_i in samples: a stream of its own per seed, a value of its own per iteration."""
+        at = chance(seed, iteration)
+        end = bisect(self._cumulated, at)
+        return float(LAST - self.spread + min(end, 2 * self.spread))
+
+    @cached_property
+    def _cumulated(self) -> list[float]:
+        return list(accumulate(self.masses))
+
+    def reached(self) -> Doubles:
+        """p(t), (2.5), of the wanted samples."""
+        return reached_probability(TIMES, LAST, self.spread, self.spread, self.masses)
+
+    def condition(self) -> float:
+        """sup |1 - p(t+1) L C B|, (2.11), (2.32)."""
+        return contraction(self.reached()[1:], self.gain * self.plant.first_markov)
+
+    def law(self, past: str = "mean") -> LearnerConfig:
+        """(2.10), or with ``past`` "last" the classic (2.3) with the same L."""
+        return LearnerConfig(samples=LAST + 1, kp=self.gain, lead=1, past=past)
+
+    def task(self, past: str = "mean", random_start: tuple[int, ...] = ()) -> Task:
+        """``random_start``: seeds of series that begin in (0, 0, -1), (0, 0, 0) or (0, 0, 1)."""
+
+        def respond(inputs: Doubles, iteration: int) -> Doubles:
+            start = _random_start(random_start, iteration) if random_start else None
+            return self.plant.respond(inputs, start)
+
+        return Task(TIMES.astype(np.float64), WANTED, respond, self.law(past), self.draw)
+
+    def swim(
+        self,
+        seeds: range,
+        iterations: int,
+        past: str = "mean",
+        random_start: bool = False,
+        keep: Collection[int] = (),
+    ) -> Outcome:
+        """One series per seed, of random lengths."""
+        task = self.task(past, tuple(seeds) if random_start else ())
+        return swim(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
+
+
+def _random_start(seeds: tuple[int, ...], iteration: int) -> Doubles:
+    start = np.zeros((len(seeds), 3))
+    start[:, 2] = [int(3 * chance(seed, iteration, _START_STREAM)) - 1 for seed in seeds]
+    return start
+
+
+def _uniform(spread: int) -> tuple[float, ...]:
+    ends = 2 * spread + 1
+    return (1.0 / ends,) * ends
+
+
+# The thesis prints C(11, m) for the eleven lengths; only with C(10, m) do they sum to 1.
+BINOMIAL = tuple(comb(10, m) * 0.5**10 for m in range(11))
+
+EXAMPLE1 = Average(example1(), 0.5, _uniform(5))
+EXAMPLE1_N30 = replace(EXAMPLE1, masses=_uniform(30))
+EXAMPLE2 = Average(example2(), 2.0, BINOMIAL)
+SUBSTITUTE = Average(example2_substitute(), 1.0 / 3.0, BINOMIAL)

@@ -1,0 +1,257 @@
+"""Chapter 6 in the frequency domain: the rod of (6.35), its approximations, and the gains that
+follow from them. Frequencies in rad/min.
+
+Chapter 6's law on chapter 6's rod, with the thesis's numbers (section 6.6) and others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq, minimize_scalar
+
+from tailbeat.core.arrays import Doubles
+from tailbeat.studies.thesis.example import Options, Run
+from tailbeat.studies.thesis.heat import CHAPTER6, STEP, heat_plant, times
+from tailbeat.studies.thesis.heat_trials import asked, learn, slope, window, zero_phase
+from tailbeat.studies.thesis.learner import LearnerConfig
+
+Complexes = NDArray[np.complex128]
+Gain = Callable[[Doubles], Complexes]
+
+BAND = (0.0, 10.0)  # Omega of section 6.6
+PRINTED_OVER = (14.14, -7.07, 1.414, -2.475, 0.707, -1.414)
+PRINTED_UNDER = (1.0, 0.5, 0.1, 0.175, 0.05, 0.1)
+"""A(z) of section 6.6, rising powers of z^-1, rounded to four digits as there."""
+
+
+def _band(frequency: ArrayLike) -> Doubles:
+    """With 0 replaced by something next to it, where all of these have their limit."""
+    w = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
+    return np.where(w == 0, 1e-9, w)
+
+
+def rod(frequency: ArrayLike) -> Complexes:
+    """s * h12(0, s) on s = jw, exactly: sqrt(s) / sinh(sqrt(s)). With the law's rho * s it is the
+    whole loop, and 1 - rho * rod what a trial leaves of an error."""
+    root = np.sqrt(1j * _band(frequency))
+    loop: Complexes = root / np.sinh(root)
+    return loop
+
+
+def along(x: float, s: complex) -> Complexes:
+    """exp(F x) of (6.35), as it must be: what (w, w_x) at 0 makes of them at x, undisturbed."""
+    root = np.sqrt(s)
+    slope = np.sinh(root * x)
+    return np.array([[np.cosh(root * x), slope / root], [root * slope, np.cosh(root * x)]])
+
+
+def along_printed(x: float, s: complex) -> Complexes:
+    """The same as printed, with sinh in place (2, 2)."""
+    matrix = along(x, s)
+    matrix[1, 1] = np.sinh(np.sqrt(s) * x)
+    return matrix
+
+
+Along = Callable[[float, complex], Complexes]
+_LEFT = np.array([[0.0, 1.0], [0.0, 0.0]])  # M and N of lemma 6.1, K0 = 1
+_RIGHT = np.array([[0.0, 0.0], [0.0, 1.0]])
+
+
+def from_the_ends(x: float, s: complex, by: Along = along) -> Complexes:
+    """H(x, s) of lemma 6.1: from w_x(0) and w_x(1) to (w, w_x) at x; the first column is h11, h21,
+    the second h12, h22."""
+    ends: Complexes = by(x, s) @ np.linalg.inv(_LEFT + _RIGHT @ by(1.0, s))
+    return ends
+
+
+def from_inside(x: float, at: float, s: complex, by: Along = along) -> Complexes:
+    """G(x, xi, s) of lemma 6.1: from (0, 1) given at xi to (w, w_x) at x."""
+    ends = from_the_ends(x, s, by)
+    if at < x:
+        return np.asarray(ends @ _LEFT @ by(-at, s))
+    return np.asarray(-ends @ _RIGHT @ by(1.0 - at, s))
+
+
+def off_at_the_ends(s: complex, by: Along = along) -> tuple[float, float]:
+    """What h11 and h21 leave at the ends, where w_x(0) is given and the other end is insulated:
+    abs(dh11/dx) at 1, and abs(h21 - 1) at 0."""
+    apart = 1e-5
+    near, end = (from_the_ends(x, s, by)[0, 0] for x in (1.0 - apart, 1.0))
+    return float(abs(end - near) / apart), float(abs(from_the_ends(0.0, s, by)[1, 0] - 1))
+
+
+def off_inside(s: complex, by: Along = along, at: float = 0.4) -> float:
+    """What G leaves of a source at ``at``: the largest of abs(w_x) at both ends, which are
+    insulated, and of abs(jump of w_x - 1) at the source."""
+    apart = 1e-9
+    ends = [abs(from_inside(x, at, s, by)[1, 1]) for x in (0.0, 1.0)]
+    before, after = (from_inside(at + d, at, s, by)[1, 1] for d in (-apart, apart))
+    return float(max(*ends, abs(after - before - 1)))
+
+
+def widest_band(step: float) -> float:
+    """Up to where Re(s * h12) is above 0 from 0 on: no gain meets (6.20) on a wider band."""
+    omega = np.linspace(0.01, np.pi / step, 30_001)
+    first = int(np.argmax(rod(omega).real <= 0))
+    return float(brentq(lambda w: float(rod(w)[0].real), omega[first - 1], omega[first]))
+
+
+def h12(x: float, frequency: ArrayLike) -> Complexes:
+    """From the driven end x = 1 to w(x), K0 = 1."""
+    root = np.sqrt(1j * _band(frequency))
+    gain: Complexes = np.cosh(root * x) / (root * np.sinh(root))
+    return gain
+
+
+def half_differentiator(frequency: ArrayLike, step: float = 0.01) -> Complexes:
+    """A(z) of section 6.6 on the unit circle, its coefficients rounded as there."""
+    return _on_the_circle(PRINTED_OVER, PRINTED_UNDER, frequency, step)
+
+
+def half_differentiator_unrounded(frequency: ArrayLike, step: float = 0.01) -> Complexes:
+    """What A(z) is rounded from: sqrt(s) by Tustin's rule with Muir's recursion."""
+    over, under = half_differentiator_coefficients()
+    return _on_the_circle(np.sqrt(2 / step) * over, under, frequency, step)
+
+
+def _on_the_circle(
+    over: ArrayLike, under: ArrayLike, frequency: ArrayLike, step: float
+) -> Complexes:
+    back = np.exp(-1j * _band(frequency) * step)
+    return np.asarray(np.polyval(np.flip(over), back) / np.polyval(np.flip(under), back), complex)
+
+
+def _muir(order: int, r: float) -> Doubles:
+    """A_n(z^-1, r), rising powers of z^-1: A_n = A_{n-1} - c_n * z^-n * A_{n-1}(z), c_n = r / n for
+    odd n and 0 else."""
+    row = np.ones(1)
+    for n in range(1, order + 1):
+        row = np.append(row, 0.0)
+        if n % 2:
+            row = row - r / n * row[::-1]
+    return row
+
+
+def half_differentiator_coefficients(order: int = 5) -> tuple[Doubles, Doubles]:
+    """Numerator and denominator of A(z) ahead of its gain, rising powers of z^-1."""
+    return _muir(order, 0.5), _muir(order, -0.5)
+
+
+def modelled(frequency: ArrayLike) -> Complexes:
+    """``rod`` as the thesis approximates it: A / sinh(A)."""
+    root = half_differentiator(frequency)
+    loop: Complexes = root / np.sinh(root)
+    return loop
+
+
+def modelled_unrounded(frequency: ArrayLike) -> Complexes:
+    """The same before A(z) was rounded."""
+    root = half_differentiator_unrounded(frequency)
+    loop: Complexes = root / np.sinh(root)
+    return loop
+
+
+def moving_mean(frequency: ArrayLike, length: int, step: float) -> Doubles:
+    """abs(H) of (6.42)."""
+    half = _band(frequency) * step / 2
+    gain: Doubles = np.abs(np.sin(length * half) / (length * np.sin(half)))
+    return gain
+
+
+def zero_phase_frequency(frequency: ArrayLike, length: int, step: float) -> Doubles:
+    """Q = H(z) * H(1/z) of (6.42): real and positive."""
+    gain: Doubles = moving_mean(frequency, length, step) ** 2
+    return gain
+
+
+def cut_off(length: int, step: float, passes: int) -> float:
+    """Where ``passes`` moving means, one after the other, have fallen by 3 dB."""
+
+    def above(frequency: float) -> float:
+        return float(moving_mean(frequency, length, step)[0] ** passes - np.sqrt(0.5))
+
+    return float(brentq(above, 1e-6, 2 * np.pi / (length * step) - 1e-6))
+
+
+def left_over(gain: Gain, rho: float, frequency: ArrayLike) -> float:
+    """sup abs(1 - rho * gain) over the frequencies, (6.20)."""
+    return float(np.max(np.abs(1 - rho * gain(_band(frequency)))))
+
+
+def best_rho(gain: Gain, frequency: ArrayLike, weight: ArrayLike = 1.0) -> tuple[float, float]:
+    """(rho, what it leaves) that minimises sup abs(weight * (1 - rho * gain)), (6.41); the sup is
+    convex in rho."""
+    loop, weights = gain(_band(frequency)), np.asarray(weight)
+
+    def worst(rho: float) -> float:
+        return float(np.max(np.abs(weights * (1 - rho * loop))))
+
+    found = minimize_scalar(worst, bounds=(0.0, 50.0), method="bounded", options={"xatol": 1e-7})
+    return float(found.x), float(found.fun)
+
+
+RHO = 0.7444
+WINDOW = 0.2  # min; N0 = 20 samples of 0.6 s
+Q_LEN = 20  # of the thesis's step
+ITERATIONS = 7
+LONG = 50  # iterations that show whether noise grows
+
+
+def law(step: float = STEP, rho: float = RHO, q_len: int | None = None) -> LearnerConfig:
+    """(6.31) with rho * s and (6.42): the filter acts on input plus correction."""
+    return LearnerConfig(
+        samples=len(times(step)),
+        step=step,
+        kd=rho,
+        q_len=window(WINDOW, step) if q_len is None else q_len,
+    )
+
+
+def run(options: Options) -> Run:
+    """The rod by backward Euler on 100 cells."""
+    step, iterations = asked(options, ITERATIONS)
+    return learn(heat_plant(CHAPTER6, step), law(step), iterations, options.precision)
+
+
+def settings(options: Options) -> dict[str, int | float]:
+    """What ``run`` uses."""
+    step, iterations = asked(options, ITERATIONS)
+    return {"iterations": iterations, "step": step}
+
+
+def exact(config: LearnerConfig, iterations: int) -> Run:
+    """Any law of the thesis's step on the exact rod."""
+    return learn(heat_plant(CHAPTER6, scheme="modal"), config, iterations)
+
+
+def with_filter(iterations: int) -> Run:
+    """As the thesis has it."""
+    return exact(law(), iterations)
+
+
+def without_filter(iterations: int) -> Run:
+    """(6.19)."""
+    return exact(law(q_len=1), iterations)
+
+
+def with_filter_on_the_correction(iterations: int) -> Run:
+    """u + rho * Q(de/dt), as the words of section 6.5 may be read."""
+
+    def filtered(error: Doubles) -> Doubles:
+        return zero_phase(slope(error), Q_LEN)
+
+    config = LearnerConfig(samples=len(times(STEP)), step=STEP, kp=RHO)
+    return learn(heat_plant(CHAPTER6, scheme="modal"), config, iterations, prepare=filtered)
+
+
+def with_filter_on_the_error(iterations: int) -> Run:
+    """u + rho * d/dt Q(e), the other way to read them."""
+
+    def filtered(error: Doubles) -> Doubles:
+        return zero_phase(error, Q_LEN)
+
+    plant = heat_plant(CHAPTER6, scheme="modal")
+    return learn(plant, law(q_len=1), iterations, prepare=filtered)

@@ -1,0 +1,162 @@
+"""Chapter 7's anticipatory law (7.10) on its example (section 7.5), and what learns instead.
+
+The Theta function of chapter 7, (7.5)-(7.6): how heat given at one end of an insulated rod of
+length 1 arrives along it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tailbeat.core.arrays import Doubles
+from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant, Uptake
+from tailbeat.studies.thesis.example import Options, Run
+from tailbeat.studies.thesis.heat import CHAPTER7, STEP, heat_plant, times
+from tailbeat.studies.thesis.heat_trials import Plant, asked, lead_samples, learn, window
+from tailbeat.studies.thesis.learner import LearnerConfig
+from tailbeat.studies.thesis.native import Precision
+
+RHO = -1.2041
+DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five
+DELTA = 0.25  # the one that RHO is made for
+ITERATIONS = 5
+UPTAKE: Uptake = "clip"
+
+
+def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> LearnerConfig:
+    """(7.10). ``tail``: ``hold-new`` goes on with the new input of T - delta, ``hold-old`` with the
+    old one, as printed.
+
+    Raises:
+        InputError: when delta is no multiple of half a step, or as long as the trial.
+    """
+    return LearnerConfig(
+        samples=len(times(step)),
+        step=step,
+        kd=RHO,
+        lead=lead_samples(delta, step),
+        tail=tail,
+    )
+
+
+def printed(options: Options) -> Run:
+    """(7.10) on (7.31) as printed, its phi below v = 0 as the options have it, or clipped."""
+    given = _asked(options)
+    return _run(AdvectionPlant(given.step, options.uptake or UPTAKE), given, options.precision)
+
+
+def printed_settings(options: Options) -> dict[str, Any]:
+    """What ``printed`` uses."""
+    return {**asdict(_asked(options)), "uptake": options.uptake or UPTAKE}
+
+
+def heat(options: Options) -> Run:
+    """(7.10) on the heat equation, F = 0."""
+    given = _asked(options)
+    return _run(heat_plant(CHAPTER7, given.step), given, options.precision)
+
+
+def heat_settings(options: Options) -> dict[str, Any]:
+    """What ``heat`` uses."""
+    return asdict(_asked(options))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    delta: float
+    iterations: int
+    step: float
+
+
+def _asked(options: Options) -> _Asked:
+    step, last = asked(options, ITERATIONS)
+    delta = DELTA if options.delta is None else options.delta
+    lead_samples(delta, step)
+    return _Asked(delta, last, step)
+
+
+def _run(plant: Plant, given: _Asked, precision: Precision) -> Run:
+    return learn(plant, law(given.delta, given.step), given.iterations, precision)
+
+
+def variant(delta: float, carried: float, uptake: Uptake = "clip") -> Run:
+    """(7.10) on (7.31) with another varsigma or phi."""
+    return learn(AdvectionPlant(uptake=uptake, carried=carried), law(delta), ITERATIONS)
+
+
+@dataclass(frozen=True)
+class Proportional:
+    """P-type with lead and Q: what learns where the input leaves no integral behind. ``gain``: of
+    u[k] += gain * e[k + lead]; ``by_time`` makes it gain * (2 t + 3)."""
+
+    gain: float
+    window: float  # min, of Q
+    by_time: bool = False
+    lead: float = 0.10  # min
+
+    def learn(self, iterations: int, step: float = STEP, precision: Precision = "double") -> Run:
+        """On the printed plant, clipped."""
+        config = LearnerConfig(
+            samples=len(times(step)),
+            step=step,
+            kp=self.gain,
+            lead=lead_samples(self.lead, step),
+            q_len=window(self.window, step),
+            tail="hold-new",
+        )
+        at_input = times(step) - self.lead  # when what this error corrects was given
+
+        def weighted(error: Doubles) -> Doubles:
+            return np.asarray(error * (2 * at_input + 3)) if self.by_time else error
+
+        return learn(AdvectionPlant(step), config, iterations, precision, weighted)
+
+
+STEADY = Proportional(gain=-4.0, window=0.2)
+BY_TIME = Proportional(gain=-0.5, window=0.1, by_time=True)
+"""The rod's gain at rest is about -1 / (2 t + 1): the correction grows with time as it falls."""
+
+
+_TERMS = 60  # of either sum: far beyond double precision where it is used
+
+
+def theta(x: float, t: ArrayLike, images: int | None = None) -> Doubles:
+    """theta(x, t) for t > 0. ``images``: the sum (7.5) cut at abs(m) <= images, as in figures 7.1
+    to 7.3; None = the whole of it."""
+    time = np.asarray(t, dtype=np.float64)
+    if images is not None:
+        return _by_images(x, time, images)
+    with np.errstate(under="ignore"):
+        early, late = _by_images(x, time, _TERMS), _by_modes(x, time)
+    return np.where(time < 0.5, early, late)
+
+
+def _by_images(x: float, time: Doubles, images: int) -> Doubles:
+    """(7.5): the heat kernel and its mirror images."""
+    at = x + 2 * np.arange(-images, images + 1)
+    with np.errstate(under="ignore"):
+        kernels = np.exp(-(at**2) / (4 * time[..., None]))
+    total: Doubles = kernels.sum(axis=-1) / np.sqrt(4 * np.pi * time)
+    return total
+
+
+def _by_modes(x: float, time: Doubles) -> Doubles:
+    """(7.6): the same as a sum of cosines."""
+    n = np.arange(1, _TERMS)
+    modes = np.cos(n * np.pi * x) * np.exp(-((n * np.pi) ** 2) * time[..., None])
+    total: Doubles = 0.5 + modes.sum(axis=-1)
+    return total
+
+
+def gain_for(lead: float) -> float:
+    """-1 / (2 theta(1, lead)): the gain that (7.14) has contract best."""
+    return float(-1 / (2 * theta(1.0, lead)))
+
+
+def promised(gain: float, lead: float) -> float:
+    """abs(1 + 2 * gain * theta(1, lead)): the factor per trial that theorem 7.1 promises."""
+    return float(abs(1 + 2 * gain * theta(1.0, lead)))

@@ -1,8 +1,0 @@
-"""The VN-100: its byte stream decoded by the firmware's own reader, from recordings and live."""
-
-from __future__ import annotations
-
-from tailbeat.vn100.decode import Binary, Line, Message, Reader, decode
-from tailbeat.vn100.summary import Summary
-
-__all__ = ["Binary", "Line", "Message", "Reader", "Summary", "decode"]
