@@ -1,4 +1,4 @@
-"""Checks who includes whom: C files by folder, Python modules by layer.
+"""Checks who includes whom among the C files, by folder.
 
 Prints one line per offence and exits with 1 when there is one.
 """
@@ -6,7 +6,6 @@ Prints one line per offence and exits with 1 when there is one.
 from __future__ import annotations
 
 import argparse
-import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -40,12 +39,6 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "hal/sam3x8e": ("base/", "hal/", "registers/", "app/app.h"),
 }
 
-# Library modules never know the command line; of the library the lower layers never know the upper.
-PYTHON_FORBIDDEN = {
-    "": ("tailbeat.app.cli",),
-    "errors": ("tailbeat.",),
-}
-
 
 def c_offences(root: Path) -> Iterator[str]:
     """Forbidden includes in C files."""
@@ -64,36 +57,9 @@ def unknown_folders(root: Path) -> Iterator[str]:
             yield f"{path.relative_to(root)}: its folder has no rule in tools/check_includes.py"
 
 
-def imported_modules(path: Path, package: str) -> Iterator[str]:
-    """Full names of the modules that the file imports; |package| is the one it belongs to."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) - node.level + 1]
-            base = ".".join(above) if node.level else ""
-            module = ".".join(part for part in (base, node.module) if part)
-            yield module
-            yield from (f"{module}.{alias.name}" for alias in node.names)
-
-
-def python_offences(root: Path) -> Iterator[str]:
-    """Forbidden imports in the host package."""
-    top = root / "host" / "tailbeat"
-    for path in sorted(top.rglob("*.py")):
-        relative = path.relative_to(top)
-        if relative.parts[0] == "cli" or relative.name == "__main__.py":
-            continue
-        package = ".".join(("tailbeat", *relative.parts[:-1]))
-        forbidden = PYTHON_FORBIDDEN.get(relative.stem, ()) + PYTHON_FORBIDDEN[""]
-        for name in sorted(set(imported_modules(path, package))):
-            if name.startswith(forbidden) and not name.startswith(f"{package}.{relative.stem}."):
-                yield f"{path.relative_to(root)}: a library module must not import {name}"
-
-
 def offences(root: Path) -> list[str]:
     """Everything that is wrong below |root|."""
-    return [*c_offences(root), *unknown_folders(root), *python_offences(root)]
+    return [*c_offences(root), *unknown_folders(root)]
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ import pytest
 cv2 = pytest.importorskip("cv2")
 
 from tailbeat.core.errors import InputError  # noqa: E402
-from tailbeat.sensors.camera.source import device
+from tailbeat.sensors.camera.source import device  # noqa: E402
 from tailbeat.sensors.camera.source import device as capture  # noqa: E402
 from tailbeat.sensors.camera.source.device import Device  # noqa: E402
 

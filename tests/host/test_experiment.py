@@ -18,7 +18,7 @@ from scipy.io import loadmat
 from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
-from tailbeat.experiment import export
+from tailbeat.experiment.export import export
 from tailbeat.experiment.folder import Experiment, list_experiments
 
 NOON = datetime(2026, 5, 4, 12, 0, 0)

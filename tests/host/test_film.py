@@ -15,6 +15,8 @@ av = pytest.importorskip("av")
 cv2 = pytest.importorskip("cv2")
 
 from tailbeat.core.errors import InputError  # noqa: E402
+from tailbeat.core.lazy import LazyModule
+from tailbeat.sensors.camera.opencv import require_av
 from tailbeat.sensors.camera.source import film as filmfile  # noqa: E402
 from tailbeat.sensors.camera.source.film import Film, FilmWriter  # noqa: E402
 from tailbeat.sensors.camera.source.picture import Image, Picture  # noqa: E402
@@ -492,6 +494,7 @@ def test_a_beginning_in_mid_stream(tmp_path: Path) -> None:
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path / "a.mp4", CFR_S[:3])
     monkeypatch.setitem(__import__("sys").modules, "av", None)
+    monkeypatch.setattr("tailbeat.sensors.camera.source.film.av", LazyModule("av", require_av))
     with pytest.raises(InputError, match=r"needs PyAV.*tools/bootstrap camera"):
         Film(path)
 

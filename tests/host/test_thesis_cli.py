@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis import progress
+from tailbeat.studies.thesis import study as progress
 from tailbeat.studies.thesis.example import Claim, Example, Figure, Run, VERDICTS
 
 LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:
     """The one named, else that of the connected fish."""
     from tailbeat.core.errors import InputError
-    from tailbeat.experiment import current
+    from tailbeat.experiment.current import current
     from tailbeat.experiment.folder import Experiment
 
     if folder is not None:

@@ -293,7 +293,7 @@ def export(
 
     Example: tailbeat experiment export FOLDER --format csv
     """
-    from tailbeat.experiment import export as export_files
+    from tailbeat.experiment.export import export as export_files
     from tailbeat.experiment.export import missing_formats
     from tailbeat.experiment.folder import Experiment
 

@@ -1,17 +1,25 @@
-"""OpenCV and PyAV, of the extra ``camera``: what needs them asks here."""
+"""OpenCV and PyAV, of the extra ``camera``: loaded when first used.
+
+Their first use raises InputError with the way to install them when they are missing.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 from tailbeat.core.extras import need
+from tailbeat.core.lazy import LazyModule
 
 
-def need_cv2() -> Any:
-    """The module cv2. Raises InputError with the way to install it."""
+def require_cv2() -> Any:
+    """The module cv2, at once. Raises InputError with the way to install it."""
     return need("cv2", "camera", "Working with images needs OpenCV")
 
 
-def need_av() -> Any:
-    """The module av. Raises InputError with the way to install it."""
+def require_av() -> Any:
+    """The module av, at once. Raises InputError with the way to install it."""
     return need("av", "camera", "Reading films needs PyAV")
+
+
+cv2: Any = LazyModule("cv2", require_cv2)
+av: Any = LazyModule("av", require_av)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.lens import Lens
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 
 Floats = NDArray[np.float64]
 
@@ -218,7 +218,7 @@ def _array(raw: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
 def _mapped(homography: Floats, points: Floats) -> Floats:
     if not len(points):
         return np.empty((0, 2))
-    found: Floats = need_cv2().perspectiveTransform(points.reshape(-1, 1, 2), homography)
+    found: Floats = cv2.perspectiveTransform(points.reshape(-1, 1, 2), homography)
     return found.reshape(-1, 2)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.marker.printed import BOARD_SQUARES, board
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
 Floats = NDArray[np.float64]
@@ -44,7 +44,7 @@ class Viewer:
 
     def __init__(self) -> None:
         self._board = board()
-        self._detector = need_cv2().aruco.CharucoDetector(self._board)
+        self._detector = cv2.aruco.CharucoDetector(self._board)
 
     def view(self, name: str, grey: Image) -> View | str:
         """What is seen of the board in a picture, or why that is of no use."""
@@ -64,7 +64,6 @@ class Viewer:
 def _blur_px(grey: Image, ids: NDArray[Any], corners: Floats) -> float:
     """An edge blurred with standard deviation s rises by its contrast / (s sqrt(2 pi)) per pixel.
     Measured across both edges that cross in a corner; the median over corners of the worse one."""
-    cv2: Any = need_cv2()
     where = dict(zip(map(int, ids), corners, strict=True))
     found = []
     for number, corner in where.items():
@@ -222,14 +221,12 @@ def _fit_without_outliers(
 def _fit(views: list[View], size_px: tuple[int, int]) -> _Fit:
     """With the third radial coefficient only where it is needed: it is ill determined, and wild
     outside the corners seen."""
-    cv2 = need_cv2()
     plain = _calibrated(views, size_px, cv2.CALIB_FIX_K3)
     free = _calibrated(views, size_px, 0)
     return free if free.rms_px < _K3_GAIN * plain.rms_px else plain
 
 
 def _calibrated(views: list[View], size_px: tuple[int, int], flags: int) -> _Fit:
-    cv2: Any = need_cv2()
     try:
         rms, matrix, distortion, turns, _, sigma, _, errors = cv2.calibrateCameraExtended(
             [view.board_points for view in views],

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ class Lens:
         points = _rows(points_px)
         if self.straight or not len(points):
             return points.reshape(-1, 2)
-        cv2, matrix = need_cv2(), self.camera_matrix
+        matrix = self.camera_matrix
         found: Floats = cv2.undistortPoints(
             points, matrix, self.distortion, None, None, matrix, self._stop
         )
@@ -53,9 +52,9 @@ class Lens:
         in ``distorted``."""
         if self.straight or not len(rays):
             return rays[:, :2] * self.focal_px + self.middle_px
-        found: Floats = need_cv2().projectPoints(
-            rays, _ZERO, _ZERO, self.camera_matrix, self.distortion
-        )[0]
+        found: Floats = cv2.projectPoints(rays, _ZERO, _ZERO, self.camera_matrix, self.distortion)[
+            0
+        ]
         found = found.reshape(-1, 2)
         if self.fold_radius < np.inf:
             self._put_outside(found, rays[:, :2])
@@ -87,7 +86,6 @@ class Lens:
 
     @cached_property
     def _stop(self) -> tuple[int, int, float]:
-        cv2: Any = need_cv2()
         return (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ROUNDS, _CLOSE_PX)
 
     def _put_outside(self, found: Floats, rays: Floats) -> None:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.lens import Lens
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 
 Floats = NDArray[np.float64]
 
@@ -209,7 +208,6 @@ def _refuse_pose(rms_m: float, plane_rms_m: float, wrong: list[str]) -> None:
 
 def _pose(lens: Lens, flat: Floats, places: Floats) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and shift (3,) from the tank's frame to the camera's."""
-    cv2: Any = need_cv2()
     solid, matrix = np.column_stack([places, np.zeros(len(places))]), lens.camera_matrix
     good, turn, shift = cv2.solvePnP(solid, flat, matrix, None, flags=cv2.SOLVEPNP_IPPE)
     if good:
@@ -288,7 +286,7 @@ def _foretold(flat: Floats, places: Floats) -> float | None:
 
 
 def _homography(flat: Floats, places: Floats) -> Floats:
-    found, _ = need_cv2().findHomography(flat, places, 0)
+    found, _ = cv2.findHomography(flat, places, 0)
     if found is None:
         raise InputError("no plane fits the tank's points", "Check them.")
     matrix: Floats = found
@@ -296,7 +294,7 @@ def _homography(flat: Floats, places: Floats) -> Floats:
 
 
 def _mapped(matrix: Floats, points: Floats) -> Floats:
-    found: Floats = need_cv2().perspectiveTransform(points.reshape(-1, 1, 2), matrix)
+    found: Floats = cv2.perspectiveTransform(points.reshape(-1, 1, 2), matrix)
     return found.reshape(-1, 2)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tailbeat.core.errors import InputError, reason
 from tailbeat.sensors.camera.calibration.file import Calibration, check_area
 from tailbeat.sensors.camera.marker.printed import anchors_of
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def rectangle(numbers: list[float]) -> Floats:
 
 def hull(places_m: Floats) -> Floats:
     """Corners (n, 2) of the least convex area with all the places."""
-    found = need_cv2().convexHull(places_m.astype(np.float32), returnPoints=False)
+    found = cv2.convexHull(places_m.astype(np.float32), returnPoints=False)
     return places_m[np.ravel(found)]
 
 
@@ -73,11 +73,10 @@ def check_area_seen(calibration: Calibration) -> None:
 
 
 def _square_m(corners: Floats) -> float:
-    return float(need_cv2().contourArea(corners.astype(np.float32)))
+    return float(cv2.contourArea(corners.astype(np.float32)))
 
 
 def _shared_square_m(one: Floats, other: Floats) -> float:
-    cv2 = need_cv2()
     shared, _ = cv2.intersectConvexConvex(one.astype(np.float32), other.astype(np.float32))
     return float(shared)
 

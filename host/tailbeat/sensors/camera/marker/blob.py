@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.sensors.camera.marker.tags import Points, Sighting, Window
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
 _LEARNED_PER_PICTURE = 0.01  # of what the picture shows there: the sun moves, the fish is faster
@@ -66,7 +66,7 @@ def _clean(difference: Floats) -> Mask:
     sigma = 1.48 * float(np.median(difference[::4, ::4]))
     there = difference > max(_THRESHOLD_MIN, _THRESHOLD_SIGMAS * sigma)
     mask = there.astype(np.uint8) * np.uint8(255)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))  # type: ignore[assignment]
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((_SPECK_PX, _SPECK_PX), np.uint8))
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((_CRACK_PX, _CRACK_PX), np.uint8))
     return np.asarray(closed, np.uint8)
 
@@ -223,8 +223,8 @@ def _core(there: There, difference: Floats) -> There:
     that touch the fish."""
     level = _CORE * float(np.median(difference[there]))
     clear = (there & (difference > level)).astype(np.uint8)
-    clear = cv2.morphologyEx(clear, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # type: ignore[assignment]
-    clear = cv2.morphologyEx(clear, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))  # type: ignore[assignment]
+    clear = cv2.morphologyEx(clear, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    clear = cv2.morphologyEx(clear, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(clear)
     if count < 2:
         return there
@@ -259,8 +259,8 @@ def _hull(there: There, width_px: float) -> There:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
     # Beyond the box there is nothing: the rim keeps the closing from growing into it.
     mask = np.pad(there.astype(np.uint8), reach)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc)  # type: ignore[assignment]
-    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc)  # type: ignore[assignment]
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc)
     hull = mask[reach : reach + there.shape[0], reach : reach + there.shape[1]] > 0
     return np.asarray(hull) if hull.any() else there
 

@@ -10,7 +10,7 @@ import numpy as np
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
 from tailbeat.sensors.camera.marker.tags import Detector
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2, require_cv2
 
 MarkerKind = Literal["aruco", "apriltag", "blob"]
 KINDS: tuple[MarkerKind, ...] = ("aruco", "apriltag", "blob")
@@ -36,7 +36,7 @@ def detector_for(marker: Marker, calibration: Calibration | None = None) -> Dete
     """The detector of that kind; a blob's knows from ``calibration`` where the water is and how big
     the fish appears. Raises InputError for ids the dictionary does not have or that are the tank's,
     sizes that are none, and without OpenCV."""
-    need_cv2()
+    require_cv2()
     if marker.side_m is not None and not 0 < marker.side_m < _SIDE_MAX_M:
         raise InputError(
             f"a marker {marker.side_m * 1000:g} mm wide makes no sense",
@@ -71,8 +71,6 @@ def _check_id(marker: Marker) -> None:
 
 
 def _blob_detector(marker: Marker, calibration: Calibration) -> Detector:
-    import cv2
-
     from tailbeat.sensors.camera.marker.blob import BlobDetector
 
     middle_px = np.array(calibration.size_px) / 2

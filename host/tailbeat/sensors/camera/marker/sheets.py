@@ -22,7 +22,7 @@ from tailbeat.sensors.camera.marker.printed import (
     RULER_IDS,
     board,
 )
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -215,7 +215,7 @@ def _check_side(side_mm: float, paper: Paper, columns: int, rows: int) -> None:
 def _draw_marker(
     axes: Axes, kind: str, number: int, side_mm: float, middle: tuple[float, float]
 ) -> None:
-    aruco = need_cv2().aruco
+    aruco = cv2.aruco
     family = aruco.DICT_4X4_50 if kind == "aruco" else aruco.DICT_APRILTAG_36H11
     corner = (middle[0] - side_mm / 2, middle[1] - side_mm / 2)
     _draw_cells(axes, _cells(aruco.getPredefinedDictionary(family), number), corner, side_mm)
@@ -252,7 +252,7 @@ def _draw_foot(axes: Axes, text: str, width_mm: float) -> None:
 
 def _cells(words: Any, number: int) -> Cells:
     size = words.markerSize + 2
-    return np.asarray(need_cv2().aruco.generateImageMarker(words, number, size)) < 128
+    return np.asarray(cv2.aruco.generateImageMarker(words, number, size)) < 128
 
 
 def _draw_cells(axes: Axes, cells: Cells, corner: tuple[float, float], side_mm: float) -> None:

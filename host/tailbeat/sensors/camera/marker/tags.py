@@ -21,10 +21,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
 Points = NDArray[np.float64]
@@ -143,7 +143,7 @@ def _sample(grey: Image, points: Floats) -> Floats:
     # Of bytes, remap gives whole grey levels only.
     part = grey[low[1] : high[1], low[0] : high[0]].astype(np.float32)
     at = (points - low).astype(np.float32).reshape(4 * _PROFILES, -1, 2)
-    values = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    values = cv2.remap(part, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values, np.float64).reshape(points.shape[:3])
 
 
@@ -185,7 +185,7 @@ def _meet(points: Points, along: Points) -> Points:
 
 TagKind = Literal["aruco", "apriltag"]
 
-_DICTIONARY = {"aruco": cv2.aruco.DICT_4X4_50, "apriltag": cv2.aruco.DICT_APRILTAG_36h11}
+_DICTIONARY = {"aruco": "DICT_4X4_50", "apriltag": "DICT_APRILTAG_36h11"}  # names in cv2.aruco
 CELLS = {"aruco": 6, "apriltag": 8}  # along a side, black border included
 
 _SIDE_MIN_PX = 10  # smaller ones are never decoded
@@ -215,7 +215,7 @@ class TagReader:
     """
 
     def __init__(self, kind: TagKind) -> None:
-        self._dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARY[kind])
+        self._dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARY[kind]))
         self._cells = CELLS[kind]
         self._fruitless = 0
 
@@ -242,7 +242,7 @@ class TagReader:
         if min(part.shape) < _SIDE_MIN_PX:
             return []
         if zoom != 1:
-            part = cv2.resize(part, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)  # type: ignore[assignment]
+            part = cv2.resize(part, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
         found, ids, _ = self._detector(max(part.shape), zoom).detectMarkers(part)
         if not found:
             return []

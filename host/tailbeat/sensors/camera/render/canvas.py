@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.sensors.camera.marker.detector import MarkerKind
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
-
-cv2 = need_cv2()
 
 Floats = NDArray[np.float64]
 Layer = NDArray[np.float32]

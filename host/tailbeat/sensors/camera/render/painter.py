@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render import sprites
 from tailbeat.sensors.camera.render.canvas import FINER, Sprite, stamp, whole_elements
 from tailbeat.sensors.camera.render.scene import Optics, Scene, chance
 from tailbeat.sensors.camera.render.sprites import backdrop, dimming, water
 from tailbeat.sensors.camera.source.picture import Image
-
-cv2 = need_cv2()
 
 Layer = NDArray[np.float32]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
 from tailbeat.sensors.camera.marker.detector import MarkerKind
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 
 
 def chance(*names: int | str) -> float:
@@ -79,8 +79,6 @@ class Scene:
 
         return true_calibration(self)
 
-
-cv2 = need_cv2()
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.sensors.camera.marker.detector import MarkerKind
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render.canvas import (
     FINER,
     Canvas,
@@ -126,8 +126,6 @@ def _ring(x_m: float, y_m: float, radius_m: float) -> Floats:
     around = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     return np.column_stack([x_m + radius_m * np.cos(around), y_m + radius_m * np.sin(around)])
 
-
-cv2 = need_cv2()
 
 Grey = NDArray[np.float32]
 

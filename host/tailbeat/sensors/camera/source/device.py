@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image, Picture
 
 _KEPT = 16  # pictures nobody has asked for yet; older ones go
@@ -96,7 +96,6 @@ class Capture:
                 self._news.notify_all()
 
     def _read(self, capture: Any) -> None:
-        cv2 = need_cv2()
         with self._news:
             self._is_open = bool(capture.isOpened())
             self._news.notify_all()
@@ -257,7 +256,6 @@ def _size(shot: Shot) -> tuple[int, int]:
 
 
 def _opened(address: str, size_px: tuple[int, int] | None, fps: float | None, jpeg: bool) -> Any:
-    cv2 = need_cv2()
     log = cv2.utils.logging
     log.setLogLevel(log.LOG_LEVEL_SILENT)  # it has its own words for what we say in one line
     linux = sys.platform.startswith("linux")

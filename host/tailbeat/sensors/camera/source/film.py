@@ -18,7 +18,7 @@ import numpy as np
 
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import temporary_beside
-from tailbeat.sensors.camera.opencv import need_av, need_cv2
+from tailbeat.sensors.camera.opencv import av, cv2
 from tailbeat.sensors.camera.source.picture import Image, Picture
 
 _GIVE_A_FILM = "Give a film: .mp4, .mkv, .mov or .avi."
@@ -31,7 +31,6 @@ class DamagedError(Exception):
 
 def open_film(path: Path) -> tuple[Any, Any]:
     """(container, its video stream) by PyAV. Raises InputError when it is none."""
-    av = need_av()
     if path.is_dir():
         raise InputError(f"{path} is a folder, no film.", _GIVE_A_FILM)
     if not path.is_file():
@@ -89,7 +88,7 @@ def whole_frames(container: Any, stream: Any) -> Iterator[Any]:
     file ends earlier than its header says. The few frames that the decoder holds back to put them
     in order when it meets damage are not given: some of them may be later than what is lost. At the
     begin of a film that was cut out of another it leaves out what cannot be whole by itself."""
-    errors = need_av().error.FFmpegError
+    errors = av.error.FFmpegError
     packets = container.demux(stream)
     last, damaged = None, False
     while not damaged:
@@ -120,7 +119,7 @@ def declared_end_s(container: Any, stream: Any) -> float | None:
             return int(hours) * 3600 + int(minutes) * 60 + float(seconds)
         except ValueError:
             alone = len(container.streams) == 1 and container.duration
-            return container.duration / need_av().time_base if alone else None
+            return container.duration / av.time_base if alone else None
     if container.format.name == "avi" and stream.duration:
         return float(stream.duration * stream.time_base)
     return None
@@ -167,7 +166,7 @@ class Film:
     size_px: tuple[int, int]
 
     def __init__(self, path: Path, colour: bool = False) -> None:
-        self._stretch = need_cv2().LUT
+        self._stretch = cv2.LUT
         self._container, self._stream = open_film(path)
         self._frames: Iterator[Any] | None = whole_frames(self._container, self._stream)
         self._colour = colour
@@ -264,11 +263,9 @@ class FilmWriter:
     use it as a context manager. Without a picture there is no file."""
 
     def __init__(self, path: Path, size_px: tuple[int, int], fps: float) -> None:
-        av = need_av()
         if path.suffix.lower() not in _CONTAINERS:
             raise InputError(f"cannot write a film as {path.name}.", "Name it .mp4 or .mkv.")
         container, self._tick = _CONTAINERS[path.suffix.lower()]
-        self._av = av
         self._path = path
         self._part = temporary_beside(path)
         self._size_px = size_px
@@ -313,7 +310,7 @@ class FilmWriter:
                 f"{self._path.name}: a picture at {t_s:.6f} s after one at {self._last_s:.6f} s.",
                 "Add pictures in order of time.",
             )
-        frame = self._av.VideoFrame.from_ndarray(
+        frame = av.VideoFrame.from_ndarray(
             np.ascontiguousarray(image), format="gray" if image.ndim == 2 else "bgr24"
         )
         frame.pts, frame.time_base = ticks, self._tick

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from tailbeat.core.errors import InputError, reason
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image, Picture, PictureSource
 
 DEVICE_S = 60.0
@@ -103,7 +103,6 @@ def read_grey(path: Path) -> Image:
     these."""
     if path.suffix.lower() in _FILMS:
         return _first_of_film(path)
-    cv2 = need_cv2()
     try:
         if path.stat().st_size > _BYTES_MAX:
             raise InputError(f"{path} is too large for a picture", "Give a PNG or JPEG file.")
@@ -157,5 +156,4 @@ def _sharpest_of_film(path: Path) -> Iterator[tuple[str, Image]]:
 
 
 def _sharpness(grey: Image) -> float:
-    cv2 = need_cv2()
     return float(cv2.Laplacian(grey[::2, ::2], cv2.CV_16S).std())

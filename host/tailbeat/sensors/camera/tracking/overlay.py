@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.sensors.camera.marker.tags import Sighting
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2, require_cv2
 from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.sensors.camera.source.picture import Image, Picture
 from tailbeat.sensors.camera.tracking.tracker import Place
@@ -32,13 +32,12 @@ class Overlay:
     leaves nothing behind."""
 
     def __init__(self, path: Path, size_px: tuple[int, int], fps: float) -> None:
-        self._cv2 = need_cv2()
+        require_cv2()
         self._film = FilmWriter(path, size_px, fps)
         self._trail: deque[tuple[float, tuple[float, float]]] = deque()
 
     def __call__(self, picture: Picture, place: Place, speed_m_s: float | None = None) -> None:
         """The next picture. ``speed_m_s`` is written beside the time if given."""
-        cv2 = self._cv2
         grey = picture.image.ndim == 2
         image: Image = cv2.cvtColor(picture.image, cv2.COLOR_GRAY2BGR) if grey else (
             picture.image.copy()
@@ -85,9 +84,9 @@ class Overlay:
         ahead = front - centre
         length = max(3 * sighting.side_px, 24.0)
         tip = centre + ahead * (length / max(float(np.linalg.norm(ahead)), 1e-6))
-        self._cv2.arrowedLine(
+        cv2.arrowedLine(
             image, _fixed(centre), _fixed(tip), _ARROW, _width(image),
-            self._cv2.LINE_AA, _SHIFT, 0.2,
+            cv2.LINE_AA, _SHIFT, 0.2,
         )  # fmt: skip
 
     def _draw_text(self, image: Image, place: Place, speed_m_s: float | None) -> None:
@@ -98,7 +97,6 @@ class Overlay:
             lines.append((f"seen, quality {place.sighting.quality:.2f}", _LIGHT))
         if speed_m_s is not None and math.isfinite(speed_m_s):
             lines.append((f"{speed_m_s * 1e3:.1f} mm/s", _LIGHT))
-        cv2 = self._cv2
         scale = image.shape[0] / _LINE_PX
         for row, (text, colour) in enumerate(lines):
             left, base = round(16 * scale), round((34 + 32 * row) * scale)
@@ -114,9 +112,9 @@ class Overlay:
             return
         fixed = np.rint(np.asarray(points, np.float64) * 2**_SHIFT).astype(np.int32)
         for ink, more in ((_DARK, 2), (colour, 0)):
-            self._cv2.polylines(
+            cv2.polylines(
                 image, [fixed.reshape(-1, 1, 2)], closed, ink, _width(image) + more,
-                self._cv2.LINE_AA, _SHIFT,
+                cv2.LINE_AA, _SHIFT,
             )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from tailbeat.core.frames import Camera, Frame
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker, detector_for
 from tailbeat.sensors.camera.marker.tags import Points, Sighting, Window
-from tailbeat.sensors.camera.opencv import need_cv2
+from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image, Picture
 from tailbeat.sensors.camera.tracking.checks import PERSISTS, Anchors, MarkerSize, SecondFish
 
@@ -47,7 +47,6 @@ def glow_around(grey: Image, frame: Frame, calibration: Calibration) -> Glow:
     """The brightest pixel of each cell, GLOW_SHAPE; 0 outside the picture. Row 0 is the fish's left
     side, column 0 its tail's end; cell (r, c) reaches from GLOW_LEFT_M + c GLOW_CELL_M along the
     fish and from r GLOW_CELL_M - GLOW_HALF_WIDTH_M to its right."""
-    cv2 = need_cv2()
     cos, sin = np.cos(frame.heading_rad), np.sin(frame.heading_rad)
     places = _PATCH_M @ np.array([[cos, sin], [-sin, cos]]) + [frame.x_m, frame.y_m]
     corners = calibration.to_pixels(places)
@@ -313,5 +312,4 @@ def _nearest(sightings: list[Sighting], guess: Points) -> Sighting:
 def _grey(image: Image) -> Image:
     if image.ndim == 2:
         return image
-    cv2 = need_cv2()
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
