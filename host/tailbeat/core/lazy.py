@@ -7,24 +7,23 @@ installed; a module that needs one names it at its top and loads it with its fir
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
 
 class LazyModule(ModuleType):
-    """Stands for a module and takes over its contents at the first look-up of a name."""
+    """Stands for a module: looks every name up in it, and loads it for the first one."""
 
     def __init__(self, name: str, load: Callable[[], ModuleType]) -> None:
         super().__init__(name)
-        self._load = load
+        self._load = cache(load)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # what inspection asks of any module is no use of it
+        if name.startswith("__"):  # inspection asks any module for these; that is no use of it
             raise AttributeError(name)
-        module = self._load()
-        self.__dict__.update(module.__dict__)
-        return getattr(module, name)
+        return getattr(self._load(), name)
 
 
 def lazy(name: str) -> Any:

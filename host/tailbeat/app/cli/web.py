@@ -63,11 +63,11 @@ def ui(
     Example: tailbeat ui --connect sim --speed 5
     """
     from tailbeat.app.cli._live_camera import LiveOptions
-    from tailbeat.app.web.worker import Conductor
     from tailbeat.core.extras import need
 
     need("nicegui", "web", "The page needs NiceGUI")
     from tailbeat.app.web.server import listen, serve
+    from tailbeat.app.web.worker import Conductor
 
     on_fish = marker_of(marker, marker_id, marker_side)
     options = LiveOptions(camera, on_fish, calibration, latency, None, None)
