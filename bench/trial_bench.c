@@ -38,7 +38,7 @@ static bool prepare(mini_host_t *host, bool thesis) {
     return mini_host_await(host, MAVLINK_MSG_ID_HEARTBEAT, 10) &&
            mini_host_set_param(host, "AMP_MAX_RAD", 0.78539816f) &&
            mini_host_set_param(host, "DU_MAX_RAD", 0.0f) &&
-           mini_host_set_param(host, "LAW_LEAD", thesis ? 0.0f : 1.0f) &&
+           mini_host_set_param(host, "ILC_LEAD", thesis ? 0.0f : 1.0f) &&
            mini_host_upload(host, "/in/reference.bin", TAILBEAT_FILE_REFERENCE, record,
                             (uint8_t)length);
 }

@@ -102,6 +102,12 @@ def parameter_table() -> str:
     return table(("index", "name", "default", "range", "unit", "meaning"), rows)
 
 
+def renamed_table() -> str:
+    """Every board parameter that had another name."""
+    rows = macro_rows(ROOT / "firmware/params/renamed.def", "RENAMED")
+    return table(("old name", "name"), ((f"`{old}`", f"`{name}`") for old, name in rows))
+
+
 def fault_table() -> str:
     """Every reason for a stop or a refusal."""
     rows = [
@@ -130,6 +136,7 @@ PAGES: dict[str, dict[str, Callable[[], str]]] = {
         "enums": enum_tables,
         "commands": command_table,
         "parameters": parameter_table,
+        "renamed": renamed_table,
     },
     "faults.md": {"faults": fault_table},
     "vn100.md": {"problems": imu_problem_table},

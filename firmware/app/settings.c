@@ -4,10 +4,10 @@
 #define TICK_LATE_US (FRAME_US + FRAME_US / 4u)
 #define IMU_NEEDED_TIMEOUT_S 1.0f
 
-/* Values of LAW_KIND after those of past_kind_t. */
-#define LAW_KIND_ADAPTIVE 3.0f
-#define LAW_KIND_ROBUST 4.0f
-#define LAW_KIND_SIGN 5.0f
+/* Values of ILC_KIND after those of past_kind_t. */
+#define ILC_KIND_ADAPTIVE 3.0f
+#define ILC_KIND_ROBUST 4.0f
+#define ILC_KIND_SIGN 5.0f
 
 static uint32_t microseconds(float seconds) { return (uint32_t)(seconds * 1e6f + 0.5f); }
 
@@ -17,32 +17,32 @@ uint16_t settings_frames(float seconds) { return (uint16_t)(seconds / FRAME_S + 
 
 law_t settings_law(const params_t *params, float beat_s) {
     return (law_t){
-        .kp_rad_s_m = params->value[PARAM_LAW_GAIN],
-        .kd_rad_s2_m = params->value[PARAM_LAW_KD],
+        .kp_rad_s_m = params->value[PARAM_ILC_GAIN],
+        .kd_rad_s2_m = params->value[PARAM_ILC_KD],
         .amplitude_max_rad = params->value[PARAM_AMP_MAX_RAD],
         .step_max_rad = params->value[PARAM_DU_MAX_RAD],
         .beat_s = beat_s,
-        .lead_beats = params->value[PARAM_LAW_LEAD],
-        .fade = params->value[PARAM_LAW_FADE],
-        .fade_from = (uint16_t)params_whole(params, PARAM_LAW_FADE_FROM),
-        .q_len = (uint16_t)params_whole(params, PARAM_LAW_Q_LEN),
-        .tail = (law_tail_t)params_whole(params, PARAM_LAW_TAIL),
+        .lead_beats = params->value[PARAM_ILC_LEAD],
+        .fade = params->value[PARAM_ILC_DECR_RATE],
+        .fade_from = (uint16_t)params_whole(params, PARAM_ILC_DECR_FROM),
+        .q_len = (uint16_t)params_whole(params, PARAM_ILC_Q_LEN),
+        .tail = (law_tail_t)params_whole(params, PARAM_ILC_END_EXT),
     };
 }
 
 memory_rules_t settings_memory_rules(const params_t *params) {
     return (memory_rules_t){
         .rollback_ratio = params->value[PARAM_ROLLBACK_RATIO],
-        .beyond = (beyond_t)params_whole(params, PARAM_LAW_BEYOND),
+        .beyond = (beyond_t)params_whole(params, PARAM_ILC_EXTRAP),
     };
 }
 
 past_kind_t settings_past_kind(const params_t *params) {
-    return (past_kind_t)params_whole(params, PARAM_LAW_KIND);
+    return (past_kind_t)params_whole(params, PARAM_ILC_KIND);
 }
 
 uint16_t settings_past_window(const params_t *params) {
-    return (uint16_t)params_whole(params, PARAM_LAW_WINDOW);
+    return (uint16_t)params_whole(params, PARAM_ILC_WINDOW);
 }
 
 bool settings_law_fits(const params_t *params, const law_t *law, uint16_t beats) {
@@ -51,13 +51,13 @@ bool settings_law_fits(const params_t *params, const law_t *law, uint16_t beats)
 
 /* These laws correct while the plant moves (ilc/feedback.h). */
 fault_t settings_refusal(param_t param, float value) {
-    if (param != PARAM_LAW_KIND) {
+    if (param != PARAM_ILC_KIND) {
         return FAULT_NONE;
     }
-    if (value == LAW_KIND_ADAPTIVE || value == LAW_KIND_ROBUST) {
+    if (value == ILC_KIND_ADAPTIVE || value == ILC_KIND_ROBUST) {
         return FAULT_LAW_FEEDBACK;
     }
-    return value == LAW_KIND_SIGN ? FAULT_LAW_SIGN : FAULT_NONE;
+    return value == ILC_KIND_SIGN ? FAULT_LAW_SIGN : FAULT_NONE;
 }
 
 gait_config_t settings_gait(const params_t *params, float beat_s) {
@@ -72,7 +72,7 @@ gait_config_t settings_gait(const params_t *params, float beat_s) {
                 .slew_rad_s = params->value[PARAM_SERVO_SLEW_RAD_S],
             },
         .frames_per_beat = settings_frames(beat_s),
-        .glide_frames = settings_frames(params->value[PARAM_GLIDE_S]),
+        .glide_frames = settings_frames(params->value[PARAM_COAST_S]),
     };
 }
 

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #define PARAMS_PER_POLL 8u
+#define IS_NOW " is now "
 
 static void put_name(param_t param, char out[PARAM_NAME_BYTES]) {
     const char *name = param_info(param)->name;
@@ -39,6 +40,20 @@ static void send_error(const link_received_t *in, const named_t *named, uint8_t 
     };
     memcpy(fields.param_id, named->name, sizeof fields.param_id);
     LINK_SEND(in->channel, PARAM_ERROR, &fields);
+}
+
+/* An old name is refused with the new one: "LAW_GAIN is now ILC_GAIN". */
+static bool send_new_name(channel_t *channel, const char old_name[PARAM_NAME_BYTES]) {
+    const param_t param = param_find_renamed(old_name);
+    if (param == PARAM_COUNT) {
+        return false;
+    }
+    char text[2u * PARAM_NAME_BYTES + sizeof IS_NOW] = {0};
+    strncat(text, old_name, PARAM_NAME_BYTES);
+    strcat(text, IS_NOW);
+    strncat(text, param_info(param)->name, PARAM_NAME_BYTES);
+    link_send_text(channel, MAV_SEVERITY_WARNING, text);
+    return true;
 }
 
 void link_on_param_request_list(link_t *link, const link_received_t *in) {
@@ -83,6 +98,9 @@ void link_on_param_request_read(link_t *link, const link_received_t *in) {
     named_t named = {.index = request.param_index};
     memcpy(named.name, request.param_id, sizeof named.name);
     send_error(in, &named, MAV_PARAM_ERROR_DOES_NOT_EXIST);
+    if (by_name) {
+        (void)send_new_name(in->channel, request.param_id);
+    }
 }
 
 static uint8_t param_error(fault_t fault) {
@@ -114,7 +132,9 @@ void link_on_param_set(link_t *link, const link_received_t *in) {
     const param_t param = param_find(request.param_id);
     if (param == PARAM_COUNT) {
         send_error(in, &named, MAV_PARAM_ERROR_DOES_NOT_EXIST);
-        link_send_text(in->channel, MAV_SEVERITY_WARNING, fault_info(FAULT_BAD_PARAM)->meaning);
+        if (!send_new_name(in->channel, request.param_id)) {
+            link_send_text(in->channel, MAV_SEVERITY_WARNING, fault_info(FAULT_BAD_PARAM)->meaning);
+        }
         return;
     }
     fault_t fault = FAULT_BAD_PARAM;

@@ -12,6 +12,12 @@ static const param_info_t table[PARAM_COUNT] = {
 #undef PARAM
 };
 
+static const param_renamed_t renamed[PARAM_RENAMED_COUNT] = {
+#define RENAMED(old_name, name) {#old_name, PARAM_##name},
+#include "params/renamed.def"
+#undef RENAMED
+};
+
 const param_info_t *param_info(param_t param) {
     REQUIRE((uint32_t)param < PARAM_COUNT);
     return &table[param];
@@ -27,6 +33,20 @@ param_t param_find(const char name[PARAM_NAME_BYTES]) {
     for (uint32_t i = 0; i < PARAM_COUNT; i++) {
         if (strncmp(name, table[i].name, PARAM_NAME_BYTES) == 0) {
             return (param_t)i;
+        }
+    }
+    return PARAM_COUNT;
+}
+
+const param_renamed_t *param_renamed(uint32_t index) {
+    REQUIRE(index < PARAM_RENAMED_COUNT);
+    return &renamed[index];
+}
+
+param_t param_find_renamed(const char old_name[PARAM_NAME_BYTES]) {
+    for (uint32_t i = 0; i < PARAM_RENAMED_COUNT; i++) {
+        if (strncmp(old_name, renamed[i].old_name, PARAM_NAME_BYTES) == 0) {
+            return (param_t)renamed[i].param;
         }
     }
     return PARAM_COUNT;

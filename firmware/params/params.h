@@ -39,6 +39,19 @@ typedef enum {
     PARAM_NOT_WHOLE /* or no multiple of 0.5 */
 } param_result_t;
 
+/* A parameter that had another name before (renamed.def). */
+typedef struct {
+    char old_name[PARAM_NAME_BYTES]; /* as a MAVLink param_id */
+    uint16_t param;                  /* param_t */
+} param_renamed_t;
+
+enum {
+#define RENAMED(old_name, name) PARAM_RENAMED_##name,
+#include "params/renamed.def"
+#undef RENAMED
+    PARAM_RENAMED_COUNT
+};
+
 const param_info_t *param_info(param_t param);
 
 /* Words for people. The host tool prints them; the firmware has no use for them, so they stay out
@@ -50,6 +63,12 @@ void params_reset(params_t *params);
 
 /* PARAM_COUNT when there is none. |name| is a MAVLink param_id. */
 param_t param_find(const char name[PARAM_NAME_BYTES]);
+
+/* The same by the name it had before; for records written by older firmware. */
+param_t param_find_renamed(const char old_name[PARAM_NAME_BYTES]);
+
+/* Row |index| of the table, 0..PARAM_RENAMED_COUNT-1. */
+const param_renamed_t *param_renamed(uint32_t index);
 
 /* Changes nothing unless it returns PARAM_OK. */
 param_result_t params_set(params_t *params, param_t param, float value);

@@ -520,6 +520,12 @@ size_t record_encode_params(const params_t *params, uint8_t *out) {
     return end_record(out, at);
 }
 
+/* A record of older firmware has the names that were renamed since. */
+static param_t stored_param(const char name[PARAM_NAME_BYTES]) {
+    const param_t param = param_find(name);
+    return param != PARAM_COUNT ? param : param_find_renamed(name);
+}
+
 fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *params,
                              uint16_t *ignored) {
     static const shape_t shape = {magic_params, RECORD_VERSION, 0, PARAM_BYTES, 0, UINT16_MAX};
@@ -531,7 +537,7 @@ fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *para
     *ignored = 0;
     for (uint16_t i = 0; i < count; i++) {
         const uint8_t *entry = bytes + RECORD_HEADER_BYTES + PARAM_BYTES * i;
-        const param_t param = param_find((const char *)entry);
+        const param_t param = stored_param((const char *)entry);
         const float value = bytes_get_f32(entry + PARAM_NAME_BYTES);
         if (param == PARAM_COUNT || params_set(params, param, value) != PARAM_OK) {
             (*ignored)++;

@@ -160,8 +160,9 @@ fault_t record_decode_key(const uint8_t *bytes, size_t length, key_record_t *key
 /* stack_words <= HAL_CRASH_STACK_WORDS; both texts end with a NUL. */
 fault_t record_decode_crash(const uint8_t *bytes, size_t length, crash_report_t *report);
 
-/* Parameters are stored by name: unknown names are skipped, missing ones get their default, values
- * out of range get their default; |ignored| counts both kinds. */
+/* Parameters are stored by name, older firmware's names (params/renamed.def) included: unknown
+ * names are skipped, missing ones get their default, values out of range get their default;
+ * |ignored| counts both kinds. */
 fault_t record_decode_params(const uint8_t *bytes, size_t length, params_t *params,
                              uint16_t *ignored);
 

@@ -15,8 +15,8 @@ typedef struct {
 } learn_trial_t;
 
 typedef struct {
-    uint16_t kind;   /* past_kind_t: LAW_KIND */
-    uint16_t window; /* LAW_WINDOW: 2..PAST_WINDOW_MAX, the newest among them */
+    uint16_t kind;   /* past_kind_t: ILC_KIND */
+    uint16_t window; /* ILC_WINDOW: 2..PAST_WINDOW_MAX, the newest among them */
     uint32_t trials; /* kept so far */
     learn_trial_t trial[PAST_WINDOW_MAX - 1u]; /* a ring; of the mean the first alone */
 } learn_past_t;

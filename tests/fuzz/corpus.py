@@ -77,7 +77,7 @@ def session_bytes() -> list[bytes]:
         fish.link.transport = listener  # type: ignore[assignment]
         fish.upload_reference(reference.trapezoid(0.06, 1, 1))
         fish.run_trial()
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.learn()
         return listener.written
 

@@ -102,6 +102,6 @@ def reference() -> bytes:
 @pytest.fixture
 def ready(fish: Fish, reference: bytes) -> Fish:
     """A fish with a reference and a lead that suits the tank."""
-    fish.params.set("LAW_LEAD", 1)
+    fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(reference)
     return fish

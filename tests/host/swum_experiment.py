@@ -25,7 +25,7 @@ def swim_experiment(root: Path, plant: str = "tank", seed: int = 1, **params: fl
     """Swum, decided and learned as a series does it, each step journalled; the board's state is
     copied. ``params``: besides those of a fish that is known."""
     with Fish.connect(f"sim:{plant}?seed={seed}") as fish:
-        for name, value in {"LAW_LEAD": 1.0, "AMP_MAX_RAD": 0.785, **params}.items():
+        for name, value in {"ILC_LEAD": 1.0, "AMP_MAX_RAD": 0.785, **params}.items():
             fish.params.set(name, value)
         fish.upload_reference(REFERENCE)
         experiment = make(fish, root, REFERENCE, "carangi", {"water_temperature_degc": 21.5})

@@ -1,4 +1,4 @@
-"""Laws that average (LAW_KIND 1, 2): what the board learns from its earlier trials, foretold and
+"""Laws that average (ILC_KIND 1, 2): what the board learns from its earlier trials, foretold and
 recomputed; and laws that are none for a fish."""
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ UPLOAD = 1  # SPD_SOURCE
 
 
 def prepare(fish: Fish, kind: int, **params: float) -> None:
-    for name, value in {"LAW_KIND": kind, "ROLLBACK_RATIO": 0, **params}.items():
+    for name, value in {"ILC_KIND": kind, "ROLLBACK_RATIO": 0, **params}.items():
         fish.params.set(name, value)
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
 
@@ -59,17 +59,17 @@ def trials_kept(fish: Fish) -> int:
 @pytest.mark.parametrize(
     ("kind", "params"),
     [
-        (MEAN, {"LAW_LEAD": 1}),
-        (MEAN, {"LAW_FADE": 0.7, "LAW_FADE_FROM": 1, "LAW_Q_LEN": 2, "LAW_BEYOND": 2}),
-        (WINDOW, {"LAW_KD": 0.3, "LAW_LEAD": 0.5}),
-        (WINDOW, {"LAW_WINDOW": 8, "LAW_TAIL": 2, "LAW_LEAD": 2}),
+        (MEAN, {"ILC_LEAD": 1}),
+        (MEAN, {"ILC_DECR_RATE": 0.7, "ILC_DECR_FROM": 1, "ILC_Q_LEN": 2, "ILC_EXTRAP": 2}),
+        (WINDOW, {"ILC_KD": 0.3, "ILC_LEAD": 0.5}),
+        (WINDOW, {"ILC_WINDOW": 8, "ILC_END_EXT": 2, "ILC_LEAD": 2}),
     ],
 )
 def test_every_trial_of_a_series_is_foretold(
     fish: Fish, kind: int, params: dict[str, float]
 ) -> None:
     prepare(fish, kind, **params)
-    most = 6 if kind == MEAN else fish.params.get("LAW_WINDOW").value
+    most = 6 if kind == MEAN else fish.params.get("ILC_WINDOW").value
     for number in range(1, 7):
         learn_as_foretold(fish, cut=number % 3 == 0)
         assert trials_kept(fish) == min(number, most)
@@ -109,9 +109,9 @@ def test_an_average_looks_at_more_than_the_last_trial(fish: Fish) -> None:
     learn_as_foretold(fish)
     swim(fish)
     averaged = dry_run(fish).amplitude_rad
-    fish.params.set("LAW_KIND", 0)
+    fish.params.set("ILC_KIND", 0)
     assert not np.allclose(averaged, dry_run(fish).amplitude_rad, atol=1e-4)
-    fish.params.set("LAW_KIND", 2)
+    fish.params.set("ILC_KIND", 2)
     assert dry_run(fish).amplitude_rad.tobytes() == averaged.tobytes()
 
 
@@ -162,11 +162,11 @@ def test_a_mean_is_that_of_plain_numpy() -> None:
 
 
 def test_a_mean_with_kd_is_refused(fish: Fish) -> None:
-    prepare(fish, MEAN, LAW_KD=0.1)
+    prepare(fish, MEAN, ILC_KD=0.1)
     with pytest.raises(Refused) as refused:
         fish.arm()
     assert refused.value.name == "BAD_LAW"
-    assert "LAW_KIND 1" in refused.value.remedy
+    assert "ILC_KIND 1" in refused.value.remedy
     with pytest.raises(InputError, match="mean has a kd"):
         laws.learn(
             Law(kd_rad_s2_m=0.1),
@@ -181,12 +181,12 @@ def test_a_mean_with_kd_is_refused(fish: Fish) -> None:
 
 @pytest.mark.parametrize(("kind", "number"), [(3, LAW_FEEDBACK), (4, LAW_FEEDBACK), (5, LAW_SIGN)])
 def test_laws_that_are_none_for_a_fish(fish: Fish, kind: int, number: int) -> None:
-    fish.params.set("LAW_KIND", 2)
+    fish.params.set("ILC_KIND", 2)
     with pytest.raises(Refused) as refused:
-        fish.params.set("LAW_KIND", kind)
+        fish.params.set("ILC_KIND", kind)
     assert refused.value.number == number
-    assert "LAW_KIND 0, 1 or 2" in refused.value.remedy
-    assert fish.params.get("LAW_KIND").value == 2
+    assert "ILC_KIND 0, 1 or 2" in refused.value.remedy
+    assert fish.params.get("ILC_KIND").value == 2
 
 
 def test_params_set_prints_why(
@@ -195,10 +195,10 @@ def test_params_set_prints_why(
     board = SimBoard("tank")
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     for kind, why in {"4": "needs the speed at once", "5": "throw the tail about"}.items():
-        assert run(["params", "set", "LAW_KIND", kind, "--connect", "it"]) == 1
+        assert run(["params", "set", "ILC_KIND", kind, "--connect", "it"]) == 1
         out, err = capsys.readouterr()
         assert out == ""
-        assert why in err and "LAW_KIND 0, 1 or 2" in err
+        assert why in err and "ILC_KIND 0, 1 or 2" in err
 
 
 def test_a_damaged_past_trial_is_none(fish: Fish) -> None:
@@ -223,10 +223,10 @@ def test_a_fish_learns_with_an_average(past: Past, gain: float) -> None:
         settings = {
             "AMP_MAX_RAD": 0.785398,
             "DU_MAX_RAD": 0,
-            "LAW_GAIN": gain,
-            "LAW_LEAD": 1,
-            "LAW_KIND": past.kind,
-            "LAW_WINDOW": past.window,
+            "ILC_GAIN": gain,
+            "ILC_LEAD": 1,
+            "ILC_KIND": past.kind,
+            "ILC_WINDOW": past.window,
         }
         for name, value in settings.items():
             fish.params.set(name, value)

@@ -208,7 +208,7 @@ def connect_to(
     tank = Watched(board)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: tank)
     with Fish.connect("it") as fish:
-        fish.params.set("LAW_LEAD", 1.5)
+        fish.params.set("ILC_LEAD", 1.5)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
         fish.upload_amplitudes(np.full(len(SPEEDS), 0.2, np.float32))
     return BadDay(board, tank, capsys)
@@ -375,7 +375,7 @@ def test_a_new_battery_is_not_gone_on_with_unasked(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 1
     day.board.swap_battery(8.2)
     assert day.says("learn")[0] == 1 and "session resume" in day.lines[0]
-    day.require_resume("LAW_LEAD is 1, was 1.5")
+    day.require_resume("ILC_LEAD is 1, was 1.5")
     day.require_goes_on()
     assert [e["trial"] for e in day.experiment().journal.entries("learned")] == [1, 2]
 
@@ -397,14 +397,14 @@ def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
 def test_a_swap_before_the_first_swim(day: BadDay) -> None:
     """Nothing knows what was set but the logbook: no experiment has begun."""
     shutil.rmtree("experiments")
-    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
     day.board.swap_battery(8.2)
     new = ("experiment", "new", "--reference", "thesis")
     for words in (KEEP, ("trial", "run", "--no-guide"), new):
         assert day.says(*words)[0] == 1
-        words_of("LAW_GAIN is 4, was 3", "tailbeat session resume", day.lines)
+        words_of("ILC_GAIN is 4, was 3", "tailbeat session resume", day.lines)
     assert day.board.truth().swims == 0 and not list(Path("experiments").glob("*"))
-    assert day.says("session", "resume")[1]["params"]["LAW_GAIN"] == [4.0, 3.0]
+    assert day.says("session", "resume")[1]["params"]["ILC_GAIN"] == [4.0, 3.0]
     assert day.says(*KEEP)[0] == 0
 
 
@@ -412,13 +412,13 @@ def test_a_swap_between_two_references(day: BadDay) -> None:
     """The old experiment is not asked, the new one has not begun."""
     assert day.says(*KEEP)[0] == 0
     assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
-    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
     day.board.swap_battery(8.2)
     assert day.says(*KEEP)[0] == 1
-    words_of("LAW_GAIN is 4, was 3", "tailbeat session resume", day.lines)
+    words_of("ILC_GAIN is 4, was 3", "tailbeat session resume", day.lines)
     assert day.says("session", "resume")[0] == 0
-    assert {n: day.fish().params.get(n).value for n in ("LAW_GAIN", "LAW_LEAD")} == {
-        "LAW_GAIN": 3.0, "LAW_LEAD": 1.5
+    assert {n: day.fish().params.get(n).value for n in ("ILC_GAIN", "ILC_LEAD")} == {
+        "ILC_GAIN": 3.0, "ILC_LEAD": 1.5
     }  # fmt: skip
     assert day.says(*KEEP)[1]["swims"][0]["trial"] == 2
 
@@ -446,10 +446,10 @@ def test_another_experiment_has_other_parameters(day: BadDay) -> None:
     first = day.experiment()
     csv = first.folder / "reference.csv"
     assert day.says("experiment", "new", "--another", "--reference", csv)[0] == 0
-    assert day.says("params", "set", "LAW_GAIN", "5")[0] == 0
+    assert day.says("params", "set", "ILC_GAIN", "5")[0] == 0
     assert day.says("experiment", "use", first.folder)[0] == 0
     assert day.says(*KEEP)[0] == 1
-    words_of("is set for another experiment", "LAW_GAIN is 5, was 4", day.lines)
+    words_of("is set for another experiment", "ILC_GAIN is 5, was 4", day.lines)
 
 
 def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -462,7 +462,7 @@ def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.Monk
     with monkeypatch.context() as patch:
         patch.setattr(TerminalPerson, "decide", slowly)
         assert day.says(*KEEP, "--until", "3")[0] == 1
-    words_of("LAW_LEAD is 1, was 1.5", "tailbeat session resume", day.lines)
+    words_of("ILC_LEAD is 1, was 1.5", "tailbeat session resume", day.lines)
     assert day.experiment().journal.entries("learned") == []
     assert day.status().pending_trial == 1 and day.board.truth().swims == 1
     day.require_resume_only()
@@ -483,7 +483,7 @@ def test_a_way_out_of_an_older_setting(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
     csv = day.experiment().folder / "reference.csv"
     assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
-    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
     day.board.swap_battery(8.2)
     assert day.says("reference", "upload", csv)[0] == 0
     assert day.says("session", "resume", "--no-repeat")[0] == 0, day.lines
@@ -502,14 +502,14 @@ def test_a_damaged_account_of_what_was_set(day: BadDay) -> None:
 
 def test_only_what_a_command_sets_is_meant(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
-    assert day.says("params", "set", "LAW_GAIN", "3")[0] == 0
+    assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
     assert day.says(*KEEP)[0] == 0, "a command of this tool set it"
-    set_for_good(day.fish(), {"LAW_GAIN": 3.5})
+    set_for_good(day.fish(), {"ILC_GAIN": 3.5})
     assert day.says(*KEEP)[0] == 0, "as trim, identify and the first session do"
-    day.fish().params.set("LAW_GAIN", 2.5)  # from a ground station
+    day.fish().params.set("ILC_GAIN", 2.5)  # from a ground station
     assert day.says(*KEEP)[0] == 1
-    words_of("LAW_GAIN is 2.5, was 3.5", "tailbeat params save", day.lines)
-    assert day.says("params", "save")[1] == {"saved": True, "accepted": {"LAW_GAIN": 2.5}}
+    words_of("ILC_GAIN is 2.5, was 3.5", "tailbeat params save", day.lines)
+    assert day.says("params", "save")[1] == {"saved": True, "accepted": {"ILC_GAIN": 2.5}}
     day.require_goes_on()
 
 
@@ -536,7 +536,7 @@ def test_power_is_cut_in_mid_swim(day: BadDay) -> None:
     assert len(day.lines) == 2, day.lines
     words_of("the board restarted during a trial", "Check the battery and its switch", day.lines)
     words_of("trial 2 (aborted:REBOOT) has no speeds", "discarded", day.lines)
-    day.require_resume("LAW_LEAD is 1, was 1.5")
+    day.require_resume("ILC_LEAD is 1, was 1.5")
     day.require_goes_on()
     assert day.lines == []
 
@@ -553,7 +553,7 @@ def test_power_is_cut_and_nobody_waits_for_the_end(
     with monkeypatch.context() as patch:
         patch.setattr("tailbeat.session.decide.Office.decide", press)
         assert day.says(*KEEP)[0] == 130
-    day.require_resume("LAW_LEAD is 1, was 1.5")
+    day.require_resume("ILC_LEAD is 1, was 1.5")
     day.require_goes_on()
     words_of("trial 1 was left undecided", "decided on first", day.lines)
 

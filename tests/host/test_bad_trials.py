@@ -111,7 +111,7 @@ class Session:
     def begin(self) -> None:
         """The settings, kept."""
         params = self.fish.params
-        for name, value in (*self.limits.params, ("LAW_GAIN", GAIN), ("LAW_LEAD", 1)):
+        for name, value in (*self.limits.params, ("ILC_GAIN", GAIN), ("ILC_LEAD", 1)):
             params.set(name, value)
         params.save()
         self.fish.upload_reference(reference.thesis().record())

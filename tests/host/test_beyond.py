@@ -1,4 +1,4 @@
-"""What LAW_BEYOND does for beats that no trial has reached: many simulated fish whose trials are
+"""What ILC_EXTRAP does for beats that no trial has reached: many simulated fish whose trials are
 all cut short, and then one that gets there. ``pytest -s -m soak tests/host/test_beyond.py`` prints
 the table of docs/safety.md."""
 

@@ -60,7 +60,7 @@ def problems(trial: Trial) -> tuple[str, ...]:
 
 
 def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:
-    tank.fish.params.set("LAW_LEAD", 0)  # with 1, the push back in beat 2 is taken for one ahead
+    tank.fish.params.set("ILC_LEAD", 0)  # with 1, the push back in beat 2 is taken for one ahead
     for at in (2, 7, 11):
         clean = tank.swims()
         assert bump_of(swim_of(clean)) is None and problems(clean) == ()

@@ -37,7 +37,7 @@ def fish(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fish]:
     board = SimBoard("tank", seed=1)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     with Fish.connect("it") as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.upload_reference(HILL)
         yield fish
 

@@ -33,7 +33,7 @@ def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
     fish.params.set("DU_MAX_RAD", 0.0)
     identified = identify_fish(fish, Attendant(), quick=True)
     law = design(identified, reference, math.pi / 4).law
-    for name, value in {"LAW_GAIN": law.kp_rad_s_m, "LAW_LEAD": law.lead_beats}.items():
+    for name, value in {"ILC_GAIN": law.kp_rad_s_m, "ILC_LEAD": law.lead_beats}.items():
         fish.params.set(name, value)
     fish.upload_reference(reference)
     fish.sim.set_swim(1)  # the same noise, whatever was swum before

@@ -67,8 +67,8 @@ def test_a_session(board: Shell, alone: Shell, tmp_path: Path) -> None:
     swim.write_text("t_s,v_m_s\n0,0\n2,0.06\n8,0.06\n10,0\n")
     assert board.json("info")["status"]["state"] == "IDLE"
     assert board.json("params", "set", "AMP_MAX_RAD", "0.75")["value"] == 0.75
-    assert board.json("params", "set", "law_lead", "1") == {
-        "name": "LAW_LEAD", "value": 1.0, "unit": "beats",
+    assert board.json("params", "set", "ilc_lead", "1") == {
+        "name": "ILC_LEAD", "value": 1.0, "unit": "beats",
     }  # fmt: skip
     assert board.json("reference", "check", str(swim))["problems"] == []
     assert board.text("reference", "upload", str(swim)).startswith("uploaded swim: 10 beats")
@@ -119,18 +119,18 @@ def test_discard(board: Shell) -> None:
 
 
 def test_params(board: Shell, tmp_path: Path) -> None:
-    board.text("params", "set", "LAW_GAIN", "5")
+    board.text("params", "set", "ILC_GAIN", "5")
     board.text("params", "save")
     board.text("params", "reset")
-    assert board.json("params", "get", "LAW_GAIN")["value"] == 4
+    assert board.json("params", "get", "ILC_GAIN")["value"] == 4
     board.text("params", "load")
-    assert board.text("params", "get", "LAW_GAIN") == "LAW_GAIN = 5 rad s/m\n"
+    assert board.text("params", "get", "ILC_GAIN") == "ILC_GAIN = 5 rad s/m\n"
     board.text("params", "reset")
-    assert board.json("params", "set", "LAW_KD", "-0.5")["value"] == -0.5
+    assert board.json("params", "set", "ILC_KD", "-0.5")["value"] == -0.5
     board.text("params", "reset")
     rows = board.json("params", "list")["params"]
     assert {"name", "value", "default", "low", "high", "unit", "text"} == set(rows[0])
-    assert "LAW_GAIN" in board.fails("params", "set", "LAW_GAIN", "-1")
+    assert "ILC_GAIN" in board.fails("params", "set", "ILC_GAIN", "-1")
     assert "no parameter 'NOSUCH'" in board.fails("params", "get", "NOSUCH")
 
 
@@ -193,7 +193,7 @@ def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
 
 def test_wrong_calls(alone: Shell) -> None:
     assert "No such command" in alone.fails("swim", status=2)
-    assert "--help" in alone.fails("params", "set", "LAW_GAIN", status=2)
+    assert "--help" in alone.fails("params", "set", "ILC_GAIN", status=2)
     assert alone.fails("demo", "--trials", "0", status=2)
     assert alone.fails("learn", "--dry-run", "--restore-best", status=2)
     assert "no plant pond" in alone.fails("demo", "--plant", "pond")

@@ -444,7 +444,7 @@ def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
     tank.wait(lambda now: now.phase == "idle")
     tank.board.set_radio(False)
     done = tank.conductor.now.done
-    tank.conductor.ask("set", name="LAW_GAIN", value=3.0)  # a round trip that nothing comes back of
+    tank.conductor.ask("set", name="ILC_GAIN", value=3.0)  # a round trip that nothing comes back of
     clock[0] = 107.0
     tank.wait(lambda now: now.done > done or now.phase == "connecting")
     assert tank.conductor.silent_s() == pytest.approx(7.0)

@@ -23,7 +23,7 @@ from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 Array = NDArray[np.float64]
 
 UPLOAD = 1  # SPD_SOURCE
-KINDS = {"last": 0, "mean": 1, "window": 2}  # LAW_KIND
+KINDS = {"last": 0, "mean": 1, "window": 2}  # ILC_KIND
 
 
 class CutAfter:
@@ -42,9 +42,9 @@ class CutAfter:
     [
         (Past("last"), {}),
         (Past("mean"), {}),
-        (Past("window", 3), {"LAW_LEAD": 1}),
-        (Past("window", 5), {"LAW_FADE": 1, "LAW_FADE_FROM": 1, "DU_MAX_RAD": 0.05}),
-        (Past("mean"), {"LAW_GAIN": 9, "ROLLBACK_RATIO": 1.01, "LAW_Q_LEN": 2}),
+        (Past("window", 3), {"ILC_LEAD": 1}),
+        (Past("window", 5), {"ILC_DECR_RATE": 1, "ILC_DECR_FROM": 1, "DU_MAX_RAD": 0.05}),
+        (Past("mean"), {"ILC_GAIN": 9, "ROLLBACK_RATIO": 1.01, "ILC_Q_LEN": 2}),
     ],
     ids=["last", "mean", "window 3", "window 5 with limits", "mean that rolls back"],
 )
@@ -52,7 +52,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
     """The board of the simulator, its store and its link, against the batch of a sweep: the same
     amplitudes to the last bit, trial after trial."""
     reference = from_text("cosine:0.07,4,2")
-    base = {"LAW_KIND": KINDS[past.kind], "LAW_WINDOW": past.window, "ROLLBACK_RATIO": 0}
+    base = {"ILC_KIND": KINDS[past.kind], "ILC_WINDOW": past.window, "ROLLBACK_RATIO": 0}
     shoal = Shoal("tank", [{"seed": 5}])
     spread = lengths.parse("uniform:4,13")
     rolled, ends = [], []

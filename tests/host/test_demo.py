@@ -67,7 +67,7 @@ def test_folder_is_an_experiment_with_a_report(tank: tuple[DemoResult, Path]) ->
     experiment = Experiment.open(folder)
     assert experiment.damaged() == []
     assert [trial.iteration for trial in experiment.trials()] == [1, 2, 3]
-    assert experiment.settings()["params"]["LAW_LEAD"] == 1
+    assert experiment.settings()["params"]["ILC_LEAD"] == 1
     assert result.report == folder / "report.html"
     assert "A simulated fish" in result.report.read_text()
     assert (folder / "report.png").read_bytes()[:4] == b"\x89PNG"

@@ -471,18 +471,23 @@ def test_apply_sets_the_boards_law(
     with Fish.connect("sim:tank?seed=1") as fish:
         monkeypatch.setattr(Fish, "connect", lambda *_, **__: Borrowed(fish))
         fish.params.set("AMP_MAX_RAD", 0.6)
-        for name, value in {"LAW_TAIL": 1, "LAW_FADE": 0.5, "LAW_KD": 0.1, "LAW_KIND": 2}.items():
+        for name, value in {
+            "ILC_END_EXT": 1,
+            "ILC_DECR_RATE": 0.5,
+            "ILC_KD": 0.1,
+            "ILC_KIND": 2,
+        }.items():
             fish.params.set(name, value)
         assert run(["design", "--table", csv, "--gain", "10", "--apply"]) == 1
-        assert fish.params.get("LAW_GAIN").value == 4.0
+        assert fish.params.get("ILC_GAIN").value == 4.0
         assert run(["design", "--table", csv, "--apply", "--json"]) == 0
         told = json.loads(capsys.readouterr().out)
         assert told["applied"] is True
         assert told["law"]["amplitude_max_rad"] == pytest.approx(0.6)
-        assert fish.params.get("LAW_GAIN").value == pytest.approx(told["gain_rad_s_m"])
-        assert fish.params.get("LAW_LEAD").value == told["lead_beats"]
-        assert fish.params.get("LAW_Q_LEN").value == told["q_len"]
-        others = ("LAW_TAIL", "LAW_FADE", "LAW_KD", "LAW_KIND")
+        assert fish.params.get("ILC_GAIN").value == pytest.approx(told["gain_rad_s_m"])
+        assert fish.params.get("ILC_LEAD").value == told["lead_beats"]
+        assert fish.params.get("ILC_Q_LEN").value == told["q_len"]
+        others = ("ILC_END_EXT", "ILC_DECR_RATE", "ILC_KD", "ILC_KIND")
         assert [fish.params.get(n).value for n in others] == [0, 0, 0, 0]
 
 

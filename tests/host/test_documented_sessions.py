@@ -181,7 +181,7 @@ def test_with_too_low_a_limit_the_session_says_so_and_how_to_go_on(terminal: Ter
                      terminal.out)  # fmt: skip
     for line in terminal.out.splitlines():
         assert "converged" not in line or "saturated" in line, line
-        assert "LAW_FADE" not in line, line
+        assert "ILC_DECR_RATE" not in line, line
     check = terminal.says("tailbeat", "reference", "check", "thesis")
     assert "fits" in check and "saturation expected: 2" in check
     remedy = re.findall(r"tailbeat params set AMP_MAX_RAD 0\.\d\d", terminal.out)[-1]

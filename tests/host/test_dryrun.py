@@ -21,13 +21,13 @@ def swim_and_compare(fish: Fish) -> bool:
 
 
 def test_every_trial_of_a_session_is_foretold(fish: Fish) -> None:
-    fish.params.set("LAW_LEAD", 1)
+    fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
     assert not any(swim_and_compare(fish) for _ in range(4))
 
 
 def test_a_session_with_half_a_beat_and_a_fading_gain_is_foretold(fish: Fish) -> None:
-    for name, value in {"LAW_LEAD": 0.5, "LAW_FADE": 0.7, "LAW_FADE_FROM": 1}.items():
+    for name, value in {"ILC_LEAD": 0.5, "ILC_DECR_RATE": 0.7, "ILC_DECR_FROM": 1}.items():
         fish.params.set(name, value)
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
     beats = fish.status().beats

@@ -26,7 +26,7 @@ TRIALS_MAX = 16
 VISION, IMU, MODEL = 0, 2, 3
 SETTLED_BEATS = 2  # swum until the speed of a beat is settled: SPD_LATE_S + SPD_GAP_S
 PARAMS = {
-    "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, "LAW_GAIN": 2, "LAW_LEAD": 0, "ERR_MAX_M_S": LIMIT_M_S,
+    "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, "ILC_GAIN": 2, "ILC_LEAD": 0, "ERR_MAX_M_S": LIMIT_M_S,
 }  # fmt: skip
 
 Floats = NDArray[np.float32]
@@ -92,7 +92,7 @@ def test_without_it_every_trial_ends_at_the_same_beat(tmp_path: Path) -> None:
 
 
 def test_holding_the_last_corrected_beat_gets_there_sooner(tmp_path: Path) -> None:
-    kept, held = (len(series(tmp_path, False, LAW_BEYOND=policy)) for policy in (0, 1))
+    kept, held = (len(series(tmp_path, False, ILC_EXTRAP=policy)) for policy in (0, 1))
     print(f"keep: {kept} trials, hold: {held}")
     assert held < kept
 
@@ -186,7 +186,7 @@ def test_a_session_by_the_command_line(
     code, out, _ = tailbeat("trial", "show")
     assert code == 0 and "not swum: beats 5-11" in out.splitlines()
     code, out, _ = tailbeat("learn")
-    line = "beats 5-11 have never been corrected: LAW_BEYOND decides what the last ones do"
+    line = "beats 5-11 have never been corrected: ILC_EXTRAP decides what the last ones do"
     assert code == 0 and out.splitlines()[1] == line
     code, out, _ = tailbeat("info")
     assert out.splitlines()[-1] == f"learned    {line}"

@@ -82,8 +82,8 @@ def test_notes_have_the_time(tmp_path: Path) -> None:
 
 def test_settings_add_up(tmp_path: Path) -> None:
     made = make(tmp_path)
-    made.write_settings({"params": {"LAW_GAIN": 4.0}})
-    assert made.settings()["params"] == {"LAW_GAIN": 4.0}
+    made.write_settings({"params": {"ILC_GAIN": 4.0}})
+    assert made.settings()["params"] == {"ILC_GAIN": 4.0}
     assert made.settings()["fish"] == "carl the fish"
     assert "tailbeat" in made.settings()["tool"]
 

@@ -142,7 +142,7 @@ def test_one_that_was_begun_is_left_alone(tmp_path: Path, touch: str) -> None:
         elif touch == "set":
             set_conditions(made, {"wall": "glass"})
         elif touch == "params":
-            fish.params.set("LAW_LEAD", 2)
+            fish.params.set("ILC_LEAD", 2)
         else:
             (made.raw / "0001.ulg").touch()
         assert made_before(fish, root, wanted, {"conditions": {}}) is None

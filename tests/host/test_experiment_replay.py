@@ -62,9 +62,9 @@ def test_everything_comes_out_the_same(swum: Experiment, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "params",
     [
-        {"LAW_KIND": 1.0, "LAW_FADE": 1.0, "LAW_FADE_FROM": 1.0},
-        {"LAW_KIND": 2.0, "LAW_WINDOW": 3.0},
-        {"LAW_GAIN": 12.0, "ROLLBACK_RATIO": 1.01, "LAW_LEAD": 8.0, "DU_MAX_RAD": 0.0},
+        {"ILC_KIND": 1.0, "ILC_DECR_RATE": 1.0, "ILC_DECR_FROM": 1.0},
+        {"ILC_KIND": 2.0, "ILC_WINDOW": 3.0},
+        {"ILC_GAIN": 12.0, "ROLLBACK_RATIO": 1.01, "ILC_LEAD": 8.0, "DU_MAX_RAD": 0.0},
     ],
 )
 def test_every_law_is_learned_again(params: dict[str, float], tmp_path: Path) -> None:
@@ -244,14 +244,14 @@ def test_redo_tells_what_the_simulated_fish_was(tmp_path: Path) -> None:
 def test_redo_tells_numbers_as_the_board_holds_them(tmp_path: Path) -> None:
     with Fish.connect("sim") as fish:
         fish.params.set("AMP_MAX_RAD", 0.68)
-        fish.params.set("LAW_LEAD", 2)
+        fish.params.set("ILC_LEAD", 2)
         made = make(fish, tmp_path, REFERENCE)
         held = fish.params.get("AMP_MAX_RAD").value
     made.journal.add("set", params={"AMP_MAX_RAD": held})
     text = write_redo(made).read_text()
     assert held != 0.68, "single precision"
     assert "tailbeat params set AMP_MAX_RAD 0.68\n" in text
-    assert "tailbeat params set LAW_LEAD 2\n" in text and ": set AMP_MAX_RAD = 0.68\n" in text
+    assert "tailbeat params set ILC_LEAD 2\n" in text and ": set AMP_MAX_RAD = 0.68\n" in text
 
 
 def test_redo_tells_what_fish_another_process_simulated(tmp_path: Path) -> None:

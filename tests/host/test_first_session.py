@@ -222,7 +222,7 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         assert [one.was for one in raises] == pytest.approx([0.5, 0.6])
         assert limit(fish) == pytest.approx(raises[-1].to)
         assert fish.status().reference_crc == THESIS.crc
-        assert fish.params.get("LAW_LEAD").value >= 0.5
+        assert fish.params.get("ILC_LEAD").value >= 0.5
         # 0.05 rad askew; what the servo does to a beat is left of it
         centre = fish.params.get("SERVO_CENTRE_US").value
         assert centre == pytest.approx(1500 - 0.05 * DEFAULTS["SERVO_US_RAD"], abs=6)

@@ -297,7 +297,7 @@ def taught(due: Due) -> Content:
     """The board has swum and learned from two trials, with parameters of its own."""
     reference = records.encode_reference(1.0, 0.06 * np.sin(np.linspace(0.2, 2.9, 40)))
     with Fish(SimTransport(due.board)) as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.params.set("SERVO_CENTRE_US", 1512.5)
         fish.params.save()
         fish.upload_reference(reference)
@@ -1055,12 +1055,12 @@ def test_a_parameter_the_new_firmware_refuses(due: Due, image: Path, command: Co
     assert backup is not None
     board = backup / "board.json"
     document = json.loads(board.read_text())
-    document["params"] |= {"LAW_GAIN": -1.0, "GONE": 2.0}
+    document["params"] |= {"ILC_GAIN": -1.0, "GONE": 2.0}
     board.write_text(json.dumps(document))
     _, out, _ = command("--restore", str(backup), "--port", ACM)
     refused = [line for line in out.splitlines() if line.startswith("not restored")]
     assert refused == [
-        "not restored: LAW_GAIN = -1 (LAW_GAIN cannot be -1)",
+        "not restored: ILC_GAIN = -1 (ILC_GAIN cannot be -1)",
         "not restored: GONE = 2 (this firmware has no such parameter)",
     ]
     assert out.startswith(f"the board has back: {len(document['params']) - 2} parameters\n")

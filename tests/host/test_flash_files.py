@@ -92,7 +92,7 @@ def backup(**changes: object) -> Backup:
     values: dict[str, object] = {
         "unique_id": "73696d2d66697368",
         "build_id": "0.1.0",
-        "params": {"LAW_GAIN": 4.599999904632568, "SERVO_DIR": -1.0},
+        "params": {"ILC_GAIN": 4.599999904632568, "SERVO_DIR": -1.0},
         "next_trial": 3,
         "reference": b"r" * 40,
         "learned": b"a",

@@ -290,7 +290,7 @@ class Console:
 def console() -> Iterator[Console]:
     board = SimBoard("tank")
     with Fish(SimTransport(board)) as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.params.set("SERVO_CENTRE_US", 1487.25)
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, np.full(8, 0.04)))

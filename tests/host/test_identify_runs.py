@@ -423,14 +423,14 @@ def test_an_older_copy_neither_comes_back_nor_goes(
 
 def test_a_guess_is_made_anew(tank: Fish) -> None:
     """Amplitudes that arming made of the reference stay what arming makes, by the gain then."""
-    tank.params.set("LAW_LEAD", 0)
+    tank.params.set("ILC_LEAD", 0)
     tank.upload_reference(reference.cosine(0.06, 3, 2))
     tank.arm()
     tank.disarm()
     assert tank.status().iteration == 1
     identify_fish(tank, Attendant(), quick=True)
     assert tank.status().iteration == 0
-    tank.params.set("LAW_GAIN", 5.0)
+    tank.params.set("ILC_GAIN", 5.0)
     tank.arm()
     held = tank.amplitudes().values
     wanted = reference.cosine(0.06, 3, 2).speed_m_s
@@ -467,15 +467,15 @@ def test_speeds_by_hand(tank: Fish, board: SimBoard) -> None:
 
 def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> None:
     found = identify_fish(learned, Attendant(), quick=True)
-    learned.params.set("LAW_GAIN", 5.5)
+    learned.params.set("ILC_GAIN", 5.5)
     held = set_params(learned, found)
     assert held["MDL_KAPPA"] == pytest.approx(found.model.kappa_per_m, rel=1e-6)
-    assert learned.params.get("LAW_GAIN").value == 5.5
+    assert learned.params.get("ILC_GAIN").value == 5.5
     board.power_cycle()
     learned.link.run(2.0)
     for name, value in held.items():
         assert learned.params.get(name).value == value
-    assert learned.params.get("LAW_GAIN").value == 4.0
+    assert learned.params.get("ILC_GAIN").value == 4.0
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

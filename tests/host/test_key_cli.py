@@ -142,7 +142,7 @@ def test_from_no_key_to_one_and_back(laptop: Callable[[str], Laptop]) -> None:
     for port in ("radio", "wire"):
         held = owner.json("key", "status", "--connect", port)
         assert (held["trust"], held["held"]["key"]) == ("held", owner.key().fingerprint)
-    assert owner.text("params", "set", "LAW_LEAD", "2", "--connect", "radio")
+    assert owner.text("params", "set", "ILC_LEAD", "2", "--connect", "radio")
     assert owner.text("key", "status", "--connect", "radio").count("\n") == 3
     gone = owner.json("key", "erase", "--connect", "wire")
     assert gone["erased"]["key"] == held["held"]["key"]
@@ -192,7 +192,7 @@ def test_a_second_set_replaces(owner: Laptop) -> None:
     assert owner.json("key", "status", "--connect", "radio")["held"]["key"] == second.fingerprint
     KeyStore(owner.folder).forget(second)
     KeyStore(owner.folder).save(first)
-    assert REFUSED in owner.fails("params", "set", "LAW_LEAD", "1", "--connect", "radio")
+    assert REFUSED in owner.fails("params", "set", "ILC_LEAD", "1", "--connect", "radio")
 
 
 def lose(fish: Fish, answers: int, requests: int) -> None:
@@ -228,10 +228,10 @@ def test_lost_words_do_not_lock_out(
             set_key(fish)
         lose(fish, answers, requests)
         key = set_key(fish)
-        fish.params.set("LAW_LEAD", 3)
+        fish.params.set("ILC_LEAD", 3)
     assert owner.key().key == key.key
     with owner.fish() as fish:
-        assert fish.params.get("LAW_LEAD").value == 3.0
+        assert fish.params.get("ILC_LEAD").value == 3.0
 
 
 @pytest.mark.parametrize("reached", [True, False])
@@ -256,7 +256,7 @@ def test_a_set_that_is_interrupted(laptop: Callable[[str], Laptop], reached: boo
         radio.on_write = None
     assert len(KeyStore(owner.folder).usable()) == 2
     with owner.fish(CONSOLE) as fish:
-        fish.params.set("LAW_LEAD", 3)
+        fish.params.set("ILC_LEAD", 3)
         set_key(fish)
     assert len(KeyStore(owner.folder).usable()) == 1
 
@@ -278,7 +278,7 @@ def test_no_answer_at_all_keeps_the_key(laptop: Callable[[str], Laptop]) -> None
             set_key(fish)
     assert gone
     with owner.fish() as fish:
-        fish.params.set("LAW_LEAD", 3)
+        fish.params.set("ILC_LEAD", 3)
         assert fish.link.signing.key is not None
         assert fish.link.signing.key.key == owner.key().key
 
@@ -298,8 +298,8 @@ def test_the_key_goes_to_a_second_laptop(
     assert REFUSED in second.fails("arm", "--connect", "radio")
     assert f"delete {file}" in second.text("key", "import", str(file))
     assert second.key().link_id != owner.key().link_id
-    assert second.text("params", "set", "LAW_LEAD", "2", "--connect", "radio")
-    assert owner.text("params", "set", "LAW_LEAD", "3", "--connect", "radio")
+    assert second.text("params", "set", "ILC_LEAD", "2", "--connect", "radio")
+    assert owner.text("params", "set", "ILC_LEAD", "3", "--connect", "radio")
     second.text("key", "forget", second.key().fingerprint)
     assert REFUSED in second.fails("arm", "--connect", "radio")
 
@@ -326,19 +326,19 @@ def test_two_laptops_at_once(owner: Laptop, laptop: Callable[[str], Laptop]) -> 
     copy(owner, second)
     with owner.fish() as radio, second.fish(CONSOLE) as wire:
         for number in range(20):
-            radio.params.set("LAW_GAIN", 1.0 + number)
-            assert wire.params.get("LAW_GAIN").value == 1.0 + number
-            wire.params.set("LAW_LEAD", number % 4)
-            assert radio.params.get("LAW_LEAD").value == number % 4
+            radio.params.set("ILC_GAIN", 1.0 + number)
+            assert wire.params.get("ILC_GAIN").value == 1.0 + number
+            wire.params.set("ILC_LEAD", number % 4)
+            assert radio.params.get("ILC_LEAD").value == number % 4
         assert radio.health()["refused_stale"] == 0
 
 
 def test_two_programs_on_one_laptop(owner: Laptop) -> None:
     with owner.fish() as radio, owner.fish(CONSOLE) as wire:
         for number in range(10):
-            radio.params.set("LAW_GAIN", 1.0 + number)
-            wire.params.set("LAW_LEAD", number % 4)
-            assert radio.params.get("LAW_LEAD").value == number % 4
+            radio.params.set("ILC_GAIN", 1.0 + number)
+            wire.params.set("ILC_LEAD", number % 4)
+            assert radio.params.get("ILC_LEAD").value == number % 4
             assert radio.status().state == wire.status().state == "IDLE"
 
 
@@ -352,11 +352,11 @@ def test_a_laptop_whose_clock_is_wrong(
     now_s = (year - 1970) * 365.25 * 86400
     monkeypatch.setattr("tailbeat.board.provision.time.time", lambda: now_s)
     with second.fish(CONSOLE) as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         set_key(fish, now_s=lambda: now_s)
-        fish.params.set("LAW_LEAD", 2)
+        fish.params.set("ILC_LEAD", 2)
         assert fish.health()["refused_stale"] == 0
-    assert second.text("params", "set", "LAW_LEAD", "3", "--connect", "radio")
+    assert second.text("params", "set", "ILC_LEAD", "3", "--connect", "radio")
 
 
 # What a stranger gets
@@ -364,13 +364,13 @@ def test_a_laptop_whose_clock_is_wrong(
 
 CHANGES = [
     ["arm"], ["disarm"], ["clear"], ["learn"], ["learn", "--restore-best"],
-    ["params", "set", "LAW_LEAD", "1"], ["params", "save"], ["params", "reset"],
+    ["params", "set", "ILC_LEAD", "1"], ["params", "save"], ["params", "reset"],
     ["reference", "upload", "thesis"], ["trial", "run"], ["trial", "discard"],
     ["key", "set"], ["key", "erase"],
 ]  # fmt: skip
 READS = [
     ["info"], ["params", "list"], ["trial", "list"], ["key", "status"],
-    ["params", "get", "LAW_LEAD"],
+    ["params", "get", "ILC_LEAD"],
 ]  # fmt: skip
 
 
@@ -469,11 +469,11 @@ def test_a_recording_is_worthless_after_a_restart(owner: Laptop) -> None:
     with owner.fish() as fish:
         radio = Tap(fish)
         upload_reference(fish)
-        fish.params.set("LAW_GAIN", 9.0)
+        fish.params.set("ILC_GAIN", 9.0)
         fish.params.save()
         fish.arm()
         fish.disarm()
-        fish.params.set("LAW_GAIN", 5.0)
+        fish.params.set("ILC_GAIN", 5.0)
         fish.params.save()
         recorded = list(radio.sent)
     for restart in (False, True):
@@ -492,7 +492,7 @@ def test_a_recording_is_worthless_after_a_restart(owner: Laptop) -> None:
         }
         assert states <= {1}  # IDLE
         with owner.fish() as fish:
-            assert fish.params.get("LAW_GAIN").value == 5.0
+            assert fish.params.get("ILC_GAIN").value == 5.0
             assert int(fish.health()["refused_stale"]) > 5
 
 
@@ -500,7 +500,7 @@ def test_a_board_that_restarts_is_followed(owner: Laptop) -> None:
     with owner.fish() as fish:
         for number in range(4):
             owner.board.power_cycle()
-            fish.params.set("LAW_LEAD", number)
+            fish.params.set("ILC_LEAD", number)
             owner.board.power_cycle()
             upload_reference(fish)
             owner.board.power_cycle()
@@ -577,7 +577,7 @@ def test_the_key_comes_back_after_flashing(owner: Laptop) -> None:
     """And what was recorded before is still worthless."""
     with owner.fish() as fish:
         radio = Tap(fish)
-        fish.params.set("LAW_GAIN", 9.0)
+        fish.params.set("ILC_GAIN", 9.0)
         recorded = list(radio.sent)
     owner.board.flash = b"\xff" * FLASH_BYTES
     owner.board.power_cycle()
@@ -592,7 +592,7 @@ def test_the_key_comes_back_after_flashing(owner: Laptop) -> None:
         transport.write(frame)
         transport.wait(0.05)
     with owner.fish() as fish:
-        assert fish.params.get("LAW_GAIN").value == fish.params.get("LAW_GAIN").default
+        assert fish.params.get("ILC_GAIN").value == fish.params.get("ILC_GAIN").default
 
 
 # At connect
@@ -630,7 +630,7 @@ def test_no_key_is_told_once_a_day(
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
 
     def is_told() -> bool:
-        assert run(["params", "get", "LAW_LEAD", "--connect", "sim?seed=1"]) == 0
+        assert run(["params", "get", "ILC_LEAD", "--connect", "sim?seed=1"]) == 0
         return "no key: anyone in radio range" in capsys.readouterr().err
 
     assert [is_told(), is_told()] == [True, False]
@@ -652,7 +652,7 @@ def test_a_lost_key_is_told_every_time(
     owner.board.flash = b"\xff" * FLASH_BYTES
     owner.board.power_cycle()
     for _ in range(2):
-        _, _, err = owner.call("params", "get", "LAW_LEAD", "--connect", "radio")
+        _, _, err = owner.call("params", "get", "ILC_LEAD", "--connect", "radio")
         assert "this computer has its key" in err
 
 
@@ -664,7 +664,7 @@ def test_a_board_behind_a_bad_line_is_in_this_process() -> None:
 def test_a_key_others_can_read_is_told(owner: Laptop, monkeypatch: pytest.MonkeyPatch) -> None:
     (path,) = owner.folder.glob("*.json")
     path.chmod(0o644)
-    _, _, err = owner.call("params", "get", "LAW_LEAD", "--connect", "radio")
+    _, _, err = owner.call("params", "get", "ILC_LEAD", "--connect", "radio")
     assert f"chmod 600 {path}" in err
     assert err.count("\n") == 1
 
@@ -674,7 +674,7 @@ def test_a_key_others_can_read_is_told(owner: Laptop, monkeypatch: pytest.Monkey
 
 def test_a_signed_trial_is_learned_from(owner: Laptop) -> None:
     with owner.fish() as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.params.set("DU_MAX_RAD", 0)
         upload_reference(fish)
         errors = []

@@ -198,13 +198,13 @@ def write(folder: Path, content: object) -> Path:
 def test_load_knows_fields_parameters_and_short_names(tmp_path: Path) -> None:
     for content in (
         {"kp_rad_s_m": 7, "lead_beats": 1},
-        {"LAW_GAIN": 7, "LAW_LEAD": 1},
+        {"ILC_GAIN": 7, "ILC_LEAD": 1},
         {"gain": 7, "lead": 1},
     ):
         assert laws.load(write(tmp_path, content)) == Law(kp_rad_s_m=7, lead_beats=1)
     for tail, name in enumerate(("hold", "keep", "hold-new", "hold-old")):
         assert laws.load(write(tmp_path, {"tail": name})).tail == tail
-        assert laws.load(write(tmp_path, {"LAW_TAIL": tail, "LAW_KIND": 0})).tail == tail
+        assert laws.load(write(tmp_path, {"ILC_END_EXT": tail, "ILC_KIND": 0})).tail == tail
     assert laws.load(write(tmp_path, {"lead": 1.5, "fade": 0.1})) == Law(lead_beats=1.5, fade=0.1)
 
 
@@ -221,7 +221,7 @@ def test_load_knows_fields_parameters_and_short_names(tmp_path: Path) -> None:
         {"tail": 4},
         {"tail": "drop"},
         {"kind": 1},
-        {"LAW_KIND": 2},
+        {"ILC_KIND": 2},
         {"kind": False},
     ],
 )
@@ -233,8 +233,8 @@ def test_load_refuses(tmp_path: Path, content: object) -> None:
 
 def test_an_average_of_one_trial_is_refused_with_the_reason(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="needs its earlier trials") as caught:
-        laws.load(write(tmp_path, {"LAW_KIND": 1}))
-    assert "LAW_KIND 1 or 2" in caught.value.remedy
+        laws.load(write(tmp_path, {"ILC_KIND": 1}))
+    assert "ILC_KIND 1 or 2" in caught.value.remedy
 
 
 def test_load_of_no_json(tmp_path: Path) -> None:
@@ -251,4 +251,4 @@ def test_label() -> None:
     averages = [Past(), Past(laws.MEAN), Past(laws.WINDOW, 5)]
     assert [past.label() for past in averages] == ["", "mean-", "avg5-"]
     assert Past.from_params({}) == Past()
-    assert Past.from_params({"LAW_KIND": 2.0, "LAW_WINDOW": 4.0}) == Past(laws.WINDOW, 4)
+    assert Past.from_params({"ILC_KIND": 2.0, "ILC_WINDOW": 4.0}) == Past(laws.WINDOW, 4)

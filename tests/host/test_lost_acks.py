@@ -83,9 +83,9 @@ def deaf_to(ready: Fish, command: int, count: int, up: int = 0) -> First:
         ),
         (
             mavlink.MAV_CMD_PREFLIGHT_STORAGE,
-            lambda f: f.params.set("LAW_GAIN", 9),
+            lambda f: f.params.set("ILC_GAIN", 9),
             lambda f: f.params.reset(),
-            lambda f: f.params.get("LAW_GAIN").value == 4.0,
+            lambda f: f.params.get("ILC_GAIN").value == 4.0,
         ),
     ],
     ids=["arm", "disarm", "learn", "discard", "reference", "amplitudes", "params"],

@@ -258,7 +258,7 @@ def swim(fish: Fish, lost: NDArray[np.bool_], folder: Path) -> tuple[Trial, bool
 def test_board_and_host_agree_about_the_best_and_a_rollback(fish: Fish, tmp_path: Path) -> None:
     """Every trial has missing beats; none of them would have been judged before."""
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
-    fish.params.set("LAW_LEAD", 1)
+    fish.params.set("ILC_LEAD", 1)
     beats, random = fish.status().beats, np.random.default_rng(3)
     trials: list[Trial] = []
     rolled_back = []
@@ -325,8 +325,8 @@ def test_an_old_best_without_peaks_counts_with_its_largest_error() -> None:
 def history(judges_gaps: bool) -> Analysis:
     """Four trials of a board that judges by this rule, and one more; the second has the smallest
     errors and a missing beat."""
-    params = {"AMP_MAX_RAD": made.LIMIT_RAD, "LAW_GAIN": 4.0, "LAW_LEAD": 1.0, "LAW_TAIL": 0.0}
-    params |= {"LAW_Q_LEN": 1.0, "DU_MAX_RAD": 0.0, "LAW_KD": 0.0, "ROLLBACK_RATIO": 1.3}
+    params = {"AMP_MAX_RAD": made.LIMIT_RAD, "ILC_GAIN": 4.0, "ILC_LEAD": 1.0, "ILC_END_EXT": 0.0}
+    params |= {"ILC_Q_LEN": 1.0, "DU_MAX_RAD": 0.0, "ILC_KD": 0.0, "ROLLBACK_RATIO": 1.3}
     held = _Board(made.reference(), 1.0, judges_gaps)
     trials, rows = [], []
     for number, error in enumerate((0.02, 0.01, 0.0145, 0.0145, 0.012), 1):

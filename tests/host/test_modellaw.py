@@ -426,7 +426,7 @@ SHORT = cosine(0.06, 5.0, 6.0)
 def test_session_on_a_board(
     fish: Fish, book: Logbook, identified_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fish.params.set("LAW_LEAD", 1)
+    fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(SHORT.record())
 
     def learn(dry_run: bool = False) -> dict[str, Any]:

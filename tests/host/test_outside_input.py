@@ -94,14 +94,14 @@ def test_update_counts_that_are_none(
 
 def test_a_parameter_name_gets_a_guess(fish: Fish) -> None:
     for call in (fish.params.get, lambda name: fish.params.set(name, 1.0)):
-        with pytest.raises(Refused, match=r"no parameter 'LAW_GIAN'. Did you mean LAW_GAIN"):
-            call("LAW_GIAN")
+        with pytest.raises(Refused, match=r"no parameter 'ILC_GIAN'. Did you mean ILC_GAIN"):
+            call("ILC_GIAN")
         with pytest.raises(Refused, match=r"no parameter 'ZZZZ'. Print all names"):
             call("ZZZZ")
-        with pytest.raises(Refused, match=r"Did you mean LAW_LEAD"):
-            call("LAW_LEAD_OF_THE_BOARD"[:10])
-        with pytest.raises(Refused, match=r"no parameter 'LAW_GAIN_OF_THE_FISH'"):
-            call("LAW_GAIN_OF_THE_FISH")
+        with pytest.raises(Refused, match=r"Did you mean ILC_LEAD"):
+            call("ILC_LEAD_OF_THE_BOARD"[:10])
+        with pytest.raises(Refused, match=r"no parameter 'ILC_GAIN_OF_THE_FISH'"):
+            call("ILC_GAIN_OF_THE_FISH")
 
 
 # Ctrl-C.

@@ -21,8 +21,8 @@ def test_list_has_all_with_their_limits(fish: Fish) -> None:
     found = fish.params.list()
     assert list(found) == list(known_parameters())
     assert all(p.low <= p.value <= p.high for p in found.values())
-    assert found["LAW_GAIN"].value == 4.0
-    assert found["LAW_GAIN"].unit == "rad s/m"
+    assert found["ILC_GAIN"].value == 4.0
+    assert found["ILC_GAIN"].unit == "rad s/m"
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -36,23 +36,23 @@ def test_list_asks_again_for_what_was_lost(fish: Fish, spoil, seed: int) -> None
     max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_values_come_back_bit_for_bit(fish: Fish, value: float) -> None:
-    assert fish.params.set("LAW_GAIN", value).value == value
-    assert fish.params.get("LAW_GAIN").value == value
+    assert fish.params.set("ILC_GAIN", value).value == value
+    assert fish.params.get("ILC_GAIN").value == value
 
 
 def test_a_double_is_rounded_once(fish: Fish) -> None:
     single = struct.unpack("<f", struct.pack("<f", 0.1))[0]
-    assert fish.params.set("LAW_KD", 0.1).value == single
+    assert fish.params.set("ILC_KD", 0.1).value == single
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("LAW_LEAD", 99),
-        ("LAW_LEAD", 0.25),
-        ("LAW_Q_LEN", 1.5),
-        ("LAW_GAIN", float("nan")),
-        ("LAW_GAIN", 1e39),
+        ("ILC_LEAD", 99),
+        ("ILC_LEAD", 0.25),
+        ("ILC_Q_LEN", 1.5),
+        ("ILC_GAIN", float("nan")),
+        ("ILC_GAIN", 1e39),
     ],
 )
 def test_bad_values_do_not_reach_the_board(fish: Fish, name: str, value: float) -> None:
@@ -61,13 +61,13 @@ def test_bad_values_do_not_reach_the_board(fish: Fish, name: str, value: float) 
 
 
 def test_the_thesis_preset_is_the_law_of_8_16(fish: Fish) -> None:
-    assert fish.params.get("LAW_LEAD").value == 1
-    fish.params.set("LAW_FADE", 0.5)
+    assert fish.params.get("ILC_LEAD").value == 1
+    fish.params.set("ILC_DECR_RATE", 0.5)
     changed = presets.apply(fish, presets.preset("thesis"))
     params = {name: p.value for name, p in fish.params.list().items()}
     assert Law.from_params(params) == Law(amplitude_max_rad=float(np.float32(math.pi / 4)))
     assert Past.from_params(params) == Past()
-    assert changed["LAW_LEAD"][0] == 1 and changed["LAW_LEAD"][1].value == 0
+    assert changed["ILC_LEAD"][0] == 1 and changed["ILC_LEAD"][1].value == 0
     with pytest.raises(InputError, match="no preset 'thesi'") as caught:
         presets.preset("thesi")
     assert caught.value.remedy == "Use thesis."
@@ -85,30 +85,30 @@ def test_unknown_names_are_refused(fish: Fish, name: str) -> None:
 def test_no_change_while_armed(ready: Fish) -> None:
     ready.arm()
     with pytest.raises(Refused) as refused:
-        ready.params.set("LAW_GAIN", 5.0)
+        ready.params.set("ILC_GAIN", 5.0)
     assert refused.value.name == "WRONG_STATE"
-    assert ready.params.get("LAW_GAIN").value == 4.0
+    assert ready.params.get("ILC_GAIN").value == 4.0
 
 
 def test_save_load_and_reset(fish: Fish) -> None:
     assert fish.sim is not None
-    fish.params.set("LAW_GAIN", 7.5)
+    fish.params.set("ILC_GAIN", 7.5)
     fish.params.save()
-    fish.params.set("LAW_GAIN", 9.0)
+    fish.params.set("ILC_GAIN", 9.0)
     fish.params.load()
-    assert fish.params.get("LAW_GAIN").value == 7.5
+    assert fish.params.get("ILC_GAIN").value == 7.5
     fish.sim.power_cycle()
     fish.link.run(1.0)
-    assert fish.params.get("LAW_GAIN").value == 7.5
+    assert fish.params.get("ILC_GAIN").value == 7.5
     fish.params.reset()
-    assert fish.params.get("LAW_GAIN").value == 4.0
+    assert fish.params.get("ILC_GAIN").value == 4.0
 
 
 def test_the_lead_comes_in_half_beats(fish: Fish) -> None:
-    assert fish.params.set("LAW_LEAD", 1.5).value == 1.5
+    assert fish.params.set("ILC_LEAD", 1.5).value == 1.5
     with pytest.raises(InputError) as caught:
-        fish.params.set("LAW_LEAD", 1.3)
+        fish.params.set("ILC_LEAD", 1.3)
     assert "multiple of 0.5" in caught.value.remedy
     with pytest.raises(InputError) as caught:
-        fish.params.set("LAW_TAIL", 0.5)
+        fish.params.set("ILC_END_EXT", 0.5)
     assert "whole number" in caught.value.remedy

@@ -58,7 +58,7 @@ def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     csv = folder / "swim.csv"
     csv.write_text("t_s,v_m_s\n0,0\n2,0.06\n8,0.06\n10,0\n")
     with Fish(SimTransport(board)) as fish:
-        for name, value in {"AMP_MAX_RAD": 0.75, "LAW_LEAD": 1, "DU_MAX_RAD": 0}.items():
+        for name, value in {"AMP_MAX_RAD": 0.75, "ILC_LEAD": 1, "DU_MAX_RAD": 0}.items():
             fish.params.set(name, value)
         fish.upload_reference(from_text(str(csv)))
         for _ in range(TRIALS):
@@ -203,10 +203,10 @@ def test_a_fluctuating_series_gets_a_falling_gain(
     found = json.loads(out)
     assert found["fluctuation"] > 1.3
     assert found["fade"] == set_to == found["applied"] == noted
-    assert 0 < set_to["LAW_FADE"] <= 10
-    assert set_to["LAW_FADE_FROM"] >= 1
+    assert 0 < set_to["ILC_DECR_RATE"] <= 10
+    assert set_to["ILC_DECR_FROM"] >= 1
     text, _ = tailbeat("progress", "--experiment", str(swum))
-    assert f"LAW_FADE {set_to['LAW_FADE']:g}" in text
+    assert f"ILC_DECR_RATE {set_to['ILC_DECR_RATE']:g}" in text
     assert progress_of(trials).fade is not None
     planned = [replace(trial, input="uploaded") for trial in trials]
     assert progress_of(planned).fade is None  # no gain made those amplitudes

@@ -42,7 +42,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SimBoard:
 @pytest.fixture
 def fish(simulated: SimBoard) -> Iterator[Fish]:
     with Fish.connect("the board") as connected:
-        connected.params.set("LAW_LEAD", 1)
+        connected.params.set("ILC_LEAD", 1)
         yield connected
 
 
@@ -113,7 +113,7 @@ def test_from_the_board(learned: Fish, shell: Shell) -> None:
     assert like["expected_travel_m"] == pytest.approx(document["travel_m"], rel=2e-3)
     assert Backup.read(Path(document["copy"])).learned == held
     (first,) = swim(learned, 1)
-    learned.params.set("LAW_GAIN", 6)  # or the first guess stays within the dead zone
+    learned.params.set("ILC_GAIN", 6)  # or the first guess stays within the dead zone
     learned.upload_reference(references.from_text(OLD).record())
     learned.upload_reference(references.from_text(SLOWER).record())
     assert first < 0.5 * swim(learned, 1)[0]
@@ -350,7 +350,7 @@ def study(
     the first trial with what was learned)."""
     old = references.thesis()
     with Fish.connect(url, **world) as fish:
-        wanted = {"AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0, "TANK_LEN_M": 0, "LAW_LEAD": lead}
+        wanted = {"AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0, "TANK_LEN_M": 0, "ILC_LEAD": lead}
         names = ("MDL_KAPPA", "MDL_SLOPE", "MDL_DEAD_RAD", "MDL_DELAY_S")
         wanted |= dict(zip(names, vars(model).values(), strict=True))
         for name, value in wanted.items():

@@ -32,7 +32,7 @@ def series(swims: int = 6) -> Series:
         floor_m_s=0.0104,
         floor_lsq_m_s=0.0113,
         swims=[swim(i) for i in range(1, swims + 1)],
-        settings={"LAW_GAIN": "4"},
+        settings={"ILC_GAIN": "4"},
         versions={"firmware": "abc"},
     )
 

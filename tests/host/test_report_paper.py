@@ -58,7 +58,7 @@ def swim_a_day(root: Path, seed: int, gain: float, day: Sequence[str]) -> Experi
     experiment.add_raw("reference.bin", wanted.record())
     experiment.note("water 21.5 °C <b>& still</b>", NOON)
     with Fish.connect(f"sim:tank?seed={seed}") as fish:
-        settings = {"AMP_MAX_RAD": 0.5, "LAW_GAIN": gain, "LAW_LEAD": 1.0, "DU_MAX_RAD": 0.3}
+        settings = {"AMP_MAX_RAD": 0.5, "ILC_GAIN": gain, "ILC_LEAD": 1.0, "DU_MAX_RAD": 0.3}
         for name, value in settings.items():
             fish.params.set(name, value)
         fish.upload_reference(wanted.record())

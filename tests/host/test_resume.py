@@ -42,7 +42,7 @@ from tailbeat.sim.native import SimBoard
 from .conftest import BadRadio
 
 WANTED = reference.trapezoid(0.06, 5, 8)
-PARAMS = {"AMP_MAX_RAD": 0.7, "DU_MAX_RAD": 0.0, "LAW_LEAD": 1.5, "ROLLBACK_RATIO": 1.5}
+PARAMS = {"AMP_MAX_RAD": 0.7, "DU_MAX_RAD": 0.0, "ILC_LEAD": 1.5, "ROLLBACK_RATIO": 1.5}
 ONE = Options(until=Until(1), wanted=None)
 SEED = 3
 
@@ -296,17 +296,17 @@ def test_a_value_that_was_saved_long_ago_is_not_what_it_was(
     swapped: Fish, experiment: Experiment
 ) -> None:
     """Saved 4, set 3, not saved, switched off: what comes back is no default."""
-    swapped.params.set("LAW_GAIN", 2.5)
+    swapped.params.set("ILC_GAIN", 2.5)
     found = restore(swapped, experiment)
     held = held_state(experiment)
-    assert held is not None and found.params["LAW_GAIN"] == held.params["LAW_GAIN"]
-    assert found.params_before["LAW_GAIN"] == 2.5
+    assert held is not None and found.params["ILC_GAIN"] == held.params["ILC_GAIN"]
+    assert found.params_before["ILC_GAIN"] == 2.5
 
 
 def test_a_replaced_board_gets_every_parameter(experiment: Experiment) -> None:
     new = after_a_swap(SimBoard("tank", seed=77).flash, seed=77)
-    new.params.set("LAW_LEAD", 2.0)
-    assert restore(new, experiment, another_board=True).params["LAW_LEAD"] == 1.5
+    new.params.set("ILC_LEAD", 2.0)
+    assert restore(new, experiment, another_board=True).params["ILC_LEAD"] == 1.5
 
 
 @pytest.mark.parametrize("another_board", [False, True])
@@ -706,5 +706,5 @@ def test_words_for_people(swapped: Fish, experiment: Experiment) -> None:
     from tailbeat.app.cli.session import _restored_lines
 
     lines = _restored_lines(found, experiment)
-    assert lines[0].startswith("given back, as") and "LAW_LEAD 1.5" in lines[0]
+    assert lines[0].startswith("given back, as") and "ILC_LEAD 1.5" in lines[0]
     assert "iteration 5 swims next, 8.3" in lines[-1]

@@ -78,7 +78,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     simulated = SimBoard("tank", seed=1)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     return simulated
 
@@ -418,11 +418,11 @@ def test_a_refusal_to_learn_is_asked_about_again(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     fish.run_trial()
-    set_meant(fish, experiment, "LAW_LEAD", 10)
+    set_meant(fish, experiment, "ILC_LEAD", 10)
     with pytest.raises(Refused):
         swim(Script(KEEP))
     person = Script(BUMPED, KEEP)
-    set_meant(fish, experiment, "LAW_LEAD", 1)
+    set_meant(fish, experiment, "ILC_LEAD", 1)
     swim(person)
     assert person.asked == [1, 2]
 
@@ -436,7 +436,7 @@ def test_a_board_that_counts_from_one_again(
     fish.link.run(3.0)
     if fish.status().state in ("ABORTED", "FAULT"):
         fish.clear()
-    fish.params.set("LAW_LEAD", 1)
+    fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     person = Script(BUMPED)
     with pytest.raises(InputError, match=r"has lost what it had learned.*session resume"):

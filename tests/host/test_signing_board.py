@@ -120,7 +120,7 @@ def test_a_host_whose_clock_is_ahead(keyed: SimBoard, port: int, days: int) -> N
     host.listen(1.5)
     assert host.mav.signing.timestamp > TODAY + days * DAY
     assert host.command(CLEAR) == (0, 0)
-    host.mav.param_set_send(1, 1, b"LAW_LEAD", 1, mavlink.MAV_PARAM_TYPE_REAL32)
+    host.mav.param_set_send(1, 1, b"ILC_LEAD", 1, mavlink.MAV_PARAM_TYPE_REAL32)
     values = [m.param_value for m in host.listen() if m.get_type() == "PARAM_VALUE"]
     assert values == [1.0]
 
@@ -141,10 +141,10 @@ def test_wrong_key_and_no_key(keyed: SimBoard, port: int) -> None:
     stranger.mav.command_long_send(1, 1, CLEAR, 0, 0, 0, 0, 0, 0, 0, 0)
     acks = [m for m in reader.listen() if m.get_type() == "COMMAND_ACK"]
     assert [(a.result, a.result_param2) for a in acks] == [(DENIED, 63)]
-    stranger.mav.param_request_read_send(1, 1, b"LAW_LEAD", -1)
+    stranger.mav.param_request_read_send(1, 1, b"ILC_LEAD", -1)
     assert not [m for m in reader.listen() if m.get_type() == "PARAM_VALUE"]
     assert reader.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT) == (DENIED, 62)
-    reader.mav.param_request_read_send(1, 1, b"LAW_LEAD", -1)
+    reader.mav.param_request_read_send(1, 1, b"ILC_LEAD", -1)
     assert len([m for m in reader.listen() if m.get_type() == "PARAM_VALUE"]) == 1
 
 

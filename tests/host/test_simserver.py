@@ -59,10 +59,10 @@ def test_a_fish_answers_and_clients_may_come_again() -> None:
 def test_the_board_lives_on_when_a_client_drops() -> None:
     with running() as server:
         with Fish.connect(server.addresses.listen) as fish:
-            fish.params.set("LAW_GAIN", 5.0)
+            fish.params.set("ILC_GAIN", 5.0)
             fish.link.transport.close()
         with Fish.connect(server.addresses.listen) as fish:
-            assert fish.params.get("LAW_GAIN").value == 5.0
+            assert fish.params.get("ILC_GAIN").value == 5.0
 
 
 def test_a_second_client_is_turned_away() -> None:
@@ -173,8 +173,8 @@ def test_console_is_on_the_port_after_that() -> None:
             Fish.connect(server.addresses.console) as wire,
             Fish.connect(server.addresses.listen) as fish,
         ):
-            wire.params.set("LAW_GAIN", 5.0)
-            assert fish.params.get("LAW_GAIN").value == 5.0
+            wire.params.set("ILC_GAIN", 5.0)
+            assert fish.params.get("ILC_GAIN").value == 5.0
 
 
 def test_a_key_by_the_console_and_a_signed_session() -> None:
@@ -185,9 +185,9 @@ def test_a_key_by_the_console_and_a_signed_session() -> None:
             set_key(wire)
         for number in range(3):
             with Fish.connect(server.addresses.listen) as fish:
-                fish.params.set("LAW_LEAD", number)
+                fish.params.set("ILC_LEAD", number)
                 fish.link.run(0.2)
-                assert fish.params.get("LAW_LEAD").value == number
+                assert fish.params.get("ILC_LEAD").value == number
                 assert connect_notice(fish) is None
                 assert fish.health()["refused_unsigned"] == 0  # connecting asks nothing unsigned
 

@@ -185,7 +185,7 @@ def test_the_simulator_s_own_heading(askew_rad: float, tmp_path: Path) -> None:
     """By IMU and camera, both with their noise; at the end the fish has turned the farthest."""
     with Fish.connect("sim:tank", seed=4, tail_centre_rad=askew_rad, placed_after_s=0) as fish:
         assert fish.sim is not None
-        fish.params.set("LAW_GAIN", 7)
+        fish.params.set("ILC_GAIN", 7)
         fish.upload_reference(thesis().record())
         fish.link.run(30)
         seen = Seen()
@@ -231,7 +231,7 @@ def speeds(angle_rad: float | None, direction_rad: float, tmp_path: Path) -> np.
     """Of ``cosine(0.06, 4, 2)`` by the board; angle None: the camera as it is."""
     with Fish.connect("sim:tank", seed=5) as fish:
         assert fish.sim is not None
-        fish.params.set("LAW_GAIN", 7)
+        fish.params.set("ILC_GAIN", 7)
         fish.upload_reference(reference.cosine(0.06, 4, 2).record())
         plain = SimulatedCamera(fish.sim)
         camera = plain if angle_rad is None else Turned(plain, angle_rad)
@@ -257,7 +257,7 @@ def test_a_swim_along_x_is_bit_for_bit_what_it_was(tmp_path: Path) -> None:
     plain = speeds(None, 0.0, tmp_path / "0")
     with Fish.connect("sim:tank", seed=5) as fish:
         assert fish.sim is not None
-        fish.params.set("LAW_GAIN", 7)
+        fish.params.set("ILC_GAIN", 7)
         fish.upload_reference(reference.cosine(0.06, 4, 2).record())
         number = fish.run_trial(NoSides(SimulatedCamera(fish.sim), 0.0)).number
         found = read_trial(fish.pull_trial(number, tmp_path / "1")).beats.speed_m_s

@@ -83,7 +83,7 @@ def swims(
         TemporaryDirectory() as folder,
     ):
         assert fish.sim is not None
-        for name, value in {"DU_MAX_RAD": 0, "AMP_MAX_RAD": 0.785, "LAW_LEAD": 1}.items():
+        for name, value in {"DU_MAX_RAD": 0, "AMP_MAX_RAD": 0.785, "ILC_LEAD": 1}.items():
             fish.params.set(name, value)
         fish.upload_reference(wanted or reference.thesis())
         fish.link.run(5.0)

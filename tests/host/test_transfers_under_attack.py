@@ -83,7 +83,7 @@ def learn_six(fish: Fish, source: int, folder: Path) -> Session:
         return ask(*args, **more)
 
     fish.link.attempts = counted  # type: ignore[method-assign,assignment]
-    for name, value in {"SPD_SOURCE": source, "LAW_LEAD": 1, "DU_MAX_RAD": 0}.items():
+    for name, value in {"SPD_SOURCE": source, "ILC_LEAD": 1, "DU_MAX_RAD": 0}.items():
         fish.params.set(name, value)
     fish.params.save()
     fish.params.load()
@@ -217,18 +217,18 @@ def test_the_line_stays_full(
 def test_parameters_over_a_bad_line() -> None:
     with over(ALL, seed=4) as fish:
         held = {name: p.value for name, p in fish.params.list().items()}
-        fish.params.set("LAW_GAIN", 7.5)
+        fish.params.set("ILC_GAIN", 7.5)
         fish.params.save()
-        fish.params.set("LAW_GAIN", 1.5)
+        fish.params.set("ILC_GAIN", 1.5)
         fish.params.load()
-        assert {n: p.value for n, p in fish.params.list().items()} == held | {"LAW_GAIN": 7.5}
+        assert {n: p.value for n, p in fish.params.list().items()} == held | {"ILC_GAIN": 7.5}
 
 
 def test_a_late_answer_to_an_earlier_change_is_not_a_refusal() -> None:
     with over(lambda: [Delay(0.5, 0.7)]) as fish:
         for value in (2.0, 3.0, 4.0, 5.0):
-            assert fish.params.set("LAW_GAIN", value).value == value
-        assert fish.params.get("LAW_GAIN").value == 5.0
+            assert fish.params.set("ILC_GAIN", value).value == value
+        assert fish.params.get("ILC_GAIN").value == 5.0
 
 
 # -- the board restarts, somebody presses Ctrl-C ---------------------------------------------------

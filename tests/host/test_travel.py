@@ -41,13 +41,13 @@ def swim(fish: Fish, folder: Path) -> tuple[float, Trial]:
 
 @pytest.fixture
 def tank() -> Iterator[Fish]:
-    with swimmer("tank", 3, LAW_GAIN=4, LAW_LEAD=1) as fish:
+    with swimmer("tank", 3, ILC_GAIN=4, ILC_LEAD=1) as fish:
         yield fish
 
 
 @pytest.mark.parametrize("plant", ["tank", "thesis"])
 def test_gain_ten_does_not_swim_its_first_trial_in_three_metres(plant: str) -> None:
-    with swimmer(plant, 1, LAW_GAIN=10) as fish:
+    with swimmer(plant, 1, ILC_GAIN=10) as fish:
         found = travel_next(fish, None)
         assert found.expected_m == pytest.approx(3.35, abs=0.1)
         with pytest.raises(InputError, match=r"3\.\d\d m .* room for 2\.64 m.*AMP_MAX_RAD"):
@@ -62,7 +62,7 @@ def test_the_usual_inputs_of_the_thesis_s_reference_fit(
 ) -> None:
     """Gain 4 on the tank, and 20 fish of each: below."""
     errors = []
-    with swimmer(plant, 2, LAW_GAIN=gain, LAW_LEAD=lead) as fish:
+    with swimmer(plant, 2, ILC_GAIN=gain, ILC_LEAD=lead) as fish:
         for iteration in range(1, 4):
             found = travel_next(fish, None)
             found.require_room()
@@ -85,7 +85,7 @@ def test_nothing_on_the_board_changes_and_arming_makes_what_was_said(tank: Fish)
     assert travel_next(tank, None) == found
     again = travel_of(tank.amplitudes().values, before[1], 1.0)
     assert again == found
-    tank.params.set("LAW_GAIN", 6.0)  # the first amplitudes follow the gain of the moment
+    tank.params.set("ILC_GAIN", 6.0)  # the first amplitudes follow the gain of the moment
     assert travel_next(tank, None).expected_m > found.expected_m + 0.3
 
 
@@ -161,7 +161,7 @@ def test_a_damaged_identification_is_none(tank: Fish, tmp_path: Path) -> None:
 def test_an_unknown_fish_is_not_refused_what_is_expected_to_fit(tank: Fish) -> None:
     found = travel_next(tank, None)
     assert "MDL_" in found.by
-    tank.params.set("LAW_GAIN", 7)
+    tank.params.set("ILC_GAIN", 7)
     found = travel_next(tank, None)
     assert found.worst_m > ROOM_M > found.expected_m
     found.require_room()
@@ -182,7 +182,7 @@ def test_without_a_reference() -> None:
 
 def test_a_tank_that_is_not_checked(tank: Fish) -> None:
     tank.params.set("TANK_LEN_M", 0)
-    tank.params.set("LAW_GAIN", 10)
+    tank.params.set("ILC_GAIN", 10)
     found = travel_next(tank, None)
     assert math.isinf(found.room_m)
     found.require_room()
@@ -194,7 +194,7 @@ def test_a_tank_that_is_not_checked(tank: Fish) -> None:
 def test_expected_against_true(plant: str, lead: int, gain: float, tmp_path: Path) -> None:
     errors, beyond = [], 0
     for seed in range(1, 21):
-        params = {"LAW_GAIN": gain, "LAW_LEAD": lead, "TANK_LEN_M": 0, "ROLLBACK_RATIO": 0}
+        params = {"ILC_GAIN": gain, "ILC_LEAD": lead, "TANK_LEN_M": 0, "ROLLBACK_RATIO": 0}
         with swimmer(plant, seed, **params) as fish:
             for _ in range(6):
                 found = travel_next(fish, None)

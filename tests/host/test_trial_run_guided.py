@@ -39,7 +39,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     simulated = SimBoard("tank", seed=1)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
     with Fish.connect("it") as fish:
-        fish.params.set("LAW_LEAD", 1)
+        fish.params.set("ILC_LEAD", 1)
         fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     return simulated
 

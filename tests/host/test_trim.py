@@ -70,7 +70,7 @@ def learned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fish]:
         fish.upload_reference(reference.cosine(0.06, 3, 2))
         fish.run_trial()
         fish.learn()
-        fish.params.set("LAW_GAIN", 3.5)
+        fish.params.set("ILC_GAIN", 3.5)
         yield fish
 
 
@@ -95,7 +95,7 @@ def check_found(rad: float, seeds: range, tmp_path: Path) -> None:
             misses.append(found.centre_us - (1500 - rad * US_RAD))
             assert abs(misses[-1]) < 3 * found.sigma_us
             apply(fish, found)
-            fish.params.set("LAW_GAIN", 7)
+            fish.params.set("ILC_GAIN", 7)
             fish.params.set("AMP_MAX_RAD", 0.785)
             fish.upload_reference(thesis().record())
             fish.link.run(30)
@@ -249,16 +249,16 @@ def test_applied_for_good_and_nothing_else_is(learned: Fish) -> None:
     found = find_centre(learned, Somebody())
     held = apply(learned, found)
     assert held == pytest.approx(found.centre_us, abs=0.06)
-    assert learned.params.get("LAW_GAIN").value == 3.5
+    assert learned.params.get("ILC_GAIN").value == 3.5
     assert learned.sim is not None
     learned.sim.power_cycle()
     learned.link.run(3)
     assert learned.params.get(CENTRE).value == held
-    assert learned.params.get("LAW_GAIN").value == 4  # was never saved
+    assert learned.params.get("ILC_GAIN").value == 4  # was never saved
 
 
 def test_set_for_good_says_what_is_held(learned: Fish) -> None:
-    assert set_for_good(learned, {"LAW_LEAD": 1.0}) == {"LAW_LEAD": 1.0}
+    assert set_for_good(learned, {"ILC_LEAD": 1.0}) == {"ILC_LEAD": 1.0}
 
 
 # -- the line, without a fish ---------------------------------------------------------------------

@@ -76,7 +76,7 @@ def test_information(log: ULog) -> None:
 
 
 def test_parameters(log: ULog) -> None:
-    assert log.initial_parameters["LAW_GAIN"] == 4.0
+    assert log.initial_parameters["ILC_GAIN"] == 4.0
     assert all(len(name) <= 16 for name in log.initial_parameters)
 
 

@@ -147,7 +147,7 @@ def test_a_dead_crystal_answers_and_does_not_arm(
     board.board.periph["PMC"].moscxts_by_time = by_time
     fish = connect(board)
     assert fish.status().fault.name == "CLOCK"
-    assert fish.params.get("LAW_GAIN").value == 4.0
+    assert fish.params.get("ILC_GAIN").value == 4.0
     with pytest.raises(Refused):
         fish.arm()
     fish.clear()

@@ -206,7 +206,7 @@ def test_a_flash_that_never_finishes_is_told(
     board.board.periph["EEFC1"].timing.erase_write_us = HANGS_US
     fish = connect(board)
     if not at_boot:
-        fish.params.set("LAW_GAIN", 3.0)
+        fish.params.set("ILC_GAIN", 3.0)
         with pytest.raises(Refused):
             fish.params.save()
     board.run(2.0)
@@ -250,7 +250,7 @@ def test_a_supply_that_dips_during_a_write_harms_nothing(
 ) -> None:
     board = new_board()
     fish = connect(board)
-    fish.params.set("LAW_GAIN", 3.0)
+    fish.params.set("ILC_GAIN", 3.0)
     fish.params.save()
     rail, controller = board.board.periph["SUPC"].rail, board.board.periph["EEFC1"]
     dips = 0
@@ -264,7 +264,7 @@ def test_a_supply_that_dips_during_a_write_harms_nothing(
 
     controller.on_busy.append(dip)
     for gain in (4.0, 5.0, 6.0):
-        fish.params.set("LAW_GAIN", gain)
+        fish.params.set("ILC_GAIN", gain)
         try:
             fish.params.save()
         except Refused as error:
@@ -276,8 +276,8 @@ def test_a_supply_that_dips_during_a_write_harms_nothing(
     board.power_cycle()
     fish = connect(board)
     print(
-        fish.params.get("LAW_GAIN").value, fish.status().fault.name, fish.health()["store_failures"]
+        fish.params.get("ILC_GAIN").value, fish.status().fault.name, fish.health()["store_failures"]
     )
-    assert fish.params.get("LAW_GAIN").value in (3.0, 4.0, 5.0, 6.0)
+    assert fish.params.get("ILC_GAIN").value in (3.0, 4.0, 5.0, 6.0)
     assert fish.status().fault.name == "NONE"
     assert stored

@@ -42,7 +42,7 @@ def test_a_file_goes_up_and_comes_down(new_board: NewBoard, tmp_path: Path) -> N
 
 
 def learn_six(fish: Fish) -> list[np.ndarray]:
-    for name, value in {"SPD_SOURCE": 1, "LAW_LEAD": 1, "DU_MAX_RAD": 0}.items():
+    for name, value in {"SPD_SOURCE": 1, "ILC_LEAD": 1, "DU_MAX_RAD": 0}.items():
         fish.params.set(name, value)
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     learned = []

@@ -24,14 +24,14 @@ SPEED_M_S = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS)).astype(np.float32)
 SEED = 3
 SIGMA_M_S = 0.001
 VISION, UPLOAD, IMU, MODEL = range(4)
-WINDOW = 2  # LAW_KIND
-TAPER = 2  # LAW_BEYOND
+WINDOW = 2  # ILC_KIND
+TAPER = 2  # ILC_EXTRAP
 REST_S = 3.0
 
 
 def prepare(fish: Fish, source: int, beats: int = BEATS) -> None:
     wanted = {
-        "AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0.0, "LAW_GAIN": 4.0, "LAW_LEAD": 1.0,
+        "AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0.0, "ILC_GAIN": 4.0, "ILC_LEAD": 1.0,
         "SPD_SOURCE": float(source), "REST_MIN_S": REST_S, "SETTLE_S": 2.0,
     }  # fmt: skip
     for name, value in wanted.items():
@@ -91,7 +91,7 @@ def test_a_moving_average_on_the_image_is_what_the_dry_run_foretells() -> None:
     beats = 3
     with Fish.connect("vboard", seed=SEED) as fish:
         prepare(fish, UPLOAD, beats)
-        for name, value in {"LAW_KIND": WINDOW, "LAW_WINDOW": 2, "LAW_KD": 0.2}.items():
+        for name, value in {"ILC_KIND": WINDOW, "ILC_WINDOW": 2, "ILC_KD": 0.2}.items():
             fish.params.set(name, value)
         for averaged in (1, 2):
             outcome = fish.run_trial()
@@ -162,7 +162,7 @@ def test_a_beat_too_far_off_stops_the_tail_and_is_learned_from(tmp_path: Path) -
     with Fish.connect("vboard", seed=SEED) as fish:
         prepare(fish, VISION)
         fish.params.set("ERR_MAX_M_S", limit_m_s)
-        fish.params.set("LAW_BEYOND", TAPER)
+        fish.params.set("ILC_EXTRAP", TAPER)
         outcome = fish.run_trial()
         assert outcome.end == "aborted:ERROR_LIMIT"
         assert fish.status().fault.name == "ERROR_LIMIT"

@@ -46,7 +46,7 @@ def used(image: Path, tmp_path_factory: pytest.TempPathFactory) -> EmulatedBoard
     assert hear_board(transport) is not None
     with Fish(transport) as fish:
         fish.clock.sync()
-        fish.params.set("LAW_GAIN", 3.0)
+        fish.params.set("ILC_GAIN", 3.0)
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, [0.04] * 5))
         fish.arm()

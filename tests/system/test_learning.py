@@ -17,7 +17,7 @@ SEEDS = [6, pytest.param(20, marks=pytest.mark.soak)]
 def max_errors_m_s(plant: str, seed: int, gain: float, lead: int, trials: int) -> list[float]:
     """max|e| of iterations 1… with the thesis's limits on the amplitude."""
     with Fish.connect(f"sim:{plant}", seed=seed) as fish:
-        settings = {"AMP_MAX_RAD": 0.785398, "DU_MAX_RAD": 0, "LAW_GAIN": gain, "LAW_LEAD": lead}
+        settings = {"AMP_MAX_RAD": 0.785398, "DU_MAX_RAD": 0, "ILC_GAIN": gain, "ILC_LEAD": lead}
         for name, value in settings.items():
             fish.params.set(name, value)
         fish.upload_reference(reference.thesis().record())

@@ -43,7 +43,7 @@ def session(url: str, seed: int, source: int, trials: int) -> dict[str, object]:
     """Trials with speeds from the camera (0) or uploaded (1), and all that came of them."""
     speed = 0.07 * np.sin(np.linspace(0.2, 2.9, BEATS))
     with Fish.connect(url, seed=seed) as fish:
-        for name, value in {"LAW_LEAD": 1, "SPD_SOURCE": source, "DU_MAX_RAD": 0}.items():
+        for name, value in {"ILC_LEAD": 1, "SPD_SOURCE": source, "DU_MAX_RAD": 0}.items():
             fish.params.set(name, value)
         fish.upload_reference(records.encode_reference(1.0, speed))
         found: dict[str, object] = {"kind": fish.info().board}
@@ -75,14 +75,14 @@ def test_time_of_the_board_is_that_of_its_firmware(image: Path) -> None:
 
 def test_power_cycle_keeps_what_is_stored(image: Path) -> None:
     with Fish.connect(f"vboard:{image}") as fish:
-        fish.params.set("LAW_GAIN", 5.5)
+        fish.params.set("ILC_GAIN", 5.5)
         fish.params.save()
-        fish.params.set("LAW_LEAD", 3)
+        fish.params.set("ILC_LEAD", 3)
         fish.sim.set_battery_v(7.3)
         fish.sim.power_cycle()
         fish.link.run(1.0)
-        assert fish.params.get("LAW_GAIN").value == 5.5
-        assert fish.params.get("LAW_LEAD").value == 1
+        assert fish.params.get("ILC_GAIN").value == 5.5
+        assert fish.params.get("ILC_LEAD").value == 1
         assert fish.status().battery_v == pytest.approx(7.3, abs=0.03)
         assert fish.health()["reset_cause"] == "power"
         assert fish.sim.board_time_s < 5

@@ -75,7 +75,7 @@ static void say_param_set(float value) {
     const mavlink_param_set_t fields = {.param_value = value,
                                         .target_system = 1,
                                         .target_component = 1,
-                                        .param_id = "LAW_LEAD",
+                                        .param_id = "ILC_LEAD",
                                         .param_type = MAV_PARAM_TYPE_REAL32};
     mavlink_msg_param_set_encode_status(PEER_SYSTEM, PEER_COMPONENT, &peer_tx, &message, &fields);
     exchange(&message);
@@ -106,7 +106,7 @@ static void say_timesync(void) {
 static void say_param_read(void) {
     mavlink_message_t message;
     const mavlink_param_request_read_t fields = {
-        .param_index = -1, .target_system = 1, .target_component = 1, .param_id = "LAW_LEAD"};
+        .param_index = -1, .target_system = 1, .target_component = 1, .param_id = "ILC_LEAD"};
     mavlink_msg_param_request_read_encode_status(PEER_SYSTEM, PEER_COMPONENT, &peer_tx, &message,
                                                  &fields);
     exchange(&message);

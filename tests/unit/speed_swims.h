@@ -17,7 +17,7 @@
 #define SECONDS 60u
 #define SLOTS (SECONDS * SLOTS_PER_BEAT)
 #define REST_S 8.0
-#define GLIDE_S 2.0
+#define COAST_S 2.0
 
 static estimate_t estimate;
 static estimate_config_t config;
@@ -151,8 +151,8 @@ static inline void live_through(senses_t senses) {
         }
     }
     /* The glide before looks like rest, too. */
-    after = (estimate_rest_t){.begin_s = (float)(caught_s - GLIDE_S),
-                              .still_s = (float)(REST_S + GLIDE_S)};
+    after = (estimate_rest_t){.begin_s = (float)(caught_s - COAST_S),
+                              .still_s = (float)(REST_S + COAST_S)};
 }
 
 static inline unsigned finish(uint16_t swum, const estimate_rest_t *rest) {

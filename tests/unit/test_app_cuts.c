@@ -270,7 +270,7 @@ static void begin_session(void) {
 
 static void session(void) {
     begin_session();
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 3.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 3.0f));
     do_command(LINK_COMMAND_PARAMS_SAVE, 0);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     done();
@@ -287,7 +287,7 @@ static void session(void) {
     done();
     do_command(LINK_COMMAND_CLEAR, 0);
     do_command(LINK_COMMAND_DISCARD, 3);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 2.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 2.0f));
     do_command(LINK_COMMAND_PARAMS_SAVE, 0);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS + 1u, SPEED));
     done();
@@ -295,7 +295,7 @@ static void session(void) {
 
 static void session_of_averages(float kind) {
     begin_session();
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_KIND, kind));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_KIND, kind));
     do_command(LINK_COMMAND_PARAMS_SAVE, 0);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     done();

@@ -157,7 +157,7 @@ static void test_an_abort_before_it_keeps_its_reason(void) {
 
 static void test_the_trial_survives_a_restart_and_teaches(void) {
     set(PARAM_ERR_MAX_M_S, LIMIT);
-    set(PARAM_LAW_LEAD, 0.0f);
+    set(PARAM_ILC_LEAD, 0.0f);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     swim();
     const trial_t trial = app.run.trial;
@@ -237,7 +237,7 @@ static uint32_t trials_to_get_through(bool masked, uint16_t *last_guilty) {
 static void prepare_series(void) {
     setUp();
     set(PARAM_ERR_MAX_M_S, LIMIT);
-    set(PARAM_LAW_LEAD, 0.0f); /* this fish answers at once */
+    set(PARAM_ILC_LEAD, 0.0f); /* this fish answers at once */
     set(PARAM_DU_MAX_RAD, 0.0f);
     set(PARAM_AMP_MAX_RAD, 1.0f);
     upload_rise();

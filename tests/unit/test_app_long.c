@@ -14,7 +14,7 @@ void setUp(void) {
     fixture_reset();
     app.params.value[PARAM_SPD_WINDOW_S] = 0.0f;
     app.params.value[PARAM_TANK_LEN_M] = 0.0f;
-    app.params.value[PARAM_LAW_KIND] = (float)PAST_WINDOW;
+    app.params.value[PARAM_ILC_KIND] = (float)PAST_WINDOW;
 }
 
 void tearDown(void) {}

@@ -114,8 +114,8 @@ static void expect_same_as_learner(void) {
 
 /* The board restarts in the middle of it. */
 static void check_against_learner(past_kind_t past, uint16_t window) {
-    set(PARAM_LAW_KIND, (float)past);
-    set(PARAM_LAW_WINDOW, (float)window);
+    set(PARAM_ILC_KIND, (float)past);
+    set(PARAM_ILC_WINDOW, (float)window);
     save_params();
     begin_learner(past, window);
     for (uint32_t number = 1; number <= TRIALS; number++) {
@@ -139,10 +139,10 @@ static void check_against_learner(past_kind_t past, uint16_t window) {
 }
 
 static void prepare_law(float kd) {
-    set(PARAM_LAW_LEAD, 0.5f);
-    set(PARAM_LAW_KD, kd);
-    set(PARAM_LAW_Q_LEN, 2.0f);
-    set(PARAM_LAW_GAIN, 2.5f);
+    set(PARAM_ILC_LEAD, 0.5f);
+    set(PARAM_ILC_KD, kd);
+    set(PARAM_ILC_Q_LEN, 2.0f);
+    set(PARAM_ILC_GAIN, 2.5f);
 }
 
 static void test_the_last_trial_gives_the_bits_of_the_learner(void) {
@@ -204,10 +204,10 @@ static void another_reference_and_back(void) {
 }
 
 static void a_trial_of_another_law(void) {
-    const float kind = app.params.value[PARAM_LAW_KIND];
-    set(PARAM_LAW_KIND, PAST_LAST);
+    const float kind = app.params.value[PARAM_ILC_KIND];
+    set(PARAM_ILC_KIND, PAST_LAST);
     swim_and_learn(1);
-    set(PARAM_LAW_KIND, kind);
+    set(PARAM_ILC_KIND, kind);
 }
 
 static void damage_the_newest(void) {
@@ -234,8 +234,8 @@ static void a_discarded_trial(void) {
 static void check_average_after(void (*event)(void), bool goes_on) {
     for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
         setUp();
-        set(PARAM_LAW_KIND, kind);
-        set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+        set(PARAM_ILC_KIND, kind);
+        set(PARAM_ILC_WINDOW, (float)PAST_WINDOW_MAX);
         save_params();
         float all[BEATS];
         for (uint32_t k = 0; k < BEATS; k++) {
@@ -270,9 +270,9 @@ static void test_what_does_not_end_an_average(void) {
 static void test_the_kinds_do_not_mix(void) {
     for (uint32_t first = PAST_MEAN; first <= PAST_WINDOW; first++) {
         setUp();
-        set(PARAM_LAW_KIND, (float)first);
+        set(PARAM_ILC_KIND, (float)first);
         swim_and_learn(1);
-        set(PARAM_LAW_KIND, (float)(PAST_MEAN + PAST_WINDOW - first));
+        set(PARAM_ILC_KIND, (float)(PAST_MEAN + PAST_WINDOW - first));
         swim_and_learn(2);
         TEST_ASSERT_EQUAL(1, trials_in_average());
         swim_and_learn(4);
@@ -282,8 +282,8 @@ static void test_the_kinds_do_not_mix(void) {
 
 /* A window over a damaged file is that over the newer trials. */
 static void test_a_hole_ends_the_window(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
-    set(PARAM_LAW_WINDOW, 8.0f);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
+    set(PARAM_ILC_WINDOW, 8.0f);
     swim_and_learn(1);
     swim_and_learn(2);
     damage_the_newest();
@@ -306,7 +306,7 @@ static void test_a_hole_ends_the_window(void) {
 /* The fourth trial's window with the second one's file as |replace| leaves it. */
 static void learn_without_the_second(void (*replace)(void), float *amplitude_rad) {
     setUp();
-    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
     for (uint32_t number = 1; number <= 2u; number++) {
         swim_and_learn(number);
     }
@@ -335,7 +335,7 @@ static void test_a_whole_record_of_another_trial_is_a_hole_too(void) {
 }
 
 static void test_a_roll_back_ends_the_average(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
     set(PARAM_ROLLBACK_RATIO, 1.3f);
     float good[BEATS], bad[BEATS];
     for (uint32_t k = 0; k < BEATS; k++) {
@@ -355,7 +355,7 @@ static void test_a_roll_back_ends_the_average(void) {
 }
 
 static void test_a_write_that_fails_changes_nothing(void) {
-    set(PARAM_LAW_KIND, PAST_MEAN);
+    set(PARAM_ILC_KIND, PAST_MEAN);
     swim_and_learn(1);
     float speed_m_s[BEATS];
     uint16_t beats = 0;
@@ -399,18 +399,18 @@ static void fill_store(uint32_t free_blocks) {
 
 /* The files the law reads, and the trial learned last. */
 static void test_only_what_the_law_reads_is_kept(void) {
-    set(PARAM_LAW_KIND, PAST_MEAN);
+    set(PARAM_ILC_KIND, PAST_MEAN);
     leave_past_files();
     swim_and_learn(1);
     TEST_ASSERT_EQUAL(2, past_files());
     for (float window = 2.0f; window <= (float)PAST_WINDOW_MAX; window++) {
-        set(PARAM_LAW_KIND, PAST_WINDOW);
-        set(PARAM_LAW_WINDOW, window);
+        set(PARAM_ILC_KIND, PAST_WINDOW);
+        set(PARAM_ILC_WINDOW, window);
         leave_past_files();
         swim_and_learn(1);
         TEST_ASSERT_EQUAL((uint32_t)window, past_files());
     }
-    set(PARAM_LAW_KIND, PAST_LAST);
+    set(PARAM_ILC_KIND, PAST_LAST);
     swim_and_learn(1);
     TEST_ASSERT_EQUAL(0, past_files());
 }
@@ -431,10 +431,10 @@ static uint32_t count_logs(void) {
 }
 
 static void test_no_log_goes_for_a_file_that_no_law_reads(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
     swim_and_learn(1);
     leave_past_files();
-    set(PARAM_LAW_KIND, PAST_LAST);
+    set(PARAM_ILC_KIND, PAST_LAST);
     fill_store(11); /* with the eight files' blocks enough */
     swim_and_learn(2);
     TEST_ASSERT_EQUAL(0, past_files());
@@ -442,14 +442,14 @@ static void test_no_log_goes_for_a_file_that_no_law_reads(void) {
 }
 
 static void test_the_trials_in_a_record_are_the_windows_at_most(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
-    set(PARAM_LAW_WINDOW, 3.0f);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
+    set(PARAM_ILC_WINDOW, 3.0f);
     for (uint32_t number = 1; number <= 5u; number++) {
         swim_and_learn(number);
         TEST_ASSERT_EQUAL(number < 3u ? number : 3u, trials_in_average());
         TEST_ASSERT_EQUAL(0, told_missing());
     }
-    set(PARAM_LAW_WINDOW, 8.0f);
+    set(PARAM_ILC_WINDOW, 8.0f);
     swim_and_learn(1);
     TEST_ASSERT_EQUAL(4, trials_in_average());
     TEST_ASSERT_EQUAL(0, told_missing());
@@ -459,8 +459,8 @@ static void test_the_trials_in_a_record_are_the_windows_at_most(void) {
 static void test_an_average_goes_on_when_the_iteration_goes_round(void) {
     for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
         setUp();
-        set(PARAM_LAW_KIND, kind);
-        set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+        set(PARAM_ILC_KIND, kind);
+        set(PARAM_ILC_WINDOW, (float)PAST_WINDOW_MAX);
         swim_and_learn(1);
         app.memory.iteration = UINT16_MAX - 4u;
         app.memory.input = MEMORY_INPUT_UPLOADED;
@@ -477,8 +477,8 @@ static void test_an_average_goes_on_when_the_iteration_goes_round(void) {
 static void check_told(void (*event)(void), uint32_t times) {
     for (float kind = PAST_MEAN; kind <= (float)PAST_WINDOW; kind++) {
         setUp();
-        set(PARAM_LAW_KIND, kind);
-        set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+        set(PARAM_ILC_KIND, kind);
+        set(PARAM_ILC_WINDOW, (float)PAST_WINDOW_MAX);
         save_params();
         for (uint32_t number = 1; number <= 3u; number++) {
             swim_and_learn(number);
@@ -506,8 +506,8 @@ static void test_it_is_told_when_an_average_begins_anew_unasked(void) {
 }
 
 static void test_it_is_told_when_a_window_lacks_a_trial(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
-    set(PARAM_LAW_WINDOW, (float)PAST_WINDOW_MAX);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
+    set(PARAM_ILC_WINDOW, (float)PAST_WINDOW_MAX);
     for (uint32_t number = 1; number <= 3u; number++) {
         swim_and_learn(number);
     }
@@ -521,47 +521,47 @@ static void test_it_is_told_when_a_window_lacks_a_trial(void) {
 }
 
 static void test_the_mean_goes_without_kd(void) {
-    set(PARAM_LAW_KIND, PAST_MEAN);
+    set(PARAM_ILC_KIND, PAST_MEAN);
     swim_and_learn(1);
     float speed_m_s[BEATS];
     uint16_t beats = 0;
     swim_any(2, speed_m_s, &beats);
     const memory_t before = app.memory;
-    set(PARAM_LAW_KD, 0.1f);
+    set(PARAM_ILC_KD, 0.1f);
     TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_LEARN, app.run.trial.number));
     TEST_ASSERT_EQUAL_MEMORY(&before, &app.memory, sizeof before);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, app.run.trial.number));
     TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_ARM, 0));
-    set(PARAM_LAW_KIND, PAST_WINDOW);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
 }
 
 static void test_laws_that_are_none_for_a_fish_are_refused(void) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
-    expect_refused(PARAM_LAW_KIND, 3.0f, FAULT_LAW_FEEDBACK);
-    expect_refused(PARAM_LAW_KIND, 4.0f, FAULT_LAW_FEEDBACK);
-    expect_refused(PARAM_LAW_KIND, 5.0f, FAULT_LAW_SIGN);
-    expect_refused(PARAM_LAW_KIND, 6.0f, FAULT_BAD_PARAM);
-    expect_refused(PARAM_LAW_KIND, 1.5f, FAULT_BAD_PARAM);
-    expect_refused(PARAM_LAW_WINDOW, 1.0f, FAULT_BAD_PARAM);
-    expect_refused(PARAM_LAW_WINDOW, 9.0f, FAULT_BAD_PARAM);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
+    expect_refused(PARAM_ILC_KIND, 3.0f, FAULT_LAW_FEEDBACK);
+    expect_refused(PARAM_ILC_KIND, 4.0f, FAULT_LAW_FEEDBACK);
+    expect_refused(PARAM_ILC_KIND, 5.0f, FAULT_LAW_SIGN);
+    expect_refused(PARAM_ILC_KIND, 6.0f, FAULT_BAD_PARAM);
+    expect_refused(PARAM_ILC_KIND, 1.5f, FAULT_BAD_PARAM);
+    expect_refused(PARAM_ILC_WINDOW, 1.0f, FAULT_BAD_PARAM);
+    expect_refused(PARAM_ILC_WINDOW, 9.0f, FAULT_BAD_PARAM);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
-    expect_refused(PARAM_LAW_KIND, 4.0f, FAULT_WRONG_STATE);
+    expect_refused(PARAM_ILC_KIND, 4.0f, FAULT_WRONG_STATE);
 }
 
 static void test_a_stored_law_that_is_none_falls_back(void) {
     for (float kind = 3.0f; kind <= 5.0f; kind++) {
         params_t params = app.params;
-        params.value[PARAM_LAW_KIND] = kind;
-        params.value[PARAM_LAW_GAIN] = 3.5f;
+        params.value[PARAM_ILC_KIND] = kind;
+        params.value[PARAM_ILC_GAIN] = 3.5f;
         const size_t length = record_encode_params(&params, app.record);
         TEST_ASSERT_EQUAL(STORE_OK, store_replace(&app.store, PARAMS_PATH, app.record, length));
         TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
-        TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_LAW_KIND]);
-        TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_LAW_GAIN]);
+        TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_ILC_KIND]);
+        TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_ILC_GAIN]);
         reboot();
-        TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_LAW_KIND]);
-        TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_LAW_GAIN]);
+        TEST_ASSERT_EQUAL_FLOAT(PAST_LAST, app.params.value[PARAM_ILC_KIND]);
+        TEST_ASSERT_EQUAL_FLOAT(3.5f, app.params.value[PARAM_ILC_GAIN]);
     }
 }
 

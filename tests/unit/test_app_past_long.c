@@ -21,8 +21,8 @@ static void swim_long(uint16_t beats) {
 /* Beside a log of that length there is room for |least| trials of the average at least, less than
  * |window| or all: it goes on with those, and says so whenever it could be longer. */
 static void check_long(uint16_t beats, uint16_t window, uint32_t least, uint32_t trials_most) {
-    set(PARAM_LAW_KIND, PAST_WINDOW);
-    set(PARAM_LAW_WINDOW, (float)window);
+    set(PARAM_ILC_KIND, PAST_WINDOW);
+    set(PARAM_ILC_WINDOW, (float)window);
     set(PARAM_TANK_LEN_M, 0.0f);
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(beats, SPEED));
     uint32_t before = 0, trials = 0, told = 0;

@@ -137,7 +137,7 @@ static void test_a_start_from_an_earlier_boot_is_stale(void) {
 static void learn_from_beats(uint16_t executed) {
     TEST_ASSERT_TRUE(app.run.pending);
     TEST_ASSERT_EQUAL(executed, app.run.trial.executed);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_LEAD, 0.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, 0.0f));
     const memory_t before = app.memory;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
     for (uint16_t k = 0; k < BEATS; k++) {

@@ -213,9 +213,9 @@ static void test_the_first_input_follows_the_gain_of_the_moment(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED, app.memory.amplitude_rad[0]);
-    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, commands_param_set(&app, PARAM_LAW_GAIN, 5.0f));
+    TEST_ASSERT_EQUAL(FAULT_WRONG_STATE, commands_param_set(&app, PARAM_ILC_GAIN, 5.0f));
     (void)command(LINK_COMMAND_DISARM, 0);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 5.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 5.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
 }
@@ -224,7 +224,7 @@ static void test_the_first_input_follows_the_gain_across_a_reboot(void) {
     swim_whole_trial(BEATS, SPEED);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_DISCARD, 1));
     reboot();
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 5.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 5.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_ARM, 0));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 5.0f * SPEED, app.memory.amplitude_rad[0]);
 }
@@ -258,23 +258,23 @@ static void test_failing_flash_refuses_uploaded_speeds_and_keeps_the_measured_on
 static void test_bad_gains_are_refused(void) {
     const float bad[] = {0.0f, -1.0f, NAN, INFINITY, -INFINITY, 1e9f};
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-        TEST_ASSERT_EQUAL(FAULT_BAD_PARAM, commands_param_set(&app, PARAM_LAW_GAIN, bad[i]));
-        TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+        TEST_ASSERT_EQUAL(FAULT_BAD_PARAM, commands_param_set(&app, PARAM_ILC_GAIN, bad[i]));
+        TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_ILC_GAIN]);
     }
 }
 
 static void test_parameters_persist_only_when_saved(void) {
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 6.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 6.0f));
     reboot();
-    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 6.0f));
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_ILC_GAIN]);
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 6.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     reboot();
-    TEST_ASSERT_EQUAL_FLOAT(6.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(6.0f, app.params.value[PARAM_ILC_GAIN]);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_RESET, 0));
-    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_ILC_GAIN]);
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_LOAD, 0));
-    TEST_ASSERT_EQUAL_FLOAT(6.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(6.0f, app.params.value[PARAM_ILC_GAIN]);
 }
 
 static void test_failing_flash_refuses_the_update_and_keeps_the_old_input(void) {
@@ -328,7 +328,7 @@ static void test_contradicting_servo_parameters_do_not_arm(void) {
 
 static void test_a_lead_as_long_as_the_trial_does_not_arm(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, upload_flat_reference(BEATS, SPEED));
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_LEAD, BEATS));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, BEATS));
     TEST_ASSERT_EQUAL(FAULT_BAD_LAW, command(LINK_COMMAND_ARM, 0));
 }
 

@@ -58,7 +58,7 @@ static void test_a_trial_swims_every_beat_and_becomes_pending(void) {
 
 static void test_learning_adds_gain_times_error(void) {
     swim_whole_trial(BEATS, SPEED);
-    const float gain = app.params.value[PARAM_LAW_GAIN];
+    const float gain = app.params.value[PARAM_ILC_GAIN];
     const float first_rad = gain * SPEED;
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, first_rad, app.memory.amplitude_rad[2]);
     const uint32_t trial = app.run.trial.number;
@@ -172,7 +172,7 @@ static void test_an_aborted_trial_is_learned_from_as_far_as_it_swam(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_CLEAR, 0));
     TEST_ASSERT_EQUAL(2, app.run.trial.executed);
     TEST_ASSERT_EQUAL(FAULT_ABORT_COMMAND, app.run.trial.end);
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_LEAD, 0.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, 0.0f));
     const float before_rad = app.memory.amplitude_rad[3];
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, 4.0f * SPEED + 4.0f * (SPEED - swim_speed_m_s),

@@ -74,7 +74,7 @@ static void test_an_abort_by_command_takes_no_beat_away(void) {
 
 static void test_guarded_beats_learn_nothing(void) {
     cut_trial();
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_LEAD, 0.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_LEAD, 0.0f));
     const memory_t before = app.memory;
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, app.run.trial.number));
     for (uint16_t k = 0; k < BEATS; k++) {

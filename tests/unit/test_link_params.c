@@ -72,17 +72,17 @@ static void expect_error(uint8_t expected) {
 }
 
 static void test_reads_one_parameter(void) {
-    request_read(-1, "LAW_GAIN");
-    expect_value(PARAM_LAW_GAIN, 4.0f);
-    request_read(PARAM_LAW_LEAD, "");
-    expect_value(PARAM_LAW_LEAD, 1.0f);
+    request_read(-1, "ILC_GAIN");
+    expect_value(PARAM_ILC_GAIN, 4.0f);
+    request_read(PARAM_ILC_LEAD, "");
+    expect_value(PARAM_ILC_LEAD, 1.0f);
     request_read(-1, "SERVO_SLEW_RAD_S"); /* all 16 characters, no zero */
     expect_value(PARAM_SERVO_SLEW_RAD_S, 0.0f);
     request_read(-1, "NO_SUCH_THING_16");
     expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
     request_read(PARAM_COUNT, "");
     expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
-    request_read(-2, "LAW_GAIN");
+    request_read(-2, "ILC_GAIN");
     expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
 }
 
@@ -100,26 +100,46 @@ static void set_param(const char *name, float value) {
 }
 
 static void test_sets_a_parameter(void) {
-    set_param("LAW_GAIN", 5.5f);
-    expect_value(PARAM_LAW_GAIN, 5.5f);
+    set_param("ILC_GAIN", 5.5f);
+    expect_value(PARAM_ILC_GAIN, 5.5f);
     TEST_ASSERT_EQUAL(0, peer_count(MAVLINK_MSG_ID_PARAM_ERROR));
-    TEST_ASSERT_EQUAL_FLOAT(5.5f, params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(5.5f, params.value[PARAM_ILC_GAIN]);
 }
 
 static void test_a_refused_parameter_stays_and_says_why(void) {
     verdict = FAULT_WRONG_STATE;
-    set_param("LAW_GAIN", 5.5f);
+    set_param("ILC_GAIN", 5.5f);
     expect_error(MAV_PARAM_ERROR_PERMISSION_DENIED);
-    expect_value(PARAM_LAW_GAIN, 4.0f);
+    expect_value(PARAM_ILC_GAIN, 4.0f);
     expect_text(MAV_SEVERITY_WARNING, fault_info(FAULT_WRONG_STATE)->meaning);
     verdict = FAULT_NONE;
-    set_param("LAW_GAIN", 1e9f);
+    set_param("ILC_GAIN", 1e9f);
     expect_error(MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE);
-    set_param("LAW_GAIN", NAN);
+    set_param("ILC_GAIN", NAN);
     expect_error(MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE);
-    expect_value(PARAM_LAW_GAIN, 4.0f);
+    expect_value(PARAM_ILC_GAIN, 4.0f);
     set_param("NOT_THERE", 1.0f);
     expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
+}
+
+static void test_an_old_name_is_refused_with_the_new_one(void) {
+    set_param("LAW_FADE_FROM", 7.0f);
+    expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
+    expect_text(MAV_SEVERITY_WARNING, "LAW_FADE_FROM is now ILC_DECR_FROM");
+    TEST_ASSERT_EQUAL(0, peer_count(MAVLINK_MSG_ID_PARAM_VALUE));
+    TEST_ASSERT_EQUAL_FLOAT(5.0f, params.value[PARAM_ILC_DECR_FROM]);
+    request_read(-1, "GLIDE_S");
+    expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
+    expect_text(MAV_SEVERITY_WARNING, "GLIDE_S is now COAST_S");
+    TEST_ASSERT_EQUAL(0, peer_count(MAVLINK_MSG_ID_PARAM_VALUE));
+}
+
+static void test_an_unknown_name_has_no_new_one(void) {
+    request_read(-1, "LAW_NONE");
+    expect_error(MAV_PARAM_ERROR_DOES_NOT_EXIST);
+    TEST_ASSERT_EQUAL(0, peer_count(MAVLINK_MSG_ID_STATUSTEXT));
+    set_param("LAW_NONE", 1.0f);
+    expect_text(MAV_SEVERITY_WARNING, fault_info(FAULT_BAD_PARAM)->meaning);
 }
 
 int main(void) {
@@ -129,5 +149,7 @@ int main(void) {
     RUN_TEST(test_reads_one_parameter);
     RUN_TEST(test_sets_a_parameter);
     RUN_TEST(test_a_refused_parameter_stays_and_says_why);
+    RUN_TEST(test_an_old_name_is_refused_with_the_new_one);
+    RUN_TEST(test_an_unknown_name_has_no_new_one);
     return UNITY_END();
 }

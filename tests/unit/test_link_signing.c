@@ -79,13 +79,13 @@ static void test_the_links_own_commands(void) { for_everybody(check_own_commands
 
 static void check_param_set(sender_t kind) {
     say_param_set(2.0f);
-    TEST_ASSERT_EQUAL_FLOAT(kind == RIGHT ? 2.0f : 1.0f, params.value[PARAM_LAW_LEAD]);
+    TEST_ASSERT_EQUAL_FLOAT(kind == RIGHT ? 2.0f : 1.0f, params.value[PARAM_ILC_LEAD]);
     TEST_ASSERT_EQUAL(kind == RIGHT ? 0 : 1, peer_count(MAVLINK_MSG_ID_PARAM_ERROR));
     if (kind != RIGHT) {
         mavlink_param_error_t error;
         mavlink_msg_param_error_decode(peer_find(MAVLINK_MSG_ID_PARAM_ERROR), &error);
         TEST_ASSERT_EQUAL(MAV_PARAM_ERROR_PERMISSION_DENIED, error.error);
-        TEST_ASSERT_EQUAL_STRING_LEN("LAW_LEAD", error.param_id, 16);
+        TEST_ASSERT_EQUAL_STRING_LEN("ILC_LEAD", error.param_id, 16);
         TEST_ASSERT_TRUE(has_text(fault_info(refusal_of(kind))->meaning));
     }
     expect_counted(kind, 1);

@@ -77,7 +77,7 @@ static void fill(uint16_t beats) {
         amplitudes.amplitude_rad[i] = memory.amplitude_rad[i];
     }
     params_reset(&params);
-    params.value[PARAM_LAW_GAIN] = 7.5f;
+    params.value[PARAM_ILC_GAIN] = 7.5f;
 }
 
 void setUp(void) {
@@ -501,6 +501,25 @@ static void test_params_of_another_firmware(void) {
     TEST_ASSERT_EQUAL_MEMORY(&params, &out.params, sizeof params);
 }
 
+/* Older firmware's store: every renamed parameter by its old name, away from its default. */
+static void test_params_by_their_old_names(void) {
+    params_reset(&params);
+    for (uint32_t i = 0; i < PARAM_RENAMED_COUNT; i++) {
+        const param_t param = (param_t)param_renamed(i)->param;
+        const param_info_t *info = param_info(param);
+        params.value[param] = info->fallback == info->low ? info->high : info->low;
+    }
+    const size_t length = encode_params();
+    for (uint32_t i = 0; i < PARAM_RENAMED_COUNT; i++) {
+        const param_renamed_t *row = param_renamed(i);
+        memcpy(bytes + 12 + 20u * row->param, row->old_name, PARAM_NAME_BYTES);
+    }
+    seal(length);
+    TEST_ASSERT_EQUAL_INT(FAULT_NONE, decode_params(bytes, length));
+    TEST_ASSERT_EQUAL_UINT16(0, ignored);
+    TEST_ASSERT_EQUAL_MEMORY(&params, &out.params, sizeof params);
+}
+
 static void test_encoding_without_beats_is_our_mistake(void) {
     static bool panicked;
     reference.beats = 0;
@@ -532,6 +551,7 @@ int main(void) {
     RUN_TEST(test_bad_peaks_are_refused);
     RUN_TEST(test_params_come_back_by_name);
     RUN_TEST(test_params_of_another_firmware);
+    RUN_TEST(test_params_by_their_old_names);
     RUN_TEST(test_encoding_without_beats_is_our_mistake);
     return UNITY_END();
 }

@@ -18,7 +18,7 @@ void tearDown(void) {}
 
 /* Two trials learned from, a third pending, parameters saved once. */
 static void live(void) {
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 3.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 3.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     for (uint32_t trial = 1; trial <= 3; trial++) {
         swim_whole_trial(BEATS, SPEED);
@@ -59,7 +59,7 @@ static bool said(const char *text) {
 static void expect_all_back(void) {
     TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
     TEST_ASSERT_EQUAL_HEX32(learned.reference_crc, app.reference.crc);
-    TEST_ASSERT_EQUAL_FLOAT(3.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(3.0f, app.params.value[PARAM_ILC_GAIN]);
     TEST_ASSERT_TRUE(app.run.pending);
     TEST_ASSERT_EQUAL_UINT32(3, app.run.trial.number);
     TEST_ASSERT_EQUAL_UINT32(4, app.next_trial);
@@ -177,7 +177,7 @@ static void test_a_damaged_file_costs_itself_only(void) {
     reboot();
     TEST_ASSERT_EQUAL(FAULT_FILE_DAMAGED, app.supervisor.reason);
     TEST_ASSERT_TRUE(said("older /params.bin")); /* the defaults, with the limits */
-    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, app.params.value[PARAM_ILC_GAIN]);
     TEST_ASSERT_EQUAL_MEMORY(&learned, &app.memory, sizeof learned);
 }
 
@@ -206,7 +206,7 @@ static void wipe_witness(void) {
 static void test_parameters_come_back_only_when_there_is_no_doubt(void) {
     live();
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_LEARN, 3));
-    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_LAW_GAIN, 2.0f));
+    TEST_ASSERT_EQUAL(FAULT_NONE, commands_param_set(&app, PARAM_ILC_GAIN, 2.0f));
     TEST_ASSERT_EQUAL(FAULT_NONE, command(LINK_COMMAND_PARAMS_SAVE, 0));
     memcpy(whole, hal.flash, sizeof whole);
     for (uint32_t witnessed = 0; witnessed < 2; witnessed++) {
@@ -219,7 +219,7 @@ static void test_parameters_come_back_only_when_there_is_no_doubt(void) {
         reboot();
         TEST_ASSERT_EQUAL(FAULT_STORE_RENEWED, app.supervisor.reason);
         TEST_ASSERT_TRUE(said(witnessed == 1 ? "saved /params.bin" : "lost /params.bin"));
-        TEST_ASSERT_EQUAL_FLOAT(witnessed == 1 ? 2.0f : 4.0f, app.params.value[PARAM_LAW_GAIN]);
+        TEST_ASSERT_EQUAL_FLOAT(witnessed == 1 ? 2.0f : 4.0f, app.params.value[PARAM_ILC_GAIN]);
         TEST_ASSERT_EQUAL_UINT32(3, app.memory.last_trial);
     }
 }

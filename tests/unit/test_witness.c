@@ -348,7 +348,7 @@ static void test_of_two_limits_the_more_restrictive_holds(void) {
     other.value[PARAM_ERR_MAX_M_S] = 0.1f;    /* switched on */
     other.value[PARAM_LINK_TIMEOUT_S] = 0.0f; /* switched off */
     other.value[PARAM_DU_MAX_RAD] = 0.05f;
-    other.value[PARAM_LAW_GAIN] = 1.0f; /* no limit */
+    other.value[PARAM_ILC_GAIN] = 1.0f; /* no limit */
     limits_get(&other, limits);
     limits_restrict(&params, limits);
     TEST_ASSERT_EQUAL_FLOAT(0.3f, params.value[PARAM_AMP_MAX_RAD]);
@@ -357,7 +357,7 @@ static void test_of_two_limits_the_more_restrictive_holds(void) {
     TEST_ASSERT_EQUAL_FLOAT(0.1f, params.value[PARAM_ERR_MAX_M_S]);
     TEST_ASSERT_EQUAL_FLOAT(5.0f, params.value[PARAM_LINK_TIMEOUT_S]);
     TEST_ASSERT_EQUAL_FLOAT(0.05f, params.value[PARAM_DU_MAX_RAD]);
-    TEST_ASSERT_EQUAL_FLOAT(4.0f, params.value[PARAM_LAW_GAIN]);
+    TEST_ASSERT_EQUAL_FLOAT(4.0f, params.value[PARAM_ILC_GAIN]);
 }
 
 /* Raw pages that take no data: the store works on, and the counter is a file again. */

@@ -70,8 +70,8 @@ static fault_t arm(host_t host) {
         guard(&guards, model.pending, FAULT_TRIAL_PENDING);
         guard(&guards, model.beats == 0, FAULT_NO_REFERENCE);
         guard(&guards, servo_contradicts(), FAULT_SERVO_CONFIG);
-        guard(&guards, 2.0f * value_of(PARAM_LAW_Q_LEN) - 1.0f > (float)model.beats, FAULT_BAD_LAW);
-        guard(&guards, value_of(PARAM_LAW_LEAD) >= (float)model.beats, FAULT_BAD_LAW);
+        guard(&guards, 2.0f * value_of(PARAM_ILC_Q_LEN) - 1.0f > (float)model.beats, FAULT_BAD_LAW);
+        guard(&guards, value_of(PARAM_ILC_LEAD) >= (float)model.beats, FAULT_BAD_LAW);
         guard(&guards, battery_too_low(), FAULT_BATTERY_LOW);
     }
     const fault_t answer = send(host, (link_command_t){.id = LINK_COMMAND_ARM});
@@ -281,12 +281,12 @@ static void set_param(void) {
         {PARAM_BATT_LOW_V, {0.0f, 6.6f, 7.0f, 61.0f}},
         {PARAM_BATT_CRIT_V, {0.0f, 6.0f, 6.5f, -1.0f}},
         {PARAM_TILT_MAX_RAD, {0.0f, 0.5f, 1.0f, 3.2f}},
-        {PARAM_GLIDE_S, {0.0f, 0.02f, 0.5f, 1.0f}},
+        {PARAM_COAST_S, {0.0f, 0.02f, 0.5f, 1.0f}},
         {PARAM_SETTLE_S, {2.0f, 2.0f, 3.0f, 1.0f}},
         {PARAM_AMP_MAX_RAD, {0.1f, 0.5f, 1.0f, 2.0f}},
         {PARAM_DU_MAX_RAD, {0.0f, 0.05f, 0.15f, NAN}},
-        {PARAM_LAW_GAIN, {1.0f, 4.0f, 20.0f, 50.0f}},
-        {PARAM_LAW_Q_LEN, {1.0f, 1.0f, 2.0f, 1.5f}},
+        {PARAM_ILC_GAIN, {1.0f, 4.0f, 20.0f, 50.0f}},
+        {PARAM_ILC_Q_LEN, {1.0f, 1.0f, 2.0f, 1.5f}},
         {PARAM_ROLLBACK_RATIO, {0.0f, 1.0f, 1.3f, 1.3f}},
         {PARAM_SERVO_DIR, {1.0f, -1.0f, 1.0f, 0.0f}},
         {PARAM_SERVO_MIN_US, {900.0f, 1400.0f, 1200.0f, 1550.0f}},
@@ -296,7 +296,7 @@ static void set_param(void) {
         {PARAM_SPD_SOURCE, {0.0f, 0.0f, 1.0f, 3.0f}},
         {PARAM_ERR_MAX_M_S, {0.0f, 0.005f, 0.01f, 0.03f}},
         {PARAM_SPD_LATE_S, {0.1f, 0.1f, 0.5f, 1.5f}},
-        {PARAM_LAW_BEYOND, {0.0f, 1.0f, 2.0f, 3.0f}},
+        {PARAM_ILC_EXTRAP, {0.0f, 1.0f, 2.0f, 3.0f}},
         {PARAM_COUNT, {0.0f, 1.0f, 2.0f, 3.0f}},
     };
     const uint32_t which = draw(sizeof choice / sizeof choice[0]);

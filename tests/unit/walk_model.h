@@ -142,7 +142,7 @@ static void begin_swim(void) {
     swim_t *swim = &model.swim;
     swim->frames_per_beat = (uint32_t)lrintf(model.beat_s * 50.0f);
     swim->frames = swim->frames_per_beat * model.beats;
-    swim->glide_frames = (uint32_t)lrintf(value_of(PARAM_GLIDE_S) * 50.0f);
+    swim->glide_frames = (uint32_t)lrintf(value_of(PARAM_COAST_S) * 50.0f);
     swim->centre_us = value_of(PARAM_SERVO_CENTRE_US);
     swim->us_per_rad = value_of(PARAM_SERVO_US_RAD) * value_of(PARAM_SERVO_DIR);
     swim->min_us = value_of(PARAM_SERVO_MIN_US);

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from tailbeat.sim.board import SimulatedBoard
 
 AMPLITUDE_MAX_RAD = THESIS["AMP_MAX_RAD"]
-LEAD_BEATS = {"thesis": THESIS["LAW_LEAD"]}  # the thesis's plant has no delay
+LEAD_BEATS = {"thesis": THESIS["ILC_LEAD"]}  # the thesis's plant has no delay
 _LEAD_BEATS = 1.0  # any other's
 LAWS = ("p", "model")
 EXPERIMENTS = Path("experiments")
@@ -183,7 +183,7 @@ class _Demo:
                 "the board still holds a trial that is neither learned nor discarded.",
                 "tailbeat learn, or tailbeat trial discard.",
             )
-        law = {"LAW_GAIN": self.options.gain, "LAW_LEAD": float(self.lead)}
+        law = {"ILC_GAIN": self.options.gain, "ILC_LEAD": float(self.lead)}
         presets.apply(fish, {**THESIS, **law})
         self.params = {name: p.value for name, p in fish.params.list().items()}
         self.law = laws.Law.from_params(self.params, self.reference.beat_s)

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 THESIS: Mapping[str, float] = {
     "AMP_MAX_RAD": math.pi / 4,
     "DU_MAX_RAD": 0.0,
-    "LAW_GAIN": 4.0,
-    "LAW_KD": 0.0,
-    "LAW_LEAD": 0.0,
-    "LAW_TAIL": 0.0,
-    "LAW_Q_LEN": 1.0,
-    "LAW_FADE": 0.0,
-    "LAW_KIND": 0.0,
+    "ILC_GAIN": 4.0,
+    "ILC_KD": 0.0,
+    "ILC_LEAD": 0.0,
+    "ILC_END_EXT": 0.0,
+    "ILC_Q_LEN": 1.0,
+    "ILC_DECR_RATE": 0.0,
+    "ILC_KIND": 0.0,
 }
 """The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8."""
 

@@ -17,17 +17,17 @@ from tailbeat.core.errors import InputError, reason
 Floats = NDArray[np.float32]
 
 _PARAMS = {
-    "LAW_GAIN": "kp_rad_s_m",
-    "LAW_KD": "kd_rad_s2_m",
+    "ILC_GAIN": "kp_rad_s_m",
+    "ILC_KD": "kd_rad_s2_m",
     "AMP_MAX_RAD": "amplitude_max_rad",
     "DU_MAX_RAD": "step_max_rad",
-    "LAW_LEAD": "lead_beats",
-    "LAW_FADE": "fade",
-    "LAW_FADE_FROM": "fade_from",
-    "LAW_Q_LEN": "q_len",
-    "LAW_TAIL": "tail",
+    "ILC_LEAD": "lead_beats",
+    "ILC_DECR_RATE": "fade",
+    "ILC_DECR_FROM": "fade_from",
+    "ILC_Q_LEN": "q_len",
+    "ILC_END_EXT": "tail",
 }
-_SINCE_FADE = {"LAW_FADE": 0.0, "LAW_FADE_FROM": 5.0}  # files of older firmware have neither
+_SINCE_FADE = {"ILC_DECR_RATE": 0.0, "ILC_DECR_FROM": 5.0}  # files of older firmware have neither
 _SHORT = {
     "gain": "kp_rad_s_m",
     "kp": "kp_rad_s_m",
@@ -37,8 +37,8 @@ _SHORT = {
     "step_max": "step_max_rad",
 }
 _TAILS = {"hold": 0, "keep": 1, "hold-new": 2, "hold-old": 3}
-LAST, MEAN, WINDOW = 0, 1, 2  # what a law learns from, LAW_KIND
-_KINDS = ("kind", "LAW_KIND")
+LAST, MEAN, WINDOW = 0, 1, 2  # what a law learns from, ILC_KIND
+_KINDS = ("kind", "ILC_KIND")
 _WHOLE = ("fade_from", "q_len", "tail")
 _VISITS_MAX = 255
 _BEATS_MAX = 512
@@ -47,7 +47,7 @@ _REFUSALS = {
         "the law does not fit: a gain is not finite, a limit is not above 0, fade is below 0, "
         "lead_beats is no multiple of 0.5, lead_beats or q_len is too long, or a mean has a kd.",
         "The lead must be shorter than the trial and 2*q_len-1 must fit into it; "
-        "with LAW_KIND 1, LAW_KD is 0.",
+        "with ILC_KIND 1, ILC_KD is 0.",
     ),
     2: ("an amplitude or a measured error is not finite.", "Check the values for gaps."),
     3: ("no beat has a measured speed.", "Upload the speeds of the trial, or swim it again."),
@@ -94,7 +94,7 @@ class Law:
 @dataclass(frozen=True)
 class Past:
     """What the board's law learns from: ``kind`` LAST, MEAN or WINDOW, the last ``window`` trials.
-    LAW_KIND and LAW_WINDOW; firmware without them has the last trial alone."""
+    ILC_KIND and ILC_WINDOW; firmware without them has the last trial alone."""
 
     kind: int = LAST
     window: int = 3
@@ -102,7 +102,7 @@ class Past:
     @classmethod
     def from_params(cls, params: Mapping[str, float]) -> Past:
         """What the board learns from with these parameters."""
-        return cls(int(params.get("LAW_KIND", cls.kind)), int(params.get("LAW_WINDOW", cls.window)))
+        return cls(int(params.get("ILC_KIND", cls.kind)), int(params.get("ILC_WINDOW", cls.window)))
 
     def label(self) -> str:
         """What a folder name says of it ahead of the law's label; "" for the last trial."""
@@ -147,7 +147,7 @@ def _check_kind(path: Path, key: str, value: object) -> None:
         raise InputError(
             f"{path.name}: {key} is not 0. An average needs its earlier trials, and this applies "
             "the law to one.",
-            f"Leave {key} out; the board averages with LAW_KIND 1 or 2, see 'learn --dry-run'.",
+            f"Leave {key} out; the board averages with ILC_KIND 1 or 2, see 'learn --dry-run'.",
         )
 
 
@@ -310,7 +310,7 @@ def learn(
     """What the board would make of a trial: (next amplitudes, report, rolled back).
 
     ``earlier``: with a moving average the trials it looks back on, newest first; with a mean that
-    of all of them. ``beyond``: LAW_BEYOND.
+    of all of them. ``beyond``: ILC_EXTRAP.
     """
     call = _Call(law, memory.amplitude_rad, np.asarray(errors, dtype=np.float32), measured)
     native = call.ffi.new("memory_t *")

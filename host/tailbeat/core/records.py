@@ -81,7 +81,7 @@ class LearnedRecord:
 
 @dataclass(frozen=True)
 class PastRecord:
-    """A decoded past trial, or the mean of ``trials`` (``kind`` 2 or 1, LAW_KIND). Arrays: float32,
+    """A decoded past trial, or the mean of ``trials`` (``kind`` 2 or 1, ILC_KIND). Arrays: float32,
     shape (beats,); an error NaN = not measured. ``previous_crc`` 0: the average begins with it."""
 
     crc: int

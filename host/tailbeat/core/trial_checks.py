@@ -243,7 +243,7 @@ def never_corrected(visits: ArrayLike | None) -> str:
         return ""
     line = f"{spans(missing)} {_have(missing)} never been corrected"
     at_the_end = counts[-1] == 0
-    return line + (": LAW_BEYOND decides what the last ones do" if at_the_end else "")
+    return line + (": ILC_EXTRAP decides what the last ones do" if at_the_end else "")
 
 
 def never_measured(visits: ArrayLike) -> str:

@@ -248,7 +248,7 @@ class _Board:
         swum = ffi.new("law_trial_t *", {"beats": self.beats, **arrays})
         rules = ffi.new("memory_rules_t *")
         rules.rollback_ratio = params.get("ROLLBACK_RATIO", 0.0)
-        rules.beyond = int(params.get("LAW_BEYOND", 0))
+        rules.beyond = int(params.get("ILC_EXTRAP", 0))
         scratch = ffi.new("float[]", self.beats)
         swum_rad = ffi.new("float[]", self.next_amplitudes().tolist())
         result = lib.learn_past_add(self.past, native, self.memory, rules, scratch)

@@ -3,7 +3,7 @@
 A law that corrects a part a of each trial's error leaves, in the end, a variance of a*r/(2 - a)
 where r is the variance of what does not repeat. The Kalman filter along the iterations has the best
 sequence: K = P/(P + r), P := (1 - K)*P, so that 1/K grows by 1 with each trial (Saab's gain ~ 1/k).
-The board approximates it: the gain is divided by 1 + LAW_FADE*max(0, visits - LAW_FADE_FROM).
+The board approximates it: the gain is divided by 1 + ILC_DECR_RATE*max(0, visits - ILC_DECR_FROM).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _INTERVAL_SIGMAS = 2 * 1.96
 
 @dataclass(frozen=True)
 class Fade:
-    """``fade``, ``fade_from``: for LAW_FADE and LAW_FADE_FROM. ``kalman``, ``board``: shape
+    """``fade``, ``fade_from``: for ILC_DECR_RATE and ILC_DECR_FROM. ``kalman``, ``board``: shape
     (trials,), what the gain is multiplied by at each visit of a beat, by the Kalman filter and by
     the board."""
 
@@ -47,7 +47,7 @@ def fade_advice(
     settled_after: int = 0,
     trials: int = 20,
 ) -> Fade:
-    """LAW_FADE and LAW_FADE_FROM that come nearest to the Kalman filter's gains.
+    """ILC_DECR_RATE and ILC_DECR_FROM that come nearest to the Kalman filter's gains.
 
     Variances of a beat's error, (m/s)**2: ``noise_variance`` of what differs between repeats,
     ``start_variance`` of what is to be learned, ``walk_variance`` of how that wanders from trial to

@@ -267,12 +267,12 @@ def _fade(
         return None
     if found is None or found <= FLUCTUATION_MAX or settled is None:
         return None
-    if last.params.get("LAW_FADE", 0.0) > 0:
+    if last.params.get("ILC_DECR_RATE", 0.0) > 0:
         return None
     first = next(score for score in scores if score.judged)
     assert first.error_m_s is not None
     noise = repeat_variance(scores) or REPEAT_SIGMA_M_S**2
     slope = identified.model.slope_m_s_rad if identified else _SLOPE_M_S_RAD
-    step = min(max(last.params.get("LAW_GAIN", 4.0) * slope, _STEP_MIN), 1.0)
+    step = min(max(last.params.get("ILC_GAIN", 4.0) * slope, _STEP_MIN), 1.0)
     start = float(np.nanmean(first.error_m_s.astype(np.float64) ** 2))
     return fade_advice(noise, start, step, _WALK_PART * noise, settled)

@@ -108,7 +108,7 @@ class Parameters:
                 raise InputError(
                     f"{name} = {value:g} does not go with the rest", _IMU_LINE_REMEDY
                 ) from refused
-            if refused.number == BAD_PARAM and name == "LAW_KIND" and value in _NO_LAW_FOR_A_FISH:
+            if refused.number == BAD_PARAM and name == "ILC_KIND" and value in _NO_LAW_FOR_A_FISH:
                 raise refusal(_NO_LAW_FOR_A_FISH[value]) from refused
             raise
         if _bits(held.value) != _bits(value):

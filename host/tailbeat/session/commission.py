@@ -331,13 +331,13 @@ def _law_params(law: Law, params: dict[str, float]) -> dict[str, float]:
     """As cli.design sets them: the certificate is for kd = 0, the last error held beyond the end, a
     gain that stays, the last trial alone."""
     wanted = {
-        "LAW_KD": law.kd_rad_s2_m,
-        "LAW_GAIN": law.kp_rad_s_m,
-        "LAW_LEAD": law.lead_beats,
-        "LAW_Q_LEN": float(law.q_len),
-        "LAW_TAIL": float(law.tail),
-        "LAW_FADE": law.fade,
-        "LAW_KIND": 0.0,
+        "ILC_KD": law.kd_rad_s2_m,
+        "ILC_GAIN": law.kp_rad_s_m,
+        "ILC_LEAD": law.lead_beats,
+        "ILC_Q_LEN": float(law.q_len),
+        "ILC_END_EXT": float(law.tail),
+        "ILC_DECR_RATE": law.fade,
+        "ILC_KIND": 0.0,
     }
     return {name: value for name, value in wanted.items() if name in params}
 

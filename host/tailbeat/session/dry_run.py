@@ -79,7 +79,7 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
         params["ROLLBACK_RATIO"],
         past,
         _earlier(fish, past, status.iteration),
-        int(params.get("LAW_BEYOND", 0)),
+        int(params.get("ILC_EXTRAP", 0)),
     )
     return DryRun(
         trial=pending,

@@ -143,7 +143,7 @@ def check_synced(data: bytes, trial: int, since_s: float) -> None:
 
 def go_on(fish: Fish, seen: View, swim: bool) -> None:
     """The board is as good as before: it stores, arms and, with ``swim``, swims and learns."""
-    fish.params.set("LAW_GAIN", 2.0)
+    fish.params.set("ILC_GAIN", 2.0)
     fish.params.save()
     if seen.pending_trial is not None:
         fish.learn(seen.pending_trial)

@@ -17,7 +17,7 @@ from vboard.flashlog import FlashLog, PageWrite
 SEED = 3
 BOOT_S = 3.0
 REFERENCE_M_S = (0.02, 0.04, 0.05, 0.04, 0.02)
-PARAMETERS = {"SETTLE_S": 2.0, "LAW_LEAD": 1.0, "LAW_GAIN": 3.0}
+PARAMETERS = {"SETTLE_S": 2.0, "ILC_LEAD": 1.0, "ILC_GAIN": 3.0}
 TRIALS = 2
 SERVO_CHANNEL = 4
 
@@ -163,7 +163,7 @@ def _actions(session: Session, fish: Fish) -> Iterator[tuple[str, Callable[[], o
         yield f"learn {trial}", lambda trial=trial: fish.learn(trial)
         yield (
             f"parameters {trial}",
-            lambda trial=trial: _set_parameters(fish, {"LAW_GAIN": 3.0 + trial}),
+            lambda trial=trial: _set_parameters(fish, {"ILC_GAIN": 3.0 + trial}),
         )
 
 

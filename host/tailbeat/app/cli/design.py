@@ -135,15 +135,15 @@ def _apply(fish: Fish, found: Design) -> None:
 
     law = found.law
     wanted = {
-        "LAW_KD": law.kd_rad_s2_m,
-        "LAW_GAIN": law.kp_rad_s_m,
-        "LAW_LEAD": law.lead_beats,
-        "LAW_Q_LEN": law.q_len,
-        "LAW_TAIL": law.tail,
-        "LAW_FADE": law.fade,
+        "ILC_KD": law.kd_rad_s2_m,
+        "ILC_GAIN": law.kp_rad_s_m,
+        "ILC_LEAD": law.lead_beats,
+        "ILC_Q_LEN": law.q_len,
+        "ILC_END_EXT": law.tail,
+        "ILC_DECR_RATE": law.fade,
     }
-    if "LAW_KIND" in fish.params.list():  # older firmware has no other
-        wanted["LAW_KIND"] = LAST
+    if "ILC_KIND" in fish.params.list():  # older firmware has no other
+        wanted["ILC_KIND"] = LAST
     note_set(fish, {name: fish.params.set(name, value).value for name, value in wanted.items()})
 
 
@@ -189,8 +189,8 @@ def _text(found: Design, applied: bool) -> str:
     lines += [f"warning    {line}" for line in found.warnings]
     if applied:
         lines.append(
-            "applied    it is the board's now, with LAW_KD, LAW_TAIL, LAW_FADE and LAW_KIND 0; "
-            "'tailbeat params save' makes it last"
+            "applied    it is the board's now, with ILC_KD, ILC_END_EXT, ILC_DECR_RATE and "
+            "ILC_KIND 0; 'tailbeat params save' makes it last"
         )
     return "\n".join(lines)
 

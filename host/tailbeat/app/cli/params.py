@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="The board's parameters.")
 
-Name = Annotated[str, typer.Argument(metavar="NAME", help="For example LAW_GAIN.")]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="For example ILC_GAIN.")]
 
 
 def _number(value: float) -> str:
@@ -28,7 +28,7 @@ def _one(parameter: Parameter) -> dict[str, Any]:
 def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
     """Print one parameter.
 
-    Example: tailbeat params get LAW_GAIN
+    Example: tailbeat params get ILC_GAIN
     """
     with connected(connect) as fish:
         found = fish.params.get(name.upper())
@@ -44,7 +44,7 @@ def set_(
 ) -> None:
     """Change one parameter at once; 'params save' makes it last.
 
-    Example: tailbeat params set LAW_GAIN 4.6
+    Example: tailbeat params set ILC_GAIN 4.6
     """
     with connected(connect) as fish:
         from tailbeat.experiment.current import note_set

@@ -27,7 +27,8 @@ def progress(
     ] = None,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
     apply: Annotated[
-        bool, typer.Option("--apply", help="Set the advised LAW_FADE, LAW_FADE_FROM on the board.")
+        bool,
+        typer.Option("--apply", help="Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board."),
     ] = False,
     logbook: Annotated[
         Path | None, typer.Option("--logbook", metavar="DIR", help="Folder of all logbooks.")
@@ -155,7 +156,7 @@ def _apply(found: Progress, connect: str | None) -> dict[str, float]:
             "there is nothing to apply: the series fluctuates no more than its noise.",
             "Run it without --apply.",
         )
-    wanted = {"LAW_FADE": found.fade.fade, "LAW_FADE_FROM": float(found.fade.fade_from)}
+    wanted = {"ILC_DECR_RATE": found.fade.fade, "ILC_DECR_FROM": float(found.fade.fade_from)}
     with connected(connect) as fish:
         held = {name: fish.params.set(name, value).value for name, value in wanted.items()}
         note_set(fish, held)
@@ -171,7 +172,7 @@ def _document(found: Progress) -> dict[str, Any]:
         "floor_m_s": found.floor_m_s,
         "visits": found.visits,
         "fluctuation": found.fluctuation,
-        "fade": fade and {"LAW_FADE": fade.fade, "LAW_FADE_FROM": fade.fade_from},
+        "fade": fade and {"ILC_DECR_RATE": fade.fade, "ILC_DECR_FROM": fade.fade_from},
         "problems": found.problems,
     }
 
@@ -213,7 +214,7 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
     else:
         lines.append("go on: tailbeat trial run, tailbeat learn")
     if found.fade is not None and found.fluctuation is not None:
-        names = f"LAW_FADE {found.fade.fade:g}, LAW_FADE_FROM {found.fade.fade_from}"
+        names = f"ILC_DECR_RATE {found.fade.fade:g}, ILC_DECR_FROM {found.fade.fade_from}"
         how = "set" if applied else "set it with --apply"
         lines.append(
             f"trials fluctuate {found.fluctuation:.1f} times as much as repeats: "

@@ -94,8 +94,8 @@ class Repeats:
 
 @dataclass(frozen=True)
 class Past:
-    """What the board's law learns from: ``last``, ``mean`` or ``window`` (LAW_KIND 0, 1, 2), the
-    last ``window`` trials (LAW_WINDOW)."""
+    """What the board's law learns from: ``last``, ``mean`` or ``window`` (ILC_KIND 0, 1, 2), the
+    last ``window`` trials (ILC_WINDOW)."""
 
     kind: str = "last"
     window: int = 3

@@ -58,7 +58,7 @@ class LawSpec:
     name: str
     kind: str
     gain: float = 4.0
-    lead_beats: float = 1.0  # as LAW_LEAD
+    lead_beats: float = 1.0  # as ILC_LEAD
     q_len: int = 1
     fade: float = 0.0
     fade_from: int = 5
@@ -299,7 +299,7 @@ class _Parser:
         if not WINDOW_MIN <= law.window <= WINDOW_MAX:
             raise self.fail(
                 f"law {law.name}: a window of {law.window} trials",
-                f"Use {WINDOW_MIN} to {WINDOW_MAX}, as the board's LAW_WINDOW.",
+                f"Use {WINDOW_MIN} to {WINDOW_MAX}, as the board's ILC_WINDOW.",
             )
         return [law]
 
