@@ -68,7 +68,7 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	@for recipe in $$($(BIN)/tailbeat sweep --list --json | $(PYTHON) -c \
 		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
 		$(BIN)/tailbeat sweep $$recipe --out build/sweeps/$$recipe --check || exit 1; done
-	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest $(UNLIMITED) -s tests/host/test_ftp_model.py
+	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest $(UNLIMITED) -s tests/host/link/test_ftp_model.py
 	@$(MAKE) fuzz
 
 fuzz: package ## bytes nobody sends: 10 minutes for each target, or FUZZ_SECONDS

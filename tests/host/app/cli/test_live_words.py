@@ -1,0 +1,147 @@
+"""What is said of a guided swim: the line while it swims, and what a key press that stops it
+leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli._operator import TerminalPerson
+from tailbeat.app.cli._words import live_text
+from tailbeat.core.errors import InputError
+from tailbeat.link.messages import TrialOutcome
+from tailbeat.session.collect import Swum
+from tailbeat.session.operator import Decision
+
+from ...session.test_trial_run_guided import Typed
+
+LIVE: dict[str, Any] = {
+    "event": "live",
+    "beat": 98,
+    "beats": 100,
+    "speed_m_s": 0.1633,
+    "reference_m_s": 0.17,
+    "amplitude_rad": 0.7,
+    "battery_v": 7.92,
+    "silent_s": 0.4,
+    "simulated": True,
+}
+FEW: dict[str, Any] = {"beat": None, "speed_m_s": None, "reference_m_s": None}
+FEW |= {"amplitude_rad": None, "battery_v": None, "silent_s": None, "simulated": False}
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("link", [{"silent_s": 0.4}, {"silent_s": 12.0}])
+def test_the_words_that_matter_stay(width: int, link: dict[str, float]) -> None:
+    line = live_text(LIVE | link, True, width)
+    assert len(line) <= width
+    late = "silent 12 s" in line
+    assert late == (link["silent_s"] > 5) and (late or "link ok" in line)
+    for word in ("simulated", "any key stops", "99/100", "163.3", "170.0"):
+        assert word in line, (width, line)
+    assert ("7.92 V" in line) == (width >= 80), line
+    assert late or ("40.1 deg" in line) == (width >= 80), line
+    assert ("amplitude 40.1 deg" in line and "wanted 170.0" in line) == (width == 120), line
+
+
+def test_where_nothing_fits_the_stop_is_what_is_left() -> None:
+    assert live_text(LIVE, True, 20)[: len("simulated  any key stops")].endswith("any key stops")
+
+
+def test_the_line_without_a_key_and_of_what_is_not_known() -> None:
+    assert live_text(LIVE | FEW, False, 80) == "link ok  starting  v - mm/s  wanted -"
+
+
+def test_the_line_is_as_wide_as_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+    display = Display()
+    display.moves = True
+    monkeypatch.setattr(display, "show", shown.append)
+    for columns in ("60", "120"):
+        monkeypatch.setenv("COLUMNS", columns)
+        display._terminal = None  # asks the environment once
+        TerminalPerson(display, Typed("")).tell(LIVE)
+    narrow, wide = shown
+    assert 50 < len(narrow) <= 60 < len(wide) <= 120
+
+
+def told(person: TerminalPerson, *events: dict[str, Any]) -> None:
+    for event in events:
+        person.tell(event)
+
+
+def swum_event() -> dict[str, Any]:
+    outcome = TrialOutcome(7, 2, "aborted:ABORT_COMMAND", 5)
+    problems = ("not complete: aborted:ABORT_COMMAND (stopped by hand)", "not straight")
+    swum = Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, 3, 5, 8.0, 7.9, problems)
+    return {"event": "swum", "trial": 7, **vars(swum)}
+
+
+ABORTED = {"event": "text", "severity": 4, "text": "trial aborted by command"}
+
+
+def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str]) -> None:
+    person = TerminalPerson(Display(), Typed(""))
+    told(person, {"event": "guard", "reason": "stopped by hand"}, ABORTED, swum_event())
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "tailbeat: stopped by hand"
+    assert lines[1] == (
+        "trial 7, iteration 2: aborted:ABORT_COMMAND (stopped by hand), 5 beats, 3 of 5 beats"
+        " measured"
+    )
+    assert lines[2].startswith("  max|e| ") and lines[3:] == ["  ! not straight"]
+
+
+def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """Also in the swim after one that was stopped by a key."""
+    person = TerminalPerson(Display(), Typed(""))
+    told(person, {"event": "guard", "reason": "stopped by hand"})
+    told(person, {"event": "started", "trial": 8}, ABORTED)
+    told(person, {"event": "guard", "reason": "room: 2 m"}, ABORTED)
+    told(person, {"event": "guard", "reason": "stopped by hand"})
+    told(person, ABORTED | {"text": "battery critical"})
+    assert capsys.readouterr().err.splitlines() == [
+        "tailbeat: stopped by hand",
+        "tailbeat: trial aborted by command",
+        "tailbeat: stopped: room: 2 m",
+        "tailbeat: trial aborted by command",
+        "tailbeat: stopped by hand",
+        "tailbeat: battery critical",
+    ]
+
+
+def swum() -> Swum:
+    outcome = TrialOutcome(7, 2, "complete", 5)
+    return Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, 5, 5, 8.0, 7.9, ())
+
+
+def test_another_key_is_answered_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert TerminalPerson(Display(), Typed("xx_ k")).decide(swum()) == Decision("keep")
+    err = capsys.readouterr().err
+    assert err.count("(k, r, d or Enter) ") == 1 and err.count("\n") == 1, "in the question's line"
+    assert not TerminalPerson(Display(), Typed("xxn")).confirm("Clear it?")
+    assert capsys.readouterr().err == "Clear it? y/n (y or n) n\n"
+    TerminalPerson(Display(), Typed("__k")).decide(swum())
+    assert " or Enter)" not in capsys.readouterr().err, "nothing was pressed"
+
+
+def test_a_reason_is_asked_for_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    person = TerminalPerson(Display(), Typed("d", ("", "wall")))
+    assert person.decide(swum()) == Decision("discard", "wall")
+    _, _, asked = capsys.readouterr().err.partition("why? ")
+    assert asked == "a reason is needed, one word is enough: "
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ("what is it", "what is it. Say it."),
+        ("what is it.", "what is it. Say it."),
+        ("what is it?", "what is it? Say it."),
+    ],
+)
+def test_one_mark_ends_a_message(message: str, told: str) -> None:
+    assert str(InputError(message, "Say it.")) == told
