@@ -28,6 +28,7 @@ from tailbeat.board.provision import MISSING, trust_of
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.files import replace_file, sync_folder
+from tailbeat.core.param_names import with_current_names
 from tailbeat.experiment.folder import Experiment, list_experiments
 from tailbeat.link.messages import TrialFile
 
@@ -93,7 +94,9 @@ class Backup:
             return cls(
                 unique_id=str(document["unique_id"]),
                 build_id=str(document["build_id"]),
-                params={str(name): float(v) for name, v in document["params"].items()},
+                params=with_current_names(
+                    {str(name): float(v) for name, v in document["params"].items()}
+                ),
                 next_trial=int(document["next_trial"]),
                 signed=bool(document.get("signed", False)),
                 made=str(document["made"]),

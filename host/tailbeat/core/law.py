@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.param_names import current_name
 
 Floats = NDArray[np.float32]
 
@@ -134,10 +135,10 @@ def load(path: Path) -> Law:
         raise InputError(f"{path.name} holds no JSON object.", 'Write it like {"kp_rad_s_m": 4}.')
     values: dict[str, Any] = {}
     for key, value in raw.items():
-        if key in _KINDS:
+        if current_name(key) in _KINDS:
             _check_kind(path, key, value)
             continue
-        field = _PARAMS.get(key) or _SHORT.get(key) or key
+        field = _PARAMS.get(current_name(key)) or _SHORT.get(key) or key
         values[field] = _law_value(path, key, field, value)
     return Law(**values)
 

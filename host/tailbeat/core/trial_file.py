@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replacing_text
+from tailbeat.core.param_names import with_current_names
 from tailbeat.core.reference import BEATS_MAX
 
 Floats = NDArray[np.float32]
@@ -254,7 +255,7 @@ def _trial(
         executed_beats=int(end["executed"][-1]) if end else measured,
         end="unfinished" if fault is None else fault_text(fault),
         uploaded=_uploaded(tables.get("beat"), end),
-        params={name: float(value) for name, value in log.initial_parameters.items()},
+        params=_params(log),
         slots=_slots(tables.get("slot")),
         rest_before=next((rest for rest in rests if rest.begin_s < 0), None),
         rest_after=next((rest for rest in rests if rest.begin_s >= 0), None),
@@ -263,6 +264,11 @@ def _trial(
         problems=problems,
         input=str(info.get("input", "")),
     )
+
+
+def _params(log: Any) -> dict[str, float]:
+    params = {name: float(value) for name, value in log.initial_parameters.items()}
+    return with_current_names(params)
 
 
 def _slots(table: dict[str, Any] | None) -> Slots:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.files import MAKE_ROOM, canonical, write_whole
+from tailbeat.core.param_names import with_current_names
 from tailbeat.core.records import decode_learned
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def held_state(experiment: Experiment) -> BoardState | None:
             f"{path} is damaged: it is not what was copied from the board.",
             "Put a copy back, or delete it and go on with what the board itself has.",
         ) from error
-    return state
+    return replace(state, params=with_current_names(state.params))
 
 
 def expected_params(experiment: Experiment) -> dict[str, float]:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.param_names import with_current_names
 from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
@@ -339,7 +340,7 @@ def _board_params(fish: Fish) -> dict[str, float]:
         return {}
     try:
         held = json.loads(path.read_bytes())
-        return {str(name): float(value) for name, value in held.items()}
+        return with_current_names({str(name): float(value) for name, value in held.items()})
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise InputError(
             f"{path} is damaged: nobody knows how the board was set.",

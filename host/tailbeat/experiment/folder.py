@@ -25,6 +25,7 @@ from typing import Any
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import MAKE_ROOM, TEMPORARY, write_whole
 from tailbeat.core.locks import WRITE_LOCK, locked, try_lock
+from tailbeat.core.param_names import of_document
 from tailbeat.core.trial_file import Trial, parse_trial, read_trial
 from tailbeat.experiment.journal import Journal
 
@@ -165,7 +166,7 @@ class Experiment:
             values = None
         if not isinstance(values, dict):
             raise InputError(f"{path} is damaged.", "Mend it by hand; it is a JSON object.")
-        return values
+        return of_document(values)
 
     def write_settings(self, values: dict[str, Any]) -> None:
         """Adds to the settings; what is there under other keys stays."""

@@ -29,6 +29,7 @@ from typing import Any
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import plain, sync_folder
 from tailbeat.core.locks import wait_lock
+from tailbeat.core.param_names import of_document
 
 _TORN = b" #torn"
 _BINARY = getattr(os, "O_BINARY", 0)  # only Windows has, and needs, it
@@ -134,7 +135,7 @@ def _entry(line: bytes) -> dict[str, Any] | None:
     except (ValueError, RecursionError):
         return None
     if isinstance(entry, dict) and isinstance(entry.get("what"), str) and "time" in entry:
-        return entry
+        return of_document(entry)
     return None
 
 

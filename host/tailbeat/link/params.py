@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import BAD_PARAM, LAW_FEEDBACK, LAW_SIGN, WRONG_STATE, refusal
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.param_names import current_name, old_names, renamed
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 
@@ -63,10 +64,15 @@ _UNKNOWN = _Known(math.nan, math.nan, math.nan, 0.0, "", "")
 
 
 class Parameters:
-    """Reads and changes parameters. A change takes effect at once; save() makes it last."""
+    """Reads and changes parameters. A change takes effect at once; save() makes it last.
+
+    Old and present names are accepted; what comes back has the present name. A board with older
+    firmware is asked by the name that it reports.
+    """
 
     def __init__(self, link: Link) -> None:
         self._link = link
+        self._reported: dict[str, str] = {}  # by present name, where the board's name is an old one
 
     def list(self) -> dict[str, Parameter]:
         """All parameters, in the board's order."""
@@ -83,26 +89,20 @@ class Parameters:
                 self._ask_for(i for i in range(count) if i not in found)
             count = self._collect(found, count)
             if count is not None and len(found) >= count:
-                return {p.name: p for p in (_parameter(found[i]) for i in sorted(found))}
+                return {p.name: p for p in (self._parameter(found[i]) for i in sorted(found))}
             barren = 0 if len(found) > had else barren + 1
         raise self._link.lost(barren, barren * _LIST_SILENCE_S)
 
     def get(self, name: str) -> Parameter:
         """One parameter. Raises Refused when the board has none of that name."""
-        encoded = _encode(name)
-        message = mavlink.MAVLink_param_request_read_message(
-            BOARD_SYSTEM, BOARD_COMPONENT, encoded, -1
-        )
-        return _parameter(self._exchange(message, name))
+        return self._about(name, _read_request)
 
     def set(self, name: str, value: float) -> Parameter:
         """Changes one parameter; what the board then holds, equal to ``value`` as float32."""
+        name = current_name(name)
         _check_range(name, value, known_parameters().get(name))
-        message = mavlink.MAVLink_param_set_message(
-            BOARD_SYSTEM, BOARD_COMPONENT, _encode(name), value, mavlink.MAV_PARAM_TYPE_REAL32
-        )
         try:
-            held = _parameter(self._exchange(message, name, _bits(value)))
+            held = self._about(name, partial(_set_request, value=value), _bits(value))
         except Refused as refused:
             if refused.number == BAD_PARAM and name in _IMU_LINE:
                 raise InputError(
@@ -158,9 +158,38 @@ class Parameters:
                 break  # it repeats itself; what is missing is asked for
         return count
 
-    def _exchange(self, message: Message, name: str, wanted: bytes | None = None) -> Message:
-        """The answer about ``name``. A value that is not ``wanted`` may be the late answer to
-        something earlier, so that it counts only when the board says it again."""
+    def _about(
+        self, name: str, request: Callable[[str], Message], wanted: bytes | None = None
+    ) -> Parameter:
+        """The answer about ``name``, by the first of its names that the board has."""
+        present = current_name(name)
+        names = [self._reported.get(present, present), present, *old_names(present)]
+        for asked in dict.fromkeys(names):
+            answer = self._exchange(request(asked), asked, wanted)
+            if answer is not None:
+                return self._parameter(answer)
+        raise _no_such(name)
+
+    def _parameter(self, message: Message) -> Parameter:
+        reported = text_of(message.param_id)
+        name = current_name(reported)
+        if name != reported:
+            self._reported[name] = reported
+        known = known_parameters().get(name, _UNKNOWN)
+        return Parameter(
+            name,
+            float(message.param_value),
+            known.default,
+            known.low,
+            known.high,
+            known.unit,
+            known.text,
+        )
+
+    def _exchange(self, message: Message, name: str, wanted: bytes | None = None) -> Message | None:
+        """The answer about ``name``; None when the board has no such parameter. A value that is not
+        ``wanted`` may be the late answer to something earlier, so that it counts only when the
+        board says it again."""
         others = 0
 
         def fits(answer: Message) -> bool:
@@ -183,7 +212,7 @@ class Parameters:
                 if answer.error == _DENIED and self._link.once_more():
                     continue
                 if answer.error == mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST:
-                    raise _no_such(name)
+                    return None
                 raise refusal(_FAULTS.get(answer.error, BAD_PARAM))
             return answer
         raise AssertionError("attempts always raises at its end")
@@ -211,17 +240,15 @@ def _text(pointer: object) -> str:
     return str(ffi.string(pointer).decode())
 
 
-def _parameter(message: Message) -> Parameter:
-    name = text_of(message.param_id)
-    known = known_parameters().get(name, _UNKNOWN)
-    return Parameter(
-        name,
-        float(message.param_value),
-        known.default,
-        known.low,
-        known.high,
-        known.unit,
-        known.text,
+def _read_request(name: str) -> Message:
+    return mavlink.MAVLink_param_request_read_message(
+        BOARD_SYSTEM, BOARD_COMPONENT, _encode(name), -1
+    )
+
+
+def _set_request(name: str, value: float) -> Message:
+    return mavlink.MAVLink_param_set_message(
+        BOARD_SYSTEM, BOARD_COMPONENT, _encode(name), value, mavlink.MAV_PARAM_TYPE_REAL32
     )
 
 
@@ -234,7 +261,8 @@ def _encode(name: str) -> bytes:
 
 def _no_such(name: str) -> Refused:
     told = refusal(BAD_PARAM)
-    alike = get_close_matches(name.upper(), known_parameters(), n=2)
+    alike = get_close_matches(name.upper(), [*known_parameters(), *renamed()], n=2)
+    alike = list(dict.fromkeys(map(current_name, alike)))
     guess = f"Did you mean {' or '.join(alike)}? " if alike else ""
     remedy = f"{guess}Print all names: tailbeat params list"
     return Refused(told.number, told.name, f"the board has no parameter '{name}'", remedy)

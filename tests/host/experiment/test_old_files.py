@@ -21,6 +21,7 @@ from tailbeat.board.snapshot import Backup
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.law import load
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.param_names import renamed as renamed_parameters
 from tailbeat.core.reference import from_csv
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
@@ -41,7 +42,7 @@ from tailbeat.sim.native import SimBoard
 
 Json = Any
 
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = dict(renamed_parameters())
 """Parameters, keys and words that have another name since 0bf270a: old to new."""
 
 FILES = Path(__file__).parents[2] / "data" / "written_by_0bf270a"

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._terminal import Connect, Json, connected, say, table
+from tailbeat.app.cli._terminal import Connect, Json, connected, echo, say, table
+from tailbeat.core.param_names import current_name
 
 if TYPE_CHECKING:
     from tailbeat.link.params import Parameter
@@ -20,6 +21,15 @@ def _number(value: float) -> str:
     return f"{value:.7g}"
 
 
+def _present(name: str) -> str:
+    """The name as boards have it; tells when it is an old one."""
+    old = name.upper()
+    new = current_name(old)
+    if new != old:
+        echo(f"tailbeat: {old} is now {new}", err=True)
+    return new
+
+
 def _one(parameter: Parameter) -> dict[str, Any]:
     return {"name": parameter.name, "value": parameter.value, "unit": parameter.unit}
 
@@ -31,7 +41,7 @@ def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
     Example: tailbeat params get ILC_GAIN
     """
     with connected(connect) as fish:
-        found = fish.params.get(name.upper())
+        found = fish.params.get(_present(name))
     say(json, _one(found), f"{found.name} = {_number(found.value)} {found.unit}".rstrip())
 
 
@@ -49,7 +59,7 @@ def set_(
     with connected(connect) as fish:
         from tailbeat.experiment.current import note_set
 
-        held = fish.params.set(name.upper(), value)
+        held = fish.params.set(_present(name), value)
         note_set(fish, {held.name: held.value})
     say(json, _one(held), f"{held.name} = {_number(held.value)} {held.unit}".rstrip())
 
