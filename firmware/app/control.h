@@ -18,7 +18,7 @@
 #include <stdint.h>
 
 /*
- * What the main loop wants. Zero-initialised = stopped: the tail glides to the centre as the gait
+ * What the main loop wants. Zero-initialised = stopped: the tail coasts to the centre as the gait
  * it began with says. A swim begins with a tick that finds |swim| true and the tail off; after a
  * stop or the last beat the tail stays off until |swim| has been false.
  */
@@ -45,8 +45,8 @@ typedef struct {
     uint64_t tick_us;       /* time of this tick */
     uint64_t swim_start_us; /* when the pulse of frame 0 comes out: the tick after; 0 = not begun */
     uint16_t beats_done;    /* whole beats swum */
-    bool finished;          /* the last beat is over; the tail glides to the centre and off */
-    fault_t stop;           /* first stop rule broken; the tail glides to the centre and off */
+    bool finished;          /* the last beat is over; the tail coasts to the centre and off */
+    fault_t stop;           /* first stop rule broken; the tail coasts to the centre and off */
     uint32_t late_ticks;    /* while swimming, since boot */
     uint32_t clipped_frames; /* since boot */
 } control_report_t;

@@ -72,7 +72,7 @@ gait_config_t settings_gait(const params_t *params, float beat_s) {
                 .slew_rad_s = params->value[PARAM_SERVO_SLEW_RAD_S],
             },
         .frames_per_beat = settings_frames(beat_s),
-        .glide_frames = settings_frames(params->value[PARAM_COAST_S]),
+        .coast_frames = settings_frames(params->value[PARAM_COAST_S]),
     };
 }
 

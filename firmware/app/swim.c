@@ -325,7 +325,7 @@ static void settle_beats(app_t *app) {
 }
 
 /* The estimate believes only the second half of the rest after the swim: the first may have been a
- * glide. */
+ * coast. */
 static float rest_after_min_s(const app_t *app) {
     const float beat_s = app->reference.beat_s;
     const float twice_s = 2.0f * app->params.value[PARAM_REST_MIN_S];

@@ -24,44 +24,44 @@ static void swim_on(gait_t *gait, const gait_config_t *config, float amplitude_r
     }
 }
 
-static void glide_on(gait_t *gait, const gait_config_t *config) {
-    if (gait->glide_frame >= config->glide_frames) {
+static void coast_on(gait_t *gait, const gait_config_t *config) {
+    if (gait->coast_frame >= config->coast_frames) {
         gait->mode = GAIT_OFF;
         return;
     }
-    gait->glide_frame++;
+    gait->coast_frame++;
 }
 
-static void begin_glide(gait_t *gait, const gait_config_t *config) {
+static void begin_coast(gait_t *gait, const gait_config_t *config) {
     const bool beat_is_whole = gait->frame + 1u >= config->frames_per_beat;
-    gait->mode = GAIT_GLIDE;
-    gait->glide_from_rad = beat_is_whole ? 0.0f : gait->servo.angle_rad;
-    gait->glide_frame = 0;
-    glide_on(gait, config);
+    gait->mode = GAIT_COAST;
+    gait->coast_from_rad = beat_is_whole ? 0.0f : gait->servo.angle_rad;
+    gait->coast_frame = 0;
+    coast_on(gait, config);
 }
 
 static void next_mode(gait_t *gait, const gait_config_t *config, const gait_command_t *command) {
-    if (gait->mode == GAIT_GLIDE) {
-        glide_on(gait, config);
+    if (gait->mode == GAIT_COAST) {
+        coast_on(gait, config);
     } else if (gait->mode == GAIT_SWIM && command->swim) {
         swim_on(gait, config, command->amplitude_rad);
     } else if (gait->mode == GAIT_SWIM) {
-        begin_glide(gait, config);
+        begin_coast(gait, config);
     } else if (command->swim) {
         begin_beat(gait, 0, command->amplitude_rad);
     }
 }
 
 /* Half a raised cosine: starts and ends at rest, 0 exactly in the last frame. */
-static float glide_angle(const gait_t *gait, const gait_config_t *config) {
-    const uint32_t frames = config->glide_frames;
-    const float cosine = real_sin_turn(2u * gait->glide_frame + frames, 4u * frames);
-    return gait->glide_from_rad * (0.5f + 0.5f * cosine);
+static float coast_angle(const gait_t *gait, const gait_config_t *config) {
+    const uint32_t frames = config->coast_frames;
+    const float cosine = real_sin_turn(2u * gait->coast_frame + frames, 4u * frames);
+    return gait->coast_from_rad * (0.5f + 0.5f * cosine);
 }
 
 static float wanted_angle(const gait_t *gait, const gait_config_t *config) {
-    if (gait->mode == GAIT_GLIDE) {
-        return glide_angle(gait, config);
+    if (gait->mode == GAIT_COAST) {
+        return coast_angle(gait, config);
     }
     return gait->amplitude_rad * real_sin_turn(gait->frame, config->frames_per_beat);
 }

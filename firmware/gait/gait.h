@@ -2,13 +2,13 @@
  * The tail gait: theta(t) = amplitude * sin(2*pi*t/beat), one set-point per 20 ms frame, phase
  * continuous; a new amplitude is taken over only at a beat boundary, where theta = 0.
  *
- * Off: no pulses. Swim: the sine, from frame 0 of beat 0 with the tail at the centre. Glide: half a
+ * Off: no pulses. Swim: the sine, from frame 0 of beat 0 with the tail at the centre. Coast: half a
  * raised cosine from where the last frame left the tail to the centre, reached in the last of
- * glide_frames frames, then off. A stop that comes when the beat is whole closes the sine: the tail
- * goes to the centre at once and is held there as long. A slew limit slower than the glide does not
+ * coast_frames frames, then off. A stop that comes when the beat is whole closes the sine: the tail
+ * goes to the centre at once and is held there as long. A slew limit slower than the coast does not
  * prolong it. A zero-initialised command means stop.
  *
- * A swim begins from off only: a swim command during a glide waits for its end.
+ * A swim begins from off only: a swim command during a coast waits for its end.
  *
  * Pure functions of (state, command) -> (state, output); called by the 50 Hz tick, so they are
  * interrupt-safe and bounded (at most 2 float divisions and about 40 cheaper float operations).
@@ -24,26 +24,26 @@
 #define GAIT_FRAMES_PER_BEAT_MIN 4u
 #define GAIT_FRAMES_PER_BEAT_MAX 1000u
 
-typedef enum { GAIT_OFF = 0, GAIT_SWIM = 1, GAIT_GLIDE = 2 } gait_mode_t;
+typedef enum { GAIT_OFF = 0, GAIT_SWIM = 1, GAIT_COAST = 2 } gait_mode_t;
 
 typedef struct {
     servo_config_t servo;
     uint16_t frames_per_beat; /* 50 for 1 Hz */
-    uint16_t glide_frames;    /* 0 = off at once */
+    uint16_t coast_frames;    /* 0 = off at once */
 } gait_config_t;
 
 typedef struct {
-    bool swim;           /* false = stop: glide to the centre, then no pulses */
+    bool swim;           /* false = stop: coast to the centre, then no pulses */
     float amplitude_rad; /* for the next beat; >= 0, already saturated */
 } gait_command_t;
 
 typedef struct {
     gait_mode_t mode;
     uint16_t frame;       /* within the beat, 0..frames_per_beat-1 */
-    uint16_t glide_frame; /* within the glide */
+    uint16_t coast_frame; /* within the coast */
     uint32_t beat;        /* beats begun since the swim began, minus 1 */
     float amplitude_rad;  /* of the present beat */
-    float glide_from_rad;
+    float coast_from_rad;
     servo_t servo;
 } gait_t;
 

@@ -92,7 +92,7 @@ float estimate_needs_s(const estimate_t *estimate) {
     return (float)(estimate->next + 1u) * estimate->config.beat_s + later_s;
 }
 
-/* The first half of the rest does not count: a fish that glides until it is caught feels still,
+/* The first half of the rest does not count: a fish that coasts until it is caught feels still,
  * too. How it lost the rest of its speed is in the rises. */
 static bool rests(const estimate_t *estimate, uint16_t step) {
     const estimate_rest_t *after = &estimate->after;

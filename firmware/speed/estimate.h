@@ -36,7 +36,7 @@ typedef struct {
 
 /* A rest in trial time; |still_s| = 0: there was none. The one before the swim lasts up to its
  * start, whatever begin_s. Of the one after the swim the second half counts, as far as it is whole
- * beats taken by estimate_beat(); the first may be a glide. */
+ * beats taken by estimate_beat(); the fish may still coast in the first. */
 typedef struct {
     float begin_s, still_s;
 } estimate_rest_t;

@@ -1,6 +1,6 @@
 /*
  * Whether the fish is still, by its IMU, and what the IMU says then: where down is and how far its
- * gyroscopes are off. A fish that glides evenly feels the same as one that rests; who asks for rest
+ * gyroscopes are off. A fish that coasts evenly feels the same as one that rests; who asks for rest
  * must see to it that it is held. So does one that turns about the vertical by less than a degree
  * per second: the gyroscopes may be off by as much.
  *

@@ -26,7 +26,7 @@
 #include <stdint.h>
 
 #define SMOOTHER_BLOCK 16u
-#define SMOOTHER_AFTER 40u /* steps behind the last beat: gliding, then rest */
+#define SMOOTHER_AFTER 40u /* steps behind the last beat: coasting, then rest */
 #define SMOOTHER_STEPS (BEATS_MAX + SMOOTHER_AFTER)
 #define SMOOTHER_STATES 4u
 

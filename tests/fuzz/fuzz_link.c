@@ -7,7 +7,7 @@
  * the last frame once more; commands, parameters and file requests that make sense; heartbeats,
  * IMU bytes, time, a sagging battery, failing flash, a power cycle.
  *
- * Held against it: the tail moves in RUNNING and in the glide after it only; RUNNING follows an
+ * Held against it: the tail moves in RUNNING and in the coast after it only; RUNNING follows an
  * accepted start only; what is stored in RAM stays finite and in range; all that is sent is valid
  * MAVLink from this board. With a key: what is not signed rightly, or comes again, reaches no
  * handler that needs trust, writes no file and leaves the state as it was.
@@ -164,10 +164,10 @@ static void tail_obeys(void) {
     passes_since_running = is_running ? 0 : passes_since_running + 1u;
     MUST(!is_running || start_accepted);
     start_accepted = start_accepted && (is_running || passes_since_running < 3u);
-    const uint32_t glide_passes = app.control.config.glide_frames + 3u;
+    const uint32_t coast_passes = app.control.config.coast_frames + 3u;
     for (size_t i = 0; i < hal.pulse_count; i++) {
         const uint16_t pulse = hal.pulses[i];
-        MUST(pulse == 0 || passes_since_running <= glide_passes);
+        MUST(pulse == 0 || passes_since_running <= coast_passes);
         MUST(pulse == 0 || (pulse >= 500u * 3u && pulse <= 2500u * 3u));
     }
     hal.pulse_count = 0;

@@ -57,7 +57,7 @@ class Swum:
 
     @property
     def frames(self) -> int:
-        """Pulses of the beats; those of the glide come after."""
+        """Pulses of the beats; those of the coast come after."""
         return len(self.amplitude_rad) * FRAMES_PER_BEAT
 
 
@@ -103,10 +103,10 @@ def test_the_period_is_exact(swum: Swum) -> None:
     assert {pulse.ticks % SERVO_TICK for pulse in swum.pulses} == {0}
 
 
-def test_pulses_end_with_the_glide(swum: Swum) -> None:
-    glide = swum.pulses[swum.frames :]
-    assert len(glide) <= 0.5 * FRAMES_PER_BEAT + 1
-    assert {pulse.ticks // TICKS_PER_US for pulse in glide} == {1500}
+def test_pulses_end_with_the_coast(swum: Swum) -> None:
+    coast = swum.pulses[swum.frames :]
+    assert len(coast) <= 0.5 * FRAMES_PER_BEAT + 1
+    assert {pulse.ticks // TICKS_PER_US for pulse in coast} == {1500}
     assert swum.board.board.clock.now - swum.pulses[-1].start > TICKS_PER_US * 2_000_000
 
 

@@ -150,7 +150,7 @@ static inline void live_through(senses_t senses) {
             (void)estimate_beat(&estimate, &speed, k < BEATS ? applied_rad[k] : 0.0f);
         }
     }
-    /* The glide before looks like rest, too. */
+    /* The coast before looks like rest, too. */
     after = (estimate_rest_t){.begin_s = (float)(caught_s - COAST_S),
                               .still_s = (float)(REST_S + COAST_S)};
 }

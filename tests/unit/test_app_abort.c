@@ -1,6 +1,6 @@
 /*
  * An abort at every pass of the main loop from arming to the stored trial: before the first frame,
- * in every beat, in the glide, while the trial settles. The board is copied before each, so that
+ * in every beat, in the coast, while the trial settles. The board is copied before each, so that
  * all of them strike the same trial.
  */
 #include "app_fixture.h"
@@ -12,7 +12,7 @@
 #define BEATS 6u
 #define SPEED 0.05f
 #define FRAMES_PER_BEAT 50u
-#define GLIDE_FRAMES 25u
+#define COAST_FRAMES 25u
 #define CENTRE_TICKS 4500
 #define PASS_MS 10u
 #define STRIDE (ON_TARGET ? 37u : 3u) /* passes between two aborts */
@@ -50,12 +50,12 @@ static void run_and_record(uint32_t ms) {
 
 static int deviation(size_t at) { return abs((int)hal.pulses[at] - CENTRE_TICKS); }
 
-/* From hal.pulses[0] on the tail comes to the centre within the glide, and goes off. Returns the
+/* From hal.pulses[0] on the tail comes to the centre within the coast, and goes off. Returns the
  * number of pulses. */
 static size_t assert_comes_to_rest(int from) {
     size_t at = 0;
     for (; at < hal.pulse_count && hal.pulses[at] != 0; at++) {
-        TEST_ASSERT_TRUE(at < GLIDE_FRAMES);
+        TEST_ASSERT_TRUE(at < COAST_FRAMES);
         TEST_ASSERT_TRUE(deviation(at) <= from);
         from = deviation(at);
     }
@@ -157,13 +157,13 @@ static void test_an_abort_at_any_time_of_a_swim(void) {
         frames += hal.pulse_count != before && hal.pulses[before] != 0;
         pass++;
     }
-    TEST_ASSERT_EQUAL_UINT32(BEATS * FRAMES_PER_BEAT, frames - 1u); /* and one of the glide */
+    TEST_ASSERT_EQUAL_UINT32(BEATS * FRAMES_PER_BEAT, frames - 1u); /* and one of the coast */
     TEST_ASSERT_TRUE(aborts >= 2u * BEATS);
     printf("%u aborts in a swim of %u beats\n", (unsigned)aborts, BEATS);
 }
 
 /* The swim is over: there is nothing left to cut, and the trial is whole. */
-static void test_an_abort_in_the_glide_and_while_settling_changes_nothing(void) {
+static void test_an_abort_in_the_coast_and_while_settling_changes_nothing(void) {
     start_trial(BEATS, SPEED);
     const uint32_t number = app.run.trial.number;
     run_ms(BEATS * 1000u + 20u);
@@ -253,7 +253,7 @@ static void test_an_abort_of_a_stopped_board_changes_nothing(void) {
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_an_abort_at_any_time_of_a_swim);
-    RUN_TEST(test_an_abort_in_the_glide_and_while_settling_changes_nothing);
+    RUN_TEST(test_an_abort_in_the_coast_and_while_settling_changes_nothing);
     RUN_TEST(test_an_abort_while_armed_disarms_and_nothing_has_moved);
     RUN_TEST(test_an_abort_does_not_hide_what_came_before_it);
     RUN_TEST(test_an_abort_of_a_stopped_board_changes_nothing);

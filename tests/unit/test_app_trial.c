@@ -140,7 +140,7 @@ static void test_the_led_shows_the_trial_from_its_start_on(void) {
     TEST_ASSERT_EQUAL(STATE_IDLE, app.supervisor.state);
 }
 
-static void test_an_abort_glides_to_the_centre_and_stays_stopped(void) {
+static void test_an_abort_coasts_to_the_centre_and_stays_stopped(void) {
     start_trial(BEATS, SPEED);
     run_ms(2250);
     hal.pulse_count = 0;
@@ -338,7 +338,7 @@ int main(void) {
     RUN_TEST(test_a_repeated_start_does_nothing_and_another_is_refused);
     RUN_TEST(test_a_start_must_be_fresh_and_for_the_next_trial);
     RUN_TEST(test_the_led_shows_the_trial_from_its_start_on);
-    RUN_TEST(test_an_abort_glides_to_the_centre_and_stays_stopped);
+    RUN_TEST(test_an_abort_coasts_to_the_centre_and_stays_stopped);
     RUN_TEST(test_disarming_is_never_refused);
     RUN_TEST(test_an_aborted_trial_is_learned_from_as_far_as_it_swam);
     RUN_TEST(test_an_abort_before_the_first_beat_leaves_nothing_to_learn);

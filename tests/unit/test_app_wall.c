@@ -129,7 +129,7 @@ static void test_an_armed_board_disarms(void) {
     TEST_ASSERT_EQUAL(FAULT_NONE, app.supervisor.reason);
 }
 
-/* The fish glides on: what it has swum is measured. */
+/* The fish coasts on: what it has swum is measured. */
 static void test_a_wall_after_the_last_beat_cuts_nothing(void) {
     start_trial(BEATS, SPEED);
     run_ms(BEATS * 1000u + 500u);

@@ -10,7 +10,7 @@
 #define BEATS 40u
 #define FRAMES_PER_BEAT 50u
 #define SWIM_FRAMES (BEATS * FRAMES_PER_BEAT)
-#define GLIDE_FRAMES 25u
+#define COAST_FRAMES 25u
 #define FRAME_US 20000u
 #define CENTRE_TICKS 4500u
 #define TRIAL 217u
@@ -39,7 +39,7 @@ void setUp(void) {
                            .max_us = 2100.0f,
                            .direction = 1.0f},
                  .frames_per_beat = FRAMES_PER_BEAT,
-                 .glide_frames = GLIDE_FRAMES},
+                 .coast_frames = COAST_FRAMES},
         .limits = {.tick_late_us = 30000, .battery_critical_mv = 6000},
         .battery = {.mv = 8000},
     };
@@ -67,14 +67,14 @@ static void order(void) { control_order(&control, &hal, &orders); }
 
 static uint16_t last_pulse(void) { return hal.pulses[hal.pulse_count - 1]; }
 
-/* From here the tail comes to the centre and goes off, within the glide. */
-static void assert_glides_off(void) {
-    for (uint32_t i = 0; i < GLIDE_FRAMES; i++) {
+/* From here the tail comes to the centre and goes off, within the coast. */
+static void assert_coasts_off(void) {
+    for (uint32_t i = 0; i < COAST_FRAMES; i++) {
         const control_report_t report = tick();
         if (report.gait.mode == GAIT_OFF) {
             break;
         }
-        TEST_ASSERT_EQUAL_INT(GAIT_GLIDE, report.gait.mode);
+        TEST_ASSERT_EQUAL_INT(GAIT_COAST, report.gait.mode);
         TEST_ASSERT_NOT_EQUAL(0, last_pulse());
     }
     for (uint32_t i = 0; i < 3; i++) {
@@ -118,12 +118,12 @@ static void the_trial_has_exactly_its_frames(void) {
     TEST_ASSERT_TRUE(report.finished);
     TEST_ASSERT_EQUAL_UINT16(BEATS, report.beats_done);
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, report.stop);
-    TEST_ASSERT_EQUAL_INT(GAIT_GLIDE, report.gait.mode);
-    ticks(GLIDE_FRAMES - 2);
-    TEST_ASSERT_EQUAL_INT(GAIT_GLIDE, tick().gait.mode);
+    TEST_ASSERT_EQUAL_INT(GAIT_COAST, report.gait.mode);
+    ticks(COAST_FRAMES - 2);
+    TEST_ASSERT_EQUAL_INT(GAIT_COAST, tick().gait.mode);
     TEST_ASSERT_EQUAL_UINT16(CENTRE_TICKS, last_pulse());
     ticks(500);
-    TEST_ASSERT_EQUAL_UINT32(SWIM_FRAMES + GLIDE_FRAMES, count_from(0));
+    TEST_ASSERT_EQUAL_UINT32(SWIM_FRAMES + COAST_FRAMES, count_from(0));
     TEST_ASSERT_EQUAL_UINT32(0, control_report(&control, &hal).late_ticks);
 }
 
@@ -165,14 +165,14 @@ static void bad_amplitudes_are_zero(void) {
     }
 }
 
-static void a_stop_at_any_frame_glides_to_rest(void) {
+static void a_stop_at_any_frame_coasts_to_rest(void) {
     for (uint32_t at = 1; at <= 3 * FRAMES_PER_BEAT; at++) {
         setUp();
         order();
         ticks(at);
         orders.battery.mv = 5000;
         order();
-        assert_glides_off();
+        assert_coasts_off();
         const control_report_t report = control_report(&control, &hal);
         TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_CRITICAL, report.stop);
         TEST_ASSERT_EQUAL_UINT16(at / FRAMES_PER_BEAT, report.beats_done);
@@ -180,17 +180,17 @@ static void a_stop_at_any_frame_glides_to_rest(void) {
     }
 }
 
-static void a_zeroed_order_at_any_frame_glides_to_rest(void) {
+static void a_zeroed_order_at_any_frame_coasts_to_rest(void) {
     const control_orders_t zeroed = {0};
     for (uint32_t at = 1; at <= 2 * FRAMES_PER_BEAT; at++) {
         setUp();
         order();
         ticks(at);
         control_order(&control, &hal, &zeroed);
-        TEST_ASSERT_EQUAL_INT(GAIT_GLIDE, tick().gait.mode);
-        assert_glides_off();
+        TEST_ASSERT_EQUAL_INT(GAIT_COAST, tick().gait.mode);
+        assert_coasts_off();
         ticks(2 * FRAMES_PER_BEAT);
-        TEST_ASSERT_EQUAL_UINT32(at + GLIDE_FRAMES, count_from(0));
+        TEST_ASSERT_EQUAL_UINT32(at + COAST_FRAMES, count_from(0));
     }
 }
 
@@ -204,7 +204,7 @@ static void a_stop_stays_until_swim_is_taken_back(void) {
     orders.pitch_rad = 0.0f;
     orders.battery.mv = 1;
     order();
-    const size_t before = hal.pulse_count + GLIDE_FRAMES;
+    const size_t before = hal.pulse_count + COAST_FRAMES;
     TEST_ASSERT_EQUAL_INT(FAULT_TILT, ticks(500).stop);
     TEST_ASSERT_EQUAL_UINT32(0, count_from((uint32_t)before));
 
@@ -225,7 +225,7 @@ static void a_stop_stays_until_swim_is_taken_back(void) {
 static void a_finished_trial_does_not_begin_again(void) {
     orders.beats = 2;
     order();
-    ticks(2 * FRAMES_PER_BEAT + GLIDE_FRAMES);
+    ticks(2 * FRAMES_PER_BEAT + COAST_FRAMES);
     const uint32_t frame = (uint32_t)hal.pulse_count;
     ticks(300);
     orders.beats = 5;
@@ -244,8 +244,8 @@ static void a_stop_shorter_than_a_tick_is_seen(void) {
     order();
     orders.swim = true;
     order();
-    TEST_ASSERT_EQUAL_INT(GAIT_GLIDE, tick().gait.mode);
-    const control_report_t report = ticks(GLIDE_FRAMES + 1);
+    TEST_ASSERT_EQUAL_INT(GAIT_COAST, tick().gait.mode);
+    const control_report_t report = ticks(COAST_FRAMES + 1);
     TEST_ASSERT_EQUAL_INT(GAIT_SWIM, report.gait.mode);
     TEST_ASSERT_EQUAL_UINT32(0, report.gait.beat);
     TEST_ASSERT_FLOAT_WITHIN(1e-6f, amplitude_rad[0], control.gait.amplitude_rad);
@@ -280,7 +280,7 @@ static void sags_stop_the_tail_only_when_they_last(void) {
     see_battery(5999);
     TEST_ASSERT_EQUAL_INT(FAULT_NONE, ticks(49).stop);
     TEST_ASSERT_EQUAL_INT(FAULT_BATTERY_CRITICAL, tick().stop);
-    assert_glides_off();
+    assert_coasts_off();
 }
 
 /* With the tail off nothing pulls at the pack: then it is no sag. */
@@ -414,7 +414,7 @@ static void the_led_shows_the_code_while_the_swims_pulses_come_out(void) {
     TEST_ASSERT_TRUE(hal.led);
     tick();
     TEST_ASSERT_FALSE(hal.led); /* the edge is the begin */
-    for (uint32_t i = 0; i < SWIM_FRAMES + 2u * GLIDE_FRAMES; i++) {
+    for (uint32_t i = 0; i < SWIM_FRAMES + 2u * COAST_FRAMES; i++) {
         expect_led(start_us, SWIM_FRAMES);
         tick();
     }
@@ -471,7 +471,7 @@ static void a_stop_ends_the_code_with_the_last_pulse_of_the_swim(void) {
             ticks(at - 1u);
             expect_led(start_us, at);
             stop(how);
-            for (uint32_t i = 0; i < GLIDE_FRAMES + 5u; i++) {
+            for (uint32_t i = 0; i < COAST_FRAMES + 5u; i++) {
                 tick();
                 expect_led(start_us, at);
             }
@@ -514,8 +514,8 @@ int main(void) {
     RUN_TEST(amplitude_changes_only_between_beats);
     RUN_TEST(an_amplitude_is_read_when_its_beat_begins);
     RUN_TEST(bad_amplitudes_are_zero);
-    RUN_TEST(a_stop_at_any_frame_glides_to_rest);
-    RUN_TEST(a_zeroed_order_at_any_frame_glides_to_rest);
+    RUN_TEST(a_stop_at_any_frame_coasts_to_rest);
+    RUN_TEST(a_zeroed_order_at_any_frame_coasts_to_rest);
     RUN_TEST(a_stop_stays_until_swim_is_taken_back);
     RUN_TEST(a_finished_trial_does_not_begin_again);
     RUN_TEST(a_stop_shorter_than_a_tick_is_seen);

@@ -7,7 +7,7 @@
 
 #define PI 3.14159265358979323846
 #define FRAMES 50u
-#define GLIDE 25u
+#define COAST 25u
 #define US_PER_RAD 572.9578
 
 static gait_config_t config;
@@ -22,7 +22,7 @@ void setUp(void) {
                                        .max_us = 2100.0f,
                                        .direction = 1.0f},
                              .frames_per_beat = FRAMES,
-                             .glide_frames = GLIDE};
+                             .coast_frames = COAST};
     gait_init(&gait);
 }
 void tearDown(void) {}
@@ -102,12 +102,12 @@ static void test_other_tempos(void) {
     }
 }
 
-static void test_a_stop_glides_to_the_centre_and_lets_go(void) {
+static void test_a_stop_coasts_to_the_centre_and_lets_go(void) {
     float last = swim_frames(11, 0.7f).angle_rad; /* frame 10 */
-    const float fastest = 0.5f * (float)PI * last / GLIDE * 1.01f;
-    for (uint32_t i = 1; i <= GLIDE; i++) {
+    const float fastest = 0.5f * (float)PI * last / COAST * 1.01f;
+    for (uint32_t i = 1; i <= COAST; i++) {
         const gait_output_t output = step(stop);
-        TEST_ASSERT_EQUAL(GAIT_GLIDE, output.mode);
+        TEST_ASSERT_EQUAL(GAIT_COAST, output.mode);
         TEST_ASSERT_NOT_EQUAL(0, output.pulse_ticks);
         TEST_ASSERT_TRUE(output.angle_rad < last && last - output.angle_rad <= fastest);
         last = output.angle_rad;
@@ -121,9 +121,9 @@ static void test_a_stop_glides_to_the_centre_and_lets_go(void) {
 
 static void test_a_stop_instead_of_the_next_beat_closes_the_sine(void) {
     TEST_ASSERT_TRUE(swim_frames(2u * FRAMES, 0.7f).angle_rad < 0.0f);
-    for (uint32_t i = 0; i < GLIDE; i++) {
+    for (uint32_t i = 0; i < COAST; i++) {
         const gait_output_t output = step(stop);
-        TEST_ASSERT_EQUAL(GAIT_GLIDE, output.mode);
+        TEST_ASSERT_EQUAL(GAIT_COAST, output.mode);
         TEST_ASSERT_FALSE(output.beat_start);
         TEST_ASSERT_EQUAL_UINT16(4500, output.pulse_ticks);
     }
@@ -132,14 +132,14 @@ static void test_a_stop_instead_of_the_next_beat_closes_the_sine(void) {
 
 static void test_a_stop_at_the_centre_holds_it(void) {
     (void)swim_frames(FRAMES + 1u, 0.7f);
-    for (uint32_t i = 0; i < GLIDE; i++) {
+    for (uint32_t i = 0; i < COAST; i++) {
         TEST_ASSERT_EQUAL_UINT16(4500, step(stop).pulse_ticks);
     }
     TEST_ASSERT_EQUAL_UINT16(0, step(stop).pulse_ticks);
 }
 
-static void test_without_glide_frames_it_is_off_at_once(void) {
-    config.glide_frames = 0;
+static void test_without_coast_frames_it_is_off_at_once(void) {
+    config.coast_frames = 0;
     (void)swim_frames(11, 0.7f);
     TEST_ASSERT_EQUAL_UINT16(0, step(stop).pulse_ticks);
     TEST_ASSERT_EQUAL(GAIT_OFF, gait.mode);
@@ -147,7 +147,7 @@ static void test_without_glide_frames_it_is_off_at_once(void) {
 
 /* Pulses are off: what the tail did before does not hold back the next swim. */
 static void test_off_lets_go_of_the_servo(void) {
-    config.glide_frames = 0;
+    config.coast_frames = 0;
     TEST_ASSERT_TRUE(swim_frames(11, 0.7f).angle_rad > 0.5f);
     (void)step(stop);
     TEST_ASSERT_FALSE(gait.servo.moving);
@@ -155,11 +155,11 @@ static void test_off_lets_go_of_the_servo(void) {
     TEST_ASSERT_EQUAL_UINT16(4500, step(swim(0.7f)).pulse_ticks);
 }
 
-static void test_a_new_swim_waits_for_the_end_of_the_glide(void) {
+static void test_a_new_swim_waits_for_the_end_of_the_coast(void) {
     (void)swim_frames(FRAMES + 11u, 0.7f);
     (void)step(stop);
-    for (uint32_t i = 1; i < GLIDE; i++) {
-        TEST_ASSERT_EQUAL(GAIT_GLIDE, step(swim(0.7f)).mode);
+    for (uint32_t i = 1; i < COAST; i++) {
+        TEST_ASSERT_EQUAL(GAIT_COAST, step(swim(0.7f)).mode);
     }
     TEST_ASSERT_EQUAL(GAIT_OFF, step(swim(0.7f)).mode);
     const gait_output_t output = step(swim(0.7f));
@@ -168,7 +168,7 @@ static void test_a_new_swim_waits_for_the_end_of_the_glide(void) {
     TEST_ASSERT_EQUAL_UINT16(4500, output.pulse_ticks);
 }
 
-static void test_the_glide_begins_where_the_limits_left_the_tail(void) {
+static void test_the_coast_begins_where_the_limits_left_the_tail(void) {
     config.servo.max_us = 1600.0f;
     const float held = swim_frames(13, 0.7f).angle_rad;
     TEST_ASSERT_FLOAT_WITHIN(1e-5f, (float)(100.0 / US_PER_RAD), held);
@@ -201,13 +201,13 @@ int main(void) {
     RUN_TEST(test_forty_beats_follow_the_ideal_sine);
     RUN_TEST(test_amplitude_changes_at_the_boundary_only);
     RUN_TEST(test_other_tempos);
-    RUN_TEST(test_a_stop_glides_to_the_centre_and_lets_go);
+    RUN_TEST(test_a_stop_coasts_to_the_centre_and_lets_go);
     RUN_TEST(test_a_stop_instead_of_the_next_beat_closes_the_sine);
     RUN_TEST(test_a_stop_at_the_centre_holds_it);
-    RUN_TEST(test_without_glide_frames_it_is_off_at_once);
+    RUN_TEST(test_without_coast_frames_it_is_off_at_once);
     RUN_TEST(test_off_lets_go_of_the_servo);
-    RUN_TEST(test_a_new_swim_waits_for_the_end_of_the_glide);
-    RUN_TEST(test_the_glide_begins_where_the_limits_left_the_tail);
+    RUN_TEST(test_a_new_swim_waits_for_the_end_of_the_coast);
+    RUN_TEST(test_the_coast_begins_where_the_limits_left_the_tail);
     RUN_TEST(test_a_non_finite_amplitude_does_not_move_the_tail);
     RUN_TEST(test_bad_configurations);
     return UNITY_END();

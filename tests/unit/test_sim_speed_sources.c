@@ -280,7 +280,7 @@ static void swim_beats(swim_t *swim) {
                                                    .max_us = 2100.0f,
                                                    .direction = 1.0f},
                                          .frames_per_beat = BEAT_FRAMES,
-                                         .glide_frames = 25};
+                                         .coast_frames = 25};
     rest_mean_t mean;
     gait_t gait;
     gait_init(&gait);

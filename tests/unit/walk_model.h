@@ -21,7 +21,7 @@ typedef struct {
     uint8_t system;
 } host_t;
 
-typedef enum { TAIL_OFF, TAIL_SWIMS, TAIL_GLIDES } tail_t;
+typedef enum { TAIL_OFF, TAIL_SWIMS, TAIL_COASTS } tail_t;
 
 /* What the main loop has handed to the tick. */
 typedef struct {
@@ -33,7 +33,7 @@ typedef struct {
 } told_t;
 
 typedef struct {
-    uint32_t frames_per_beat, frames, glide_frames;
+    uint32_t frames_per_beat, frames, coast_frames;
     float centre_us, us_per_rad, min_us, max_us, slew_rad_s, amplitude_max_rad;
     float amplitude_rad[BEATS_MAX];
 } swim_t;
@@ -55,7 +55,7 @@ static struct {
     fault_t read_stop;
     tail_t tail;
     swim_t swim; /* that is on */
-    uint32_t frame, glide_left;
+    uint32_t frame, coast_left;
     float deviation_us; /* of the last pulse */
     uint16_t beats;     /* of the reference; 0 = none */
     float beat_s;
@@ -71,7 +71,7 @@ static struct {
 } model;
 
 static struct {
-    uint64_t ticks, passes, moved_ticks, glides, in_between;
+    uint64_t ticks, passes, moved_ticks, coasts, in_between;
     uint32_t trials, whole, stops[UINT8_MAX + 1u], from_to[STATE_COUNT][STATE_COUNT];
     uint32_t answers[UINT8_MAX + 1u];
 } seen;
@@ -142,7 +142,7 @@ static void begin_swim(void) {
     swim_t *swim = &model.swim;
     swim->frames_per_beat = (uint32_t)lrintf(model.beat_s * 50.0f);
     swim->frames = swim->frames_per_beat * model.beats;
-    swim->glide_frames = (uint32_t)lrintf(value_of(PARAM_COAST_S) * 50.0f);
+    swim->coast_frames = (uint32_t)lrintf(value_of(PARAM_COAST_S) * 50.0f);
     swim->centre_us = value_of(PARAM_SERVO_CENTRE_US);
     swim->us_per_rad = value_of(PARAM_SERVO_US_RAD) * value_of(PARAM_SERVO_DIR);
     swim->min_us = value_of(PARAM_SERVO_MIN_US);
@@ -153,17 +153,17 @@ static void begin_swim(void) {
     model.frame = 0;
 }
 
-static void begin_glide(void) {
-    model.tail = model.swim.glide_frames == 0 ? TAIL_OFF : TAIL_GLIDES;
-    model.glide_left = model.swim.glide_frames;
-    seen.glides++;
+static void begin_coast(void) {
+    model.tail = model.swim.coast_frames == 0 ? TAIL_OFF : TAIL_COASTS;
+    model.coast_left = model.swim.coast_frames;
+    seen.coasts++;
 }
 
 static void tail_goes_on(bool swim) {
     if (model.tail == TAIL_SWIMS) {
-        swim ? (void)model.frame++ : begin_glide();
-    } else if (model.tail == TAIL_GLIDES) {
-        model.tail = --model.glide_left == 0 ? TAIL_OFF : TAIL_GLIDES;
+        swim ? (void)model.frame++ : begin_coast();
+    } else if (model.tail == TAIL_COASTS) {
+        model.tail = --model.coast_left == 0 ? TAIL_OFF : TAIL_COASTS;
     } else if (swim) {
         begin_swim();
     }
@@ -188,10 +188,10 @@ static void check_pulse(uint16_t ticks) {
     const float pulse_us = (float)ticks / 3.0f;
     const float deviation_us = pulse_us - swim->centre_us;
     CHECK(pulse_us >= swim->min_us && pulse_us <= swim->max_us);
-    if (model.tail == TAIL_GLIDES) {
+    if (model.tail == TAIL_COASTS) {
         CHECK(fabsf(deviation_us) <= fabsf(model.deviation_us) + 0.34f);
         const bool slow = swim->slew_rad_s > 0.0f;
-        CHECK(slow || model.glide_left > 1 || fabsf(deviation_us) <= 0.34f);
+        CHECK(slow || model.coast_left > 1 || fabsf(deviation_us) <= 0.34f);
     } else {
         CHECK(fabsf(deviation_us) <= fabsf(swim->us_per_rad) * swim->amplitude_max_rad + 0.34f);
         CHECK(swim->slew_rad_s > 0.0f || fabsf(deviation_us - wanted_deviation_us()) < 0.5f);

@@ -13,23 +13,23 @@ from tailbeat.learning.fit import Scatter
 Array = NDArray[np.float64]
 
 PESSIMISM = 2.0  # sigmas
-_GLIDE_S = 5.0  # after the last beat, until somebody is at the fish
+_COAST_S = 5.0  # after the last beat, until somebody is at the fish
 
 
 def speeds(
     model: FishModel, amplitude_rad: ArrayLike, beat_s: float, given: Conditions | None = None
 ) -> Array:
-    """Mean speed over ground per beat, m/s: of ``amplitude_rad`` and then of the glide after it,
+    """Mean speed over ground per beat, m/s: of ``amplitude_rad`` and then of the coast after it,
     shape (beats + some,)."""
-    glide = np.zeros(max(1, round(_GLIDE_S / beat_s)))
-    amplitude = np.concatenate([np.asarray(amplitude_rad, dtype=np.float64), glide])
+    coast = np.zeros(max(1, round(_COAST_S / beat_s)))
+    amplitude = np.concatenate([np.asarray(amplitude_rad, dtype=np.float64), coast])
     return model.beats(amplitude, beat_s, given)
 
 
 def way(
     model: FishModel, amplitude_rad: ArrayLike, beat_s: float, given: Conditions | None = None
 ) -> float:
-    """Way over ground until the glide after the last beat is over, m."""
+    """Way over ground until the coast after the last beat is over, m."""
     return float(np.sum(speeds(model, amplitude_rad, beat_s, given))) * beat_s
 
 

@@ -42,7 +42,7 @@ _UNSEEN_S = 1.0
 _BLIND_S = 2.0
 
 
-def glide_m(speed_m_s: float, kappa_per_m: float) -> float:
+def coast_m(speed_m_s: float, kappa_per_m: float) -> float:
     """How far a fish goes on after its last thrust until it does no harm any more: drag takes the
     speed down by exp(-kappa * way)."""
     return max(math.log(max(speed_m_s, TOUCH_M_S) / TOUCH_M_S) / kappa_per_m, 0.0)
@@ -50,7 +50,7 @@ def glide_m(speed_m_s: float, kappa_per_m: float) -> float:
 
 def stopping_m(speed_m_s: float, kappa_per_m: float) -> float:
     """How far it comes from the picture that shows it."""
-    return STOP_S * max(speed_m_s, 0.0) + glide_m(speed_m_s, kappa_per_m)
+    return STOP_S * max(speed_m_s, 0.0) + coast_m(speed_m_s, kappa_per_m)
 
 
 class WallGuard:
@@ -247,7 +247,7 @@ TOO_FAR = "room:"  # how its reasons begin
 BY_HAND = "stopped by hand"  # the reason of a person who wants it to end
 
 _LATE_S = 2.0  # SPD_LATE_S + SPD_GAP_S as they are by default
-_STOP_S = 0.5  # radio, the glide to the centre, thrust that is under way
+_STOP_S = 0.5  # radio, the coast to the centre, thrust that is under way
 _LOOK_BACK = 4  # beats
 _PLANNED_M = 0.1  # less is too little to tell by how much a fish differs from what was planned
 _RATIO = (0.25, 4.0)
@@ -266,10 +266,10 @@ def together(*guards: Guard | None) -> Guard:
 
 @dataclass
 class RoomGuard:
-    """Stops a fish that has swum as far as the tank allows, less the way it glides on: by the sums
+    """Stops a fish that has swum as far as the tank allows, less the way it coasts on: by the sums
     of its beats' speeds, which come ``late_s`` after their ends. ``room_m`` 0 or infinite: never.
 
-    ``planned_m_s``: the speeds that are expected, per beat and for the glide after the last one.
+    ``planned_m_s``: the speeds that are expected, per beat and for the coast after the last one.
     A fish that will come to rest in time if it goes on differing from them as it did is let swim;
     without them it is stopped where it could just still be. A beat without a speed counts as fast
     as the last one, or as planned. ``way_m``: so far, up to the end of the last beat heard of.
@@ -338,7 +338,7 @@ class RoomGuard:
         to stop."""
         at_m_s = max(self._ahead_m_s(), 0.0)
         under_way_m = at_m_s * (self.late_s + self.beat_s + _STOP_S)
-        reach_m = self.way_m + under_way_m + glide_m(at_m_s, self.kappa_per_m)
+        reach_m = self.way_m + under_way_m + coast_m(at_m_s, self.kappa_per_m)
         if reach_m < self.room_m or self._will_rest_in_time():
             return None
         return (

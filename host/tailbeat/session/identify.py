@@ -35,7 +35,7 @@ MODEL_PARAMS = {
 }
 _SPEED_SIGMA_M_S = 0.001  # of speeds that somebody uploads
 _NO_ROOM = ("aborted:ABORT_COMMAND", "aborted:WALL")
-_GLIDES_ON = 0.5  # of the drag that is believed: a fish nobody knows may glide twice as far
+_COASTS_ON = 0.5  # of the drag that is believed: a fish nobody knows may coast twice as far
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class _Swimmer:
 
     def _room(self, run: Run) -> RoomGuard:
         """A run ends in its coast-down, so that what is predicted of it is all there is."""
-        kappa = self.board.params["MDL_KAPPA"] * _GLIDES_ON
+        kappa = self.board.params["MDL_KAPPA"] * _COASTS_ON
         return RoomGuard.of_params(self.board.params, 1.0, kappa, run.predicted_m_s)
 
     def _judge(self, outcome: TrialOutcome) -> None:

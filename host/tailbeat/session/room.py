@@ -37,7 +37,7 @@ _FIRST = 1  # memory_input_t: arming makes the amplitudes anew
 
 @dataclass(frozen=True)
 class Travel:
-    """Way over ground until the glide after the last beat is over. ``worst_m``: by a fish and a day
+    """Way over ground until the coast after the last beat is over. ``worst_m``: by a fish and a day
     that are as far off as may be believed (2 sigmas). ``room_m``: the tank's length less the
     fish's, infinite when TANK_LEN_M is 0. ``by``: what it was reckoned with, in words."""
 
@@ -80,13 +80,13 @@ class Belief:
     more: float = 1.0
 
     @property
-    def glides_by_per_m(self) -> float:
-        """The drag, a sigma less of it than believed: what a fish may glide by."""
+    def coasts_by_per_m(self) -> float:
+        """The drag, a sigma less of it than believed: what a fish may coast by."""
         sigma = math.sqrt(float(self.covariance[0, 0]))
         return self.model.kappa_per_m * math.exp(-sigma)
 
     def speeds(self, amplitude_rad: ArrayLike, beat_s: float) -> Array:
-        """Mean speed of each beat and of the glide after the last one, m/s."""
+        """Mean speed of each beat and of the coast after the last one, m/s."""
         from tailbeat.learning.envelope import speeds
 
         return self.more * speeds(self.model, amplitude_rad, beat_s)
@@ -178,7 +178,7 @@ def room_guard(fish: Fish, book: Logbook | None) -> RoomGuard:
     return RoomGuard.of_params(
         following.params,
         following.beat_s,
-        following.belief.glides_by_per_m,
+        following.belief.coasts_by_per_m,
         following.belief.speeds(following.amplitude_rad, following.beat_s),
     )
 

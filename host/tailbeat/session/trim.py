@@ -315,7 +315,7 @@ class _Swimmer:
 
 
 def _reference(planned: Plan) -> Array:
-    """What is predicted, without the glide after the last beat."""
+    """What is predicted, without the coast after the last beat."""
     return planned.predicted_m_s[: len(planned.amplitude_rad)]
 
 

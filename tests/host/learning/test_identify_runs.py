@@ -38,7 +38,7 @@ from tailbeat.sim.native import SimBoard
 
 Array = NDArray[np.float64]
 
-GLIDE = np.zeros(5)
+COAST = np.zeros(5)
 SIGMA_M_S = 0.0007  # of a beat, by a camera of 25 pictures a second and 1 mm
 NO_SERVO = {"servo_lag_s": 0.0, "servo_rate_rad_s": 0.0}
 
@@ -56,7 +56,7 @@ class Pond:
     def __call__(self, amplitude: Array) -> Swim:
         gain, flow = self.rng.normal(0, [0.02, 0.0015]) * self.noise
         config = plant_config("tank", self.fish | {"slope_m_s_rad": self.slope * (1 + gain)})
-        speed = plant_beats(config, np.r_[amplitude, GLIDE], 1.0) + flow
+        speed = plant_beats(config, np.r_[amplitude, COAST], 1.0) + flow
         self.ways_m.append(float(speed.sum()))
         speed = speed[: len(amplitude)]
         speed += self.rng.normal(0, SIGMA_M_S, len(speed)) * self.noise
@@ -104,7 +104,7 @@ def test_with_bootstrap_and_servo() -> None:
 @pytest.mark.parametrize("tank_m", [1.3, 3.0])
 @pytest.mark.parametrize("most_rad", [0.5, math.pi / 4])
 def test_never_beyond_the_tank(tank_m: float, most_rad: float) -> None:
-    """Fish that are faster, or glide farther, than anyone expects."""
+    """Fish that are faster, or coast farther, than anyone expects."""
     for kappa, slope, dead in product((4.0, 28.0), (0.85, 1.15), (0.7, 1.3)):
         fish = {"slope_m_s_rad": 0.219 * slope, "dead_zone_rad": 0.197 * dead}
         pond = Pond(None, kappa_per_m=kappa, **fish)
@@ -132,7 +132,7 @@ def test_the_pessimistic_edge_is_where_it_says() -> None:
             max(prior.model.delay_s + prior.delay_s * delay, 0),
         )
         today = Conditions(gain=1 + 0.02 * gain, flow_m_s=0.0015 * flow)
-        ways.append(model.beats(np.r_[first.amplitude_rad, GLIDE], 1.0, today).sum())
+        ways.append(model.beats(np.r_[first.amplitude_rad, COAST], 1.0, today).sum())
     assert 0.01 < np.mean(np.array(ways) > first.travel_worst_m) < 0.05
 
 

@@ -348,7 +348,7 @@ def test_visits_count_what_each_beat_was_swum() -> None:
     hole[1] = np.nan
     trials = [trial_of(1, wild, error), trial_of(2, wild, error, 4), trial_of(3, wild, hole)]
     np.testing.assert_array_equal(convergence.visits(trials), [3, 2, 3, 3, 2, 2])
-    stopped = replace(trial_of(4, wild, error), executed_beats=2)  # glided on, and was seen
+    stopped = replace(trial_of(4, wild, error), executed_beats=2)  # coasted on, and was seen
     np.testing.assert_array_equal(convergence.visits([stopped]), [1, 1, 0, 0, 0, 0])
     assert len(convergence.visits([])) == 0
 

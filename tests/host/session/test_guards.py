@@ -27,7 +27,7 @@ def stopped_at(guard: RoomGuard, speeds: list[float | None]) -> int | None:
 
 def test_it_stops_where_the_fish_can_just_still_stop() -> None:
     """0.1 m/s: the last beat heard of ended 2 s ago, the next one is heard of in 1 s, 0.5 s until
-    the tail rests, ln(10)/10 m of glide: 0.58 m."""
+    the tail rests, ln(10)/10 m of coast: 0.58 m."""
     for room_m in (1.0, 2.0, 2.64):
         guard = RoomGuard(room_m)
         at = stopped_at(guard, [0.1] * 40)
@@ -38,9 +38,9 @@ def test_it_stops_where_the_fish_can_just_still_stop() -> None:
 def test_less_drag_and_later_speeds_stop_it_earlier() -> None:
     usual = stopped_at(RoomGuard(2.64), [0.1] * 40)
     assert usual is not None
-    gliding = stopped_at(RoomGuard(2.64, kappa_per_m=5.0), [0.1] * 40)
+    coasting = stopped_at(RoomGuard(2.64, kappa_per_m=5.0), [0.1] * 40)
     late = stopped_at(RoomGuard(2.64, late_s=4.0), [0.1] * 40)
-    assert gliding == usual - 2 and late == usual - 2
+    assert coasting == usual - 2 and late == usual - 2
     assert stopped_at(RoomGuard(2.64, beat_s=2.0), [0.1] * 40) == pytest.approx(usual / 2, abs=1)
 
 

@@ -32,9 +32,9 @@ def swimmer(plant: str, seed: int, **params: float) -> Fish:
 
 
 def swim(fish: Fish, folder: Path) -> tuple[float, Trial]:
-    """(true way over ground until the glide is over, its log)."""
+    """(true way over ground until the coast is over, its log)."""
     assert fish.sim is not None
-    number = fish.run_trial().number  # settling takes as long as the glide
+    number = fish.run_trial().number  # settling takes as long as the coast
     way_m = fish.sim.truth().x_m
     return way_m, read_trial(fish.pull_trial(number, folder))
 
@@ -113,8 +113,8 @@ def test_what_a_trial_came_farther_is_expected_again(tank: Fish, tmp_path: Path)
         last = replace(trial, beats=replace(trial.beats, speed_m_s=speed))
         found = travel_of(amplitude, params, 1.0, last=last)
         measured_m = float(np.nansum(speed))
-        glide_m = found.expected_m - measured_m
-        assert 0.06 < glide_m < 0.25, factor
+        coast_m = found.expected_m - measured_m
+        assert 0.06 < coast_m < 0.25, factor
     unknown = travel_of(amplitude, params, 1.0)
     assert found.worst_m - found.expected_m < 0.4 * (unknown.worst_m - unknown.expected_m)
 

@@ -187,7 +187,7 @@ def test_after_a_failure_too(learned: Fish, at: int, error: BaseException) -> No
         find_centre(learned, Somebody(fail))
     assert events > at
     assert state(learned) == before
-    learned.link.run(1.0)  # the glide to the centre
+    learned.link.run(1.0)  # the coast to the centre
     assert learned.sim is not None and not learned.sim.truth().swimming
 
 

@@ -306,7 +306,7 @@ FAST = np.concatenate([[0.03, 0.06], np.full(30, 0.095)])
 
 @pytest.mark.parametrize("kappa_per_m", [5, 10, 20])
 def test_the_fish_is_stopped_and_hardly_touches(kappa_per_m: float, tmp_path: Path) -> None:
-    """In a tank of 2 m; nobody catches the fish, it glides until it is there."""
+    """In a tank of 2 m; nobody catches the fish, it coasts until it is there."""
     touch_m_s = 0.012
     room = ((-0.5, -0.9), (1.5, -0.9), (1.5, 0.9), (-0.5, 0.9))
     with Fish.connect("sim:tank", seed=2, kappa_per_m=kappa_per_m, caught_after_s=90) as fish:

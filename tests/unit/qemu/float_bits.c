@@ -248,7 +248,7 @@ static gait_config_t random_gait(void) {
     config.servo.max_us = between(1800.0f, 2400.0f);
     config.servo.direction = below(2) != 0 ? 1.0f : -1.0f;
     config.frames_per_beat = (uint16_t)(GAIT_FRAMES_PER_BEAT_MIN + below(200));
-    config.glide_frames = (uint16_t)below(50);
+    config.coast_frames = (uint16_t)below(50);
     if (below(2) != 0) {
         config.servo.slew_rad_s = between(0.5f, 20.0f);
     }

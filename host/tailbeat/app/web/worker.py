@@ -39,7 +39,7 @@ Eyes = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard |
 """Opens the camera of a series, and the guard that goes with it."""
 
 IDLE_ASKS = ("swim", "upload", "set", "note", "clear", "fresh")
-_END_S = 30.0  # the glide, the rest after it and a pull over a slow link
+_END_S = 30.0  # the coast, the rest after it and a pull over a slow link
 _log = logging.getLogger(__name__)
 
 

@@ -212,7 +212,7 @@ def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
     assert now.state == "ABORTED"
     assert now.fault
     assert tank.board.time_s - begun_s < 10.0  # 30 beats would have been swum otherwise
-    tank.wait(lambda now: tank.board.truth().pulse_ticks == 0)  # the glide to the centre is over
+    tank.wait(lambda now: tank.board.truth().pulse_ticks == 0)  # the coast to the centre is over
 
 
 def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatch) -> None:
