@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
 from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
 
-Floats = NDArray[np.float64]
+Floats = F64
 
 FRAME_S = 0.02
 _SAMPLES = 40  # of an exposure

@@ -9,9 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
+from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.render.scene import Scene
@@ -41,7 +41,7 @@ class Swum:
 
     trial: Trial
     track: Track
-    true_beats: NDArray[np.float64]
+    true_beats: F64
     start_s: float
 
 

@@ -22,6 +22,7 @@ from tailbeat.board.connect import is_simulated
 from tailbeat.board.presets import THESIS
 from tailbeat.core import law as laws
 from tailbeat.core import reference
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import Trial, read_trial
@@ -394,7 +395,7 @@ def identified_text(model: FishModel) -> str:
 def compare(
     trial: Trial,
     law: laws.Law,
-    learned: NDArray[np.float32],
+    learned: F32,
     rolled_back: bool = False,
     visits: NDArray[np.uint8] | None = None,
 ) -> None:
@@ -418,7 +419,7 @@ def compare(
         )
 
 
-def same_bits(a: NDArray[np.float32], b: NDArray[np.float32]) -> bool:
+def same_bits(a: F32, b: F32) -> bool:
     """Equal as bit patterns; NaNs count as equal."""
     if a.shape != b.shape:
         return False

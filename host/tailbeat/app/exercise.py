@@ -13,9 +13,9 @@ from typing import Any, Literal
 from urllib.parse import urlencode
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.files import replacing_text
 from tailbeat.core.frames import Frame
@@ -29,7 +29,6 @@ from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.sim.board import CameraFrame, SimulatedBoard
 
 Progress = Callable[[float, str], None]
-Floats = NDArray[np.float64]
 
 TRUTH_COLUMNS = ("t_s", "x_m", "y_m", "heading_rad", "tail_rad", "led", "speed_m_s")
 _FORMATS = (".mp4", ".mkv")
@@ -66,16 +65,16 @@ class Exercise:
     fps: float
     swim_begin_s: float
     beat_s: float
-    true_speed_m_s: Floats  # mean of each beat
+    true_speed_m_s: F64  # mean of each beat
 
 
 @dataclass(frozen=True)
 class _Swim:
     frames: list[CameraFrame]
-    speed: tuple[Floats, Floats]  # times and speeds
+    speed: tuple[F64, F64]  # times and speeds
     trial: int
     begin_s: float
-    true_speed_m_s: Floats
+    true_speed_m_s: F64
 
 
 def make_exercise(
@@ -138,7 +137,7 @@ class _Watcher:
     def close(self) -> None:
         """Nothing to give up."""
 
-    def speed(self) -> tuple[Floats, Floats]:
+    def speed(self) -> tuple[F64, F64]:
         """Times and speeds."""
         return np.array(list(self._speed)), np.array(list(self._speed.values()))
 

@@ -19,6 +19,7 @@ from tailbeat.board import crash
 from tailbeat.board.connect import open_transport, require_board
 from tailbeat.board.crash import CrashReport
 from tailbeat.core import records
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import ConnectError, Refused, TransferError
 from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, WRONG_STATE, refusal
 from tailbeat.core.frames import Camera
@@ -332,7 +333,7 @@ class Fish:
         self._counts_visits = True
         return counts.astype(np.uint8)
 
-    def peaks(self) -> NDArray[np.float32] | None:
+    def peaks(self) -> F32 | None:
         """|e| of the best trial's largest errors at their beats, m/s, and 0 at all others.
 
         Negative where it is an earlier best's, at a beat that the best did not measure. None: the

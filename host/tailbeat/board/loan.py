@@ -16,11 +16,12 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tailbeat.board.fish import REST
 from tailbeat.board.snapshot import Backup, forget, is_of_a_run, left_in, note_reference, put_safe
 from tailbeat.core import law
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.records import decode_reference, record_crc
 from tailbeat.core.reference import Reference
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from tailbeat.experiment.library import Logbook
     from tailbeat.link.messages import BoardStatus
 
-Array = NDArray[np.float64]
 
 PUTS_BACK = "tailbeat session resume"
 
@@ -55,7 +55,7 @@ class Lent:
     def prepare(
         self,
         name: str,
-        amplitude_rad: Array,
+        amplitude_rad: F64,
         speed_m_s: ArrayLike,
         changes: Mapping[str, float] | None = None,
     ) -> None:

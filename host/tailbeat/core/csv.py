@@ -12,17 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError, reason
-
-Floats = NDArray[np.float32]
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _WITH_COMMAS = "Save it with commas between columns and decimal points, like 0.5,0.0791."
 
 
-def read_column(path: Path, column: str, gaps: bool = False) -> Floats:
+def read_column(path: Path, column: str, gaps: bool = False) -> F32:
     """The ``column`` of a file ``beat,<column>``; beats count from 0 without holes.
 
     With ``gaps`` an empty cell or ``nan`` is NaN, otherwise refused.
@@ -110,8 +108,6 @@ def value_of(name: str, number: int, column: str, cell: str, gaps: bool = False)
     return value
 
 
-_Doubles = NDArray[np.float64]
-
 TIMED = ("t_s", "v_m_s")
 FORMS = "t_s,v_m_s or beat,speed_m_s"
 _SPEED_MAX_M_S = 1.0  # no fish of this kind; 80 of something is mm/s
@@ -124,8 +120,8 @@ class BeatSpeeds:
     """One value per beat, float32, shape (beats,); NaN = not measured. ``sigma_m_s`` None = the
     file does not tell."""
 
-    speed_m_s: Floats
-    sigma_m_s: Floats | None = None
+    speed_m_s: F32
+    sigma_m_s: F32 | None = None
 
     @property
     def measured(self) -> int:
@@ -182,7 +178,7 @@ def read_speeds(path: Path, beats: int, beat_s: float, trial: int | None = None)
     return BeatSpeeds(found.speed_m_s, shared.astype(np.float32))
 
 
-def _per_beat(path: Path, beats: int) -> Floats:
+def _per_beat(path: Path, beats: int) -> F32:
     values = read_column(path, "speed_m_s", gaps=True)
     if len(values) != beats:
         raise InputError(
@@ -225,7 +221,7 @@ class _Table:
         name: str,
         makes_sense: Callable[[float], bool] = math.isfinite,
         unit: str = "",
-    ) -> _Doubles:
+    ) -> F64:
         """The numbers of one column; those that make no sense are refused."""
         values = np.empty(len(self._rows))
         for i, (number, cell) in enumerate(self.cells(name)):
@@ -237,7 +233,7 @@ class _Table:
     def wrong(self, number: int, name: str, what: str, remedy: str) -> InputError:
         return InputError(f"{self._name}, row {number}, column {name}: {what}.", remedy)
 
-    def check_rising(self, time: _Doubles) -> None:
+    def check_rising(self, time: F64) -> None:
         later = np.flatnonzero(np.diff(time) <= 0)
         if later.size:
             number = self._rows[later[0] + 1][0]
@@ -279,17 +275,17 @@ class _Table:
 class _Means:
     """Exact means of straight lines through points at ``time``, except across holes."""
 
-    def __init__(self, time: _Doubles, hole_s: float, slack_s: float) -> None:
+    def __init__(self, time: F64, hole_s: float, slack_s: float) -> None:
         self._time, self._slack_s = time, slack_s
         holes = np.flatnonzero(np.diff(time) > hole_s)
         self._first = np.concatenate([[0], holes + 1])  # of each stretch without holes
         self._last = np.concatenate([holes, [len(time) - 1]])
 
-    def over(self, value: _Doubles, spans: list[tuple[float, float]]) -> Floats:
+    def over(self, value: F64, spans: list[tuple[float, float]]) -> F32:
         """Mean over each span, NaN where it is not covered."""
         return np.array([self._mean(value, *span) for span in spans], dtype=np.float32)
 
-    def _mean(self, value: _Doubles, begin: float, end: float) -> float:
+    def _mean(self, value: F64, begin: float, end: float) -> float:
         time, slack_s = self._time, self._slack_s
         inside = (time[self._first] <= begin + slack_s) & (time[self._last] >= end - slack_s)
         if not inside.any():

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from tailbeat.core.arrays import F32
+from tailbeat.core.native import ffi, lib
 
 
-def counts(error_m_s: Floats, complete: bool) -> bool:
+def counts(error_m_s: F32, complete: bool) -> bool:
     """Whether a trial is judged.
 
     Parameters
@@ -19,16 +19,12 @@ def counts(error_m_s: Floats, complete: bool) -> bool:
     error_m_s : shape (beats,), NaN = not measured.
     complete : whether it was executed to its end.
     """
-    from tailbeat.core.native import lib
-
     return bool(lib.judge_counts(_Native(error_m_s).trial, complete))
 
 
-def best_at(errors: Iterable[Floats]) -> int | None:
+def best_at(errors: Iterable[F32]) -> int | None:
     """Index of the best of trials that are judged, in the order they were executed; None = there
     are none. Their errors as for ``counts``."""
-    from tailbeat.core.native import ffi, lib
-
     best: int | None = None
     best_m_s = 0.0
     peaks = ffi.new("judge_peaks_t *")
@@ -40,13 +36,13 @@ def best_at(errors: Iterable[Floats]) -> int | None:
     return best
 
 
-def on_common_beats(one_m_s: Floats, other_m_s: Floats) -> tuple[float, float]:
+def on_common_beats(one_m_s: F32, other_m_s: F32) -> tuple[float, float]:
     """max|e| of two trials on the beats that both measured; NaN when there are none."""
     common = np.isfinite(one_m_s) & np.isfinite(other_m_s)
     return max_abs(one_m_s[common]), max_abs(other_m_s[common])
 
 
-def max_abs(error_m_s: Floats) -> float:
+def max_abs(error_m_s: F32) -> float:
     """Over the measured beats; NaN when there are none."""
     known = np.abs(error_m_s[np.isfinite(error_m_s)])
     return float(known.max()) if known.size else float("nan")
@@ -55,9 +51,7 @@ def max_abs(error_m_s: Floats) -> float:
 class _Native:
     """A trial as the C code takes it. Its arrays live as long as this."""
 
-    def __init__(self, error_m_s: Floats) -> None:
-        from tailbeat.core.native import ffi
-
+    def __init__(self, error_m_s: F32) -> None:
         self._error = np.ascontiguousarray(error_m_s, dtype=np.float32)
         self._measured = np.isfinite(self._error).view(np.uint8)
         self.trial: Any = ffi.new("law_trial_t *")

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name
-
-Floats = NDArray[np.float32]
 
 _PARAMS = {
     "ILC_GAIN": "kp_rad_s_m",
@@ -177,7 +177,7 @@ def _lead(path: Path, key: str, value: float) -> float:
     return float(value)
 
 
-def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[Floats, NDArray[np.bool_]]:
+def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[F32, NDArray[np.bool_]]:
     """(error, measured) per beat: reference minus speed in float32, 0 where the speed is NaN."""
     reference = np.asarray(reference_m_s, dtype=np.float32)
     speed = np.asarray(speed_m_s, dtype=np.float32)
@@ -192,13 +192,11 @@ class _Call:
     def __init__(
         self,
         law: Law,
-        amplitudes: Floats,
-        errors: Floats,
+        amplitudes: F32,
+        errors: F32,
         measured: ArrayLike | None,
         visits: ArrayLike | None = None,
     ):
-        from tailbeat.core.native import ffi, lib
-
         beats = len(amplitudes)
         if len(errors) != beats or not 1 <= beats <= _BEATS_MAX:
             raise InputError(
@@ -231,7 +229,7 @@ class _Call:
     def law_report(self) -> LawReport:
         return LawReport(*(getattr(self.report, f.name) for f in fields(LawReport)))
 
-    def next_amplitudes(self) -> Floats:
+    def next_amplitudes(self) -> F32:
         return np.frombuffer(self.ffi.buffer(self.amplitudes), dtype=np.float32).copy()
 
 
@@ -250,7 +248,7 @@ def update(
     errors: ArrayLike,
     measured: ArrayLike | None = None,
     visits: ArrayLike | None = None,
-) -> tuple[Floats, LawReport]:
+) -> tuple[F32, LawReport]:
     """One step of the law: (next amplitudes in rad, unsaturated; report).
 
     ``amplitudes`` rad and ``errors`` m/s have one value per beat; ``measured`` False = no speed;
@@ -279,21 +277,21 @@ class Memory:
     """What the board remembers between trials (firmware/ilc/memory.h). Amplitudes in rad."""
 
     iteration: int
-    amplitude_rad: Floats
+    amplitude_rad: F32
     best_iteration: int  # 0 = no best yet
-    best_rad: Floats
+    best_rad: F32
     best_max_abs_error_m_s: float
     worse_streak: int
     visits: NDArray[np.uint8] | None = None  # None: none
-    peaks: Floats | None = None  # Fish.peaks; None: not known
+    peaks: F32 | None = None  # Fish.peaks; None: not known
 
 
 @dataclass(frozen=True)
 class PastTrial:
     """A trial that was learned from, or the mean of ``trials`` of them, as the board keeps it."""
 
-    amplitude_rad: Floats  # as swum
-    error_m_s: Floats  # NaN = not measured
+    amplitude_rad: F32  # as swum
+    error_m_s: F32  # NaN = not measured
     trials: int = 1
 
 
@@ -307,7 +305,7 @@ def learn(
     past: Past | None = None,
     earlier: Sequence[PastTrial] = (),
     beyond: int = 0,
-) -> tuple[Floats, LawReport, bool]:
+) -> tuple[F32, LawReport, bool]:
     """What the board would make of a trial: (next amplitudes, report, rolled back).
 
     ``earlier``: with a moving average the trials it looks back on, newest first; with a mean that
@@ -358,11 +356,9 @@ def _kept(call: _Call, past: Past, earlier: Sequence[PastTrial]) -> Any:
     return kept
 
 
-def first(law: Law, reference_m_s: ArrayLike) -> Floats:
+def first(law: Law, reference_m_s: ArrayLike) -> F32:
     """The amplitudes of iteration 1: the law applied to the zero input, whose error is the
     reference. Without the step limit, as on the board."""
-    from tailbeat.core.native import ffi, lib
-
     reference = np.asarray(reference_m_s, dtype=np.float32)
     memory = ffi.new("memory_t *")
     lib.memory_begin(memory, 1, len(reference))
@@ -375,10 +371,8 @@ def first(law: Law, reference_m_s: ArrayLike) -> Floats:
     return amplitudes[: len(reference)].copy()
 
 
-def saturate(law: Law, amplitudes: ArrayLike) -> Floats:
+def saturate(law: Law, amplitudes: ArrayLike) -> F32:
     """What the servo gets."""
-    from tailbeat.core.native import ffi, lib
-
     native = law.native(ffi)
     values = np.asarray(amplitudes, dtype=np.float32)
     return np.array([lib.law_saturate(native, float(u)) for u in values], dtype=np.float32)

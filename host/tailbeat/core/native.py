@@ -1,7 +1,8 @@
 """The compiled firmware and simulator, bound with cffi.
 
-``from tailbeat.core.native import ffi, lib`` loads them on first use. The declarations are the C
-headers themselves (host/native/bindings.h), so their comments are the documentation.
+``from tailbeat.core.native import ffi, lib`` at the top of a module loads nothing: the first use of
+either does. The declarations are the C headers themselves (host/native/bindings.h), so their
+comments are the documentation.
 """
 
 from __future__ import annotations
@@ -9,17 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cffi import FFI
 
 from tailbeat.core.errors import TailbeatError
 
 HERE = Path(__file__).parent
-
-if TYPE_CHECKING:
-    ffi: Any
-    lib: Any
 
 
 class NativeLibraryError(TailbeatError):
@@ -75,7 +72,26 @@ def layout_mismatches(native: Native) -> list[str]:
     return wrong
 
 
-def __getattr__(name: str) -> Any:
-    if name in ("ffi", "lib"):
-        return getattr(load(), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+class _OnFirstUse:
+    """Stands for one part of the loaded library and keeps what was looked up in it.
+
+    A name that was used once is an ordinary attribute: a call costs what it does without this.
+    """
+
+    def __init__(self, part: str) -> None:
+        self._part = part
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # inspection asks any object for these; that is no use of it
+            raise AttributeError(name)
+        value = getattr(getattr(load(), self._part), name)
+        if name != "errno":  # the only name whose value changes
+            setattr(self, name, value)
+        return value
+
+    def __dir__(self) -> list[str]:
+        return dir(getattr(load(), self._part))
+
+
+ffi: Any = _OnFirstUse("ffi")
+lib: Any = _OnFirstUse("lib")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import fault_info
 from tailbeat.core.native import ffi, lib
@@ -16,7 +17,6 @@ from tailbeat.core.native import ffi, lib
 if TYPE_CHECKING:
     from tailbeat.link.messages import Amplitudes, BoardStatus
 
-Float32 = NDArray[np.float32]
 
 FILE_REFERENCE = 0
 FILE_AMPLITUDES = 1
@@ -43,7 +43,7 @@ class ReferenceRecord:
     """A decoded reference. ``speed_m_s``: float32, shape (beats,)."""
 
     beat_s: float
-    speed_m_s: Float32
+    speed_m_s: F32
     crc: int
 
 
@@ -52,8 +52,8 @@ class SpeedsRecord:
     """Decoded speeds of a trial; NaN = not measured. Arrays: float32, shape (beats,), m/s."""
 
     trial: int
-    speed_m_s: Float32
-    sigma_m_s: Float32
+    speed_m_s: F32
+    sigma_m_s: F32
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class AmplitudesRecord:
     """Decoded amplitudes, rad, for the reference with ``reference_crc``."""
 
     reference_crc: int
-    amplitude_rad: Float32
+    amplitude_rad: F32
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ class LearnedRecord:
     best_iteration: int
     input: int
     best_max_abs_error_m_s: float
-    amplitude_rad: Float32
-    best_rad: Float32
+    amplitude_rad: F32
+    best_rad: F32
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ class PastRecord:
     previous_crc: int
     kind: int
     trials: int
-    amplitude_rad: Float32
-    error_m_s: Float32
+    amplitude_rad: F32
+    error_m_s: F32
 
 
 def crc32(data: bytes, crc: int = 0) -> int:
@@ -190,7 +190,7 @@ def encode_learned(
     now: Amplitudes,
     best: Amplitudes | None,
     visits: NDArray[np.uint8] | None,
-    peaks: Float32 | None = None,
+    peaks: F32 | None = None,
 ) -> bytes:
     """All that a board has learned, from what it reports. ``visits`` None: it does not count them.
     ``peaks``: the best's largest errors, m/s, 0 at other beats; None: the board does not
@@ -231,7 +231,7 @@ def decode_learned(record: bytes) -> LearnedRecord:
     )
 
 
-def fill_peaks(peaks: Any, error_m_s: Float32) -> None:
+def fill_peaks(peaks: Any, error_m_s: F32) -> None:
     """The C code's judge_peaks_t from its errors at the beats of the peaks and 0 at all others."""
     listed = [(beat, error) for beat, error in enumerate(error_m_s.tolist()) if error]
     largest = sorted(listed, key=lambda peak: -abs(peak[1]))
@@ -277,7 +277,7 @@ def without_visits(record: bytes) -> bytes:
     return head + crc32(head + body).to_bytes(4, "little") + body
 
 
-def _beats(values: ArrayLike | Sequence[float], what: str) -> Float32:
+def _beats(values: ArrayLike | Sequence[float], what: str) -> F32:
     array = np.ascontiguousarray(values, dtype=np.float32)
     if array.ndim != 1 or not 1 <= array.size <= _BEATS_MAX:
         raise InputError(
@@ -286,11 +286,11 @@ def _beats(values: ArrayLike | Sequence[float], what: str) -> Float32:
     return array
 
 
-def _fill(target: Any, values: Float32) -> None:
+def _fill(target: Any, values: F32) -> None:
     ffi.memmove(target, values.tobytes(), values.nbytes)
 
 
-def _array(source: Any, count: int) -> Float32:
+def _array(source: Any, count: int) -> F32:
     return np.frombuffer(ffi.buffer(source), dtype=np.float32, count=count).copy()
 
 

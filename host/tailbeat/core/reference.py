@@ -16,12 +16,12 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.csv import read_table
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replacing_text
 
-Array = NDArray[np.float64]
-Antiderivative = Callable[[Array], Array]
+Antiderivative = Callable[[F64], F64]
 
 BEATS_MAX = 512
 THESIS_PLATEAU_M_S = 0.0791
@@ -62,7 +62,7 @@ class Reference:
     """
 
     beat_s: float
-    speed_m_s: NDArray[np.float32]
+    speed_m_s: F32
     name: str
 
     @property
@@ -122,7 +122,7 @@ class Reference:
                 out.writerow([beat, repr((beat + 0.5) * self.beat_s), repr(float(speed))])
 
 
-def _value_problems(speed: NDArray[np.float32], limit: float) -> list[Problem]:
+def _value_problems(speed: F32, limit: float) -> list[Problem]:
     found = []
     bad = np.flatnonzero(~np.isfinite(speed))
     if bad.size:
@@ -147,7 +147,7 @@ def _value_problems(speed: NDArray[np.float32], limit: float) -> list[Problem]:
     return found
 
 
-def _beat_means(integral: Antiderivative, beats: int, beat_s: float) -> NDArray[np.float32]:
+def _beat_means(integral: Antiderivative, beats: int, beat_s: float) -> F32:
     edges = np.arange(beats + 1, dtype=np.float64) * beat_s
     return (np.diff(integral(edges)) / beat_s).astype(np.float32)
 
@@ -157,7 +157,7 @@ def _whole_beats(duration_s: float, beat_s: float) -> int:
     return max(1, math.ceil(duration_s / beat_s - _ROUNDING))
 
 
-def thesis_speed(t_s: NDArray[np.floating[Any]]) -> Array:
+def thesis_speed(t_s: NDArray[np.floating[Any]]) -> F64:
     """The wanted speed of (8.31) at the given instants, m/s."""
     polynomial = 2.25 * t_s**2 * (t_s - 40) ** 2 / 40.0**4
     return np.asarray(np.where((t_s > 10) & (t_s <= 30), THESIS_PLATEAU_M_S, polynomial))
@@ -169,7 +169,7 @@ def thesis(speed: float = THESIS_PLATEAU_M_S, duration_s: float = 40.0) -> Refer
     _check_shape(speed, 0.0, duration_s, 1.0)
     m, s = speed / THESIS_PLATEAU_M_S, 40.0 / duration_s
 
-    def integral(t: Array) -> Array:
+    def integral(t: F64) -> F64:
         t = np.minimum(s * t, 40.0)
         polynomial = 2.25 / 40.0**4 * (t**5 / 5 - 20 * t**4 + 1600 * t**3 / 3)
         at_10 = 2.25 / 40.0**4 * (10.0**5 / 5 - 20 * 10.0**4 + 1600 * 10.0**3 / 3)
@@ -197,13 +197,13 @@ def cosine(speed: float, ramp_s: float, hold_s: float, beat_s: float = 1.0) -> R
     _check_shape(speed, ramp_s, hold_s, beat_s)
     total_s = 2 * ramp_s + hold_s
 
-    def ramp(t: Array) -> Array:
+    def ramp(t: F64) -> F64:
         if ramp_s == 0:
             return np.zeros_like(t)
         t = np.clip(t, 0, ramp_s)
         return speed / 2 * (t - ramp_s / np.pi * np.sin(np.pi * t / ramp_s))
 
-    def integral(t: Array) -> Array:
+    def integral(t: F64) -> F64:
         hold = speed * np.clip(t - ramp_s, 0, hold_s)
         down = speed * ramp_s / 2 - ramp(total_s - t)
         return ramp(t) + hold + np.where(t > ramp_s + hold_s, down, 0.0)
@@ -223,12 +223,12 @@ def _check_shape(speed: float, ramp_s: float, hold_s: float, beat_s: float) -> N
         raise InputError("the reference lasts 0 s.", "Make the ramp or the hold longer.")
 
 
-def _linear_means(time: Array, speed: Array, beat_s: float) -> NDArray[np.float32]:
+def _linear_means(time: F64, speed: F64, beat_s: float) -> F32:
     """Exact beat means of the straight lines through the points; the last value is held to the end
     of the last begun beat."""
     distance = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
 
-    def integral(t: Array) -> Array:
+    def integral(t: F64) -> F64:
         inside = np.clip(t, 0.0, time[-1])
         i = np.clip(np.searchsorted(time, inside, side="right") - 1, 0, len(time) - 2)
         width = time[i + 1] - time[i]
@@ -240,7 +240,7 @@ def _linear_means(time: Array, speed: Array, beat_s: float) -> NDArray[np.float3
     return _beat_means(integral, _whole_beats(float(time[-1]), beat_s), beat_s)
 
 
-def curve(t_s: Array, v_m_s: Array, beat_s: float, name: str) -> Reference:
+def curve(t_s: F64, v_m_s: F64, beat_s: float, name: str) -> Reference:
     """The reference of straight lines between points; t_s begins at 0 and rises."""
     return Reference(beat_s, _linear_means(t_s, v_m_s, beat_s), name)
 
@@ -270,7 +270,7 @@ def from_csv(path: Path, beat_s: float = 1.0) -> Reference:
     return curve(time, speed, beat_s, path.stem)
 
 
-def _of_beat_means(path: Path, middle_s: Array, speed: Array) -> Reference:
+def _of_beat_means(path: Path, middle_s: F64, speed: F64) -> Reference:
     """Twice the middle of the first beat is the length of all."""
     beat_s = 2 * float(middle_s[0])
     off_s = np.abs(middle_s - (np.arange(len(middle_s)) + 0.5) * beat_s)
@@ -303,7 +303,7 @@ def _named(path: Path, reference: Reference) -> Reference:
     return replace(reference, name=str(experiment.settings().get("reference", reference.name)))
 
 
-def _read_points(path: Path) -> tuple[Array, Array, bool]:
+def _read_points(path: Path) -> tuple[F64, F64, bool]:
     """Times, speeds, and whether they are of beats."""
     rows = read_table(path, "t_s,v_m_s")
     if not rows:

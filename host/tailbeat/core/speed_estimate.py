@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
-from tailbeat.core.trial_file import SLOT_S, Floats, Rest, Trial
+from tailbeat.core.trial_file import SLOT_S, Rest, Trial
 
 _BEAT_MIN_S, _BEAT_MAX_S = 0.1, 4.0
 
 
-def recompute_beats(trial: Trial) -> tuple[Floats, Floats]:
+def recompute_beats(trial: Trial) -> tuple[F32, F32]:
     """(speed_m_s, sigma_m_s) per beat from the logged slots and rests; NaN where unmeasured.
 
     They equal the logged ones bit for bit, unless the speeds were uploaded (SPD_SOURCE 1): then
@@ -40,7 +41,7 @@ class _Recompute:
         config = _config(trial)
         lib.estimate_begin(self._estimate, config, before, self._speed_m_s, self._sigma_m_s)
 
-    def run(self) -> tuple[Floats, Floats]:
+    def run(self) -> tuple[F32, F32]:
         """Slots in, beats as soon as their slots are there, then the way back."""
         swum = min(self._count, self._trial.executed_beats)
         for slot in _slots(self._trial):

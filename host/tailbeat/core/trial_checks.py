@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from tailbeat.core.arrays import F64
 
 if TYPE_CHECKING:
     from tailbeat.core.frames import Frame
     from tailbeat.core.trial_file import Trial
 
-Array = NDArray[np.float64]
 
 CROOKED_RAD = math.radians(15.0)
 
@@ -67,8 +68,8 @@ class Course:
     """Mean heading of each beat against the first known one, NaN = not known; ``way_m``: how far it
     had come by the middle of each beat, NaN = not known."""
 
-    heading_rad: Array
-    way_m: Array
+    heading_rad: F64
+    way_m: F64
 
     @property
     def known(self) -> bool:
@@ -103,7 +104,7 @@ class Course:
         )
 
 
-def _mean(values: Array) -> float:
+def _mean(values: F64) -> float:
     """By an exact sum: what a fish turned is written down, and is the same on any processor."""
     return math.fsum(values) / len(values)
 
@@ -134,7 +135,7 @@ def course_of(trial: Trial) -> Course | None:
     return Course(heading - heading[0], _way(speed, trial.beat_s))
 
 
-def with_way(course: Course, speed_m_s: Array, beat_s: float) -> Course:
+def with_way(course: Course, speed_m_s: F64, beat_s: float) -> Course:
     """The same with the way by other speeds: of a trial whose own are not known yet."""
     return Course(course.heading_rad, _way(speed_m_s[: len(course.heading_rad)], beat_s))
 
@@ -145,17 +146,17 @@ def imu_drift_rad_s(trial: Trial) -> float:
     return _REST_TURN_RAD / rest.still_s if rest is not None and rest.still_s > 0 else math.inf
 
 
-def _way(speed_m_s: Array, beat_s: float) -> Array:
+def _way(speed_m_s: F64, beat_s: float) -> F64:
     """Up to the middle of each beat; beats without a speed are as fast as those around them."""
     known = np.flatnonzero(np.isfinite(speed_m_s))
     if 2 * len(known) < max(len(speed_m_s), 1):
         return np.full(len(speed_m_s), np.nan)
     speed = np.interp(np.arange(len(speed_m_s)), known, speed_m_s[known])
-    way: Array = (np.cumsum(speed) - speed / 2) * beat_s
+    way: F64 = (np.cumsum(speed) - speed / 2) * beat_s
     return way
 
 
-def _headings(trial: Trial) -> Array | None:
+def _headings(trial: Trial) -> F64 | None:
     """Mean heading over each whole beat that was swum, against that at the begin, which the sway of
     the body leaves alone; None when too many turns are not known."""
     from tailbeat.core.trial_file import SLOT_S
@@ -178,11 +179,11 @@ def _headings(trial: Trial) -> Array | None:
     part = ends - slot
     at = heading[slot] + (heading[slot + 1] - heading[slot]) * part
     upto = area[slot] + (heading[slot] + at) / 2 * part
-    mean: Array = np.diff(upto) / np.diff(ends)
+    mean: F64 = np.diff(upto) / np.diff(ends)
     return mean
 
 
-def _whole(turn_rad: Array, beat_slots: float) -> Array:
+def _whole(turn_rad: F64, beat_slots: float) -> F64:
     """A turn that is not known is as those a beat before and after, which the tail made alike."""
     filled = turn_rad.copy()
     for hole in np.flatnonzero(np.isnan(turn_rad)):
@@ -219,7 +220,7 @@ def course_of_frames(frames: Sequence[Frame], begin_s: float, beats: int, beat_s
     return Course(heading, way)
 
 
-def _without_sway(t_beats: Array, heading_rad: Array) -> float:
+def _without_sway(t_beats: F64, heading_rad: F64) -> float:
     """The mean over a beat, were all of it seen: of a line beside an oscillation of one period."""
     phase = math.tau * t_beats
     terms = np.stack([np.ones_like(t_beats), t_beats, np.sin(phase), np.cos(phase)], axis=1)

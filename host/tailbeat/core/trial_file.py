@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replacing_text
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.reference import BEATS_MAX
-
-Floats = NDArray[np.float32]
 
 _HEADER_BYTES = 16
 _RECORD_TYPES = b"FIMPQARDSOLCB"
@@ -59,7 +58,7 @@ class Slots:
     index: NDArray[np.uint16]
     samples: NDArray[np.uint8]
     at_ms: NDArray[np.uint8]
-    speed_m_s: Floats
+    speed_m_s: F32
     sigma_10um_s: NDArray[np.uint16]
     gain_10um_s: NDArray[np.int16]
     way_um: NDArray[np.int16]
@@ -93,15 +92,15 @@ class Rest:
 class Beats:
     """One row per beat of the reference, shape (beats,). NaN where the file has no record."""
 
-    amplitude_rad: Floats
-    applied_rad: Floats
-    reference_m_s: Floats
-    speed_m_s: Floats
-    sigma_m_s: Floats
+    amplitude_rad: F32
+    applied_rad: F32
+    reference_m_s: F32
+    speed_m_s: F32
+    sigma_m_s: F32
     samples: NDArray[np.uint16]
 
     @property
-    def error_m_s(self) -> Floats:
+    def error_m_s(self) -> F32:
         """Reference minus speed; NaN where not measured."""
         with np.errstate(invalid="ignore"):  # a damaged file may hold infinities
             return self.reference_m_s - self.speed_m_s

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import canonical, plain, write_whole
 from tailbeat.core.judge import on_common_beats
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.identification import Identified
 
-Floats = NDArray[np.float64]
 
 DISCARD = "discard"
 ANALYSIS = "analysis.json"
@@ -112,12 +112,12 @@ class Band:
 
     iteration: NDArray[np.int64]
     swims: NDArray[np.int64]
-    max_median_m_s: Floats
-    max_low_m_s: Floats
-    max_high_m_s: Floats
-    rms_median_m_s: Floats
-    rms_low_m_s: Floats
-    rms_high_m_s: Floats
+    max_median_m_s: F64
+    max_low_m_s: F64
+    max_high_m_s: F64
+    rms_median_m_s: F64
+    rms_low_m_s: F64
+    rms_high_m_s: F64
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Analysis:
     law: str
     reference_name: str
     reference_crc: int
-    reference_m_s: Floats
+    reference_m_s: F64
     beat_s: float
     amplitude_max_rad: float
     conditions: dict[str, Any]

@@ -13,8 +13,8 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning.convergence import best_of, judge_all, score_of
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from tailbeat.experiment.analysis import Analysis, TrialRow
     from tailbeat.experiment.folder import Experiment
 
-Array = NDArray[np.float64]
 
 WHAT = {"max": "max_abs_error_m_s", "rms": "rms_error_m_s"}
 _SETTINGS = ("fish", "law", "configuration", "operator", "unique_id", "firmware", "simulated")
@@ -277,12 +276,12 @@ def _over_normal(limit: float, freedom: int, shift: float) -> float:
 
 
 @cache
-def _legendre() -> tuple[Array, Array]:
+def _legendre() -> tuple[F64, F64]:
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     return nodes, weights
 
 
-def _nodes(low: float, high: float) -> tuple[Array, Array]:
+def _nodes(low: float, high: float) -> tuple[F64, F64]:
     """Of an integral from low to high."""
     nodes, weights = _legendre()
     return (low + high) / 2 + (high - low) / 2 * nodes, (high - low) / 2 * weights

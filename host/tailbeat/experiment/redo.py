@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.files import MAKE_ROOM, write_whole
+from tailbeat.core.native import ffi, lib
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -112,8 +113,6 @@ def _new(settings: Mapping[str, Any]) -> list[str]:
 
 
 def _changed(params: Mapping[str, float]) -> dict[str, float]:
-    from tailbeat.core.native import ffi, lib
-
     fresh = ffi.new("params_t *")
     lib.params_reset(fresh)
     found = {}

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core import law as laws
+from tailbeat.core.arrays import F32
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import decode_learned
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from tailbeat.experiment.analysis import Analysis, TrialRow
     from tailbeat.experiment.board_state import BoardState
 
-Floats = NDArray[np.float32]
 
 _BY_THE_BOARD = ("law", "restored", "first", "")  # what makes a trial's amplitudes; "" = not told
 _NOT_HERE = "what the board had learned before is not in the folder"
@@ -142,7 +142,7 @@ class _Board:
     """A board's memory and the trials it looks back on. ``whole``: all of it is known since the
     first trial."""
 
-    def __init__(self, reference_m_s: Floats, beat_s: float, judges_gaps: bool) -> None:
+    def __init__(self, reference_m_s: F32, beat_s: float, judges_gaps: bool) -> None:
         self.reference_m_s, self.beat_s = reference_m_s, beat_s
         self.judges_gaps = judges_gaps
         self.beats = len(reference_m_s)
@@ -192,11 +192,11 @@ class _Board:
         lib.memory_restore_best(self.memory)
         self.past_doubted = True
 
-    def next_amplitudes(self) -> Floats:
+    def next_amplitudes(self) -> F32:
         values = np.frombuffer(ffi.buffer(self.memory.amplitude_rad), dtype=np.float32)
         return values[: self.beats].copy()
 
-    def same(self, amplitude_rad: Floats) -> bool:
+    def same(self, amplitude_rad: F32) -> bool:
         """Bit for bit, where the file tells (a trial that was cut short tells of its beats)."""
         if self.memory.beats != self.beats or len(amplitude_rad) != self.beats:
             return False
@@ -235,7 +235,7 @@ class _Board:
     def _learn_in_c(
         self,
         law: laws.Law,
-        error: Floats,
+        error: F32,
         measured: NDArray[np.bool_],
         complete: bool,
         params: Mapping[str, float],

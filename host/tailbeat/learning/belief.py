@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.learning.fish_model import PARAMS, Conditions, FishModel, Swim
 from tailbeat.learning.fit import Fit, Prior, fit, speed_and_slopes, steepness
 from tailbeat.learning.identification import Identified
-
-Array = NDArray[np.float64]
 
 # Of the test of one swim, if all noise were normal and the model's form right. As the model's
 # imperfection is counted as noise of each beat, the test seldom gives a false alarm at all.
@@ -56,16 +55,16 @@ class Prediction:
     """Of the measured beats of a swim. ``factors``: (beats, causes), what one standard deviation of
     every cause that beats share does to them; ``sigma_m_s``: of each beat alone."""
 
-    mean_m_s: Array
-    factors: Array
-    sigma_m_s: Array
+    mean_m_s: F64
+    factors: F64
+    sigma_m_s: F64
 
-    def band(self) -> tuple[Array, Array]:
+    def band(self) -> tuple[F64, F64]:
         """90 % of the measured speeds of a beat lie within (low, high), m/s."""
         spread = _Z_90 * np.sqrt(np.sum(self.factors**2, axis=1) + self.sigma_m_s**2)
         return self.mean_m_s - spread, self.mean_m_s + spread
 
-    def chance(self, speed_m_s: Array) -> float:
+    def chance(self, speed_m_s: F64) -> float:
         """Probability of a swim at least as odd (chi-square over the measured beats); 1 = none
         was measured."""
         from scipy.special import gammaincc
@@ -80,7 +79,7 @@ class Prediction:
         return float(gammaincc(seen.sum() / 2, odd / 2))
 
     def max_abs_error(
-        self, reference_m_s: Array, measured: NDArray[np.bool_] | None = None
+        self, reference_m_s: F64, measured: NDArray[np.bool_] | None = None
     ) -> tuple[float, float, float]:
         """5 %, 50 % and 95 % quantile of a swim's max|e| over the ``measured`` beats (None = all),
         m/s; the same draws every time."""
@@ -157,11 +156,11 @@ class Belief:
             ),
         )
 
-    def _usual(self, amplitude_rad: Array) -> Array:
+    def _usual(self, amplitude_rad: F64) -> F64:
         """Variance of what a model usually leaves out of each beat, (m/s)**2."""
         scatter = self.identified.scatter
         steady = self.model.steady_m_s(amplitude_rad)
-        usual: Array = (
+        usual: F64 = (
             scatter.model_m_s**2
             + (scatter.switch * steepness(steady)) ** 2
             + (_WRONG_ABOUT_NEW * steady) ** 2
@@ -172,16 +171,16 @@ class Belief:
         self,
         reference_crc: int,
         beats: int,
-        amplitude_rad: Array | None = None,
+        amplitude_rad: F64 | None = None,
         imperfect_min: float = 0.0,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[F64, F64]:
         """(mean, variance) per beat of what the model does not explain on this reference: a Kalman
         filter along its swims. (m/s, m^2/s^2) The variance is that of a swim with ``amplitude_rad``
         (None = of one like the last): where amplitudes change, the model may be wrong anew. The
         imperfection is taken to be ``imperfect_min`` at least."""
         share = max(self.imperfection, imperfect_min)
         mean, variance = np.zeros(beats), np.zeros(beats)
-        last: Array | None = None
+        last: F64 | None = None
         swims = zip(self.swims, self.fit.residual_m_s if self.fit else (), strict=True)
         for swim, residual in swims:
             if swim.reference_crc != reference_crc or swim.beats != beats:
@@ -197,14 +196,14 @@ class Belief:
             variance = variance + share * self._unknown(last, amplitude_rad)
         return mean, variance
 
-    def _unknown(self, last_rad: Array | None, amplitude_rad: Array) -> Array:
+    def _unknown(self, last_rad: F64 | None, amplitude_rad: F64) -> F64:
         """What other amplitudes than the last ones (None = there were none) add to the usual
         disturbance's variance."""
         if last_rad is None:
             return self._usual(amplitude_rad)
         changed = self.model.steady_m_s(amplitude_rad) - self.model.steady_m_s(last_rad)
         scatter = self.identified.scatter
-        added: Array = (
+        added: F64 = (
             _FORGET * scatter.model_m_s**2
             + (scatter.switch * steepness(changed)) ** 2
             + (_WRONG_ABOUT_CHANGES * changed) ** 2
@@ -213,10 +212,10 @@ class Belief:
 
     def predict(
         self,
-        amplitude_rad: Array,
+        amplitude_rad: F64,
         beat_s: float,
         reference_crc: int,
-        sigma_m_s: Array | float,
+        sigma_m_s: F64 | float,
         imperfect_min: float = 0.0,
     ) -> Prediction:
         """``sigma_m_s``: the measurement's. ``imperfect_min``: as for ``disturbance``."""
@@ -232,7 +231,7 @@ class Belief:
         return Prediction(speed + mean, factors, np.sqrt(sigma**2 + _NOISE_M_S**2 + variance))
 
     @property
-    def covariance(self) -> Array:
+    def covariance(self) -> F64:
         """Of the model, as in Fit."""
         if self.fit is not None:
             return self.fit.covariance

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core import judge as judging
+from tailbeat.core.arrays import F32, F64
 
 if TYPE_CHECKING:
     from tailbeat.core.reference import Reference
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from tailbeat.learning.identification import Identified
     from tailbeat.learning.saturation import Saturation
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 SCATTER_M_S = 0.0031  # half of the 95 % interval of repeats on the tank plant, kappa 5 to 20 1/m
 WINDOW = 3  # trials without progress that end a series
@@ -59,7 +58,7 @@ class Score:
     max_abs_error_m_s: float
     judged: bool
     rolled_back: bool = False
-    error_m_s: Floats | None = field(default=None, compare=False, repr=False)
+    error_m_s: F32 | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -300,7 +299,7 @@ def _against(score: Score, best: Score) -> Score:
     return replace(score, max_abs_error_m_s=value)
 
 
-def _errors(score: Score) -> Floats:
+def _errors(score: Score) -> F32:
     if score.error_m_s is not None:
         return score.error_m_s
     return np.array([score.max_abs_error_m_s], np.float32)
@@ -432,7 +431,7 @@ def _limits(before: Sequence[Score], band: NoiseBand, wider: float = 1.0) -> tup
     return level - one_sided * widen * down, level + widen * up
 
 
-def _level(values: Array, band: NoiseBand) -> tuple[float, int]:
+def _level(values: F64, band: NoiseBand) -> tuple[float, int]:
     """(max|e| that the best would have again, from how many trials). The best of several is lucky:
     the level is the median of all trials that may be repeats of it by the range they span."""
     ordered = np.sort(values)
@@ -455,7 +454,7 @@ def _best_level(scores: Sequence[Score], band: NoiseBand) -> float:
     return _level(np.array(judged), band)[0]
 
 
-def _repeats(scores: Sequence[Score]) -> list[Array]:
+def _repeats(scores: Sequence[Score]) -> list[F64]:
     groups: defaultdict[int, list[float]] = defaultdict(list)
     for score in scores:
         if score.judged:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
@@ -30,7 +31,6 @@ from tailbeat.learning.planner import Plan, plan
 
 __all__ = ["Design", "Series", "design", "next_ratio", "response"]
 
-Array = NDArray[np.float64]
 
 LEAD_MAX_BEATS = 16.0
 _Q_LENS = (1, 2, 3, 4, 6, 8)
@@ -54,8 +54,8 @@ class Design:
     must not be used ("" = may); ``warnings``: one line each."""
 
     law: Law
-    frequency_cycles: Array
-    ratio: Array
+    frequency_cycles: F64
+    ratio: F64
     ratio_max: float
     ratio_dc: float
     ratio_slow: float
@@ -82,7 +82,7 @@ class _Choice:
     gain: float
     lead_beats: float
     q_len: int
-    ratio: Array
+    ratio: F64
 
     @property
     def worst(self) -> float:
@@ -311,7 +311,7 @@ def _range(identified: Identified, name: str) -> str:
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
-def _growth(ratio: Array) -> str:
+def _growth(ratio: F64) -> str:
     """A line on frequencies that do not shrink; "" when all do."""
     worst = float(ratio.max())
     if worst < 1 - _NEUTRAL:

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_checks import spans
 from tailbeat.learning.fit import fit
@@ -24,7 +24,6 @@ from tailbeat.learning.fit import fit
 if TYPE_CHECKING:
     from tailbeat.learning.fish_model import Swim
 
-Array = NDArray[np.float64]
 
 _JUMP_M_S = 0.012  # what people do to a fish is more
 _SCATTERS = 5.0  # of the jumps in this swim; 4.9 is the most that chance made of 200
@@ -70,13 +69,13 @@ def bump_of(swim: Swim) -> Bump | None:
     return Bump(range(int(known[first]), int(known[last]) + 1), by_m_s)
 
 
-def _missed(swim: Swim) -> Array:
+def _missed(swim: Swim) -> F64:
     """Speed less the model's, per beat."""
     known, used = swim.measured, swim.measured
     for _ in range(_FITS):
         found = fit([replace(swim, speed_m_s=np.where(used, swim.speed_m_s, np.nan))])
         told = found.model.beats(swim.amplitude_rad, swim.beat_s, found.conditions[0])
-        off: Array = swim.speed_m_s - told
+        off: F64 = swim.speed_m_s - told
         usual = _MAD * float(np.median(np.abs(off[known])))
         fits = known & (np.abs(off) < max(_FITS_M_S, _FITS_MADS * usual))
         if np.array_equal(fits, used) or 2 * fits.sum() < known.sum():
@@ -85,7 +84,7 @@ def _missed(swim: Swim) -> Array:
     return off
 
 
-def _extent(off: Array, at: int) -> tuple[int, int]:
+def _extent(off: F64, at: int) -> tuple[int, int]:
     """First and last of the beats on that side of the jump after ``at`` that is farther off."""
     after = abs(off[at + 1]) >= abs(off[at])
     begin, step = (at + 1, 1) if after else (at, -1)

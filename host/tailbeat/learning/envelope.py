@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tailbeat.core.arrays import F64
 from tailbeat.learning.fish_model import Conditions, FishModel
 from tailbeat.learning.fit import Scatter
-
-Array = NDArray[np.float64]
 
 PESSIMISM = 2.0  # sigmas
 _COAST_S = 5.0  # after the last beat, until somebody is at the fish
@@ -18,7 +17,7 @@ _COAST_S = 5.0  # after the last beat, until somebody is at the fish
 
 def speeds(
     model: FishModel, amplitude_rad: ArrayLike, beat_s: float, given: Conditions | None = None
-) -> Array:
+) -> F64:
     """Mean speed over ground per beat, m/s: of ``amplitude_rad`` and then of the coast after it,
     shape (beats + some,)."""
     coast = np.zeros(max(1, round(_COAST_S / beat_s)))
@@ -34,7 +33,7 @@ def way(
 
 
 def farthest(
-    model: FishModel, covariance: Array, scatter: Scatter, amplitude_rad: ArrayLike, beat_s: float
+    model: FishModel, covariance: F64, scatter: Scatter, amplitude_rad: ArrayLike, beat_s: float
 ) -> tuple[FishModel, Conditions]:
     """The most probable of the fish and days that travel ``PESSIMISM`` sigmas too far.
 
@@ -48,7 +47,7 @@ def farthest(
     whole[4, 4], whole[5, 5] = scatter.gain**2, scatter.flow_m_s**2
     sigma = np.sqrt(np.diag(whole))
 
-    def way_of(x: Array) -> float:
+    def way_of(x: F64) -> float:
         fish, day = _from_vector(x)
         return way(fish, amplitude_rad, beat_s, day)
 
@@ -63,7 +62,7 @@ def farthest(
     return _from_vector(centre + PESSIMISM * (whole @ slope) / spread)
 
 
-def _as_vector(model: FishModel) -> Array:
+def _as_vector(model: FishModel) -> F64:
     return np.array(
         [
             math.log(model.kappa_per_m),
@@ -76,7 +75,7 @@ def _as_vector(model: FishModel) -> Array:
     )
 
 
-def _from_vector(x: Array) -> tuple[FishModel, Conditions]:
+def _from_vector(x: F64) -> tuple[FishModel, Conditions]:
     kappa, slope, dead, delay, gain, flow = map(float, x)
     model = FishModel(math.exp(kappa), math.exp(slope), max(dead, 0.0), max(delay, 0.0))
     return model, Conditions(gain=max(gain, 0.0), flow_m_s=flow)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
 from tailbeat.learning.error_bound_solve import (
@@ -38,7 +38,6 @@ __all__ = [
     "plant_config",
 ]
 
-Array = NDArray[np.float64]
 
 NEGLIGIBLE_M_S = 0.0005  # errors below are nobody's concern: a camera's sigma per beat is 0.7 mm/s
 _SPOT = 0.5  # of the largest error: beats above belong to a spot
@@ -78,9 +77,9 @@ class Floor:
     minimax_m_s: float
     lsq_max_abs_m_s: float
     lsq_rms_m_s: float
-    minimax_input: NDArray[np.float32]
-    lsq_input: NDArray[np.float32]
-    lsq_error_m_s: Array
+    minimax_input: F32
+    lsq_input: F32
+    lsq_error_m_s: F64
     where_s: float  # middle of the last beat with the largest remaining error of the minimax
     spots: tuple[Spot, ...]
 
@@ -166,7 +165,7 @@ def _task(
     return Task(plant, reference.speed_m_s.astype(np.float64), slew_rad)
 
 
-def _spots(task: Task, w: Array, error: Array, beat_s: float) -> tuple[Spot, ...]:
+def _spots(task: Task, w: F64, error: F64, beat_s: float) -> tuple[Spot, ...]:
     size = np.abs(error)
     limit = max(_SPOT * float(size.max()), NEGLIGIBLE_M_S)
     slopes = task.plant.slopes(w, task.wanted_m_s - error)
@@ -179,7 +178,7 @@ def _spots(task: Task, w: Array, error: Array, beat_s: float) -> tuple[Spot, ...
     return tuple(sorted(found, key=lambda spot: -abs(spot.error_m_s)))
 
 
-def _why(task: Task, w: Array, error: Array, by_w: Array, beat: int, beat_s: float) -> str:
+def _why(task: Task, w: F64, error: F64, by_w: F64, beat: int, beat_s: float) -> str:
     """The limit at which the inputs that move this beat most are held."""
     if error[beat] > 0 and beat <= task.plant.delay_s / beat_s:
         return START

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
 from tailbeat.learning.fish_model import FishModel
-
-Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # of the largest w
 _TABLE_POINTS = 200
@@ -40,20 +39,20 @@ class Plant(Protocol):
     @property
     def delay_s(self) -> float: ...
 
-    def amplitude_rad(self, w: Array) -> Array:
+    def amplitude_rad(self, w: F64) -> F64:
         """The smallest amplitude that gives w; for 0 the edge of the dead zone, from where thrust
         is soonest reached."""
         ...
 
-    def thrust(self, amplitude_rad: Array) -> Array:
+    def thrust(self, amplitude_rad: F64) -> F64:
         """w of amplitudes, at most ``w_max``."""
         ...
 
-    def beats(self, w: Array) -> Array:
+    def beats(self, w: F64) -> F64:
         """Mean speed of every beat, m/s."""
         ...
 
-    def slopes(self, w: Array, beats_m_s: Array) -> Array:
+    def slopes(self, w: F64, beats_m_s: F64) -> F64:
         """d beats[k] / d w[j], shape (beats, beats); ``beats_m_s`` = ``beats(w)``."""
         ...
 
@@ -67,22 +66,22 @@ class ModelPlant:
         self._model, self._beat_s = model, beat_s
         self._amplitude_max = amplitude_max_rad
 
-    def amplitude_rad(self, w: Array) -> Array:
+    def amplitude_rad(self, w: F64) -> F64:
         amplitude = self._model.amplitude_rad(np.sqrt(np.maximum(w, 0)))
         return np.asarray(np.clip(amplitude, 0, self._amplitude_max))
 
-    def thrust(self, amplitude_rad: Array) -> Array:
+    def thrust(self, amplitude_rad: F64) -> F64:
         return np.minimum(self._model.steady_m_s(amplitude_rad) ** 2, self.w_max)
 
-    def beats(self, w: Array) -> Array:
+    def beats(self, w: F64) -> F64:
         distance, _, _ = self._model.distance(w, self._beat_s)
-        mean: Array = np.diff(distance) / self._beat_s
+        mean: F64 = np.diff(distance) / self._beat_s
         return mean
 
-    def slopes(self, w: Array, beats_m_s: Array) -> Array:
+    def slopes(self, w: F64, beats_m_s: F64) -> F64:
         _, by_w, _ = self._model.distance(w, self._beat_s, slopes=True)
         assert by_w is not None
-        slopes: Array = np.diff(by_w, axis=0) / self._beat_s
+        slopes: F64 = np.diff(by_w, axis=0) / self._beat_s
         return slopes
 
 
@@ -90,8 +89,6 @@ class SimulatedPlant:
     """The simulator's plant, ``sim_config_t *``; slopes are finite differences of it."""
 
     def __init__(self, config: Any, beat_s: float, amplitude_max_rad: float) -> None:
-        from tailbeat.core.native import lib
-
         self._config, self._beat_s = config, beat_s
         self._amplitude_max = amplitude_max_rad
         tank = config.plant == lib.SIM_PLANT_TANK
@@ -129,18 +126,18 @@ class SimulatedPlant:
         root = math.sqrt(-math.expm1(-2 * y))
         return (y + math.log1p(root)) / (self._kappa_per_m * time_s)
 
-    def amplitude_rad(self, w: Array) -> Array:
+    def amplitude_rad(self, w: F64) -> F64:
         amplitude = np.interp(np.sqrt(np.maximum(w, 0)), self._speeds, self._amplitudes)
         return np.asarray(np.clip(amplitude, 0, self._amplitude_max))
 
-    def thrust(self, amplitude_rad: Array) -> Array:
-        speed: Array = np.interp(amplitude_rad, self._amplitudes, self._speeds)
+    def thrust(self, amplitude_rad: F64) -> F64:
+        speed: F64 = np.interp(amplitude_rad, self._amplitudes, self._speeds)
         return speed**2
 
-    def beats(self, w: Array) -> Array:
+    def beats(self, w: F64) -> F64:
         return plant_beats(self._config, self.amplitude_rad(w), self._beat_s)
 
-    def slopes(self, w: Array, beats_m_s: Array) -> Array:
+    def slopes(self, w: F64, beats_m_s: F64) -> F64:
         slopes = np.empty((len(w), len(w)))
         size = _DIFFERENCE * self.w_max
         for j in range(len(w)):
@@ -151,10 +148,8 @@ class SimulatedPlant:
         return slopes
 
 
-def plant_beats(config: Any, amplitude_rad: Array, beat_s: float) -> Array:
+def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:
     """Noise-free mean speed per beat, m/s, from rest, by the simulator's plant."""
-    from tailbeat.core.native import ffi, lib
-
     amplitude = np.ascontiguousarray(amplitude_rad, dtype=np.float64)
     mean = np.empty_like(amplitude)
     fine = lib.sim_plant_beats(
@@ -174,7 +169,6 @@ def plant_beats(config: Any, amplitude_rad: Array, beat_s: float) -> Array:
 def plant_config(plant: str, overrides: dict[str, float]) -> Any:
     """``sim_config_t *`` of a plant with its disturbances left as they are (the floor ignores
     them)."""
-    from tailbeat.core.native import ffi, lib
     from tailbeat.sim.world import PLANTS, config_field
 
     config = ffi.new("sim_config_t *")
@@ -198,18 +192,18 @@ class Task:
     """``slew_rad``: largest change of the amplitude between neighbouring beats; None = any."""
 
     plant: Plant
-    wanted_m_s: Array
+    wanted_m_s: F64
     slew_rad: float | None = None
 
-    def error(self, w: Array) -> Array:
+    def error(self, w: F64) -> F64:
         """Reference minus speed per beat, m/s."""
         return self.wanted_m_s - self.plant.beats(w)
 
-    def start(self) -> Array:
+    def start(self) -> F64:
         """The static inverse."""
         return self.admissible(self.wanted_m_s**2)
 
-    def admissible(self, w: Array) -> Array:
+    def admissible(self, w: F64) -> F64:
         """The nearest input below ``w`` that keeps to the limits; ``w`` itself if it does."""
         w = np.clip(w, 0.0, self.plant.w_max)
         if self.slew_rad is None:
@@ -221,7 +215,7 @@ class Task:
                 amplitude[k] = min(amplitude[k], amplitude[neighbour] + self.slew_rad)
         return np.minimum(w, self.plant.thrust(amplitude))
 
-    def slew(self, w: Array) -> tuple[Array, Array]:
+    def slew(self, w: F64) -> tuple[F64, F64]:
         """(room, slopes) of the slew limits in x = w/w_max: room >= 0 is admissible."""
         beats, w_max = len(w), self.plant.w_max
         assert self.slew_rad is not None
@@ -238,13 +232,13 @@ class Task:
         slopes[rows, limits] = -1.0
         return room / w_max, slopes
 
-    def _neighbours_most(self, w: Array) -> Array:
+    def _neighbours_most(self, w: F64) -> F64:
         amplitude = self.plant.amplitude_rad(w)
         assert self.slew_rad is not None
         return self.plant.thrust(amplitude + self.slew_rad)
 
 
-def least_squares(task: Task) -> Array:
+def least_squares(task: Task) -> F64:
     """w of the smallest sum of squared errors: Gauss-Newton steps inside the limits."""
     w = task.start()
     error = task.error(w)
@@ -268,7 +262,7 @@ def least_squares(task: Task) -> Array:
     return w
 
 
-def _squares_step(task: Task, w: Array, jacobian: Array, error: Array) -> Array:
+def _squares_step(task: Task, w: F64, jacobian: F64, error: F64) -> F64:
     """d(w/w_max) of the linearised problem."""
     from tailbeat.learning.planner import box_step
 
@@ -286,7 +280,7 @@ def _squares_step(task: Task, w: Array, jacobian: Array, error: Array) -> Array:
     )
 
 
-def _bounded_quadratic(hessian: Array, gradient: Array, rows: Array, limit: Array) -> Array:
+def _bounded_quadratic(hessian: F64, gradient: F64, rows: F64, limit: F64) -> F64:
     """min 0.5*d'Hd + g'd with rows @ d <= limit, limit >= 0, H positive definite.
 
     As a least distance problem by non-negative least squares (Lawson and Hanson, Solving Least
@@ -307,7 +301,7 @@ def _bounded_quadratic(hessian: Array, gradient: Array, rows: Array, limit: Arra
     return np.asarray(solve_triangular(root.T, free - rest[:-1] / rest[-1], lower=False))
 
 
-def minimax(task: Task, start: Array) -> Array:
+def minimax(task: Task, start: F64) -> F64:
     """w of the smallest max|e|, by linear programs inside a trust region from ``start``."""
     w_max = task.plant.w_max
     w, error, jacobian = start, task.error(start), None
@@ -334,8 +328,8 @@ def minimax(task: Task, start: Array) -> Array:
 
 
 def _minimax_step(
-    task: Task, w: Array, jacobian: Array, error: Array, radius: float
-) -> tuple[Array | None, float]:
+    task: Task, w: F64, jacobian: F64, error: F64, radius: float
+) -> tuple[F64 | None, float]:
     """Minimise t with |error - J d| <= t inside the limits and |d| <= radius: (d, t)."""
     from scipy.optimize import linprog
 

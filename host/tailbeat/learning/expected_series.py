@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law, first, update
 from tailbeat.core.reference import Reference
 from tailbeat.learning.fish_model import SIGMA_M_S, Conditions, FishModel, Swim
 from tailbeat.learning.fit import Scatter, beat_sigma
 from tailbeat.learning.identification import Identified
-
-Array = NDArray[np.float64]
 
 _SWIMMERS = 40
 _SEED = 1
@@ -34,9 +32,9 @@ _TINY = 1e-12
 class Series:
     """max|e| per iteration (0 = zero input), m/s, over models and noise: median and 90 % band."""
 
-    median_m_s: Array
-    low_m_s: Array
-    high_m_s: Array
+    median_m_s: F64
+    low_m_s: F64
+    high_m_s: F64
 
 
 def expected_series(
@@ -85,7 +83,7 @@ def _learn(
     iterations: int,
     sigma_m_s: float,
     rng: Generator,
-) -> Array:
+) -> F64:
     wanted = reference.speed_m_s.astype(np.float64)
     amplitude = first(law, wanted)
     worst = [float(np.abs(wanted).max())]
@@ -99,7 +97,7 @@ def _learn(
 
 
 def next_ratio(
-    identified: Identified, reference: Reference, swim: Swim, amplitude_rad: Array
+    identified: Identified, reference: Reference, swim: Swim, amplitude_rad: F64
 ) -> tuple[float, float]:
     """90 % interval of (max|e| of the next trial with ``amplitude_rad``) / (that of ``swim``), by
     the models of the set and the scatter of swims.
@@ -147,11 +145,11 @@ class _Guess:
     of what comes again, ``alone`` of what does not beyond the conditions."""
 
     model: FishModel
-    misfit_m_s: Array  # measured minus model, (seen,)
-    conditions: Array  # beat means by a swim's own gain, start and flow, one sigma each, (beats, 3)
-    repeats: Array
-    alone: Array
-    inverse: Array  # of the misfit's covariance, (seen, seen)
+    misfit_m_s: F64  # measured minus model, (seen,)
+    conditions: F64  # beat means by a swim's own gain, start and flow, one sigma each, (beats, 3)
+    repeats: F64
+    alone: F64
+    inverse: F64  # of the misfit's covariance, (seen, seen)
     log_likelihood: float
 
     @classmethod
@@ -163,14 +161,14 @@ class _Guess:
         alone = swim.sigma_m_s**2 + (1 - _COMES_AGAIN) * imperfect
         repeats = _COMES_AGAIN * imperfect
         total = np.diag(repeats + alone) + conditions @ conditions.T
-        inverse: Array = np.linalg.inv(total[np.ix_(seen, seen)]).astype(np.float64)
+        inverse: F64 = np.linalg.inv(total[np.ix_(seen, seen)]).astype(np.float64)
         log_precision = float(np.linalg.slogdet(inverse)[1])
         likely = 0.5 * (log_precision - float(misfit @ inverse @ misfit))
         return cls(model, misfit, conditions, repeats, alone, inverse, likely)
 
     def next_speeds(
-        self, amplitude_rad: Array, swim: Swim, scatter: Scatter, count: int, rng: Generator
-    ) -> Array:
+        self, amplitude_rad: F64, swim: Swim, scatter: Scatter, count: int, rng: Generator
+    ) -> F64:
         """Measured speeds of ``count`` possible next swims, shape (count, beats)."""
         beats, seen = len(self.repeats), swim.measured
         again = rng.standard_normal((count, beats)) * np.sqrt(self.repeats)
@@ -178,32 +176,32 @@ class _Guess:
         gap = self.misfit_m_s - (again + own)[:, seen]
         again[:, seen] += gap @ self.inverse * self.repeats[seen]
         speed, conditions = _conditions_part(self.model, scatter, amplitude_rad, swim.beat_s)
-        following: Array = speed + again + self._own(conditions, count, rng)
+        following: F64 = speed + again + self._own(conditions, count, rng)
         return following
 
-    def _own(self, conditions: Array, count: int, rng: Generator) -> Array:
+    def _own(self, conditions: F64, count: int, rng: Generator) -> F64:
         """What ``count`` swims have of their own, (count, beats), m/s."""
         beats = len(self.alone)
         noise = rng.standard_normal((count, beats)) * np.sqrt(self.alone)
-        shared: Array = rng.standard_normal((count, conditions.shape[1])) @ conditions.T
+        shared: F64 = rng.standard_normal((count, conditions.shape[1])) @ conditions.T
         return shared + noise
 
 
 def _imperfection(
-    model: FishModel, scatter: Scatter, swim: Swim, misfit: Array, conditions: Array
-) -> Array:
+    model: FishModel, scatter: Scatter, swim: Swim, misfit: F64, conditions: F64
+) -> F64:
     """Variance per beat of what the model leaves out; more than usual when the swim shows it."""
     seen = swim.measured
     usual = beat_sigma(swim, model, scatter) ** 2 - swim.sigma_m_s**2
     explained = np.sum(swim.sigma_m_s[seen] ** 2) + np.sum(conditions[seen] ** 2)
     factor = (misfit @ misfit - explained) / max(float(np.sum(usual[seen])), _TINY)
-    scaled: Array = usual * max(1.0, float(factor))
+    scaled: F64 = usual * max(1.0, float(factor))
     return scaled
 
 
 def _conditions_part(
-    model: FishModel, scatter: Scatter, amplitude_rad: Array, beat_s: float
-) -> tuple[Array, Array]:
+    model: FishModel, scatter: Scatter, amplitude_rad: F64, beat_s: float
+) -> tuple[F64, F64]:
     """Beat means of a usual swim, and what they owe to a sigma of its gain, start and flow."""
     start = scatter.start_m_s * _HALF_NORMAL_MEAN
     speed = model.beats(amplitude_rad, beat_s, Conditions(start))

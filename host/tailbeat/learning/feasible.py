@@ -15,16 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replacing_text
 from tailbeat.core.reference import Limits, Reference, curve
 from tailbeat.learning.error_bound import NEGLIGIBLE_M_S, lsq_max_abs_m_s
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
-
-Array = NDArray[np.float64]
 
 TARGET_M_S = 0.001  # the floor that is aimed at
 
@@ -50,8 +48,8 @@ class Suggestion:
     saying."""
 
     reference: Reference
-    t_s: Array
-    v_m_s: Array
+    t_s: F64
+    v_m_s: F64
     floor_m_s: float
     changes: tuple[str, ...]
 
@@ -143,7 +141,7 @@ def _reach(models: list[FishModel], amplitude_max_rad: float) -> _Reach:
     )
 
 
-def _fitted(reference: Reference, reach: _Reach, limits: Limits) -> tuple[Array, Array]:
+def _fitted(reference: Reference, reach: _Reach, limits: Limits) -> tuple[F64, F64]:
     """The curve (t_s, v_m_s), shortened until it fits into the tank."""
     top = min(limits.speed_max_m_s, reach.steady_max_m_s)
     wanted = np.minimum(reference.speed_m_s.astype(np.float64), top)
@@ -161,7 +159,7 @@ def _fitted(reference: Reference, reach: _Reach, limits: Limits) -> tuple[Array,
     return t, v
 
 
-def _shorter(wanted: Array, beat_s: float, excess_m: float, scale: float) -> Array:
+def _shorter(wanted: F64, beat_s: float, excess_m: float, scale: float) -> F64:
     """Without beats of the cruise; slower where there is none to spare."""
     top = float(wanted.max())
     fast = np.flatnonzero(wanted >= _PLATEAU * top)
@@ -174,7 +172,7 @@ def _shorter(wanted: Array, beat_s: float, excess_m: float, scale: float) -> Arr
     return np.delete(wanted, np.arange(first, first + spare))
 
 
-def _curve(wanted: Array, beat_s: float, reach: _Reach) -> tuple[Array, Array]:
+def _curve(wanted: F64, beat_s: float, reach: _Reach) -> tuple[F64, F64]:
     beats, step_s = len(wanted), beat_s / _GRID
     half = _GRID // 2
     t = step_s * np.arange(-half, beats * _GRID + half + 1, dtype=np.float64)
@@ -187,7 +185,7 @@ def _curve(wanted: Array, beat_s: float, reach: _Reach) -> tuple[Array, Array]:
     return np.round(t[half:-half], 9), np.round(np.maximum(mean, 0.0), _DIGITS)
 
 
-def _follow(asked: Array, t: Array, step_s: float, reach: _Reach, start_s: float) -> Array:
+def _follow(asked: F64, t: F64, step_s: float, reach: _Reach, start_s: float) -> F64:
     """The curve from rest at ``start_s`` that is as near as coasting and full thrust let it."""
     push, most = reach.push_per_m, reach.steady_max_m_s
     followed = np.zeros_like(asked)
@@ -218,7 +216,7 @@ def _changes(asked: Reference, found: Reference, end_m_s: float) -> tuple[str, .
     return tuple(lines)
 
 
-def _differences(difference: Array) -> list[str]:
+def _differences(difference: F64) -> list[str]:
     lines = []
     apart = np.flatnonzero(np.abs(difference) > NEGLIGIBLE_M_S)
     sign = np.sign(difference)

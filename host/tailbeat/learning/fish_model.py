@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
 
 if TYPE_CHECKING:
     from tailbeat.core.trial_file import Trial
 
-Array = NDArray[np.float64]
 
 PARAMS = ("kappa_per_m", "slope_m_s_rad", "dead_zone_rad", "delay_s")
 
@@ -37,12 +38,12 @@ class FishModel:
     dead_zone_rad: float
     delay_s: float
 
-    def steady_m_s(self, amplitude_rad: ArrayLike) -> Array:
+    def steady_m_s(self, amplitude_rad: ArrayLike) -> F64:
         """vss: the speed an amplitude settles at."""
         beyond = np.asarray(amplitude_rad, dtype=np.float64) - self.dead_zone_rad
         return self.slope_m_s_rad * np.maximum(beyond, 0.0)
 
-    def amplitude_rad(self, steady_m_s: ArrayLike) -> Array:
+    def amplitude_rad(self, steady_m_s: ArrayLike) -> F64:
         """The smallest amplitude that settles at a speed; the dead zone's edge for 0."""
         speed = np.maximum(np.asarray(steady_m_s, dtype=np.float64), 0.0)
         return self.dead_zone_rad + speed / self.slope_m_s_rad
@@ -52,29 +53,27 @@ class FishModel:
         amplitude_rad: ArrayLike,
         beat_s: float,
         conditions: Conditions | None = None,
-    ) -> Array:
+    ) -> F64:
         """Mean speed over ground per beat, m/s, shape (beats,)."""
         given = conditions or Conditions()
         w = (given.gain * self.steady_m_s(amplitude_rad)) ** 2
         distance, _, _ = self.distance(w, beat_s, given.start_m_s)
-        mean: Array = np.diff(distance) / beat_s + given.flow_m_s
+        mean: F64 = np.diff(distance) / beat_s + given.flow_m_s
         return mean
 
     def distance(
-        self, w: Array, beat_s: float, start_m_s: float = 0.0, parts: int = 1, slopes: bool = False
-    ) -> tuple[Array, Array | None, Array | None]:
+        self, w: F64, beat_s: float, start_m_s: float = 0.0, parts: int = 1, slopes: bool = False
+    ) -> tuple[F64, F64 | None, F64 | None]:
         """(distance over water, its derivatives to w, those to (kappa, delay, start)) at the
         ``beats * parts + 1`` ends of the parts of beats; None without ``slopes``. ``w``: thrust per
         beat as the square of the steady speed, >= 0."""
-        from tailbeat.core.native import ffi, lib
-
         w = np.ascontiguousarray(w, dtype=np.float64)
         rows = len(w) * parts + 1
         distance = np.empty(rows)
         by_w = np.empty((rows, len(w))) if slopes else None
         by_model = np.empty((rows, 3)) if slopes else None
 
-        def pointer(array: Array | None) -> object:
+        def pointer(array: F64 | None) -> object:
             return ffi.NULL if array is None else ffi.from_buffer("double[]", array)
 
         model = ffi.new("drag_model_t *", (self.kappa_per_m, self.delay_s, start_m_s, beat_s))
@@ -108,9 +107,9 @@ class Swim:
     standard deviation, the measurement's alone. ``reference_crc``, ``trial``: 0 = unknown.
     ``swum_beats``: how many were swum before an early end; None = all."""
 
-    amplitude_rad: Array
-    speed_m_s: Array
-    sigma_m_s: Array
+    amplitude_rad: F64
+    speed_m_s: F64
+    sigma_m_s: F64
     beat_s: float = 1.0
     reference_crc: int = 0
     trial: int = 0
@@ -151,7 +150,7 @@ def swim_of(trial: Trial) -> Swim:
     )
 
 
-def last_input(swims: Sequence[Swim], beats: int) -> Array:
+def last_input(swims: Sequence[Swim], beats: int) -> F64:
     """The amplitudes that were swum last, beat by beat, by ``swims`` of one reference: what lies
     beyond an early end is of an earlier swim, NaN where no swim came so far."""
     amplitude = np.full(beats, np.nan)

@@ -14,12 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning.fish_model import Conditions, FishModel, Swim
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,9 @@ class Fit:
     Laplace's approximation; for comparing priors on the same swims and scatter."""
 
     model: FishModel
-    covariance: Array
+    covariance: F64
     conditions: list[Conditions]
-    residual_m_s: list[Array]
+    residual_m_s: list[F64]
     rms_m_s: float
     beats: int
     log_evidence: float = 0.0
@@ -122,7 +120,7 @@ def bootstrap(
 
 
 def _swum_again(
-    swim: Swim, model: FishModel, residual: Array, differ: Scatter, rng: np.random.Generator
+    swim: Swim, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
 ) -> Swim:
     conditions = Conditions(
         start_m_s=abs(rng.normal(0, differ.start_m_s)),
@@ -138,14 +136,14 @@ def _swum_again(
     return replace(swim, speed_m_s=np.where(swim.measured, speed + drawn, np.nan))
 
 
-def _shared_of(model: FishModel) -> Array:
+def _shared_of(model: FishModel) -> F64:
     return np.array(
         [math.log(model.kappa_per_m), math.log(model.slope_m_s_rad), model.dead_zone_rad,
          model.delay_s]
     )  # fmt: skip
 
 
-def _model_of(shared: Array) -> FishModel:
+def _model_of(shared: F64) -> FishModel:
     low, high = _KAPPA_RANGE
     return FishModel(
         kappa_per_m=min(max(math.exp(shared[0]), low), high),
@@ -176,11 +174,11 @@ class _Problem:
         self.high = np.r_[math.log(_KAPPA_RANGE[1]), np.inf, np.pi / 2, _DELAY_MAX_BEATS * beat_s,
                           np.full(_CONDITIONS * len(swims), np.inf)]  # fmt: skip
 
-    def conditions(self, x: Array, index: int) -> Conditions:
+    def conditions(self, x: F64, index: int) -> Conditions:
         start, flow, log_gain = x[_SHARED + _CONDITIONS * index :][:_CONDITIONS]
         return Conditions(max(float(start), 0.0), float(flow), math.exp(log_gain))
 
-    def evaluated(self, x: Array) -> tuple[Array, Array]:
+    def evaluated(self, x: F64) -> tuple[F64, F64]:
         """(residuals, Jacobian): the prior's rows first, then the measured beats of every swim."""
         model = _model_of(x[:_SHARED])
         prior = (x - self.centre) / self.spread
@@ -196,7 +194,7 @@ class _Problem:
             slopes.append(wide)
         return np.concatenate(rows), np.vstack(slopes)
 
-    def solved(self, x: Array) -> Fit:
+    def solved(self, x: F64) -> Fit:
         model = _model_of(x[:_SHARED])
         off, jacobian = self.evaluated(x)
         normal = jacobian.T @ jacobian
@@ -220,21 +218,21 @@ class _Problem:
         )
 
 
-def beat_sigma(swim: Swim, model: FishModel, scatter: Scatter) -> Array:
+def beat_sigma(swim: Swim, model: FishModel, scatter: Scatter) -> F64:
     """Standard deviation of measured minus modelled speed per beat, conditions known."""
     switched = scatter.switch * steepness(model.steady_m_s(swim.amplitude_rad))
-    sigma: Array = np.sqrt(swim.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
+    sigma: F64 = np.sqrt(swim.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
     return sigma
 
 
-def steepness(steady_m_s: Array) -> Array:
+def steepness(steady_m_s: F64) -> F64:
     """Of the steady speeds of beats: the larger of the last two changes, from rest, m/s."""
     change = np.abs(np.diff(steady_m_s, prepend=0.0))
-    steepest: Array = np.maximum(change, np.concatenate([[0.0], change[:-1]]))
+    steepest: F64 = np.maximum(change, np.concatenate([[0.0], change[:-1]]))
     return steepest
 
 
-def speed_and_slopes(model: FishModel, swim: Swim, given: Conditions) -> tuple[Array, Array]:
+def speed_and_slopes(model: FishModel, swim: Swim, given: Conditions) -> tuple[F64, F64]:
     """Beat means and their derivatives by (log kappa, log slope, dead zone, delay, start, flow, log
     gain)."""
     steady = given.gain * model.steady_m_s(swim.amplitude_rad)
@@ -256,9 +254,9 @@ def speed_and_slopes(model: FishModel, swim: Swim, given: Conditions) -> tuple[A
     return np.diff(distance) / swim.beat_s + given.flow_m_s, np.column_stack(columns)
 
 
-def _levenberg_marquardt(problem: _Problem) -> Array:
+def _levenberg_marquardt(problem: _Problem) -> F64:
     """Projected onto the bounds; the start is the prior's centre."""
-    x: Array = np.clip(problem.centre, problem.low, problem.high)
+    x: F64 = np.clip(problem.centre, problem.low, problem.high)
     residual, jacobian = problem.evaluated(x)
     cost, damping = float(residual @ residual), 1e-3
     for _ in range(_ITERATIONS_MAX):

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import read_trial
 from tailbeat.learning import fit
@@ -18,8 +18,6 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import STILL_M_S, identify_swims
 from tailbeat.learning.speed_table import ThesisFish
-
-Array = NDArray[np.float64]
 
 _STEADY_BEATS = 6  # of one amplitude, the later half of which is steady
 _BATTERY_SPREAD_V = 0.4
@@ -44,10 +42,10 @@ class SwimAccount:
     """One swim. Arrays: shape (beats,). ``model_m_s``: with the swim's own start, flow and gain."""
 
     trial: int
-    amplitude_rad: Array
-    speed_m_s: Array
-    sigma_m_s: Array
-    model_m_s: Array
+    amplitude_rad: F64
+    speed_m_s: F64
+    sigma_m_s: F64
+    model_m_s: F64
     beat_s: float
     battery_v: float | None
 
@@ -72,7 +70,7 @@ class Account:
     rms_m_s: float
     beats: int
     swims: list[SwimAccount]
-    steady: tuple[Array, Array]
+    steady: tuple[F64, F64]
     battery_v: tuple[float, float] | None
     warnings: list[str]
 
@@ -176,7 +174,7 @@ def _too_wide(identified: Identified) -> dict[str, tuple[float, str, str]]:
     return found
 
 
-def steady_points(swims: Sequence[Swim]) -> tuple[Array, Array]:
+def steady_points(swims: Sequence[Swim]) -> tuple[F64, F64]:
     """(amplitude_rad, speed_m_s) of every stretch of one amplitude long enough to be steady."""
     points = []
     for swim in swims:
@@ -220,7 +218,7 @@ def from_trials(paths: Sequence[Path]) -> tuple[Identified, bool]:
     return with_drag(found, about), trials[0].board != "fish"
 
 
-def steady_band(models: Sequence[FishModel], amplitude_rad: Array) -> tuple[Array, Array]:
+def steady_band(models: Sequence[FishModel], amplitude_rad: F64) -> tuple[F64, F64]:
     """95 % interval of the steady speed at each amplitude, m/s."""
     speeds = np.array([model.steady_m_s(amplitude_rad) for model in models])
     low, high = np.percentile(speeds, [2.5, 97.5], axis=0)

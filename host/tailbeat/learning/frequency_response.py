@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import BEATS_MAX, Reference
 from tailbeat.learning.fish_model import FishModel
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FREQUENCIES = np.linspace(0.0, 0.5, 201)  # cycles/beat
@@ -33,7 +33,7 @@ _FOLDS = 2  # the transform is this much finer than FREQUENCIES, so that it has 
 _FORGOTTEN = 9.0  # exp(-9): what is left of a transient that has settled
 
 
-def response(model: FishModel, speed_m_s: float, beat_s: float, beats: int = 64) -> Array:
+def response(model: FishModel, speed_m_s: float, beat_s: float, beats: int = 64) -> F64:
     """Impulse response of beat means to the amplitude of one beat, at a steady speed, m/s/rad.
 
     Shape (beats,), the beat itself first; its sum is the map's slope. Exact: the model's own
@@ -47,7 +47,7 @@ def response(model: FishModel, speed_m_s: float, beat_s: float, beats: int = 64)
     _, by_w, _ = model.distance(thrust, beat_s, start_m_s=speed_m_s, slopes=True)
     assert by_w is not None
     by_amplitude = 2 * speed_m_s * model.slope_m_s_rad
-    mean: Array = np.diff(by_w[:, lead_in])[lead_in:] * by_amplitude / beat_s
+    mean: F64 = np.diff(by_w[:, lead_in])[lead_in:] * by_amplitude / beat_s
     return mean
 
 
@@ -76,11 +76,11 @@ def lead_response(lead_beats: float) -> Complex:
     return whole if lead_beats == math.floor(lead_beats) else whole * (1 + z) / 2
 
 
-def filter_response(q_len: int) -> Array:
+def filter_response(q_len: int) -> F64:
     """The zero-phase triangle of ``q_len`` at FREQUENCIES, away from the ends of the trial."""
     j = np.arange(1, q_len)
     sides = 2 * np.cos(2 * np.pi * np.outer(FREQUENCIES, j)) @ (q_len - j)
-    weight: Array = (q_len + sides) / q_len**2
+    weight: F64 = (q_len + sides) / q_len**2
     return weight
 
 
@@ -94,19 +94,19 @@ class Plants:
     speeds_m_s: tuple[float, float]
     slow_from_m_s: float
 
-    def ratio(self, gain: float, lead_beats: float, q_len: int) -> Array:
+    def ratio(self, gain: float, lead_beats: float, q_len: int) -> F64:
         """|Q*(1 - gain*z**lead*G)| at FREQUENCIES, the worst of models and speeds."""
         return _worst(self.fast, gain, lead_beats, q_len)
 
-    def slow_ratio(self, gain: float, lead_beats: float, q_len: int) -> Array:
+    def slow_ratio(self, gain: float, lead_beats: float, q_len: int) -> F64:
         """The same at the lower speeds."""
         return _worst(self.slow, gain, lead_beats, q_len)
 
 
-def _worst(plants: Complex, gain: float, lead_beats: float, q_len: int) -> Array:
+def _worst(plants: Complex, gain: float, lead_beats: float, q_len: int) -> F64:
     loops = plants * lead_response(lead_beats)
     squared = (1 - gain * loops.real) ** 2 + (gain * loops.imag) ** 2  # quicker than abs
-    ratio: Array = np.sqrt(squared.max(axis=0)) * np.abs(filter_response(q_len))
+    ratio: F64 = np.sqrt(squared.max(axis=0)) * np.abs(filter_response(q_len))
     return ratio
 
 
@@ -124,7 +124,7 @@ def plants_of(
             "Look at the reference and at AMP_MAX_RAD, which must be above the dead zone.",
         )
 
-    def at(fractions: Array) -> Complex:
+    def at(fractions: F64) -> Complex:
         return np.array(
             [
                 frequency_response(model, float(part * top), reference.beat_s)
@@ -138,7 +138,7 @@ def plants_of(
     return Plants(at(fast), at(slow), (CRUISE * top, top), SLOW * top)
 
 
-def lead_matrix(beats: int, lead_beats: float, keep_tail: bool = False) -> Array:
+def lead_matrix(beats: int, lead_beats: float, keep_tail: bool = False) -> F64:
     """S: what the law reads of the errors, shape (beats, beats). Beyond the end it is the last
     error, or nothing with ``keep_tail``."""
     whole = math.floor(lead_beats)
@@ -152,26 +152,26 @@ def lead_matrix(beats: int, lead_beats: float, keep_tail: bool = False) -> Array
     return matrix
 
 
-def filter_matrix(beats: int, q_len: int) -> Array:
+def filter_matrix(beats: int, q_len: int) -> F64:
     """Q with its ends renormalised, as the law does it (firmware/ilc/law.h)."""
     apart = np.abs(np.subtract.outer(np.arange(beats), np.arange(beats)))
     weights = np.maximum(q_len - apart, 0).astype(np.float64)
-    matrix: Array = weights / weights.sum(axis=1, keepdims=True)
+    matrix: F64 = weights / weights.sum(axis=1, keepdims=True)
     return matrix
 
 
-def swim_jacobian(model: FishModel, amplitude_rad: Array, beat_s: float) -> Array:
+def swim_jacobian(model: FishModel, amplitude_rad: F64, beat_s: float) -> F64:
     """d beat means / d amplitudes around a swim from rest, shape (beats, beats), m/s/rad."""
     steady = model.steady_m_s(amplitude_rad)
     _, by_w, _ = model.distance(steady**2, beat_s, slopes=True)
     assert by_w is not None
-    jacobian: Array = np.diff(by_w, axis=0) / beat_s * (2 * steady * model.slope_m_s_rad)
+    jacobian: F64 = np.diff(by_w, axis=0) / beat_s * (2 * steady * model.slope_m_s_rad)
     return jacobian
 
 
 def input_norm(
     model: FishModel,
-    amplitude_rad: Array,
+    amplitude_rad: F64,
     beat_s: float,
     gain: float,
     lead_beats: float,

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning.convergence import NoiseBand, Score, best_of, comparable, default_band
-
-Array = NDArray[np.float64]
 
 FLUCTUATION_MAX = 1.3  # times the noise of repeats
 _SETTLED_MIN = 4  # trials
@@ -35,8 +34,8 @@ class Fade:
 
     fade: float
     fade_from: int
-    kalman: Array
-    board: Array
+    kalman: F64
+    board: F64
 
 
 def fade_advice(
@@ -105,7 +104,7 @@ def settled_after(scores: Sequence[Score], band: NoiseBand | None = None) -> int
 
 def repeat_variance(scores: Sequence[Score]) -> float | None:
     """Variance of a beat's error between repeats, mean over beats, (m/s)**2; None without any."""
-    groups: dict[int, list[Array]] = {}
+    groups: dict[int, list[F64]] = {}
     for score in scores:
         if score.judged and score.error_m_s is not None:
             groups.setdefault(score.input_crc, []).append(score.error_m_s.astype(np.float64))
@@ -117,7 +116,7 @@ def repeat_variance(scores: Sequence[Score]) -> float | None:
     return sum(squares for squares, _ in found) / freedom if freedom else None
 
 
-def _scatter(group: Array) -> tuple[float, int]:
+def _scatter(group: F64) -> tuple[float, int]:
     """(sum of squares about each beat's mean, degrees of freedom) of repeats; NaN = no speed."""
     known = np.isfinite(group)
     times = known.sum(axis=0)
@@ -126,7 +125,7 @@ def _scatter(group: Array) -> tuple[float, int]:
     return float(squares.sum()), int(np.maximum(times - 1, 0).sum())
 
 
-def _nearest(kalman: Array, beyond: NDArray[np.int64]) -> float:
+def _nearest(kalman: F64, beyond: NDArray[np.int64]) -> float:
     from scipy.optimize import minimize_scalar
 
     if not beyond.any():

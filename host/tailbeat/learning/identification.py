@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file
 from tailbeat.learning.fish_model import FishModel, Swim
 from tailbeat.learning.fit import Fit, Scatter
-
-Array = NDArray[np.float64]
 
 _FORMAT = "tailbeat identified 1"
 
@@ -31,7 +29,7 @@ class Identified:
 
     model: FishModel
     models: list[FishModel]
-    covariance: Array
+    covariance: F64
     scatter: Scatter = field(default_factory=Scatter)
     source: str = "runs"
     assumed: tuple[str, ...] = ()

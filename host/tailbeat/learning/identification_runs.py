@@ -12,16 +12,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning import fit
 from tailbeat.learning.envelope import farthest, way
 from tailbeat.learning.fish_model import FishModel, Swim
 from tailbeat.learning.fit import Fit, Prior, Scatter
 from tailbeat.learning.identification import Identified
-
-Array = NDArray[np.float64]
 
 CRUISE, COAST = "cruise", "coast-down"
 FRACTIONS = (0.4, 0.7, 1.0)  # of the way from the dead zone to the limit: Table 8.1's, nearly
@@ -75,8 +73,8 @@ class Run:
     number: int
     kind: str
     cruise_rad: float
-    amplitude_rad: Array
-    predicted_m_s: Array
+    amplitude_rad: F64
+    predicted_m_s: F64
     travel_m: float
     travel_worst_m: float
 
@@ -113,7 +111,7 @@ class Course:
         return replace(self.prior.model, dead_zone_rad=dead_zone_rad)
 
     @property
-    def covariance(self) -> Array:
+    def covariance(self) -> F64:
         """Of (log kappa, log slope, dead zone, delay)."""
         if self.found is not None:
             return self.found.covariance
@@ -164,7 +162,7 @@ class Course:
         edge, day = farthest(self.model, self.covariance, self.scatter, longest_rad, beat_s)
         usable_m = self.limits.usable_m
 
-        def worst(amplitude: Array) -> float:
+        def worst(amplitude: F64) -> float:
             return way(edge, amplitude, beat_s, day)
 
         shortest, longest = (self._beats(s) for s in self._cruise_s(kind, wanted_rad))
@@ -210,7 +208,7 @@ class Course:
     def _beats(self, time_s: float) -> int:
         return max(1, round(time_s / self.limits.beat_s))
 
-    def _profile(self, kind: str, cruise_rad: float, cruise_beats: int) -> Array:
+    def _profile(self, kind: str, cruise_rad: float, cruise_beats: int) -> F64:
         """Up in equal steps of steady speed, the cruise, the coast."""
         foot = min(self.model.dead_zone_rad, cruise_rad)
         ramp = foot + (cruise_rad - foot) * np.arange(1, _RAMP_BEATS + 1) / (_RAMP_BEATS + 1)
@@ -229,7 +227,7 @@ def _moved(swim: Swim, cruise_rad: float) -> bool:
 
 
 def identify_runs(
-    swim: Callable[[Array], Swim],
+    swim: Callable[[F64], Swim],
     limits: Limits,
     prior: Prior | None = None,
     scatter: Scatter | None = None,

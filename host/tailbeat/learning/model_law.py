@@ -20,9 +20,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.core import law as laws
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
@@ -31,8 +31,6 @@ from tailbeat.learning.convergence import input_crc
 from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, Swim, last_input
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
-
-Array = NDArray[np.float64]
 
 FALLBACK = Law(kp_rad_s_m=4.0, lead_beats=1)
 # Between least squares (2) and minimax (infinity). The largest error is what a fish is judged by,
@@ -57,13 +55,13 @@ class Proposal:
     ``limited_beats``: where the step limit holds the amplitude back. ``reason``: one line for
     people."""
 
-    amplitude_rad: Array
-    predicted_m_s: Array
-    low_m_s: Array
-    high_m_s: Array
+    amplitude_rad: F64
+    predicted_m_s: F64
+    low_m_s: F64
+    high_m_s: F64
     predicted_max_abs_error_m_s: tuple[float, float, float]  # 5 %, median, 95 %
     model: FishModel
-    disturbance_m_s: Array
+    disturbance_m_s: F64
     law: str
     reason: str
     trials: tuple[int, ...] = ()
@@ -146,7 +144,7 @@ def _swims_of(reference: Reference, swims: Sequence[Swim]) -> list[Swim]:
     return own
 
 
-def _limits(swum: Array, amplitude_max_rad: float, step_max_rad: float) -> tuple[Array, Array]:
+def _limits(swum: F64, amplitude_max_rad: float, step_max_rad: float) -> tuple[F64, F64]:
     """Of each beat's amplitude; a beat that was never swum may have any."""
     step = step_max_rad if step_max_rad > 0 else np.inf
     low = np.clip(np.nan_to_num(swum - step, nan=0.0), 0.0, amplitude_max_rad)
@@ -154,7 +152,7 @@ def _limits(swum: Array, amplitude_max_rad: float, step_max_rad: float) -> tuple
     return low, high
 
 
-def _ready(amplitude_rad: Array, model: FishModel, amplitude_max_rad: float) -> Array:
+def _ready(amplitude_rad: F64, model: FishModel, amplitude_max_rad: float) -> F64:
     """Beats without thrust wag as much as surely pushes nothing: from 0 a limited step could end
     inside the dead zone, swim after swim, and the beat would never push again."""
     return np.maximum(amplitude_rad, min(_NO_THRUST * model.dead_zone_rad, amplitude_max_rad))
@@ -164,9 +162,9 @@ def _planned(
     belief: Belief,
     reference: Reference,
     amplitude_max_rad: float,
-    low: Array,
-    high: Array,
-) -> Array:
+    low: F64,
+    high: F64,
+) -> F64:
     disturbance, _ = belief.disturbance(reference.crc, reference.beats)
     scatter = belief.identified.scatter
     fastest = float(reference.speed_m_s.max())
@@ -184,9 +182,7 @@ def _planned(
     ).amplitude_rad
 
 
-def _p_step(
-    law: Law, amplitude_max_rad: float, wanted: Array, last: Swim, start_rad: Array
-) -> Array:
+def _p_step(law: Law, amplitude_max_rad: float, wanted: F64, last: Swim, start_rad: F64) -> F64:
     """The P law applied to a swim: from ``start_rad``, by its errors."""
     limited = replace(law, amplitude_max_rad=amplitude_max_rad, beat_s=last.beat_s)
     error, measured = laws.errors_of(wanted, last.speed_m_s)
@@ -324,5 +320,5 @@ def swim_crc(swim: Swim) -> int:
     return crc
 
 
-def _numbers(values: NDArray[np.float64]) -> list[float]:
+def _numbers(values: F64) -> list[float]:
     return [float(value) for value in values]

@@ -13,12 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning.fish_model import Conditions, FishModel
-
-Array = NDArray[np.float64]
 
 _STEPS_MAX = 60
 _HALVINGS_MAX = 30
@@ -39,8 +38,8 @@ class Plan:
     """``amplitude_rad``: within [0, amplitude_max_rad]. ``predicted_m_s``: what the model says the
     beats will be, disturbance included. ``max_abs_error_m_s``: of that prediction."""
 
-    amplitude_rad: Array
-    predicted_m_s: Array
+    amplitude_rad: F64
+    predicted_m_s: F64
     max_abs_error_m_s: float
     rms_error_m_s: float
     at_rest_beats: int  # no thrust: the drag alone decides
@@ -95,7 +94,7 @@ def plan(
     )
 
 
-def _check(wanted: Array, disturbance: Array, amplitude_max_rad: float, power: float) -> None:
+def _check(wanted: F64, disturbance: F64, amplitude_max_rad: float, power: float) -> None:
     fine = wanted.ndim == 1 and wanted.size and np.all(np.isfinite(wanted))
     if not (fine and np.all(np.isfinite(disturbance)) and amplitude_max_rad > 0 and power >= 2):
         raise InputError(
@@ -104,7 +103,7 @@ def _check(wanted: Array, disturbance: Array, amplitude_max_rad: float, power: f
         )
 
 
-def _amplitude(model: FishModel, w: Array, w_max: float, amplitude_max_rad: float) -> Array:
+def _amplitude(model: FishModel, w: F64, w_max: float, amplitude_max_rad: float) -> F64:
     """0 where there is no thrust, the map's amplitude elsewhere, never above the largest one."""
     amplitude = model.amplitude_rad(np.sqrt(w))
     amplitude = np.minimum(np.round(amplitude / _STEP_RAD) * _STEP_RAD, amplitude_max_rad)
@@ -116,8 +115,8 @@ def _amplitude(model: FishModel, w: Array, w_max: float, amplitude_max_rad: floa
 @dataclass(frozen=True)
 class _Point:
     cost: float
-    gradient: Array
-    hessian: Array
+    gradient: F64
+    hessian: F64
 
 
 @dataclass(frozen=True)
@@ -125,16 +124,16 @@ class _Task:
     """In x = w/w_max, from 0 to 1, and errors in mm/s."""
 
     model: FishModel
-    target_m_s: Array  # the speed over water that is wanted
+    target_m_s: F64  # the speed over water that is wanted
     beat_s: float
     conditions: Conditions
     w_max: float
-    box: tuple[Array, Array]
+    box: tuple[F64, F64]
     smoothness: float
     power: float
     scatter_m_s: float
 
-    def solve(self) -> Array:
+    def solve(self) -> F64:
         """The optimum, and the lower limit where thrust comes too late to matter."""
         low, high = self.box
         x = np.clip(np.maximum(self.target_m_s, 0) ** 2 / self.w_max, low, high)
@@ -144,7 +143,7 @@ class _Task:
         _, jacobian = self._errors(x)
         return np.where(np.any(jacobian != 0, axis=0), x, low)
 
-    def descend(self, x: Array, done: float) -> Array:
+    def descend(self, x: F64, done: float) -> F64:
         """Newton steps from ``x`` until no beat moves by more than ``done``."""
         bend = np.diff(np.eye(len(x)), n=2, axis=0)
         rough = 2 * self.smoothness * _MM**2 * (bend.T @ bend)
@@ -167,7 +166,7 @@ class _Task:
                 break
         return x
 
-    def _at(self, x: Array, rough: Array) -> _Point:
+    def _at(self, x: F64, rough: F64) -> _Point:
         error, jacobian = self._errors(x)
         blurred = np.maximum(error**2 + (_MM * self.scatter_m_s) ** 2, _BLUR_MIN)
         p = self.power
@@ -183,7 +182,7 @@ class _Task:
             hessian=hessian,
         )
 
-    def _errors(self, x: Array) -> tuple[Array, Array]:
+    def _errors(self, x: F64) -> tuple[F64, F64]:
         """(target - speed, mm/s; derivative of the speed to x, mm/s)."""
         thrust = self.w_max * self.conditions.gain**2
         distance, by_w, _ = self.model.distance(
@@ -195,7 +194,7 @@ class _Task:
         return _MM * (self.target_m_s - speed), jacobian
 
 
-def box_step(hessian: Array, gradient: Array, low: Array, high: Array) -> Array:
+def box_step(hessian: F64, gradient: F64, low: F64, high: F64) -> F64:
     """min 0.5*d'Hd + g'd with low <= d <= high, low <= 0 <= high, H positive definite.
 
     A primal active set: the free block is solved, the step ends at the first bound that is met and

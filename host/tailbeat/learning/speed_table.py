@@ -15,15 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.csv import read_table
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import THESIS_PLATEAU_M_S
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("amplitude_rad", "speed_m_s")
 ASSUMED = ("kappa_per_m", "delay_s")
@@ -48,7 +46,7 @@ class ThesisFish:
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"a fish with {name} = {value:g} makes no sense.", "Correct it.")
 
-    def thrust_terms(self, amplitude_rad: Array) -> tuple[Array, Array]:
+    def thrust_terms(self, amplitude_rad: F64) -> tuple[F64, F64]:
         """(H1 in N, H2 in kg/m) of (8.5)-(8.10) for amplitudes of any shape."""
         phase = 2 * np.pi * (np.arange(_PHASES) + 0.5) / _PHASES
         theta = np.asarray(amplitude_rad, dtype=np.float64)[..., None]
@@ -59,7 +57,7 @@ class ThesisFish:
         h2 = half * np.mean(np.tan(angle) ** 2, axis=-1)
         return np.asarray(h1), np.asarray(h2)
 
-    def drag_kg_m(self, amplitude_rad: Array, steady_m_s: Array) -> float:
+    def drag_kg_m(self, amplitude_rad: F64, steady_m_s: F64) -> float:
         """alpha: least squares of F = alpha*v**2 over steady cruises, shape (rows,)."""
         h1, h2 = self.thrust_terms(amplitude_rad)
         v2 = steady_m_s**2
@@ -83,14 +81,14 @@ class Table:
     neighbouring rows. ``thesis_m_s``: the speeds (8.13) settles at with ``alpha_kg_m``.
     """
 
-    amplitude_rad: Array
-    speed_m_s: Array
+    amplitude_rad: F64
+    speed_m_s: F64
     fish: ThesisFish
     alpha_kg_m: float
     line: Line
     gain_min_m_s_rad: float
     gain_max_m_s_rad: float
-    thesis_m_s: Array
+    thesis_m_s: F64
     identified: Identified
 
     @property
@@ -155,7 +153,7 @@ def from_table(path: Path, fish: ThesisFish | None = None) -> Table:
 
 
 def identify_table(
-    amplitude_rad: Array, speed_m_s: Array, fish: ThesisFish | None = None, name: str = "the table"
+    amplitude_rad: F64, speed_m_s: F64, fish: ThesisFish | None = None, name: str = "the table"
 ) -> Table:
     """The same from arrays, sorted by rising amplitude, at least two rows."""
     fish = fish or ThesisFish()
@@ -187,7 +185,7 @@ def identify_table(
     )
 
 
-def _line(amplitude: Array, speed: Array) -> Line:
+def _line(amplitude: F64, speed: F64) -> Line:
     """Least squares; through the origin when the dead zone would come out below 0."""
     offset, slope = np.polynomial.polynomial.polyfit(amplitude, speed, 1)
     if offset > 0:
@@ -196,7 +194,7 @@ def _line(amplitude: Array, speed: Array) -> Line:
     return Line(float(slope), float(-offset / slope) if slope else 0.0, rms)
 
 
-def _identified(amplitude: Array, speed: Array, line: Line, alpha_kg_m: float) -> Identified:
+def _identified(amplitude: F64, speed: F64, line: Line, alpha_kg_m: float) -> Identified:
     """Every assumed kappa and delay with the line and each line that leaves one row out."""
     lines = [line, *_jackknife(amplitude, speed)]
     models = [
@@ -221,7 +219,7 @@ def _identified(amplitude: Array, speed: Array, line: Line, alpha_kg_m: float) -
     )
 
 
-def _jackknife(amplitude: Array, speed: Array) -> list[Line]:
+def _jackknife(amplitude: F64, speed: F64) -> list[Line]:
     if len(amplitude) < 3:
         return []
     kept = [np.arange(len(amplitude)) != k for k in range(len(amplitude))]
@@ -229,7 +227,7 @@ def _jackknife(amplitude: Array, speed: Array) -> list[Line]:
     return [one for one in lines if one.slope_m_s_rad > 0]
 
 
-def read_rows(path: Path) -> tuple[Array, Array]:
+def read_rows(path: Path) -> tuple[F64, F64]:
     """(amplitude_rad, speed_m_s) of a table, by rising amplitude. Raises InputError."""
     wanted = ",".join(COLUMNS)
     cells = read_table(path, wanted)
@@ -250,7 +248,7 @@ def read_rows(path: Path) -> tuple[Array, Array]:
     return _sorted(path, rows)
 
 
-def _sorted(path: Path, rows: list[list[float]]) -> tuple[Array, Array]:
+def _sorted(path: Path, rows: list[list[float]]) -> tuple[F64, F64]:
     if len({row[0] for row in rows}) < 2:
         raise InputError(
             f"{path.name} has {len(rows)} row{'' if len(rows) == 1 else 's'} of use; a line needs "

@@ -38,13 +38,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
 from tailbeat.learning.fish_model import FishModel
-
-Array = NDArray[np.float64]
 
 _BUMP = 3.0  # times the mean: an edge of more would make the parabola of a beat fall below 0
 
@@ -53,12 +52,12 @@ class BeatCurve:
     """``mean``: float64, shape (beats,). Instants are counted in beats of the curve: beat k is
     [k, k + 1]. Before 0 the curve is 0; beyond the end it stays at ``end``."""
 
-    def __init__(self, mean: Array, end: float | None = None) -> None:
+    def __init__(self, mean: F64, end: float | None = None) -> None:
         self.mean = np.asarray(mean, dtype=np.float64)
         self.edge = _edges(self.mean)
         self.end = float(self.edge[-1]) if end is None else end
 
-    def at(self, instant: Array) -> Array:
+    def at(self, instant: F64) -> F64:
         """The curve's value at instants of any shape."""
         k = np.clip(np.floor(instant).astype(int), 0, len(self.mean) - 1)
         x = np.clip(instant - k, 0.0, 1.0)
@@ -67,7 +66,7 @@ class BeatCurve:
         late = np.where(instant > len(self.mean), self.end, inside)
         return np.asarray(np.where(instant < 0, 0.0, late))
 
-    def means(self, instant: Array) -> Array:
+    def means(self, instant: F64) -> F64:
         """Means between neighbours of rising instants, shape (n,) to (n - 1,)."""
         begin, end = instant[:-1, None], instant[1:, None]
         beat = np.arange(len(self.mean), dtype=np.float64)
@@ -76,7 +75,7 @@ class BeatCurve:
         late = np.maximum(end[:, 0] - last, 0.0) - np.maximum(begin[:, 0] - last, 0.0)
         return np.asarray((area.sum(axis=1) + late * self.end) / np.diff(instant))
 
-    def _within(self, x: Array) -> Array:
+    def _within(self, x: F64) -> F64:
         """The integral over each beat from its begin to x of it; exactly its mean at 1."""
         left, right = self.edge[:-1], self.edge[1:]
         bend = self.mean * (3 * x**2 - 2 * x**3 - x)
@@ -84,7 +83,7 @@ class BeatCurve:
         return np.asarray(self.mean * x + bend)
 
 
-def overlap(mean: Array, instant: Array) -> Array:
+def overlap(mean: F64, instant: F64) -> F64:
     """Means of a staircase: as ``BeatCurve.means``, with the last step going on for ever."""
     begin, end = instant[:-1, None], instant[1:, None]
     step = np.arange(len(mean), dtype=np.float64)
@@ -94,7 +93,7 @@ def overlap(mean: Array, instant: Array) -> Array:
     return np.asarray((np.maximum(share, 0.0) @ mean) / np.diff(instant))
 
 
-def _edges(mean: Array) -> Array:
+def _edges(mean: F64) -> F64:
     """Values at the n + 1 edges of beats."""
     if len(mean) == 1:
         return np.repeat(mean, 2)
@@ -162,9 +161,9 @@ class _Fit:
         self.peak = float(self.wanted.max())
         self.old, self.new = old, new
 
-    def scaled(self, s: float) -> tuple[float, Array]:
+    def scaled(self, s: float) -> tuple[float, F64]:
         """m for a given s, and the misfit per beat."""
-        edge: Array = np.arange(self.new.beats + 1, dtype=np.float64)
+        edge: F64 = np.arange(self.new.beats + 1, dtype=np.float64)
         shape = self.curve.means(edge * (s * self.new.beat_s / self.old.beat_s))
         power = float(shape @ shape)
         m = float(shape @ self.wanted) / power if power > 0 else 0.0
@@ -193,7 +192,7 @@ def scaled_input(
     acceleration_m_s2: ArrayLike,
     magnitude: float,
     time_factor: float,
-) -> NDArray[np.float64]:
+) -> F64:
     """u2(t), m/s^2, from u1 and v1' at ``time_factor``*t; arrays of one shape, or anything else in
     one unit (thrust and acceleration, both over alpha). ``magnitude`` m > 0."""
     thrust = magnitude**2 * np.asarray(input_m_s2, dtype=np.float64)
@@ -210,7 +209,7 @@ class Transferred:
     ``saturated_beats``: how many the limit holds back. ``share``: how far the fish comes by the
     model, over how far without the limit; 1 = the limit takes nothing."""
 
-    amplitude_rad: NDArray[np.float32]
+    amplitude_rad: F32
     saturated_beats: int
     share: float
 
@@ -235,7 +234,7 @@ def transfer(
         )
     per_beat = by.time_factor * new.beat_s / old.beat_s
     delay = model.delay_s / old.beat_s
-    edges: Array = np.arange(new.beats + 1, dtype=np.float64) * per_beat
+    edges: F64 = np.arange(new.beats + 1, dtype=np.float64) * per_beat
     sent = edges + (by.time_factor - 1) * delay
     felt = edges + by.time_factor * delay
     speed = BeatCurve(old.speed_m_s.astype(np.float64))
@@ -251,10 +250,10 @@ def transfer(
     return _limited(wanted.astype(np.float32), new, model, amplitude_max_rad)
 
 
-def _thrust(learned: Array, old: Reference, speed: BeatCurve, model: FishModel) -> Array:
+def _thrust(learned: F64, old: Reference, speed: BeatCurve, model: FishModel) -> F64:
     """w1 per old beat, m^2/s^2; below 0 where the tail did not push and the reference falls faster
     than drag alone slows the fish."""
-    begin: Array = np.arange(old.beats, dtype=np.float64) + model.delay_s / old.beat_s
+    begin: F64 = np.arange(old.beats, dtype=np.float64) + model.delay_s / old.beat_s
     nodes, weights = _GAUSS
     within = begin[:, None] + (nodes + 1) / 2
     drag = (speed.at(within) ** 2) @ (weights / 2)
@@ -265,7 +264,7 @@ def _thrust(learned: Array, old: Reference, speed: BeatCurve, model: FishModel) 
 
 
 def _limited(
-    wanted: NDArray[np.float32], new: Reference, model: FishModel, amplitude_max_rad: float
+    wanted: F32, new: Reference, model: FishModel, amplitude_max_rad: float
 ) -> Transferred:
     limit = np.float32(amplitude_max_rad)
     amplitude = np.clip(wanted, np.float32(0), limit)

@@ -10,9 +10,7 @@ import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import FaultInfo, fault_info
 from tailbeat.core.imu_fields import error_words
@@ -176,7 +174,7 @@ class Amplitudes:
     iteration: int
     beats: int
     reference_crc: int
-    values: NDArray[np.float32]
+    values: F32
     input: int | None = None  # what made those that swim next, memory_input_t; None: not told
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from tailbeat.core.arrays import F32, F64
 
 
 @dataclass(frozen=True)
@@ -16,8 +15,8 @@ class Swim:
 
     iteration: int
     number: int
-    speed_m_s: Floats
-    amplitude_rad: Floats  # as swum
+    speed_m_s: F32
+    amplitude_rad: F32  # as swum
     max_abs_error_m_s: float
     rms_error_m_s: float
     saturated_beats: int
@@ -33,7 +32,7 @@ class Series:
     subtitle: str
     simulated: bool
     reference_name: str
-    reference_m_s: Floats
+    reference_m_s: F32
     beat_s: float
     amplitude_max_rad: float
     start_error_m_s: float  # of iteration 0, the zero input: max of the reference
@@ -44,6 +43,6 @@ class Series:
     versions: dict[str, str] = field(default_factory=dict)
 
     @property
-    def mid_s(self) -> NDArray[np.float64]:
+    def mid_s(self) -> F64:
         """Middle of every beat, s."""
         return np.asarray((np.arange(len(self.reference_m_s)) + 0.5) * self.beat_s, np.float64)

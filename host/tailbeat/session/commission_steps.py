@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.loan import lent, safe_folder
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_checks import Straightness, straightness
 from tailbeat.experiment.library import RUN, logbook_of
@@ -153,8 +153,6 @@ def _reason(
     return f"{words}; way {travel.text()}"
 
 
-Array = NDArray[np.float64]
-
 AS_TOLD = 0.15  # of the speed the model tells: beyond it the model is not this fish up there
 _RAMP_BEATS, _CRUISE_BEATS, _CRUISE_LEAST, _COAST_BEATS = 4, 10, 4, 4
 _MARGIN_M = 0.15  # of the tank, left free, as identify does
@@ -212,7 +210,7 @@ def prove(
 
 def profile(
     amplitude_rad: float, identified: Identified, params: Mapping[str, float]
-) -> Array | None:
+) -> F64 | None:
     """Up in four steps, as long at the amplitude as fits, then a coast; None = nothing fits."""
     foot = min(identified.model.dead_zone_rad, amplitude_rad)
     steps = np.arange(1, _RAMP_BEATS + 1) / (_RAMP_BEATS + 1)

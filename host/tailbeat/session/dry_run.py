@@ -7,10 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tailbeat.core import law as laws
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.records import decode_past, decode_reference, past_path, record_crc
@@ -19,8 +17,6 @@ from tailbeat.core.trial_file import Trial, read_trial
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.link.messages import BoardStatus
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -31,7 +27,7 @@ class DryRun:
     iteration: int  # that the trial swam
     report: laws.LawReport
     rolled_back: bool
-    amplitude_rad: Floats
+    amplitude_rad: F32
 
     def as_dict(self) -> dict[str, Any]:
         """For ``--json``."""

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
 from tailbeat.link.messages import BeatEvent
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from tailbeat.board.fish import Guard
     from tailbeat.sensors.camera.calibration.file import Calibration
 
-Floats = NDArray[np.float64]
 
 CRUISE_M_S = 0.08
 STOP_S = 0.5  # before the tail rests: picture, radio, and thrust that is under way
@@ -150,7 +150,7 @@ class WallGuard:
         moved = np.abs(self._place(after) - self._place(before)).max()
         return bool(moved <= _SWIM_MAX_M_S * (after.t_s - before.t_s) + _JUMP_M)
 
-    def _fitted(self) -> Floats:
+    def _fitted(self) -> F64:
         """Velocity by a line through what was seen, across the heading by one that also follows the
         body's sway; nothing across it before that was seen for whole beats. The last one known
         while not even the line is long enough."""
@@ -163,7 +163,7 @@ class WallGuard:
         headings = np.array([f.heading_rad for f in self._seen])
         mean_rad = math.atan2(np.sin(headings).sum(), np.cos(headings).sum())
         along = np.array([math.cos(mean_rad), math.sin(mean_rad)])
-        velocity: Floats = (t @ xy @ along) / (t @ t) * along
+        velocity: F64 = (t @ xy @ along) / (t @ t) * along
         gaps_s = np.diff(t)
         whole = span_s >= _WHOLE * self._window_s and gaps_s.max() <= self._beat_s / 4
         if whole and len(t) >= _FRAMES_MIN:
@@ -189,28 +189,28 @@ class WallGuard:
         how = ", not seen any more" if long_ago else ""
         return self._judge(self._place(last) + self._ahead_m, velocity, how)
 
-    def _supposed(self, last: Frame) -> Floats:
+    def _supposed(self, last: Frame) -> F64:
         """Velocity of a fish that nobody sees."""
         speed = float(np.hypot(*self._velocity))
         along = np.array([math.cos(last.heading_rad), math.sin(last.heading_rad)])
         if speed > 2 * TOUCH_M_S:
             along = self._velocity / speed
-        supposed: Floats = max(speed, self._reference_m_s) * along
+        supposed: F64 = max(speed, self._reference_m_s) * along
         return supposed
 
-    def _place(self, frame: Frame) -> Floats:
+    def _place(self, frame: Frame) -> F64:
         """Nose and end of the tail, (2, 2)."""
         along = np.array([math.cos(frame.heading_rad), math.sin(frame.heading_rad)])
-        place: Floats = np.array([frame.x_m, frame.y_m]) + self._ends_m[:, None] * along
+        place: F64 = np.array([frame.x_m, frame.y_m]) + self._ends_m[:, None] * along
         return place
 
-    def _zone_m(self, towards_m_s: Floats) -> Floats:
+    def _zone_m(self, towards_m_s: F64) -> F64:
         """How near is too near, for each wall."""
         if self._zone_s is not None:
             return self._zone_s * towards_m_s
         return np.array([stopping_m(float(v), self._kappa_per_m) for v in towards_m_s])
 
-    def _judge(self, place: Floats, velocity: Floats, how: str) -> str | None:
+    def _judge(self, place: F64, velocity: F64, how: str) -> str | None:
         assert self._walls is not None
         inward, offset = self._walls
         left_m = (place @ inward.T - offset).min(axis=0)
@@ -222,7 +222,7 @@ class WallGuard:
         return f"{HIT} {max(left_m[worst], 0):.2f} m away at {towards_m_s[worst]:.3f} m/s{how}"
 
 
-def _beside_sway(t_s: Floats, y_m: Floats, beat_s: float) -> float:
+def _beside_sway(t_s: F64, y_m: F64, beat_s: float) -> float:
     """Slope of a line, were it not for an oscillation of one period per beat: a line alone, over
     one beat, would take up to 6/pi of its amplitude for a way."""
     phase = math.tau * t_s / beat_s
@@ -230,7 +230,7 @@ def _beside_sway(t_s: Floats, y_m: Floats, beat_s: float) -> float:
     return float(np.linalg.lstsq(terms, y_m, rcond=None)[0][0])
 
 
-def _inward(corners: Floats) -> tuple[Floats, Floats]:
+def _inward(corners: F64) -> tuple[F64, F64]:
     """Of each edge the unit vector into the area, (n, 2), and ``offset``: a point p is
     inward @ p - offset away from it, inside positive."""
     along = np.roll(corners, -1, axis=0) - corners
@@ -240,8 +240,6 @@ def _inward(corners: Floats) -> tuple[Floats, Floats]:
         inward, offset = -inward, -offset
     return inward, offset
 
-
-Array = NDArray[np.float64]
 
 TOO_FAR = "room:"  # how its reasons begin
 BY_HAND = "stopped by hand"  # the reason of a person who wants it to end

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tailbeat.board.loan import Lent, lent, set_for_good
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.learning.fish_model import FishModel, Swim, swim_of
 from tailbeat.learning.fit import Prior
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from tailbeat.board.fish import Event, Fish, Guard
     from tailbeat.core.frames import Camera
 
-Array = NDArray[np.float64]
 
 MODEL_PARAMS = {
     "MDL_KAPPA": "kappa_per_m",
@@ -118,7 +118,7 @@ class _Swimmer:
     def begin(self, run: Run) -> None:
         self.run = run
 
-    def swim(self, amplitude: Array) -> Swim:
+    def swim(self, amplitude: F64) -> Swim:
         run = self.run
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)

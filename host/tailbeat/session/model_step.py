@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import board_reference
 from tailbeat.core.errors import InputError
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.learning.fish_model import Swim
     from tailbeat.learning.identification import Identified
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.link.ftp.wire import FtpError
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from tailbeat.learning.identification import Identified
     from tailbeat.session.guards import RoomGuard
 
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-6
 _TELLING_M = 0.1  # a trial that came less far says nothing of a longer one
@@ -74,7 +74,7 @@ class Belief:
     scatter. ``more``: how much farther it comes than the model says. ``by``: where from."""
 
     model: FishModel
-    covariance: Array
+    covariance: F64
     scatter: Scatter
     by: str
     more: float = 1.0
@@ -85,7 +85,7 @@ class Belief:
         sigma = math.sqrt(float(self.covariance[0, 0]))
         return self.model.kappa_per_m * math.exp(-sigma)
 
-    def speeds(self, amplitude_rad: ArrayLike, beat_s: float) -> Array:
+    def speeds(self, amplitude_rad: ArrayLike, beat_s: float) -> F64:
         """Mean speed of each beat and of the coast after the last one, m/s."""
         from tailbeat.learning.envelope import speeds
 
@@ -187,7 +187,7 @@ def room_guard(fish: Fish, book: Logbook | None) -> RoomGuard:
 class _Next:
     """What swims next, as swum, and what is believed of who swims it."""
 
-    amplitude_rad: Array
+    amplitude_rad: F64
     beat_s: float
     params: dict[str, float]
     belief: Belief

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning.convergence import (
     NoiseBand,
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from tailbeat.learning.fish_model import FishModel
     from tailbeat.learning.identification import Identified
 
-Array = NDArray[np.float64]
 Remedy = Literal["go on", "learn on", "trim", "identify"]
 
 IDENTIFY_AGAIN = 0.10  # of the thrust: beyond it the law was designed for another fish
@@ -189,7 +189,7 @@ def _known(trial: Trial) -> NDArray[np.bool_]:
     return np.isfinite(speed) & (np.arange(len(speed)) < trial.executed_beats)
 
 
-def _spread(trial: Trial, model: FishModel, known: NDArray[np.bool_]) -> Array:
+def _spread(trial: Trial, model: FishModel, known: NDArray[np.bool_]) -> F64:
     """The model's speeds of the known beats, less their mean."""
     amplitude_rad = np.nan_to_num(trial.beats.applied_rad.astype(np.float64))
     told = np.asarray(model.beats(amplitude_rad, trial.beat_s), dtype=np.float64)[known]
@@ -203,7 +203,7 @@ def _alike(trial: Trial, repeat: Trial) -> bool:
     return float(np.sqrt(np.nanmean((mine - other) ** 2))) <= _LIKE_RAD
 
 
-def _half_width(relative: Array, expected_sigma: float) -> float:
+def _half_width(relative: F64, expected_sigma: float) -> float:
     """Of the 95 % band of one more swim. What was seen is pooled with what is expected, which
     counts as four degrees of freedom; never narrower than expected."""
     from statistics import NormalDist

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.snapshot import Backup, new_folder
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.core.records import decode_learned, decode_reference, record_crc
@@ -45,7 +45,7 @@ class Learned:
     known. ``unique_id``: of its fish; empty = not known."""
 
     reference: Reference
-    amplitude_rad: NDArray[np.float32]
+    amplitude_rad: F32
     words: str
     max_abs_error_m_s: float | None = None
     travel_m: float | None = None

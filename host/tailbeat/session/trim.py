@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.loan import Lent, lent, safe_folder, set_for_good
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.trial_checks import (
     Course,
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from tailbeat.session.operator import Person
     from tailbeat.session.preflight.step import Wanted
 
-Array = NDArray[np.float64]
 
 CENTRE = "SERVO_CENTRE_US"
 OFFSET_RAD = 0.06  # to either side: turns a fish by some 25 degrees in such a swim, no more
@@ -139,8 +138,8 @@ def _check_reach(centre_us: float, was_us: float, params: Mapping[str, float]) -
 class Plan:
     """A short swim: ``amplitude_rad`` per beat of 1 s, the speeds that are predicted."""
 
-    amplitude_rad: Array
-    predicted_m_s: Array
+    amplitude_rad: F64
+    predicted_m_s: F64
     travel: Travel
 
 
@@ -174,7 +173,7 @@ def plan(belief: Belief, params: Mapping[str, float]) -> Plan:
     )
 
 
-def _profile(foot_rad: float, cruise_rad: float, beats: int) -> Array:
+def _profile(foot_rad: float, cruise_rad: float, beats: int) -> F64:
     ramp = foot_rad + (cruise_rad - foot_rad) * np.arange(1, _RAMP_BEATS + 1) / (_RAMP_BEATS + 1)
     return np.concatenate([ramp, np.full(beats, cruise_rad), np.zeros(_COAST_BEATS)])
 
@@ -314,7 +313,7 @@ class _Swimmer:
             self.book.keep(path, RUN)
 
 
-def _reference(planned: Plan) -> Array:
+def _reference(planned: Plan) -> F64:
     """What is predicted, without the coast after the last beat."""
     return planned.predicted_m_s[: len(planned.amplitude_rad)]
 

@@ -6,9 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tailbeat.core.arrays import F64
 from tailbeat.link.impaired import BadLine
 from tailbeat.link.transport import Transport
 
@@ -84,10 +82,10 @@ class SimulatedBoard(Protocol):
     def truth(self) -> Truth:
         """State of the fish."""
 
-    def true_beats(self) -> NDArray[np.float64]:
+    def true_beats(self) -> F64:
         """True mean speed of each beat of the present or last swim, m/s."""
 
-    def true_speeds_25hz(self) -> NDArray[np.float64]:
+    def true_speeds_25hz(self) -> F64:
         """True speed every 40 ms of the present or last swim, m/s."""
 
     def set_swim(self, next_swim: int) -> None:

@@ -17,9 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.extras import BUILD_IMAGE, remedy
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
@@ -214,11 +212,11 @@ class EmulatedBoard:
         """State of the fish at the last servo frame, at most 20 ms ago."""
         return self._world.truth()
 
-    def true_beats(self) -> NDArray[np.float64]:
+    def true_beats(self) -> F64:
         """True mean speed of each beat of the present or last swim, m/s."""
         return self._world.true_beats()
 
-    def true_speeds_25hz(self) -> NDArray[np.float64]:
+    def true_speeds_25hz(self) -> F64:
         """True speed every 40 ms of the present or last swim, m/s."""
         return self._world.true_speeds_25hz()
 

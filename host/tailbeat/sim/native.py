@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, SimTransport, Truth
@@ -106,11 +104,11 @@ class SimBoard:
         """State of the fish at the last servo frame, at most 20 ms ago."""
         return truth_of(lib.sim_truth(self._sim))
 
-    def true_beats(self) -> NDArray[np.float64]:
+    def true_beats(self) -> F64:
         """True mean speed of each beat of the present or last swim, m/s."""
         return read_values(lib.sim_true_beats, self._sim)
 
-    def true_speeds_25hz(self) -> NDArray[np.float64]:
+    def true_speeds_25hz(self) -> F64:
         """True speed every 40 ms of the present or last swim, m/s."""
         return read_values(lib.sim_true_speeds_25hz, self._sim)
 

@@ -7,8 +7,8 @@ import secrets
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.sim.board import CameraFrame, Truth
@@ -113,11 +113,11 @@ class World:
         """State of the fish at the end of the last frame."""
         return truth_of(lib.world_truth(self._world))
 
-    def true_beats(self) -> NDArray[np.float64]:
+    def true_beats(self) -> F64:
         """True mean speed of each beat of the present or last swim, m/s."""
         return read_values(lib.world_true_beats, self._world)
 
-    def true_speeds_25hz(self) -> NDArray[np.float64]:
+    def true_speeds_25hz(self) -> F64:
         """True speed every 40 ms of the present or last swim, m/s."""
         return read_values(lib.world_true_speeds_25hz, self._world)
 
@@ -262,7 +262,7 @@ def truth_of(t: Any) -> Truth:
     )
 
 
-def read_values(getter: Any, handle: Any) -> NDArray[np.float64]:
+def read_values(getter: Any, handle: Any) -> F64:
     """All that ``getter(handle, out, max)`` has."""
     count = getter(handle, ffi.NULL, 0)
     out = np.zeros(count, dtype=np.float64)

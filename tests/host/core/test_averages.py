@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core import law as laws
 from tailbeat.core import records, reference
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
 from tailbeat.core.law import MEAN, WINDOW, Law, Memory, Past, PastTrial
@@ -18,8 +18,8 @@ from tailbeat.session.dry_run import dry_run
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
+Array = F64
+Floats = F32
 
 ZERO_INPUT_ERROR_M_S = 0.0791
 UPLOAD = 1  # SPD_SOURCE

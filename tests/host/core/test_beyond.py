@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
@@ -27,7 +28,7 @@ BEATS = len(WANTED)
 LATE_BEATS = 2  # swum until the board knows a beat's speed, and stops for it
 SEED = 7  # of the lengths
 
-Array = NDArray[np.float64]
+Array = F64
 Counts = NDArray[np.int64]
 
 

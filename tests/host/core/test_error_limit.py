@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
+from tailbeat.core.arrays import F32
 from tailbeat.core.trial_checks import never_corrected, never_measured, not_reached, spans
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import TrialOutcome
@@ -29,7 +29,7 @@ PARAMS = {
     "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, "ILC_GAIN": 2, "ILC_LEAD": 0, "ERR_MAX_M_S": LIMIT_M_S,
 }  # fmt: skip
 
-Floats = NDArray[np.float32]
+Floats = F32
 Run = Callable[..., tuple[int, str, str]]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,6 +33,14 @@ def test_all_declared_functions_are_exported() -> None:
     missing = [name for name in dir(lib) if not _resolves(name)]
     assert missing == []
     assert {"crc32_update", "law_update", "sim_new", "speed_beat"} <= set(dir(lib))
+
+
+def test_an_import_loads_no_library() -> None:
+    code = (
+        "import sys; from tailbeat.core.native import ffi, lib, load; import tailbeat.core.law;"
+        "assert not load.cache_info().currsize; lib.law_update; assert load.cache_info().currsize"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_functions_and_constants_work() -> None:

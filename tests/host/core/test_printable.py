@@ -20,7 +20,7 @@ from tailbeat.board.fish import Fish, text_event
 from tailbeat.core.printable import printable, printable_lines
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.params import _parameter
+from tailbeat.link.params import Parameters
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -59,7 +59,8 @@ def test_text_of_the_board() -> None:
         model = fish.imu_info().model
     assert model is not None
     require_safe(model)
-    name = _parameter(SimpleNamespace(param_id=evil, param_value=1.0)).name  # type: ignore[arg-type]
+    said_of_it = SimpleNamespace(param_id=evil, param_value=1.0)
+    name = Parameters(fish.link)._parameter(said_of_it).name  # type: ignore[arg-type]
     require_safe(name)
     require_safe(said)
     assert "\n" not in model + name + said

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
+from tailbeat.core.arrays import F64
 from tailbeat.core.csv import BeatSpeeds, read_speeds
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.native import ffi, lib
@@ -21,7 +21,7 @@ from tailbeat.sensors.camera.speed import smoother
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
-Floats = NDArray[np.float64]
+Floats = F64
 Write = Callable[[str], Path]
 
 HEADER = ",".join(smoother.COLUMNS)

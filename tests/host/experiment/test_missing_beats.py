@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tailbeat.board.fish import Fish
 from tailbeat.core import judge, reference
 from tailbeat.core import law as laws
+from tailbeat.core.arrays import F64
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps, _rows
@@ -34,7 +35,7 @@ from tailbeat.studies.montecarlo.batch import Shoal
 from .. import made_analyses as made
 from ..swum_experiment import swim_experiment
 
-Array = NDArray[np.float64]
+Array = F64
 
 WANTED = reference.thesis().speed_m_s.astype(np.float64)
 REST = float(WANTED.max())

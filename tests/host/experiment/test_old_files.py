@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.board.restore import put_back
 from tailbeat.board.snapshot import Backup
+from tailbeat.core.arrays import F64
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.law import load
 from tailbeat.core.native import ffi, lib
@@ -211,7 +212,7 @@ def test_the_copy_of_the_board(letter: str) -> None:
 
 def curves(figure: Any) -> list[list[float]]:
     """The numbers behind all that is drawn, sorted, so that the order of drawing does not count."""
-    found: list[NDArray[np.float64]] = []
+    found: list[F64] = []
     for axes in figure.axes:
         found += [line.get_xydata() for line in axes.lines]
         found += [patch.get_patch_transform().transform(patch.get_path().vertices)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.learning.belief import believe
 from tailbeat.learning.error_bound import floor
@@ -20,7 +20,7 @@ from tailbeat.learning.model_law import propose
 from tailbeat.studies.montecarlo.batch import Shoal
 from tailbeat.studies.montecarlo.learners import identify
 
-Array = NDArray[np.float64]
+Array = F64
 
 LIMIT = math.pi / 4
 MODEL = FishModel(10.0, 0.21, 0.2, 0.3)

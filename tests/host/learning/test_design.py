@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core import law as laws
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import thesis
@@ -34,7 +34,7 @@ from tailbeat.learning.speed_table import identify_table
 from tailbeat.studies.montecarlo.batch import Shoal
 from tailbeat.studies.montecarlo.learners import identify
 
-Array = NDArray[np.float64]
+Array = F64
 
 REFERENCE = thesis()
 WANTED = REFERENCE.speed_m_s.astype(np.float64)

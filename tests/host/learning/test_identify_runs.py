@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.app.cli import run
 from tailbeat.app.cli.board import _reference
@@ -22,6 +21,7 @@ from tailbeat.board import loan
 from tailbeat.board.fish import Event, Fish
 from tailbeat.board.snapshot import Backup, put_safe
 from tailbeat.core import reference
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.frames import Frame
 from tailbeat.core.records import record_crc
@@ -36,7 +36,7 @@ from tailbeat.session.identify import Attendant, identify_fish, set_params
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
-Array = NDArray[np.float64]
+Array = F64
 
 COAST = np.zeros(5)
 SIGMA_M_S = 0.0007  # of a beat, by a camera of 25 pictures a second and 1 mm

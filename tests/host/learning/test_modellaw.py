@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.app.cli.learn import learn_with_model
 from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.board.fish import REST, Fish, board_reference
 from tailbeat.core import law as laws
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
@@ -30,7 +30,7 @@ from tailbeat.learning.model_law import Proposal, again, document_of, foretold, 
 from tailbeat.session.model_step import Step, next_of, numbered_anew, swims_since
 from tailbeat.studies.montecarlo.batch import Shoal
 
-Array = NDArray[np.float64]
+Array = F64
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 SEEDS = range(1, 7)

@@ -6,16 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
 from tailbeat.core import reference
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
 from tailbeat.learning.fish_model import Conditions, FishModel
 from tailbeat.learning.planner import box_step, plan
 
-Array = NDArray[np.float64]
+Array = F64
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 THESIS = reference.thesis().speed_m_s.astype(np.float64)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
 from tailbeat.core import reference as references
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
 from tailbeat.learning.fish_model import FishModel
@@ -25,7 +25,7 @@ from tailbeat.learning.transfer import (
     transfer,
 )
 
-Array = NDArray[np.float64]
+Array = F64
 Function = Callable[[Array], Array]
 
 V = references.THESIS_PLATEAU_M_S
@@ -118,7 +118,7 @@ def test_two_transfers_are_the_one_by_both_products(
 
 
 @st.composite
-def cases(draw: st.DrawFn) -> tuple[NDArray[np.float32], Reference, FishModel]:
+def cases(draw: st.DrawFn) -> tuple[F32, Reference, FishModel]:
     beats = draw(st.integers(1, 60))
     speed = draw(arrays(np.float32, beats, elements=st.floats(0, 0.25, width=32)))
     assume(speed.any())
@@ -129,7 +129,7 @@ def cases(draw: st.DrawFn) -> tuple[NDArray[np.float32], Reference, FishModel]:
 @settings(deadline=None)
 @given(case=cases())
 def test_the_same_reference_gives_the_same_bits(
-    case: tuple[NDArray[np.float32], Reference, FishModel],
+    case: tuple[F32, Reference, FishModel],
 ) -> None:
     amplitude, wanted, model = case
     done = transfer(amplitude, wanted, wanted, Likeness(1, 1, 0, 1), model, float(LIMIT))

@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import studentized_range, t
 
 from tailbeat.core import reference
+from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Beats, Slots, Trial
 from tailbeat.learning import convergence
 from tailbeat.learning.convergence import NoiseBand, Score, judge, judge_all, noise_band
@@ -19,7 +19,7 @@ from tailbeat.learning.fish_model import Conditions, FishModel
 from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified
 
-Array = NDArray[np.float64]
+Array = F64
 
 LIMIT_RAD = math.pi / 4
 WANTED = reference.thesis().speed_m_s.astype(np.float64)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
+from tailbeat.core.arrays import F64
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.impaired import BadLine, Delay
@@ -17,7 +17,7 @@ from tailbeat.sim.native import SimBoard
 
 SEEDS = 6
 RMS_MAX_M_S = 1.5e-3
-Floats = NDArray[np.float64]
+Floats = F64
 
 
 def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:

@@ -13,12 +13,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
+from tailbeat.core.arrays import F32
 from tailbeat.core.errors import Refused
 from tailbeat.core.frames import Frame
 from tailbeat.link import _dialect as mavlink
@@ -35,7 +35,7 @@ GAIN, PLAUSIBLE_M_S = 4.0, 0.5
 REST_S = 7.0  # between trials: the fish is put back, and held for longer than REST_MIN_S
 NOBODY_S = 1e9
 
-Floats = NDArray[np.float32]
+Floats = F32
 
 
 @dataclass(frozen=True)

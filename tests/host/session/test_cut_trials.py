@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pyarrow as pa
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import from_text
@@ -20,7 +20,7 @@ from tailbeat.studies.montecarlo.learners import Past
 from tailbeat.studies.montecarlo.recipe import Claim, load, parse
 from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 
-Array = NDArray[np.float64]
+Array = F64
 
 UPLOAD = 1  # SPD_SOURCE
 KINDS = {"last": 0, "mean": 1, "window": 2}  # ILC_KIND

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.files import replace_file
 from tailbeat.learning.fit_quality import NAMES, Account, SwimAccount, steady_band
 from tailbeat.learning.identification import Identified
@@ -16,11 +17,10 @@ from tailbeat.report.demo_picture import STYLE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
-    from numpy.typing import NDArray
 
     from tailbeat.learning.speed_table import Table
 
-    Array = NDArray[np.float64]
+    Array = F64
 
 _DPI = 100
 _ACCENT, _FAINT, _BAND = "#0b5394", "0.45", "0.85"

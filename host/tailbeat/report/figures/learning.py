@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
@@ -107,7 +107,7 @@ def _median_and_band(axes: Axes, band: Band, look: Look, what: str, lane: tuple[
     )  # fmt: skip
 
 
-def _of_band(band: Band, what: str) -> tuple[NDArray[np.float64], ...]:
+def _of_band(band: Band, what: str) -> tuple[F64, ...]:
     if what == "max":
         return band.max_median_m_s, band.max_low_m_s, band.max_high_m_s
     return band.rms_median_m_s, band.rms_low_m_s, band.rms_high_m_s

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.report.demo_picture import STYLE
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from tailbeat.sensors.camera.speed.smoother import SpeedCurve
     from tailbeat.sensors.camera.tracking.track import Track
 
-    Floats = NDArray[np.float64]
+    Floats = F64
 
 _WIDTH_PX, _HEIGHT_PX, _DPI = 1400, 1100, 100
 _INK, _FAINT, _BAND, _HOLE, _WATER = "0.15", "0.55", "0.82", "0.94", "0.95"

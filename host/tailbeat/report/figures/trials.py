@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.report.style import GREY, INK, Look, Style, blank, drawing, head_legend, mm, nothing
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.analysis import Analysis, TrialRow
 
-    Array = NDArray[np.float64]
+    Array = F64
 
 _REFERENCE = "0.86"
 _LIMIT_DASH = (0, (2, 2.5))

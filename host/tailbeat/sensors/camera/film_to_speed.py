@@ -15,8 +15,8 @@ from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file
 from tailbeat.core.frames import Frame
@@ -37,8 +37,6 @@ from tailbeat.sensors.camera.tracking.track import (
     write_track,
 )
 
-Floats = NDArray[np.float64]
-
 SUMMARY = "summary.json"
 _FILES = {"track.csv", "speed.csv", "beats.csv", "track.png", "overlay.mp4", SUMMARY}
 _FORMAT = "tailbeat camera track"
@@ -55,7 +53,7 @@ class Analysis:
     trial: Trial | None
     calibration: Calibration
 
-    def beats(self) -> tuple[Floats, Floats]:
+    def beats(self) -> tuple[F64, F64]:
         """Mean speed and sigma of each beat swum, shape (beats,); NaN = not measured. Of a film
         without a trial: empty."""
         return self.curve.beats(self.trial.executed_beats if self.trial is not None else 0)
@@ -200,7 +198,7 @@ def write_analysis(found: Analysis, folder: Path) -> None:
     replace_file(folder / SUMMARY, text)
 
 
-def _beats_csv(speed: Floats, sigma: Floats) -> str:
+def _beats_csv(speed: F64, sigma: F64) -> str:
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
     rows.writerow(("beat", "speed_m_s", "sigma_m_s"))
@@ -232,7 +230,7 @@ def _sync_summary(found: Sync | None) -> dict[str, Any] | None:
     }
 
 
-def _of_measured(what: Callable[[Floats], Any], values: Floats) -> float | None:
+def _of_measured(what: Callable[[F64], Any], values: F64) -> float | None:
     measured = values[np.isfinite(values)]
     return float(what(measured)) if measured.size else None
 

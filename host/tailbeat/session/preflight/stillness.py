@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.session.preflight.step import Drift, Wanted
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from tailbeat.session.preflight.pose import Feel, Sight
     from tailbeat.session.preflight.step import Step
 
-Floats = NDArray[np.float64]
 
 _TOLD_FROM_S = 2.0  # over less a camera's noise of 1 mm is more than what is looked for
 _BLOCKS = 10
@@ -86,7 +85,7 @@ def drift_of(frames: Sequence[Frame], over_s: float) -> Drift:
     return Drift("camera", math.hypot(x_slope, y_slope), max(x_sigma, y_sigma), over_s)
 
 
-def _slope(t_s: Floats, way_m: Floats) -> tuple[float, float]:
+def _slope(t_s: F64, way_m: F64) -> tuple[float, float]:
     since_s = t_s - t_s.mean()
     slope, sigma = _line(since_s, way_m)
     edges = np.linspace(since_s[0], since_s[-1], _BLOCKS + 1)[1:-1]
@@ -99,7 +98,7 @@ def _slope(t_s: Floats, way_m: Floats) -> tuple[float, float]:
     return slope, max(sigma, _line(*means)[1])
 
 
-def _line(t_s: Floats, way_m: Floats) -> tuple[float, float]:
+def _line(t_s: F64, way_m: F64) -> tuple[float, float]:
     """Slope and its sigma, from the scatter about the line."""
     since_s = t_s - t_s.mean()
     spread = float(since_s @ since_s)

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.sim.world import make_config, senseless
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,9 +25,9 @@ class Swims:
     ``sigma_m_s``: its standard deviation from the scatter about the line, NaN likewise;
     ``true_m_s``: the simulator's own."""
 
-    speed_m_s: Array
-    sigma_m_s: Array
-    true_m_s: Array
+    speed_m_s: F64
+    sigma_m_s: F64
+    true_m_s: F64
 
     def cut(self, executed: NDArray[np.int64]) -> Swims:
         """As it is known of trials that ended after ``executed`` whole beats, shape (fish,). The
@@ -56,7 +55,7 @@ class Shoal:
         return self._count
 
     def swim(
-        self, amplitude_rad: Array, number: int | NDArray[np.uint32], beat_s: float = 1.0
+        self, amplitude_rad: F64, number: int | NDArray[np.uint32], beat_s: float = 1.0
     ) -> Swims:
         """All of them swim once, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
         noise (1 = the first swim), one for all or one for each. Raises InputError when a value

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core import reference as references
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference
 from tailbeat.learning.error_bound import floor
@@ -91,8 +92,6 @@ def _share(seed: int, trial: int) -> float:
     digest = hashlib.sha256(f"length {seed} {trial}".encode()).digest()
     return (int.from_bytes(digest[:8], "little") >> 11) * 2.0**-53
 
-
-Array = NDArray[np.float64]
 
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
 _BOUNDS = (
@@ -201,7 +200,7 @@ class _Ground:
     reference: Reference
     floor_minimax_m_s: float
     floor_lsq_m_s: float
-    near_optimal_rad: Array
+    near_optimal_rad: F64
 
 
 Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each for so many swims
@@ -289,7 +288,7 @@ class _Rows:
         self.kappa_per_m = float(plant_config(cell.plant.plant, cell.plant.values).kappa_per_m)
         self.columns: dict[str, list[Any]] = {name: [] for name in schema().names}
 
-    def begin(self, ground: _Ground, predicted_floor_m_s: Array) -> None:
+    def begin(self, ground: _Ground, predicted_floor_m_s: F64) -> None:
         """Iteration 0: the zero input, which is not swum; its error is the reference."""
         self.ground = ground
         self.predicted_floor_m_s = predicted_floor_m_s
@@ -304,11 +303,11 @@ class _Rows:
 
     def add(
         self,
-        amplitude: Array,
+        amplitude: F64,
         swims: Swims,
         executed: NDArray[np.int64],
         said: Said,
-        floor_m_s: Array,
+        floor_m_s: F64,
         amplitude_max_rad: float,
     ) -> None:
         """A trial swum for ``executed`` beats; ``floor_m_s``: as it was predicted before."""
@@ -342,7 +341,7 @@ class _Rows:
             )
             self._said(said, np.zeros(self.fish, dtype=np.int64), why)
 
-    def _errors(self, error: Array, true: Array) -> None:
+    def _errors(self, error: F64, true: F64) -> None:
         known = np.isfinite(error)
         count = known.sum(axis=1)
         squares = np.where(known, error, 0.0) ** 2
@@ -361,14 +360,14 @@ class _Rows:
             measured_beats=count,
         )
 
-    def _step(self, amplitude: Array) -> Array:
+    def _step(self, amplitude: F64) -> F64:
         """Largest change of a beat that the law made; 0 for the first amplitudes and for those that
         were brought back."""
-        change: Array = np.abs(amplitude - self._before).max(axis=1)
+        change: F64 = np.abs(amplitude - self._before).max(axis=1)
         return np.where(self._made_by_law, change, 0.0)
 
     def _bounds(
-        self, amplitude: Array, step: Array, true: Array, executed: NDArray[np.int64] | int
+        self, amplitude: F64, step: F64, true: F64, executed: NDArray[np.int64] | int
     ) -> None:
         reached = np.arange(true.shape[1]) < np.broadcast_to(executed, self.fish)[:, None]
         self._put(

@@ -11,11 +11,12 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.core import judge as judging
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
+from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
 from tailbeat.learning.convergence import Score, input_crc, judge
 from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, Swim
@@ -26,7 +27,6 @@ from tailbeat.studies.montecarlo.recipe import PASTS, LawSpec
 if TYPE_CHECKING:
     from tailbeat.learning.model_law import Proposal
 
-Array = NDArray[np.float64]
 
 ROLLED_BACK = "rolled_back"  # what the board's law says when it brought the best back
 FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of trials from 1
@@ -36,10 +36,10 @@ FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of tri
 class Said:
     """What a law says of one swim; arrays (fish,), NaN or "" where it says nothing."""
 
-    predicted_m_s: Array  # max|e|: 5 %, median, 95 %; shape (3, fish)
-    ratio: Array  # (2, fish): the predicted range of max|e| over that of the swim before
-    gain_rad_s_m: Array
-    lead_beats: Array
+    predicted_m_s: F64  # max|e|: 5 %, median, 95 %; shape (3, fish)
+    ratio: F64  # (2, fish): the predicted range of max|e| over that of the swim before
+    gain_rad_s_m: F64
+    lead_beats: F64
     law: str | list[str]
     verdict: str | list[str]
 
@@ -58,11 +58,11 @@ class Learner(Protocol):
     amplitudes of the next iteration, (fish, beats), rad, as the tail does them; ``learn`` takes the
     swim of them and tells what the law said of it."""
 
-    floor_m_s: Array  # (fish,): max|e| of the least-squares optimum by what is known of the fish
+    floor_m_s: F64  # (fish,): max|e| of the least-squares optimum by what is known of the fish
 
     def begin(self, reference: Reference) -> None: ...
 
-    def following(self) -> Array: ...
+    def following(self) -> F64: ...
 
     def learn(self, swims: Swims) -> Said: ...
 
@@ -71,9 +71,9 @@ class Learner(Protocol):
 class Repeats:
     """The same input again and again. ``amplitude_rad``: shape (beats,)."""
 
-    amplitude_rad: Array
+    amplitude_rad: F64
     fish: int
-    floor_m_s: Array = field(init=False)
+    floor_m_s: F64 = field(init=False)
 
     def __post_init__(self) -> None:
         self.floor_m_s = np.full(self.fish, np.nan)
@@ -81,7 +81,7 @@ class Repeats:
     def begin(self, reference: Reference) -> None:
         """Of a reference that has as many beats."""
 
-    def following(self) -> Array:
+    def following(self) -> F64:
         """Always the same."""
         return np.tile(self.amplitude_rad, (self.fish, 1))
 
@@ -114,8 +114,6 @@ class Board:
 
     def begin(self, reference: Reference) -> None:
         """Empties the memory."""
-        from tailbeat.core.native import ffi, lib
-
         fish, beats = len(self.laws), reference.beats
         self._memories = ffi.new("memory_t[]", fish)
         self._pasts = ffi.NULL if self.past.kind == "last" else ffi.new("learn_past_t[]", fish)
@@ -136,14 +134,12 @@ class Board:
             )
         )  # fmt: skip
 
-    def following(self) -> Array:
+    def following(self) -> F64:
         """As the board will swim it."""
         return self._applied
 
     def learn(self, swims: Swims) -> Said:
         """One trial of every fish."""
-        from tailbeat.core.native import lib
-
         speed = np.ascontiguousarray(swims.speed_m_s, dtype=np.float64)
         self._applied = np.empty_like(speed)
         self._trial += 1
@@ -205,7 +201,7 @@ class Designed:
         models = [one.model for one in self.identified]
         self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
 
-    def following(self) -> Array:
+    def following(self) -> F64:
         """As the board will swim it; predicts what that will change."""
         from tailbeat.learning.expected_series import next_ratio
 
@@ -245,7 +241,7 @@ class Modelled:
         models = [one.model for one in self.identified]
         self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
 
-    def following(self) -> Array:
+    def following(self) -> F64:
         """Proposes."""
         from tailbeat.learning.model_law import propose
 
@@ -303,9 +299,7 @@ def verdicts(judges: Sequence[Judge], swims: Sequence[Swim]) -> list[str]:
     return [judge.verdict(swim) for judge, swim in zip(judges, swims, strict=True)]
 
 
-def swims_of(
-    swims: Swims, amplitude_rad: Array, beat_s: float, reference_crc: int = 0
-) -> list[Swim]:
+def swims_of(swims: Swims, amplitude_rad: F64, beat_s: float, reference_crc: int = 0) -> list[Swim]:
     """One ``Swim`` per fish; the standard deviation of what was not measured is the usual one."""
     sigma = np.where(np.isfinite(swims.sigma_m_s), swims.sigma_m_s, SIGMA_M_S)
     return [
@@ -329,7 +323,7 @@ def identify(
     shoal = Shoal(plant, [settings])
     number = FIRST_RUN
 
-    def swim(amplitude_rad: Array) -> Swim:
+    def swim(amplitude_rad: F64) -> Swim:
         nonlocal number
         swum = shoal.swim(amplitude_rad[None, :], number, beat_s)
         number += 1
@@ -341,7 +335,7 @@ def identify(
 
 def predicted_floors(
     models: Sequence[FishModel], reference: Reference, amplitude_max_rad: float
-) -> Array:
+) -> F64:
     """max|e| of the least-squares optimum by each fish's model, m/s, shape (fish,)."""
     from tailbeat.learning.planner import plan
 
@@ -367,13 +361,9 @@ def law_of(spec: LawSpec, amplitude_max_rad: float) -> Law:
     )
 
 
-def _floats(array: NDArray[np.float32]) -> Any:
-    from tailbeat.core.native import ffi
-
+def _floats(array: F32) -> Any:
     return ffi.from_buffer("float[]", array)
 
 
-def _doubles(array: Array) -> Any:
-    from tailbeat.core.native import ffi
-
+def _doubles(array: F64) -> Any:
     return ffi.from_buffer("double[]", array)

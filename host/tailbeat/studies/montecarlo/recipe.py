@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.native import lib
 
 LAW_KINDS = ("p", "design", "model", "repeats")
 WINDOW_MIN, WINDOW_MAX = 2, 8
@@ -421,7 +422,6 @@ class _Parser:
 
     def check_simulator(self, recipe: Recipe) -> None:
         """The simulator itself says whether the values make sense."""
-        from tailbeat.core.native import lib
         from tailbeat.sim.world import make_config
 
         for plant, noise in product(recipe.plants, recipe.noises):

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.studies.montecarlo.recipe import BY_REPEATS, Claim, Recipe
 from tailbeat.studies.montecarlo.results import FAILED
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 Group = tuple[str, ...]
 
 FISH = ("plant", "law", "noise", "corner")
@@ -98,11 +98,11 @@ class Rows:
             key = tuple(str(values[code]) for (values, _), code in zip(coded, keys[i], strict=True))
             yield key, self.where(which.ravel() == i)
 
-    def grid(self, name: str) -> Array:
+    def grid(self, name: str) -> F64:
         """(fish, iterations) of a column of one group, iteration 0 first."""
         order = np.lexsort((self.columns["iteration"], self.columns["seed"]))
         fish = len(np.unique(self.columns["seed"]))
-        found: Array = self.columns[name][order].reshape(fish, -1).astype(np.float64)
+        found: F64 = self.columns[name][order].reshape(fish, -1).astype(np.float64)
         return found
 
 
@@ -121,11 +121,11 @@ class Line:
     failed: int
     floor_minimax_m_s: float
     floor_lsq_m_s: float
-    median_m_s: Array
-    low_m_s: Array
-    high_m_s: Array
-    measured_median_m_s: Array
-    true_rms_median_m_s: Array
+    median_m_s: F64
+    low_m_s: F64
+    high_m_s: F64
+    measured_median_m_s: F64
+    true_rms_median_m_s: F64
 
     @property
     def over_floor(self) -> float:
@@ -177,7 +177,7 @@ def _failures(rows: Rows) -> list[str]:
     ]
 
 
-def _inside(value: Array, low: Array, high: Array) -> Array:
+def _inside(value: F64, low: F64, high: F64) -> F64:
     """1 or 0; NaN where any of them is not known."""
     known = np.isfinite(low) & np.isfinite(high) & np.isfinite(value)
     return np.where(known, (low <= value) & (value <= high), np.nan).astype(np.float64)
@@ -209,7 +209,7 @@ def _line(key: Group, rows: Rows) -> Line:
     )
 
 
-def _known_median(grid: Array) -> Array:
+def _known_median(grid: F64) -> F64:
     """Of what is known in each column, NaN where nothing is."""
     return np.array(
         [np.median(known) if (known := column[np.isfinite(column)]).size else np.nan
@@ -285,7 +285,7 @@ def _figure(claim: Claim, rows: Rows, against: bool = False) -> float:
     return float(np.percentile(values, _QUANTILES.get(statistic, 50)))
 
 
-def _reached(rows: Rows, values: Array, level: float) -> float:
+def _reached(rows: Rows, values: F64, level: float) -> float:
     """Median over fish of the first iteration at which a value is at most ``level``, the one after
     the last for a fish that never got there."""
     grid = Rows({**rows.columns, "value": values}).grid("value")
@@ -316,19 +316,19 @@ def _by_repeats(claim: Claim, rows: Rows, repeats: Rows) -> float:
     return float(np.mean(rises <= band)) if np.isfinite(rises).all() else float("nan")
 
 
-def _late_rise(runs: Array) -> Array:
+def _late_rise(runs: F64) -> F64:
     """Mean max|e| of the last three trials over that of trials 5 to 7, per run; NaN when there
     are not as many."""
     if runs.shape[1] < _EARLIER.stop - _LAST.start:
         return np.full(len(runs), np.nan)
-    late: Array = runs[:, _LAST].mean(axis=1) / runs[:, _EARLIER].mean(axis=1)
+    late: F64 = runs[:, _LAST].mean(axis=1) / runs[:, _EARLIER].mean(axis=1)
     return late
 
 
-def _largest_rise(runs: Array) -> Array:
+def _largest_rise(runs: F64) -> F64:
     """max over iterations of max|e| over the smallest before, per run; 1 for a run of one trial."""
     if runs.shape[1] < 2:
         return np.ones(len(runs))
     best = np.minimum.accumulate(runs, axis=1)
-    rise: Array = (runs[:, 1:] / best[:, :-1]).max(axis=1)
+    rise: F64 = (runs[:, 1:] / best[:, :-1]).max(axis=1)
     return rise

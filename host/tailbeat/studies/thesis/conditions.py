@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 
 
 def reached_probability(
     times: ArrayLike, wanted: int, before: int, after: int, masses: Sequence[float]
-) -> Doubles:
+) -> F64:
     """p(t), (2.5): the probability that a trial reaches sample t. Trials end at
     ``wanted - before`` … ``wanted + after`` with the probabilities ``masses``, N1 + N2 + 1 of them.
     """
@@ -58,11 +58,11 @@ def rho_least(missed: float, slopes: tuple[float, float]) -> float:
     return (high + 2.0 * missed * low - low) / (high + low)
 
 
-def normal_reached(mean: float, deviation: float) -> Callable[[ArrayLike], Doubles]:
+def normal_reached(mean: float, deviation: float) -> Callable[[ArrayLike], F64]:
     """q(t) = 1 - F(t), (3.6), for normally distributed lengths."""
     from math import erfc, sqrt
 
-    def reached(times: ArrayLike) -> Doubles:
+    def reached(times: ArrayLike) -> F64:
         scaled = (np.atleast_1d(np.asarray(times, np.float64)) - mean) / (deviation * sqrt(2.0))
         return np.array([0.5 * erfc(x) for x in scaled])
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import Run
 from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused
@@ -18,7 +18,7 @@ from tailbeat.studies.thesis.lengths import Length, parse
 from tailbeat.studies.thesis.limits import errors_beyond
 from tailbeat.studies.thesis.native import Precision
 
-Respond = Callable[[Doubles, int], Doubles]
+Respond = Callable[[F64, int], F64]
 """Inputs (series, samples) and the iteration -> outputs (series, samples)."""
 
 _BLOCK = 256  # draws at a time: a generator costs as much as a few hundred of them
@@ -30,8 +30,8 @@ class Task:
     """What is learned, by which law, on which plant. ``draw``: (seed, iteration) -> length of that
     trial, the example's own distribution; ``times`` and lengths in one unit."""
 
-    times: Doubles
-    wanted: Doubles
+    times: F64
+    wanted: F64
     respond: Respond
     law: LearnerConfig
     draw: Callable[[int, int], float]
@@ -48,11 +48,11 @@ class Outcome:
     (``diverged``, -1 = it did not): no digit of the wanted output was left in the error, or the
     plant escaped. ``kept``: iteration -> inputs and outputs (series, samples)."""
 
-    max_abs_error: Doubles
-    executed: Doubles
-    lengths: Doubles
+    max_abs_error: F64
+    executed: F64
+    lengths: F64
     diverged: NDArray[np.int64]
-    kept: dict[int, tuple[Doubles, Doubles]] = field(default_factory=dict)
+    kept: dict[int, tuple[F64, F64]] = field(default_factory=dict)
 
     def run(self, **traces: object) -> Run:
         """The first series as the run of an example."""
@@ -85,7 +85,7 @@ def swim(
 
 
 @lru_cache(maxsize=4096)
-def _block(*key: int) -> Doubles:
+def _block(*key: int) -> F64:
     return np.random.default_rng(key).random(_BLOCK)
 
 
@@ -121,7 +121,7 @@ class _Series:
             study.tell(i + 1, self._errors.shape[1])
         return Outcome(self._errors, self._executed, self._drawn, self._diverged, kept)
 
-    def _trial(self, i: int, alive: NDArray[np.int64]) -> Doubles:
+    def _trial(self, i: int, alive: NDArray[np.int64]) -> F64:
         task = self._task
         for s in alive:
             self._inputs[s] = self._learners[s].input()
@@ -151,13 +151,13 @@ class _Series:
         self._inputs[s] = 0.0
 
 
-def first_within(errors: Doubles, bound: float) -> Doubles:
+def first_within(errors: F64, bound: float) -> F64:
     """Per series the first iteration with an error of at most ``bound``; infinite if none has."""
     within = errors <= bound
     return np.where(within.any(axis=1), within.argmax(axis=1), np.inf)
 
 
-def stays_within(errors: Doubles, bound: float) -> Doubles:
+def stays_within(errors: F64, bound: float) -> F64:
     """Per series the iteration from which on no error is above ``bound``; infinite if the last
     one is."""
     above = ~(errors <= bound)

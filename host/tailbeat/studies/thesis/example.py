@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.native import Precision
 
 if TYPE_CHECKING:
@@ -71,9 +72,9 @@ class Run:
     at which it could not be computed any more; the arrays end before it."""
 
     iterations: NDArray[np.int64]
-    max_abs_error: NDArray[np.float64]
-    executed: NDArray[np.float64] | None = None
-    lengths: NDArray[np.float64] | None = None
+    max_abs_error: F64
+    executed: F64 | None = None
+    lengths: F64 | None = None
     diverged: int | None = None
     traces: dict[str, Any] = field(default_factory=dict)  # for figures; not in JSON
 

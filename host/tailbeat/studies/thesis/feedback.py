@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import Claim, Example, Figure, Options, Run, Study
 from tailbeat.studies.thesis.limits import Span, errors_beyond, last_iteration
@@ -94,12 +94,12 @@ class Trials:
     estimates). ``diverged``: the trial that could not be computed to its end; it has no row.
     ``traces``: by trial, rows of ``TRACE_COLUMNS`` (t on the common axis)."""
 
-    max_abs_error: Doubles
-    input_variation: Doubles
-    max_abs_input: Doubles
-    max_estimate: Doubles
+    max_abs_error: F64
+    input_variation: F64
+    max_abs_input: F64
+    max_estimate: F64
     diverged: int | None = None
-    traces: dict[int, Doubles] = field(default_factory=dict)
+    traces: dict[int, F64] = field(default_factory=dict)
 
     def error(self, trial: int) -> list[float]:
         """max |e| of both components in ``trial``; NaN when it diverged before."""
@@ -205,7 +205,7 @@ def run_trials(
     0.3 µs per law, estimate and step."""
     loop = _Loop(example, precision)
     reports: list[tuple[list[float], ...]] = []
-    traces: dict[int, Doubles] = {}
+    traces: dict[int, F64] = {}
     diverged: int | None = None
     limit = 0.0
     for trial in range(1, iterations + 1):
@@ -249,10 +249,10 @@ class _Loop:
         self._state = self._ffi.new("double[]", list(first))
         self._report = self._ffi.new("loop_report_t *")
 
-    def trace(self) -> Doubles:
+    def trace(self) -> F64:
         return np.empty((self._steps + 1, len(TRACE_COLUMNS)))
 
-    def trial(self, trial: int, trace: Doubles | None) -> tuple[list[float], ...] | None:
+    def trial(self, trial: int, trace: F64 | None) -> tuple[list[float], ...] | None:
         rows: Any = self._ffi.NULL
         if trace is not None:
             rows = self._ffi.cast("double *", self._ffi.from_buffer(trace))

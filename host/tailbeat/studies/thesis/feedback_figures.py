@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Figure
 from tailbeat.studies.thesis.feedback import Trials
 from tailbeat.studies.thesis.picture import LINES, WANTED, legend, picture
@@ -40,7 +40,7 @@ def states(path: Path, name: str, trials: Trials, caption: str) -> Figure:
     return Figure(path, name, caption)
 
 
-def _state(axes: Axes, trace: Doubles, trial: int, state: int) -> None:
+def _state(axes: Axes, trace: F64, trial: int, state: int) -> None:
     axes.plot(trace[:, 0], trace[:, 3 + state], label="reference", **WANTED)
     axes.plot(trace[:, 0], trace[:, 1 + state], label=f"trial {trial}", **LINES[0])
     axes.set_ylabel(f"x_{state + 1}")
@@ -48,7 +48,7 @@ def _state(axes: Axes, trace: Doubles, trial: int, state: int) -> None:
     legend(axes)
 
 
-def inputs(path: Path, name: str, series: dict[str, Doubles], caption: str) -> Figure:
+def inputs(path: Path, name: str, series: dict[str, F64], caption: str) -> Figure:
     """Both inputs of several traces, one panel per trace and input."""
     with picture(path, panels=2 * len(series), across=False) as panels:
         rows = iter(panels)
@@ -62,11 +62,11 @@ def inputs(path: Path, name: str, series: dict[str, Doubles], caption: str) -> F
     return Figure(path, name, caption)
 
 
-def _time(axes: Axes, trace: Doubles) -> None:
+def _time(axes: Axes, trace: F64) -> None:
     axes.set_xlabel("t")
     axes.set_xlim(0.0, trace[-1, 0])
 
 
-def thinned(trace: Doubles) -> Doubles:
+def thinned(trace: F64) -> F64:
     """Every so many rows, few enough to draw; the last one is among them."""
     return trace[:: -max(1, len(trace) // _POINTS)][::-1]

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.signal import fftconvolve
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.limits import Span
 
 Scheme = Literal["backward-euler", "crank-nicolson", "modal"]
@@ -49,7 +49,7 @@ CHAPTER7 = Rod(0, 1, -1, inflow=1.0)
 """(7.3) with F = 0: v_x(0) = u, v_x(1) = g = 1, y = v(1)."""
 
 
-def times(step: float) -> Doubles:
+def times(step: float) -> F64:
     """k * step for k = 0 .. T / step.
 
     Raises:
@@ -58,9 +58,9 @@ def times(step: float) -> Doubles:
     return np.arange(TRIAL.steps(step) + 1, dtype=np.float64) * step
 
 
-def reference(time: Doubles) -> Doubles:
+def reference(time: F64) -> F64:
     """y^d of both chapters: t^3 * (10 - t)^3 / 1000, at most 15.625."""
-    values: Doubles = time**3 * (HORIZON - time) ** 3 / 1000
+    values: F64 = time**3 * (HORIZON - time) ** 3 / 1000
     return values
 
 
@@ -99,13 +99,13 @@ class HeatPlant:
         assert made is not None
         self._free, self._first, self._second = made
 
-    def output(self, values: Doubles) -> Doubles:
+    def output(self, values: F64) -> F64:
         """y of a trial, a new array."""
-        out: Doubles = self._free + values[0] * self._first
+        out: F64 = self._free + values[0] * self._first
         out[1:] += fftconvolve(values[1:], self._second[1:])[: len(out) - 1]
         return out
 
-    def field(self, values: Doubles) -> Doubles:
+    def field(self, values: F64) -> F64:
         """w of a trial, one row per sample, one column per node.
 
         Raises:
@@ -125,7 +125,7 @@ def heat_plant(rod: Rod, step: float = STEP, scheme: Scheme = "backward-euler") 
 class _Line:
     """The method of lines: C dw/dt = L w + load."""
 
-    def __init__(self, rod: Rod, time: Doubles, scheme: Scheme, cells: int, substeps: int):
+    def __init__(self, rod: Rod, time: F64, scheme: Scheme, cells: int, substeps: int):
         self.rod, self.time, self.substeps = rod, time, substeps
         self.implicit = 1.0 if scheme == "backward-euler" else 0.5
         self.held = scheme == "backward-euler" and substeps == 1
@@ -144,7 +144,7 @@ class _Line:
         self._load += rod.inflow * inverse[:, -1]
         self._load_by_t = inverse @ _to_nodes(d + e * middle, h)
 
-    def march(self, values: Doubles, heated: bool) -> Doubles:
+    def march(self, values: F64, heated: bool) -> F64:
         """All nodes at all samples; ``heated``: by source and inflow, not only by the input."""
         out = np.zeros((len(self.time), len(self._load)))
         inside = np.arange((len(self.time) - 1) * self.substeps + 1) / self.substeps
@@ -161,7 +161,7 @@ class _Line:
         return out
 
 
-def _to_nodes(middles: Doubles, h: float) -> Doubles:
+def _to_nodes(middles: F64, h: float) -> F64:
     """What the middles of cells give to the nodes: half to either side."""
     out = np.zeros(len(middles) + 1)
     out[:-1] += h / 2 * middles
@@ -169,7 +169,7 @@ def _to_nodes(middles: Doubles, h: float) -> Doubles:
     return out
 
 
-def _modal(rod: Rod, time: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+def _modal(rod: Rod, time: F64) -> tuple[F64, F64, F64]:
     """(undriven output, response to a unit at sample 0 alone, at sample 1 alone) of the exact
     solution with straight lines between the samples."""
     n = np.arange(1, _MODES + 1, dtype=np.float64)
@@ -188,7 +188,7 @@ def _modal(rod: Rod, time: Doubles) -> tuple[Doubles, Doubles, Doubles]:
     return _undriven(rod, rate, shape, time), first, second
 
 
-def _ramp(rate: Doubles, step: float) -> tuple[Doubles, Doubles]:
+def _ramp(rate: F64, step: float) -> tuple[F64, F64]:
     """What an input that rises from 0 to 1 within a step leaves of each mode, and one that falls
     from 1 to 0."""
     z = rate * step
@@ -197,7 +197,7 @@ def _ramp(rate: Doubles, step: float) -> tuple[Doubles, Doubles]:
     return rise, step * gone / z - rise
 
 
-def _undriven(rod: Rod, rate: Doubles, shape: dict[int, Doubles], time: Doubles) -> Doubles:
+def _undriven(rod: Rod, rate: F64, shape: dict[int, F64], time: F64) -> F64:
     """The output that source and inflow give; the inflow's at x = 1 in closed form, as its modes
     converge slowly there."""
     a, b, c, d, e = rod.source
@@ -208,7 +208,7 @@ def _undriven(rod: Rod, rate: Doubles, shape: dict[int, Doubles], time: Doubles)
     growing = weights * e * by_x
     late = np.exp(-rate * time[:, None])
     gone = -np.expm1(-rate * time[:, None])
-    out: Doubles = (a + b / 2 + c / 3) * time + (d + e / 2) * time**2 / 2
+    out: F64 = (a + b / 2 + c / 3) * time + (d + e / 2) * time**2 / 2
     out += gone @ (still / rate - growing / rate**2) + time * np.sum(growing / rate)
     inflow = 2 * shape[rod.measured_end] * shape[1] / rate
     at_rest = 1 / 3 if rod.measured_end == 1 else -1 / 6  # the modes' sum for ever

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.chapter3.plants import PlantFailed
@@ -22,9 +22,9 @@ class Plant(Protocol):
     """From rest, one trial after the other; nothing is carried over."""
 
     @property
-    def time(self) -> Doubles: ...
+    def time(self) -> F64: ...
 
-    def output(self, values: Doubles) -> Doubles: ...
+    def output(self, values: F64) -> F64: ...
 
 
 def window(minutes: float, step: float) -> int:
@@ -70,7 +70,7 @@ def learn(
     law: LearnerConfig,
     iterations: int,
     precision: Precision = "double",
-    prepare: Callable[[Doubles], Doubles] | None = None,
+    prepare: Callable[[F64], F64] | None = None,
 ) -> Run:
     """Iterations 0 (zero input) to ``iterations``. ``prepare``: what the law gets for the errors.
 
@@ -80,7 +80,7 @@ def learn(
     learner = Learner(law, precision=precision)
     wanted = reference(plant.time)
     limit = errors_beyond(wanted)
-    traces: dict[str, Doubles] = {"time": plant.time, "reference": wanted}
+    traces: dict[str, F64] = {"time": plant.time, "reference": wanted}
     worst: list[float] = []
     rms: list[float] = []
     diverged = None
@@ -108,7 +108,7 @@ def learn(
     return Run(np.arange(len(worst)), np.array(worst), diverged=diverged, traces=traces)
 
 
-def zero_phase(values: Doubles, q_len: int) -> Doubles:
+def zero_phase(values: F64, q_len: int) -> F64:
     """Q of (6.42) by law_zero_phase, renormalised at the ends; a new array."""
     native = load("double")
     given = np.ascontiguousarray(values, dtype=np.float64)
@@ -118,7 +118,7 @@ def zero_phase(values: Doubles, q_len: int) -> Doubles:
     return out
 
 
-def slope(values: Doubles, step: float = STEP) -> Doubles:
+def slope(values: F64, step: float = STEP) -> F64:
     """The law's derivative: the forward difference, the last one repeated."""
     differences = np.diff(values) / step
     return np.append(differences, differences[-1])

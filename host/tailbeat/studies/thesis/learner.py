@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
 from tailbeat.studies.thesis.native import Precision, load
 
@@ -103,7 +103,7 @@ class Learner:
             made.weight[j] = {"input": weight, "kp": kp, "kd": kd}
         return made
 
-    def input(self) -> Doubles:
+    def input(self) -> F64:
         """What the plant gets in the next trial, saturated; a new array."""
         values = np.empty(self.config.samples)
         self._lib.whole_trial_input(self._learner, self._pointer(values))
@@ -127,5 +127,5 @@ class Learner:
                 "the errors have grown beyond what can be computed with.", "The law diverges here."
             )
 
-    def _pointer(self, values: Doubles) -> Any:
+    def _pointer(self, values: F64) -> Any:
         return self._ffi.cast("double *", self._ffi.from_buffer(values))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 
 ITERATIONS_MAX = 10_000
@@ -30,7 +30,7 @@ def last_iteration(asked: int | None, usual: int, first: int = 0) -> int:
     return last
 
 
-def errors_beyond(wanted: Doubles) -> float:
+def errors_beyond(wanted: F64) -> float:
     """Errors above this are divergence: no digit of what was wanted is left in them."""
     return float(np.max(np.abs(wanted)) / np.finfo(np.float64).eps)
 

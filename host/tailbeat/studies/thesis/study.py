@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import deaf_children, one_thread, terminate
 from tailbeat.studies.thesis import lengths
@@ -175,9 +176,9 @@ class Result:
     example_id: str
     options: Options
     iterations: NDArray[np.int64]
-    max_abs_error: NDArray[np.float64]
-    executed: NDArray[np.float64] | None
-    lengths: NDArray[np.float64] | None
+    max_abs_error: F64
+    executed: F64 | None
+    lengths: F64 | None
     diverged: int | None
     claims: list[Claim] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
@@ -250,7 +251,7 @@ def _told(run: Run) -> Run:
     if len(run.iterations) or run.diverged is None:
         return run
 
-    def unknown(column: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unknown(column: F64) -> F64:
         return np.full((1, *column.shape[1:]), np.nan)
 
     return replace(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from tailbeat.app.cli import camera_calibrate
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.calibrate import (
     Calibrated,
@@ -48,7 +49,7 @@ from tailbeat.sensors.camera.marker.sheets import (
 from tailbeat.sensors.camera.source.open import read_all, read_grey
 
 cv2: Any = opencv
-Floats = NDArray[np.float64]
+Floats = F64
 Image = NDArray[np.uint8]
 
 SIZE = (1280, 720)

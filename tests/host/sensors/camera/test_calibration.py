@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import Calibration, check_sense, load_calibration
 
-Floats = NDArray[np.float64]
+Floats = F64
 
 SIZE = (1280, 720)
 HEIGHT_M = 2.6

@@ -13,14 +13,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.marker.detector import Marker, detector_for
 from tailbeat.sensors.camera.marker.tags import Sighting, Window
 from tailbeat.sensors.camera.source.picture import Image
 
-Floats = NDArray[np.float64]
+Floats = F64
 
 DICTIONARY = {"aruco": cv2.aruco.DICT_4X4_50, "apriltag": cv2.aruco.DICT_APRILTAG_36h11}
 CELLS = {"aruco": 6, "apriltag": 8}

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
+from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial, read_trial
 
 VISION, _, IMU, MODEL = range(4)
 SEEDS = [12, pytest.param(40, marks=pytest.mark.soak)]
 REST_S = 9.0  # the IMU is found, and the fish has been still for REST_MIN_S
-Floats = NDArray[np.float64]
+Floats = F64
 
 
 @dataclass(frozen=True)

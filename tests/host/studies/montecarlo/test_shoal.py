@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
@@ -16,7 +16,7 @@ from tailbeat.sensors.camera.speed.line_fit import BeatFit
 from tailbeat.sim.world import World
 from tailbeat.studies.montecarlo.batch import Shoal, Swims
 
-Array = NDArray[np.float64]
+Array = F64
 
 BEATS = 12
 QUIET = {"gain_sigma": 0, "flow_sigma_m_s": 0, "start_sigma_m_s": 0, "camera_noise_m": 0}

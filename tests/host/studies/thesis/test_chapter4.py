@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis.chapter4 import claims
 from tailbeat.studies.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
@@ -30,7 +30,7 @@ from tailbeat.studies.thesis.feedback import Chapter4, Grid, Scheme, Trials, run
 from tailbeat.studies.thesis.native import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
-Doubles = NDArray[np.float64]
+Doubles = F64
 Slope = Callable[[float, Doubles], Doubles]
 
 # Recomputed independently: trial -> max|e| of both states. Example 1: all of Theta, RK4, 20000

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis.chapter4.claims import grows
 from tailbeat.studies.thesis.chapter5 import claims
@@ -29,7 +29,7 @@ from tailbeat.studies.thesis.feedback import Chapter5, Grid, run_trials
 from tailbeat.studies.thesis.native import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
-Doubles = NDArray[np.float64]
+Doubles = F64
 
 # Recomputed independently: trial -> max|e| of both states. Sign: input held, 5000 steps; the others
 # RK4, 500.

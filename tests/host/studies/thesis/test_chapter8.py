@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import thesis
 from tailbeat.learning.error_bound_solve import plant_beats
@@ -37,7 +37,7 @@ from tailbeat.studies.thesis.example import (
 from tailbeat.studies.thesis.native import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
-Doubles = NDArray[np.float64]
+Doubles = F64
 
 # Recomputed independently, to 0.1 mm/s.
 BEATS = {

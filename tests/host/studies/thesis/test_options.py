@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.arithmetic import expression
@@ -233,7 +233,7 @@ def test_the_limit_of_trials_with_feedback(monkeypatch: pytest.MonkeyPatch) -> N
     """Its first error is 0.5."""
     peaks: list[float] = []
 
-    def low(wanted: NDArray[np.float64]) -> float:
+    def low(wanted: F64) -> float:
         peaks.append(float(np.abs(wanted).max()))
         return 0.3
 

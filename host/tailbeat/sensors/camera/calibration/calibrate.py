@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import SCALE_ERROR_MAX, Calibration, check_sense
 from tailbeat.sensors.camera.calibration.intrinsics import Intrinsics, find_intrinsics
@@ -35,8 +35,6 @@ from tailbeat.sensors.camera.calibration.points import (
 from tailbeat.sensors.camera.marker.printed import RULER_IDS, anchors_of, find_markers
 from tailbeat.sensors.camera.source.picture import Image
 
-Floats = NDArray[np.float64]
-
 END_SIGMA_PX = 0.2
 SIGMA_MAX = SCALE_ERROR_MAX / 2
 
@@ -57,7 +55,7 @@ class RulerCheck:
         return self.measured_m / self.true_m - 1
 
 
-def ruler_ends(seen: dict[int, tuple[float, float]], name: str) -> Floats:
+def ruler_ends(seen: dict[int, tuple[float, float]], name: str) -> F64:
     """Pixels (2, 2) of the ruler's two among the markers ``seen`` in the picture ``name``. Raises
     InputError when they are not both there."""
     missing = [str(i) for i in RULER_IDS if i not in seen]
@@ -71,7 +69,7 @@ def ruler_ends(seen: dict[int, tuple[float, float]], name: str) -> Floats:
     return np.array([seen[i] for i in RULER_IDS])
 
 
-def check_ruler(calibration: Calibration, ends_px: Floats, true_m: float, name: str) -> RulerCheck:
+def check_ruler(calibration: Calibration, ends_px: F64, true_m: float, name: str) -> RulerCheck:
     """Measures the ruler between ``ends_px`` (2, 2). Raises InputError when it is too short in the
     picture to tell half a percent. Whether the scale is right: ``refuse_scale``."""
     if not 0 < true_m < np.inf:
@@ -118,7 +116,7 @@ def refuse_scale(check: RulerCheck, known_camera: bool) -> None:
     )
 
 
-def _length(calibration: Calibration, ends_px: Floats) -> float:
+def _length(calibration: Calibration, ends_px: F64) -> float:
     a, b = calibration.to_tank(ends_px)
     return float(np.hypot(*(b - a)))
 
@@ -145,7 +143,7 @@ class Ruler:
     not known) and with the tank's ``anchors``: id -> centre in pixels."""
 
     name: str
-    ends_px: Floats
+    ends_px: F64
     true_m: float
     size_px: tuple[int, int] | None = None
     anchors: dict[int, tuple[float, float]] = field(default_factory=dict)
@@ -171,7 +169,7 @@ def calibrate(
     tank: tuple[str, Image],
     board: Iterable[tuple[str, Image]] = (),
     height: Height | None = None,
-    area_m: Floats | None = None,
+    area_m: F64 | None = None,
     rulers: list[Ruler] | None = None,
     look: Callable[[str], None] = lambda name: None,
 ) -> Calibrated:
@@ -258,7 +256,7 @@ def _lens(intrinsics: Intrinsics | None, size_px: tuple[int, int]) -> Lens:
     return Lens(np.array(matrix), np.zeros(5))
 
 
-def _arrays(points: list[TankPoint], size_px: tuple[int, int], name: str) -> tuple[Floats, Floats]:
+def _arrays(points: list[TankPoint], size_px: tuple[int, int], name: str) -> tuple[F64, F64]:
     pixels = np.array([point.pixel for point in points], dtype=float)
     outside = ((pixels < -0.5) | (pixels > np.array(size_px) - 0.5)).any(axis=1)
     if outside.any():
@@ -270,7 +268,7 @@ def _arrays(points: list[TankPoint], size_px: tuple[int, int], name: str) -> tup
     return pixels, np.array([point.place_m for point in points], dtype=float)
 
 
-def _area(area_m: Floats | None, places: Floats, left_out: list[int]) -> Floats:
+def _area(area_m: F64 | None, places: F64, left_out: list[int]) -> F64:
     good = np.delete(places, left_out, axis=0)
     if area_m is None:
         return hull(good)
@@ -279,8 +277,8 @@ def _area(area_m: Floats | None, places: Floats, left_out: list[int]) -> Floats:
 
 
 def _marker_plane(
-    plane: Plane, camera: CameraPlace | None, height: Height, area: Floats
-) -> tuple[Floats, str]:
+    plane: Plane, camera: CameraPlace | None, height: Height, area: F64
+) -> tuple[F64, str]:
     if height.depth_m < 0:
         raise InputError("a depth is not negative", "Above the points: --raise METRES")
     if height.raise_m == 0 and height.depth_m == 0:
@@ -326,7 +324,7 @@ def _with_scale(
 
 
 def _notes(
-    intrinsics: Intrinsics | None, plane: Plane, names: list[str], unseen: int, places: Floats
+    intrinsics: Intrinsics | None, plane: Plane, names: list[str], unseen: int, places: F64
 ) -> list[str]:
     notes = []
     if intrinsics is None:
@@ -368,7 +366,7 @@ def _dropped(intrinsics: Intrinsics | None) -> dict[str, str]:
     return intrinsics.dropped if intrinsics is not None else {}
 
 
-def _area_note(area_m: Floats | None) -> list[str]:
+def _area_note(area_m: F64 | None) -> list[str]:
     return [] if area_m is not None else ["the area is the hull of the points (--area is better)"]
 
 

@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.lens import Lens
 from tailbeat.sensors.camera.opencv import cv2
-
-Floats = NDArray[np.float64]
 
 ANCHOR_ID_MIN = 40  # ArUco DICT_4X4_50 ids from here on are the tank's, not the fish's
 SCALE_ERROR_MAX = 0.01
@@ -48,10 +46,10 @@ class Calibration:
     """
 
     size_px: tuple[int, int]
-    camera_matrix: Floats
-    distortion: Floats
-    tank_from_image: Floats
-    area_m: Floats | None = None
+    camera_matrix: F64
+    distortion: F64
+    tank_from_image: F64
+    area_m: F64 | None = None
     anchors: dict[int, tuple[float, float]] = field(default_factory=dict)
     scale_error: float | None = None
     rms_px: float | None = None
@@ -60,12 +58,12 @@ class Calibration:
     camera: str = ""
     made_at: str = ""
 
-    def to_tank(self, points_px: Floats) -> Floats:
+    def to_tank(self, points_px: F64) -> F64:
         """Pixels (n, 2) of the distorted picture to metres (n, 2)."""
         flat = self.lens.undistorted(points_px)
         return _mapped(self._to_tank, flat)
 
-    def to_pixels(self, points_m: Floats) -> Floats:
+    def to_pixels(self, points_m: F64) -> F64:
         """Metres (n, 2) to pixels (n, 2) of the distorted picture; the inverse of to_tank within
         1e-3 pixels everywhere in the picture. Points that the camera cannot see lie outside it."""
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 2)
@@ -78,17 +76,17 @@ class Calibration:
         return Lens(self.camera_matrix, self.distortion)
 
     @cached_property
-    def _to_tank(self) -> Floats:
+    def _to_tank(self) -> F64:
         matrix = np.asarray(self.tank_from_image, dtype=np.float64)
         middle = (self.size_px[0] / 2, self.size_px[1] / 2, 1.0)
         return np.ascontiguousarray(matrix / (matrix[2] @ middle))
 
     @cached_property
-    def _to_rays(self) -> Floats:
+    def _to_rays(self) -> F64:
         """From the tank to directions x, y, 1 in the camera's frame, times their depth, which is
         near 1 in the middle of the picture."""
         to_image = np.linalg.inv(self._to_tank)
-        rays: Floats = np.linalg.inv(np.asarray(self.camera_matrix, dtype=np.float64)) @ to_image
+        rays: F64 = np.linalg.inv(np.asarray(self.camera_matrix, dtype=np.float64)) @ to_image
         return rays
 
     def check_size(self, size_px: tuple[int, int], name: str) -> None:
@@ -200,7 +198,7 @@ def _number(raw: dict[str, Any], name: str) -> float | None:
     return None if raw.get(name) is None else float(_array(raw, name, ()))
 
 
-def _array(raw: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
+def _array(raw: dict[str, Any], name: str, shape: tuple[int, ...]) -> F64:
     """Raises KeyError, or ValueError unless these are numbers in that shape. Text that looks like
     a number is none."""
     try:
@@ -215,10 +213,10 @@ def _array(raw: dict[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
     return array.astype(np.float64)
 
 
-def _mapped(homography: Floats, points: Floats) -> Floats:
+def _mapped(homography: F64, points: F64) -> F64:
     if not len(points):
         return np.empty((0, 2))
-    found: Floats = cv2.perspectiveTransform(points.reshape(-1, 1, 2), homography)
+    found: F64 = cv2.perspectiveTransform(points.reshape(-1, 1, 2), homography)
     return found.reshape(-1, 2)
 
 
@@ -247,7 +245,7 @@ def check_sense(calibration: Calibration, name: str) -> None:
         check_area(calibration.area_m, name)
 
 
-def check_area(area_m: Floats, name: str) -> None:
+def check_area(area_m: F64, name: str) -> None:
     """Raises InputError unless the corners (n, 2) are those of a convex area, n >= 3, in order."""
     area = np.asarray(area_m, dtype=float)
     if area.ndim != 2 or area.shape[1] != 2 or len(area) < 3:
@@ -341,7 +339,7 @@ def _check_plane(calibration: Calibration, name: str) -> None:
         )
 
 
-def _scale(matrix: Floats, rows: Floats, depth: Floats) -> tuple[Any, Any, Any]:
+def _scale(matrix: F64, rows: F64, depth: F64) -> tuple[Any, Any, Any]:
     """Of each point: metres per pixel along the longest and the shortest direction, and whether
     the tank is seen from above (> 0) or in a mirror."""
     at = (rows @ matrix[:2].T) / depth[:, None]
@@ -350,7 +348,7 @@ def _scale(matrix: Floats, rows: Floats, depth: Floats) -> tuple[Any, Any, Any]:
     return values[:, 0], values[:, 1], np.sign(np.linalg.det(jacobian))
 
 
-def _raster(size_px: tuple[int, int]) -> Floats:
+def _raster(size_px: tuple[int, int]) -> F64:
     """Points all over the picture, its outermost corners included."""
     width, height = size_px
     u, v = np.meshgrid(np.linspace(-0.5, width - 0.5, 41), np.linspace(-0.5, height - 0.5, 25))

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.marker.printed import BOARD_SQUARES, board
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
-
-Floats = NDArray[np.float64]
 
 CORNERS_MIN = 8
 _PATCH = 0.3  # of a square: what is looked at around a corner
@@ -34,8 +33,8 @@ class View:
     where it is worst."""
 
     name: str
-    board_points: NDArray[np.float32]
-    corners_px: NDArray[np.float32]
+    board_points: F32
+    corners_px: F32
     blur_px: float
 
 
@@ -61,7 +60,7 @@ class Viewer:
         return View(name, points, pixels, blur)
 
 
-def _blur_px(grey: Image, ids: NDArray[Any], corners: Floats) -> float:
+def _blur_px(grey: Image, ids: NDArray[Any], corners: F64) -> float:
     """An edge blurred with standard deviation s rises by its contrast / (s sqrt(2 pi)) per pixel.
     Measured across both edges that cross in a corner; the median over corners of the worse one."""
     where = dict(zip(map(int, ids), corners, strict=True))
@@ -84,13 +83,13 @@ def _blur_px(grey: Image, ids: NDArray[Any], corners: Floats) -> float:
     return float(np.median(found)) if found else np.inf
 
 
-def _steepest(slopes: tuple[Floats, ...], edge: Floats) -> float:
+def _steepest(slopes: tuple[F64, ...], edge: F64) -> float:
     """Across an edge that runs along ``edge``."""
     across = np.array([-edge[1], edge[0]]) / np.linalg.norm(edge)
     return float(np.abs(across[0] * slopes[0] + across[1] * slopes[1]).max())
 
 
-def _edges(number: int, where: dict[int, Floats]) -> tuple[Floats, Floats] | None:
+def _edges(number: int, where: dict[int, F64]) -> tuple[F64, F64] | None:
     """The two directions in which the board's lines run through a corner, a square long."""
     columns = BOARD_SQUARES[0] - 1
     column = number % columns
@@ -122,8 +121,8 @@ class Intrinsics:
     length."""
 
     size_px: tuple[int, int]
-    camera_matrix: Floats
-    distortion: Floats
+    camera_matrix: F64
+    distortion: F64
     rms_px: float
     used: tuple[str, ...]
     dropped: dict[str, str]
@@ -160,11 +159,11 @@ def find_intrinsics(
 @dataclass(frozen=True)
 class _Fit:
     rms_px: float
-    matrix: Floats
-    distortion: Floats
+    matrix: F64
+    distortion: F64
     focal_sigma: float
-    errors_px: Floats
-    tilts_rad: Floats
+    errors_px: F64
+    tilts_rad: F64
 
 
 def _one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:

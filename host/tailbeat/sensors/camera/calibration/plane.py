@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.lens import Lens
 from tailbeat.sensors.camera.opencv import cv2
-
-Floats = NDArray[np.float64]
 
 LEAVE_OUT_FROM = 6
 OUTLIER_M = 0.02
@@ -32,16 +31,16 @@ class Fit:
     points used. ``rigid``: only the camera's place is free, so that a wrong point cannot be made up
     for by a wrong plane."""
 
-    off_m: Callable[[Floats, Floats, NDArray[np.intp]], Floats | None]
+    off_m: Callable[[F64, F64, NDArray[np.intp]], F64 | None]
     rms_max_m: float
     rigid: bool
 
-    def rms_m(self, off_m: Floats) -> float:
+    def rms_m(self, off_m: F64) -> float:
         """Infinite for points that do not fit each other at all."""
         rms = float(np.sqrt(np.mean(off_m**2)))
         return rms if np.isfinite(rms) else np.inf
 
-    def good(self, off_m: Floats) -> bool:
+    def good(self, off_m: F64) -> bool:
         """Whether points that are so far off fit each other."""
         return bool(self.rms_m(off_m) <= self.rms_max_m and off_m.max() <= OUTLIER_M)
 
@@ -54,7 +53,7 @@ class _Without:
     good: bool
 
 
-def used_points(flat: Floats, places: Floats, names: list[str], fit: Fit) -> NDArray[np.intp]:
+def used_points(flat: F64, places: F64, names: list[str], fit: Fit) -> NDArray[np.intp]:
     """Indices of the points that fit each other, all but at most a third; all when there is no such
     set or there are fewer than six. Raises InputError when it cannot be told which point is wrong.
 
@@ -74,7 +73,7 @@ def used_points(flat: Floats, places: Floats, names: list[str], fit: Fit) -> NDA
     return used if off is not None and fit.good(off[used]) else everything
 
 
-def suspects(flat: Floats, places: Floats, fit: Fit) -> list[int]:
+def suspects(flat: F64, places: F64, fit: Fit) -> list[int]:
     """Points without any one of which the others would fit; with fewer than five none, for four
     tell too little."""
     if len(flat) < _LEFT_MIN:
@@ -82,7 +81,7 @@ def suspects(flat: Floats, places: Floats, fit: Fit) -> list[int]:
     return [way.left_out for way in _ways(flat, places, np.arange(len(flat)), fit) if way.good]
 
 
-def _ways(flat: Floats, places: Floats, used: NDArray[np.intp], fit: Fit) -> list[_Without]:
+def _ways(flat: F64, places: F64, used: NDArray[np.intp], fit: Fit) -> list[_Without]:
     """To leave out one more, the best first."""
     ways = []
     for i in used:
@@ -128,8 +127,8 @@ class Plane:
     others -> how far off it is. ``foretold_m``: the worst error with which the others foretell a
     point; None with four, which always fit."""
 
-    tank_from_image: Floats
-    off_m: Floats
+    tank_from_image: F64
+    off_m: F64
     left_out: dict[int, float]
     foretold_m: float | None
 
@@ -140,7 +139,7 @@ class Plane:
 
 
 def fit_plane(
-    lens: Lens, pixels: Floats, places_m: Floats, names: list[str], known_camera: bool = False
+    lens: Lens, pixels: F64, places_m: F64, names: list[str], known_camera: bool = False
 ) -> Plane:
     """Least squares over at least four points: ``pixels`` (n, 2) of the distorted picture,
     ``places_m`` (n, 2). With six or more, single wrong ones are left out; with ``known_camera``
@@ -167,12 +166,12 @@ class CameraPlace:
     ``rms_m``: how far the points are off when only the camera's place may be chosen."""
 
     height_m: float
-    foot_m: Floats
+    foot_m: F64
     rms_m: float
 
 
 def camera_place(
-    lens: Lens, plane: Plane, pixels: Floats, places_m: Floats, names: list[str]
+    lens: Lens, plane: Plane, pixels: F64, places_m: F64, names: list[str]
 ) -> CameraPlace:
     """From the points used in ``plane`` and the camera's intrinsics. Raises InputError when these
     do not belong together."""
@@ -206,7 +205,7 @@ def _refuse_pose(rms_m: float, plane_rms_m: float, wrong: list[str]) -> None:
     )
 
 
-def _pose(lens: Lens, flat: Floats, places: Floats) -> tuple[Floats, Floats]:
+def _pose(lens: Lens, flat: F64, places: F64) -> tuple[F64, F64]:
     """Rotation (3, 3) and shift (3,) from the tank's frame to the camera's."""
     solid, matrix = np.column_stack([places, np.zeros(len(places))]), lens.camera_matrix
     good, turn, shift = cv2.solvePnP(solid, flat, matrix, None, flags=cv2.SOLVEPNP_IPPE)
@@ -215,7 +214,7 @@ def _pose(lens: Lens, flat: Floats, places: Floats) -> tuple[Floats, Floats]:
     return np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift)
 
 
-def _seen_by(lens: Lens, rotation: Floats, shift: Floats) -> Floats:
+def _seen_by(lens: Lens, rotation: F64, shift: F64) -> F64:
     """Undistorted pixels to the tank, for a camera at that place."""
     from_tank = lens.camera_matrix @ np.column_stack([rotation[:, :2], shift])
     return np.asarray(np.linalg.inv(from_tank), dtype=np.float64)
@@ -224,7 +223,7 @@ def _seen_by(lens: Lens, rotation: Floats, shift: Floats) -> Floats:
 def _fit(lens: Lens | None) -> Fit:
     """With the camera's intrinsics only its place is free, without them any homography."""
 
-    def off_m(flat: Floats, places: Floats, used: NDArray[np.intp]) -> Floats | None:
+    def off_m(flat: F64, places: F64, used: NDArray[np.intp]) -> F64 | None:
         if _spread(flat[used], places[used]) < _SPREAD_MIN:
             return None
         if lens is None:
@@ -236,7 +235,7 @@ def _fit(lens: Lens | None) -> Fit:
     return Fit(off_m, RMS_MAX_M if lens is None else POSE_RMS_MAX_M, lens is not None)
 
 
-def raised(tank_from_image: Floats, camera: CameraPlace, raise_m: float) -> Floats:
+def raised(tank_from_image: F64, camera: CameraPlace, raise_m: float) -> F64:
     """The homography of the parallel plane ``raise_m`` above. Raises InputError when the camera
     would be in it.
 
@@ -251,7 +250,7 @@ def raised(tank_from_image: Floats, camera: CameraPlace, raise_m: float) -> Floa
         )
     x, y = camera.foot_m
     shrink = np.array([[share, 0, (1 - share) * x], [0, share, (1 - share) * y], [0, 0, 1.0]])
-    moved: Floats = shrink @ tank_from_image
+    moved: F64 = shrink @ tank_from_image
     return moved
 
 
@@ -271,7 +270,7 @@ def refraction_error_m(height_m: float, depth_m: float, distance_m: float) -> fl
     return float(surface_m * (1 + depth_m / WATER / height_m) - distance_m)
 
 
-def _foretold(flat: Floats, places: Floats) -> float | None:
+def _foretold(flat: F64, places: F64) -> float | None:
     if len(flat) <= 4:
         return None
     worst = 0.0
@@ -285,20 +284,20 @@ def _foretold(flat: Floats, places: Floats) -> float | None:
     return worst or None
 
 
-def _homography(flat: Floats, places: Floats) -> Floats:
+def _homography(flat: F64, places: F64) -> F64:
     found, _ = cv2.findHomography(flat, places, 0)
     if found is None:
         raise InputError("no plane fits the tank's points", "Check them.")
-    matrix: Floats = found
+    matrix: F64 = found
     return matrix
 
 
-def _mapped(matrix: Floats, points: Floats) -> Floats:
-    found: Floats = cv2.perspectiveTransform(points.reshape(-1, 1, 2), matrix)
+def _mapped(matrix: F64, points: F64) -> F64:
+    found: F64 = cv2.perspectiveTransform(points.reshape(-1, 1, 2), matrix)
     return found.reshape(-1, 2)
 
 
-def _check_spread(flat: Floats, places: Floats) -> None:
+def _check_spread(flat: F64, places: F64) -> None:
     if not _spread(flat, places) >= _SPREAD_MIN:
         raise InputError(
             "the tank's points do not tell a plane: too many of them lie on one line or in one "
@@ -307,7 +306,7 @@ def _check_spread(flat: Floats, places: Floats) -> None:
         )
 
 
-def _spread(flat: Floats, places: Floats) -> float:
+def _spread(flat: F64, places: F64) -> float:
     """How well the points determine a homography: 0 = not at all."""
     u, v = _normal(flat).T
     x, y = _normal(places).T
@@ -322,14 +321,14 @@ def _spread(flat: Floats, places: Floats) -> float:
     return float(values[7] / values[0])
 
 
-def _normal(points: Floats) -> Floats:
+def _normal(points: F64) -> F64:
     centred = points - points.mean(axis=0)
     size = np.sqrt((centred**2).mean())
-    scaled: Floats = centred / size if size > 0 else centred
+    scaled: F64 = centred / size if size > 0 else centred
     return scaled
 
 
-def _check_metres(flat: Floats, places: Floats, lens: Lens | None) -> None:
+def _check_metres(flat: F64, places: F64, lens: Lens | None) -> None:
     """By the distances between all pairs, of which one wrong point changes few."""
     first, second = np.triu_indices(len(flat), 1)
     metres = np.linalg.norm(places[first] - places[second], axis=1)
@@ -347,7 +346,7 @@ def _check_metres(flat: Floats, places: Floats, lens: Lens | None) -> None:
     )
 
 
-def _check_seen_from_above(matrix: Floats, flat: Floats) -> None:
+def _check_seen_from_above(matrix: F64, flat: F64) -> None:
     depth = np.column_stack([flat, np.ones(len(flat))]) @ matrix[2]
     if not (np.linalg.det(matrix) * depth > 0).all():
         raise InputError(

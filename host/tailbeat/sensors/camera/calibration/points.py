@@ -11,21 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
 from tailbeat.sensors.camera.calibration.file import Calibration, check_area
 from tailbeat.sensors.camera.marker.printed import anchors_of
 from tailbeat.sensors.camera.opencv import cv2
-
-Floats = NDArray[np.float64]
 
 _LARGER_MAX = 2.0  # than what the picture shows
 _SHARED_MIN = 0.1  # with the hull of the points, of the smaller one
 _WRITE = "Write --area LENGTH,WIDTH or --area X0,Y0,X1,Y1 in metres, in the frame of the points."
 
 
-def rectangle(numbers: list[float]) -> Floats:
+def rectangle(numbers: list[float]) -> F64:
     """An area (4, 2) from LENGTH,WIDTH (a corner at 0, 0) or X0,Y0,X1,Y1. Raises InputError."""
     if len(numbers) == 2:
         numbers = [0.0, 0.0, *numbers]
@@ -37,13 +35,13 @@ def rectangle(numbers: list[float]) -> Floats:
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def hull(places_m: Floats) -> Floats:
+def hull(places_m: F64) -> F64:
     """Corners (n, 2) of the least convex area with all the places."""
     found = cv2.convexHull(places_m.astype(np.float32), returnPoints=False)
     return places_m[np.ravel(found)]
 
 
-def check_given_area(area_m: Floats, places_m: Floats) -> None:
+def check_given_area(area_m: F64, places_m: F64) -> None:
     """Raises InputError for corners (n, 2) that cannot be the water between or around the tank's
     points ``places_m``."""
     check_area(area_m, "the area given (--area)")
@@ -72,11 +70,11 @@ def check_area_seen(calibration: Calibration) -> None:
         )
 
 
-def _square_m(corners: Floats) -> float:
+def _square_m(corners: F64) -> float:
     return float(cv2.contourArea(corners.astype(np.float32)))
 
 
-def _shared_square_m(one: Floats, other: Floats) -> float:
+def _shared_square_m(one: F64, other: F64) -> float:
     shared, _ = cv2.intersectConvexConvex(one.astype(np.float32), other.astype(np.float32))
     return float(shared)
 

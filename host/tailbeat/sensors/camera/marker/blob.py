@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.sensors.camera.marker.tags import Points, Sighting, Window
+from tailbeat.core.arrays import F32, F64
+from tailbeat.sensors.camera.marker.tags import Sighting, Window
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
@@ -24,8 +25,7 @@ _THRESHOLD_SIGMAS = 5.0
 _SPECK_PX, _CRACK_PX = 3, 5
 
 Mask = NDArray[np.uint8]  # 0 or 255
-Floats = NDArray[np.float32]
-Choose = Callable[[Mask, Floats], Mask | None]
+Choose = Callable[[Mask, F32], Mask | None]
 
 
 class Background:
@@ -43,7 +43,7 @@ class Background:
             grown = cv2.dilate(fish, np.ones((_CRACK_PX, _CRACK_PX), np.uint8)) > 0
             self._mean[grown] = around[grown]
 
-    def changed(self, grey: Image) -> tuple[Mask, Floats]:
+    def changed(self, grey: Image) -> tuple[Mask, F32]:
         """Where ``grey`` is not the background, and by how many grey levels."""
         difference = np.asarray(cv2.absdiff(grey.astype(np.float32), self._mean), np.float32)
         return _clean(difference), difference
@@ -62,7 +62,7 @@ def _surroundings(grey: Image, fish_px: float) -> Image:
     return np.asarray(cv2.resize(around, grey.shape[::-1]), np.uint8)
 
 
-def _clean(difference: Floats) -> Mask:
+def _clean(difference: F32) -> Mask:
     sigma = 1.48 * float(np.median(difference[::4, ::4]))
     there = difference > max(_THRESHOLD_MIN, _THRESHOLD_SIGMAS * sigma)
     mask = there.astype(np.uint8) * np.uint8(255)
@@ -101,8 +101,8 @@ class _Region:
     box: Box
     mask: Mask  # in the box
     area_px: float
-    middle: Points  # (2,)
-    axis: Points  # (2,), unit, towards the head by shape: the tail is thin
+    middle: F64  # (2,)
+    axis: F64  # (2,), unit, towards the head by shape: the tail is thin
     length_px: float
     width_px: float
     contrast: float
@@ -129,8 +129,8 @@ class BlobDetector:
         self._width_px = None if width_px is None else width_px / self._shrink
         self._water = None if water is None else _shrunk(water, self._shrink)
         self._background: Background | None = None
-        self._axis: Points | None = None
-        self._middle: Points | None = None
+        self._axis: F64 | None = None
+        self._middle: F64 | None = None
         self._vote = 0.0
         self._turns = 0
 
@@ -154,7 +154,7 @@ class BlobDetector:
         real.sort(key=lambda region: -region.weight)
         return [region for region in real if region.weight >= _SIMILAR * real[0].weight]
 
-    def _only_one(self, mask: Mask, difference: Floats, small: Image) -> Mask | None:
+    def _only_one(self, mask: Mask, difference: F32, small: Image) -> Mask | None:
         regions = self._regions(mask, difference, small)
         if len(regions) != 1:
             return None
@@ -162,7 +162,7 @@ class BlobDetector:
         fish[regions[0].box] = regions[0].mask
         return fish
 
-    def _regions(self, mask: Mask, difference: Floats, small: Image) -> list[_Region]:
+    def _regions(self, mask: Mask, difference: F32, small: Image) -> list[_Region]:
         """Those that could be a fish, by their size and shape; the biggest first."""
         if self._water is not None:
             mask = mask & self._water
@@ -198,7 +198,7 @@ class BlobDetector:
             turns=self._turns,
         )
 
-    def _towards_head(self, region: _Region) -> Points:
+    def _towards_head(self, region: _Region) -> F64:
         """The end that was the head before, the thicker one at first; swimming backwards for long
         turns it around."""
         axis = region.axis
@@ -218,7 +218,7 @@ def _box(stats: Labels) -> Box:
     return rows, slice(max(left - _RIM_PX, 0), left + width + _RIM_PX)
 
 
-def _core(there: There, difference: Floats) -> There:
+def _core(there: There, difference: F32) -> There:
     """The biggest part of it that stands out by half as much as its middle value: without the waves
     that touch the fish."""
     level = _CORE * float(np.median(difference[there]))
@@ -242,7 +242,7 @@ def _region(box: Box, there: There, small: Image) -> _Region:
     return _Region(box, mask, area_px, middle, axis, length_px, width_px, contrast)
 
 
-def _ellipse(there: There) -> tuple[Points, Points, float, float]:
+def _ellipse(there: There) -> tuple[F64, F64, float, float]:
     """Middle, long axis, length and width of the ellipse with the same second moments."""
     v, u = np.nonzero(there)
     points = np.column_stack([u, v]).astype(float)

@@ -22,12 +22,10 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
-
-Points = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,7 @@ class Sighting:
     front_px: tuple[float, float]
     side_px: float
     quality: float
-    corners_px: Points | None = None
+    corners_px: F64 | None = None
     turns: int = 0
 
 
@@ -68,8 +66,6 @@ class Detector(Protocol):
         positions count in the whole picture. Best first; [] = none."""
 
 
-Floats = NDArray[np.float64]
-
 _PROFILES = 24
 _ALONG = np.linspace(-0.44, 0.44, _PROFILES)  # of a side's length; its ends belong to two sides
 _STEP_PX = 0.25
@@ -85,7 +81,7 @@ class Square:
     """``corners`` as given, but exact. ``residual_px``: RMS distance of the sides' points from
     their lines. ``contrast``: median rise from black to white across the sides, grey levels."""
 
-    corners: Points
+    corners: F64
     residual_px: float
     contrast: float
 
@@ -94,15 +90,15 @@ class Square:
 class Sides:
     """Points found along the sides of a guessed square; arrays (4, profiles)."""
 
-    starts: Points  # (4, 2)
-    along: Points  # (4, 2), a side as a vector
-    outward: Points  # (4, 2), unit vectors
-    offset_px: Floats  # of the edge from the guessed side, outward
-    weight: Floats  # how clear the edge is; 0 = there is none
-    rise: Floats  # grey levels
+    starts: F64  # (4, 2)
+    along: F64  # (4, 2), a side as a vector
+    outward: F64  # (4, 2), unit vectors
+    offset_px: F64  # of the edge from the guessed side, outward
+    weight: F64  # how clear the edge is; 0 = there is none
+    rise: F64  # grey levels
 
 
-def fit_square(grey: Image, corners: Points, cells: int) -> Square | None:
+def fit_square(grey: Image, corners: F64, cells: int) -> Square | None:
     """The square whose corners, clockwise, are near ``corners`` (4, 2); ``cells`` of the marker
     along a side, border included. None when there is no square in ``grey`` there."""
     for _ in range(_ROUNDS):
@@ -114,7 +110,7 @@ def fit_square(grey: Image, corners: Points, cells: int) -> Square | None:
     return Square(corners, residual_px, float(np.median(sides.rise)))
 
 
-def find_sides(grey: Image, corners: Points, cells: int) -> Sides:
+def find_sides(grey: Image, corners: F64, cells: int) -> Sides:
     """Profiles across the sides of the square with these ``corners``."""
     along = np.roll(corners, -1, axis=0) - corners
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
@@ -134,7 +130,7 @@ def find_sides(grey: Image, corners: Points, cells: int) -> Sides:
     return Sides(corners, along, outward, offset, weight, np.clip(rise, 0, None).sum(axis=2))
 
 
-def _sample(grey: Image, points: Floats) -> Floats:
+def _sample(grey: Image, points: F64) -> F64:
     low = np.floor(points.min(axis=(0, 1, 2))).astype(int) - 1
     high = np.ceil(points.max(axis=(0, 1, 2))).astype(int) + 2
     low, high = np.maximum(low, 0), np.minimum(high, grey.shape[::-1])
@@ -147,7 +143,7 @@ def _sample(grey: Image, points: Floats) -> Floats:
     return np.asarray(values, np.float64).reshape(points.shape[:3])
 
 
-def _through(sides: Sides) -> tuple[Points, float]:
+def _through(sides: Sides) -> tuple[F64, float]:
     """The corners where robust lines through each side's points meet, and the points' residual."""
     weight = sides.weight
     for _ in range(3):
@@ -168,12 +164,12 @@ def _through(sides: Sides) -> tuple[Points, float]:
     return _meet(first, along), rms
 
 
-def _middle(values: Floats) -> Floats:
+def _middle(values: F64) -> F64:
     """The median of each row, as a column; np.median takes 22 times as long for so few."""
     return np.asarray(np.sort(values, axis=1)[:, values.shape[1] // 2, None])
 
 
-def _meet(points: Points, along: Points) -> Points:
+def _meet(points: F64, along: F64) -> F64:
     """Where each line meets the one before it."""
     before, direction = np.roll(points, 1, axis=0), np.roll(along, 1, axis=0)
     across = direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0]
@@ -303,7 +299,7 @@ def quality(square: Square, cell_px: float) -> float:
     return float(size * contrast * straight)
 
 
-def _middles(corners: Points) -> tuple[tuple[float, float], tuple[float, float]]:
+def _middles(corners: F64) -> tuple[tuple[float, float], tuple[float, float]]:
     """The pictures of the square's centre and of the middle of its front edge."""
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
     # Around their mean the corners keep their precision in the float32 that OpenCV wants.

@@ -10,14 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.sensors.camera.marker.detector import MarkerKind
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
-
-Floats = NDArray[np.float64]
-Layer = NDArray[np.float32]
 
 FINER = 4  # samples per pixel, each way
 
@@ -27,20 +24,20 @@ class Sprite:
     """``value`` is grey times ``cover`` (0..1); both have the same shape. Column 0 begins
     ``left_m`` and row 0 ``top_m`` from the thing's origin (x to the right, y down)."""
 
-    value: Layer
-    cover: Layer
+    value: F32
+    cover: F32
     px_per_m: float
     left_m: float
     top_m: float
 
-    def from_thing(self) -> Floats:
+    def from_thing(self) -> F64:
         """Metres to places in the arrays, whose elements have their middles at whole numbers."""
         s = self.px_per_m
         return np.array(
             [[s, 0, -s * self.left_m - 0.5], [0, s, -s * self.top_m - 0.5], [0, 0, 1.0]]
         )
 
-    def corners_m(self) -> Floats:
+    def corners_m(self) -> F64:
         """Of the arrays, shape (4, 2)."""
         rows, columns = self.cover.shape
         right_m = self.left_m + columns / self.px_per_m
@@ -58,7 +55,7 @@ class Sprite:
 def stamp(
     image: Image,
     sprite: Sprite,
-    picture_from_thing: Sequence[Floats],
+    picture_from_thing: Sequence[F64],
     blur_px: float = 0.0,
     gain: float = 1.0,
 ) -> None:
@@ -80,7 +77,7 @@ def stamp(
     under[:] = cv2.add(value * np.float32(gain) + under * (1 - cover), 0.0, dtype=cv2.CV_8U)
 
 
-def _seen(layer: Layer, warps: Sequence[Floats], size: tuple[int, int], blur_px: float) -> Layer:
+def _seen(layer: F32, warps: Sequence[F64], size: tuple[int, int], blur_px: float) -> F32:
     finer = (size[0] * FINER, size[1] * FINER)
     drawn = cv2.warpPerspective(layer, warps[0], finer, flags=cv2.INTER_LINEAR)
     for warp in warps[1:]:
@@ -92,7 +89,7 @@ def _seen(layer: Layer, warps: Sequence[Floats], size: tuple[int, int], blur_px:
 
 
 def _box(
-    image: Image, sprite: Sprite, homographies: Sequence[Floats], blur_px: float
+    image: Image, sprite: Sprite, homographies: Sequence[F64], blur_px: float
 ) -> tuple[int, int, int, int] | None:
     """Pixels left <= u < right, top <= v < bottom that it may touch; None = outside."""
     corners = np.concatenate(
@@ -133,10 +130,10 @@ class Canvas:
         self._left = int(np.floor(along_m[0] * px_per_m)) - _NOTHING
         self._top = -int(np.ceil(half_m * px_per_m)) - _NOTHING
         columns = int(np.ceil(along_m[1] * px_per_m)) + _NOTHING - self._left
-        self._value: Layer = np.zeros((-2 * self._top * _SMOOTH, columns * _SMOOTH), np.float32)
-        self._cover: Layer = np.zeros_like(self._value)
+        self._value: F32 = np.zeros((-2 * self._top * _SMOOTH, columns * _SMOOTH), np.float32)
+        self._cover: F32 = np.zeros_like(self._value)
 
-    def fill(self, corners_m: NDArray[np.float64], grey: float) -> None:
+    def fill(self, corners_m: F64, grey: float) -> None:
         """A polygon in one grey."""
         origin = np.array([self._left, self._top])
         places = (corners_m * self._px_per_m - origin) * _SMOOTH - 0.5

@@ -9,16 +9,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render import sprites
 from tailbeat.sensors.camera.render.canvas import FINER, Sprite, stamp, whole_elements
 from tailbeat.sensors.camera.render.scene import Optics, Scene, chance
 from tailbeat.sensors.camera.render.sprites import backdrop, dimming, water
 from tailbeat.sensors.camera.source.picture import Image
-
-Layer = NDArray[np.float32]
 
 _COARSE = 8  # pixels per element of the waves
 _TILE = 128  # elements, after which the pattern of the waves repeats
@@ -58,14 +56,14 @@ class Waves:
         full = cv2.resize(light, self._size_px, interpolation=cv2.INTER_LINEAR)
         return np.asarray(cv2.add(image, full, dst=full))
 
-    def _shifted(self, pattern: Layer, drift_m_s: tuple[float, float], t_s: float) -> Layer:
+    def _shifted(self, pattern: F32, drift_m_s: tuple[float, float], t_s: float) -> F32:
         along, across = (part * t_s * self._elements_per_m % _TILE for part in drift_m_s)
         rows, columns = self._bright.shape
         middle = (along + (columns - 1) / 2, across + (rows - 1) / 2)
         return np.asarray(cv2.getRectSubPix(pattern, (columns, rows), middle))
 
 
-def _within(mask: Image) -> Layer:
+def _within(mask: Image) -> F32:
     """1 for elements so far within the water that none of their light falls on the rim."""
     height, width = mask.shape
     size = (-(-width // _COARSE), -(-height // _COARSE))
@@ -73,7 +71,7 @@ def _within(mask: Image) -> Layer:
     return np.asarray(cv2.erode((coarse == 255).astype(np.float32), np.ones((3, 3))))
 
 
-def _pattern(chances: np.random.Generator, waves: int) -> Layer:
+def _pattern(chances: np.random.Generator, waves: int) -> F32:
     """Ridges, 0..1, that go on at the tile's edges."""
     place = 2 * np.pi * np.arange(_TILE) / _TILE
     total = np.zeros((_TILE, _TILE))
@@ -146,8 +144,6 @@ class Noise:
         cv2.subtract(image, self._less[piece], dst=image)
 
 
-Floats = NDArray[np.float64]
-
 _BESIDE_M = (0.12, 0.45)  # where the second fish swims
 _LED_STEPS = 16
 _STEP_PX = 0.4  # of a moving marker, that is drawn where it is and not as its way
@@ -209,7 +205,7 @@ class Painter:
         pose = self._pose(truth, 0.0) @ _turned(quarter * math.pi / 2, 0.0)
         stamp(image, self._parts.foam, [pose], self._scene.blur_px, self._gain(pose))
 
-    def _poses(self, truth: Truth) -> list[Floats]:
+    def _poses(self, truth: Truth) -> list[F64]:
         """The fish's places during the exposure, evenly spread around its middle."""
         exposure_s = self._scene.exposure_s
         reach_m = abs(truth.speed_m_s) + abs(truth.turn_rad_s) * self._scene.marker_side_m / 2
@@ -219,12 +215,12 @@ class Painter:
             self._pose(truth, ((step + 0.5) / steps - 0.5) * exposure_s) for step in range(steps)
         ]
 
-    def _pose(self, truth: Truth, later_s: float) -> Floats:
+    def _pose(self, truth: Truth, later_s: float) -> F64:
         centre = truth.x_m + truth.speed_m_s * later_s, truth.y_m
         heading = truth.heading_rad + truth.turn_rad_s * later_s
         return self._optics.near(centre, heading, self._scene.marker_side_m)
 
-    def _gain(self, pose: Floats) -> float:
+    def _gain(self, pose: F64) -> float:
         height, width = self._dimming.shape
         u, v = np.rint(pose[:2, 2] / pose[2, 2]).astype(int)
         return float(self._dimming[min(max(v, 0), height - 1), min(max(u, 0), width - 1)])
@@ -249,7 +245,7 @@ class _Parts:
         return self._bodies[round(led * (len(self._bodies) - 1))]
 
 
-def _turned(angle_rad: float, ahead_m: float) -> Floats:
+def _turned(angle_rad: float, ahead_m: float) -> F64:
     """From a part that is turned clockwise, its origin so far ahead of the marker, to the fish."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, ahead_m], [s, c, 0], [0, 0, 1.0]])

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
 from tailbeat.sensors.camera.marker.detector import MarkerKind
 from tailbeat.sensors.camera.opencv import cv2
@@ -80,8 +80,6 @@ class Scene:
         return true_calibration(self)
 
 
-Floats = NDArray[np.float64]
-
 _PLANE = "simulated: the tank's frame is the plane of the marker, nothing to correct"
 _EDGE_POINTS = 25
 _LINE = np.linspace(-0.5, 0.5, 5)
@@ -103,7 +101,7 @@ class Optics:
         self.camera_matrix = np.array([[focal_px, 0, half[0]], [0, focal_px, half[1]], [0, 0, 1.0]])
         self.px_per_m = focal_px / scene.height_m
 
-    def pixels(self, points_m: Floats, depth_m: float = 0.0) -> Floats:
+    def pixels(self, points_m: F64, depth_m: float = 0.0) -> F64:
         """Points (n, 2) of the tank, so deep below the marker's plane, to pixels (n, 2)."""
         deep = np.column_stack([points_m, np.full(len(points_m), depth_m)])
         found, _ = cv2.projectPoints(
@@ -112,14 +110,14 @@ class Optics:
         return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
     @property
-    def tank_from_image(self) -> Floats:
+    def tank_from_image(self) -> F64:
         """Undistorted pixels to the marker's plane, (3, 3)."""
         turn, _ = cv2.Rodrigues(self._turn)
         image_from_tank = self.camera_matrix @ np.column_stack([turn[:, :2], self._shift])
         inverse = np.linalg.inv(image_from_tank)
         return np.asarray(inverse / inverse[2, 2])
 
-    def near(self, centre_m: tuple[float, float], heading_rad: float, side_m: float) -> Floats:
+    def near(self, centre_m: tuple[float, float], heading_rad: float, side_m: float) -> F64:
         """The homography (3, 3) from metres around ``centre_m`` (x along the heading) to pixels.
 
         Distortion is no homography; within a square of ``side_m`` this one is within 0.02 pixels.
@@ -131,7 +129,7 @@ class Optics:
         return np.asarray(found, dtype=np.float64)
 
 
-def along_edges(corners: list[tuple[float, float]]) -> Floats:
+def along_edges(corners: list[tuple[float, float]]) -> F64:
     """Points all along the edges of a polygon: what distortion bends."""
     ends = np.array([*corners, corners[0]], dtype=np.float64)
     parts = [np.linspace(a, b, _EDGE_POINTS, endpoint=False) for a, b in pairwise(ends)]
@@ -158,7 +156,7 @@ def true_calibration(scene: Scene) -> Calibration:
     )
 
 
-def _pose(scene: Scene) -> tuple[Floats, Floats]:
+def _pose(scene: Scene) -> tuple[F64, F64]:
     """The tank as the camera sees it: rotation vector and translation."""
     tilt, _ = cv2.Rodrigues(np.array([scene.tilt_rad, 0.0, 0.0]))
     pan, _ = cv2.Rodrigues(np.array([0.0, scene.pan_rad, 0.0]))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.sensors.camera.marker.detector import MarkerKind
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render.canvas import (
@@ -29,8 +30,6 @@ from tailbeat.sensors.camera.render.scene import (
     chance,
 )
 from tailbeat.sensors.camera.source.picture import Image
-
-Floats = NDArray[np.float64]
 
 NOSE_M, TAIL_TIP_M = 0.20, -0.16  # from the marker's centre; a fish of 36 cm
 LED_RADIUS_M, LED_RING_M = 0.006, 0.008
@@ -114,7 +113,7 @@ def foam(side_m: float, seed: int, px_per_m: float) -> Sprite:
     return canvas.sprite()
 
 
-def _half_width(along_m: Floats) -> Floats:
+def _half_width(along_m: F64) -> F64:
     """A blunt head and a narrow stern."""
     ahead = np.maximum(0, (along_m - _WIDEST_M) / (NOSE_M - _WIDEST_M))
     astern = (_WIDEST_M - along_m) / 0.2
@@ -122,12 +121,10 @@ def _half_width(along_m: Floats) -> Floats:
     return np.asarray(_HULL_HALF_M * shape)
 
 
-def _ring(x_m: float, y_m: float, radius_m: float) -> Floats:
+def _ring(x_m: float, y_m: float, radius_m: float) -> F64:
     around = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     return np.column_stack([x_m + radius_m * np.cos(around), y_m + radius_m * np.sin(around)])
 
-
-Grey = NDArray[np.float32]
 
 _FLOOR_M = 0.4  # how deep 0.5 m of water look, in air
 _TILE_M = 0.3
@@ -162,7 +159,7 @@ def water(scene: Scene, optics: Optics) -> Image:
     return mask
 
 
-def dimming(scene: Scene) -> Grey:
+def dimming(scene: Scene) -> F32:
     """How bright each pixel is against the middle one."""
     width, height = scene.size_px
     u = np.linspace(-1, 1, width, dtype=np.float32) ** 2
@@ -170,9 +167,9 @@ def dimming(scene: Scene) -> Grey:
     return np.asarray(1 - np.float32(_DIM / 2) * (u + v))
 
 
-def _surfaces(scene: Scene, optics: Optics) -> Grey:
+def _surfaces(scene: Scene, optics: Optics) -> F32:
     width, height = scene.size_px
-    fine: Grey = np.full((height * _FINE, width * _FINE), _ROOM, np.float32)
+    fine: F32 = np.full((height * _FINE, width * _FINE), _ROOM, np.float32)
     rim, edge = scene.walls_m(RIM_M), scene.walls_m()
     _fill(fine, optics.pixels(along_edges(rim)), _RIM)
     for k, grey in enumerate(_WALLS):
@@ -184,7 +181,7 @@ def _surfaces(scene: Scene, optics: Optics) -> Grey:
     return fine
 
 
-def _joints(fine: Grey, scene: Scene, optics: Optics) -> None:
+def _joints(fine: F32, scene: Scene, optics: Optics) -> None:
     """Lines between the floor's tiles."""
     (left, top), _, (right, bottom), _ = scene.walls_m()
     x, y = np.arange(left + _TILE_M, right, _TILE_M), np.arange(top + _TILE_M, bottom, _TILE_M)
@@ -195,17 +192,17 @@ def _joints(fine: Grey, scene: Scene, optics: Optics) -> None:
         cv2.polylines(fine, points, False, _JOINT, _FINE, cv2.LINE_8, _SHIFT)
 
 
-def _fill(fine: Grey, points_px: NDArray[np.float64], grey: float) -> None:
+def _fill(fine: F32, points_px: F64, grey: float) -> None:
     cv2.fillPoly(fine, [_fixed(points_px)], grey, cv2.LINE_8, _SHIFT)
 
 
-def _fixed(points_px: NDArray[np.float64]) -> NDArray[np.int32]:
+def _fixed(points_px: F64) -> NDArray[np.int32]:
     """Pixels to the finer picture, in OpenCV's fractions."""
     places = (points_px + 0.5) * _FINE - 0.5
     return np.round(places * (1 << _SHIFT)).astype(np.int32)
 
 
-def _speckle(scene: Scene, optics: Optics) -> Grey:
+def _speckle(scene: Scene, optics: Optics) -> F32:
     chances = np.random.default_rng([scene.seed, 1])
     width, height = scene.size_px
     rough = chances.standard_normal((height, width), dtype=np.float32)

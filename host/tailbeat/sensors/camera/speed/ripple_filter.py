@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from tailbeat.core.arrays import F64
 
 STATES = 7
 SEEN_AS = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0])
@@ -29,9 +28,9 @@ class Candidates:
     """Parameters in units of the noise, arrays of shape (n,): ``jerk`` in 1/s^2.5, the ripples as
     lengths."""
 
-    jerk: Floats
-    ripple: Floats
-    second: Floats
+    jerk: F64
+    ripple: F64
+    second: F64
 
 
 @dataclass(frozen=True)
@@ -39,26 +38,26 @@ class Forward:
     """A filter pass: innovation^2/variance and log variance summed over what was seen, shape (n,),
     and for one candidate every node's states; (nodes, ...) or None."""
 
-    chi2: Floats
-    log_variance: Floats
+    chi2: F64
+    log_variance: F64
     count: int
-    predicted: Floats | None = None
-    predicted_cov: Floats | None = None
-    filtered: Floats | None = None
-    filtered_cov: Floats | None = None
-    innovation: Floats | None = None  # over its standard deviation; NaN where nothing was seen
+    predicted: F64 | None = None
+    predicted_cov: F64 | None = None
+    filtered: F64 | None = None
+    filtered_cov: F64 | None = None
+    innovation: F64 | None = None  # over its standard deviation; NaN where nothing was seen
 
 
 @dataclass(frozen=True)
 class Smoothed:
     """Shape (nodes, 7), (nodes, 7, 7); ``gain[k]`` (7, 7) takes node k+1's smoothing back to k."""
 
-    mean: Floats
-    cov: Floats
-    gain: Floats
+    mean: F64
+    cov: F64
+    gain: F64
 
 
-def transition(dt_s: float, beat_s: float) -> Floats:
+def transition(dt_s: float, beat_s: float) -> F64:
     """Shape (7, 7)."""
     step = np.zeros((STATES, STATES))
     step[:3, :3] = np.array([[1, dt_s, dt_s**2 / 2], [0, 1, dt_s], [0, 0, 1]])
@@ -71,7 +70,7 @@ def transition(dt_s: float, beat_s: float) -> Floats:
     return step
 
 
-def process_noise(dt_s: float, beat_s: float, by: Candidates) -> Floats:
+def process_noise(dt_s: float, beat_s: float, by: Candidates) -> F64:
     """Shape (n, 7, 7)."""
     noise = np.zeros((len(by.jerk), STATES, STATES))
     d = dt_s
@@ -89,7 +88,7 @@ def process_noise(dt_s: float, beat_s: float, by: Candidates) -> Floats:
     return noise
 
 
-def prior(by: Candidates, first: float) -> tuple[Floats, Floats]:
+def prior(by: Candidates, first: float) -> tuple[F64, F64]:
     """Mean (n, 7) and covariance (n, 7, 7) at the first node."""
     count = len(by.jerk)
     mean = np.zeros((count, STATES))
@@ -103,12 +102,12 @@ def prior(by: Candidates, first: float) -> tuple[Floats, Floats]:
     return mean, cov
 
 
-def forward(t_s: Floats, way: Floats, beat_s: float, by: Candidates, keep: bool) -> Forward:
+def forward(t_s: F64, way: F64, beat_s: float, by: Candidates, keep: bool) -> Forward:
     """Filters nodes at rising ``t_s``, shape (nodes,); ``way`` NaN = nothing seen there."""
     steps = _Steps(beat_s, by)
     mean, cov = prior(by, float(way[np.isfinite(way)][0]))
     chi2, log_variance, count = np.zeros(len(by.jerk)), np.zeros(len(by.jerk)), 0
-    kept: dict[str, list[Floats]] = {"p": [], "P": [], "f": [], "F": [], "i": []}
+    kept: dict[str, list[F64]] = {"p": [], "P": [], "f": [], "F": [], "i": []}
     for k in range(len(t_s)):
         if k:
             step, noise = steps.of(t_s[k] - t_s[k - 1])
@@ -133,7 +132,7 @@ def forward(t_s: Floats, way: Floats, beat_s: float, by: Candidates, keep: bool)
     return Forward(chi2, log_variance, count - 1, *states)
 
 
-def _see(mean: Floats, cov: Floats, way: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _see(mean: F64, cov: F64, way: float) -> tuple[F64, F64, F64, F64]:
     across = cov @ SEEN_AS
     variance = across @ SEEN_AS + 1.0
     missed = way - mean @ SEEN_AS
@@ -149,9 +148,9 @@ class _Steps:
     def __init__(self, beat_s: float, by: Candidates) -> None:
         self._beat_s = beat_s
         self._by = by
-        self._known: dict[int, tuple[Floats, Floats]] = {}
+        self._known: dict[int, tuple[F64, F64]] = {}
 
-    def of(self, dt_s: float) -> tuple[Floats, Floats]:
+    def of(self, dt_s: float) -> tuple[F64, F64]:
         microseconds = round(dt_s * 1e6)
         if microseconds not in self._known:
             dt = microseconds * 1e-6
@@ -162,7 +161,7 @@ class _Steps:
         return self._known[microseconds]
 
 
-def smooth(t_s: Floats, beat_s: float, done: Forward) -> Smoothed:
+def smooth(t_s: F64, beat_s: float, done: Forward) -> Smoothed:
     """Rauch, Tung and Striebel's pass over a kept filter pass."""
     assert done.filtered is not None and done.filtered_cov is not None
     assert done.predicted is not None and done.predicted_cov is not None

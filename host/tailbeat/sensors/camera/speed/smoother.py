@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.speed.ripple_filter import (
@@ -33,8 +34,6 @@ from tailbeat.sensors.camera.speed.ripple_filter import (
 )
 from tailbeat.sensors.camera.tracking.track import BRIDGED_IN_A_ROW_MAX, Track
 
-Floats = NDArray[np.float64]
-
 _TUNING_PICTURES = 1500
 _NOISE_MIN_M = 1e-6  # places of drawn or frozen pictures are exactly equal
 # In units of the noise, of about a millimetre: from far below what matters to far above.
@@ -42,7 +41,7 @@ _JERK_RANGE, _RIPPLE_RANGE = (1e-2, 1e4), (1e-3, 30.0)
 _RATIOS = (10.0, 10.0, 3.0, 3.0, 3.0, 1.6, 1.6, 1.25, 1.25)
 
 
-def likeliest(t_s: Floats, way_m: Floats, beat_s: float) -> tuple[Candidates, float]:
+def likeliest(t_s: F64, way_m: F64, beat_s: float) -> tuple[Candidates, float]:
     """Of ways at rising times, shape (pictures,): the parameters in units of the noise (one
     candidate), and the noise in metres, 1e-6 or more. From coarse to fine, three values of each at
     a time; the noise divides out (concentrated likelihood), and its first guess only sets the scale
@@ -67,11 +66,11 @@ def likeliest(t_s: Floats, way_m: Floats, beat_s: float) -> tuple[Candidates, fl
     return _candidates(best[None, :]), unit_m * scale
 
 
-def _candidates(rows: Floats) -> Candidates:
+def _candidates(rows: F64) -> Candidates:
     return Candidates(rows[:, 0], rows[:, 1], rows[:, 2])
 
 
-def _rough_noise_m(way_m: Floats) -> float:
+def _rough_noise_m(way_m: F64) -> float:
     """From third differences, to which a swimming fish adds little."""
     third = np.diff(way_m, 3)
     rough = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
@@ -102,16 +101,16 @@ class SpeedCurve:
     found. ``start_s``: begin of beat 0. ``outliers``: positions not believed.
     """
 
-    t_s: Floats
-    v_m_s: Floats
-    sigma_m_s: Floats
+    t_s: F64
+    v_m_s: F64
+    sigma_m_s: F64
     beat_s: float
     start_s: float
     direction_rad: float
     noise_m: float
     outliers: int = 0
 
-    def beats(self, count: int) -> tuple[Floats, Floats]:
+    def beats(self, count: int) -> tuple[F64, F64]:
         """Mean speed and sigma of beats 0..count-1, shape (count,); NaN = not measured."""
         speed, sigma = np.full(count, np.nan), np.full(count, np.nan)
         steps = (self.t_s - self.start_s) / self.beat_s * STEPS_PER_BEAT
@@ -201,7 +200,7 @@ def _cut(track: Track, begin_s: float, end_s: float) -> Track:
     return replace(track, **{name: getattr(track, name)[inside] for name in columns}, glow=None)
 
 
-def _unbroken(t_s: Floats, way: Floats) -> Iterator[tuple[Floats, Floats]]:
+def _unbroken(t_s: F64, way: F64) -> Iterator[tuple[F64, F64]]:
     """Pieces in which the fish may have swum all the way."""
     dt, dx = np.diff(t_s), np.abs(np.diff(way))
     ends = np.flatnonzero(dx > _JUMP_M_S * dt + _JUMP_M) + 1
@@ -210,8 +209,8 @@ def _unbroken(t_s: Floats, way: Floats) -> Iterator[tuple[Floats, Floats]]:
 
 @dataclass(frozen=True)
 class _Piece:
-    t_s: Floats
-    way_m: Floats
+    t_s: F64
+    way_m: F64
 
 
 def _tune(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
@@ -228,7 +227,7 @@ def _tune(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
 
 def _curve(
     piece: _Piece, by: Candidates, noise_m: float, beat_s: float, start_s: float, period_s: float
-) -> tuple[Floats, Floats, Floats, int]:
+) -> tuple[F64, F64, F64, int]:
     """Times, speeds, sigmas, and how many positions were not believed."""
     step_s = beat_s / STEPS_PER_BEAT
     first = math.ceil((piece.t_s[0] - start_s) / step_s - 1e-6)
@@ -249,7 +248,7 @@ def _curve(
 
 
 def _smooth_without_outliers(
-    t_s: Floats, way: Floats, beat_s: float, by: Candidates
+    t_s: F64, way: F64, beat_s: float, by: Candidates
 ) -> tuple[Smoothed, NDArray[np.bool_]]:
     way = way.copy()
     for _ in range(_OUTLIER_ROUNDS):
@@ -263,9 +262,7 @@ def _smooth_without_outliers(
     return smoothed, np.isfinite(way)
 
 
-def _mean_speeds(
-    smoothed: Smoothed, on_grid: NDArray[np.intp], beat_s: float
-) -> tuple[Floats, Floats]:
+def _mean_speeds(smoothed: Smoothed, on_grid: NDArray[np.intp], beat_s: float) -> tuple[F64, F64]:
     """Over a beat: the way between two nodes of the grid, with its sigma by their covariance,
     cov(i, j) = gain[i] ... gain[j-1] cov[j]."""
     across = _products(smoothed.gain, on_grid)
@@ -280,7 +277,7 @@ def _mean_speeds(
     return way / beat_s, np.sqrt(np.maximum(own - 2 * shared, 0.0)) / beat_s
 
 
-def _products(gain: Floats, on_grid: NDArray[np.intp]) -> Floats:
+def _products(gain: F64, on_grid: NDArray[np.intp]) -> F64:
     """Of the gains from each node of the grid to the next, shape (grid - 1, 7, 7)."""
     found = np.empty((max(len(on_grid) - 1, 0), STATES, STATES))
     for at in range(len(found)):
@@ -291,7 +288,7 @@ def _products(gain: Floats, on_grid: NDArray[np.intp]) -> Floats:
     return found
 
 
-def _covered(t_s: Floats, middle_s: Floats, beat_s: float, period_s: float) -> NDArray[np.bool_]:
+def _covered(t_s: F64, middle_s: F64, beat_s: float, period_s: float) -> NDArray[np.bool_]:
     """Which windows saw enough of the fish, for the rate the film has there: in dim light a phone
     takes half as many pictures."""
     known = np.zeros(len(middle_s), dtype=bool)

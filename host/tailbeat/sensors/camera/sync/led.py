@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.sync.led_search import (
     BLOCK_SYMBOLS,
@@ -29,8 +30,6 @@ from tailbeat.sensors.camera.sync.led_search import (
     series_of,
 )
 from tailbeat.sensors.camera.tracking.track import Track
-
-Floats = NDArray[np.float64]
 
 _EXPOSURE_MIN_S = 0.001
 # What part of the exposure is needed to be seen at all (beside something bright), and what part to
@@ -64,9 +63,9 @@ class Looks:
     lit: float
     lit_sigma: float
     hidden: float
-    otherwise: Floats
+    otherwise: F64
 
-    def log_likelihood(self, bright: NDArray[np.uint8], lit: Floats) -> Floats:
+    def log_likelihood(self, bright: NDArray[np.uint8], lit: F64) -> F64:
         """Of levels, when the LED was on for these parts of the exposures."""
         mean = self.dark + (self.lit - self.dark) * lit
         bend = _PHOTOMETRY * (self.lit - self.dark)
@@ -88,7 +87,7 @@ class Fit:
     score: float
 
 
-def looks_of(bright: NDArray[np.uint8], lit: Floats) -> tuple[Looks, float]:
+def looks_of(bright: NDArray[np.uint8], lit: F64) -> tuple[Looks, float]:
     """From pictures whose state is known, with the score."""
     off = bright[lit == 0].astype(float)
     on = bright[lit == 1].astype(float)
@@ -118,7 +117,7 @@ ROUGH, FINE = Grid(0.04, 0.004, 0.02), Grid(0.025, 0.001, 0.0025)
 
 
 def fit(
-    bright: NDArray[np.uint8], t_s: Floats, wave: Waveform, begin_s: float, grid: Grid
+    bright: NDArray[np.uint8], t_s: F64, wave: Waveform, begin_s: float, grid: Grid
 ) -> tuple[Fit, Looks] | None:
     """The begin near ``begin_s``, which is right within the grid's reach; ``bright``: the LED's
     place, shape (pictures,), at times ``t_s``. None = never both on and off."""
@@ -145,9 +144,9 @@ def fit(
     return Fit(begin_s + mean, max(spread, _SIGMA_MIN_S), score), looks
 
 
-def _seen_as(lit: Floats, from_part: float, to_part: float) -> Floats:
+def _seen_as(lit: F64, from_part: float, to_part: float) -> F64:
     """How bright exposures look that are lit so far: the response rises from one to the other."""
-    rise: Floats = (lit - from_part) / (to_part - from_part)
+    rise: F64 = (lit - from_part) / (to_part - from_part)
     return np.asarray(np.clip(rise, 0, 1))
 
 
@@ -196,7 +195,7 @@ def read_led(track: Track, length_s: float | None = None, beat_s: float = 1.0) -
 
 
 def _reading(
-    bright: NDArray[np.uint8], t_s: Floats, found: Find, length_s: float | None
+    bright: NDArray[np.uint8], t_s: F64, found: Find, length_s: float | None
 ) -> LedReading | None:
     number, begin_s = found.number, found.begin_s
     known_s = length_s or max(REPEAT_S, float(t_s[-1]) - found.begin_s)
@@ -219,7 +218,7 @@ def _reading(
 
 
 def _read_number(
-    bright: NDArray[np.uint8], since_s: Floats, length_s: float, looks: Looks
+    bright: NDArray[np.uint8], since_s: F64, length_s: float, looks: Looks
 ) -> tuple[int, float]:
     """The number that the symbols say, and its log likelihood ratio to the next; the numbers of
     swims that began whole blocks earlier or later count as others."""
@@ -241,7 +240,7 @@ def _read_number(
     return number, float(likely[0, number] - others.max())
 
 
-def _length_s(bright: NDArray[np.uint8], since_s: Floats, number: int, looks: Looks) -> float:
+def _length_s(bright: NDArray[np.uint8], since_s: F64, number: int, looks: Looks) -> float:
     """How long the code explains the pictures better than a lamp that is on now and then."""
     inside = since_s > 0
     since_s, bright = since_s[inside], bright[inside]

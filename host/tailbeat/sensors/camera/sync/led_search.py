@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import maximum_filter
 
+from tailbeat.core.arrays import F32, F64
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.tracking.tracker import Glow
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 TICK_S = float(lib.NATIVE_FRAME_US) * 1e-6
@@ -48,7 +48,7 @@ def codebook(count: int) -> Bools:
 class Waveform:
     """The LED during a swim; ``lit_s`` is how long it has been on at each symbol's begin."""
 
-    lit_s: Floats
+    lit_s: F64
     length_s: float
 
     @classmethod
@@ -57,7 +57,7 @@ class Waveform:
         on = codebook(max(1, int(np.ceil(length_s / SYMBOL_S - 1e-9))))[number]
         return cls(np.concatenate([[0.0], np.cumsum(on) * SYMBOL_S]), length_s)
 
-    def lit(self, t_s: Floats, exposure_s: float) -> Floats:
+    def lit(self, t_s: F64, exposure_s: float) -> F64:
         """Part (0..1) of exposures of that length in which it was on; ``t_s``: their middles, from
         the begin of the swim and well inside it."""
         edges_s = np.arange(len(self.lit_s)) * SYMBOL_S
@@ -65,8 +65,6 @@ class Waveform:
         before = np.interp(t_s - exposure_s / 2, edges_s, self.lit_s)
         return np.asarray((after - before) / exposure_s)
 
-
-Singles = NDArray[np.float32]
 
 _USUAL = 32
 _SLOW_S = 2.0  # what changes slower than this is no code: the sun, a wandering glare
@@ -98,9 +96,7 @@ def series_of(glow: Glow) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pooled.reshape(len(glow), -1).T)
 
 
-def find(
-    series: NDArray[np.uint8], t_s: Floats, length_s: float | None, beat_s: float
-) -> Find | None:
+def find(series: NDArray[np.uint8], t_s: F64, length_s: float | None, beat_s: float) -> Find | None:
     """The code in one of ``series``, shape (places, pictures) at times ``t_s``; None = nothing
     there that changes. ``length_s`` of the swim: None = not known."""
     begin_s = float(t_s[0])
@@ -122,7 +118,7 @@ def find(
 
 
 @cache
-def _bank(count: int) -> tuple[Singles, Singles]:
+def _bank(count: int) -> tuple[F32, F32]:
     """Orthonormal waveforms over ticks, shape (13, ticks), and what each number's code has of them,
     shape (NUMBERS, 13)."""
     signs = codebook(count).astype(np.float32) * 2 - 1
@@ -133,7 +129,7 @@ def _bank(count: int) -> tuple[Singles, Singles]:
     return bank.astype(np.float32), (weights[:, :rank] * sizes[:rank]).astype(np.float32)
 
 
-def _flat(series: Singles, t_s: Floats) -> Singles:
+def _flat(series: F32, t_s: F64) -> F32:
     """Without what is slow, of variance one, and without outliers."""
     half = max(1, round(_SLOW_S / 2 / float(np.median(np.diff(t_s)))))
     total = np.cumsum(np.pad(series, ((0, 0), (1, 0))), axis=1, dtype=np.float64)
@@ -147,14 +143,14 @@ def _flat(series: Singles, t_s: Floats) -> Singles:
     return np.asarray(rest, dtype=np.float32)
 
 
-def _on_ticks(rest: Singles, at: NDArray[np.int_], size: int) -> Singles:
+def _on_ticks(rest: F32, at: NDArray[np.int_], size: int) -> F32:
     ticks = np.zeros((len(rest), size), dtype=np.float32)
     for row, values in zip(ticks, rest, strict=True):
         np.add.at(row, at, values)
     return ticks
 
 
-def _without_beat(ticks: Singles, at: NDArray[np.int_], beat_s: float) -> Singles:
+def _without_beat(ticks: F32, at: NDArray[np.int_], beat_s: float) -> F32:
     """Less what is the same from beat to beat: the tail's shade is brighter than many an LED."""
     size = ticks.shape[1]
     present = np.bincount(at, minlength=size).astype(np.float32)
@@ -167,7 +163,7 @@ def _without_beat(ticks: Singles, at: NDArray[np.int_], beat_s: float) -> Single
     return np.asarray(ticks - present * sums / counts, dtype=np.float32)
 
 
-def _overlap(at: NDArray[np.int_], length: int, size: int) -> Floats:
+def _overlap(at: NDArray[np.int_], length: int, size: int) -> F64:
     """How many pictures fall into the swim, for every begin."""
     present = np.bincount(at, minlength=size).astype(float)
     window = np.zeros(size)
@@ -176,10 +172,10 @@ def _overlap(at: NDArray[np.int_], length: int, size: int) -> Floats:
 
 
 def _best(
-    ticks: Singles,
+    ticks: F32,
     spectra: NDArray[np.complex64],
-    codes: Singles,
-    overlap: Floats,
+    codes: F32,
+    overlap: F64,
     chosen: NDArray[np.int_],
 ) -> list[tuple[float, int, int, int]]:
     """(strength, series, begin in ticks, number): the best begins of each series, each with its
@@ -199,7 +195,7 @@ def _best(
     return found
 
 
-def _peaks(energy: Floats) -> NDArray[np.int_]:
+def _peaks(energy: F64) -> NDArray[np.int_]:
     return np.argpartition(energy, -_STEPS_PER_SERIES)[-_STEPS_PER_SERIES:]
 
 

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import lib
 from tailbeat.core.trial_file import SLOT_S, Trial
 from tailbeat.sensors.camera.tracking.track import Track
-
-Floats = NDArray[np.float64]
 
 BEATS_MIN = 5
 # On top of the wire. A VN-100 filters nothing that is late: its output is the mean over just the
@@ -68,11 +67,11 @@ class Wobble:
         wire_s = _BITS_PER_BYTE * int(lib.NATIVE_IMU_FRAME_BYTES) / _baud(trial)
         self._late_s = _LATE_S + wire_s
 
-    def heading_rad(self, t_s: Floats) -> Floats:
+    def heading_rad(self, t_s: F64) -> F64:
         """At times since the begin; unknown turns count as none."""
         return np.asarray(self._spline(np.clip(t_s + self._late_s, 0, self.end_s)))
 
-    def known(self, t_s: Floats) -> NDArray[np.bool_]:
+    def known(self, t_s: F64) -> NDArray[np.bool_]:
         """Whether the fish's turns are known then."""
         slot = np.clip((t_s / SLOT_S).astype(int), 0, len(self._known) - 1)
         after = (t_s >= self.end_s) & self._still_after
@@ -136,19 +135,19 @@ class YawFit:
 class Headings:
     """The camera's headings, shape (pictures,), without what drifts."""
 
-    def __init__(self, t_s: Floats, heading_rad: Floats, beat_s: float) -> None:
+    def __init__(self, t_s: F64, heading_rad: F64, beat_s: float) -> None:
         self.t_s, self.beat_s = t_s, beat_s
         knots = np.arange(t_s[0], t_s[-1] + _KNOT_BEATS * beat_s, _KNOT_BEATS * beat_s)
         hats = np.array([np.interp(t_s, knots, row) for row in np.eye(len(knots))]).T
         self._drift, _ = np.linalg.qr(hats[:, hats.any(axis=0)])
         self.rest = self.without_drift(heading_rad)
 
-    def without_drift(self, series: Floats) -> Floats:
+    def without_drift(self, series: F64) -> F64:
         """Less the broken line that fits it best."""
         return np.asarray(series - self._drift @ (self._drift.T @ series))
 
 
-def scan(headings: Headings, wobble: Wobble) -> tuple[Floats, Floats]:
+def scan(headings: Headings, wobble: Wobble) -> tuple[F64, F64]:
     """Begins, and the power of the headings that each explains (rad^2, summed over pictures)."""
     overlap_s = _OVERLAP_MIN_BEATS * wobble.beat_s
     first, last = headings.t_s[0] - wobble.end_s + overlap_s, headings.t_s[-1] - overlap_s
@@ -164,7 +163,7 @@ def explained_power(headings: Headings, wobble: Wobble, begin_s: float) -> float
     return along * abs(along) / power if power > 0 else 0.0
 
 
-def _shape(headings: Headings, wobble: Wobble, begin_s: float) -> Floats:
+def _shape(headings: Headings, wobble: Wobble, begin_s: float) -> F64:
     return headings.without_drift(wobble.heading_rad(headings.t_s - begin_s))
 
 
@@ -181,7 +180,7 @@ def refine(headings: Headings, wobble: Wobble, begin_s: float) -> float:
     return begin_s
 
 
-def look(headings: Headings, wobble: Wobble, begins: Floats, power: Floats, top: float) -> YawFit:
+def look(headings: Headings, wobble: Wobble, begins: F64, power: F64, top: float) -> YawFit:
     """How well the begin ``top`` fits; ``begins`` and ``power`` as ``scan`` gave them."""
     since_s = headings.t_s - top
     near = (since_s > -_STILL_BEFORE_S) & (since_s < wobble.end_s + _STILL_AFTER_S)
@@ -217,7 +216,7 @@ def look(headings: Headings, wobble: Wobble, begins: Floats, power: Floats, top:
     )
 
 
-def _noise_rad(rest: Floats, since_s: Floats, wobble: Wobble) -> float:
+def _noise_rad(rest: F64, since_s: F64, wobble: Wobble) -> float:
     """Of one heading: what is left when every beat gets the harmonics that fit it best."""
     beat = np.floor(since_s / wobble.beat_s).astype(int)
     squares, free = 0.0, 0
@@ -235,7 +234,7 @@ def _noise_rad(rest: Floats, since_s: Floats, wobble: Wobble) -> float:
     return float(np.sqrt(squares / free)) if free else float(np.std(rest))
 
 
-def _correlation(left: Floats, t_s: Floats) -> float:
+def _correlation(left: F64, t_s: F64) -> float:
     """How many residuals count as one, >= 1: the sum of their correlations up to _LAG_S."""
     lags = max(1, round(_LAG_S / float(np.median(np.diff(t_s)))))
     power = float(left @ left)
@@ -243,7 +242,7 @@ def _correlation(left: Floats, t_s: Floats) -> float:
     return max(1.0, 1.0 + 2.0 * sum(sums) / power) if power > 0 else 1.0
 
 
-def _sigma_s(slope: Floats, left: Floats, t_s: Floats) -> float:
+def _sigma_s(slope: F64, left: F64, t_s: F64) -> float:
     """Of the begin, by least squares with residuals that go together for _LAG_S (Newey-West)."""
     lags = max(1, round(_LAG_S / float(np.median(np.diff(t_s)))))
     score = slope * left
@@ -254,9 +253,7 @@ def _sigma_s(slope: Floats, left: Floats, t_s: Floats) -> float:
     return float(np.sqrt(max(total, plain)) / (slope @ slope))
 
 
-def _uneven(
-    shape: Floats, left: Floats, since_s: Floats, noise: float, beat_s: float
-) -> tuple[float, int]:
+def _uneven(shape: F64, left: F64, since_s: F64, noise: float, beat_s: float) -> tuple[float, int]:
     """Mean over the beats of (what of the residual looks like more or less of the wobble)^2, in its
     own sigmas, and the beats that have a wobble to speak of."""
     beat = np.floor(since_s / beat_s).astype(int)
@@ -316,7 +313,7 @@ def read_yaw(track: Track, trial: Trial) -> YawFit:
     return found
 
 
-def _believed(heading_rad: Floats) -> NDArray[np.bool_]:
+def _believed(heading_rad: F64) -> NDArray[np.bool_]:
     """Not those far from the median of their five neighbours: a marker seen askew."""
     off = np.abs(heading_rad - median_filter(heading_rad, 5, mode="nearest"))
     return np.asarray(off <= max(_OFF_MIN_RAD, _OFF_SIGMAS * 1.4826 * float(np.median(off))))

@@ -6,10 +6,11 @@ from collections import defaultdict
 
 import numpy as np
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker
-from tailbeat.sensors.camera.marker.tags import Points, Sighting
+from tailbeat.sensors.camera.marker.tags import Sighting
 from tailbeat.sensors.camera.source.picture import Image
 
 PERSISTS = 3  # pictures in a row: nothing is believed on the word of one
@@ -61,7 +62,7 @@ class MarkerSize:
         self._sides_m: list[float] = []
         self._first_s: float | None = None
 
-    def look(self, t_s: float, corners_px: Points | None) -> None:
+    def look(self, t_s: float, corners_px: F64 | None) -> None:
         """``corners_px`` of the fish's marker (4, 2); None for a blob."""
         if self.measured_m is not None or corners_px is None:
             return

@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.sensors.camera.marker.tags import Sighting
 from tailbeat.sensors.camera.opencv import cv2, require_cv2
 from tailbeat.sensors.camera.source.film import FilmWriter
@@ -118,9 +118,7 @@ class Overlay:
             )  # fmt: skip
 
 
-def _blob_box(
-    centre: NDArray[np.float64], front: NDArray[np.float64], side_px: float
-) -> NDArray[np.float64]:
+def _blob_box(centre: F64, front: F64, side_px: float) -> F64:
     """Corners of a blob: as long as twice the way to its front end, as wide as its side."""
     ahead = front - centre
     aside = np.array([-ahead[1], ahead[0]]) / max(float(np.linalg.norm(ahead)), 1e-6) * side_px / 2
@@ -128,7 +126,7 @@ def _blob_box(
                      2 * centre - front - aside])  # fmt: skip
 
 
-def _fixed(point: NDArray[np.float64]) -> tuple[int, int]:
+def _fixed(point: F64) -> tuple[int, int]:
     return round(float(point[0]) * 2**_SHIFT), round(float(point[1]) * 2**_SHIFT)
 
 

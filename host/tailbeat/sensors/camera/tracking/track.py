@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.csv import read_table
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
@@ -21,8 +22,6 @@ from tailbeat.sensors.camera.marker.detector import KINDS, Marker
 from tailbeat.sensors.camera.marker.printed import RULER_IDS
 from tailbeat.sensors.camera.source.picture import PictureSource
 from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Glow, Place, Tracker
-
-Floats = NDArray[np.float64]
 
 SEEN, BRIDGED, LOST = 0, 1, 2
 STATES = ("seen", "bridged", "lost")
@@ -49,11 +48,11 @@ class Track:
     Tracker.measured_side_m.
     """
 
-    t_s: Floats
-    x_m: Floats
-    y_m: Floats
-    heading_rad: Floats
-    quality: Floats
+    t_s: F64
+    x_m: F64
+    y_m: F64
+    heading_rad: F64
+    quality: F64
     state: NDArray[np.uint8]
     fps: float  # by the time stamps: one over their median distance; 0 = fewer than two
     name: str = ""
@@ -161,11 +160,11 @@ def _one_head(places: Sequence[Place]) -> list[Place]:
     ]
 
 
-def _fps(taken_s: Floats) -> float:
+def _fps(taken_s: F64) -> float:
     return float(1 / np.median(np.diff(taken_s))) if len(taken_s) > 1 else 0.0
 
 
-def _rows(taken_s: Floats, name: str) -> tuple[Floats, NDArray[np.intp]]:
+def _rows(taken_s: F64, name: str) -> tuple[F64, NDArray[np.intp]]:
     """Times of all rows, and the row of each picture."""
     if len(taken_s) < 2:
         return taken_s, np.arange(len(taken_s))
@@ -182,7 +181,7 @@ def _rows(taken_s: Floats, name: str) -> tuple[Floats, NDArray[np.intp]]:
     return np.interp(np.arange(at[-1] + 1), at, taken_s), at
 
 
-def _periods(gaps: Floats) -> Floats:
+def _periods(gaps: F64) -> F64:
     """The usual distance of pictures at each of ``gaps``."""
     if len(gaps) <= _PERIOD_OF:
         return np.full(len(gaps), np.median(gaps))
@@ -190,7 +189,7 @@ def _periods(gaps: Floats) -> Floats:
     return np.concatenate([np.full(_PERIOD_OF, medians[0]), medians[:-1]])
 
 
-def _bridge(state: NDArray[np.uint8], t_s: Floats, columns: list[Floats]) -> None:
+def _bridge(state: NDArray[np.uint8], t_s: F64, columns: list[F64]) -> None:
     """Fills short holes between rows that were seen, in place."""
     seen = np.flatnonzero(state == SEEN)
     for before, after in pairwise(seen):

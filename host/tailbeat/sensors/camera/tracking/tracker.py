@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.core.arrays import F64
 from tailbeat.core.frames import Camera, Frame
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker, detector_for
-from tailbeat.sensors.camera.marker.tags import Points, Sighting, Window
+from tailbeat.sensors.camera.marker.tags import Sighting, Window
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image, Picture
 from tailbeat.sensors.camera.tracking.checks import PERSISTS, Anchors, MarkerSize, SecondFish
@@ -60,7 +61,7 @@ def glow_around(grey: Image, frame: Frame, calibration: Calibration) -> Glow:
     return np.asarray(cells.max(axis=(1, 3)), np.uint8)
 
 
-def _samples(corners: NDArray[np.float64]) -> int:
+def _samples(corners: F64) -> int:
     """As many as a cell has pixels, so that no bright pixel falls between them."""
     length_px = float(np.linalg.norm(corners[1] - corners[0]))
     return int(np.clip(np.ceil(length_px / GLOW_SHAPE[1]), 1, _SAMPLES_MAX))
@@ -249,7 +250,7 @@ class Tracker:
     def _is_near(self, t_s: float) -> bool:
         return self._last is not None and t_s - self._last.t_s <= STAYS_NEAR_S
 
-    def _prediction(self, t_s: float) -> Points | None:
+    def _prediction(self, t_s: float) -> F64 | None:
         """Where the fish should be, in pixels; None = lost."""
         last, before = self._last, self._before
         if last is None or not 0 <= t_s - last.t_s <= FORGOTTEN_AFTER_S:
@@ -260,7 +261,7 @@ class Tracker:
         step = centre - before.sighting.centre_px
         return np.asarray(centre + step * (t_s - last.t_s) / (last.t_s - before.t_s))
 
-    def _window(self, guess: Points, t_s: float, grey: Image) -> Window:
+    def _window(self, guess: F64, t_s: float, grey: Image) -> Window:
         assert self._last is not None
         sighting, frame = self._last.sighting, self._last.frame
         front = self._calibration.to_tank(np.array([sighting.front_px]))[0]
@@ -305,7 +306,7 @@ def _can_swim(start: _Seen, end: _Seen) -> bool:
     return bool(apart_m <= SPEED_MAX_M_S * apart_s + JUMP_MAX_M)
 
 
-def _nearest(sightings: list[Sighting], guess: Points) -> Sighting:
+def _nearest(sightings: list[Sighting], guess: F64) -> Sighting:
     return min(sightings, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
 
 

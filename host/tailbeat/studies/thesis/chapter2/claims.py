@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter2.plants import (
     EXAMPLE1,
     EXAMPLE1_N30,
@@ -31,7 +31,7 @@ def _same(printed: float, computed: float, digits: float = _DIGITS) -> bool:
     return abs(printed - computed) <= digits
 
 
-def _median(values: Doubles) -> float:
+def _median(values: F64) -> float:
     return float(np.median(values))
 
 

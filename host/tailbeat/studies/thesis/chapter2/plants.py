@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.conditions import contraction, reached_probability
 from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
 from tailbeat.studies.thesis.learner import LearnerConfig
@@ -23,18 +23,18 @@ from tailbeat.studies.thesis.learner import LearnerConfig
 LAST = 50  # T_d, samples
 TIMES: NDArray[np.int64] = np.arange(LAST + 1)
 # Both examples want the same. Its printed third term, sin(50 pi t), is 0 at whole t.
-WANTED: Doubles = np.sin(2 * np.pi * TIMES / 50) + np.sin(2 * np.pi * TIMES / 5)
+WANTED: F64 = np.sin(2 * np.pi * TIMES / 50) + np.sin(2 * np.pi * TIMES / 5)
 
 
 @dataclass(frozen=True)
 class LinearPlant:
     """(2.1), (2.31): x(t+1) = A(t) x(t) + B u(t), y = C x. ``a``: (samples, states, states)."""
 
-    a: Doubles
-    b: Doubles
-    c: Doubles
+    a: F64
+    b: F64
+    c: F64
 
-    def respond(self, inputs: Doubles, start: Doubles | None = None) -> Doubles:
+    def respond(self, inputs: F64, start: F64 | None = None) -> F64:
         """Outputs of inputs (series, samples) from the states ``start`` (series, states), or 0."""
         state = np.zeros((len(inputs), len(self.b))) if start is None else start
         outputs = np.empty_like(inputs)
@@ -48,7 +48,7 @@ class LinearPlant:
         """CB: what an input does to the next output."""
         return float(self.c @ self.b)
 
-    def wanted_input(self, wanted: Doubles) -> Doubles:
+    def wanted_input(self, wanted: F64) -> F64:
         """u_d: the input that follows ``wanted`` exactly from the state 0; one sample less."""
         state = np.zeros(len(self.b))
         found = np.empty(len(wanted) - 1)
@@ -106,7 +106,7 @@ class Average:
     def _cumulated(self) -> list[float]:
         return list(accumulate(self.masses))
 
-    def reached(self) -> Doubles:
+    def reached(self) -> F64:
         """p(t), (2.5), of the wanted samples."""
         return reached_probability(TIMES, LAST, self.spread, self.spread, self.masses)
 
@@ -121,7 +121,7 @@ class Average:
     def task(self, past: str = "mean", random_start: tuple[int, ...] = ()) -> Task:
         """``random_start``: seeds of series that begin in (0, 0, -1), (0, 0, 0) or (0, 0, 1)."""
 
-        def respond(inputs: Doubles, iteration: int) -> Doubles:
+        def respond(inputs: F64, iteration: int) -> F64:
             start = _random_start(random_start, iteration) if random_start else None
             return self.plant.respond(inputs, start)
 
@@ -140,7 +140,7 @@ class Average:
         return swim(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
 
 
-def _random_start(seeds: tuple[int, ...], iteration: int) -> Doubles:
+def _random_start(seeds: tuple[int, ...], iteration: int) -> F64:
     start = np.zeros((len(seeds), 3))
     start[:, 2] = [int(3 * chance(seed, iteration, _START_STREAM)) - 1 for seed in seeds]
     return start

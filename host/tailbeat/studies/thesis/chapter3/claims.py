@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter3.plants import (
     EXAMPLE1,
     EXAMPLE1_LENGTHS,
@@ -132,7 +132,7 @@ def fish(study: Study) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _ratios(found: Outcome) -> Doubles:
+def _ratios(found: Outcome) -> F64:
     """How many times smaller the error has become; 0 for a series that diverged."""
     errors = found.max_abs_error
     return np.where(np.isnan(errors[:, -1]), 0.0, errors[:, 0] / errors[:, -1])
@@ -143,7 +143,7 @@ def _diverged(setting: Moving) -> float:
     return float((found.diverged >= 0).mean())
 
 
-def _falls(zero: Doubles, first: Doubles, escaped: float) -> Claim:
+def _falls(zero: F64, first: F64, escaped: float) -> Claim:
     wanted = 90.0
     with_zero, with_first = float(np.median(zero)), float(np.median(first))
     share = float((zero > wanted).mean())

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
 from tailbeat.studies.thesis.heat import CELLS, STEP, times
@@ -45,11 +45,11 @@ class AdvectionPlant:
     cells: int = CELLS
 
     @property
-    def time(self) -> Doubles:
+    def time(self) -> F64:
         """Where the samples are, min."""
         return times(self.step)
 
-    def output(self, values: Doubles) -> Doubles:
+    def output(self, values: F64) -> F64:
         """y of a trial.
 
         Raises:
@@ -57,13 +57,13 @@ class AdvectionPlant:
         """
         return self._run(values, None)
 
-    def field(self, values: Doubles) -> Doubles:
+    def field(self, values: F64) -> F64:
         """v of a trial, one row per sample, one column per node. Raises as ``output``."""
         field = np.empty((len(self.time), self.cells + 1))
         self._run(values, field)
         return field
 
-    def _run(self, values: Doubles, field: Doubles | None) -> Doubles:
+    def _run(self, values: F64, field: F64 | None) -> F64:
         native = load("double")
         samples = len(self.time)
         if np.shape(values) != (samples,):
@@ -83,7 +83,7 @@ class AdvectionPlant:
         )
         out = np.empty(samples)
 
-        def pointer(array: Doubles | None) -> Any:
+        def pointer(array: F64 | None) -> Any:
             if array is None:
                 return native.ffi.NULL
             return native.ffi.cast("double *", native.ffi.from_buffer(array))
@@ -95,7 +95,7 @@ class AdvectionPlant:
         return out
 
 
-Rate = Callable[[Doubles, Doubles], Doubles]
+Rate = Callable[[F64, F64], F64]
 """(state, input) -> time derivative of the state."""
 Method = Literal["euler", "rk4"]
 
@@ -110,7 +110,7 @@ class HeldPlant:
     step: float
     method: Method
 
-    def respond(self, inputs: Doubles) -> Doubles:
+    def respond(self, inputs: F64) -> F64:
         """Outputs of inputs (series, samples). An input acts from its own sample on, so that the
         last one moves nothing."""
         advance = self._rk4 if self.method == "rk4" else self._euler
@@ -121,10 +121,10 @@ class HeldPlant:
             state = advance(state, inputs[:, k])
         return outputs
 
-    def _euler(self, state: Doubles, held: Doubles) -> Doubles:
+    def _euler(self, state: F64, held: F64) -> F64:
         return state + self.step * self.rate(state, held)
 
-    def _rk4(self, state: Doubles, held: Doubles) -> Doubles:
+    def _rk4(self, state: F64, held: F64) -> F64:
         half = 0.5 * self.step
         k1 = self.rate(state, held)
         k2 = self.rate(state + half * k1, held)
@@ -133,31 +133,31 @@ class HeldPlant:
         return state + self.step / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-def example1_rate(x: Doubles, u: Doubles) -> Doubles:
+def example1_rate(x: F64, u: F64) -> F64:
     """Example 1; the input's slope 1 + cos(u)/2 lies in [0.5, 1.5]."""
     return 0.5 * np.cos(x) + u + 0.5 * np.sin(u)
 
 
-def example1_wanted(t: Doubles) -> Doubles:
+def example1_wanted(t: F64) -> F64:
     return np.sin(2 * np.pi * t) + np.sin(2 * np.pi * t / 5) + np.sin(5 * np.pi * t)
 
 
-def fish_rate(v: Doubles, u: Doubles) -> Doubles:
+def fish_rate(v: F64, u: F64) -> F64:
     """The fish, with a drag that brakes in either direction."""
     return u - FISH_DRAG * v * np.abs(v)
 
 
-def fish_rate_printed(v: Doubles, u: Doubles) -> Doubles:
+def fish_rate_printed(v: F64, u: F64) -> F64:
     """As printed: the drag of a fish that swims backwards accelerates it, and v escapes."""
     return u - FISH_DRAG * v * v
 
 
-def fish_wanted(t: Doubles) -> Doubles:
+def fish_wanted(t: F64) -> F64:
     """m/s; 0.06 at its peak, 25 s."""
     return 48.0 / 50.0**5 * t**2 * (t - 50.0) ** 2
 
 
-def fish_wanted_input(t: Doubles) -> Doubles:
+def fish_wanted_input(t: F64) -> F64:
     """u_d, m/s^2: negative where the wanted speed falls faster than drag alone would let it."""
     slope = 48.0 / 50.0**5 * (2.0 * t * (t - 50.0) ** 2 + 2.0 * t**2 * (t - 50.0))
     return slope + FISH_DRAG * fish_wanted(t) ** 2
@@ -183,7 +183,7 @@ class Moving:
     method: Method
     step: float  # of integration and control
     duration: float
-    wanted: Callable[[Doubles], Doubles]
+    wanted: Callable[[F64], F64]
     draw: Callable[[int, int], float]  # (seed, iteration) -> T_i
     m: int  # m + 1 trials are averaged
     beta: float  # of each of them
@@ -196,7 +196,7 @@ class Moving:
     def trial(self) -> Span:
         return Span(self.duration, "s", _STEPS_MAX, _BUDGET)
 
-    def times(self) -> Doubles:
+    def times(self) -> F64:
         """Raises InputError for a step that makes no trial."""
         return np.arange(self.trial.steps(self.step) + 1, dtype=np.float64) * np.float64(self.step)
 
@@ -213,7 +213,7 @@ class Moving:
         times = self.times()
         plant = HeldPlant(self.rate, self.step, self.method)
 
-        def respond(inputs: Doubles, _: int) -> Doubles:
+        def respond(inputs: F64, _: int) -> F64:
             return plant.respond(inputs)
 
         return Task(times, self.wanted(times), respond, self.law(), self.draw, self.first_input)

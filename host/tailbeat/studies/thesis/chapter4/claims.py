@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Claim, Study, verdict
 from tailbeat.studies.thesis.feedback import Chapter4, Grid, Trials, run_trials, trials_of
 
@@ -49,7 +49,7 @@ def example1(study: Study) -> list[Claim]:
     return [_indistinguishable(found), _converges(found, coarse), _full(found, block)]
 
 
-def _peaks(trial: int) -> Doubles:
+def _peaks(trial: int) -> F64:
     """Of both references (4.22)."""
     rate = abs(np.sin(trial)) + 0.5
     t = np.linspace(0.0, 2.0 * np.pi / rate, 20_001)
@@ -58,13 +58,13 @@ def _peaks(trial: int) -> Doubles:
     return np.asarray(np.abs([first, second]).max(axis=1))
 
 
-def _apart(found: Trials) -> Doubles:
+def _apart(found: Trials) -> F64:
     """Median over the trials ``AROUND`` of each state's largest error by its reference's peak."""
     first, last = AROUND
     if len(found.max_abs_error) < last:
         return np.full(2, np.inf)
     peaks = np.array([_peaks(trial) for trial in range(first, last + 1)])
-    shares: Doubles = np.median(found.max_abs_error[first - 1 : last] / peaks, axis=0)
+    shares: F64 = np.median(found.max_abs_error[first - 1 : last] / peaks, axis=0)
     return shares
 
 

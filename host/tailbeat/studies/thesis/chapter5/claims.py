@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter4.claims import grows, sampled_words
 from tailbeat.studies.thesis.example import Claim, Study, verdict
 from tailbeat.studies.thesis.feedback import Chapter5, Grid, Trials, run_trials, trials_of
@@ -240,11 +240,11 @@ def _norm(found: Trials, safe: Trials) -> Claim:
     )
 
 
-def _reference(t: Doubles) -> Doubles:
+def _reference(t: F64) -> F64:
     return np.array([0.5 * np.sin(8 * np.pi * t) + 1.0, -0.25 * np.cos(16 * np.pi * t) - 0.5])
 
 
-def _input_gain(t: Doubles) -> Doubles:
+def _input_gain(t: F64) -> F64:
     """The diagonal of B along the reference."""
     first, second = np.sin(_reference(t))
     return np.array(

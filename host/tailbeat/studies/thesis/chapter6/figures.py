@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter6.plants import (
     LONG,
     with_filter,
@@ -68,7 +68,7 @@ def _surface(study: Study, folder: Path) -> Figure:
     return Figure(path, "Fig. 6.3", "w(x, t) of iteration 7, as a map.")
 
 
-def field_map(path: Path, time: Doubles, field: Doubles, name: str) -> None:
+def field_map(path: Path, time: F64, field: F64, name: str) -> None:
     """A field over place and time as a map with lines of equal height."""
     with picture(path) as (axes,):
         where = np.linspace(0.0, 1.0, field.shape[1])

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Options, Run
 from tailbeat.studies.thesis.heat import CHAPTER6, STEP, heat_plant, times
 from tailbeat.studies.thesis.heat_trials import asked, learn, slope, window, zero_phase
 from tailbeat.studies.thesis.learner import LearnerConfig
 
 Complexes = NDArray[np.complex128]
-Gain = Callable[[Doubles], Complexes]
+Gain = Callable[[F64], Complexes]
 
 BAND = (0.0, 10.0)  # Omega of section 6.6
 PRINTED_OVER = (14.14, -7.07, 1.414, -2.475, 0.707, -1.414)
@@ -27,7 +27,7 @@ PRINTED_UNDER = (1.0, 0.5, 0.1, 0.175, 0.05, 0.1)
 """A(z) of section 6.6, rising powers of z^-1, rounded to four digits as there."""
 
 
-def _band(frequency: ArrayLike) -> Doubles:
+def _band(frequency: ArrayLike) -> F64:
     """With 0 replaced by something next to it, where all of these have their limit."""
     w = np.atleast_1d(np.asarray(frequency, dtype=np.float64))
     return np.where(w == 0, 1e-9, w)
@@ -124,7 +124,7 @@ def _on_the_circle(
     return np.asarray(np.polyval(np.flip(over), back) / np.polyval(np.flip(under), back), complex)
 
 
-def _muir(order: int, r: float) -> Doubles:
+def _muir(order: int, r: float) -> F64:
     """A_n(z^-1, r), rising powers of z^-1: A_n = A_{n-1} - c_n * z^-n * A_{n-1}(z), c_n = r / n for
     odd n and 0 else."""
     row = np.ones(1)
@@ -135,7 +135,7 @@ def _muir(order: int, r: float) -> Doubles:
     return row
 
 
-def half_differentiator_coefficients(order: int = 5) -> tuple[Doubles, Doubles]:
+def half_differentiator_coefficients(order: int = 5) -> tuple[F64, F64]:
     """Numerator and denominator of A(z) ahead of its gain, rising powers of z^-1."""
     return _muir(order, 0.5), _muir(order, -0.5)
 
@@ -154,16 +154,16 @@ def modelled_unrounded(frequency: ArrayLike) -> Complexes:
     return loop
 
 
-def moving_mean(frequency: ArrayLike, length: int, step: float) -> Doubles:
+def moving_mean(frequency: ArrayLike, length: int, step: float) -> F64:
     """abs(H) of (6.42)."""
     half = _band(frequency) * step / 2
-    gain: Doubles = np.abs(np.sin(length * half) / (length * np.sin(half)))
+    gain: F64 = np.abs(np.sin(length * half) / (length * np.sin(half)))
     return gain
 
 
-def zero_phase_frequency(frequency: ArrayLike, length: int, step: float) -> Doubles:
+def zero_phase_frequency(frequency: ArrayLike, length: int, step: float) -> F64:
     """Q = H(z) * H(1/z) of (6.42): real and positive."""
-    gain: Doubles = moving_mean(frequency, length, step) ** 2
+    gain: F64 = moving_mean(frequency, length, step) ** 2
     return gain
 
 
@@ -240,7 +240,7 @@ def without_filter(iterations: int) -> Run:
 def with_filter_on_the_correction(iterations: int) -> Run:
     """u + rho * Q(de/dt), as the words of section 6.5 may be read."""
 
-    def filtered(error: Doubles) -> Doubles:
+    def filtered(error: F64) -> F64:
         return zero_phase(slope(error), Q_LEN)
 
     config = LearnerConfig(samples=len(times(STEP)), step=STEP, kp=RHO)
@@ -250,7 +250,7 @@ def with_filter_on_the_correction(iterations: int) -> Run:
 def with_filter_on_the_error(iterations: int) -> Run:
     """u + rho * d/dt Q(e), the other way to read them."""
 
-    def filtered(error: Doubles) -> Doubles:
+    def filtered(error: F64) -> F64:
         return zero_phase(error, Q_LEN)
 
     plant = heat_plant(CHAPTER6, scheme="modal")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant, Uptake
 from tailbeat.studies.thesis.example import Options, Run
 from tailbeat.studies.thesis.heat import CHAPTER7, STEP, heat_plant, times
@@ -110,7 +110,7 @@ class Proportional:
         )
         at_input = times(step) - self.lead  # when what this error corrects was given
 
-        def weighted(error: Doubles) -> Doubles:
+        def weighted(error: F64) -> F64:
             return np.asarray(error * (2 * at_input + 3)) if self.by_time else error
 
         return learn(AdvectionPlant(step), config, iterations, precision, weighted)
@@ -124,7 +124,7 @@ BY_TIME = Proportional(gain=-0.5, window=0.1, by_time=True)
 _TERMS = 60  # of either sum: far beyond double precision where it is used
 
 
-def theta(x: float, t: ArrayLike, images: int | None = None) -> Doubles:
+def theta(x: float, t: ArrayLike, images: int | None = None) -> F64:
     """theta(x, t) for t > 0. ``images``: the sum (7.5) cut at abs(m) <= images, as in figures 7.1
     to 7.3; None = the whole of it."""
     time = np.asarray(t, dtype=np.float64)
@@ -135,20 +135,20 @@ def theta(x: float, t: ArrayLike, images: int | None = None) -> Doubles:
     return np.where(time < 0.5, early, late)
 
 
-def _by_images(x: float, time: Doubles, images: int) -> Doubles:
+def _by_images(x: float, time: F64, images: int) -> F64:
     """(7.5): the heat kernel and its mirror images."""
     at = x + 2 * np.arange(-images, images + 1)
     with np.errstate(under="ignore"):
         kernels = np.exp(-(at**2) / (4 * time[..., None]))
-    total: Doubles = kernels.sum(axis=-1) / np.sqrt(4 * np.pi * time)
+    total: F64 = kernels.sum(axis=-1) / np.sqrt(4 * np.pi * time)
     return total
 
 
-def _by_modes(x: float, time: Doubles) -> Doubles:
+def _by_modes(x: float, time: F64) -> F64:
     """(7.6): the same as a sum of cosines."""
     n = np.arange(1, _TERMS)
     modes = np.cos(n * np.pi * x) * np.exp(-((n * np.pi) ** 2) * time[..., None])
-    total: Doubles = 0.5 + modes.sum(axis=-1)
+    total: F64 = 0.5 + modes.sum(axis=-1)
     return total
 
 

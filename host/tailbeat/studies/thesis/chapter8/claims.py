@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     DURATION_S,
@@ -49,7 +49,7 @@ def claims(gain: float, study: Study) -> list[Claim]:
     ]
 
 
-def _settled(errors: Sequence[float] | Doubles) -> bool:
+def _settled(errors: Sequence[float] | F64) -> bool:
     """Down by 90 % and, from the least error on, never up again by more than 5 %."""
     values = np.asarray(errors)
     least = int(np.argmin(values))
@@ -142,7 +142,7 @@ def _after_first(gain: float) -> str:
     return f"{words} and swims up to {1e3 * max(overshoots, 0):.0f} mm/s too fast."
 
 
-def _first_below(errors: Sequence[float] | Doubles, part: float = 0.2) -> float:
+def _first_below(errors: Sequence[float] | F64, part: float = 0.2) -> float:
     values = np.asarray(errors)
     below = np.flatnonzero(values < part * values[0])
     return float(below[0]) if len(below) else math.inf

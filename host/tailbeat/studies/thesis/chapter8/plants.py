@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.core.arrays import Doubles
+from tailbeat.core.arrays import F64
+from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import THESIS_PLATEAU_M_S, thesis_speed
 from tailbeat.studies.thesis.learner import UNLIMITED, Learner, LearnerConfig
 from tailbeat.studies.thesis.limits import Span
@@ -46,10 +47,8 @@ class Fish:
         self.step_s = step_s / self._parts
         self.config: Any = plant_config("thesis", {})
 
-    def swim(self, amplitude_rad: Doubles) -> tuple[Doubles, Doubles]:
+    def swim(self, amplitude_rad: F64) -> tuple[F64, F64]:
         """(speed at the end of each sample, mean speed over it), m/s."""
-        from tailbeat.core.native import ffi, lib
-
         h1, h2 = self.thrust(self._tail(np.repeat(amplitude_rad, self._parts)))
         h1 = _lagged(h1, self.lags.thrust_s, self.step_s)
         speed, way = np.empty_like(h1), np.empty_like(h1)
@@ -58,28 +57,26 @@ class Fish:
         mean = way.reshape(-1, self._parts).sum(axis=1) / (self._parts * self.step_s)
         return speed[self._parts - 1 :: self._parts], mean
 
-    def thrust(self, amplitude_rad: Doubles) -> tuple[Doubles, Doubles]:
+    def thrust(self, amplitude_rad: F64) -> tuple[F64, F64]:
         """H1, N, and H2, kg/m, of (8.5)-(8.10)."""
-        from tailbeat.core.native import ffi, lib
-
         amplitude = np.ascontiguousarray(amplitude_rad, np.float64)
         h1, h2 = np.empty_like(amplitude), np.empty_like(amplitude)
         arrays = [ffi.from_buffer("double[]", a) for a in (amplitude, h1, h2)]
         lib.cruise_thrust(self.config, arrays[0], len(amplitude), *arrays[1:])
         return h1, h2
 
-    def steady_m_s(self, amplitude_rad: Doubles) -> Doubles:
+    def steady_m_s(self, amplitude_rad: F64) -> F64:
         """The speed at which thrust and drag balance."""
         h1, h2 = self.thrust(amplitude_rad)
         return np.asarray(np.sqrt(h1 / (self.config.drag_kg_m + h2)))
 
-    def _tail(self, amplitude_rad: Doubles) -> Doubles:
+    def _tail(self, amplitude_rad: F64) -> F64:
         delay = round(self.lags.dead_time_s / self.step_s)
         delayed = np.r_[np.zeros(delay), amplitude_rad][: len(amplitude_rad)]
         return _lagged(delayed, self.lags.servo_s, self.step_s)
 
 
-def _lagged(values: Doubles, lag_s: float, step_s: float) -> Doubles:
+def _lagged(values: F64, lag_s: float, step_s: float) -> F64:
     """First order, from 0, exact for values held within a step."""
     if lag_s <= 0:
         return np.ascontiguousarray(values)
@@ -89,12 +86,12 @@ def _lagged(values: Doubles, lag_s: float, step_s: float) -> Doubles:
     return np.ascontiguousarray(lfilter([1 - keep], [1, -keep], values))
 
 
-def wanted_at(t_s: Doubles) -> Doubles:
+def wanted_at(t_s: F64) -> F64:
     """v_d of (8.31), m/s."""
     return thesis_speed(t_s)
 
 
-def wanted_beats() -> Doubles:
+def wanted_beats() -> F64:
     """Its mean over every beat, m/s, in double."""
     t = np.arange(BEATS + 1) * BEAT_S
     way = 2.25 / 40.0**4 * (t**5 / 5 - 20 * t**4 + 1600 * t**3 / 3)
@@ -135,10 +132,10 @@ class Trial:
     the end of a sample), the amplitude as applied, the speed and the error."""
 
     iteration: int
-    t_s: Doubles
-    amplitude_rad: Doubles
-    speed_m_s: Doubles
-    error_m_s: Doubles
+    t_s: F64
+    amplitude_rad: F64
+    speed_m_s: F64
+    error_m_s: F64
     length_beats: float
     valid: int  # samples that the trial reached
 
@@ -158,7 +155,7 @@ def trials(task: Task) -> Iterator[Trial]:
     step = BEAT_S if task.step_s is None else task.step_s
     fish = Fish(step, task.lags)
     learner = Learner(_config(task, samples, step), precision=task.precision)
-    ends: Doubles = step * np.arange(1, samples + 1, dtype=np.float64)
+    ends: F64 = step * np.arange(1, samples + 1, dtype=np.float64)
     beats = task.step_s is None
     wanted = wanted_beats() if beats else wanted_at(ends)
     for iteration in range(task.iterations + 1):
