@@ -97,7 +97,7 @@ def link_seeds() -> list[bytes]:
 def record_seeds() -> list[bytes]:
     """Each kind that the tool can make."""
     from tailbeat.core import records
-    from tailbeat.link.messages import Amplitudes
+    from tailbeat.core.records import Amplitudes
 
     speeds = [0.01, float("nan"), 0.03]
     status = SimpleNamespace(

@@ -24,7 +24,7 @@ from tailbeat.core.errors import ConnectError, Refused, TransferError
 from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, WRONG_STATE, refusal
 from tailbeat.core.frames import Camera
 from tailbeat.core.imu_problems import STARTING
-from tailbeat.core.records import decode_reference
+from tailbeat.core.records import Amplitudes, decode_reference
 from tailbeat.core.reference import Reference
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages
@@ -32,7 +32,6 @@ from tailbeat.link.ftp.client import FtpClient, Progress
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.link.mavlink import Link, Message, text_of
 from tailbeat.link.messages import (
-    Amplitudes,
     BeatEvent,
     BoardInfo,
     BoardStatus,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +13,6 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import fault_info
 from tailbeat.core.native import ffi, lib
-
-if TYPE_CHECKING:
-    from tailbeat.link.messages import Amplitudes, BoardStatus
-
 
 FILE_REFERENCE = 0
 FILE_AMPLITUDES = 1
@@ -77,6 +73,30 @@ class LearnedRecord:
     best_max_abs_error_m_s: float
     amplitude_rad: F32
     best_rad: F32
+
+
+@dataclass(frozen=True)
+class Amplitudes:
+    """The stored (unsaturated) amplitudes that swim next. ``values``: float32, (beats,), rad."""
+
+    iteration: int
+    beats: int
+    reference_crc: int
+    values: F32
+    input: int | None = None  # what made those that swim next, memory_input_t; None: not told
+
+
+class LearningStatus(Protocol):
+    """What a board's status says of learning, see ``link.messages.BoardStatus``."""
+
+    @property
+    def last_learned_trial(self) -> int | None: ...
+    @property
+    def best_iteration(self) -> int | None: ...
+    @property
+    def best_max_abs_error_m_s(self) -> float | None: ...
+    @property
+    def worse_streak(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -186,7 +206,7 @@ def decode_past(record: bytes) -> PastRecord:
 
 
 def encode_learned(
-    status: BoardStatus,
+    status: LearningStatus,
     now: Amplitudes,
     best: Amplitudes | None,
     visits: NDArray[np.uint8] | None,

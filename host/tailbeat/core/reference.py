@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -286,21 +286,7 @@ def _of_beat_means(path: Path, middle_s: F64, speed: F64) -> Reference:
         raise InputError(
             f"{path.name} has {len(speed)} beats, more than {BEATS_MAX}.", "Shorten it."
         )
-    return _named(path, Reference(beat_s, speed.astype(np.float32), path.stem))
-
-
-def _named(path: Path, reference: Reference) -> Reference:
-    """As in the experiment whose ``reference.csv`` it is; its own name says nothing."""
-    from tailbeat.experiment.current import reference_crc
-    from tailbeat.experiment.folder import Experiment
-
-    folder = path.resolve().parent
-    if not Experiment.is_at(folder):
-        return reference
-    experiment = Experiment(folder)
-    if reference_crc(experiment) != reference.crc:
-        return reference
-    return replace(reference, name=str(experiment.settings().get("reference", reference.name)))
+    return Reference(beat_s, speed.astype(np.float32), path.stem)
 
 
 def _read_points(path: Path) -> tuple[F64, F64, bool]:

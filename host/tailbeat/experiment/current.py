@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.param_names import with_current_names
+from tailbeat.core.reference import Reference, from_text, thesis
 from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
@@ -31,7 +33,6 @@ from tailbeat.sim.settings import simulator_settings
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
-    from tailbeat.core.reference import Reference
 
 _CURRENT = "experiment.json"
 _IDENTIFIED = "identified.json"
@@ -132,6 +133,18 @@ def reference_crc(experiment: Experiment) -> int | None:
     return None if record is None else record_crc(record)
 
 
+def named_reference(text: str) -> Reference:
+    """As ``core.reference.from_text``; the ``reference.csv`` of an experiment gets the name that it
+    has there, its own says nothing."""
+    reference, folder = from_text(text), Path(text).resolve().parent
+    if not Path(text).is_file() or not Experiment.is_at(folder):
+        return reference
+    experiment = Experiment(folder)
+    if reference_crc(experiment) != reference.crc:
+        return reference
+    return replace(reference, name=str(experiment.settings().get("reference", reference.name)))
+
+
 def begin(
     fish: Fish,
     root: Path,
@@ -208,7 +221,6 @@ def _copy_identified(fish: Fish, experiment: Experiment) -> None:
 
 def _named(fish: Fish, held: Reference) -> Reference:
     """A board knows no names: the logbook does, and the thesis's is known by its CRC."""
-    from tailbeat.core.reference import Reference, thesis
     from tailbeat.experiment.library import logbook_of
 
     book, usual = logbook_of(fish), thesis()

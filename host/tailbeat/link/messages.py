@@ -10,7 +10,6 @@ import math
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 
-from tailbeat.core.arrays import F32
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import FaultInfo, fault_info
 from tailbeat.core.imu_fields import error_words
@@ -165,17 +164,6 @@ class LearnReport:
             improved=bool(m.flags & _IMPROVED),
             rolled_back=bool(m.flags & _ROLLED_BACK),
         )
-
-
-@dataclass(frozen=True)
-class Amplitudes:
-    """The stored (unsaturated) amplitudes that swim next. ``values``: float32, (beats,), rad."""
-
-    iteration: int
-    beats: int
-    reference_crc: int
-    values: F32
-    input: int | None = None  # what made those that swim next, memory_input_t; None: not told
 
 
 @dataclass(frozen=True)

@@ -311,11 +311,11 @@ def _along(
     fish: Fish, text: str, state: _State, book: Logbook | None, experiments: Path
 ) -> Learned:
     """A reference by name or CSV."""
-    from tailbeat.core.reference import from_text
+    from tailbeat.experiment.current import named_reference
     from tailbeat.experiment.folder import list_experiments
 
     try:
-        old = from_text(text)
+        old = named_reference(text)
     except InputError as error:
         raise InputError(
             f"'{text}' is nothing to learn from.",

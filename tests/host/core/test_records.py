@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tailbeat.core import records
 from tailbeat.core.errors import InputError
-from tailbeat.link.messages import Amplitudes
+from tailbeat.core.records import Amplitudes
 
 speeds = st.lists(st.floats(0, 0.25, width=32), min_size=1, max_size=512)
 

@@ -59,11 +59,11 @@ def render(
     Example: tailbeat camera render swim.mp4 --lost 0.1 --glare 0.5
     """
     from tailbeat.app.exercise import ExerciseOptions, make_exercise
-    from tailbeat.core import reference as references
+    from tailbeat.experiment.current import named_reference
 
     scene = _scene(size, marker, glare, hidden, fish, seed)
     options = ExerciseOptions(
-        reference=references.from_text(reference),
+        reference=named_reference(reference),
         scene=scene,
         plant=plant,
         seed=seed,

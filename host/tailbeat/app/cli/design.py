@@ -119,10 +119,11 @@ def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Ide
 
 def _reference(text: str | None, fish: Fish | None) -> Reference:
     from tailbeat.board.fish import board_reference
-    from tailbeat.core.reference import from_text, thesis
+    from tailbeat.core.reference import thesis
+    from tailbeat.experiment.current import named_reference
 
     if text is not None:
-        return from_text(text)
+        return named_reference(text)
     held = board_reference(fish) if fish is not None else None
     return held or thesis()
 

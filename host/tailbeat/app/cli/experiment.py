@@ -71,11 +71,10 @@ def new(
 
     Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
-    from tailbeat.core.reference import from_text
     from tailbeat.experiment.conditions import parse_conditions
-    from tailbeat.experiment.current import made_before, make, own_reference
+    from tailbeat.experiment.current import made_before, make, named_reference, own_reference
 
-    named = None if reference is None else from_text(reference)
+    named = None if reference is None else named_reference(reference)
     conditions = parse_conditions(condition or [], water_temp)
     words = _words(configuration, operator)
     with connected(connect) as fish:

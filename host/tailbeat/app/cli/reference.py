@@ -163,12 +163,12 @@ def upload(
 
     Example: tailbeat reference upload thesis:0.0633,50 --like board
     """
-    from tailbeat.core.reference import from_text
+    from tailbeat.experiment.current import named_reference
     from tailbeat.experiment.library import name_reference
 
     if like is None and (dry_run or identified is not None):
         raise typer.BadParameter("--dry-run and --identified are for --like OLD")
-    reference = from_text(what)
+    reference = named_reference(what)
     with connected(connect) as fish:
         _refuse(reference.check(_limits(fish)))
         if like is not None:
@@ -261,10 +261,10 @@ def check(
 
     Example: tailbeat reference check thesis --suggest
     """
-    from tailbeat.core.reference import from_text
+    from tailbeat.experiment.current import named_reference
     from tailbeat.learning.error_bound import band
 
-    reference = from_text(what)
+    reference = named_reference(what)
     known = _known(identified, amp_max, tank, connect)
     problems = reference.check(known.limits)
     found = known.identified and band(known.identified, reference, known.amplitude_max_rad, slew)

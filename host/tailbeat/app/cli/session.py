@@ -76,9 +76,9 @@ def first(
     Example: tailbeat session first --reference thesis --camera 0 --calibration tank.json
     """
     from tailbeat.app.cli._live_camera import LiveOptions, live_camera
-    from tailbeat.core.reference import from_text
+    from tailbeat.experiment.current import named_reference
 
-    wanted = from_text(reference)
+    wanted = named_reference(reference)
     on_fish = marker_of(marker, marker_id, marker_side)
     options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:

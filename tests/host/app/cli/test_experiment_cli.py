@@ -25,7 +25,15 @@ from tailbeat.core.reference import from_text
 from tailbeat.experiment.analysis import write_analysis
 from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.conditions import set_conditions
-from tailbeat.experiment.current import begin, current, made_before, make, require_same, use
+from tailbeat.experiment.current import (
+    begin,
+    current,
+    made_before,
+    make,
+    named_reference,
+    require_same,
+    use,
+)
 from tailbeat.experiment.folder import Experiment
 from tailbeat.report.paper import Written
 from tailbeat.sim.board import SimTransport
@@ -88,9 +96,9 @@ def test_done_again_as_redo_says(
 
 def test_a_reference_that_was_changed_by_hand_has_another_name(copy: Experiment) -> None:
     path = copy.folder / "reference.csv"
-    assert from_text(str(path)).name == REFERENCE.name
+    assert named_reference(str(path)).name == REFERENCE.name
     path.write_text(path.read_text().replace(",0.0", ",0.01", 1))
-    assert from_text(str(path)).name == "reference"
+    assert named_reference(str(path)).name == "reference"
 
 
 def test_a_fish_stays_in_its_experiment(tmp_path: Path) -> None:
