@@ -1,121 +1,246 @@
-"""What a board held, in a folder on disk.
+"""What a board holds: taken from it, written to disk, read, compared, and restored.
 
-``board.json`` (who it was, and its parameters), ``reference.bin``, ``learned.bin``, ``crash.bin``;
-the records are those of docs/protocol.md. Trials pulled on the way lie in ``trials/`` unless they
-went elsewhere.
-
-From the board to the disk: everything that an erase would take away.
-
-The copy of what a board held before an identification: on the disk until the board has it back.
-
-Beside the records of a backup lies ``references.txt``, the CRC of every reference that the runs
-gave the board: by it a later identification knows whether an earlier one was broken off.
+In a folder (``tailbeat flash``, before an identification): ``board.json`` (who it was, and its
+parameters), ``reference.bin``, ``learned.bin``, ``crash.bin``, the records of docs/protocol.md. In
+one file (``board/state.json`` of an experiment): all but the crash record, with a checksum.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
-import shutil
-from collections.abc import Callable
-from dataclasses import dataclass, field
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from tailbeat.board.fish import Fish
-from tailbeat.board.provision import MISSING, trust_of
-from tailbeat.core import records
-from tailbeat.core.errors import InputError, TailbeatError, reason
-from tailbeat.core.files import replace_file, sync_folder
+from tailbeat.board.provision import OPEN, give_back, key_for, trust_of
+from tailbeat.core import decode, records
+from tailbeat.core.decode import Hex
+from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError, reason
+from tailbeat.core.faults import BAD_FORMAT
+from tailbeat.core.files import MAKE_ROOM, canonical, replace_file, write_whole
 from tailbeat.core.param_names import with_current_names
-from tailbeat.experiment.folder import Experiment, list_experiments
-from tailbeat.link.messages import TrialFile
+from tailbeat.link.messages import BoardInfo
 
-_BOARD = "board.json"
-_FORMAT = "tailbeat backup 1"
+BOARD_FILE = "board.json"
+_FOLDER_FORMAT = "tailbeat backup 1"
+_FILE_FORMAT = "tailbeat board 1"
 _RECORDS = ("reference", "learned", "crash")
+_FOLDERS_MAX = 99
+
+Differences = dict[str, tuple[float, float]]
+"""Parameters by name: (the value now, the value in the snapshot)."""
 
 
 @dataclass(frozen=True)
-class Backup:
+class Snapshot:
     """The content of a board. Records are bytes as in docs/protocol.md; None = it had none.
 
-    ``signed``: it had a key. The key itself is not in it: no board gives it away."""
+    ``learned``: as ``Fish.learned_record``. ``iteration``, ``last_learned_trial``: those of its
+    status. ``signed``: it had a key. The key itself is not in it: no board gives it away.
+    """
 
     unique_id: str
-    build_id: str
     params: dict[str, float]
-    next_trial: int
+    build_id: str = ""
+    next_trial: int = 0
+    iteration: int = 0
+    last_learned_trial: int | None = None
     reference: bytes | None = None
     learned: bytes | None = None
     crash: bytes | None = None
     signed: bool = False
     made: str = field(default="", compare=False)
 
+    @classmethod
+    def take(
+        cls, fish: Fish, params: Mapping[str, float] | None = None, info: BoardInfo | None = None
+    ) -> Snapshot:
+        """What the board holds now, without its crash record. ``params``: by default all that it
+        has. ``info``: what it said of itself already; without it the build is not in it."""
+        if params is None:
+            params = board_params(fish)
+        reference = fish.reference_record()
+        status = fish.status() if info is None else info.status
+        return cls(
+            unique_id=fish.unique_id() if info is None else info.unique_id,
+            params=dict(params),
+            build_id="" if info is None else info.build_id,
+            next_trial=status.next_trial,
+            iteration=status.iteration,
+            last_learned_trial=status.last_learned_trial,
+            reference=reference,
+            learned=fish.learned_record(),
+            signed=bool(fish.link.signing.signs),
+        )
+
+    @property
+    def has_best(self) -> bool:
+        """Whether something was learned along this reference, as far as its record can be read."""
+        try:
+            return self.learned is not None and (
+                records.decode_learned(self.learned).best_iteration > 0
+            )
+        except InputError:
+            return False
+
+    def knows_more(self, than: Snapshot) -> bool:
+        """Whether ``than`` has learned less: a board whose storage was erased counts iterations
+        and trials from the beginning, one that got its reference again only iterations."""
+        if self.learned is None or self.learned == than.learned:
+            return False
+        if self.has_best and not than.has_best:
+            return True  # trial numbers run on from one reference to the next
+        last, its_last = self.last_learned_trial or 0, than.last_learned_trial or 0
+        ahead = self.iteration - max(1, than.iteration)
+        return (last > its_last and ahead >= 0) or (last == its_last and ahead > 0)
+
     def write(self, folder: Path) -> None:
         """Puts all of it on the disk itself before returning, and reads it back to be sure."""
         folder.mkdir(parents=True, exist_ok=True)
-        for name in _RECORDS:
-            record = getattr(self, name)
-            if record is not None:
-                replace_file(folder / f"{name}.bin", record)
-        replace_file(folder / _BOARD, json.dumps(self._document(), indent=2).encode() + b"\n")
-        if Backup.read(folder) != self:
-            raise InputError(
-                f"the backup in {folder} differs from what was written",
-                "Use another disk: --out FOLDER",
-            )
-
-    def _document(self) -> dict[str, Any]:
-        return {
-            "format": _FORMAT,
+        held = [name for name in _RECORDS if getattr(self, name) is not None]
+        for name in held:
+            replace_file(folder / f"{name}.bin", getattr(self, name))
+        document = {
+            "format": _FOLDER_FORMAT,
             "made": self.made or datetime.now().astimezone().isoformat(timespec="seconds"),
             "unique_id": self.unique_id,
             "build_id": self.build_id,
             "next_trial": self.next_trial,
             "params": self.params,
             "signed": self.signed,
-            "records": [name for name in _RECORDS if getattr(self, name) is not None],
+            "records": held,
         }
+        replace_file(folder / BOARD_FILE, json.dumps(document, indent=2).encode() + b"\n")
+        if Snapshot.read(folder) != replace(self, iteration=0, last_learned_trial=None):
+            raise InputError(
+                f"the backup in {folder} differs from what was written",
+                "Use another disk: --out FOLDER",
+            )
 
     @classmethod
-    def read(cls, folder: Path) -> Backup:
+    def read(cls, folder: Path) -> Snapshot:
         """The backup in ``folder``. Raises InputError when it is none, or incomplete."""
+        path, remedy = folder / BOARD_FILE, "Name a folder that tailbeat flash made."
         try:
-            document = json.loads((folder / _BOARD).read_text(encoding="utf-8"))
-            if document["format"] != _FORMAT:
-                raise ValueError(f"its format is {document['format']!r}")
-            records = {
+            held = decode.decode(path.read_bytes(), _Folder, f"{path} is damaged", remedy)
+            files = {
                 name: (folder / f"{name}.bin").read_bytes()
-                for name in document["records"]
+                for name in held.records
                 if name in _RECORDS
             }
-            return cls(
-                unique_id=str(document["unique_id"]),
-                build_id=str(document["build_id"]),
-                params=with_current_names(
-                    {str(name): float(v) for name, v in document["params"].items()}
-                ),
-                next_trial=int(document["next_trial"]),
-                signed=bool(document.get("signed", False)),
-                made=str(document["made"]),
-                **records,
-            )
         except OSError as error:
-            why = f"cannot read {error.filename or folder} ({reason(error)})"
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            why = f"{folder / _BOARD} is damaged ({error})"
-        raise InputError(
-            f"{folder} is no backup of a board: {why}",
-            "Give the folder that tailbeat flash made; it holds board.json.",
+            raise _no_backup(
+                folder, f"cannot read {error.filename or folder} ({reason(error)})"
+            ) from error
+        except InputError as error:
+            raise _no_backup(folder, error.message) from error
+        if held.format != _FOLDER_FORMAT:
+            raise _no_backup(folder, f"{path} is damaged (its format is {held.format!r})")
+        return cls(
+            unique_id=held.unique_id,
+            params=with_current_names(held.params),
+            build_id=held.build_id,
+            next_trial=held.next_trial,
+            signed=held.signed,
+            made=held.made,
+            reference=files.get("reference"),
+            learned=files.get("learned"),
+            crash=files.get("crash"),
         )
+
+    def file_content(self) -> bytes:
+        """The snapshot as one file: JSON. ``sha256``: of all the rest, so that a digit changed by
+        hand or by a bad disk is found."""
+        held = {
+            "format": _FILE_FORMAT,
+            "unique_id": self.unique_id,
+            "params": self.params,
+            "iteration": self.iteration,
+            "reference": self.reference,
+            "learned": self.learned,
+            "last_learned_trial": self.last_learned_trial,
+        }
+        return canonical(held | {"sha256": hashlib.sha256(canonical(held)).hexdigest()})
+
+    def write_file(self, path: Path) -> None:
+        """Writes the one file in one step, lasting. Raises InputError."""
+        make_folder(path.parent)
+        write_whole(path, self.file_content(), MAKE_ROOM)
+
+    @classmethod
+    def read_file(cls, path: Path) -> Snapshot | None:
+        """Of ``write_file``; None = there is none. Raises InputError when it is damaged."""
+        if not path.exists():
+            return None
+        remedy = "Put a copy back, or delete it and go on with what the board itself has."
+        why = f"{path} is damaged: it is not what was copied from the board."
+        try:
+            held = decode.read(path, _File, remedy)
+        except InputError as error:
+            raise InputError(why, remedy) from error
+        found = cls(
+            unique_id=held.unique_id,
+            params=held.params,
+            iteration=held.iteration,
+            last_learned_trial=held.last_learned_trial,
+            reference=held.reference,
+            learned=held.learned,
+        )
+        if held.format != _FILE_FORMAT or json.loads(found.file_content())["sha256"] != held.sha256:
+            raise InputError(why, remedy)
+        return replace(found, params=with_current_names(found.params))
+
+
+class _Folder(decode.Table, forbid_unknown_fields=False):
+    """``board.json``."""
+
+    format: str
+    made: str
+    unique_id: str
+    build_id: str
+    next_trial: int
+    params: dict[str, float]
+    records: tuple[str, ...]
+    signed: bool = False
+
+
+class _File(decode.Table, forbid_unknown_fields=False):
+    """``state.json``."""
+
+    format: str
+    unique_id: str
+    params: dict[str, float]
+    iteration: int
+    reference: Hex | None
+    learned: Hex | None
+    last_learned_trial: int | None
+    sha256: str
+
+
+def _no_backup(folder: Path, why: str) -> InputError:
+    return InputError(
+        f"{folder} is no backup of a board: {why}",
+        "Give the folder that tailbeat flash made; it holds board.json.",
+    )
+
+
+def make_folder(folder: Path) -> None:
+    """Makes ``folder`` in one that exists. Raises InputError."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make {folder}.", "Make the folder writable.") from error
 
 
 def new_folder(root: Path, unique_id: str, now: datetime | None = None) -> Path:
     """Makes ``root/DATE_TIME_ID``, ID being the beginning of the unique id; never an old one."""
     stamp = (now or datetime.now()).strftime("%Y-%m-%d_%H%M%S")
-    for number in range(1, 100):
+    for number in range(1, _FOLDERS_MAX + 1):
         suffix = "" if number == 1 else f"_{number}"
         folder = root / f"{stamp}_{unique_id[:8]}{suffix}"
         try:
@@ -126,179 +251,138 @@ def new_folder(root: Path, unique_id: str, now: datetime | None = None) -> Path:
     raise InputError(f"{root} holds 99 backups of this second", "Use another folder: --out FOLDER")
 
 
-OnStep = Callable[[float, str], None]
-
-EXPERIMENTS = Path("experiments")
-_QUIET_STATES = ("IDLE", "ABORTED", "FAULT")
-_NO_BATTERY_V = 1.0  # a board on USB power alone measures next to nothing
+def board_params(fish: Fish) -> dict[str, float]:
+    """All parameters of the board, by name."""
+    return {name: p.value for name, p in fish.params.list().items()}
 
 
-@dataclass(frozen=True)
-class Kept:
-    """Where the board's content is now."""
-
-    folder: Path
-    backup: Backup
-    trials: list[Path]  # pulled now; those that had been pulled before are not in it
+def same_value(value: float, other: float) -> bool:
+    """Whether a board, which holds float32, has both as the same value."""
+    return struct.pack("<f", value) == struct.pack("<f", other)
 
 
-def keep(fish: Fish, out: Path, on_step: OnStep, experiments: Path = EXPERIMENTS) -> Kept:
-    """Saves the board's content in a new folder below ``out`` and pulls the trials that are in no
-    experiment yet. ``out`` may be an experiment's folder: the trials then join its raw files.
-    Nothing changes on the board."""
-    info = fish.info()
-    folder = new_folder(_root(out), info.unique_id)
-    on_step(0.0, "saving parameters, reference and learned input")
-    backup = Backup(
-        unique_id=info.unique_id,
-        build_id=info.build_id,
-        params={name: p.value for name, p in fish.params.list().items()},
-        next_trial=info.status.next_trial,
-        reference=fish.reference_record(),
-        learned=fish.learned_record(),
-        crash=fish.crash_record(),
-        signed=bool(fish.link.signing.signs),
-    )
-    backup.write(folder)
-    trials = _pull_trials(fish, out, folder / "trials", experiments, on_step)
-    return Kept(folder, backup, trials)
+def differences(now: Mapping[str, float], expected: Mapping[str, float]) -> Differences:
+    """The parameters that differ; what only one of the two knows is another firmware's."""
+    return {
+        name: (now[name], value)
+        for name, value in expected.items()
+        if name in now and not same_value(now[name], value)
+    }
 
 
-def require_quiet(fish: Fish, wipes: bool) -> None:
-    """Raises InputError while flashing would do harm. ``wipes``: stored data will be lost."""
-    status = fish.status()
-    if status.state not in _QUIET_STATES:
+@dataclass
+class RestoreReport:
+    """What the board has again, and what it has not and why. One short phrase each."""
+
+    back: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def attempt(self, what: str, action: Callable[[], object]) -> bool:
+        """Whether the board took it; a refusal is reported. Raises LinkLostError."""
+        try:
+            action()
+        except LinkLostError:
+            raise
+        except TailbeatError as error:
+            self.missing.append(f"{what} ({error.message})")
+            return False
+        return True
+
+
+def restore(fish: Fish, held: Snapshot) -> RestoreReport:
+    """Makes the board hold the snapshot's parameters, reference, learned input and key.
+
+    What it holds already is not sent. A value the board refuses is reported, not raised. Raises
+    InputError when the board is not IDLE, and LinkLostError.
+    """
+    if (state := fish.status().state) != "IDLE":
         raise InputError(
-            f"the board is {status.state}; it is not flashed while the tail may move",
-            "Stop it first: tailbeat disarm",
+            f"the board is {state} and takes nothing back",
+            "Look at it with tailbeat info; make it idle with tailbeat clear or tailbeat disarm.",
         )
-    critical_v = fish.params.get("BATT_CRIT_V").value
-    if _NO_BATTERY_V < status.battery_v < critical_v:
-        raise InputError(
-            f"the battery is at {status.battery_v:.2f} V, below BATT_CRIT_V ({critical_v:g} V);"
-            " a board that loses power while it is flashed has no firmware",
-            "Charge or unplug the battery.",
+    report = RestoreReport()
+    if fish.info().unique_id != held.unique_id:
+        report.notes.append(f"the backup is of another board ({held.unique_id})")
+    _restore_params(fish, held.params, report)  # first: the reference is judged by them
+    if held.reference is not None and report.attempt(
+        "the reference", partial(fish.upload_reference, held.reference)
+    ):
+        report.back.append("the reference")
+    if held.learned is not None:
+        _restore_learned(fish, held.learned, report)
+    if (now := fish.status().next_trial) < held.next_trial:
+        report.missing.append(
+            f"the trial numbers: the next is {now}, not {held.next_trial}; begin a new experiment"
+            " folder"
         )
-    if wipes and status.pending_trial is not None:
-        raise InputError(
-            f"trial {status.pending_trial} was swum but not learned from, and that cannot be put"
-            " back onto the board",
-            "Finish it first: tailbeat learn, or tailbeat trial discard",
+    if held.signed and trust_of(fish) == OPEN:
+        _restore_key(fish, held.unique_id, report)
+    return report
+
+
+def restore_params(
+    fish: Fish, expected: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, str]]:
+    """Sets and saves parameters: (what the board took, why it refused others). Some fit only once
+    others are set: what is refused is tried again after the rest."""
+    given: dict[str, float] = {}
+    refused: dict[str, str] = {}
+    for name, value in [*expected.items(), *expected.items()]:
+        if name in given:
+            continue
+        try:
+            given[name] = fish.params.set(name, value).value
+            refused.pop(name, None)
+        except LinkLostError:
+            raise
+        except TailbeatError as error:
+            refused[name] = error.message
+    if given:
+        fish.params.save()
+    return given, refused
+
+
+def _restore_params(fish: Fish, expected: Mapping[str, float], report: RestoreReport) -> None:
+    present = board_params(fish)
+    changed = differences(present, expected)
+    given, refused = restore_params(fish, {name: value for name, (_, value) in changed.items()})
+    for name, value in expected.items():
+        why = refused.get(name) if name in present else "this firmware has no such parameter"
+        if why is not None:
+            report.missing.append(f"{name} = {value:g} ({why})")
+    unchanged = sum(name in present and name not in changed for name in expected)
+    report.back.append(f"{unchanged + len(given)} parameters")
+
+
+def _restore_learned(fish: Fish, record: bytes, report: RestoreReport) -> None:
+    what = "all that was learned"
+    forms = [record, *records.older_forms(record)]
+    offer = partial(_offer, fish, forms)
+    if fish.learned_record() not in forms and not report.attempt(what, offer):
+        return
+    report.back.append(what)
+    if any(records.learned_visits(record)) and fish.visits() is None:
+        report.missing.append(
+            "how often each beat was corrected (this firmware does not count it; the backup has it)"
         )
 
 
-def key_warning(fish: Fish) -> str | None:
-    """What to know before the board's key is erased; None when it comes back, or there is none."""
-    if trust_of(fish) != MISSING:
-        return None
-    return (
-        "the board has a key that this computer has not: after flashing it has none, and anyone in"
-        " radio range can move its tail"
-    )
+def _offer(fish: Fish, forms: list[bytes]) -> None:
+    """The newest of ``forms`` that the firmware knows."""
+    for form in forms[:-1]:
+        try:
+            fish.upload_learned(form)
+            return
+        except Refused as refused:
+            if refused.number != BAD_FORMAT:
+                raise
+    fish.upload_learned(forms[-1])
 
 
-def _root(out: Path) -> Path:
-    return out / "backups" if _is_experiment(out) else out
-
-
-def _is_experiment(folder: Path) -> bool:
-    return (folder / "settings.json").is_file()
-
-
-def _pull_trials(
-    fish: Fish, out: Path, folder: Path, experiments: Path, on_step: OnStep
-) -> list[Path]:
-    """Every trial that is neither in ``out`` nor in an experiment, byte for byte."""
-    found = fish.trials()
-    total = sum(trial.size_bytes for trial in found) or 1
-    places = [e.raw for e in list_experiments(experiments)] + [Experiment(out).raw, out]
-    pulled, done = [], 0
-    for trial in found:
-        on_step(done / total, f"pulling trial {trial.number}")
-        if not _have(fish, trial, places):
-            pulled.append(_file(fish.pull_trial(trial.number, folder), out))
-        done += trial.size_bytes
-    return pulled
-
-
-def _have(fish: Fish, trial: TrialFile, places: list[Path]) -> bool:
-    """Whether one of ``places`` holds exactly this trial; other fish number theirs alike."""
-    name = f"{trial.number:04d}.ulg"
-    same_size = [
-        place / name
-        for place in places
-        if (place / name).is_file() and (place / name).stat().st_size == trial.size_bytes
-    ]
-    if not same_size:
-        return False
-    crc = fish.ftp.crc32(trial.path)
-    return any(records.crc32(path.read_bytes()) == crc for path in same_size)
-
-
-def _file(path: Path, out: Path) -> Path:
-    """Into the experiment's raw files if ``out`` is one and the number is free there."""
-    if not _is_experiment(out):
-        return path
-    try:
-        kept = Experiment(out).add_raw(path.name, path.read_bytes())
-    except TailbeatError:
-        return path
-    path.unlink()
-    return kept
-
-
-_REFERENCES = "references.txt"
-_ASIDE_MAX = 999
-
-
-def put_safe(safe: Path, now: Backup, note: Callable[[str], None]) -> None:
-    """Writes a copy of ``now``, what the board holds. One that is there already is set aside, never
-    overwritten. ``note``: told what a person should know."""
-    if (safe / _BOARD).exists():
-        aside = _aside(safe)
-        note(f"an older copy of what the board held is kept in {aside} (tailbeat flash --restore)")
-    (safe / _REFERENCES).unlink(missing_ok=True)
-    now.write(safe)
-
-
-def left_in(safe: Path) -> Backup | None:
-    """The copy in there; None = no whole one."""
-    try:
-        return Backup.read(safe)
-    except InputError:
-        return None
-
-
-def note_reference(safe: Path, crc: int) -> None:
-    """To be called before the board gets a reference of a run. Lasting when it returns."""
-    with (safe / _REFERENCES).open("a", encoding="ascii") as file:
-        file.write(f"{crc:#010x}\n")
-        file.flush()
-        os.fsync(file.fileno())
-    sync_folder(safe)
-
-
-def is_of_a_run(safe: Path | None, crc: int | None) -> bool:
-    """Whether a broken-off identification gave the board the reference ``crc``."""
-    if safe is None or crc is None or not (safe / _BOARD).is_file():
-        return False
-    try:
-        return f"{crc:#010x}" in (safe / _REFERENCES).read_text(encoding="ascii").split()
-    except (OSError, ValueError):
-        return False
-
-
-def forget(safe: Path) -> None:
-    """The board has it back. ``board.json`` goes first: without it the rest is no copy."""
-    (safe / _BOARD).unlink(missing_ok=True)
-    shutil.rmtree(safe, ignore_errors=True)
-
-
-def _aside(safe: Path) -> Path:
-    for number in range(1, _ASIDE_MAX):
-        aside = safe.with_name(f"{safe.name}-{number}")
-        if not aside.exists():
-            safe.rename(aside)
-            sync_folder(safe.parent)
-            return aside
-    raise InputError(f"{safe.parent} is full of copies.", "Take the older ones away.")
+def _restore_key(fish: Fish, board: str, report: RestoreReport) -> None:
+    """The one that this computer has for the board the snapshot is of."""
+    if fish.unique_id() != board or key_for(fish.link.signing.store, board) is None:
+        report.missing.append("the key (this computer has not got it); set one: tailbeat key set")
+    elif report.attempt("the key", partial(give_back, fish, board)):
+        report.back.append("its key")

@@ -14,20 +14,22 @@ A second ``experiment new`` before anything was swum in the first.
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.board.preserve import RESTORE_COMMAND, was_interrupted
+from tailbeat.board.snapshot import Differences, board_params, differences, same_value
+from tailbeat.core import decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.reference import Reference, from_text, thesis
 from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.experiment.redo import write_redo
 from tailbeat.sim.settings import simulator_settings
 
@@ -43,8 +45,6 @@ Conditions = dict[str, str | float]
 
 def current(fish: Fish) -> Experiment | None:
     """The one last made or used with this fish, if its folder is still there; from its logbook."""
-    from tailbeat.experiment.library import logbook_of
-
     if (book := logbook_of(fish)) is None:
         return None
     try:
@@ -65,8 +65,6 @@ def swims_for(fish: Fish) -> Experiment | None:
 
 def use(fish: Fish, experiment: Experiment) -> None:
     """Makes it the current one. Does nothing for a board without a logbook."""
-    from tailbeat.experiment.library import logbook_of
-
     if (book := logbook_of(fish)) is None:
         return
     book.put(_CURRENT, {"folder": str(experiment.folder.resolve())})
@@ -108,13 +106,17 @@ def require_same(fish: Fish, experiment: Experiment) -> None:
 def require_own(fish: Fish) -> None:
     """Raises InputError when the board still holds the reference of a run that was broken off:
     what it swam along that would be learned as if it were the fish's own."""
-    from tailbeat.board.loan import broken_off
-
-    if (puts_back := broken_off(fish)) is not None:
+    if is_interrupted(fish):
         raise InputError(
             "a trim or an identification was broken off, and the board still has its reference.",
-            f"To give it back what it held before: {puts_back}",
+            f"To give it back what it held before: {RESTORE_COMMAND}",
         )
+
+
+def is_interrupted(fish: Fish) -> bool:
+    """Whether the board still has the reference of an identification or a trim that was broken
+    off: until it is restored no trial may begin."""
+    return was_interrupted(fish, preserve_folder(logbook_of(fish)))
 
 
 def reference_of(experiment: Experiment) -> bytes | None:
@@ -184,7 +186,7 @@ def make(
 
     require_as_set(fish)
     info = fish.info()
-    params = {key: p.value for key, p in fish.params.list().items()}
+    params = board_params(fish)
     note_board(fish, params)
     label = Past.from_params(params).label() + Law.from_params(params, reference.beat_s).label()
     experiment = Experiment.new(root, name or info.board, reference.name, label)
@@ -212,8 +214,6 @@ def make(
 
 
 def _copy_identified(fish: Fish, experiment: Experiment) -> None:
-    from tailbeat.experiment.library import logbook_of
-
     book = logbook_of(fish)
     if book is not None and (path := book.folder / _IDENTIFIED).is_file():
         experiment.add_raw(_IDENTIFIED, path.read_bytes())
@@ -221,8 +221,6 @@ def _copy_identified(fish: Fish, experiment: Experiment) -> None:
 
 def _named(fish: Fish, held: Reference) -> Reference:
     """A board knows no names: the logbook does, and the thesis's is known by its CRC."""
-    from tailbeat.experiment.library import logbook_of
-
     book, usual = logbook_of(fish), thesis()
     name = book.reference_name(held.crc) if book is not None else None
     if name is None and held.crc == usual.crc:
@@ -235,9 +233,6 @@ def _name_before(fish: Fish) -> str | None:
     before = current(fish)
     return str(before.settings().get("fish", "")) or None if before is not None else None
 
-
-Strayed = dict[str, tuple[float, float]]
-"""Parameters that are not as they are meant to be: (what the board has, what is meant)."""
 
 _MEANT = "meant.json"
 _NAMED_MAX = 3
@@ -255,7 +250,7 @@ def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | N
     if (experiment := experiment or swims_for(fish)) is None:
         return
     known = expected_params(experiment)
-    new = {n: v for n, v in params.items() if n not in known or not same(known[n], v)}
+    new = {n: v for n, v in params.items() if n not in known or not same_value(known[n], v)}
     if new:
         experiment.journal.add("set", params=new)
         set_held_params(experiment, new)
@@ -269,26 +264,38 @@ def note_board(fish: Fish, params: Mapping[str, float]) -> None:
             book.put(_MEANT, _board_params(fish) | dict(params))
 
 
+def set_and_save(fish: Fish, values: Mapping[str, float]) -> dict[str, float]:
+    """Sets and saves these parameters, and notes it in the experiment the fish is in; others that
+    were changed but not saved stay so. What the board then holds."""
+    now = board_params(fish)
+    fish.params.load()
+    stored = board_params(fish)
+    for name, value in values.items():
+        fish.params.set(name, value)
+    fish.params.save()
+    for name, value in now.items():
+        if name not in values and stored[name] != value:
+            fish.params.set(name, value)
+    held = {name: fish.params.get(name).value for name in values}
+    note_set(fish, held)
+    return held
+
+
 def note_all(fish: Fish) -> None:
     """Whatever the board has now was set on purpose."""
-    note_set(fish, _values(fish))
+    note_set(fish, board_params(fish))
 
 
 def note_restored(fish: Fish) -> None:
     """The board has what it is meant to have again: the logbook follows. Raises InputError."""
-    note_board(fish, _values(fish))
+    note_board(fish, board_params(fish))
 
 
-def strayed(fish: Fish, experiment: Experiment | None) -> Strayed:
+def strayed(fish: Fish, experiment: Experiment | None) -> Differences:
     """From what ``experiment`` had, or without one from what was set. What only one of the two
     knows is another firmware's."""
     wanted = _board_params(fish) if experiment is None else expected_params(experiment)
-    now = _values(fish)
-    return {
-        name: (now[name], value)
-        for name, value in wanted.items()
-        if name in now and not same(now[name], value)
-    }
+    return differences(board_params(fish), wanted)
 
 
 def require_meant(fish: Fish, experiment: Experiment) -> None:
@@ -296,7 +303,7 @@ def require_meant(fish: Fish, experiment: Experiment) -> None:
     if not (found := strayed(fish, experiment)):
         return
     known = _board_params(fish)
-    if all(name in known and same(known[name], now) for name, (now, _) in found.items()):
+    if all(name in known and same_value(known[name], now) for name, (now, _) in found.items()):
         raise InputError(
             f"the board is set for another experiment than {experiment.name} ({_words(found)}).",
             f"To go on with what {experiment.name} had: tailbeat session resume. With what the"
@@ -322,23 +329,14 @@ def require_meant_here(fish: Fish) -> None:
         require_as_set(fish)
 
 
-def accept(fish: Fish) -> Strayed:
+def accept(fish: Fish) -> Differences:
     """Whatever the board has is meant so from now on; what had strayed."""
     found = strayed(fish, swims_for(fish))
     note_all(fish)
     return found
 
 
-def same(value: float, other: float) -> bool:
-    """As a board holds them."""
-    return struct.pack("<f", value) == struct.pack("<f", other)
-
-
-def _values(fish: Fish) -> dict[str, float]:
-    return {name: p.value for name, p in fish.params.list().items()}
-
-
-def _words(found: Strayed) -> str:
+def _words(found: Differences) -> str:
     words = [f"{name} is {now:g}, was {was:g}" for name, (now, was) in found.items()]
     if len(words) > _NAMED_MAX:
         words = [*words[:_NAMED_MAX], f"{len(words) - _NAMED_MAX} more"]
@@ -350,13 +348,12 @@ def _board_params(fish: Fish) -> dict[str, float]:
     book = logbook_of(fish)
     if book is None or not (path := book.folder / _MEANT).is_file():
         return {}
+    remedy = "Look at its parameters (tailbeat params list), then delete the file."
     try:
-        held = json.loads(path.read_bytes())
-        return with_current_names({str(name): float(value) for name, value in held.items()})
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+        return with_current_names(decode.read(path, dict[str, float], remedy))
+    except InputError as error:
         raise InputError(
-            f"{path} is damaged: nobody knows how the board was set.",
-            "Look at its parameters (tailbeat params list), then delete the file.",
+            f"{path} is damaged: nobody knows how the board was set.", remedy
         ) from error
 
 
@@ -379,7 +376,7 @@ def made_before(
     if reference_crc(found) != reference.crc or not untouched(found):
         return None
     held = found.settings()
-    if held.get("params") != {key: param.value for key, param in fish.params.list().items()}:
+    if held.get("params") != board_params(fish):
         return None
     if all(held.get(key) == value for key, value in wanted.items()):
         return found

@@ -19,10 +19,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tailbeat.core.errors import InputError, reason
+from tailbeat.board.flash.backup import BackupPlaces
+from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.files import MAKE_ROOM, TEMPORARY, write_whole
 from tailbeat.core.locks import WRITE_LOCK, locked, try_lock
 from tailbeat.core.param_names import of_document
@@ -326,6 +328,25 @@ class Experiment:
             shutil.rmtree(self.folder / name, ignore_errors=True)
         for name in (_SETTINGS, _NOTES, _JOURNAL, *_MADE_FILES):
             (self.folder / name).unlink(missing_ok=True)
+
+
+def backup_places(out: Path, experiments: Path = Path("experiments")) -> BackupPlaces:
+    """Where a backup of a board goes: trials that are in an experiment are not pulled again.
+    ``out`` may be an experiment's folder: trials that are pulled then join its raw files."""
+    known = [e.raw for e in list_experiments(experiments)] + [Experiment(out).raw, out]
+    if not Experiment.is_at(out):
+        return BackupPlaces(out, known)
+    return BackupPlaces(out / "backups", known, partial(_moved_into, Experiment(out)))
+
+
+def _moved_into(experiment: Experiment, path: Path) -> Path:
+    """Into the raw files, if the number is free there."""
+    try:
+        kept = experiment.add_raw(path.name, path.read_bytes())
+    except TailbeatError:
+        return path
+    path.unlink()
+    return kept
 
 
 def list_experiments(root: Path) -> list[Experiment]:

@@ -36,6 +36,7 @@ RUN = "run"
 _MARKS = (DISCARDED, RUN)
 _IDENTIFIED = "identified.json"
 _REFERENCES = "references.json"
+_PRESERVED = "before-identify"
 _PART = ".part"
 _READ_ONLY = 0o444
 _DIGEST_DIGITS = 16
@@ -313,3 +314,9 @@ def _name_of(path: Path) -> str:
 
 def _is_sound(path: Path, content: bytes) -> bool:
     return path.stem.rpartition("_")[2] == _digest(content)
+
+
+def preserve_folder(book: Logbook | None) -> Path | None:
+    """Where ``board.preserve`` keeps its copy: one folder for all procedures of a fish, so that an
+    interrupted one is found by any other. None for a board without a logbook."""
+    return None if book is None else book.folder / _PRESERVED

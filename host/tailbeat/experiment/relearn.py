@@ -15,9 +15,9 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import decode_learned
 
 if TYPE_CHECKING:
+    from tailbeat.board.snapshot import Snapshot
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.analysis import Analysis, TrialRow
-    from tailbeat.experiment.board_state import BoardState
 
 
 _BY_THE_BOARD = ("law", "restored", "first", "")  # what makes a trial's amplitudes; "" = not told
@@ -34,7 +34,7 @@ class Relearned:
     different: list[str] = field(default_factory=list)
 
 
-def relearn(analysis: Analysis, held: BoardState | None = None) -> Relearned:
+def relearn(analysis: Analysis, held: Snapshot | None = None) -> Relearned:
     """Every trial that was learned from, against the amplitudes of the next; the last one against
     ``held``, the board's state as it was copied last. Older firmware judged no trial with missing
     beats: what does not come out by today's rule may by that one."""
@@ -45,7 +45,7 @@ def relearn(analysis: Analysis, held: BoardState | None = None) -> Relearned:
     return older if len(older.different) < len(found.different) else found
 
 
-def _relearned(analysis: Analysis, held: BoardState | None, judges_gaps: bool) -> Relearned:
+def _relearned(analysis: Analysis, held: Snapshot | None, judges_gaps: bool) -> Relearned:
     found = Relearned()
     board = _Board(analysis.reference_m_s.astype(np.float32), analysis.beat_s, judges_gaps)
     pending: tuple[TrialRow, Trial] | None = None
@@ -115,7 +115,7 @@ def _expected(
     return last
 
 
-def _against_state(board: _Board, trial: Trial, held: BoardState | None, found: Relearned) -> None:
+def _against_state(board: _Board, trial: Trial, held: Snapshot | None, found: Relearned) -> None:
     """Of the last trial: what the board had learned when its state was copied."""
     why = "no trial swam after it"
     if held is not None and held.learned is not None and held.last_learned_trial == trial.number:

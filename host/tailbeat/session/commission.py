@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 
 from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
-from tailbeat.board.loan import put_back_left, safe_folder, set_for_good
+from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.trial_checks import straightness
 from tailbeat.core.trial_file import read_trial
-from tailbeat.experiment.library import RUN, logbook_of, name_reference
+from tailbeat.experiment.current import set_and_save
+from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserve_folder
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.messages import SPEED_SOURCES
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
@@ -151,7 +152,7 @@ class _Session:
     def look(self) -> Step:
         """Whether it can swim at all; then the reference."""
         fish = self.fish
-        put_back_left(fish, safe_folder(logbook_of(fish)), self._note)
+        restore_interrupted(fish, preserve_folder(logbook_of(fish)), self._note)
         _require_idle(fish)
         params = _params(fish)
         findings = look_at(fish)
@@ -219,7 +220,7 @@ class _Session:
 
         book = logbook_of(self.fish)
         attendant = self._attendant(book)
-        found = identify_fish(self.fish, attendant, safe_folder(book), self.camera)
+        found = identify_fish(self.fish, attendant, preserve_folder(book), self.camera)
         self.identified = found
         if book is not None:
             book.set_identified(found)
@@ -270,7 +271,7 @@ class _Session:
         found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
         if found.refused:
             return Step("design", False, found.refused)
-        set_for_good(self.fish, _law_params(found.law, params))
+        set_and_save(self.fish, _law_params(found.law, params))
         return Step(
             "design",
             True,
@@ -293,7 +294,7 @@ class _Session:
         self.straight = proof.straight or self.straight
         if proof.why_not:
             return Step("limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}")
-        set_for_good(self.fish, {found.name: found.to})
+        set_and_save(self.fish, {found.name: found.to})
         return Step("limits", True, f"{found.text}; {proof.words}", (found,))
 
     def _ask(self, question: str, otherwise: str) -> None:

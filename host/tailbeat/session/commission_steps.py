@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tailbeat.board.loan import lent, safe_folder
+from tailbeat.board.preserve import preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_checks import Straightness, straightness
-from tailbeat.experiment.library import RUN, logbook_of
+from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
 from tailbeat.learning.saturation import (
     GRAIN_RAD,
     down_to_grain,
@@ -188,7 +188,7 @@ def prove(
         if book is not None:
             book.keep(path, RUN)
 
-    with lent(fish, safe_folder(book), note, "session first", (AMP_MAX,)) as board:
+    with preserved(fish, preserve_folder(book), note, "session first", (AMP_MAX,)) as board:
         allowed = board.params | {AMP_MAX: amplitude_rad}
         amplitude = profile(amplitude_rad, identified, allowed)
         if amplitude is None:
@@ -204,7 +204,7 @@ def prove(
             guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
             when(person.wants_abort, BY_HAND),
         )  # fmt: skip
-        trial = board.swim(camera, person.tell, watch, lambda o: _judge(fish, o), keep)
+        trial = board.run(camera, person.tell, watch, lambda o: _judge(fish, o), keep)
     return judged(trial, identified)
 
 

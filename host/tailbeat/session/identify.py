@@ -1,5 +1,5 @@
 """Identifies a connected fish: the runs of ``runs`` swum one by one on its board, which is lent for
-that (``lent``): it has everything back afterwards.
+that (``preserved``): it has everything back afterwards.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.board.loan import Lent, lent, set_for_good
+from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.experiment.current import set_and_save
 from tailbeat.learning.fish_model import FishModel, Swim, swim_of
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
@@ -74,7 +75,7 @@ def identify_fish(
             "SPD_SOURCE is upload, and nobody is asked for the speeds.",
             "Leave out --yes and --json, or swim by hand and give the files with --trials.",
         )
-    with lent(fish, safe, attendant.note, "identify") as board:
+    with preserved(fish, safe, attendant.note, "identify") as board:
         swimmer = _Swimmer(board, attendant, source, camera)
         return identify_runs(
             swimmer.swim,
@@ -101,14 +102,14 @@ def set_params(fish: Fish, identified: Identified) -> dict[str, float]:
         for name, field in MODEL_PARAMS.items()
         if field not in identified.assumed
     }
-    return set_for_good(fish, wanted)
+    return set_and_save(fish, wanted)
 
 
 @dataclass
 class _Swimmer:
     """Swims runs on the board."""
 
-    board: Lent
+    board: PreservedBoard
     attendant: Attendant
     source: str
     camera: Camera | None
@@ -124,7 +125,7 @@ class _Swimmer:
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
         self.attendant.before(run)
         guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
-        swum = self.board.swim(
+        swum = self.board.run(
             self.camera, self.attendant.event, guard, self._judge, self.attendant.keep
         )
         return swim_of(swum)

@@ -7,9 +7,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tailbeat.board.snapshot import Snapshot, make_folder
+from tailbeat.core import decode
+from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.faults import NO_BEST, refusal
-from tailbeat.core.files import write_whole
+from tailbeat.core.files import plain, write_whole
 from tailbeat.core.records import decode_learned
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.board_state import copy_state
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
     from tailbeat.session.operator import Event, Person
     from tailbeat.session.series import Options
 
-__all__ = ["Plan", "Shift", "end_repeat", "idle", "repeat_best"]
+__all__ = ["Shift", "end_repeat", "held_before", "idle", "repeat_best", "write_held"]
 
 REASON = "battery swap"
 AGAIN = "tailbeat session resume"
@@ -76,17 +79,17 @@ def repeat_best(
     GivenUp, and InputError when there is no best, or nothing of it to compare with."""
     account = Account(experiment, experiment.journal)
     before = account.counting()
-    plan = Plan.of(experiment)
+    held = held_before(experiment)
     status = idle(fish)
-    if status.pending_trial is not None and not _swam_the_best(fish, plan, status.pending_trial):
+    if status.pending_trial is not None and not _swam_the_best(fish, held, status.pending_trial):
         raise InputError(
             f"trial {status.pending_trial} waits on the board, neither learned nor discarded.",
             f"tailbeat learn, or tailbeat trial discard --reason WHY; then: {AGAIN}",
         )
     if status.pending_trial is None:
         end_repeat(fish, experiment)
-        plan = _begin_repeat(fish, experiment, before, status)
-    assert plan is not None
+        held = _begin_repeat(fish, experiment, before, status)
+    assert held is not None
     try:
         if status.pending_trial is not None:
             swum = _left_over(fish, experiment, account, person)
@@ -94,52 +97,52 @@ def repeat_best(
             fish.restore_best()
             swum = _swum(fish, experiment, person, options, camera, guard)
     finally:
-        _put_back(fish, experiment, plan)
+        _put_back(fish, experiment, held)
     shift = _judged(fish, before, swum)
     experiment.journal.add("shifted", **asdict(shift))
     return swum, shift
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is to swim next once the repeat is swum, and the repeat's number: on the disk from
-    before the board's amplitudes change until they are back."""
+class RepeatFile(decode.Table):
+    """``board/repeat.json``: what is to swim next once the repeat is swum, and the repeat's number;
+    there from before the board's amplitudes change until they are back."""
 
-    learned: bytes
+    learned: Hex
     trial: int
 
-    @staticmethod
-    def path(experiment: Experiment) -> Path:
-        return experiment.folder / "board" / "repeat.json"
 
-    @classmethod
-    def of(cls, experiment: Experiment) -> Plan | None:
-        """None: no repeat is under way, or its file is torn (it is written in one step)."""
-        try:
-            raw = json.loads(cls.path(experiment).read_bytes())
-            return cls(bytes.fromhex(raw["learned"]), int(raw["trial"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+def repeat_path(experiment: Experiment) -> Path:
+    """Where it lies."""
+    return experiment.folder / "board" / "repeat.json"
 
-    def write(self, experiment: Experiment) -> None:
-        path = self.path(experiment)
-        try:
-            path.parent.mkdir(exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot make {path.parent}.", "Make the folder writable.") from error
-        write_whole(path, json.dumps({"learned": self.learned.hex(), "trial": self.trial}) + "\n")
+
+def held_before(experiment: Experiment) -> Snapshot | None:
+    """What the board held before the repeat; ``next_trial`` is the repeat's number. None: no repeat
+    is under way, or its file is torn (it is written in one step)."""
+    try:
+        held = decode.read(repeat_path(experiment), RepeatFile, AGAIN)
+    except InputError:
+        return None
+    return Snapshot("", {}, next_trial=held.trial, learned=held.learned)
+
+
+def write_held(experiment: Experiment, held: Snapshot) -> None:
+    """Raises InputError."""
+    path = repeat_path(experiment)
+    make_folder(path.parent)
+    write_whole(path, json.dumps(plain({"learned": held.learned, "trial": held.next_trial})) + "\n")
 
 
 def _begin_repeat(
     fish: Fish, experiment: Experiment, before: list[Trial], status: BoardStatus
-) -> Plan:
+) -> Snapshot:
     learned = fish.learned_record()
     if status.best_iteration is None or learned is None:
         raise refusal(NO_BEST)
     require_best(_series(fish, before), input_crc(fish.amplitudes(best=True).values))
-    plan = Plan(learned, status.next_trial)
-    plan.write(experiment)
-    return plan
+    held = Snapshot("", {}, next_trial=status.next_trial, learned=learned)
+    write_held(experiment, held)
+    return held
 
 
 def _swum(
@@ -214,11 +217,11 @@ def _left_over(fish: Fish, experiment: Experiment, account: Account, person: Per
     return swum
 
 
-def _put_back(fish: Fish, experiment: Experiment, plan: Plan) -> None:
-    """Ctrl-C does not stop it halfway. What fails is done by the next call: the plan stays."""
+def _put_back(fish: Fish, experiment: Experiment, held: Snapshot) -> None:
+    """Ctrl-C does not stop it halfway. What fails is done by the next call: the file stays."""
     for attempt in range(1, _TRIES + 1):
         try:
-            _undo(fish, experiment, plan)
+            _undo(fish, experiment, held)
             return
         except KeyboardInterrupt:
             if attempt == _TRIES:
@@ -226,38 +229,38 @@ def _put_back(fish: Fish, experiment: Experiment, plan: Plan) -> None:
         except TailbeatError as error:
             raise TailbeatError(
                 "the amplitudes that were to swim next could not be put back "
-                f"({error.message.rstrip('.')}); they are kept in {Plan.path(experiment)}",
+                f"({error.message.rstrip('.')}); they are kept in {repeat_path(experiment)}",
                 f"Connect again, then: {AGAIN}",
             ) from error
 
 
-def _undo(fish: Fish, experiment: Experiment, plan: Plan) -> None:
+def _undo(fish: Fish, experiment: Experiment, held: Snapshot) -> None:
     make_safe(fish)
     status = settled(fish)
     if status.state in STOPPED:
         fish.clear()
     pending = fish.status().pending_trial
-    if pending is not None and not _swam_the_best(fish, plan, pending):
+    if pending is not None and not _swam_the_best(fish, held, pending):
         raise TailbeatError(f"trial {pending} waits on the board")
     if pending is not None:
         fish.discard(pending)  # its log stays on the board
-    if fish.learned_record() != plan.learned:
-        fish.upload_learned(plan.learned)
+    if held.learned is not None and fish.learned_record() != held.learned:
+        fish.upload_learned(held.learned)
     copy_state(fish, experiment)
-    Plan.path(experiment).unlink(missing_ok=True)
+    repeat_path(experiment).unlink(missing_ok=True)
 
 
-def _swam_the_best(fish: Fish, plan: Plan | None, pending: int) -> bool:
-    """Whether the trial that waits is a repeat of ``plan``, which nobody has learned from."""
-    return plan is not None and pending >= plan.trial and _has_the_best(fish, plan)
+def _swam_the_best(fish: Fish, held: Snapshot | None, pending: int) -> bool:
+    """Whether the trial that waits is the repeat, which nobody has learned from."""
+    return held is not None and pending >= held.next_trial and _has_the_best(fish, held)
 
 
-def _has_the_best(fish: Fish, plan: Plan) -> bool:
+def _has_the_best(fish: Fish, held: Snapshot) -> bool:
     """Whether the best amplitudes are still in the place of those that were to swim next."""
     mine = fish.learned_record()
-    if mine is None:
+    if mine is None or held.learned is None:
         return False
-    now, wanted = decode_learned(mine), decode_learned(plan.learned)
+    now, wanted = decode_learned(mine), decode_learned(held.learned)
     same = (now.reference_crc, now.iteration) == (wanted.reference_crc, wanted.iteration)
     return same and now.input == _RESTORED_INPUT
 
@@ -265,12 +268,12 @@ def _has_the_best(fish: Fish, plan: Plan) -> bool:
 def end_repeat(fish: Fish, experiment: Experiment) -> None:
     """What a repeat that was broken off has left: the best as the next to swim. A board that has
     learned since, or was given something else, is left alone."""
-    if (plan := Plan.of(experiment)) is None:
+    if (held := held_before(experiment)) is None:
         return
-    if _has_the_best(fish, plan):
-        fish.upload_learned(plan.learned)
+    if held.learned is not None and _has_the_best(fish, held):
+        fish.upload_learned(held.learned)
         copy_state(fish, experiment)
-    Plan.path(experiment).unlink(missing_ok=True)
+    repeat_path(experiment).unlink(missing_ok=True)
 
 
 def _judged(fish: Fish, before: list[Trial], swum: Swum) -> Shift:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from tailbeat.board.loan import put_back_left, safe_folder
-from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
+from tailbeat.board.preserve import restore_interrupted
+from tailbeat.board.snapshot import Differences, Snapshot
+from tailbeat.board.snapshot import restore_params as set_params
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.records import record_crc
-from tailbeat.experiment.board_state import BoardState, copy_state, expected_params, held_state
+from tailbeat.experiment.board_state import copy_state, expected_params, held_state
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session.repeat import AGAIN, end_repeat, idle
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> 
     ``another_board``: it was replaced and takes the other's place. Raises InputError before
     anything is written: another fish, nothing held, not idle, both have learned."""
     notes: list[str] = []
-    put_back_left(fish, safe_folder(logbook_of(fish)), notes.append)
+    restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
     held = _held(experiment)
     pending = idle(fish).pending_trial
     before = _other_board(fish, experiment, held, another_board)
@@ -85,7 +87,7 @@ def restore_params(fish: Fish) -> tuple[dict[str, tuple[float, float]], list[str
     return {name: found[name] for name in given}, notes
 
 
-def _held(experiment: Experiment) -> BoardState:
+def _held(experiment: Experiment) -> Snapshot:
     """The copy; before the first swim what the experiment was made with."""
     if (held := held_state(experiment)) is not None:
         return held
@@ -94,18 +96,15 @@ def _held(experiment: Experiment) -> BoardState:
             f"{experiment.name} has no copy of a board, and no reference.",
             "Name another experiment (--into), or begin one: tailbeat experiment new",
         )
-    return BoardState(
+    return Snapshot(
         unique_id=str(experiment.settings().get("unique_id") or ""),
         params=expected_params(experiment),
-        iteration=0,
         reference=reference,
-        learned=None,
-        last_learned_trial=None,
     )
 
 
 def _other_board(
-    fish: Fish, experiment: Experiment, held: BoardState, another_board: bool
+    fish: Fish, experiment: Experiment, held: Snapshot, another_board: bool
 ) -> str | None:
     """The board that this one takes the place of."""
     wanted = str(experiment.settings().get("unique_id") or held.unique_id)
@@ -120,9 +119,7 @@ def _other_board(
     return wanted
 
 
-def _strayed(
-    fish: Fish, experiment: Experiment, notes: list[str]
-) -> dict[str, tuple[float, float]]:
+def _strayed(fish: Fish, experiment: Experiment, notes: list[str]) -> Differences:
     found, wanted = strayed(fish, experiment), expected_params(experiment)
     if missing := sorted(set(wanted) - set(fish.params.list())):
         notes.append(f"this firmware has no {', '.join(missing)}")
@@ -130,22 +127,8 @@ def _strayed(
 
 
 def _give_params(fish: Fish, wanted: dict[str, float], notes: list[str]) -> dict[str, float]:
-    """What the board took. Some fit only once others are set: what is refused is tried again after
-    the rest."""
-    given: dict[str, float] = {}
-    refused: dict[str, str] = {}
-    for name, value in [*wanted.items(), *wanted.items()]:
-        if name in given:
-            continue
-        try:
-            given[name] = fish.params.set(name, value).value
-            refused.pop(name, None)
-        except LinkLostError:
-            raise
-        except TailbeatError as error:
-            refused[name] = error.message
-    if given:
-        fish.params.save()
+    """What the board took."""
+    given, refused = set_params(fish, wanted)
     note_restored(fish)
     notes += [f"{name} = {wanted[name]:g} was refused: {why}" for name, why in refused.items()]
     return given
@@ -159,8 +142,9 @@ class _Lacks:
     learned: bool = False
 
 
-def _lacks(fish: Fish, experiment: Experiment, held: BoardState, notes: list[str]) -> _Lacks:
+def _lacks(fish: Fish, experiment: Experiment, held: Snapshot, notes: list[str]) -> _Lacks:
     """Changes nothing. Raises InputError when giving would lose what the board has learned."""
+    assert held.reference is not None
     status, crc = fish.status(), record_crc(held.reference)
     if status.reference_crc == crc:
         return _Lacks(False, _is_behind(fish, held, notes))
@@ -174,7 +158,7 @@ def _lacks(fish: Fish, experiment: Experiment, held: BoardState, notes: list[str
     return _Lacks(True, held.learned is not None)
 
 
-def _is_behind(fish: Fish, held: BoardState, notes: list[str]) -> bool:
+def _is_behind(fish: Fish, held: Snapshot, notes: list[str]) -> bool:
     """Whether the board has learned less than the copy knows, along the same reference."""
     mine = fish.learned_record()
     if held.learned is None or mine == held.learned:
@@ -203,8 +187,8 @@ def _is_behind(fish: Fish, held: BoardState, notes: list[str]) -> bool:
     return True
 
 
-def _give(fish: Fish, held: BoardState, lacks: _Lacks) -> None:
-    if lacks.reference:
+def _give(fish: Fish, held: Snapshot, lacks: _Lacks) -> None:
+    if lacks.reference and held.reference is not None:
         fish.upload_reference(held.reference)
     if not lacks.learned or held.learned is None:
         return

@@ -164,9 +164,9 @@ def swim_series(
 
 
 def _require_no_repeat(experiment: Experiment) -> None:
-    from tailbeat.session.repeat import AGAIN, Plan
+    from tailbeat.session.repeat import AGAIN, held_before
 
-    if Plan.of(experiment) is not None:
+    if held_before(experiment) is not None:
         raise InputError(
             "a repeat of the best after a battery swap was broken off, and the board still has the"
             " best amplitudes in place of those that swim next.",

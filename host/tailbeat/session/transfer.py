@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tailbeat.board.snapshot import Backup, new_folder
+from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
@@ -78,7 +78,7 @@ def of_records(reference: bytes | None, learned: bytes | None, where: str) -> Le
 
 def of_backup(folder: Path) -> Learned:
     """Of a copy that ``tailbeat flash`` or an earlier --like made."""
-    backup = Backup.read(folder)
+    backup = Snapshot.read(folder)
     return of_records(backup.reference, backup.learned, f"the copy {folder.name}")
 
 
@@ -375,7 +375,7 @@ def _copied(fish: Fish, root: Path, next_crc: int) -> Path | None:
         return None
     info = fish.info()
     folder = new_folder(root, info.unique_id)
-    Backup(
+    Snapshot(
         unique_id=info.unique_id,
         build_id=info.build_id,
         params={},

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tailbeat.board.loan import Lent, lent, safe_folder, set_for_good
+from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.trial_checks import (
@@ -19,7 +19,8 @@ from tailbeat.core.trial_checks import (
     imu_drift_rad_s,
     with_way,
 )
-from tailbeat.experiment.library import RUN, logbook_of
+from tailbeat.experiment.current import set_and_save
+from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
 from tailbeat.learning.fit import Scatter
 from tailbeat.session.guards import BY_HAND, RoomGuard, Seen, together, when
 from tailbeat.session.preflight.step import GivenUp
@@ -200,7 +201,7 @@ def find_centre(
     with ExitStack() as stack:
         if camera is None and (own := fish.default_camera()) is not None:
             camera = stack.enter_context(closing(own))
-        board = stack.enter_context(lent(fish, safe_folder(book), note, "trim", (CENTRE,)))
+        board = stack.enter_context(preserved(fish, preserve_folder(book), note, "trim", (CENTRE,)))
         swimmer = _Swimmer(board, person, camera, guard, wanted, book)
         planned = plan(belief, board.params)
         was_us = board.params[CENTRE]
@@ -220,7 +221,7 @@ def apply(fish: Fish, trim: Trim) -> float:
     from tailbeat.experiment.current import current
 
     value = round(trim.centre_us, 1)
-    held = set_for_good(fish, {CENTRE: value})[CENTRE]
+    held = set_and_save(fish, {CENTRE: value})[CENTRE]
     if (experiment := current(fish)) is not None:
         experiment.journal.add("trimmed", **(asdict(trim) | {"centre_us": held}))
     return held
@@ -243,7 +244,7 @@ class _Log:
 
 @dataclass
 class _Swimmer:
-    board: Lent
+    board: PreservedBoard
     person: Person
     camera: Camera | None
     guard: Guard | None
@@ -260,7 +261,7 @@ class _Swimmer:
         room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
         seen = Seen()
         guards = together(self.guard, room, when(self.person.wants_abort, BY_HAND), seen)
-        trial = self.board.swim(self.camera, self.person.tell, guards, self._judge, self._keep)
+        trial = self.board.run(self.camera, self.person.tell, guards, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 
     def _ask(self, number: int, centre_us: float, planned: Plan) -> None:

@@ -16,16 +16,16 @@ import pytest
 
 from tailbeat.app.cli import run as run_command
 from tailbeat.board.fish import Fish
+from tailbeat.board.flash.backup import key_warning
 from tailbeat.board.flash.ports import BoardPort
 from tailbeat.board.flash.procedure import FlashError, FlashPlan, FlashReport, Surroundings, flash
 from tailbeat.board.flash.tools import Outcome, run_program
 from tailbeat.board.provision import HELD, OPEN, set_key, trust_of
-from tailbeat.board.restore import put_back
-from tailbeat.board.snapshot import Backup, key_warning
+from tailbeat.board.snapshot import Snapshot, restore
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, InputError, TailbeatError
 from tailbeat.core.faults import BAD_FORMAT, WRONG_STATE, refusal
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, backup_places
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.heard import START_LINE
 from tailbeat.link.keystore import KeyStore
@@ -248,7 +248,7 @@ class Due:
         confirm: Callable[[str], bool] = lambda question: False,
         **plan: Any,
     ) -> FlashReport:
-        plan = {"out": self.folder / "backups"} | plan
+        plan["places"] = backup_places(plan.pop("out", self.folder / "backups"))
         return flash(
             FlashPlan(image, **plan),
             lambda at, text: self.steps.append((at, text)),
@@ -395,7 +395,7 @@ def test_an_older_image_gets_what_was_learned_without_the_counts(
     with Fish(SimTransport(due.board)) as fish:
         record = fish.learned_record()
         assert record is not None and record[12:] == older_form[12:-40] + bytes(40)
-        back = put_back(fish, Backup.read(report.backup))  # after the next update
+        back = restore(fish, Snapshot.read(report.backup))  # after the next update
         assert (back.back[-1], back.missing) == ("all that was learned", [])
         assert fish.learned_record() == taught.learned
 
@@ -408,7 +408,7 @@ def test_what_an_older_image_holds_already_is_not_sent_again(
     report = due.flash(image)
     assert report.backup is not None
     with Fish(SimTransport(due.board)) as fish:
-        again = put_back(fish, Backup.read(report.backup))
+        again = restore(fish, Snapshot.read(report.backup))
     assert (again.back[-1], again.missing) == ("all that was learned", report.not_restored)
     assert len(older.took) == 1
 
@@ -443,7 +443,7 @@ def test_the_key_comes_back(due: Due, taught: Content, image: Path) -> None:
     assert (report.verified, report.not_restored, told) == (True, [], [])
     assert report.restored[-1] == "its key"
     assert report.backup is not None
-    assert Backup.read(report.backup).signed
+    assert Snapshot.read(report.backup).signed
     assert not list(report.backup.rglob("*key*"))
     now = on_board(due)
     assert (now.params, now.learned) == (taught.params, taught.learned)
@@ -1025,7 +1025,7 @@ def test_restore_onto_another_board(
     report = due.flash(image)
     assert report.backup is not None
     board = report.backup / "board.json"
-    saved = Backup.read(report.backup)
+    saved = Snapshot.read(report.backup)
     board.write_text(board.read_text().replace(saved.unique_id, "00" * 16))
     due.board.flash = b"\xff" * FLASH_BYTES
     status, out, err = command("--restore", str(report.backup), "--connect", ACM)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tailbeat.board.flash.image import Image
-from tailbeat.board.snapshot import Backup, new_folder
+from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core import native
 from tailbeat.core.errors import InputError
 from tailbeat.core.extras import BUILD_IMAGE
@@ -88,7 +88,7 @@ def test_debug_information_does_not_confuse(tmp_path: Path) -> None:
     assert Image.load(path).build_id == BUILD_ID.decode()
 
 
-def backup(**changes: object) -> Backup:
+def backup(**changes: object) -> Snapshot:
     values: dict[str, object] = {
         "unique_id": "73696d2d66697368",
         "build_id": "0.1.0",
@@ -97,13 +97,13 @@ def backup(**changes: object) -> Backup:
         "reference": b"r" * 40,
         "learned": b"a",
     }
-    return Backup(**(values | changes))  # type: ignore[arg-type]
+    return Snapshot(**(values | changes))  # type: ignore[arg-type]
 
 
 def test_a_backup_comes_back_as_it_was(tmp_path: Path) -> None:
     for number, kept in enumerate((backup(), backup(crash=b"c", reference=None))):
         kept.write(tmp_path / str(number))
-        assert Backup.read(tmp_path / str(number)) == kept
+        assert Snapshot.read(tmp_path / str(number)) == kept
     assert {path.name for path in (tmp_path / "0").iterdir()} == {
         "board.json", "learned.bin", "reference.bin",
     }  # fmt: skip
@@ -117,20 +117,20 @@ def test_a_disk_that_forgets_is_noticed(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_backups_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot read .*board.json \(No such file"):
-        Backup.read(tmp_path)
+        Snapshot.read(tmp_path)
     backup().write(tmp_path)
     document = json.loads((tmp_path / "board.json").read_text())
     for damage in ({"format": "tailbeat backup 9"}, {"params": 3}, {"next_trial": None}):
         (tmp_path / "board.json").write_text(json.dumps(document | damage))
         with pytest.raises(InputError, match="is damaged"):
-            Backup.read(tmp_path)
+            Snapshot.read(tmp_path)
     (tmp_path / "board.json").write_text("{")
     with pytest.raises(InputError, match="is damaged"):
-        Backup.read(tmp_path)
+        Snapshot.read(tmp_path)
     backup().write(tmp_path)
     (tmp_path / "learned.bin").unlink()
     with pytest.raises(InputError, match=r"cannot read .*learned.bin"):
-        Backup.read(tmp_path)
+        Snapshot.read(tmp_path)
 
 
 def test_a_new_folder_for_every_backup(tmp_path: Path) -> None:

@@ -20,13 +20,14 @@ import serial
 
 from tailbeat.board.fish import Fish
 from tailbeat.board.flash import ports
+from tailbeat.board.flash.backup import back_up
 from tailbeat.board.flash.ports import BoardPort
 from tailbeat.board.flash.procedure import FlashPlan, Surroundings, flash
 from tailbeat.board.flash.tools import Outcome, run_program
-from tailbeat.board.restore import put_back
-from tailbeat.board.snapshot import keep
+from tailbeat.board.snapshot import restore
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, InputError
+from tailbeat.experiment.folder import backup_places
 from tailbeat.link.serial import SerialTransport, likely_ports
 from tailbeat.link.usb_ids import USB_IDS, PortKind
 from tailbeat.sim.board import FLASH_BYTES, SimTransport
@@ -317,7 +318,11 @@ def console() -> Iterator[Console]:
 def test_there_and_back_over_a_serial_line(console: Console, tmp_path: Path) -> None:
     steps: list[str] = []
     with Fish.connect(console.path) as fish:
-        kept = keep(fish, tmp_path / "out", lambda _, text: steps.append(text), tmp_path / "none")
+        kept = back_up(
+            fish,
+            backup_places(tmp_path / "out", tmp_path / "none"),
+            lambda _, text: steps.append(text),
+        )
         learned = fish.learned_record()
         assert (kept.folder / "trials" / "0001.ulg").read_bytes() == fish.ftp.read(
             "/trials/0001.ulg"
@@ -325,12 +330,12 @@ def test_there_and_back_over_a_serial_line(console: Console, tmp_path: Path) -> 
         fish.params.reset()
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, np.full(5, 0.03)))
-        result = put_back(fish, kept.backup)
+        result = restore(fish, kept.snapshot)
         assert fish.learned_record() == learned is not None
-        assert {n: p.value for n, p in fish.params.list().items()} == kept.backup.params
+        assert {n: p.value for n, p in fish.params.list().items()} == kept.snapshot.params
     assert steps[-1] == "pulling trial 1"
     assert result.back[1:] == ["the reference", "all that was learned"]
-    assert "SERVO_CENTRE_US" in kept.backup.params
+    assert "SERVO_CENTRE_US" in kept.snapshot.params
 
 
 @needs_pty
@@ -354,7 +359,7 @@ def test_the_whole_procedure_over_a_serial_line(console: Console, tmp_path: Path
         run=bossac,
         sleep=lambda duration_s: None,
     )
-    report = flash(FlashPlan(image, out=tmp_path / "backups"), around=around)
+    report = flash(FlashPlan(image, places=backup_places(tmp_path / "backups")), around=around)
     assert calls == [["-e", "-w", "-v", "-b", str(image)], ["-R"]]
     assert report.verified
     assert report.restored[1:] == ["the reference", "all that was learned"]

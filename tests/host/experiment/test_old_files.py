@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
-from tailbeat.board.restore import put_back
-from tailbeat.board.snapshot import Backup
+from tailbeat.board.snapshot import Snapshot, restore
 from tailbeat.core.arrays import F64
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.law import load
@@ -36,7 +35,7 @@ from tailbeat.learning.speed_table import read_rows
 from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
 from tailbeat.sensors.camera.calibration.file import load_calibration
-from tailbeat.session.repeat import Plan
+from tailbeat.session.repeat import held_before
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -259,9 +258,10 @@ def table(path: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def test_what_broken_off_procedures_left(fresh: Fish) -> None:
-    plan = Plan.of(Experiment.open(FILES / "left-behind" / "experiment"))
-    assert plan == Plan((FILES / "learned.bin").read_bytes(), 11)
-    left = Backup.read(FILES / "left-behind" / "board")
+    held = held_before(Experiment.open(FILES / "left-behind" / "experiment"))
+    assert held is not None
+    assert (held.learned, held.next_trial) == ((FILES / "learned.bin").read_bytes(), 11)
+    left = Snapshot.read(FILES / "left-behind" / "board")
     assert left.unique_id == fresh.unique_id() == UNIQUE_ID and left.learned is not None
 
 
@@ -293,7 +293,7 @@ def test_the_library(old: Path) -> None:
     }
     assert book.identified() is not None and len(book.proposals()) == 1
     (learned,) = (book.folder / "learned").iterdir()
-    assert Backup.read(learned).learned is not None
+    assert Snapshot.read(learned).learned is not None
 
 
 def test_records_on_a_fresh_board(fresh: Fish) -> None:
@@ -306,9 +306,9 @@ def test_records_on_a_fresh_board(fresh: Fish) -> None:
 
 def test_a_backup_goes_back(fresh: Fish, defaults: dict[str, float]) -> None:
     (folder,) = (FILES / "backup").iterdir()
-    backup = Backup.read(folder)
+    backup = Snapshot.read(folder)
     told = params_of(json.loads((folder / "board.json").read_bytes())["params"])
-    restored = put_back(fresh, backup)
+    restored = restore(fresh, backup)
     assert not restored.missing
     now = {name: one.value for name, one in fresh.params.list().items()}
     assert {name: now[name] for name in told} == told

@@ -17,9 +17,9 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.app.cli.board import _reference
 from tailbeat.app.cli.identify import _attendant
-from tailbeat.board import loan
+from tailbeat.board import preserve
 from tailbeat.board.fish import Event, Fish
-from tailbeat.board.snapshot import Backup, put_safe
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
@@ -331,10 +331,10 @@ def test_when_the_link_stays_away_a_copy_is_left(
 ) -> None:
     before = state(learned)
     record = learned.learned_record()
-    monkeypatch.setattr(loan, "_restore", failing(1, LinkLostError("gone", "")))
+    monkeypatch.setattr(preserve, "_restore", failing(1, LinkLostError("gone", "")))
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
         identify_fish(learned, Attendant(), tmp_path / "safe", quick=True)
-    copy = Backup.read(tmp_path / "safe")
+    copy = Snapshot.read(tmp_path / "safe")
     assert (copy.reference, copy.learned) == (before["reference"], record)
 
 
@@ -346,7 +346,7 @@ class Killed(BaseException):
 def killed(learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fish:
     """A computer died in the second run; its trial is pending, the copy lies in ``safe``."""
     with monkeypatch.context() as patch:
-        patch.setattr(loan, "_put_back", lambda *_: None)
+        patch.setattr(preserve, "_put_back", lambda *_: None)
         with pytest.raises(Killed):
             identify_fish(
                 learned, Attendant(keep=failing(2, Killed())), tmp_path / "safe", quick=True
@@ -375,19 +375,21 @@ def test_without_another_swim_it_is_put_back_too(
     fish = request.getfixturevalue("killed")
     trials = len(fish.trials())
     heard: list[str] = []
-    assert loan.put_back_left(fish, tmp_path / "safe", heard.append)
+    assert preserve.restore_interrupted(fish, tmp_path / "safe", heard.append)
     assert state(fish) == before and len(fish.trials()) == trials
     assert len(heard) == 1 and "gets back" in heard[0]
     assert not (tmp_path / "safe").exists()
-    assert not loan.put_back_left(fish, tmp_path / "safe", heard.append) and len(heard) == 1
+    assert (
+        not preserve.restore_interrupted(fish, tmp_path / "safe", heard.append) and len(heard) == 1
+    )
 
 
 def test_a_trial_is_no_run_after_all(learned: Fish, tmp_path: Path) -> None:
     """A copy that lies there says nothing while the board has its own reference."""
     learned.run_trial()
     before = state(learned)
-    put_safe(tmp_path / "safe", loan._held(learned, {}, ()), print)
-    assert not loan.put_back_left(learned, tmp_path / "safe", print)
+    preserve._write_copy(tmp_path / "safe", preserve._held(learned, {}, ()), print)
+    assert not preserve.restore_interrupted(learned, tmp_path / "safe", print)
     assert state(learned) == before
 
 
@@ -406,7 +408,7 @@ def test_an_older_copy_neither_comes_back_nor_goes(
     learned: Fish, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     fish = request.getfixturevalue("killed")
-    copy = Backup.read(tmp_path / "safe")
+    copy = Snapshot.read(tmp_path / "safe")
     fish.discard()
     assert copy.reference is not None and copy.learned is not None
     fish.upload_reference(copy.reference)  # as flash --restore does
@@ -417,7 +419,7 @@ def test_an_older_copy_neither_comes_back_nor_goes(
     heard: list[str] = []
     identify_fish(fish, Attendant(note=heard.append), tmp_path / "safe", quick=True)
     assert state(fish) == before
-    assert Backup.read(tmp_path / "safe-1") == copy
+    assert Snapshot.read(tmp_path / "safe-1") == copy
     assert str(tmp_path / "safe-1") in heard[0]
 
 

@@ -17,21 +17,22 @@ import pytest
 
 from tailbeat.app.cli import run
 from tailbeat.app.cli._display import ended, ended_as_by_ctrl_c
-from tailbeat.board import loan as lent_module
+from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
-from tailbeat.board.loan import lent, safe_folder
+from tailbeat.board.preserve import preserved
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import records
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.experiment.board_state import BoardState, copy_state, held_state
+from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.folder import Experiment, alone
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session import series
 from tailbeat.session.collect import Swum
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.preflight import checklist
-from tailbeat.session.repeat import Plan
+from tailbeat.session.repeat import write_held
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -108,8 +109,8 @@ ONCE = Options(until=Until(1), wanted=None)
 def break_off_a_trim(monkeypatch: pytest.MonkeyPatch) -> None:
     """The laptop dies: nothing is put back."""
     with connected() as fish, monkeypatch.context() as patch:
-        patch.setattr(lent_module, "_put_back", lambda *_: None)
-        with lent(fish, safe_folder(logbook_of(fish)), lambda _: None, "trim") as board:
+        patch.setattr(preserve, "_put_back", lambda *_: None)
+        with preserved(fish, preserve_folder(logbook_of(fish)), lambda _: None, "trim") as board:
             board.prepare("a run", np.full(4, 0.1, np.float32), OTHER)
 
 
@@ -215,8 +216,10 @@ def test_a_copy_that_knows_more_is_kept(says: Says, board: SimBoard) -> None:
     assert len(list(aside.parent.glob("state*.json"))) == 2
 
 
-def state(last: int | None, iteration: int, learned: bytes | None = b"old") -> BoardState:
-    return BoardState("id", {}, iteration, b"", learned, last)
+def state(last: int | None, iteration: int, learned: bytes | None = b"old") -> Snapshot:
+    return Snapshot(
+        "id", {}, iteration=iteration, reference=b"", learned=learned, last_learned_trial=last
+    )
 
 
 def test_what_knows_more() -> None:
@@ -346,7 +349,8 @@ def test_a_repeat_that_was_broken_off(says: Says) -> None:
     with connected() as fish:
         learned = fish.learned_record()
         assert learned is not None
-        Plan(learned, fish.status().next_trial).write(experiment())
+        next_trial = fish.status().next_trial
+        write_held(experiment(), Snapshot("", {}, next_trial=next_trial, learned=learned))
         fish.restore_best()
     status, line = says(*KEEP)
     assert status == 1 and "repeat of the best" in line

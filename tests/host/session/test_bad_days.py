@@ -29,10 +29,9 @@ from tailbeat.app.cli import run
 from tailbeat.app.cli._operator import TerminalPerson
 from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
-from tailbeat.board.loan import set_for_good
 from tailbeat.core import records
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.experiment.current import begin
+from tailbeat.experiment.current import begin, set_and_save
 from tailbeat.experiment.folder import Experiment
 from tailbeat.sensors.camera.simulated import SimulatedCamera
 from tailbeat.session.collect import Swum
@@ -504,7 +503,7 @@ def test_only_what_a_command_sets_is_meant(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
     assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
     assert day.says(*KEEP)[0] == 0, "a command of this tool set it"
-    set_for_good(day.fish(), {"ILC_GAIN": 3.5})
+    set_and_save(day.fish(), {"ILC_GAIN": 3.5})
     assert day.says(*KEEP)[0] == 0, "as trim, identify and the first session do"
     day.fish().params.set("ILC_GAIN", 2.5)  # from a ground station
     assert day.says(*KEEP)[0] == 1

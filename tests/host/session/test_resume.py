@@ -19,19 +19,19 @@ import pytest
 from tailbeat.app.cli import _library
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli.session import _person
-from tailbeat.board import loan
+from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
-from tailbeat.board.loan import broken_off
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import records, reference
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.board_state import copy_state, held_state
-from tailbeat.experiment.current import begin, current, note_set, strayed, use
+from tailbeat.experiment.current import begin, current, is_interrupted, note_set, strayed, use
 from tailbeat.experiment.folder import Experiment
 from tailbeat.session.collect import Swum, keep_log, outcome_of, swum_of
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision, Event
-from tailbeat.session.repeat import Plan, repeat_best
+from tailbeat.session.repeat import repeat_best, repeat_path, write_held
 from tailbeat.session.resume import Restored, restore
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.shift import Shift, shift_of
@@ -341,22 +341,22 @@ def test_a_trim_that_was_broken_off_is_put_back(
     restore(swapped, experiment)
     before = {name: p.value for name, p in swapped.params.list().items()}
     with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(loan, "_put_back", lambda *_: None)
+        patch.setattr(preserve, "_put_back", lambda *_: None)
         find_centre(swapped, Dying())
-    assert broken_off(swapped) == "tailbeat session resume"
+    assert is_interrupted(swapped)
     swapped.link.run(10.0)
     assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
     swapped.clear()
     use(swapped, experiment)
     _library.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
-    assert broken_off(swapped) is not None
+    assert is_interrupted(swapped)
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)
     assert "broken off" in found.notes[0]
     assert found.pending_trial is None and not found.reference and not found.learned
     assert swapped.learned_record() == pool.learned
     assert {name: p.value for name, p in swapped.params.list().items()} == before
-    assert broken_off(swapped) is None
+    assert not is_interrupted(swapped)
     assert repeat_best(swapped, experiment, Somebody(), ONE)[0].outcome.number == 6
 
 
@@ -571,20 +571,20 @@ def test_ctrl_c_at_many_points(
 def test_the_laptop_dies_between(swapped: Fish, experiment: Experiment, pool: Pool) -> None:
     """The best is on the board and nobody is there to put the other back."""
     restore(swapped, experiment)
-    plan = Plan(pool.learned or b"", swapped.status().next_trial)
-    plan.write(experiment)
+    plan = Snapshot("", {}, next_trial=swapped.status().next_trial, learned=pool.learned or b"")
+    write_held(experiment, plan)
     swapped.restore_best()
     copy_state(swapped, experiment)
     assert swapped.learned_record() != pool.learned
     restore(swapped, experiment)
     assert swapped.learned_record() == pool.learned
-    assert not Plan.path(experiment).exists()
+    assert not repeat_path(experiment).exists()
 
 
 def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, pool: Pool) -> None:
     """The repeat waits on the board: it is taken, not swum again, and not learned from."""
     restore(swapped, experiment)
-    Plan(pool.learned or b"", 5).write(experiment)
+    write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()
     swapped.run_trial()
     restore(swapped, experiment)
@@ -602,7 +602,7 @@ def test_the_laptop_dies_after_the_decision(
 ) -> None:
     """It is neither asked nor written down again."""
     restore(swapped, experiment)
-    Plan(pool.learned or b"", 5).write(experiment)
+    write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()
     swapped.run_trial()
     log = keep_log(swapped, experiment, 5)
@@ -650,7 +650,7 @@ def test_of_a_repeat_only_whether_it_counts_is_asked(
 def test_a_board_that_learned_since_is_left_alone(
     swapped: Fish, experiment: Experiment, pool: Pool
 ) -> None:
-    Plan(pool.learned or b"", 5).write(experiment)
+    write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()
     swapped.run_trial()
     swapped.learn()

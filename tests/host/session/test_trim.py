@@ -13,15 +13,15 @@ import pytest
 from typer.testing import CliRunner
 
 from tailbeat.app.cli.app import app
-from tailbeat.board import loan
+from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
-from tailbeat.board.loan import safe_folder, set_for_good
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.reference import thesis
 from tailbeat.core.trial_checks import straightness
 from tailbeat.core.trial_file import read_trial
-from tailbeat.experiment.library import RUN, Logbook
+from tailbeat.experiment.current import set_and_save
+from tailbeat.experiment.library import RUN, Logbook, preserve_folder
 from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
 from tailbeat.session.collect import Swum
@@ -165,7 +165,7 @@ def test_the_board_has_everything_back_and_the_logbook_has_the_runs(learned: Fis
     book = Logbook.of(learned.unique_id())
     kept = book.kept()[0]
     assert [one.mark for one in kept if one.trial.number >= trials] == [RUN, RUN]
-    assert not safe_folder(book).exists()  # type: ignore[union-attr]
+    assert not preserve_folder(book).exists()  # type: ignore[union-attr]
     for one in kept[-2:]:
         assert np.nanmax(one.trial.beats.applied_rad) <= before["params"]["AMP_MAX_RAD"]
     asked = [one.trial.params[CENTRE] for one in kept[-2:]]
@@ -217,12 +217,12 @@ def test_a_trim_that_was_broken_off_is_put_back_by_the_next(
             raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(loan, "_put_back", lambda *_: None)
+        patch.setattr(preserve, "_put_back", lambda *_: None)
         patch.setattr(trial, "_abort", lambda _: None)
         with pytest.raises(Killed):
             find_centre(learned, Somebody(fail))
     assert learned.params.get(CENTRE).value != 1500
-    with pytest.raises(InputError, match="swims a run"):
+    with pytest.raises(InputError, match="executes a run"):
         find_centre(learned, Somebody())
     while learned.status().state not in ("IDLE", "ABORTED"):
         learned.link.run(1.0)
@@ -240,7 +240,7 @@ def test_when_the_link_stays_away_a_copy_is_left(
     def gone(*_: Any) -> None:
         raise LinkLostError("gone", "")
 
-    monkeypatch.setattr(loan, "_restore", gone)
+    monkeypatch.setattr(preserve, "_restore", gone)
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
         find_centre(learned, Somebody())
 
@@ -258,7 +258,7 @@ def test_applied_for_good_and_nothing_else_is(learned: Fish) -> None:
 
 
 def test_set_for_good_says_what_is_held(learned: Fish) -> None:
-    assert set_for_good(learned, {"ILC_LEAD": 1.0}) == {"ILC_LEAD": 1.0}
+    assert set_and_save(learned, {"ILC_LEAD": 1.0}) == {"ILC_LEAD": 1.0}
 
 
 # -- the line, without a fish ---------------------------------------------------------------------

@@ -16,7 +16,7 @@ from tailbeat.core.printable import printable
 
 if TYPE_CHECKING:
     from tailbeat.board.flash.procedure import FlashReport
-    from tailbeat.board.restore import Restored
+    from tailbeat.board.snapshot import RestoreReport
 
 
 class Tool(StrEnum):
@@ -73,8 +73,10 @@ def flash(
         return
     from tailbeat.board.flash.procedure import FlashPlan
     from tailbeat.board.flash.procedure import flash as write_image
+    from tailbeat.experiment.folder import backup_places
 
-    plan = FlashPlan(image, port or None, tool.value, keep, out, connect, adapter)
+    places = backup_places(out)
+    plan = FlashPlan(image, port or None, tool.value, keep, places, connect, adapter)
     screen = _Screen(json)
     try:
         report = write_image(
@@ -126,12 +128,11 @@ def _flash_text(report: FlashReport) -> str:
 
 
 def _restore(folder: Path, url: str | None, json: bool) -> None:
-    from tailbeat.board.restore import put_back
-    from tailbeat.board.snapshot import Backup
+    from tailbeat.board.snapshot import Snapshot, restore
 
-    backup = Backup.read(folder)
+    held = Snapshot.read(folder)
     with connected(url) as fish:
-        result = put_back(fish, backup)
+        result = restore(fish, held)
     document = {
         "backup": folder,
         "restored": result.back,
@@ -141,7 +142,7 @@ def _restore(folder: Path, url: str | None, json: bool) -> None:
     say(json, document, lambda: _restore_text(result))
 
 
-def _restore_text(result: Restored) -> str:
+def _restore_text(result: RestoreReport) -> str:
     lines = [f"the board has back: {', '.join(result.back)}"]
     lines += [f"not restored: {text}" for text in result.missing]
     return "\n".join([*lines, *(f"note: {text}" for text in result.notes)])

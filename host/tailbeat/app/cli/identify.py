@@ -208,8 +208,8 @@ def _swum(
 ) -> None:
     from tailbeat.app.cli._live_camera import live_camera
     from tailbeat.board.fish import board_reference
-    from tailbeat.board.loan import put_back_left, safe_folder
-    from tailbeat.experiment.library import logbook_of
+    from tailbeat.board.preserve import restore_interrupted
+    from tailbeat.experiment.library import logbook_of, preserve_folder
     from tailbeat.learning.fit_quality import account_of, with_drag
     from tailbeat.learning.identification_runs import Limits
     from tailbeat.learning.speed_table import ThesisFish
@@ -218,7 +218,7 @@ def _swum(
     with connected(connect) as fish, live_camera(fish, asked.camera) as live:
         simulated = fish.info().simulated
         book = logbook_of(fish, logbook)
-        put_back_left(fish, safe_folder(book), _note)
+        restore_interrupted(fish, preserve_folder(book), _note)
         values = {name: p.value for name, p in fish.params.list().items()}
         limits = replace(Limits.from_params(values), margin_m=asked.margin_m)
         found = _found(fish, live, book, limits, asked, values)
@@ -240,7 +240,7 @@ def _found(
     from tailbeat.app.cli._display import Display
     from tailbeat.app.cli._keyboard import terminal_keys
     from tailbeat.app.cli._operator import TerminalPerson
-    from tailbeat.board.loan import safe_folder
+    from tailbeat.experiment.library import preserve_folder
     from tailbeat.link.messages import SPEED_SOURCES
     from tailbeat.session.identify import identify_fish
 
@@ -263,7 +263,7 @@ def _found(
         show = stack.enter_context(progress_bar(quiet, "identify"))
         attendant = _attendant(limits, book, wait, asked.alone, asked.json, show, there)
         attendant = replace(attendant, guard=live.guard)
-        return identify_fish(fish, attendant, safe_folder(book), live.camera, limits)
+        return identify_fish(fish, attendant, preserve_folder(book), live.camera, limits)
 
 
 @dataclass(frozen=True)

@@ -202,11 +202,10 @@ def _found(fish: Fish, into: Path | None) -> Experiment | None:
 def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
     """The one that was named, or the one the fish is in; None when the board has been given another
     reference than that one's since, and no experiment of it has begun."""
-    from tailbeat.board.loan import broken_off
-    from tailbeat.experiment.current import swims_for
+    from tailbeat.experiment.current import is_interrupted, swims_for
 
     found = _found(fish, into)
-    if into is not None or broken_off(fish) or fish.status().reference_crc is None:
+    if into is not None or is_interrupted(fish) or fish.status().reference_crc is None:
         return found
     return swims_for(fish)
 
@@ -227,13 +226,13 @@ def _in_none(fish: Fish) -> InputError:
 def _put_back_alone(fish: Fish, json: bool) -> None:
     """A fish that swims for no experiment: what a trim or an identification has left can be put
     back, and what commands have set."""
-    from tailbeat.board.loan import put_back_left, safe_folder
+    from tailbeat.board.preserve import restore_interrupted
     from tailbeat.experiment.current import current
-    from tailbeat.experiment.library import logbook_of
+    from tailbeat.experiment.library import logbook_of, preserve_folder
     from tailbeat.session.resume import restore_params
 
     notes: list[str] = []
-    put_back = put_back_left(fish, safe_folder(logbook_of(fish)), notes.append)
+    put_back = restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
     params, refused = restore_params(fish)
     if not put_back and not params and current(fish) is None:
         raise _in_none(fish)

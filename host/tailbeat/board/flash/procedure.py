@@ -14,11 +14,18 @@ from pathlib import Path
 
 from tailbeat.board.fish import Fish
 from tailbeat.board.flash import bossac, openocd, ports
+from tailbeat.board.flash.backup import (
+    Backup,
+    BackupPlaces,
+    OnStep,
+    back_up,
+    key_warning,
+    require_quiet,
+)
 from tailbeat.board.flash.image import Image
 from tailbeat.board.flash.ports import BoardPort, Enumerate
 from tailbeat.board.flash.tools import Run, require_program, run_program
-from tailbeat.board.restore import put_back
-from tailbeat.board.snapshot import Kept, OnStep, keep, key_warning, require_quiet
+from tailbeat.board.snapshot import restore
 from tailbeat.core.errors import ConnectError, LinkLostError, NoBoardError, TailbeatError, reason
 from tailbeat.link.heard import Hearing
 from tailbeat.link.messages import BoardInfo
@@ -63,7 +70,7 @@ class FlashPlan:
     port: str | None = None
     tool: str = BOSSAC
     keep: bool = True
-    out: Path = Path("backups")
+    places: BackupPlaces = field(default_factory=BackupPlaces)
     connect: str | None = None
     adapter: str = openocd.ADAPTER
 
@@ -134,7 +141,7 @@ class _Flashing:
         used = openocd if plan.tool == OPENOCD else bossac
         around.require_program(used.PROGRAM, used.PACKAGE)
         self._port = self._find_port()
-        self._kept: Kept | None = None
+        self._kept: Backup | None = None
         self._report = FlashReport(
             image=plan.image,
             size_bytes=self._image.size_bytes,
@@ -203,13 +210,13 @@ class _Flashing:
             require_quiet(fish, wipes)
             if wipes and (warning := key_warning(fish)):
                 self._tell(warning)
-            self._kept = keep(
-                fish, self._plan.out, lambda at, text: self._on_step(0.1 + 0.4 * at, text)
+            self._kept = back_up(
+                fish, self._plan.places, lambda at, text: self._on_step(0.1 + 0.4 * at, text)
             )
         self._report.backup = self._kept.folder
         self._report.trials_pulled = self._kept.trials
         if self._port is not None and self._plan.tool == BOSSAC:
-            self._require_same_board(self._port, address, self._kept.backup.unique_id)
+            self._require_same_board(self._port, address, self._kept.snapshot.unique_id)
 
     def _require_same_board(self, port: BoardPort, address: str, saved_id: str) -> None:
         """With several boards about, another than the one on ``port`` may have been saved."""
@@ -369,10 +376,10 @@ class _Flashing:
 
     def _require_flashed_board(self, info: BoardInfo, address: str) -> None:
         """With several boards about, the one that answers may be another."""
-        if self._kept is not None and info.unique_id != self._kept.backup.unique_id:
+        if self._kept is not None and info.unique_id != self._kept.snapshot.unique_id:
             raise TailbeatError(
                 f"the board on {address} is not the one that was saved: its id is"
-                f" {info.unique_id}, not {self._kept.backup.unique_id}"
+                f" {info.unique_id}, not {self._kept.snapshot.unique_id}"
             )
         if self._plan.tool == BOSSAC and info.status.reference_crc is not None:
             raise TailbeatError(
@@ -390,9 +397,9 @@ class _Flashing:
             f" but the image is {self._image.build_id}"
         )
 
-    def _restore(self, fish: Fish, kept: Kept) -> None:
+    def _restore(self, fish: Fish, kept: Backup) -> None:
         try:
-            result = put_back(fish, kept.backup)
+            result = restore(fish, kept.snapshot)
         except (TailbeatError, OSError, KeyboardInterrupt) as error:
             raise FlashError(
                 f"the board runs {self._image.build_id}, but has not all of its content back"
@@ -415,7 +422,7 @@ class _Flashing:
             raise FlashError(_words(error), remedy) from error
 
 
-def _back_by(kept: Kept) -> str:
+def _back_by(kept: Backup) -> str:
     return f"What the board held goes back with: tailbeat flash --restore {kept.folder}"
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
-from tailbeat.board.snapshot import Backup
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import reference as references
 from tailbeat.core.errors import LinkLostError
 from tailbeat.learning.fish_model import FishModel
@@ -111,7 +111,7 @@ def test_from_the_board(learned: Fish, shell: Shell) -> None:
     assert like["old_max_abs_error_m_s"] == pytest.approx(error)
     assert (like["saturated_beats"], like["model"]) == (0, "board")
     assert like["expected_travel_m"] == pytest.approx(document["travel_m"], rel=2e-3)
-    assert Backup.read(Path(document["copy"])).learned == held
+    assert Snapshot.read(Path(document["copy"])).learned == held
     (first,) = swim(learned, 1)
     learned.params.set("ILC_GAIN", 6)  # or the first guess stays within the dead zone
     learned.upload_reference(references.from_text(OLD).record())
