@@ -19,7 +19,7 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.sensors.camera.speed.line_fit import BeatFit
-from tailbeat.session.trial_camera import vision_message
+from tailbeat.session.trial_camera import default_camera, vision_message
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.chip import CYCLES_PER_INSTRUCTION
@@ -79,7 +79,7 @@ def board_of(fish: Fish) -> EmulatedBoard:
 
 def send_speeds(fish: Fish) -> None:
     """From now on the camera's speeds go to the board whenever something comes from it."""
-    camera = fish.default_camera()
+    camera = default_camera(fish)
     assert camera is not None
     fit = BeatFit(1.0, camera.fps)
 

@@ -21,6 +21,7 @@ from tailbeat.board.provision import set_key
 from tailbeat.core import records
 from tailbeat.link.ftp.wire import DATA_BYTES
 from tailbeat.link.impaired import BadLine, Corrupt, Drop, Fault, hc05
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CONSOLE, SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -84,7 +85,7 @@ def flash_with_log(beats: int) -> bytes:
         fish.params.set("TANK_LEN_M", 0)
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, [0.03] * beats))
-        fish.run_trial()
+        run_trial(fish)
         fish.discard()
         assert fish.sim is not None
         return fish.sim.flash

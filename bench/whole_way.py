@@ -14,6 +14,7 @@ from pathlib import Path
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import thesis
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 
 
@@ -32,7 +33,7 @@ def one_trial(fish: Fish, folder: Path) -> float:
     transport = fish.link.transport
     assert isinstance(transport, SimTransport)
     begin_s, begin_cpu_s = transport.now_s(), time.process_time()
-    outcome = fish.run_trial()
+    outcome = run_trial(fish)
     fish.pull_trial(outcome.number, folder)
     fish.learn(outcome.number)
     return (transport.now_s() - begin_s) / (time.process_time() - begin_cpu_s)

@@ -1,10 +1,10 @@
 """tailbeat: a robotic fish learns to swim along a speed profile.
 
-    from tailbeat import Fish, reference
+    from tailbeat import Fish, reference, run_trial
     with Fish.connect("sim") as fish:
         fish.upload_reference(reference.thesis().record())
         fish.arm()
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         report = fish.learn()
 
 Names are loaded on first use, so that importing the package is quick.
@@ -23,8 +23,18 @@ if TYPE_CHECKING:
     from tailbeat.core.reference import Reference
     from tailbeat.core.trial_file import Trial, read_trial
     from tailbeat.experiment.folder import Experiment
+    from tailbeat.session.trial import run_trial
 
-__all__ = ["Experiment", "Fish", "Law", "Reference", "TailbeatError", "Trial", "read_trial"]
+__all__ = [
+    "Experiment",
+    "Fish",
+    "Law",
+    "Reference",
+    "TailbeatError",
+    "Trial",
+    "read_trial",
+    "run_trial",
+]
 
 _HOME = {
     "Experiment": "experiment.folder",
@@ -34,6 +44,7 @@ _HOME = {
     "TailbeatError": "core.errors",
     "Trial": "core.trial_file",
     "read_trial": "core.trial_file",
+    "run_trial": "session.trial",
 }
 
 

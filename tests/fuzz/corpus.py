@@ -16,6 +16,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from tailbeat.session.trial import run_trial
+
 PACKS = Path(__file__).parent / "corpus"
 PACK_BYTES_MAX = 100_000
 INPUT_BYTES_MAX = 0xFFFF
@@ -76,7 +78,7 @@ def session_bytes() -> list[bytes]:
         listener = Listener(fish.transport)
         fish.link.transport = listener  # type: ignore[assignment]
         fish.upload_reference(reference.trapezoid(0.06, 1, 1))
-        fish.run_trial()
+        run_trial(fish)
         fish.params.set("ILC_LEAD", 1)
         fish.learn()
         return listener.written

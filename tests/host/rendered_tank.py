@@ -20,6 +20,7 @@ from tailbeat.sensors.camera.simulated import SimulatedCamera
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import Tracker
+from tailbeat.session.trial import run_trial
 
 
 @contextmanager
@@ -48,7 +49,7 @@ class Swum:
 def swim_before_the_camera(fish: Fish, scene: Scene, glow: bool = False) -> Swum:
     """The next trial, filmed. It stays pending."""
     with drawn_camera(fish, scene, glow) as camera:
-        outcome = fish.run_trial(camera)
+        outcome = run_trial(fish, camera)
         track = camera.track()
     trial = read(fish, outcome.number)
     boot_s = fish.sim.time_s - fish.sim.board_time_s

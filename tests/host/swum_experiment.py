@@ -13,6 +13,7 @@ from tailbeat.core.reference import Reference
 from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import make
 from tailbeat.experiment.folder import Experiment
+from tailbeat.session.trial import run_trial
 
 BEATS = 12
 DISCARDED, REPEAT = 3, 5
@@ -38,7 +39,7 @@ def swim_one(fish: Fish, experiment: Experiment, decision: str, reason: str = ""
     """One round of a series."""
     journal = experiment.journal
     fish.arm()
-    outcome = fish.run_trial()
+    outcome = run_trial(fish)
     with TemporaryDirectory() as folder:
         kept = experiment.keep_trial(fish.pull_trial(outcome.number, Path(folder)))
     told = {"iteration": outcome.iteration, "end": outcome.end, "file": kept.name}

@@ -24,6 +24,7 @@ from tailbeat.core import records
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_file import beats_csv, parse_trial
 from tailbeat.sensors.vn100.decode import decode
+from tailbeat.session.trial import run_trial
 
 SEED = 20
 ENDLESS_S = 10
@@ -53,7 +54,7 @@ def ulog(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("fuzz")
     with Fish.connect("sim:tank", seed=3) as fish:
         fish.upload_reference(reference.trapezoid(0.06, 1, 1))
-        fish.run_trial()
+        run_trial(fish)
         return fish.pull_trial(1, folder).read_bytes()
 
 

@@ -15,6 +15,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.frames import Frame
 from tailbeat.core.native import lib
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CameraFrame, SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
@@ -90,7 +91,7 @@ def seen(image: Path) -> Seen:
             orders.append((board.board.clock.now / TICKS_PER_US, armed))
             board.run(0.3)
             pictures += board.camera_frames()
-        outcome = fish.run_trial(Unwatched())
+        outcome = run_trial(fish, Unwatched())
         assert outcome.end == "complete"
     board.run(1.0)
     pictures += board.camera_frames()

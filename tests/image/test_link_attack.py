@@ -13,6 +13,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.link.impaired import BadLine, Corrupt, Drop, Fault
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 
@@ -47,7 +48,7 @@ def learn_six(fish: Fish) -> list[np.ndarray]:
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     learned = []
     for number in range(1, TRIALS + 1):
-        assert fish.run_trial().end == "complete"
+        assert run_trial(fish).end == "complete"
         assert fish.sim is not None
         fish.upload_speeds(number, fish.sim.true_beats()[:BEATS], np.full(BEATS, 1e-3))
         computed = dry_run(fish)

@@ -15,7 +15,7 @@ from tailbeat.core import records
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link
 from tailbeat.sensors.camera.speed.line_fit import BeatFit
-from tailbeat.session.trial_camera import vision_message
+from tailbeat.session.trial_camera import default_camera, vision_message
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
@@ -73,7 +73,7 @@ class Hosts:
     parameters: int = 0
 
     def __post_init__(self) -> None:
-        camera = self.fish.default_camera()
+        camera = default_camera(self.fish)
         assert camera is not None
         self.camera, self.fit = camera, BeatFit(1.0, camera.fps)
         self.fish.link.subscribe(lambda _: self.work())  # something comes every few milliseconds

@@ -13,6 +13,7 @@ import pytest
 from tailbeat.board.connect import hear_board
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US
@@ -77,7 +78,7 @@ def swum(image: Path, request: pytest.FixtureRequest) -> Swum:
         fish.arm()
         board.run(0.5)
         before = trace.pulses()
-        assert fish.run_trial().end == "complete"
+        assert run_trial(fish).end == "complete"
         board.run(2.0)
         assert fish.health()["late_ticks"] == 0
     assert len(before) == 1, "the pull-up before the first instruction; armed, no pulses"

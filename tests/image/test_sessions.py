@@ -17,6 +17,7 @@ from tailbeat.core.errors import Refused
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.trial import run_trial
 
 TRIALS = 3
 BEATS, BEAT_S = 6, 1.0
@@ -48,7 +49,7 @@ def learn_from_true_speeds(fish: Fish) -> list[np.ndarray]:
     prepare(fish, UPLOAD)
     learned = []
     for _ in range(TRIALS):
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         assert outcome.end == "complete"
         assert fish.sim is not None
         fish.upload_speeds(outcome.number, fish.sim.true_beats()[:BEATS], SIGMA_M_S)
@@ -75,7 +76,7 @@ def test_seen_speeds_teach_it_what_the_host_computes_from_the_log(tmp_path: Path
         law = law_of(fish)
         errors = []
         for _ in range(TRIALS):
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             assert outcome.end == "complete"
             trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
             assert not trial.problems
@@ -94,7 +95,7 @@ def test_a_moving_average_on_the_image_is_what_the_dry_run_foretells() -> None:
         for name, value in {"ILC_KIND": WINDOW, "ILC_WINDOW": 2, "ILC_KD": 0.2}.items():
             fish.params.set(name, value)
         for averaged in (1, 2):
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             assert fish.sim is not None
             fish.upload_speeds(outcome.number, fish.sim.true_beats()[:beats], SIGMA_M_S)
             foretold = dry_run(fish)
@@ -118,7 +119,7 @@ def test_what_is_felt_needs_an_imu() -> None:
         for source in (IMU, MODEL):
             prepare(fish, source)
             with pytest.raises(Refused) as refused:
-                fish.run_trial()
+                run_trial(fish)
             assert (refused.value.number, refused.value.name) == (59, "NO_IMU")
             fish.disarm()
             assert (fish.status().next_trial, fish.trials()) == (number, [])
@@ -134,7 +135,7 @@ def test_felt_speeds_teach_it_what_the_host_computes_from_the_log(
         assert fish.imu_verdict().state == "streaming"
         prepare(fish, source, beats)
         begin_s = fish.sim.time_s
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         took_s = fish.sim.time_s - begin_s
         assert outcome.end == "complete"
         trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
@@ -163,7 +164,7 @@ def test_a_beat_too_far_off_stops_the_tail_and_is_learned_from(tmp_path: Path) -
         prepare(fish, VISION)
         fish.params.set("ERR_MAX_M_S", limit_m_s)
         fish.params.set("ILC_EXTRAP", TAPER)
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         assert outcome.end == "aborted:ERROR_LIMIT"
         assert fish.status().fault.name == "ERROR_LIMIT"
         fish.clear()

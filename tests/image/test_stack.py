@@ -15,6 +15,7 @@ import pytest
 from tailbeat.board.connect import hear_board
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 
@@ -50,7 +51,7 @@ def used(image: Path, tmp_path_factory: pytest.TempPathFactory) -> EmulatedBoard
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, [0.04] * 5))
         fish.arm()
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         assert outcome.end == "complete"
         fish.pull_trial(outcome.number, tmp_path_factory.mktemp("trials"))
         fish.learn(outcome.number)

@@ -9,6 +9,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
+from tailbeat.session.trial import run_trial
 
 ZERO_INPUT_ERROR_M_S = 0.0791
 SEEDS = [6, pytest.param(20, marks=pytest.mark.soak)]
@@ -21,7 +22,7 @@ def max_errors_m_s(plant: str, seed: int, gain: float, lead: int, trials: int) -
         for name, value in settings.items():
             fish.params.set(name, value)
         fish.upload_reference(reference.thesis().record())
-        return [fish.learn(fish.run_trial().number).max_abs_error_m_s for _ in range(trials)]
+        return [fish.learn(run_trial(fish).number).max_abs_error_m_s for _ in range(trials)]
 
 
 @pytest.mark.parametrize("seeds", SEEDS)

@@ -13,6 +13,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
+from tailbeat.session.trial import run_trial
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ print(json.dumps({
 def swim_one(address: str) -> bytes:
     with Fish.connect(address) as fish:
         fish.upload_reference(records.encode_reference(1.0, [0.05] * 20))
-        assert fish.run_trial().end == "complete"
+        assert run_trial(fish).end == "complete"
         fish.learn()
         return fish.ftp.read("/trials/0001.ulg")
 

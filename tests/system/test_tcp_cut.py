@@ -12,6 +12,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import LinkLostError
 from tailbeat.link.sockets import TcpTransport
+from tailbeat.session.trial import run_trial
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def with_reference(fish: Fish, beats: int) -> None:
 def test_cut_in_the_middle_of_a_pull(address: str, tmp_path: Path) -> None:
     with Fish.connect(address) as fish:
         with_reference(fish, 20)
-        assert fish.run_trial().end == "complete"
+        assert run_trial(fish).end == "complete"
         todo = ["cut"]
 
         def break_off(done: int, total: int) -> None:
@@ -66,7 +67,7 @@ def test_cut_in_the_middle_of_a_trial(address: str) -> None:
                 cut(fish)
             events.append(event["event"])
 
-        outcome = fish.run_trial(on_event=follow)
+        outcome = run_trial(fish, on_event=follow)
         assert "link_lost" in events
         assert "link_back" in events
         # Back within the board's patience it goes on; later it has stopped by itself.
@@ -84,5 +85,5 @@ def test_the_simulator_goes_away_for_good(simulator) -> None:
                 server.kill()
 
         with pytest.raises(LinkLostError) as lost:
-            fish.run_trial(on_event=follow, reconnect_s=1.0)
+            run_trial(fish, on_event=follow, reconnect_s=1.0)
     assert "did not come back" in str(lost.value)

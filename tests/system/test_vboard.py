@@ -16,6 +16,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core import reference as references
 from tailbeat.core.extras import BUILD_IMAGE
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import default_camera
 
 IMAGE = Path(__file__).parents[2] / "build" / "firmware" / "tailbeat.elf"
 START = "from tailbeat.app.cli import main; main()"
@@ -48,7 +50,7 @@ def session(url: str, seed: int, source: int, trials: int) -> dict[str, object]:
         fish.upload_reference(records.encode_reference(1.0, speed))
         found: dict[str, object] = {"kind": fish.info().board}
         for trial in range(1, trials + 1):
-            assert fish.run_trial().end == "complete"
+            assert run_trial(fish).end == "complete"
             true = fish.sim.true_beats()
             if source == 1:
                 fish.upload_speeds(trial, true.astype(np.float32), np.full(BEATS, 1e-3))
@@ -150,7 +152,7 @@ def test_vboard_command_serves_the_board(image: Path) -> None:
             listen = json.loads(server.stdout.readline())["listen"]
             with Fish.connect(listen) as fish:
                 assert fish.info().board == "emulated"
-                camera = fish.default_camera()
+                camera = default_camera(fish)
                 assert camera is not None
                 assert camera.clock == "board"
                 camera.close()

@@ -30,6 +30,7 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.report.demo_data import Series, Swim
 from tailbeat.report.demo_page import write_html
 from tailbeat.report.demo_picture import render_png
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.world import DEFAULT_SEED
 
 if TYPE_CHECKING:
@@ -239,7 +240,7 @@ class _Demo:
     def _one_trial(self, experiment: Experiment) -> None:
         fish = self.fish
         fish.arm()
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         with tempfile.TemporaryDirectory() as folder:
             pulled = fish.pull_trial(outcome.number, Path(folder))
             path = experiment.add_raw(pulled.name, pulled.read_bytes())

@@ -26,6 +26,7 @@ from tailbeat.sensors.camera.render.painter import Painter
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.render.source import picture_index, truth_of
 from tailbeat.sensors.camera.source.film import FilmWriter
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CameraFrame, SimulatedBoard
 
 Progress = Callable[[float, str], None]
@@ -153,7 +154,7 @@ def _swim(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple
         watcher = _Watcher(board)
         fish.imu_verdict()  # without its turns film and log cannot be paired
         _watch(fish, watcher, options.before_s)
-        _complete(fish.run_trial(watcher, _follower(options.reference.beats, progress)))
+        _complete(run_trial(fish, watcher, _follower(options.reference.beats, progress)))
         _watch(fish, watcher, _AFTER_S)
         log = read_trial(fish.pull_trial(number, log_file.parent).replace(log_file))
         begin_s = log.start_us * 1e-6 + board.time_s - board.board_time_s

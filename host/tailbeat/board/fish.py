@@ -20,9 +20,8 @@ from tailbeat.board.connect import open_transport, require_board
 from tailbeat.board.crash import CrashReport
 from tailbeat.core import records
 from tailbeat.core.arrays import F32
-from tailbeat.core.errors import ConnectError, Refused, TransferError
+from tailbeat.core.errors import Refused, TransferError
 from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, WRONG_STATE, refusal
-from tailbeat.core.frames import Camera
 from tailbeat.core.imu_problems import STARTING
 from tailbeat.core.records import Amplitudes, decode_reference
 from tailbeat.core.reference import Reference
@@ -39,14 +38,11 @@ from tailbeat.link.messages import (
     ImuInfo,
     LearnReport,
     TrialFile,
-    TrialOutcome,
     imu_frames,
 )
 from tailbeat.link.params import Parameters
-from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.timesync import BoardClock
 from tailbeat.link.transport import Transport
-from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.sim.board import SimulatedBoard, in_process
 
 # A board cannot lose its reference again. After an identification on one that had none a beat at
@@ -377,19 +373,6 @@ class Fish:
         self.ftp.pull(f"{TRIALS}/{name}", local, progress)
         return local
 
-    def run_trial(
-        self,
-        camera: Camera | None = None,
-        on_event: OnEvent | None = None,
-        guard: Guard | None = None,
-        reconnect_s: float = 60.0,
-        direction_rad: float = 0.0,
-    ) -> TrialOutcome:
-        """Swims the next trial to its end; see trialrun.run_trial."""
-        from tailbeat.session.trial import run_trial
-
-        return run_trial(self, camera, on_event, guard, reconnect_s, direction_rad)
-
     def watch(self) -> Iterator[Event]:
         """Everything the board tells, as it comes, for ever."""
         kinds = tuple(_WATCHED)
@@ -398,24 +381,14 @@ class Fish:
             if message is not None:
                 yield _WATCHED[message.get_type()](message)
 
-    def default_camera(self) -> Camera | None:
-        """The camera that belongs to a simulated board; None for a real one."""
-        if (board := self.sim) is not None:
-            return SimulatedCamera(board) if board.config["camera_fps"] > 0 else None
-        if isinstance(self.transport, TcpTransport) and self._kind() != "fish":
-            try:
-                return RemoteCamera(self.transport.host, self.transport.port + 1)
-            except ConnectError:
-                return None
-        return None
-
     def _build_id(self) -> str | None:
         """The board says it in a line of text behind its version."""
         patience_s = self.link.patient(0.5)
         m = self.link.recv("STATUSTEXT", patience_s, lambda m: text_of(m.text).startswith(_NAME))
         return text_of(m.text).removeprefix(_NAME) if m else None
 
-    def _kind(self) -> str:
+    def kind(self) -> str:
+        """Of the board: "fish", "simulated" …, one of messages.BOARD_KINDS."""
         version = self.link.request("AUTOPILOT_VERSION")
         return messages.BOARD_KINDS.get(version.board_version, "unknown")
 

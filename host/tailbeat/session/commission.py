@@ -26,6 +26,7 @@ from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, 
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import GivenUp, Wanted
+from tailbeat.session.trial_camera import default_camera
 from tailbeat.session.trim import apply, find_centre
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def first_session(
     anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
     reference. Ends early, with a step that is not done, when one fails that the next ones need.
     Raises LinkLostError."""
-    own = fish.default_camera() if camera is None else None
+    own = default_camera(fish) if camera is None else None
     try:
         session = _Session(fish, reference, person, camera or own, guard, wanted or Wanted())
         yield from _steps(session)

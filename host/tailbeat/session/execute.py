@@ -15,6 +15,7 @@ from tailbeat.link.messages import SIMULATED_FISH
 from tailbeat.session.collect import trial_is_safe
 from tailbeat.session.guards import BY_HAND, Seen, together, when
 from tailbeat.session.positions import stash_of
+from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -134,7 +135,7 @@ class Swim:
 
 def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float) -> Swim:
     """Swims the next trial and keeps what the camera saw. ``room`` ends it by distance. Raises what
-    Fish.run_trial raises."""
+    run_trial raises."""
     fish, person = around.fish, around.person
     live = Live(fish, person, fish.info().board in SIMULATED_FISH)
     stopped: list[str] = []
@@ -148,8 +149,8 @@ def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float
     guard = together(around.guard, room, when(person.wants_abort, BY_HAND), seen, live)
     stop_listening = fish.link.subscribe(live.hear)
     try:
-        outcome = fish.run_trial(
-            camera, on_event, guard, around.reconnect_s, direction_rad=heading_rad
+        outcome = run_trial(
+            fish, camera, on_event, guard, around.reconnect_s, direction_rad=heading_rad
         )
         if camera is not None:
             with trial_is_safe(outcome.number, experiment):

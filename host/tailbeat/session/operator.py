@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from tailbeat.session.collect import Swum
 
 Event = dict[str, Any]
-"""``event`` names it. Besides those of Fish.run_trial:
+"""``event`` names it. Besides those of run_trial:
 
 ``step``: {step, text, ok, left_s} of the ritual; ``ok`` None = under way, ``left_s`` None = unknown
 ``countdown``: {left_s}, whole seconds, 0 = it swims

@@ -40,6 +40,7 @@ from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import BatteryLow, GivenUp, Wanted
 from tailbeat.session.room import room_guard, travel_next
+from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -340,7 +341,7 @@ class _Series:
 
     def _round(self) -> SeriesEnd | None:
         camera = self.around.camera
-        own = self.around.fish.default_camera() if camera is None else None
+        own = default_camera(self.around.fish) if camera is None else None
         try:
             around = replace(self.around, camera=camera or own)
             swam = self._swim(around, *self._prepare(around))

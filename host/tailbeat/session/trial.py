@@ -21,7 +21,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message
 from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
 from tailbeat.session.guards import HIT
-from tailbeat.session.trial_camera import TrialCamera
+from tailbeat.session.trial_camera import TrialCamera, default_camera
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard, OnEvent
@@ -90,7 +90,7 @@ def run_trial(
     """
     own_camera = None
     if camera is None:
-        camera = own_camera = fish.default_camera()
+        camera = own_camera = default_camera(fish)
     run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
     run.direction_rad = direction_rad
     stop_listening = fish.link.subscribe(lambda message: _hear(run, message))

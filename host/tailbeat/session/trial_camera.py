@@ -8,11 +8,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from tailbeat.core.errors import LinkLostError
+from tailbeat.core.errors import ConnectError, LinkLostError
 from tailbeat.core.frames import Afresh, Camera, CameraGone, Frame, Unseen
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent
+from tailbeat.link.sockets import TcpTransport
+from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
 from tailbeat.sensors.camera.tracking.tracker import Repeats, is_computed
 
@@ -177,3 +179,15 @@ def vision_message(board_s: float, sample: SpeedSample) -> Message:
     return mavlink.MAVLink_vision_speed_estimate_message(
         round(board_s * 1e6), sample.speed_m_s, math.nan, math.nan, covariance, 0
     )
+
+
+def default_camera(fish: Fish) -> Camera | None:
+    """The camera of a simulated board; None for a real one."""
+    if (board := fish.sim) is not None:
+        return SimulatedCamera(board) if board.config["camera_fps"] > 0 else None
+    if isinstance(fish.transport, TcpTransport) and fish.kind() != "fish":
+        try:
+            return RemoteCamera(fish.transport.host, fish.transport.port + 1)
+        except ConnectError:
+            return None
+    return None

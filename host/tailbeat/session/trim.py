@@ -25,6 +25,7 @@ from tailbeat.learning.fit import Scatter
 from tailbeat.session.guards import BY_HAND, RoomGuard, Seen, together, when
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.room import Belief, Travel, belief_of, last_measured, travel_by
+from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -199,7 +200,7 @@ def find_centre(
         person.tell({"event": "notice", "text": text})
 
     with ExitStack() as stack:
-        if camera is None and (own := fish.default_camera()) is not None:
+        if camera is None and (own := default_camera(fish)) is not None:
             camera = stack.enter_context(closing(own))
         board = stack.enter_context(preserved(fish, preserve_folder(book), note, "trim", (CENTRE,)))
         swimmer = _Swimmer(board, person, camera, guard, wanted, book)

@@ -16,6 +16,8 @@ from tailbeat.core.frames import Frame
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import default_camera
 
 
 def test_who_it_is(fish: Fish) -> None:
@@ -44,7 +46,7 @@ def test_learning_makes_it_better(ready: Fish, tmp_path: Path) -> None:
     ready.params.set("DU_MAX_RAD", 0)
     errors = []
     for number in (1, 2, 3):
-        outcome = ready.run_trial()
+        outcome = run_trial(ready)
         assert (outcome.number, outcome.iteration, outcome.end) == (number, number, "complete")
         assert outcome.executed_beats == 8
         assert [b.beat for b in outcome.beats] == list(range(8))
@@ -63,7 +65,7 @@ def test_learning_makes_it_better(ready: Fish, tmp_path: Path) -> None:
 
 def test_the_board_measures_what_is_true(ready: Fish) -> None:
     assert ready.sim is not None
-    outcome = ready.run_trial()
+    outcome = run_trial(ready)
     measured = [b.speed_m_s for b in outcome.beats]
     np.testing.assert_allclose(measured, ready.sim.true_beats(), atol=4e-3)
 
@@ -72,7 +74,7 @@ def test_same_seed_same_trial(reference: bytes) -> None:
     def swim() -> list[BeatEvent]:
         with Fish.connect("sim:tank", seed=5) as fish:
             fish.upload_reference(reference)
-            return fish.run_trial().beats
+            return run_trial(fish).beats
 
     assert swim() == swim()
 
@@ -81,7 +83,7 @@ def test_learn_and_discard_need_a_pending_trial(ready: Fish) -> None:
     with pytest.raises(Refused) as refused:
         ready.learn()
     assert refused.value.name == "NO_TRIAL"
-    ready.run_trial()
+    run_trial(ready)
     with pytest.raises(Refused) as refused:
         ready.arm()
     assert refused.value.name == "TRIAL_PENDING"
@@ -108,7 +110,7 @@ def test_speeds_may_come_after_the_swim(ready: Fish) -> None:
     assert ready.sim is not None
     ready.params.set("SPD_SOURCE", 1)
     ready.sim.set_camera(False)
-    outcome = ready.run_trial()
+    outcome = run_trial(ready)
     with pytest.raises(Refused) as refused:
         ready.learn()
     assert refused.value.name == "NOTHING_MEASURED"
@@ -120,7 +122,7 @@ def test_learning_from_a_stopped_board_says_what_comes_first(ready: Fish) -> Non
     def guard(what: object) -> str | None:
         return "enough" if isinstance(what, BeatEvent) and what.beat == 2 else None
 
-    ready.run_trial(guard=guard)
+    run_trial(ready, guard=guard)
     with pytest.raises(Refused, match="stopped") as refused:
         ready.learn()
     assert refused.value.remedy == "tailbeat clear, then learn."
@@ -136,7 +138,7 @@ def test_a_guard_aborts(ready: Fish) -> None:
         seen.append(what)
         return "too close to the wall" if isinstance(what, BeatEvent) and what.beat == 2 else None
 
-    outcome = ready.run_trial(on_event=events.append, guard=guard)
+    outcome = run_trial(ready, on_event=events.append, guard=guard)
     assert outcome.end == "aborted:ABORT_COMMAND"
     assert not outcome.interrupted
     assert 3 <= outcome.executed_beats < 8
@@ -154,7 +156,7 @@ def test_ctrl_c_stops_the_tail(ready: Fish) -> None:
         if event["event"] == "beat" and event["beat"] == 1 and event["provisional"]:
             raise KeyboardInterrupt
 
-    outcome = ready.run_trial(on_event=press)
+    outcome = run_trial(ready, on_event=press)
     assert outcome.interrupted
     assert outcome.end == "aborted:ABORT_COMMAND"
     assert not ready.sim.truth().swimming
@@ -172,7 +174,7 @@ def test_a_short_hole_in_the_radio_changes_nothing(ready: Fish) -> None:
             board.run(1.5)
             board.set_radio(True)
 
-    outcome = ready.run_trial(on_event=follow)
+    outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "complete"
 
 
@@ -190,7 +192,7 @@ def test_a_long_hole_ends_the_trial_and_is_told(ready: Fish) -> None:
             board.run(8.0)
             board.set_radio(True)
 
-    outcome = ready.run_trial(on_event=follow)
+    outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "aborted:LINK_LOST"
     assert events.index("link_lost") < events.index("link_back") < events.index("ended")
 
@@ -205,7 +207,7 @@ def test_a_link_that_stays_away_is_an_error_in_bounded_time(ready: Fish) -> None
 
     begin = ready.transport.now_s()
     with pytest.raises(LinkLostError) as lost:
-        ready.run_trial(on_event=follow, reconnect_s=20.0)
+        run_trial(ready, on_event=follow, reconnect_s=20.0)
     assert ready.transport.now_s() - begin < 60.0
     assert "\n" not in str(lost.value)
     assert not board.truth().swimming
@@ -220,15 +222,15 @@ def test_power_lost_in_the_middle(ready: Fish) -> None:
             todo.clear()
             board.power_cycle()
 
-    outcome = ready.run_trial(on_event=follow)
+    outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "aborted:REBOOT"
     assert ready.status().next_trial == 2
 
 
 def test_a_trial_without_camera_warns(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Fish, "default_camera", lambda _: None)
+    monkeypatch.setattr("tailbeat.session.trial.default_camera", lambda _: None)
     events: list[dict] = []
-    outcome = ready.run_trial(on_event=events.append)
+    outcome = run_trial(ready, on_event=events.append)
     assert events[0]["event"] == "warning"
     assert all(b.speed_m_s is None for b in outcome.beats)
 
@@ -241,7 +243,7 @@ def test_a_camera_that_dies_in_the_middle_is_told_once(ready: Fish) -> None:
         if event["event"] == "beat" and event["beat"] == 2:
             ready.sim.set_camera(False)
 
-    outcome = ready.run_trial(on_event=follow)
+    outcome = run_trial(ready, on_event=follow)
     warnings = [e["text"] for e in events if e["event"] == "warning"]
     assert warnings == ["the camera sends no pictures; beats go unmeasured"]
     assert outcome.end == "complete"
@@ -252,7 +254,7 @@ def test_a_camera_that_dies_in_the_middle_is_told_once(ready: Fish) -> None:
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_a_trial_over_a_bad_radio(ready: Fish, spoil, seed: int, tmp_path: Path) -> None:
     radio = spoil(ready, seed, lose=0.1, damage=0.02, twice=0.05)
-    outcome = ready.run_trial()
+    outcome = run_trial(ready)
     assert outcome.end == "complete"
     assert ready.learn().measured_beats >= 7
     pulled = ready.pull_trial(outcome.number, tmp_path).read_bytes()
@@ -295,7 +297,7 @@ def test_an_abort_the_link_swallowed_is_said_again(
         abort()
 
     monkeypatch.setattr(ready, "abort", first_one_lost)
-    outcome = ready.run_trial(guard=lambda what: "wall" if isinstance(what, BeatEvent) else None)
+    outcome = run_trial(ready, guard=lambda what: "wall" if isinstance(what, BeatEvent) else None)
     assert outcome.end == "aborted:ABORT_COMMAND"
     assert len(said) == 2
 
@@ -313,7 +315,7 @@ def test_ctrl_c_before_the_start_is_acknowledged_stops_the_tail(
 
     monkeypatch.setattr(ready.link, "send", press)
     with pytest.raises(KeyboardInterrupt):
-        ready.run_trial()
+        run_trial(ready)
     assert not ready.sim.truth().swimming
     assert ready.status().state == "ABORTED"
 
@@ -329,7 +331,7 @@ def test_a_second_ctrl_c_ends_the_waiting(ready: Fish, monkeypatch: pytest.Monke
     monkeypatch.setattr(ready, "abort", lost)
     monkeypatch.setattr(ready.clock, "keep", lambda: press({"event": "started"}))
     with pytest.raises(KeyboardInterrupt):
-        ready.run_trial(on_event=lambda e: press(e) if e["event"] == "link_lost" else None)
+        run_trial(ready, on_event=lambda e: press(e) if e["event"] == "link_lost" else None)
 
 
 def test_a_trial_that_never_ends_is_given_up(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -337,7 +339,7 @@ def test_a_trial_that_never_ends_is_given_up(ready: Fish, monkeypatch: pytest.Mo
     monkeypatch.setattr("tailbeat.session.trial._is_over", lambda run: False)
     begin = ready.transport.now_s()
     with pytest.raises(TailbeatError, match="makes no progress"):
-        ready.run_trial()
+        run_trial(ready)
     assert ready.transport.now_s() - begin < 120.0
 
 
@@ -361,7 +363,7 @@ def test_a_link_that_breaks_again_while_coming_back_gets_its_time(
         sync()
 
     monkeypatch.setattr(ready.clock, "sync", sync_once_lost)
-    assert ready.run_trial(on_event=follow).end == "complete"
+    assert run_trial(ready, on_event=follow).end == "complete"
     assert state["failed"]
 
 
@@ -381,11 +383,11 @@ def test_amplitudes_that_never_hold_still(ready: Fish, monkeypatch: pytest.Monke
 
 def test_a_simulator_without_camera(reference: bytes) -> None:
     with Fish.connect("sim:tank?camera_fps=0") as fish:
-        assert fish.default_camera() is None
+        assert default_camera(fish) is None
 
 
 def swum(fish: Fish, folder: Path) -> Trial:
-    return read_trial(fish.pull_trial(fish.run_trial().number, folder))
+    return read_trial(fish.pull_trial(run_trial(fish).number, folder))
 
 
 def test_a_trial_tells_what_made_its_amplitudes(fish: Fish, tmp_path: Path) -> None:
@@ -405,7 +407,7 @@ def test_amplitudes_tell_what_made_them(fish: Fish) -> None:
     fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
     fish.upload_amplitudes(np.full(3, 0.3))
     assert fish.amplitudes().input == mavlink.TAILBEAT_INPUT_UPLOADED
-    fish.learn(fish.run_trial().number)
+    fish.learn(run_trial(fish).number)
     assert fish.amplitudes().input == mavlink.TAILBEAT_INPUT_LAW
     fish.restore_best()
     assert fish.amplitudes(best=True).input == mavlink.TAILBEAT_INPUT_RESTORED
@@ -415,7 +417,7 @@ def test_what_was_learned_on_a_board_that_counts_no_visits(
     fish: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
-    fish.learn(fish.run_trial().number)
+    fish.learn(run_trial(fish).number)
     counted = fish.learned_record()
     assert counted is not None and counted[-3:] == b"\1\1\1"
     with monkeypatch.context() as older:
@@ -435,7 +437,7 @@ def test_what_was_learned_on_a_board_that_counts_no_visits(
 def test_the_learned_record_is_what_the_board_stores(fish: Fish) -> None:
     assert fish.learned_record() is None
     fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
-    fish.learn(fish.run_trial().number)
+    fish.learn(run_trial(fish).number)
     sim = fish.sim
     assert sim is not None
     disk = UserContext(buffsize=len(sim.flash))

@@ -30,6 +30,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.heard import START_LINE
 from tailbeat.link.keystore import KeyStore
 from tailbeat.link.usb_ids import USB_IDS, PortKind
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -302,7 +303,7 @@ def taught(due: Due) -> Content:
         fish.params.save()
         fish.upload_reference(reference)
         for _ in range(2):
-            fish.learn(fish.run_trial().number)
+            fish.learn(run_trial(fish).number)
         return Content(
             reference,
             fish.learned_record(),
@@ -501,12 +502,12 @@ def test_learning_goes_on_where_it_was(due: Due, taught: Content, image: Path) -
         assert (status.iteration, status.next_trial, status.last_learned_trial) == (3, 3, 2)
         assert status.best_iteration is not None
         fish.restore_best()
-        assert fish.run_trial().number == 3
+        assert run_trial(fish).number == 3
 
 
 def test_a_number_that_comes_again_is_said(due: Due, taught: Content, image: Path) -> None:
     with Fish(SimTransport(due.board)) as fish:
-        fish.run_trial()
+        run_trial(fish)
         fish.discard()
     report = due.flash(image)
     assert report.not_restored == [
@@ -784,7 +785,7 @@ def test_a_board_that_is_armed(due: Due, image: Path, monkeypatch: pytest.Monkey
 @pytest.mark.usefixtures("taught")
 def test_a_pending_trial(due: Due, image: Path) -> None:
     with Fish(SimTransport(due.board)) as fish:
-        fish.run_trial()
+        run_trial(fish)
     error = untouched(due, image)
     assert error.message.startswith("trial 3 was swum but not learned from")
     assert due.flash(image, tool="openocd").verified  # it does not touch the store

@@ -30,6 +30,7 @@ from tailbeat.core.errors import ConnectError, InputError
 from tailbeat.experiment.folder import backup_places
 from tailbeat.link.serial import SerialTransport, likely_ports
 from tailbeat.link.usb_ids import USB_IDS, PortKind
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import FLASH_BYTES, SimTransport
 from tailbeat.sim.native import SimBoard
 from tailbeat.sim.server import SimServer
@@ -295,7 +296,7 @@ def console() -> Iterator[Console]:
         fish.params.set("SERVO_CENTRE_US", 1487.25)
         fish.params.save()
         fish.upload_reference(records.encode_reference(1.0, np.full(8, 0.04)))
-        fish.learn(fish.run_trial().number)
+        fish.learn(run_trial(fish).number)
     server = SimServer(board, "tcp:127.0.0.1:0", pty=True, speed=40.0)
     stop = threading.Event()
     jobs: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()

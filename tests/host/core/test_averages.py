@@ -15,6 +15,7 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
 from tailbeat.core.law import MEAN, WINDOW, Law, Memory, Past, PastTrial
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -33,7 +34,7 @@ def prepare(fish: Fish, kind: int, **params: float) -> None:
 
 def swim(fish: Fish, cut: bool = False) -> None:
     frames = iter(range(100000))
-    fish.run_trial(guard=lambda _: "wall" if cut and next(frames) > 200 else None)
+    run_trial(fish, guard=lambda _: "wall" if cut and next(frames) > 200 else None)
     if cut:
         fish.clear()
 
@@ -231,7 +232,7 @@ def test_a_fish_learns_with_an_average(past: Past, gain: float) -> None:
         for name, value in settings.items():
             fish.params.set(name, value)
         fish.upload_reference(reference.thesis().record())
-        errors = [fish.learn(fish.run_trial().number).max_abs_error_m_s for _ in range(8)]
+        errors = [fish.learn(run_trial(fish).number).max_abs_error_m_s for _ in range(8)]
         amplitudes = fish.amplitudes().values
     print(f"\n{past.label()}: max|e| {', '.join(f'{e * 1e3:.1f}' for e in errors)} mm/s")
     assert min(errors[4:]) < 0.25 * ZERO_INPUT_ERROR_M_S

@@ -17,6 +17,7 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.trial_checks import never_corrected, never_measured, not_reached, spans
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import TrialOutcome
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -45,7 +46,7 @@ def prepare(fish: Fish, **others: float) -> None:
 
 
 def swim(fish: Fish) -> TrialOutcome:
-    outcome = fish.run_trial()
+    outcome = run_trial(fish)
     if outcome.end != "complete":
         fish.clear()
     return outcome
@@ -116,7 +117,7 @@ def test_only_speeds_that_are_known_in_the_swim_stop_it(source: int, stops: bool
     with Fish.connect("sim:tank", seed=1) as fish:
         assert fish.imu_verdict().state == "streaming"
         prepare(fish, SPD_SOURCE=source, REST_MIN_S=3, ERR_MAX_M_S=0.001)
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         assert outcome.end == ("aborted:ERROR_LIMIT" if stops else "complete")
 
 
@@ -135,7 +136,7 @@ def test_power_lost_in_mid_swim_teaches_nothing_and_costs_nothing(tmp_path: Path
                 todo.clear()
                 board.power_cycle()
 
-        outcome = fish.run_trial(on_event=cut)
+        outcome = run_trial(fish, on_event=cut)
         assert outcome.end == "aborted:REBOOT"
         status = fish.status()
         assert (status.pending_trial, status.next_trial) == (None, outcome.number + 1)

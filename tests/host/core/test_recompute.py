@@ -14,6 +14,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.session.guards import HIT
+from tailbeat.session.trial import run_trial
 
 BEATS = 12
 VISION, UPLOAD, IMU, MODEL = range(4)
@@ -37,7 +38,7 @@ def swum(
         fish.params.set("GUARD_BEATS", guard_beats)
         fish.upload_reference(reference.trapezoid(0.06, 3 * beat_s, (BEATS - 6) * beat_s, beat_s))
         fish.link.run(REST_S)
-        fish.run_trial(guard=guard if abort_at is not None else None)
+        run_trial(fish, guard=guard if abort_at is not None else None)
         return read_trial(fish.pull_trial(1, folder))
 
 

@@ -18,6 +18,7 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import read_trial
 from tailbeat.sensors.camera.speed import smoother
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -228,7 +229,7 @@ def board(monkeypatch: pytest.MonkeyPatch, reference: bytes) -> Iterator[SimBoar
     with Fish.connect("it") as fish:
         fish.params.set("SPD_SOURCE", 1)
         fish.upload_reference(reference)
-        assert fish.run_trial().number == 1
+        assert run_trial(fish).number == 1
     yield simulated
 
 

@@ -25,6 +25,7 @@ from tailbeat.core.trial_checks import (
 from tailbeat.core.trial_file import NO_MOTION, Beats, Rest, Slots, Trial, read_trial
 from tailbeat.sensors.camera.simulated import SimulatedCamera
 from tailbeat.session.guards import Seen
+from tailbeat.session.trial import run_trial
 
 Turn = Callable[[np.ndarray], np.ndarray]
 
@@ -189,7 +190,7 @@ def test_the_simulator_s_own_heading(askew_rad: float, tmp_path: Path) -> None:
         fish.upload_reference(thesis().record())
         fish.link.run(30)
         seen = Seen()
-        number = fish.run_trial(guard=seen).number
+        number = run_trial(fish, guard=seen).number
         true_rad = fish.sim.truth().heading_rad
         one = read_trial(fish.pull_trial(number, tmp_path))
         begin_s = one.start_us * 1e-6
@@ -235,7 +236,7 @@ def speeds(angle_rad: float | None, direction_rad: float, tmp_path: Path) -> np.
         fish.upload_reference(reference.cosine(0.06, 4, 2).record())
         plain = SimulatedCamera(fish.sim)
         camera = plain if angle_rad is None else Turned(plain, angle_rad)
-        number = fish.run_trial(camera, direction_rad=direction_rad).number
+        number = run_trial(fish, camera, direction_rad=direction_rad).number
         return read_trial(fish.pull_trial(number, tmp_path)).beats.speed_m_s
 
 
@@ -259,7 +260,7 @@ def test_a_swim_along_x_is_bit_for_bit_what_it_was(tmp_path: Path) -> None:
         assert fish.sim is not None
         fish.params.set("ILC_GAIN", 7)
         fish.upload_reference(reference.cosine(0.06, 4, 2).record())
-        number = fish.run_trial(NoSides(SimulatedCamera(fish.sim), 0.0)).number
+        number = run_trial(fish, NoSides(SimulatedCamera(fish.sim), 0.0)).number
         found = read_trial(fish.pull_trial(number, tmp_path / "1")).beats.speed_m_s
     assert found.tobytes() == plain.tobytes()
 

@@ -22,6 +22,7 @@ from tailbeat.core.trial_file import (
     read_trial,
 )
 from tailbeat.session.guards import HIT
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import in_process
 
 BEATS = 12
@@ -35,7 +36,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         fish.link.run(9.0)  # until the IMU is set up
         fish.params.set("AMP_MAX_RAD", 0.785)
         fish.upload_reference(reference.trapezoid(0.06, 3, BEATS - 6))
-        fish.run_trial()
+        run_trial(fish)
         whole = fish.pull_trial(1, folder)
         speeds = np.full(BEATS, 0.03, dtype=np.float32)
         speeds[4] = np.nan
@@ -49,7 +50,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             beats_seen.append(getattr(what, "beat", -1))
             return "enough" if max(beats_seen) >= 3 else None
 
-        fish.run_trial(guard=guard)
+        run_trial(fish, guard=guard)
         cut = fish.pull_trial(2, folder)
     return {"whole": whole, "uploaded": uploaded, "cut": cut}
 
@@ -96,7 +97,7 @@ def test_a_wall_leaves_the_last_beats_unmeasured(tmp_path: Path) -> None:
     with Fish.connect("sim:tank", seed=3) as fish:
         fish.params.set("GUARD_BEATS", 2)
         fish.upload_reference(reference.trapezoid(0.06, 3, BEATS - 6))
-        near = fish.run_trial(guard=lambda what: HIT if getattr(what, "beat", -1) == 4 else None)
+        near = run_trial(fish, guard=lambda what: HIT if getattr(what, "beat", -1) == 4 else None)
         found = read_trial(fish.pull_trial(1, tmp_path))
     swum = near.executed_beats
     assert (near.end, found.end, found.executed_beats) == ("aborted:WALL", "aborted:WALL", swum)
@@ -202,7 +203,7 @@ def test_turns_are_those_of_the_simulated_body(tmp_path: Path) -> None:
         fish.link.run(9.0)
         fish.upload_reference(reference.trapezoid(0.06, 2, 2))
         tail_rad = record_tail(fish)
-        fish.run_trial()
+        run_trial(fish)
         trial = read_trial(fish.pull_trial(1, tmp_path))
     table = trial.slots.table()
     assert np.array_equal(np.isfinite(table["turn_rad"]), np.isfinite(table["gain_m_s"]))
@@ -242,7 +243,7 @@ def test_a_trial_without_slots_is_a_trial(tmp_path: Path) -> None:
         fish.params.set("IMU_TIMEOUT_S", 0)
         fish.params.set("SPD_SOURCE", 1)
         fish.upload_reference(reference.Reference(1.0, np.full(3, 0.02, np.float32), "short"))
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
     assert trial.end == "complete"
     assert len(trial.slots.index) == len(trial.slots.table()["turn_rad"]) == 0

@@ -15,6 +15,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.records import encode_reference
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import DISCARDED, RUN, Logbook, logbook_of
+from tailbeat.session.trial import run_trial
 
 FISH = "00112233445566778899aabbccddeeff"
 
@@ -26,7 +27,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Fish.connect("sim:tank?seed=1") as fish:
         fish.upload_reference(encode_reference(1.0, np.full(12, 0.05)))
         for number in (1, 2, 3):
-            fish.run_trial()
+            run_trial(fish)
             fish.learn(number)
             fish.pull_trial(number, folder)
     return folder

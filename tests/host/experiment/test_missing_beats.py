@@ -30,6 +30,7 @@ from tailbeat.learning.convergence import (
 )
 from tailbeat.learning.verdict import progress_of, scores_of
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.batch import Shoal
 
 from .. import made_analyses as made
@@ -245,7 +246,7 @@ def _own_beats(told: list[Score]) -> tuple[list[int], int]:
 
 def swim(fish: Fish, lost: NDArray[np.bool_], folder: Path) -> tuple[Trial, bool]:
     """One trial whose camera loses some beats. The dry run must say what the board does."""
-    number = fish.run_trial().number
+    number = run_trial(fish).number
     speed = read_trial(fish.pull_trial(number, folder / "before")).beats.speed_m_s
     fish.upload_speeds(number, np.where(lost, MISSING, speed), np.full(len(speed), 1e-3))
     trial = read_trial(fish.pull_trial(number, folder))
@@ -289,7 +290,7 @@ def test_firmware_that_keeps_no_peaks_is_foretold_by_its_own_rule(
     fish: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fish.upload_reference(reference.cosine(0.06, 4.0, 6.0).record())
-    number = fish.run_trial().number
+    number = run_trial(fish).number
     speed = read_trial(fish.pull_trial(number, tmp_path)).beats.speed_m_s
     speed[3] = MISSING
     fish.upload_speeds(number, speed, np.full(len(speed), 1e-3))

@@ -36,6 +36,7 @@ from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
 from tailbeat.sensors.camera.calibration.file import load_calibration
 from tailbeat.session.repeat import held_before
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -380,7 +381,7 @@ def test_no_entry_of_the_store_is_ignored() -> None:
 
 def test_the_store_learns_on(stored: Fish) -> None:
     """By the moving average over trials that 0bf270a swam."""
-    number = stored.run_trial().number
+    number = run_trial(stored).number
     stored.upload_speeds(number, [0.02, 0.05, 0.065, 0.06, 0.035], [0.001] * 5)
     stored.learn(number)
     assert bits(stored) == EXPECTED["store"]["after_one_more"]

@@ -15,6 +15,7 @@ from tailbeat.learning.disturbance import bump_of
 from tailbeat.learning.fish_model import Swim, swim_of
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.collect import Log, outcome_of, swum_of
+from tailbeat.session.trial import run_trial
 
 PUSH_M_S = 0.05
 BEATS = 16
@@ -44,7 +45,7 @@ class Tank:
                 board.set_camera(True)
 
         self.fish.arm()
-        number = self.fish.run_trial(guard=look).number
+        number = run_trial(self.fish, guard=look).number
         return read_trial(self.fish.pull_trial(number, self.folder))
 
 

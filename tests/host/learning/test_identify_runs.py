@@ -33,6 +33,7 @@ from tailbeat.learning.identification_runs import Course, Limits, Run, identify_
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.guards import HIT
 from tailbeat.session.identify import Attendant, identify_fish, set_params
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -224,7 +225,7 @@ def learned(tank: Fish) -> Fish:
     """A fish that has learned from two trials of eight beats."""
     tank.upload_reference(reference.cosine(0.06, 3, 2))
     for _ in range(2):
-        tank.run_trial()
+        run_trial(tank)
         tank.learn()
     return tank
 
@@ -386,7 +387,7 @@ def test_without_another_swim_it_is_put_back_too(
 
 def test_a_trial_is_no_run_after_all(learned: Fish, tmp_path: Path) -> None:
     """A copy that lies there says nothing while the board has its own reference."""
-    learned.run_trial()
+    run_trial(learned)
     before = state(learned)
     preserve._write_copy(tmp_path / "safe", preserve._held(learned, {}, ()), print)
     assert not preserve.restore_interrupted(learned, tmp_path / "safe", print)
@@ -413,7 +414,7 @@ def test_an_older_copy_neither_comes_back_nor_goes(
     assert copy.reference is not None and copy.learned is not None
     fish.upload_reference(copy.reference)  # as flash --restore does
     fish.upload_learned(copy.learned)
-    fish.run_trial()
+    run_trial(fish)
     fish.learn()
     before = state(fish)
     heard: list[str] = []
@@ -447,7 +448,7 @@ def test_no_reference_before_and_no_run_after(tank: Fish) -> None:
 
 
 def test_refused_while_a_trial_is_pending(learned: Fish) -> None:
-    learned.run_trial()
+    run_trial(learned)
     before = state(learned)
     with pytest.raises(InputError, match="trial 3 is neither learned nor discarded"):
         identify_fish(learned, Attendant())
@@ -537,7 +538,7 @@ def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixt
     for seed in (1, 2):
         with Fish.connect(f"sim:tank?seed={seed}") as fish:
             fish.upload_reference(reference.cosine(0.06, 3, 2))
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             (tmp_path / str(seed)).mkdir()
             paths.append(str(fish.pull_trial(outcome.number, tmp_path / str(seed))))
     assert run(["identify", "--trials", *paths]) == 1

@@ -28,6 +28,7 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, again, document_of, foretold, propose
 from tailbeat.session.model_step import Step, next_of, numbered_anew, swims_since
+from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.batch import Shoal
 
 Array = F64
@@ -350,12 +351,12 @@ def test_words_after_a_rollback_are_true(
 ) -> None:
     fish.upload_reference(SHORT.record())
     learn_with_model(fish, None, identified_file, False, json=True)
-    book.keep(fish.pull_trial(fish.run_trial().number, tmp_path))
+    book.keep(fish.pull_trial(run_trial(fish).number, tmp_path))
     fish.learn()
     best = fish.amplitudes(best=True).values
     for _ in range(2):
         fish.upload_amplitudes(np.full(SHORT.beats, 0.1))
-        number = fish.run_trial().number
+        number = run_trial(fish).number
         if fish.status().worse_streak == 0:
             book.keep(fish.pull_trial(number, tmp_path))
             fish.learn()
@@ -441,7 +442,7 @@ def test_session_on_a_board(
     assert swum.iteration == 1
     assert swum.values.tolist() == np.float32(planned["amplitude_rad"]).tolist()
     fish.arm()
-    fish.run_trial()
+    run_trial(fish)
     dry = learn(dry_run=True)
     assert dry["dry_run"] is True and fish.status().pending_trial == 1 and not book.swims()
     learned = learn()
@@ -466,7 +467,7 @@ def test_session_says_one_line(
     line = capsys.readouterr().out
     assert line.startswith("planned with the identified model") and line.count("\n") == 1
     fish.arm()
-    fish.run_trial()
+    run_trial(fish)
     learn_with_model(fish, None, identified_file, False, json=False)
     first = capsys.readouterr().out.splitlines()[0]
     assert first.startswith("trial 1: max|e| ") and "predicted" in first and "next max|e|" in first

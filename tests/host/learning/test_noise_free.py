@@ -10,6 +10,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import from_text
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.native import SimBoard
 
 from ..tank_day import Day, Tank
@@ -55,7 +56,7 @@ def test_a_second_reference_that_does_not_set_the_fish_going() -> None:
         for words in ("trapezoid:0.06,4,6", "trapezoid:0.06,4,6", "trapezoid:0.048,5,7.5"):
             if (wanted := from_text(words)).crc != fish.status().reference_crc:
                 fish.upload_reference(wanted.record())
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             speeds = [beat.speed_m_s for beat in outcome.beats]
             assert None not in speeds, words
             np.testing.assert_allclose(speeds, fish.sim.true_beats(), atol=2e-3)

@@ -20,6 +20,7 @@ from tailbeat.experiment.library import Kept, Logbook
 from tailbeat.learning.fish_model import FishModel, swim_of
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.verdict import progress_of, series_of
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -62,7 +63,7 @@ def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
             fish.params.set(name, value)
         fish.upload_reference(from_text(str(csv)))
         for _ in range(TRIALS):
-            number = fish.run_trial(None).number
+            number = run_trial(fish, None).number
             fish.learn(number)
             fish.pull_trial(number, folder)
     return folder

@@ -25,6 +25,7 @@ from tailbeat.learning.saturation import (
 from tailbeat.learning.verdict import progress_of
 from tailbeat.link.params import known_parameters
 from tailbeat.session.execute import told
+from tailbeat.session.trial import run_trial
 
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)
 TRIALS = 6
@@ -45,7 +46,7 @@ def series(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
     with Fish.connect("sim:tank", seed=5) as fish:
         fish.upload_reference(thesis())
         for _ in range(TRIALS):
-            fish.pull_trial(fish.run_trial().number, folder)
+            fish.pull_trial(run_trial(fish).number, folder)
             fish.learn()
     return [read_trial(path) for path in sorted(folder.glob("*.ulg"))]
 

@@ -12,6 +12,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.impaired import BadLine, Delay
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -31,7 +32,7 @@ def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:
         wanted = reference.thesis()
         fish.upload_reference(wanted)
         fish.upload_amplitudes(np.clip(0.197 + wanted.speed_m_s / 0.219, 0, 0.785))
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         trial = read_trial(fish.pull_trial(outcome.number, folder))
     assert outcome.end == "complete"
     assert np.array_equal(recompute_beats(trial)[0], trial.beats.speed_m_s)

@@ -34,6 +34,7 @@ from tailbeat.session.operator import Decision, Event
 from tailbeat.session.preflight import checklist
 from tailbeat.session.repeat import write_held
 from tailbeat.session.series import Options, Until, swim_series
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -241,7 +242,7 @@ def swim_another(reference: list[float]) -> None:
             fish.clear()
         own = fish.reference_record()
         fish.upload_reference(records.encode_reference(1.0, reference))
-        fish.discard(fish.run_trial().number)
+        fish.discard(run_trial(fish).number)
         assert own is not None
         fish.upload_reference(own)
 
@@ -435,7 +436,7 @@ def test_the_first_yaw_since_the_board_was_switched_on(says: Says) -> None:
 def test_without_a_camera_every_start_points_as_the_first(
     says: Says, board: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Fish, "default_camera", lambda fish: None)
+    monkeypatch.setattr("tailbeat.session.trial.default_camera", lambda fish: None)
     throw = ("trial", "run", "--then", "discard", "--reason", "x", "--rest", "1")
     assert says(*throw)[0] == 0
     first = journal("begun")[0]["pose"]

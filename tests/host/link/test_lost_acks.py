@@ -13,6 +13,7 @@ from tailbeat.core.errors import Refused
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.impaired import BadLine, Cut, Delay, Duplicate
 from tailbeat.link.mavlink import Framer, Message
+from tailbeat.session.trial import run_trial
 
 
 def message_of(frame: bytes) -> Message | None:
@@ -62,10 +63,10 @@ def deaf_to(ready: Fish, command: int, count: int, up: int = 0) -> First:
     [
         (ARM, lambda f: None, Fish.arm, lambda f: f.status().state == "ARMED"),
         (ARM, Fish.arm, Fish.disarm, lambda f: f.status().state == "IDLE"),
-        (LEARN, Fish.run_trial, Fish.learn, lambda f: f.status().iteration == 2),
+        (LEARN, run_trial, Fish.learn, lambda f: f.status().iteration == 2),
         (
             mavlink.TAILBEAT_CMD_DISCARD,
-            Fish.run_trial,
+            run_trial,
             Fish.discard,
             lambda f: f.status().pending_trial is None,
         ),
@@ -104,7 +105,7 @@ def test_a_command_whose_acknowledgement_is_lost_is_done_once(
 @pytest.mark.parametrize(
     ("command", "prepare", "do"),
     [
-        (mavlink.TAILBEAT_CMD_DISCARD, Fish.run_trial, Fish.discard),
+        (mavlink.TAILBEAT_CMD_DISCARD, run_trial, Fish.discard),
         (
             mavlink.TAILBEAT_CMD_COMMIT,
             lambda f: None,
@@ -134,7 +135,7 @@ def test_what_is_refused_stays_refused(ready: Fish) -> None:
 def test_a_swim_needs_no_acknowledgement(ready: Fish) -> None:
     """The board is seen to swim, and its beats are measured from the first on."""
     lost = deaf_to(ready, START, 10**9)
-    outcome = ready.run_trial()
+    outcome = run_trial(ready)
     assert outcome.end == "complete"
     assert 1 <= len(lost.lost) <= 3
     assert ready.learn().measured_beats == 8
@@ -142,7 +143,7 @@ def test_a_swim_needs_no_acknowledgement(ready: Fish) -> None:
 
 def test_a_start_that_is_lost_does_not_grow_stale(ready: Fish) -> None:
     deaf_to(ready, START, 0, up=5)
-    outcome = ready.run_trial()
+    outcome = run_trial(ready)
     assert outcome.end == "complete"
     assert ready.learn().measured_beats == 8
 
@@ -164,6 +165,6 @@ def test_a_trial_over_a_cut_goes_on(ready: Fish) -> None:
     cut = Cut(at_s=begin_s + 5.0, closed_s=1.5)
     ready.link.transport = BadLine(ready.transport, [cut])
     events: list[str] = []
-    outcome = ready.run_trial(on_event=lambda event: events.append(event["event"]))
+    outcome = run_trial(ready, on_event=lambda event: events.append(event["event"]))
     assert outcome.end == "complete"
     assert events.index("link_lost") < events.index("link_back") < events.index("ended")

@@ -31,6 +31,7 @@ from tailbeat.link.impaired import (
 )
 from tailbeat.link.mavlink import TRIES
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -89,7 +90,7 @@ def learn_six(fish: Fish, source: int, folder: Path) -> Session:
     fish.params.load()
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
     for number in range(1, TRIALS + 1):
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         assert (outcome.number, outcome.end) == (number, "complete")
         if source == UPLOAD:
             fish.upload_speeds(number, board_of(fish).true_beats()[:BEATS], np.full(BEATS, 1e-3))
@@ -176,7 +177,7 @@ def long_flash() -> bytes:
     with Fish.connect("sim:tank", seed=1) as fish:
         fish.params.set("TANK_LEN_M", 0)
         fish.upload_reference(records.encode_reference(1.0, [0.03] * 150))
-        fish.run_trial()
+        run_trial(fish)
         return board_of(fish).flash
 
 

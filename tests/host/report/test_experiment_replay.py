@@ -22,6 +22,7 @@ from tailbeat.experiment.redo import write_redo
 from tailbeat.report.page import Picture
 from tailbeat.report.paper import Drawing, write_report
 from tailbeat.report.replay import Replay, replay
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.native import SimBoard
 from tailbeat.sim.server import SimServer
 
@@ -146,7 +147,7 @@ def test_uploaded_speeds_are_told_not_counted(tmp_path: Path) -> None:
         experiment = make(fish, tmp_path, REFERENCE)
         for _ in range(2):
             fish.arm()
-            number = fish.run_trial().number
+            number = run_trial(fish).number
             before = fish.pull_trial(number, tmp_path)
             kept = experiment.keep_trial(before)
             before.unlink()

@@ -38,6 +38,7 @@ from tailbeat.report.figures import comparison, contraction, learning, trials
 from tailbeat.report.page import Material, Picture, headline, page
 from tailbeat.report.paper import FIGURES, Drawing, write_report
 from tailbeat.report.style import LOOKS, PAGE, PAPER, labels, save, written
+from tailbeat.session.trial import run_trial
 
 from .. import made_analyses as made
 
@@ -87,7 +88,7 @@ def swim_once(fish: Fish, experiment: Experiment, what: str, now: datetime) -> N
         return "a hand" if what == "abort" and beats >= 5 else None
 
     fish.arm()
-    swum = fish.run_trial(guard=hand)
+    swum = run_trial(fish, guard=hand)
     with tempfile.TemporaryDirectory() as folder:
         path = experiment.keep_trial(fish.pull_trial(swum.number, Path(folder)))
     if what == "abort":

@@ -243,7 +243,7 @@ class BadCamera(SimulatedCamera):
 
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch, day: BadDay) -> type[BadCamera]:
-    monkeypatch.setattr(Fish, "default_camera", lambda fish: BadCamera(day.board))
+    monkeypatch.setattr("tailbeat.session.trial.default_camera", lambda fish: BadCamera(day.board))
     monkeypatch.setattr(BadCamera, "ill", "")
     monkeypatch.setattr(BadCamera, "last", None)
     return BadCamera

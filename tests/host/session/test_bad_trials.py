@@ -25,6 +25,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import LearnReport
 from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.native import SimBoard
 
 TRIALS = 10
@@ -139,7 +140,7 @@ class Session:
                 plain_send(each)
 
         fish.link.send = send  # type: ignore[method-assign]
-        outcome = fish.run_trial(camera=camera, guard=camera.guard)
+        outcome = run_trial(fish, camera=camera, guard=camera.guard)
         fish.link.send = plain_send  # type: ignore[method-assign]
         camera.close()
         true = self.board.true_beats()[:BEATS]

@@ -24,6 +24,7 @@ from tailbeat.session.collect import keep_log, outcome_of, proposed, swum_of
 from tailbeat.session.guards import BY_HAND, when
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -60,7 +61,7 @@ def swims(fish: Fish, until_beat: int | None = None) -> int:
         nonlocal reached
         reached = reached or (event["event"] == "beat" and event["beat"] == until_beat)
 
-    return fish.run_trial(on_event=hear, guard=when(lambda: reached, BY_HAND)).number
+    return run_trial(fish, on_event=hear, guard=when(lambda: reached, BY_HAND)).number
 
 
 def whats(experiment: Experiment) -> list[str]:

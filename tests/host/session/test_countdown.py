@@ -23,6 +23,8 @@ from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
 from tailbeat.session.operator import Event
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import GivenUp, NotReady, Wanted
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import default_camera
 from tailbeat.sim.board import CameraFrame
 
 from ..conftest import BadRadio
@@ -43,7 +45,7 @@ def test_it_counts_whole_seconds_and_returns_armed(ready: Fish) -> None:
     assert counted(person) == [5, 4, 3, 2, 1, 0]
     assert np.diff(at_s) == pytest.approx(np.ones(5), abs=0.11)
     assert ready.status().state == "ARMED"
-    assert ready.run_trial().end == "complete"
+    assert run_trial(ready).end == "complete"
 
 
 @pytest.mark.parametrize(("countdown_s", "told"), [(0.0, [0]), (2.5, [3, 2, 1, 0])])
@@ -164,7 +166,7 @@ def test_a_board_that_does_not_arm_is_left_alone(
     """Another host may be swimming with it: a disarm would stop that."""
     ready.arm()
     other = Fish(ready.transport)
-    other.run_trial()
+    run_trial(other)
     assert ready.status().pending_trial == 1
     radio = spoil(ready)
     with pytest.raises(Refused, match="neither learned nor discarded"):
@@ -205,7 +207,7 @@ def lit(frames: list[CameraFrame], from_s: float, until_s: float) -> list[bool]:
 
 
 def watched(fish: Fish) -> SimulatedCamera:
-    camera = fish.default_camera()
+    camera = default_camera(fish)
     assert isinstance(camera, SimulatedCamera)
     return camera
 
@@ -267,7 +269,7 @@ def test_the_code_is_found_behind_a_countdown(at_once: bool) -> None:
             fish.link.run(7.3)
         else:
             countdown(fish, replace(WANTED, countdown_s=10.0), Script())
-        outcome = fish.run_trial(_Off())
+        outcome = run_trial(fish, _Off())
         assert outcome.end == "complete"
         fish.link.run(1.0)
         begin_s = _start_s(fish, outcome.number)

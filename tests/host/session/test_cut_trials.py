@@ -12,6 +12,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import from_text
 from tailbeat.link.messages import BeatEvent
+from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo import cell as lengths
 from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.batch import Shoal, Swims
@@ -68,7 +69,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
         for number in range(1, 10):
             amplitude = batch.following()
             wanted = lengths.executed(spread, [5], number, reference.beats)
-            outcome = fish.run_trial(guard=CutAfter(int(wanted[0])))
+            outcome = run_trial(fish, guard=CutAfter(int(wanted[0])))
             told = {beat.beat: beat.amplitude_rad for beat in outcome.beats}
             assert all(np.float32(told[k]) == np.float32(amplitude[0, k]) for k in told)
             executed = np.array([outcome.executed_beats])

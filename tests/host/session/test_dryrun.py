@@ -7,11 +7,12 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.trial import run_trial
 
 
 def swim_and_compare(fish: Fish) -> bool:
     """One trial; whether learning from it rolled back. The dry run must say the same before."""
-    fish.run_trial()
+    run_trial(fish)
     foretold = dry_run(fish)
     learned = fish.learn()
     assert foretold.amplitude_rad.tobytes() == fish.amplitudes().values.tobytes()
@@ -56,7 +57,7 @@ def test_an_aborted_trial_is_foretold(fish: Fish) -> None:
     swim_and_compare(fish)
     visited = fish.visits()
     frames = iter(range(1000))
-    outcome = fish.run_trial(guard=lambda _: "wall" if next(frames) > 200 else None)
+    outcome = run_trial(fish, guard=lambda _: "wall" if next(frames) > 200 else None)
     assert outcome.end == "aborted:ABORT_COMMAND"
     fish.clear()
     foretold = dry_run(fish)

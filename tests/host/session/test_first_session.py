@@ -31,6 +31,7 @@ from tailbeat.session.commission import Step, first_session
 from tailbeat.session.commission_steps import Raise, next_raise
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.status import fall_per_swim, standing_of, swims_left, words
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -283,7 +284,7 @@ def test_nothing_begins_on_an_empty_battery_or_without_a_camera() -> None:
 
 def test_a_trial_that_waits_comes_first(fish: Fish) -> None:
     fish.upload_reference(reference.trapezoid(0.05, 2, 2))
-    fish.run_trial()
+    run_trial(fish)
     steps = list(first_session(fish, THESIS, Somebody()))
     assert len(steps) == 1 and "neither learned nor discarded" in steps[0].words
     assert fish.status().pending_trial == 1
@@ -291,7 +292,7 @@ def test_a_trial_that_waits_comes_first(fish: Fish) -> None:
 
 def test_what_was_learned_is_not_given_up_unasked(fish: Fish) -> None:
     fish.upload_reference(reference.trapezoid(0.05, 2, 2))
-    fish.run_trial()
+    run_trial(fish)
     fish.learn()
     mine = fish.learned_record()
     steps = list(first_session(fish, THESIS, Somebody("forget")))

@@ -13,6 +13,7 @@ from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.guards import RoomGuard, Seen, together, when
 from tailbeat.session.room import room_guard, travel_next
+from tailbeat.session.trial import run_trial
 
 ROOM_M = 3.0 - 0.36
 
@@ -151,7 +152,7 @@ def swum(
         amplitude = np.where(wanted > 0.002, np.clip(0.197 + wanted / 0.219, 0, 0.785), 0)
         fish.upload_amplitudes(amplitude.astype(np.float32))
         travel_next(fish, None).require_room()
-        end = fish.run_trial(guard=room_guard(fish, None)).end
+        end = run_trial(fish, guard=room_guard(fish, None)).end
         while fish.sim.truth().v_m_s > 0.01:
             fish.sim.run(0.1)
         return end, fish.sim.truth().x_m

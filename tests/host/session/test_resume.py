@@ -35,6 +35,7 @@ from tailbeat.session.repeat import repeat_best, repeat_path, write_held
 from tailbeat.session.resume import Restored, restore
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.shift import Shift, shift_of
+from tailbeat.session.trial import run_trial
 from tailbeat.session.trim import find_centre
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -178,7 +179,7 @@ def test_a_board_that_is_ahead_keeps_what_it_has(
     swapped: Fish, experiment: Experiment, pool: Pool
 ) -> None:
     """Learned without the tool that keeps the copy."""
-    swapped.run_trial()
+    run_trial(swapped)
     swapped.learn()
     ahead = swapped.learned_record()
     found = restore(swapped, experiment)
@@ -245,7 +246,7 @@ def test_a_replaced_board_takes_the_others_place(experiment: Experiment, pool: P
 def test_a_trial_that_waits_is_left_alone(
     swapped: Fish, experiment: Experiment, pool: Pool
 ) -> None:
-    outcome = swapped.run_trial()
+    outcome = run_trial(swapped)
     swapped.sim.power_cycle()  # type: ignore[union-attr]
     swapped.link.run(1.0)
     found = restore(swapped, experiment)
@@ -263,7 +264,7 @@ def test_another_reference_that_was_learned_is_not_lost(
     swapped: Fish, experiment: Experiment
 ) -> None:
     swapped.upload_reference(reference.trapezoid(0.05, 3, 2))
-    swapped.run_trial()
+    run_trial(swapped)
     swapped.learn()
     mine = swapped.learned_record()
     with pytest.raises(InputError, match="another reference"):
@@ -586,7 +587,7 @@ def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, p
     restore(swapped, experiment)
     write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()
-    swapped.run_trial()
+    run_trial(swapped)
     restore(swapped, experiment)
     assert swapped.status().pending_trial == 5
     somebody = Somebody()
@@ -604,7 +605,7 @@ def test_the_laptop_dies_after_the_decision(
     restore(swapped, experiment)
     write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()
-    swapped.run_trial()
+    run_trial(swapped)
     log = keep_log(swapped, experiment, 5)
     account = Account(experiment, experiment.journal)
     swum = swum_of(outcome_of(log.trial), log, None)
@@ -652,7 +653,7 @@ def test_a_board_that_learned_since_is_left_alone(
 ) -> None:
     write_held(experiment, Snapshot("", {}, next_trial=5, learned=pool.learned or b""))
     swapped.restore_best()
-    swapped.run_trial()
+    run_trial(swapped)
     swapped.learn()
     mine = swapped.learned_record()
     restore(swapped, experiment)

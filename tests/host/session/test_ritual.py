@@ -20,6 +20,7 @@ from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.pose import Sight
 from tailbeat.session.preflight.step import GivenUp, NotReady, Step, Wanted
 from tailbeat.session.preflight.stillness import drift_of
+from tailbeat.session.trial import run_trial
 
 from ..conftest import BadRadio
 from ..tank_side import Overhead, Script, drifts, lies
@@ -60,7 +61,7 @@ def test_all_is_well(ready: Fish) -> None:
 
 def swim(fish: Fish, beats: int = 8) -> None:
     fish.upload_amplitudes(np.full(beats, 0.3))
-    assert fish.run_trial().end == "complete"
+    assert run_trial(fish).end == "complete"
     fish.discard()
 
 
@@ -523,7 +524,7 @@ def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
         seen.append(what)
         return "wall: near" if len(seen) > 60 else None
 
-    ready.run_trial(guard=wall)
+    run_trial(ready, guard=wall)
     assert state_of(ready) == "ABORTED"
     with pytest.raises(NotReady, match=r"WALL.*too close to a wall.*tailbeat clear"):
         prepare(ready, Wanted(), None, Script())

@@ -27,6 +27,7 @@ from tailbeat.session.collect import Swum
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.series import Options, SeriesEnd, Until, swim_series
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -365,7 +366,7 @@ def test_rollback_is_told_with_what_it_means(
 def test_what_was_swum_elsewhere_is_decided_on_first(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
-    assert fish.run_trial().end == "complete"
+    assert run_trial(fish).end == "complete"
     person = Script(BUMPED, KEEP)
     end = swim(person)
     assert person.asked == [1, 2]
@@ -397,7 +398,7 @@ def test_a_fish_that_swims_is_left_alone(
                 swim(Script())
             seen.append(board.truth().swimming)
 
-    assert fish.run_trial(on_event=meddle).end == "complete"
+    assert run_trial(fish, on_event=meddle).end == "complete"
     assert seen == [True]
 
 
@@ -417,7 +418,7 @@ def test_a_swim_without_speeds_cannot_be_kept(
 def test_a_refusal_to_learn_is_asked_about_again(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
-    fish.run_trial()
+    run_trial(fish)
     set_meant(fish, experiment, "ILC_LEAD", 10)
     with pytest.raises(Refused):
         swim(Script(KEEP))

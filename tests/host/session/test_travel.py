@@ -17,6 +17,7 @@ from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import Logbook
 from tailbeat.session.room import Travel, last_measured, travel_next, travel_of
+from tailbeat.session.trial import run_trial
 
 THESIS_LIMITS = {"AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0.0}
 ROOM_M = 3.0 - 0.36
@@ -34,7 +35,7 @@ def swimmer(plant: str, seed: int, **params: float) -> Fish:
 def swim(fish: Fish, folder: Path) -> tuple[float, Trial]:
     """(true way over ground until the coast is over, its log)."""
     assert fish.sim is not None
-    number = fish.run_trial().number  # settling takes as long as the coast
+    number = run_trial(fish).number  # settling takes as long as the coast
     way_m = fish.sim.truth().x_m
     return way_m, read_trial(fish.pull_trial(number, folder))
 

@@ -28,6 +28,7 @@ from tailbeat.session.collect import Swum
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.room import belief_of
+from tailbeat.session.trial import run_trial
 from tailbeat.session.trim import CENTRE, Trim, TrimSwim, apply, centre_of, find_centre, plan
 
 US_RAD = 572.9578
@@ -68,7 +69,7 @@ def learned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fish]:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "books"))
     with askew(0.1, 4) as fish:
         fish.upload_reference(reference.cosine(0.06, 3, 2))
-        fish.run_trial()
+        run_trial(fish)
         fish.learn()
         fish.params.set("ILC_GAIN", 3.5)
         yield fish
@@ -99,7 +100,7 @@ def check_found(rad: float, seeds: range, tmp_path: Path) -> None:
             fish.params.set("AMP_MAX_RAD", 0.785)
             fish.upload_reference(thesis().record())
             fish.link.run(30)
-            number = fish.run_trial().number
+            number = run_trial(fish).number
             assert fish.sim is not None
             left.append(math.degrees(fish.sim.truth().heading_rad))
             felt = straightness(read_trial(fish.pull_trial(number, tmp_path / f"{rad}{seed}")))

@@ -16,6 +16,7 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.session.guards import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WallGuard
+from tailbeat.session.trial import run_trial
 
 FPS = 25.0
 TANK = ((-0.5, -0.9), (2.5, -0.9), (2.5, 0.9), (-0.5, 0.9))  # the thesis's; start 0.5 m from a wall
@@ -314,7 +315,7 @@ def test_the_fish_is_stopped_and_hardly_touches(kappa_per_m: float, tmp_path: Pa
         set_out(fish, FAST)
         events: list[dict] = []
         guard = WallGuard(calibration(room), kappa_per_m=kappa_per_m)
-        outcome = fish.run_trial(on_event=events.append, guard=guard)
+        outcome = run_trial(fish, on_event=events.append, guard=guard)
         assert outcome.end == "aborted:WALL"
         reasons = [event["reason"] for event in events if event["event"] == "guard"]
         assert len(reasons) == 1 and reasons[0].startswith(HIT)
@@ -350,7 +351,7 @@ def test_the_tail_stops_within_a_beat() -> None:
                 assert abs(board.truth().tail_rad) < 2e-3
 
         fish.link.subscribe(look)
-        assert fish.run_trial(guard=watch).end == "aborted:WALL"
+        assert run_trial(fish, guard=watch).end == "aborted:WALL"
         assert since[1] - since[0] < 1.0
 
 
@@ -360,5 +361,5 @@ def test_the_thesis_s_own_swim_fits_into_its_tank() -> None:
         with Fish.connect("sim:tank", seed=1) as fish:
             set_out(fish, thesis().speed_m_s * scale)
             events: list[dict] = []
-            outcome = fish.run_trial(on_event=events.append, guard=WallGuard(calibration()))
+            outcome = run_trial(fish, on_event=events.append, guard=WallGuard(calibration()))
             assert outcome.end == "complete", events

@@ -17,6 +17,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CameraFrame, SimTransport, SimulatedBoard
 from tailbeat.sim.commands import WORDS, Lines, obey
 from tailbeat.sim.native import SimBoard
@@ -57,7 +58,7 @@ class Swum:
             fish.link.run(9.0)  # at rest the IMU learns which way is down
             fish.arm()
             camera = Filming(board)
-            outcome = fish.run_trial(camera)
+            outcome = run_trial(fish, camera)
             assert outcome.end == "complete"
             self.trial: Trial = read_trial(fish.pull_trial(outcome.number, folder))
             self.truth = board.truth()

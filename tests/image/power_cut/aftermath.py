@@ -11,6 +11,7 @@ from littlefs import LittleFS
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.trial_file import parse_trial
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_S
 from vboard.flashlog import FlashLog
@@ -150,7 +151,7 @@ def go_on(fish: Fish, seen: View, swim: bool) -> None:
     if seen.reference_crc is not None:
         fish.arm()
         if swim:
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             expect("next trial", (outcome.number, outcome.end), (seen.next_trial, "complete"))
             fish.learn(outcome.number)
     expect("count of failed writes", fish.health()["store_failures"], 0)

@@ -10,6 +10,7 @@ from pathlib import Path
 from tailbeat.board.connect import hear_board
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.flashlog import FlashLog, PageWrite
@@ -180,7 +181,7 @@ def _swim(session: Session, fish: Fish, trial: int) -> None:
 
     heard = session.board.board.periph["PWM"].on_period
     heard.append(note)
-    outcome = fish.run_trial()
+    outcome = run_trial(fish)
     heard.remove(note)
     assert (outcome.number, outcome.end) == (trial, "complete")
 

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -138,7 +139,7 @@ def _source(
     from tailbeat.sensors.camera.render.source import RenderedDevice, scene_of
     from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
 
-    seen = fish.default_camera()
+    seen = default_camera(fish)
     if not isinstance(seen, SimulatedCamera | RemoteCamera):
         raise InputError("only a simulated fish can be drawn", "Start one: tailbeat sim")
     marker, usual = options.marker, scene_of(seen)

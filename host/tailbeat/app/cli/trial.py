@@ -31,6 +31,7 @@ from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, progr
 from tailbeat.app.cli._words import link_news, loud
 from tailbeat.app.cli.guided import GuideOptions, run_guided
 from tailbeat.core.files import plain
+from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -119,7 +120,7 @@ def run(
             return
         guard = _with_room(fish, live.guard)
         with progress_bar(json, "swimming") as show:
-            outcome = fish.run_trial(live.camera, _follower(fish, live, show), guard)
+            outcome = run_trial(fish, live.camera, _follower(fish, live, show), guard)
         report = camera_report(fish, live.video, outcome.number) if live.video else None
         document, text = _told(outcome, report, _saturation(fish, outcome))
         say(json, document, text)

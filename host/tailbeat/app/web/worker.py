@@ -24,6 +24,7 @@ from tailbeat.app.web.words import travel_line
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, TailbeatError, reason
 from tailbeat.experiment.library import name_reference
 from tailbeat.link.messages import BeatEvent, BoardStatus, imu_health
+from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -50,7 +51,7 @@ class Closed(TailbeatError):
 @contextmanager
 def no_eyes(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
     """The camera of a simulated board, if it is one."""
-    camera = fish.default_camera()
+    camera = default_camera(fish)
     try:
         yield camera, None
     finally:

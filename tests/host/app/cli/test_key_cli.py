@@ -27,6 +27,7 @@ from tailbeat.core.errors import LinkLostError, Refused
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.keystore import KeyStore, StoredKey
 from tailbeat.link.mavlink import Framer
+from tailbeat.session.trial import run_trial
 from tailbeat.sim import emulated
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
 from tailbeat.sim.native import SimBoard
@@ -378,7 +379,7 @@ def test_a_stranger_changes_nothing(owner: Laptop, laptop: Callable[[str], Lapto
     with owner.fish() as fish:
         record = upload_reference(fish)
         params = {name: p.value for name, p in fish.params.list().items()}
-        fish.run_trial()
+        run_trial(fish)
     stranger = laptop("stranger")
     flash = owner.board.flash
     for words in CHANGES:
@@ -396,7 +397,7 @@ def test_a_stranger_changes_nothing(owner: Laptop, laptop: Callable[[str], Lapto
 def test_a_stranger_reads(owner: Laptop, laptop: Callable[[str], Laptop], tmp_path: Path) -> None:
     with owner.fish() as fish:
         record = upload_reference(fish)
-        number = fish.run_trial().number
+        number = run_trial(fish).number
         log = fish.ftp.read(f"/trials/{number:04d}.ulg")
     stranger = laptop("stranger")
     for words in READS:
@@ -679,7 +680,7 @@ def test_a_signed_trial_is_learned_from(owner: Laptop) -> None:
         upload_reference(fish)
         errors = []
         for number in (1, 2, 3):
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             assert (outcome.number, outcome.end) == (number, "complete")
             assert all(beat.speed_m_s is not None for beat in outcome.beats)
             errors.append(fish.learn().rms_error_m_s)
@@ -701,7 +702,7 @@ def test_a_trial_whose_board_comes_back_without_its_key(owner: Laptop) -> None:
                 owner.board.power_cycle()
 
         with pytest.raises(LinkLostError, match="not signed any more: its key was erased"):
-            fish.run_trial(on_event=erase)
+            run_trial(fish, on_event=erase)
         assert owner.board.time_s - cut_at_s[0] < 20.0
 
 
@@ -731,7 +732,7 @@ def test_frames_of_others_do_not_end_the_waiting(owner: Laptop, hole_s: float) -
         radio.on_read = read
         if hole_s > 30.0:
             with pytest.raises(LinkLostError, match="come back in 30 s: what comes from it is not"):
-                fish.run_trial(on_event=begin, reconnect_s=30.0)
+                run_trial(fish, on_event=begin, reconnect_s=30.0)
         else:
-            assert fish.run_trial(on_event=begin, reconnect_s=30.0).end == "complete"
+            assert run_trial(fish, on_event=begin, reconnect_s=30.0).end == "complete"
         assert not due_s

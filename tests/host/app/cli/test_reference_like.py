@@ -19,6 +19,7 @@ from tailbeat.core.errors import LinkLostError
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.transfer import likeness, transfer
 from tailbeat.session.transfer import carry, plan
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 
@@ -58,7 +59,7 @@ def swim(fish: Fish, trials: int) -> list[float]:
     found = []
     for _ in range(trials):
         fish.arm()
-        outcome = fish.run_trial()
+        outcome = run_trial(fish)
         assert outcome.end == "complete"
         found.append(fish.learn(outcome.number).max_abs_error_m_s)
     return found
@@ -208,13 +209,13 @@ def test_nothing_learned(fish: Fish, shell: Shell) -> None:
 def test_a_pending_trial_comes_first(learned: Fish, shell: Shell) -> None:
     learned.arm()
     assert "not IDLE" in shell.fails(SLOWER, "--like", "board")
-    learned.run_trial()
+    run_trial(learned)
     assert "tailbeat learn, or tailbeat trial discard" in shell.fails(SLOWER, "--like", "board")
 
 
 def test_a_cut_trial_is_not_a_whole_one(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     learned.arm()
-    outcome = learned.run_trial(guard=lambda seen: "x" if getattr(seen, "beat", 0) > 6 else None)
+    outcome = run_trial(learned, guard=lambda seen: "x" if getattr(seen, "beat", 0) > 6 else None)
     assert outcome.end.startswith("aborted")
     path = learned.pull_trial(outcome.number, tmp_path)
     learned.clear()

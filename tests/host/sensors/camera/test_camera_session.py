@@ -17,6 +17,7 @@ from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.speed.smoother import swim_speed
 from tailbeat.sensors.camera.sync.sync import sync
 from tailbeat.session.identify import Attendant, identify_fish
+from tailbeat.session.trial import run_trial
 
 from ...rendered_tank import drawn_camera, swim_before_the_camera
 
@@ -53,7 +54,7 @@ def last_errors(fish: Fish, reference: Reference, swim, trials: int) -> tuple[fl
 
 def by_truth(fish: Fish) -> int:
     fish.params.set("SPD_SOURCE", UPLOAD)
-    number = fish.run_trial().number
+    number = run_trial(fish).number
     beats = fish.sim.true_beats()
     fish.upload_speeds(number, beats, np.full(len(beats), 1e-4))
     return number
@@ -62,7 +63,7 @@ def by_truth(fish: Fish) -> int:
 def live(scene: Scene):
     def swim(fish: Fish) -> int:
         with drawn_camera(fish, scene) as camera:
-            return fish.run_trial(camera).number
+            return run_trial(fish, camera).number
 
     return swim
 

@@ -24,6 +24,8 @@ from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.open import Beginning
 from tailbeat.sensors.camera.sync.sync import Sync
 from tailbeat.sensors.camera.tracking.track import Track
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import default_camera
 
 BEATS = 6
 SIZE_PX = (640, 360)
@@ -52,8 +54,8 @@ def another_trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Fish.connect("sim:tank", seed=2) as fish:
         speed = np.full(BEATS, 0.04, dtype=np.float32)
         fish.upload_reference(reference.Reference(1.0, speed, "cruise"))
-        fish.discard(fish.run_trial(fish.default_camera()).number)
-        return fish.pull_trial(fish.run_trial(fish.default_camera()).number, folder)
+        fish.discard(run_trial(fish, default_camera(fish)).number)
+        return fish.pull_trial(run_trial(fish, default_camera(fish)).number, folder)
 
 
 @pytest.fixture(scope="module")

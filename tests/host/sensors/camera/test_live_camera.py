@@ -22,6 +22,8 @@ from tailbeat.sensors.camera.tracking.track import LOST, SEEN
 from tailbeat.sensors.camera.tracking.tracker import Place, Repeats
 from tailbeat.session import trial as trialrun
 from tailbeat.session.guards import WallGuard
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import default_camera
 
 GRACE_S = 600.0  # after which a thread hangs; nothing waits so long otherwise
 IMAGE = np.zeros((4, 6), dtype=np.uint8)
@@ -251,7 +253,7 @@ class Trouble:
     """The simulated fish's camera until a moment of the swim, when ``error`` is raised once."""
 
     def __init__(self, fish: Fish, after_s: float, error: Exception) -> None:
-        camera = fish.default_camera()
+        camera = default_camera(fish)
         assert camera is not None and fish.sim is not None
         self._camera, self._sim, self._left = camera, fish.sim, [error]
         self._until_s = fish.sim.time_s + after_s
@@ -279,7 +281,7 @@ def swim(
         if event["event"] == "warning":
             warnings.append(event["text"])
 
-    return warnings, lambda: fish.run_trial(Trouble(fish, 4.0, error), follow, guard)
+    return warnings, lambda: run_trial(fish, Trouble(fish, 4.0, error), follow, guard)
 
 
 def area(back_m: float, front_m: float) -> Calibration:
@@ -323,7 +325,7 @@ def test_two_fish_stop_the_tail_first_and_are_told_then(ready: Fish) -> None:
 def test_before_the_start_trouble_is_raised_at_once(ready: Fish) -> None:
     for error in (CameraGone("unplugged"), InputError("moved")):
         with pytest.raises(type(error)):
-            ready.run_trial(Trouble(ready, 0.0, error))
+            run_trial(ready, Trouble(ready, 0.0, error))
         assert ready.status().next_trial == 1
 
 
@@ -331,7 +333,7 @@ class Spoilt:
     """The simulated fish's camera; ``spoil`` sees its frames, and the seconds since it was made."""
 
     def __init__(self, fish: Fish, spoil: Callable[[float, list[Frame]], list[Frame]]) -> None:
-        camera = fish.default_camera()
+        camera = default_camera(fish)
         assert camera is not None and fish.sim is not None
         self._camera, self._sim, self._spoil = camera, fish.sim, spoil
         self._begin_s = fish.sim.time_s
@@ -358,7 +360,7 @@ def test_a_guard_that_breaks_stops_the_tail(ready: Fish, kind: type) -> None:
         return None
 
     with pytest.raises(RuntimeError, match="a bug in the guard"):
-        ready.run_trial(guard=guard)
+        run_trial(ready, guard=guard)
     assert stopped(ready)
 
 
@@ -369,7 +371,7 @@ def test_a_listener_that_breaks_stops_the_tail(ready: Fish, event: str) -> None:
             raise BrokenPipeError("nobody reads")
 
     with pytest.raises(BrokenPipeError):
-        ready.run_trial(Trouble(ready, 4.0, InputError("two fish")), follow)
+        run_trial(ready, Trouble(ready, 4.0, InputError("two fish")), follow)
     assert stopped(ready)
 
 
@@ -385,9 +387,9 @@ def test_what_breaks_before_the_start_or_after_the_end_stops_nothing(
 
     monkeypatch.setattr(ready, "abort", abort)
     with pytest.raises(InputError, match="moved"):
-        ready.run_trial(Trouble(ready, 0.0, InputError("moved")))
+        run_trial(ready, Trouble(ready, 0.0, InputError("moved")))
     with pytest.raises(BrokenPipeError):
-        ready.run_trial(on_event=follow)
+        run_trial(ready, on_event=follow)
     status = ready.status()
     assert (status.state, status.pending_trial) == ("IDLE", 1)
 
@@ -398,7 +400,7 @@ def test_absurd_stamps_are_dropped(ready: Fish, absurd_s: float) -> None:
         wrong = [Frame(absurd_s + (k and 1e-3), 0.1, 0.0, 0.0) for k in range(2)]
         return frames + wrong if 2.0 < now_s < 3.0 else frames
 
-    outcome = ready.run_trial(Spoilt(ready, spoil))
+    outcome = run_trial(ready, Spoilt(ready, spoil))
     assert outcome.end == "complete"
     assert all(beat.speed_m_s is not None for beat in outcome.beats[1:])
 
@@ -407,7 +409,7 @@ def test_a_stream_of_absurd_stamps_ends_nothing(ready: Fish) -> None:
     def spoil(_: float, frames: list[Frame]) -> list[Frame]:
         return [Frame(f.t_s * 1e12, f.x_m, f.y_m, f.heading_rad) for f in frames]
 
-    assert ready.run_trial(Spoilt(ready, spoil)).end == "complete"
+    assert run_trial(ready, Spoilt(ready, spoil)).end == "complete"
 
 
 def test_after_the_swim_the_guard_is_not_asked(ready: Fish) -> None:
@@ -419,7 +421,7 @@ def test_after_the_swim_the_guard_is_not_asked(ready: Fish) -> None:
         swimming.append(ready.sim.truth().swimming)
         return "too late" if True in swimming and not swimming[-1] else None
 
-    assert ready.run_trial(on_event=told.append, guard=guard).end == "complete"
+    assert run_trial(ready, on_event=told.append, guard=guard).end == "complete"
     assert True in swimming and not [event for event in told if event["event"] == "guard"]
 
 
@@ -442,7 +444,7 @@ def test_a_lost_word_of_the_end_does_not_have_the_guard_asked(
         return "too late" if last else None
 
     monkeypatch.setattr(trialrun, "_take_status", lose)
-    assert ready.run_trial(on_event=told.append, guard=guard).end == "complete"
+    assert run_trial(ready, on_event=told.append, guard=guard).end == "complete"
     assert lost and not [event for event in told if event["event"] == "guard"]
 
 
@@ -457,7 +459,7 @@ def test_a_fish_out_of_sight_is_stopped_in_time(ready: Fish, beat_s: float) -> N
     ready.upload_amplitudes(np.full(beats, 0.55, dtype=np.float32))
     guard = WallGuard(area(0.5, 1.5), beat_s=beat_s)
     camera = Spoilt(ready, lambda now_s, frames: frames if now_s < 12 else [])
-    assert ready.run_trial(camera, guard=guard).end == "aborted:WALL"
+    assert run_trial(ready, camera, guard=guard).end == "aborted:WALL"
     assert 0.05 < ready.sim.truth().x_m < 1.5 - 0.2
 
 
@@ -482,7 +484,7 @@ def test_a_picture_that_stands_still_shows_no_fish(ready: Fish) -> None:
         if event["event"] == "warning":
             warnings.append(event["text"])
 
-    outcome = ready.run_trial(freeze(ready, 5.0), follow)
+    outcome = run_trial(ready, freeze(ready, 5.0), follow)
     assert outcome.end == "complete"
     assert warnings == ["the camera's picture stands still; beats go unmeasured"]
     measured = [beat.speed_m_s is not None for beat in outcome.beats]
@@ -499,7 +501,7 @@ def test_a_picture_that_stands_still_from_the_start_is_told(ready: Fish) -> None
         if event["event"] == "warning":
             warnings.append(event["text"])
 
-    ready.run_trial(freeze(ready, 0.0), follow)
+    run_trial(ready, freeze(ready, 0.0), follow)
     assert warnings == ["the camera's picture stands still; beats go unmeasured"]
 
 
@@ -509,7 +511,7 @@ def test_a_guard_is_not_fooled_by_a_picture_that_stands_still(ready: Fish) -> No
     ready.upload_reference(records.encode_reference(1.0, np.full(32, 0.07)))
     ready.upload_amplitudes(np.full(32, 0.55, dtype=np.float32))
     camera = freeze(ready, 9.0)
-    assert ready.run_trial(camera, guard=WallGuard(area(0.5, 1.5))).end == "aborted:WALL"
+    assert run_trial(ready, camera, guard=WallGuard(area(0.5, 1.5))).end == "aborted:WALL"
     assert ready.sim.truth().x_m + 0.2 < 1.5
 
 
@@ -521,7 +523,7 @@ def test_a_fish_at_rest_before_a_camera_without_noise_is_no_frozen_picture() -> 
         fish.upload_reference(records.encode_reference(1.0, np.full(8, 0.03)))
         fish.upload_amplitudes(np.array([0, 0, 0, 0, 0.1, 0.4, 0.4, 0.4], dtype=np.float32))
         events: list[dict[str, Any]] = []
-        outcome = fish.run_trial(on_event=events.append, guard=WallGuard(area(0.5, 2.5)))
+        outcome = run_trial(fish, on_event=events.append, guard=WallGuard(area(0.5, 2.5)))
         assert outcome.end == "complete"
         assert not [event for event in events if event["event"] in ("warning", "guard")]
         assert all(beat.speed_m_s is not None for beat in outcome.beats[1:])

@@ -18,6 +18,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CameraFrame, SimulatedBoard
 from tailbeat.sim.world import FRAME_US, World
 
@@ -96,7 +97,7 @@ def test_the_firmwares_code_is_in_the_pictures_of_a_swim() -> None:
         armed_us = round(board.time_s * 1e6)
         board.run(0.5)
         watched = Watched(board)
-        trial = fish.run_trial(watched).number
+        trial = run_trial(fish, watched).number
     pictures = watched.pictures
     begins = range(1_700_000, round(board.time_s * 1e6) - 6_000_000, FRAME_US)
     on = [lib.blink_on(frame, trial) for frame in range(300)]

@@ -12,6 +12,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.session.trial import run_trial
 
 VISION, _, IMU, MODEL = range(4)
 SEEDS = [12, pytest.param(40, marks=pytest.mark.soak)]
@@ -53,7 +54,7 @@ def swim(fish: Fish, folder: Path, wanted: reference.Reference, **params: float)
     speed = wanted.speed_m_s
     fish.upload_amplitudes(np.where(speed > 0.002, np.clip(0.197 + speed / 0.219, 0, 0.785), 0))
     fish.link.run(REST_S)
-    outcome = fish.run_trial()
+    outcome = run_trial(fish)
     assert outcome.end == "complete"
     return read_trial(fish.pull_trial(outcome.number, folder))
 
@@ -126,7 +127,7 @@ def test_an_imu_that_restarts_in_mid_swim_spoils_nothing(source: int, tmp_path: 
         fish.params.set("AMP_MAX_RAD", 0.785)
         fish.upload_reference(reference.trapezoid(0.06, 4, 12))
         fish.link.run(REST_S)
-        outcome = fish.run_trial(on_event=restart)
+        outcome = run_trial(fish, on_event=restart)
         trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
         error = trial.beats.speed_m_s - fish.sim.true_beats()[: len(trial.beats.samples)]
         assert fish.health()["imu_restarts"] == 1
@@ -152,7 +153,7 @@ def test_an_imu_that_falls_silent_after_the_swim_ends_the_waiting(tmp_path: Path
         fish.upload_reference(reference.trapezoid(0.06, 4, 4))
         fish.link.run(REST_S)
         begin_s = fish.transport.now_s()
-        outcome = fish.run_trial(on_event=wedge)
+        outcome = run_trial(fish, on_event=wedge)
         took_s = fish.transport.now_s() - begin_s
     assert outcome.end == "complete"
     assert took_s < 12 + 10

@@ -23,6 +23,7 @@ from tailbeat.sensors.camera.speed.smoother import (
     write_speeds,
 )
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
+from tailbeat.session.trial import run_trial
 
 SEEDS = range(1, 3)
 STEP_SEEDS = range(1, 5)
@@ -69,7 +70,7 @@ def swum(seed: int, fps: float, lost: float, amplitudes=None):
                 else None
             )
         )
-        fish.run_trial(camera)
+        run_trial(fish, camera)
         frames, beats = camera.seen, np.array(fish.sim.true_beats())
         start_s = _start_s(fish, boot_s)
     columns = np.array([(f.t_s, f.x_m, f.y_m) for f in frames]).T

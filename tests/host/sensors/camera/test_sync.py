@@ -22,6 +22,8 @@ from tailbeat.sensors.camera.sync.led_search import Waveform
 from tailbeat.sensors.camera.sync.sync import WrongPair, sync, sync_by_led, sync_by_yaw
 from tailbeat.sensors.camera.sync.yaw import read_yaw
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import default_camera
 
 from ...led_films import LedFilm
 
@@ -43,7 +45,7 @@ class Watching:
     """The simulated camera, with what it gave."""
 
     def __init__(self, fish: Fish) -> None:
-        camera = fish.default_camera()
+        camera = default_camera(fish)
         assert camera is not None
         self._camera = camera
         self.clock, self.fps = camera.clock, camera.fps
@@ -93,7 +95,7 @@ def swims(
             camera = Watching(fish)
             fish.link.run(1.0)
             booted_s = fish.sim.time_s - fish.sim.board_time_s
-            outcome = fish.run_trial(camera)
+            outcome = run_trial(fish, camera)
             trial = read_trial(fish.pull_trial(outcome.number, Path(folder)))
             start_s = trial.start_us * 1e-6 + booted_s - camera.seen[0].t_s
             found.append(Swim(trial, track_of(camera.seen, fps), start_s))

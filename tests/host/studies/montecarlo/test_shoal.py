@@ -13,6 +13,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
 from tailbeat.sensors.camera.speed.line_fit import BeatFit
+from tailbeat.session.trial import run_trial
 from tailbeat.sim.world import World
 from tailbeat.studies.montecarlo.batch import Shoal, Swims
 
@@ -46,7 +47,7 @@ def test_true_beats_of_the_whole_simulator(seed: int) -> None:
         fish.params.set("DU_MAX_RAD", 0)
         fish.upload_reference(thesis().record())
         for number in (1, 2):
-            outcome = fish.run_trial()
+            outcome = run_trial(fish)
             done = np.array([[beat.amplitude_rad for beat in outcome.beats]])
             swum = shoal.swim(done, number)
             np.testing.assert_allclose(
