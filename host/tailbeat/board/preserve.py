@@ -33,8 +33,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.link.messages import TrialOutcome
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard, OnEvent
-    from tailbeat.core.frames import Camera
+    from tailbeat.board.fish import Fish
 
 
 RESTORE_COMMAND = "tailbeat session resume"
@@ -73,19 +72,15 @@ class PreservedBoard:
         _set_params(self.fish, changes or {})
         self.fish.upload_amplitudes(np.minimum(amplitude_rad.astype(np.float32), limit))
 
-    def run(
+    def collect(
         self,
-        camera: Camera | None,
-        event: OnEvent,
-        guard: Guard,
+        outcome: TrialOutcome,
         judge: Callable[[TrialOutcome], None],
         keep: Callable[[Path], object],
-        direction_rad: float = 0.0,
     ) -> Trial:
-        """Executes what was prepared; the trial is kept and dropped on the board. ``judge`` may
-        raise for how it ended, or act on the pending trial. Ctrl-C stops the tail and leaves."""
+        """The run that has just ended: it is kept, and dropped on the board. ``judge`` may raise
+        for how it ended, or act on the pending trial. Raises KeyboardInterrupt after Ctrl-C."""
         fish = self.fish
-        outcome = fish.run_trial(camera, event, guard, direction_rad=direction_rad)
         if outcome.interrupted:
             raise KeyboardInterrupt
         judge(outcome)

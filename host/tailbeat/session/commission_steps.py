@@ -34,6 +34,7 @@ from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.room import travel_of
 from tailbeat.session.shift import slope_of
+from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -204,7 +205,8 @@ def prove(
             guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
             when(person.wants_abort, BY_HAND),
         )  # fmt: skip
-        trial = board.run(camera, person.tell, watch, lambda o: _judge(fish, o), keep)
+        outcome = run_trial(fish, camera, person.tell, watch)
+        trial = board.collect(outcome, lambda o: _judge(fish, o), keep)
     return judged(trial, identified)
 
 

@@ -22,6 +22,7 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, Run, identify_runs
 from tailbeat.link.messages import SPEED_SOURCES, TrialOutcome
 from tailbeat.session.guards import BY_HAND, RoomGuard, together, when
+from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Event, Fish, Guard
@@ -125,9 +126,8 @@ class _Swimmer:
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
         self.attendant.before(run)
         guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
-        swum = self.board.run(
-            self.camera, self.attendant.event, guard, self._judge, self.attendant.keep
-        )
+        outcome = run_trial(self.board.fish, self.camera, self.attendant.event, guard)
+        swum = self.board.collect(outcome, self._judge, self.attendant.keep)
         return swim_of(swum)
 
     def _stop(self) -> bool:

@@ -25,6 +25,7 @@ from tailbeat.learning.fit import Scatter
 from tailbeat.session.guards import BY_HAND, RoomGuard, Seen, together, when
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.room import Belief, Travel, belief_of, last_measured, travel_by
+from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
@@ -262,7 +263,8 @@ class _Swimmer:
         room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
         seen = Seen()
         guards = together(self.guard, room, when(self.person.wants_abort, BY_HAND), seen)
-        trial = self.board.run(self.camera, self.person.tell, guards, self._judge, self._keep)
+        outcome = run_trial(fish, self.camera, self.person.tell, guards)
+        trial = self.board.collect(outcome, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 
     def _ask(self, number: int, centre_us: float, planned: Plan) -> None:

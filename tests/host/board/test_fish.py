@@ -228,7 +228,7 @@ def test_power_lost_in_the_middle(ready: Fish) -> None:
 
 
 def test_a_trial_without_camera_warns(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tailbeat.session.trial.default_camera", lambda _: None)
+    monkeypatch.setattr("tailbeat.session.trial_camera.SimulatedCamera", lambda _: None)
     events: list[dict] = []
     outcome = run_trial(ready, on_event=events.append)
     assert events[0]["event"] == "warning"

@@ -436,7 +436,7 @@ def test_the_first_yaw_since_the_board_was_switched_on(says: Says) -> None:
 def test_without_a_camera_every_start_points_as_the_first(
     says: Says, board: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tailbeat.session.trial.default_camera", lambda fish: None)
+    monkeypatch.setattr("tailbeat.session.trial_camera.SimulatedCamera", lambda _: None)
     throw = ("trial", "run", "--then", "discard", "--reason", "x", "--rest", "1")
     assert says(*throw)[0] == 0
     first = journal("begun")[0]["pose"]

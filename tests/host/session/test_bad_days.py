@@ -243,7 +243,10 @@ class BadCamera(SimulatedCamera):
 
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch, day: BadDay) -> type[BadCamera]:
-    monkeypatch.setattr("tailbeat.session.trial.default_camera", lambda fish: BadCamera(day.board))
+    place = "tailbeat.session.trial_camera.SimulatedCamera"
+    monkeypatch.setattr(place, lambda _: BadCamera(day.board))
+        "tailbeat.session.trial_camera.SimulatedCamera", lambda _: BadCamera(day.board)
+    )
     monkeypatch.setattr(BadCamera, "ill", "")
     monkeypatch.setattr(BadCamera, "last", None)
     return BadCamera

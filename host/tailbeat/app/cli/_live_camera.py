@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -131,6 +130,8 @@ def _source(
 ) -> tuple[PictureSource, Calibration]:
     """A device, or the simulated fish as a camera would see it, with the true calibration unless
     another is given."""
+    from tailbeat.session.trial_camera import default_camera
+
     if known is not None and options.address != RENDERED:
         from tailbeat.sensors.camera.source.device import Device
 

@@ -31,7 +31,6 @@ from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, progr
 from tailbeat.app.cli._words import link_news, loud
 from tailbeat.app.cli.guided import GuideOptions, run_guided
 from tailbeat.core.files import plain
-from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish, Guard
@@ -110,6 +109,8 @@ def run(
 
     Example: tailbeat trial run --until converged --rest 60 --camera 0 --calibration tank.json
     """
+    from tailbeat.session.trial import run_trial
+
     on_fish = marker_of(marker, marker_id, marker_side)
     options = LiveOptions(camera, on_fish, calibration, latency, video, wall).check()
     given = GuideOptions(guide, rest, until, into, then, reason, learn)
