@@ -245,8 +245,6 @@ class BadCamera(SimulatedCamera):
 def camera(monkeypatch: pytest.MonkeyPatch, day: BadDay) -> type[BadCamera]:
     place = "tailbeat.session.trial_camera.SimulatedCamera"
     monkeypatch.setattr(place, lambda _: BadCamera(day.board))
-        "tailbeat.session.trial_camera.SimulatedCamera", lambda _: BadCamera(day.board)
-    )
     monkeypatch.setattr(BadCamera, "ill", "")
     monkeypatch.setattr(BadCamera, "last", None)
     return BadCamera
