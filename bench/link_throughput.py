@@ -95,7 +95,7 @@ def board_for(case: Case, flash: bytes) -> SimBoard:
     """A fish with that storage, the parameters and the key that the case wants."""
     board = SimBoard("tank")
     board.flash = flash
-    board.power_cycle()
+    board.world.power_cycle()
     with Fish(SimTransport(board, CONSOLE)) as wired:
         wired.clock.sync()
         if not case.telemetry:

@@ -197,6 +197,7 @@ static uint64_t wake_us(const sim_t *sim, int wake_port, bool wake_camera) {
 }
 
 uint64_t sim_run(sim_t *sim, uint64_t duration_us, int wake_port, bool wake_camera) {
+    update_battery(sim);
     const uint64_t start = sim->board.now_us;
     const uint64_t end = duration_us < UINT64_MAX - start ? start + duration_us : UINT64_MAX - 1u;
     for (;;) {
@@ -252,27 +253,12 @@ size_t sim_true_speeds_25hz(const sim_t *sim, double *out, size_t max) {
     return world_true_speeds_25hz(sim->world, out, max);
 }
 
-void sim_set_swim(sim_t *sim, uint32_t next_swim) { world_set_swim(sim->world, next_swim); }
+world_t *sim_world(sim_t *sim) { return sim->world; }
 
 void sim_power_cycle(sim_t *sim) {
     boot(sim, HAL_RESET_POWER);
     show_led(sim);
 }
-
-void sim_set_battery_v(sim_t *sim, double volts) {
-    world_set_battery_v(sim->world, volts);
-    update_battery(sim);
-}
-
-void sim_set_imu(sim_t *sim, bool plugged) {
-    world_set_imu(sim->world, sim->board.now_us, plugged);
-}
-
-void sim_imu_reboot(sim_t *sim) { world_imu_reboot(sim->world, sim->board.now_us); }
-
-void sim_imu_wedge(sim_t *sim) { world_imu_wedge(sim->world); }
-
-void sim_set_camera(sim_t *sim, bool on) { world_set_camera(sim->world, on); }
 
 void sim_set_radio(sim_t *sim, bool connected) {
     if (!connected) {
@@ -280,25 +266,6 @@ void sim_set_radio(sim_t *sim, bool connected) {
         line_cut(&sim->board.to_host[HAL_PORT_RADIO], sim->board.now_us);
     }
     sim->board.connected[HAL_PORT_RADIO] = connected;
-}
-
-void sim_set_tilt_rad(sim_t *sim, double roll_rad) { world_set_tilt_rad(sim->world, roll_rad); }
-
-void sim_set_start(sim_t *sim, double start_m_s) { world_set_start(sim->world, start_m_s); }
-
-void sim_push(sim_t *sim, double by_m_s) { world_push(sim->world, by_m_s); }
-
-void sim_hold(sim_t *sim, double hold_s) { world_hold(sim->world, hold_s); }
-
-void sim_stir(sim_t *sim, double by_m_s) { world_stir(sim->world, by_m_s); }
-
-void sim_place(sim_t *sim, double x_m, double y_m, double heading_rad) {
-    world_place(sim->world, x_m, y_m, heading_rad);
-}
-
-void sim_swap_battery(sim_t *sim, double volts, double gain, double centre_rad) {
-    world_swap_battery(sim->world, volts, gain, centre_rad);
-    sim_power_cycle(sim);
 }
 
 uint8_t *sim_flash(sim_t *sim) { return sim->board.flash; }

@@ -50,33 +50,12 @@ sim_truth_t sim_truth(const sim_t *sim);
 size_t sim_true_beats(const sim_t *sim, double *out, size_t max);
 size_t sim_true_speeds_25hz(const sim_t *sim, double *out, size_t max);
 
-/* A swim begins with the first pulse after 0.2 s without, from where the fish was put: see fish.h.
- *
- * Sets the number the next swim's noise is keyed by (1 = first). */
-void sim_set_swim(sim_t *sim, uint32_t next_swim);
+/* The fish, tank, camera, IMU and battery around the board: what can be done to them is in world.h.
+ * A change counts from the next sim_run on. */
+world_t *sim_world(sim_t *sim);
 
-/* What tests and bad days need. */
 void sim_power_cycle(sim_t *sim); /* flash stays; all else starts anew, now */
-void sim_set_battery_v(sim_t *sim, double volts);
-void sim_set_imu(sim_t *sim, bool plugged);
-void sim_imu_reboot(sim_t *sim); /* it restarts with its saved settings */
-void sim_imu_wedge(sim_t *sim);  /* it is silent until the next power cycle */
-void sim_set_camera(sim_t *sim, bool on);
 void sim_set_radio(sim_t *sim, bool connected);
-void sim_set_tilt_rad(sim_t *sim, double roll_rad);
-/* The next swim starts at |start_m_s| over water instead of what is drawn: somebody let go of a
- * fish that moved. */
-void sim_set_start(sim_t *sim, double start_m_s);
-/* In mid-swim: a hand changes the speed by |by_m_s| within 0.3 s; something holds the fish for
- * |hold_s| and lets it go. The IMU feels both. At rest between swims they move a fish that has been
- * put back. */
-void sim_push(sim_t *sim, double by_m_s);
-void sim_hold(sim_t *sim, double hold_s);
-/* As in world.h. */
-void sim_stir(sim_t *sim, double by_m_s);
-void sim_place(sim_t *sim, double x_m, double y_m, double heading_rad);
-/* Power off, another pack, power on. As in world.h. */
-void sim_swap_battery(sim_t *sim, double volts, double gain, double centre_rad);
 uint8_t *sim_flash(sim_t *sim); /* HAL_FLASH_SIZE_BYTES, owned by the board */
 
 #endif

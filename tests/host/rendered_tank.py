@@ -53,7 +53,7 @@ def swim_before_the_camera(fish: Fish, scene: Scene, glow: bool = False) -> Swum
         track = camera.track()
     trial = read(fish, outcome.number)
     boot_s = fish.sim.time_s - fish.sim.board_time_s
-    return Swum(trial, track, np.array(fish.sim.true_beats()), trial.start_us * 1e-6 + boot_s)
+    return Swum(trial, track, np.array(fish.sim.world.true_beats()), trial.start_us * 1e-6 + boot_s)
 
 
 def read(fish: Fish, number: int) -> Trial:

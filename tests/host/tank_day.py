@@ -38,7 +38,7 @@ class Tank(SimTransport):
 
     def wait(self, timeout_s: float) -> None:
         super().wait(timeout_s)
-        truth = self.board.truth()
+        truth = self.board.world.truth()
         if not truth.swimming:
             self.began_s = math.nan
             return
@@ -68,7 +68,7 @@ class Day:
         return json.loads(out) if out else err
 
     def swims(self) -> int:
-        return self.board.truth().swims
+        return self.board.world.truth().swims
 
     def abort_by_console(self) -> None:
         """A second person at the wired console."""

@@ -156,7 +156,7 @@ def test_a_dead_crystal_answers_and_does_not_arm(
         fish.arm()
     board.run(1.0)
     assert board.board.chip.mck_hz() == 84_000_000
-    assert not board.truth().swimming
+    assert not board.world.truth().swimming
     assert board.board.periph["PIOC"].owner(21) == "PIO"
 
 

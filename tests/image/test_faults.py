@@ -54,7 +54,7 @@ def swimming(board: EmulatedBoard, fish: Fish, beats: int = 5) -> PinTrace:
     number = float(fish.status().next_trial)
     fish.link.command(mavlink.TAILBEAT_CMD_TRIAL_START, number, fish.clock.now_s())
     board.run(1.2)
-    assert board.truth().swimming
+    assert board.world.truth().swimming
     return trace
 
 
@@ -76,7 +76,7 @@ def call(board: EmulatedBoard, function: str, text: str) -> None:
 
 
 def expect_stopped(board: EmulatedBoard, fish: Fish, trace: PinTrace, fault: str) -> None:
-    assert not board.truth().swimming
+    assert not board.world.truth().swimming
     assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
     status = fish.status()
     assert (status.state, status.fault.name) == ("FAULT", fault)
@@ -163,14 +163,14 @@ def test_an_unplugged_imu_stops_the_trial(new_board: NewBoard, connect: Connect)
     fish.params.set("IMU_TIMEOUT_S", 0.5)
     assert fish.imu_verdict().problem.number == 0
     trace = swimming(board, fish)
-    board.set_imu(False)
+    board.world.set_imu(False)
     board.run(1.5)
     status = fish.status()
     assert (status.state, status.fault.name) == ("ABORTED", "IMU_STALE")
-    assert not board.truth().swimming
+    assert not board.world.truth().swimming
     assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
     assert fish.imu_verdict().problem.name == "SILENT"
-    board.set_imu(True)
+    board.world.set_imu(True)
     plugged_s = board.time_s
     while fish.imu_info().state != "streaming":
         fish.link.run(0.1)
@@ -190,7 +190,7 @@ def test_a_silent_host_stops_the_trial(new_board: NewBoard, connect: Connect) ->
     board.run(1.5)
     status = fish.status()
     assert (status.state, status.fault.name) == ("ABORTED", "LINK_LOST")
-    assert not board.truth().swimming
+    assert not board.world.truth().swimming
     assert trace.longest_high() <= LONGEST_PULSE_US * TICKS_PER_US
 
 
@@ -200,7 +200,7 @@ def test_a_flash_that_never_finishes_is_told(
 ) -> None:
     """At boot nobody wakes the processor: the tick does not run yet, no IMU sends."""
     board = new_board()
-    board.set_imu(False)
+    board.world.set_imu(False)
     if not at_boot:
         connect(board)
     board.board.periph["EEFC1"].timing.erase_write_us = HANGS_US
@@ -273,7 +273,7 @@ def test_a_supply_that_dips_during_a_write_harms_nothing(
             fish.clear()
     assert dips == 3
     stored = board.flash
-    board.power_cycle()
+    board.world.power_cycle()
     fish = connect(board)
     print(
         fish.params.get("ILC_GAIN").value, fish.status().fault.name, fish.health()["store_failures"]

@@ -16,8 +16,9 @@ from tailbeat.core import records
 from tailbeat.core.frames import Frame
 from tailbeat.core.native import lib
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import CameraFrame, SimTransport
+from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
+from tailbeat.sim.world import CameraFrame
 from vboard.core.clock import TICKS_PER_US
 from vboard.periph.pins import PinTrace
 

@@ -50,7 +50,7 @@ def learn_six(fish: Fish) -> list[np.ndarray]:
     for number in range(1, TRIALS + 1):
         assert run_trial(fish).end == "complete"
         assert fish.sim is not None
-        fish.upload_speeds(number, fish.sim.true_beats()[:BEATS], np.full(BEATS, 1e-3))
+        fish.upload_speeds(number, fish.sim.world.true_beats()[:BEATS], np.full(BEATS, 1e-3))
         computed = dry_run(fish)
         fish.learn(number)
         learned.append(fish.amplitudes().values)

@@ -118,7 +118,7 @@ def prepared(board: EmulatedBoard, connect: Connect, imu_rate_hz: int, imu_baud:
     fish.params.set("SETTLE_S", SETTLE_S)
     fish.params.save()
     fish.upload_reference(records.encode_reference(1.0, [0.04] * BEATS))
-    board.power_cycle()
+    board.world.power_cycle()
     board.imu_frames_sent = 0
     fish = connect(board)
     imu = fish.imu_verdict()
@@ -150,7 +150,7 @@ def test_nothing_is_lost_and_nothing_is_late(
 
     hosts.pull_while_it_swims()
     status = fish.status()
-    board.set_imu(False)
+    board.world.set_imu(False)
     board.run(0.1)
     health = fish.health()
     print(

@@ -80,7 +80,7 @@ def cut_for_real(image: Path, tick: int) -> Session:
     with power_lost_at(session.board.board, tick), pytest.raises(PowerLost):
         run(session)
     assert isinstance(session.board, EmulatedBoard)
-    session.board.power_cycle()
+    session.board.world.power_cycle()
     return session
 
 

@@ -52,7 +52,7 @@ def learn_from_true_speeds(fish: Fish) -> list[np.ndarray]:
         outcome = run_trial(fish)
         assert outcome.end == "complete"
         assert fish.sim is not None
-        fish.upload_speeds(outcome.number, fish.sim.true_beats()[:BEATS], SIGMA_M_S)
+        fish.upload_speeds(outcome.number, fish.sim.world.true_beats()[:BEATS], SIGMA_M_S)
         fish.learn(outcome.number)
         learned.append(fish.amplitudes().values)
     return learned
@@ -97,7 +97,7 @@ def test_a_moving_average_on_the_image_is_what_the_dry_run_foretells() -> None:
         for averaged in (1, 2):
             outcome = run_trial(fish)
             assert fish.sim is not None
-            fish.upload_speeds(outcome.number, fish.sim.true_beats()[:beats], SIGMA_M_S)
+            fish.upload_speeds(outcome.number, fish.sim.world.true_beats()[:beats], SIGMA_M_S)
             foretold = dry_run(fish)
             fish.learn(outcome.number)
             assert same_bits(foretold.amplitude_rad, fish.amplitudes().values)
@@ -113,7 +113,7 @@ def test_what_is_felt_needs_an_imu() -> None:
     with Fish.connect("vboard", seed=SEED) as fish:
         assert fish.sim is not None
         number = fish.status().next_trial
-        fish.sim.set_imu(False)
+        fish.sim.world.set_imu(False)
         while fish.imu_info().state == "streaming":
             fish.link.run(0.1)
         for source in (IMU, MODEL):
@@ -140,7 +140,7 @@ def test_felt_speeds_teach_it_what_the_host_computes_from_the_log(
         assert outcome.end == "complete"
         trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
         assert not trial.problems
-        true = fish.sim.true_beats()[:beats]
+        true = fish.sim.world.true_beats()[:beats]
         report = fish.learn(outcome.number)
         compare(trial, law_of(fish), fish.amplitudes().values, report.rolled_back)
         health = fish.health()

@@ -51,12 +51,12 @@ def session(url: str, seed: int, source: int, trials: int) -> dict[str, object]:
         found: dict[str, object] = {"kind": fish.info().board}
         for trial in range(1, trials + 1):
             assert run_trial(fish).end == "complete"
-            true = fish.sim.true_beats()
+            true = fish.sim.world.true_beats()
             if source == 1:
                 fish.upload_speeds(trial, true.astype(np.float32), np.full(BEATS, 1e-3))
             found[f"error {trial}"] = fish.learn(trial).max_abs_error_m_s
             found[f"true {trial}"] = true.tobytes()
-            found[f"25 Hz {trial}"] = fish.sim.true_speeds_25hz().tobytes()
+            found[f"25 Hz {trial}"] = fish.sim.world.true_speeds_25hz().tobytes()
             found[f"learned {trial}"] = fish.amplitudes().values.tobytes()
         found["time"] = fish.sim.time_s
         found["flash"] = fish.sim.flash
@@ -80,8 +80,8 @@ def test_power_cycle_keeps_what_is_stored(image: Path) -> None:
         fish.params.set("ILC_GAIN", 5.5)
         fish.params.save()
         fish.params.set("ILC_LEAD", 3)
-        fish.sim.set_battery_v(7.3)
-        fish.sim.power_cycle()
+        fish.sim.world.set_battery_v(7.3)
+        fish.sim.world.power_cycle()
         fish.link.run(1.0)
         assert fish.params.get("ILC_GAIN").value == 5.5
         assert fish.params.get("ILC_LEAD").value == 1
@@ -102,7 +102,7 @@ def test_imu_may_be_unplugged_and_may_be_fast(image: Path) -> None:
         assert after["imu_frames"] - before["imu_frames"] == pytest.approx(800, abs=20)
         assert after["imu_crc_failed"] == before["imu_crc_failed"]
         assert after["serial_overruns"] == 0
-        fish.sim.set_imu(False)
+        fish.sim.world.set_imu(False)
         fish.link.run(0.1)
         before = fish.health()
         fish.link.run(1.0)

@@ -301,7 +301,7 @@ static void test_camera(void) {
     const double mean = sum / pictures;
     TEST_ASSERT_FLOAT_WITHIN(5e-5, 0, mean);
     TEST_ASSERT_FLOAT_WITHIN(4e-5, 1e-3, sqrt(square / pictures - mean * mean));
-    sim_set_camera(sim, false);
+    world_set_camera(sim_world(sim), false);
     sim_run(sim, 1000000, -1, false);
     sim_camera_frame_t rest[64];
     TEST_ASSERT_TRUE(sim_camera_read(sim, rest, 64) <= 4);
@@ -348,9 +348,11 @@ static void test_battery(void) {
     sim_run(sim, 3000000, -1, false);
     TEST_ASSERT_EQUAL(2, sim_truth(sim).swims);
     TEST_ASSERT_EQUAL(8000, battery_mv());
-    sim_set_battery_v(sim, 7);
+    world_set_battery_v(sim_world(sim), 7);
+    sim_run(sim, 1, -1, false);
     TEST_ASSERT_EQUAL(6800, battery_mv());
-    sim_set_battery_v(sim, 12);
+    world_set_battery_v(sim_world(sim), 12);
+    sim_run(sim, 1, -1, false);
     TEST_ASSERT_TRUE(battery_voltage(hal_battery_reading(script.hal), 3.3f, 3.0f).at_limit);
     sim_free(sim);
 }
@@ -407,10 +409,10 @@ static void test_imu_restarts_and_wedges(void) {
     script_reset(NULL, 0, 0);
     sim_t *sim = sim_new(&c);
     sim_run(sim, 6000000, -1, false);
-    sim_imu_reboot(sim);
+    world_imu_reboot(sim_world(sim), sim_time_us(sim));
     sim_run(sim, 4000000, -1, false);
     TEST_ASSERT_UINT_WITHIN(1, 100, imu_frames_in_1_s(sim));
-    sim_imu_wedge(sim);
+    world_imu_wedge(sim_world(sim));
     sim_run(sim, 1000000, -1, false);
     TEST_ASSERT_EQUAL(0, imu_frames_in_1_s(sim));
     sim_run(sim, 10000000, -1, false);

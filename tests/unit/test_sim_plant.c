@@ -256,7 +256,7 @@ static void test_disturbances_are_keyed_by_the_swim(void) {
     sim_true_beats(sim, mean[0], 3);
     sim_run(sim, 6000000, -1, false);
     sim_true_beats(sim, mean[1], 3);
-    sim_set_swim(sim, 1);
+    world_set_swim(sim_world(sim), 1);
     sim_run(sim, 6000000, -1, false);
     sim_true_beats(sim, mean[2], 3);
     TEST_ASSERT_EQUAL(3, sim_truth(sim).swims);

@@ -158,7 +158,7 @@ static void test_disturbed_beats_are_the_whole_simulators(void) {
         script_reset(amplitude + i * BEATS, BEATS, 30);
         sim_t *sim = sim_new(&configs[i]);
         TEST_ASSERT_NOT_NULL(sim);
-        sim_set_swim(sim, swims[i]);
+        world_set_swim(sim_world(sim), swims[i]);
         sim_run(sim, (BEATS + 2) * 1000000ull, -1, false);
         TEST_ASSERT_EQUAL(BEATS, sim_true_beats(sim, whole, BEATS));
         sim_free(sim);

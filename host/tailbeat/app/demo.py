@@ -31,7 +31,7 @@ from tailbeat.report.demo_data import Series, Swim
 from tailbeat.report.demo_page import write_html
 from tailbeat.report.demo_picture import render_png
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.world import DEFAULT_SEED
+from tailbeat.sim.config import DEFAULT_SEED
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
@@ -282,9 +282,9 @@ class _Demo:
         """max|e| of the last swim by the simulator's own state: over beats, and at 25 Hz."""
         if self.sim is None:
             return None, None
-        beats = self.sim.true_beats()[: self.reference.beats]
+        beats = self.sim.world.true_beats()[: self.reference.beats]
         true = np.abs(self.reference.speed_m_s[: len(beats)] - beats)
-        speeds = self.sim.true_speeds_25hz()[: round(self.reference.duration_s / _SAMPLE_S)]
+        speeds = self.sim.world.true_speeds_25hz()[: round(self.reference.duration_s / _SAMPLE_S)]
         wanted = reference.thesis_speed(np.arange(len(speeds), dtype=np.float64) * _SAMPLE_S)
         return float(true.max()), float(np.abs(wanted - speeds).max())
 

@@ -27,7 +27,8 @@ from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.render.source import picture_index, truth_of
 from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import CameraFrame, SimulatedBoard
+from tailbeat.sim.board import SimulatedBoard
+from tailbeat.sim.world import CameraFrame
 
 Progress = Callable[[float, str], None]
 
@@ -129,7 +130,7 @@ class _Watcher:
 
     def frames(self) -> list[Frame]:
         """Frames since the last call."""
-        truth = self._board.truth()
+        truth = self._board.world.truth()
         self._speed[truth.time_s] = truth.v_m_s
         new = self._board.camera_frames()
         self.kept += new
@@ -158,7 +159,7 @@ def _swim(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple
         _watch(fish, watcher, _AFTER_S)
         log = read_trial(fish.pull_trial(number, log_file.parent).replace(log_file))
         begin_s = log.start_us * 1e-6 + board.time_s - board.board_time_s
-        true = board.true_beats()[: options.reference.beats]
+        true = board.world.true_beats()[: options.reference.beats]
         kept = _cut(watcher.kept, begin_s, options)
         return _Swim(kept, watcher.speed(), number, begin_s, true), watcher.fps
 

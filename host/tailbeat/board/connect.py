@@ -16,8 +16,8 @@ from tailbeat.link.serial import SerialTransport, likely_ports
 from tailbeat.link.sockets import TcpTransport, UdpTransport
 from tailbeat.link.transport import Transport
 from tailbeat.sim.board import CONSOLE, RADIO, SimTransport
+from tailbeat.sim.config import DEFAULT_SEED
 from tailbeat.sim.native import SimBoard
-from tailbeat.sim.world import DEFAULT_SEED
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
 _HELLO_S = 0.4

@@ -31,7 +31,7 @@ from tailbeat.experiment.board_state import expected_params, held_state, set_hel
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.experiment.redo import write_redo
-from tailbeat.sim.settings import simulator_settings
+from tailbeat.sim.config import simulator_settings
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish

@@ -90,7 +90,7 @@ def _before(settings: Mapping[str, Any]) -> Iterator[str]:
 
 def _simulator(settings: Mapping[str, Any]) -> list[str]:
     """The command that makes the fish: one in the tool itself is new in every command."""
-    from tailbeat.sim.world import PLANTS, config_values, make_config
+    from tailbeat.sim.config import PLANTS, config_values, make_config
 
     plant, seed = str(settings["plant"]), settings.get("seed", 1)
     words = ["tailbeat", "sim", "--plant", plant, "--seed", str(seed)]

@@ -169,7 +169,7 @@ def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:
 def plant_config(plant: str, overrides: dict[str, float]) -> Any:
     """``sim_config_t *`` of a plant with its disturbances left as they are (the floor ignores
     them)."""
-    from tailbeat.sim.world import PLANTS, config_field
+    from tailbeat.sim.config import PLANTS, config_field
 
     config = ffi.new("sim_config_t *")
     lib.sim_config_default(config, PLANTS[plant])

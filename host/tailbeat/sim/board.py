@@ -3,52 +3,21 @@ passes only while somebody waits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
-from tailbeat.core.arrays import F64
 from tailbeat.link.impaired import BadLine
 from tailbeat.link.transport import Transport
+from tailbeat.sim.world import CameraFrame, World
 
 RADIO, CONSOLE = 0, 1
 FLASH_BYTES = 256 * 1024
 
 
-@dataclass(frozen=True)
-class CameraFrame:
-    """One processed picture: where the fish was at simulated time ``time_s``, ``x_m`` along the
-    tank, ``y_m`` to the right, its heading clockwise from above. ``tail_rad``: angle of the tail
-    against the body; ``led``: part of the exposure in which the board's LED was on."""
-
-    time_s: float
-    x_m: float
-    y_m: float
-    heading_rad: float
-    tail_rad: float = 0.0
-    led: float = 0.0
-
-
-@dataclass(frozen=True)
-class Truth:
-    """The simulator's own state. Position and heading are those of the fish's path, about which the
-    body sways and swings; ``v_m_s``: over ground, along the heading."""
-
-    time_s: float
-    x_m: float
-    y_m: float
-    heading_rad: float
-    v_m_s: float
-    tail_rad: float
-    amplitude_rad: float
-    swims: int
-    swimming: bool
-    pulse_ticks: int
-
-
 class SimulatedBoard(Protocol):
     """The firmware with a simulated fish around it.
 
-    ``config``: the fields of sim_config_t. ``watched``: somebody uses the camera, pictures end a
+    ``config``: the fields of sim_config_t. ``world``: the fish and all around it, and every verb
+    that handles them. ``watched``: somebody uses the camera, pictures end a
     wait. Same seed and same calls, same run, bit for bit.
     """
 
@@ -57,6 +26,7 @@ class SimulatedBoard(Protocol):
     seed: int
     config: dict[str, float]
     watched: bool
+    world: World
 
     @property
     def time_s(self) -> float:
@@ -78,62 +48,6 @@ class SimulatedBoard(Protocol):
 
     def camera_frames(self) -> list[CameraFrame]:
         """Pictures that came in since the last call."""
-
-    def truth(self) -> Truth:
-        """State of the fish."""
-
-    def true_beats(self) -> F64:
-        """True mean speed of each beat of the present or last swim, m/s."""
-
-    def true_speeds_25hz(self) -> F64:
-        """True speed every 40 ms of the present or last swim, m/s."""
-
-    def set_swim(self, next_swim: int) -> None:
-        """The number the next swim's noise is keyed by (1 = first)."""
-
-    def power_cycle(self) -> None:
-        """Power off and on again; flash stays."""
-
-    def set_battery_v(self, volts: float) -> None:
-        """Battery voltage from now on."""
-
-    def set_imu(self, plugged: bool) -> None:
-        """Plugs the IMU in or out."""
-
-    def reboot_imu(self) -> None:
-        """The IMU restarts with its saved settings, as by its own watchdog."""
-
-    def wedge_imu(self) -> None:
-        """The IMU is silent and deaf until the next power cycle."""
-
-    def set_camera(self, on: bool) -> None:
-        """Switches the camera."""
-
-    def set_radio(self, connected: bool) -> None:
-        """Cuts or mends the radio link."""
-
-    def set_tilt_rad(self, roll_rad: float) -> None:
-        """Rolls the fish."""
-
-    def set_start(self, start_m_s: float) -> None:
-        """Speed over water at which the next swim starts."""
-
-    def push(self, by_m_s: float) -> None:
-        """A hand changes the fish's speed, within 0.3 s."""
-
-    def hold(self, hold_s: float) -> None:
-        """Something stops the fish dead and lets it go after ``hold_s``."""
-
-    def stir(self, by_m_s: float) -> None:
-        """The water gets faster by that along the tank, within 0.3 s; it comes to rest again with
-        a time constant of 8 s, and carries a fish that nobody holds."""
-
-    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
-        """Somebody puts the fish there, at rest; the next swim begins from there."""
-
-    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
-        """Power off, another pack, power on. The hull was open: from the next swim on thrust speed
-        is ``gain`` times what it was, and the tail's centre is off by ``centre_rad`` more."""
 
     @property
     def flash(self) -> bytes:

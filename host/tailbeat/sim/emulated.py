@@ -17,11 +17,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.extras import BUILD_IMAGE, remedy
-from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, CameraFrame, Truth
-from tailbeat.sim.world import DEFAULT_SEED, FRAME_US, World, board_number
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO
+from tailbeat.sim.config import DEFAULT_SEED, board_number
+from tailbeat.sim.world import FRAME_US, BoardControls, CameraFrame, Wires, World
 
 if TYPE_CHECKING:
     from vboard.board import Board
@@ -77,15 +77,19 @@ class EmulatedBoard:
         **overrides: float,
     ) -> None:
         self.image = find_image(image)
-        self._world = World(plant, DEFAULT_SEED if seed is None else seed, **overrides)
+        self._wires = Wires(plant, DEFAULT_SEED if seed is None else seed, **overrides)
         self._unique_id = ID_PREFIX + board_number(seed).to_bytes(8, "little")
         self.name = f"vboard:{self.image}"
         self.plant = plant
+        self.world = World(
+            self._wires.handle,
+            BoardControls(self._now_us, self._power_cycle, self._set_radio, self._plan_imu_message),
+        )
         self.seed = int(DEFAULT_SEED if seed is None else seed)
-        self.config = self._world.config
+        self.config = self._wires.config
         self.watched = False
         self._origin_us = round(self.config["boot_s"] * 1e6)
-        self._world.rest(self._origin_us)
+        self._wires.rest(self._origin_us)
         self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)
         self._time_base_start: int | None = None
         self._idle_frame: Event | None = None
@@ -97,7 +101,7 @@ class EmulatedBoard:
         self._board = self._new_board()
         self._clock = self._board.clock
         self._lines = {port: self._new_line(name, BAUD) for name, port in _LINES.items()}
-        self._imu = self._new_line(_IMU_PORT, self._world.imu_baud())
+        self._imu = self._new_line(_IMU_PORT, self._wires.imu_baud())
         self._received = {port: bytearray() for port in self._lines}
         self._board.wire(self._connect)
         self._plan_idle_frame()
@@ -144,7 +148,7 @@ class EmulatedBoard:
         look = min(end, now + _LOOK_US * _TICKS_PER_US)
         if port in self._lines and (due := self._lines[port].message_due()) is not None:
             look = min(look, max(due, now + 1))
-        if camera and (due_us := self._world.camera_due_us()) is not None:
+        if camera and (due_us := self._wires.camera_due_us()) is not None:
             look = min(look, max(self._ticks(due_us), now + 1))
         return look
 
@@ -204,89 +208,19 @@ class EmulatedBoard:
         return taken
 
     def _take_pictures(self) -> bool:
-        taken = self._world.camera_read(self._now_us())
+        taken = self._wires.camera_read(self._now_us())
         self._pictures += taken
         return bool(taken)
 
-    def truth(self) -> Truth:
-        """State of the fish at the last servo frame, at most 20 ms ago."""
-        return self._world.truth()
-
-    def true_beats(self) -> F64:
-        """True mean speed of each beat of the present or last swim, m/s."""
-        return self._world.true_beats()
-
-    def true_speeds_25hz(self) -> F64:
-        """True speed every 40 ms of the present or last swim, m/s."""
-        return self._world.true_speeds_25hz()
-
-    def set_swim(self, next_swim: int) -> None:
-        """The number the next swim's noise is keyed by (1 = first)."""
-        self._world.set_swim(next_swim)
-
-    def power_cycle(self) -> None:
-        """Power off and on again; flash stays."""
+    def _power_cycle(self) -> None:
         self._board.power_cut()
-        self._world.imu_power(on=False, now_us=self._now_us())
+        self._wires.imu_power(on=False, now_us=self._now_us())
         self._board.power_on()
         self._power_imu()
 
-    def set_battery_v(self, volts: float) -> None:
-        """Battery voltage from now on."""
-        self._world.set_battery_v(volts)
-
-    def set_imu(self, plugged: bool) -> None:
-        """Plugs the IMU in or out."""
-        self._world.set_imu(self._now_us(), plugged)
-        self._plan_imu_message()
-
-    def reboot_imu(self) -> None:
-        """The IMU restarts with its saved settings."""
-        self._world.imu_reboot(self._now_us())
-        self._plan_imu_message()
-
-    def wedge_imu(self) -> None:
-        """The IMU is silent until the next power cycle."""
-        self._world.imu_wedge()
-        self._plan_imu_message()
-
-    def set_camera(self, on: bool) -> None:
-        """Switches the camera."""
-        self._world.set_camera(on)
-
-    def set_radio(self, connected: bool) -> None:
-        """Cuts or mends the radio link."""
+    def _set_radio(self, connected: bool) -> None:
         line = self._lines[RADIO]
         (line.plug if connected else line.cut)()
-
-    def set_tilt_rad(self, roll_rad: float) -> None:
-        """Rolls the fish."""
-        self._world.set_tilt_rad(roll_rad)
-
-    def set_start(self, start_m_s: float) -> None:
-        """Speed over water at which the next swim starts."""
-        self._world.set_start(start_m_s)
-
-    def push(self, by_m_s: float) -> None:
-        """A hand changes the fish's speed, within 0.3 s."""
-        self._world.push(by_m_s)
-
-    def hold(self, hold_s: float) -> None:
-        """Something stops the fish dead and lets it go after ``hold_s``."""
-        self._world.hold(hold_s)
-
-    def stir(self, by_m_s: float) -> None:
-        """Moves the water along the tank; it comes to rest with a time constant of 8 s."""
-        self._world.stir(by_m_s)
-
-    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
-        """Somebody puts the fish there, at rest; the next swim begins from there."""
-        self._world.place(x_m, y_m, heading_rad)
-
-    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
-        """Power off, another pack, power on; the ballast may have shifted."""
-        self._world.swap_battery(volts, gain, centre_rad)
-        self.power_cycle()
 
     @property
     def flash(self) -> bytes:
@@ -337,7 +271,7 @@ class EmulatedBoard:
         periph["ADC"].volts[_BATTERY_CHANNEL] = self._divided_v
 
     def _divided_v(self) -> float:
-        return self._world.battery_v() / _BATTERY_DIVIDER
+        return self._wires.battery_v() / _BATTERY_DIVIDER
 
     def _show_led(self) -> None:
         """It lights at a driven pin only: a pull-up is too weak for it."""
@@ -345,7 +279,7 @@ class EmulatedBoard:
         on = self._board.periph[name].drives_high(bit)
         if on != self._led_on:
             self._led_on = on
-            self._world.led(self._now_us(), on)
+            self._wires.led(self._now_us(), on)
 
     def _servo_frame(self, channel: int, start: int, period: int, high: int) -> None:
         """A period of the PWM begins; its pulse is ``high`` thirds of a microsecond long."""
@@ -354,35 +288,35 @@ class EmulatedBoard:
             return
         name, bit, owner = _SERVO_PIN
         wired = self._board.periph[name].owner(bit) == owner
-        self._world.frame(self._us(start), high if wired else 0)
+        self._wires.frame(self._us(start), high if wired else 0)
         self._plan_idle_frame()
         self._look_at_imu()
 
     def _plan_idle_frame(self) -> None:
         """Without a PWM that runs the fish goes on all the same."""
         self._clock.cancel(self._idle_frame)
-        due_us = self._world.time_us + FRAME_US + _IDLE_FRAME_LATE_US
+        due_us = self._wires.time_us + FRAME_US + _IDLE_FRAME_LATE_US
         self._idle_frame = self._clock.at(self._ticks(due_us), self._rest)
 
     def _rest(self) -> None:
-        self._world.frame(self._world.time_us + FRAME_US, 0)
+        self._wires.frame(self._wires.time_us + FRAME_US, 0)
         self._plan_idle_frame()
         self._look_at_imu()
 
     def _power_imu(self) -> None:
-        self._world.imu_power(on=True, now_us=self._now_us())
+        self._wires.imu_power(on=True, now_us=self._now_us())
         self._plan_imu_message()
 
     def _plan_imu_message(self) -> None:
         """What the IMU says next, at its own speed; the line's end is set to that."""
-        self._imu.set_baud(self._world.imu_baud())
+        self._imu.set_baud(self._wires.imu_baud())
         self._clock.cancel(self._imu_message)
-        due_us = self._world.imu_due_us()
+        due_us = self._wires.imu_due_us()
         if due_us is not None:
             self._imu_message = self._clock.at(self._ticks(due_us), self._send_imu_message)
 
     def _send_imu_message(self) -> None:
-        if data := self._world.imu_read():
+        if data := self._wires.imu_read():
             self._imu.send(data)
             self.imu_frames_sent += data[0] == _IMU_SYNC
         self._plan_imu_message()
@@ -394,7 +328,7 @@ class EmulatedBoard:
         if chunks := self._imu.take_timed():
             for chunk in chunks:
                 baud = round(_BITS_PER_BYTE * _TICKS_PER_US * 1_000_000 / chunk.char_ticks)
-                self._world.imu_write(self._now_us(), chunk.data, baud)
+                self._wires.imu_write(self._now_us(), chunk.data, baud)
             self._imu_talk_end = now + _IMU_TALK_US * _TICKS_PER_US
             self._plan_imu_message()
         due = self._imu.message_due()

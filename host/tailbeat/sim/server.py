@@ -1,5 +1,5 @@
 """A simulated or emulated board as a process: the radio on a TCP port, the camera on the next, the
-wired console on the one after and on a pty, the world around the fish on the fourth (simwords.py),
+wired console on the one after and on a pty, the world around the fish on the fourth (sim/world.py),
 in real time times a factor.
 
 The board goes on swimming when a client drops, as a real one would, and takes the next client
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from tailbeat.core.errors import ConnectError, InputError
 from tailbeat.link.sockets import taken_line
 from tailbeat.sim.board import CONSOLE, RADIO, SimulatedBoard
-from tailbeat.sim.commands import Lines
+from tailbeat.sim.world import CommandLines
 
 DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
 
@@ -241,7 +241,8 @@ class SimServer:
         self._radio, self._camera, self._console, self._world = _ports(self._selector, host, port)
         self._radio.turn_away = taken_line(self._console.number)
         self._console.turn_away = taken_line(None)
-        self._lines = Lines(board)
+        config = {"plant": board.plant, "seed": board.seed, "simulator": board.config}
+        self._lines = CommandLines(board.world, config)
         self._pty = _Pty(self._selector) if pty else None
         self._wall_s = wall_s
         self._on_slow: Callable[[float], None] | None = on_slow

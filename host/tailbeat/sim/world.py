@@ -1,39 +1,311 @@
-"""The simulated world by itself, for a board that is not the simulator's own: hal/sim/world.h."""
+"""The fish in its tank, the camera, the IMU and the battery (hal/sim/world.h), and every verb by
+which tests, scripts and people handle them.
+
+A verb is a method of ``World`` and a row of ``VERBS``: the words of the fault-injection port and
+its help come from there. Nothing else knows verbs.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
-import secrets
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.native import ffi, lib
-from tailbeat.sim.board import CameraFrame, Truth
+from tailbeat.sim.config import config_values, make_config, senseless
 
-PLANTS = {"thesis": 0, "tank": 1}
-DEFAULT_SEED = 1
-SPEED_MAX_M_S = 10.0
-TILT_MAX_RAD = math.pi
 FRAME_US = 20_000  # of the servo
 
 _PICTURES_AT_ONCE = 256
 _IMU_MESSAGE_MAX = 640
 _NEVER = (1 << 64) - 1
+_SPEED_MAX_M_S = 10.0
 _FAR_M = 100.0
 _HOLD_MAX_S = 1e5
 _VOLTS_MAX = 60.0
 _GAIN_MAX = 10.0
 _CENTRE_MAX_RAD = 0.5
+_LINE_MAX_BYTES = 1000
+_OK = "ok"
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """One processed picture: where the fish was at simulated time ``time_s``, ``x_m`` along the
+    tank, ``y_m`` to the right, its heading clockwise from above. ``tail_rad``: angle of the tail
+    against the body; ``led``: part of the exposure in which the board's LED was on."""
+
+    time_s: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    tail_rad: float = 0.0
+    led: float = 0.0
+
+
+@dataclass(frozen=True)
+class FishState:
+    """The simulator's own state. Position and heading are those of the fish's path, about which the
+    body sways and swings; ``v_m_s``: over ground, along the heading."""
+
+    time_s: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    v_m_s: float
+    tail_rad: float
+    amplitude_rad: float
+    swims: int
+    swimming: bool
+    pulse_ticks: int
+
+
+@dataclass(frozen=True)
+class BoardControls:
+    """What verbs need of the board in the world. ``now_us``: simulated time; ``imu_changed``: the
+    IMU's next message may be another."""
+
+    now_us: Callable[[], int]
+    power_cycle: Callable[[], None]
+    set_radio: Callable[[bool], None]
+    imu_changed: Callable[[], None] = lambda: None
 
 
 class World:
-    """The fish in its tank, the camera, the IMU and the battery. Times are simulated microseconds.
+    """Handles a world_t that somebody else keeps alive. Arguments that make no sense raise
+    InputError."""
 
-    Keyword overrides are the fields of sim_config_t. Raises InputError when they make no sense.
-    """
+    def __init__(self, handle: Any, board: BoardControls) -> None:
+        self._world = handle
+        self._board = board
+
+    def truth(self) -> FishState:
+        """State of the fish at the last servo frame, at most 20 ms ago."""
+        state = lib.world_truth(self._world)
+        return FishState(*(getattr(state, f.name) for f in dataclasses.fields(FishState)))
+
+    def true_beats(self) -> F64:
+        """True mean speed of each beat of the present or last trial, m/s."""
+        return _values(lib.world_true_beats, self._world)
+
+    def true_speeds_25hz(self) -> F64:
+        """True speed every 40 ms of the present or last trial, m/s."""
+        return _values(lib.world_true_speeds_25hz, self._world)
+
+    def set_swim(self, number: float) -> None:
+        """The number the next trial's noise is keyed by (1 = first)."""
+        if not 1 <= number < 1 << 32 or number != int(number):
+            raise InputError(f"{number:g} is no number of a swim", "1 is the first.")
+        lib.world_set_swim(self._world, int(number))
+
+    def push(self, by_m_s: float) -> None:
+        """A hand changes the fish's speed, within 0.3 s."""
+        lib.world_push(self._world, _sensible("a push", by_m_s, _SPEED_MAX_M_S))
+
+    def hold(self, hold_s: float) -> None:
+        """Something stops the fish dead and lets it go after ``hold_s``."""
+        lib.world_hold(self._world, _sensible("a hold", hold_s, _HOLD_MAX_S, 0.0))
+
+    def stir(self, by_m_s: float) -> None:
+        """The water gets faster by that along the tank, within 0.3 s; it comes to rest again with
+        a time constant of 8 s, and carries a fish that nobody holds."""
+        lib.world_stir(self._world, _sensible("a current", by_m_s, _SPEED_MAX_M_S))
+
+    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Somebody puts the fish there, at rest; the next trial begins from there."""
+        place = [_sensible("a place", value, _FAR_M) for value in (x_m, y_m)]
+        lib.world_place(self._world, *place, _sensible("a heading", heading_rad, math.pi))
+
+    def set_start(self, start_m_s: float) -> None:
+        """Speed over water at which the next trial starts."""
+        lib.world_set_start(self._world, _sensible("a start", start_m_s, _SPEED_MAX_M_S))
+
+    def set_tilt_rad(self, roll_rad: float) -> None:
+        """Rolls the fish."""
+        lib.world_set_tilt_rad(self._world, _sensible("a tilt", roll_rad, math.pi))
+
+    def set_battery_v(self, volts: float) -> None:
+        """Battery voltage from now on."""
+        lib.world_set_battery_v(self._world, _sensible("a voltage", volts, _VOLTS_MAX, 0.0))
+
+    def swap_battery(self, volts: float, gain: float = 1.0, centre_rad: float = 0.0) -> None:
+        """Power off, another pack, power on. The hull was open: from the next trial on thrust speed
+        is ``gain`` times what it was, and the tail's centre is off by ``centre_rad`` more."""
+        lib.world_swap_battery(
+            self._world,
+            _sensible("a voltage", volts, _VOLTS_MAX, 0.0),
+            _sensible("a gain", gain, _GAIN_MAX, 0.0),
+            _sensible("a shift of the tail's centre", centre_rad, _CENTRE_MAX_RAD),
+        )
+        self._board.power_cycle()
+
+    def set_camera(self, on: bool) -> None:
+        """Switches the camera."""
+        lib.world_set_camera(self._world, on)
+
+    def set_imu(self, plugged: bool) -> None:
+        """Plugs the IMU in or out."""
+        lib.world_set_imu(self._world, self._board.now_us(), plugged)
+        self._board.imu_changed()
+
+    def reboot_imu(self) -> None:
+        """The IMU restarts with its saved settings, as by its own watchdog."""
+        lib.world_imu_reboot(self._world, self._board.now_us())
+        self._board.imu_changed()
+
+    def wedge_imu(self) -> None:
+        """The IMU is silent and deaf until the next power cycle."""
+        lib.world_imu_wedge(self._world)
+        self._board.imu_changed()
+
+    def set_radio(self, connected: bool) -> None:
+        """Cuts or mends the radio link."""
+        self._board.set_radio(connected)
+
+    def power_cycle(self) -> None:
+        """Power off and on again; flash stays."""
+        self._board.power_cycle()
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A row of the table. ``use``: the name and its arguments, named by their units; what stands in
+    brackets may be left out. ``choices``: what stands behind the name instead of numbers."""
+
+    use: str
+    does: str
+    call: Callable[..., None] | None = None
+    choices: Mapping[str, Callable[[World], None]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What the line begins with."""
+        return self.use.split()[0]
+
+    def obey(self, world: World, given: Sequence[str]) -> None:
+        """Does it with what stood behind the name. Raises InputError."""
+        if self.call is None:
+            if len(given) != 1 or given[0] not in self.choices:
+                raise _bad_use(self.use)
+            self.choices[given[0]](world)
+            return
+        arguments = self.use.split()[1:]
+        least = sum(not argument.startswith("[") for argument in arguments)
+        try:
+            values = [float(text) for text in given]
+        except ValueError:
+            raise _bad_use(self.use) from None
+        if not least <= len(values) <= len(arguments):
+            raise _bad_use(self.use)
+        self.call(world, *values)
+
+
+VERBS = {
+    verb.name: verb
+    for verb in (
+        Verb("push M_S", "a hand changes the fish's speed within 0.3 s", World.push),
+        Verb("hold S", "something stops the fish and lets it go after S", World.hold),
+        Verb("stir M_S", "the water moves along the tank, dying down", World.stir),
+        Verb("place X_M Y_M HEADING_RAD", "somebody puts the fish there", World.place),
+        Verb("start M_S", "speed at which the next swim starts", World.set_start),
+        Verb("tilt RAD", "rolls the fish", World.set_tilt_rad),
+        Verb("battery V", "the pack's voltage from now on", World.set_battery_v),
+        Verb(
+            "swap V [GAIN] [CENTRE_RAD]",
+            "another pack; thrust speed times GAIN, the tail's centre off by CENTRE_RAD more",
+            World.swap_battery,
+        ),
+        Verb(
+            "camera on|off",
+            "the camera",
+            choices={"on": lambda w: w.set_camera(True), "off": lambda w: w.set_camera(False)},
+        ),
+        Verb(
+            "radio on|off",
+            "the radio link",
+            choices={"on": lambda w: w.set_radio(True), "off": lambda w: w.set_radio(False)},
+        ),
+        Verb(
+            "imu on|off|reboot|wedge",
+            "its plug; wedged, it is silent until the next power-on",
+            choices={
+                "on": lambda w: w.set_imu(True),
+                "off": lambda w: w.set_imu(False),
+                "reboot": World.reboot_imu,
+                "wedge": World.wedge_imu,
+            },
+        ),
+        Verb("power cycle", "power off and on again", choices={"cycle": World.power_cycle}),
+        Verb("swim NUMBER", "the next swim's noise is that of swim NUMBER", World.set_swim),
+    )
+}
+
+
+class CommandLines:
+    """Obeys the lines of a client of the fault-injection port, like ``push -0.05``. ``config``:
+    plant, seed and values of the simulator, as JSON knows them."""
+
+    def __init__(self, world: World, config: Mapping[str, Any]) -> None:
+        self._world = world
+        self._asked: dict[str, tuple[str, Callable[[], str]]] = {
+            "truth": (
+                "the fish's state as JSON",
+                lambda: json.dumps(dataclasses.asdict(world.truth())),
+            ),
+            "config": (
+                "plant, seed and all values of the simulator as JSON",
+                lambda: json.dumps(config),
+            ),
+            "help": ("these lines", self._help),
+        }
+        self._rest = b""
+
+    def hear(self, data: bytes, last: bool = False) -> bytes:
+        """The answers to the lines that ``data`` ends; ``last``: nothing will follow."""
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        if last or len(self._rest) > _LINE_MAX_BYTES:
+            whole.append(self._rest)
+            self._rest = b""
+        answers = (self.obey(line.decode("utf-8", "replace")) for line in whole)
+        return "".join(f"{answer}\n" for answer in answers if answer).encode()
+
+    def obey(self, line: str) -> str:
+        """Does what the line says: ``ok``, what was asked for, or what is wrong. Empty, and nothing
+        done, for an empty line and one that begins with #."""
+        given = line.split()
+        if not given or given[0].startswith("#"):
+            return ""
+        try:
+            if given[0] in self._asked:
+                if len(given) > 1 and given[0] != "help":
+                    raise _bad_use(given[0])
+                return self._asked[given[0]][1]()
+            if (verb := VERBS.get(given[0])) is None:
+                names = ", ".join([*VERBS, *self._asked])
+                raise InputError(f"there is no word '{given[0][:20]}'", f"There are: {names}.")
+            verb.obey(self._world, given[1:])
+        except TailbeatError as error:
+            return " ".join(str(error).split())
+        return _OK
+
+    def _help(self) -> str:
+        rows = [(verb.use, verb.does) for verb in VERBS.values()]
+        rows += [(name, does) for name, (does, _) in self._asked.items()]
+        width = max(len(use) for use, _ in rows)
+        return "\n".join(f"{use:<{width}}  {does}" for use, does in rows)
+
+
+class Wires:
+    """A world_t of its own, for a board that is not the simulator's. Times are simulated
+    microseconds. Keyword overrides are the fields of sim_config_t. Raises InputError when they make
+    no sense."""
 
     def __init__(self, plant: str, seed: float, /, **overrides: float) -> None:
         config = make_config(plant, seed, overrides)
@@ -41,18 +313,18 @@ class World:
         if world == ffi.NULL:
             raise senseless()
         self.config = config_values(config)
-        self._world: Any = ffi.gc(world, lib.world_free)
+        self.handle: Any = ffi.gc(world, lib.world_free)
         self._pictures = ffi.new("sim_camera_frame_t[]", _PICTURES_AT_ONCE)
         self._imu_message = ffi.new("uint8_t[]", _IMU_MESSAGE_MAX)
 
     @property
     def time_us(self) -> int:
         """End of the last servo frame."""
-        return int(lib.world_time_us(self._world))
+        return int(lib.world_time_us(self.handle))
 
     def frame(self, now_us: int, next_pulse_ticks: int) -> None:
         """The servo frame that ends now, where the next pulse (0 = none) begins."""
-        lib.world_frame(self._world, now_us, next_pulse_ticks)
+        lib.world_frame(self.handle, now_us, next_pulse_ticks)
 
     def rest(self, until_us: int) -> None:
         """Frames without pulses, as many as end by ``until_us``."""
@@ -62,136 +334,62 @@ class World:
     def imu_power(self, on: bool, now_us: int) -> None:
         """The board's supply, which feeds the IMU, goes on or off."""
         if on:
-            lib.world_imu_power_on(self._world, now_us)
+            lib.world_imu_power_on(self.handle, now_us)
         else:
-            lib.world_imu_power_off(self._world)
+            lib.world_imu_power_off(self.handle)
 
     def imu_due_us(self) -> int | None:
         """When the IMU begins to send its next message."""
-        return _time(lib.world_imu_due_us(self._world))
+        return _time(lib.world_imu_due_us(self.handle))
 
     def imu_baud(self) -> int:
         """The rate it sends that message at."""
-        return int(lib.world_imu_baud(self._world))
+        return int(lib.world_imu_baud(self.handle))
 
     def imu_read(self) -> bytes:
         """Takes that message; empty when the wire lost all of it."""
-        length = lib.world_imu_read(self._world, self._imu_message)
+        length = lib.world_imu_read(self.handle, self._imu_message)
         return bytes(ffi.buffer(self._imu_message, length))
 
     def imu_write(self, now_us: int, data: bytes, baud: int) -> None:
         """Bytes to the IMU, sent at ``baud``, whose last bit arrives now."""
-        lib.world_imu_write(self._world, now_us, ffi.from_buffer(data), len(data), baud)
-
-    def imu_reboot(self, now_us: int) -> None:
-        """The IMU restarts with its saved settings."""
-        lib.world_imu_reboot(self._world, now_us)
-
-    def imu_wedge(self) -> None:
-        """The IMU is silent and deaf until its supply has been off."""
-        lib.world_imu_wedge(self._world)
+        lib.world_imu_write(self.handle, now_us, ffi.from_buffer(data), len(data), baud)
 
     def battery_v(self) -> float:
         """Voltage of the pack now."""
-        return float(lib.world_battery_v(self._world))
+        return float(lib.world_battery_v(self.handle))
 
     def led(self, now_us: int, on: bool) -> None:
         """The board's LED is on or off from now on."""
-        lib.world_led(self._world, now_us, on)
+        lib.world_led(self.handle, now_us, on)
 
     def camera_due_us(self) -> int | None:
         """When the next picture comes in."""
-        return _time(lib.world_camera_due_us(self._world))
+        return _time(lib.world_camera_due_us(self.handle))
 
     def camera_read(self, now_us: int) -> list[CameraFrame]:
         """Pictures that have come in by now."""
         return read_pictures(
-            lambda out, most: lib.world_camera_read(self._world, now_us, out, most), self._pictures
+            lambda out, most: lib.world_camera_read(self.handle, now_us, out, most), self._pictures
         )
 
-    def truth(self) -> Truth:
-        """State of the fish at the end of the last frame."""
-        return truth_of(lib.world_truth(self._world))
 
-    def true_beats(self) -> F64:
-        """True mean speed of each beat of the present or last swim, m/s."""
-        return read_values(lib.world_true_beats, self._world)
-
-    def true_speeds_25hz(self) -> F64:
-        """True speed every 40 ms of the present or last swim, m/s."""
-        return read_values(lib.world_true_speeds_25hz, self._world)
-
-    def set_swim(self, next_swim: int) -> None:
-        """The number the next swim's noise is keyed by (1 = first)."""
-        lib.world_set_swim(self._world, next_swim)
-
-    def set_battery_v(self, volts: float) -> None:
-        """Battery voltage from now on."""
-        lib.world_set_battery_v(self._world, sensible_volts(volts))
-
-    def set_imu(self, now_us: int, plugged: bool) -> None:
-        """Plugs the IMU in or out."""
-        lib.world_set_imu(self._world, now_us, plugged)
-
-    def set_camera(self, on: bool) -> None:
-        """Switches the camera."""
-        lib.world_set_camera(self._world, on)
-
-    def set_tilt_rad(self, roll_rad: float) -> None:
-        """Rolls the fish."""
-        lib.world_set_tilt_rad(self._world, sensible("a tilt", roll_rad, TILT_MAX_RAD))
-
-    def set_start(self, start_m_s: float) -> None:
-        """Speed over water at which the next swim starts."""
-        lib.world_set_start(self._world, sensible("a start", start_m_s, SPEED_MAX_M_S))
-
-    def push(self, by_m_s: float) -> None:
-        """A hand changes the fish's speed, within 0.3 s."""
-        lib.world_push(self._world, sensible("a push", by_m_s, SPEED_MAX_M_S))
-
-    def hold(self, hold_s: float) -> None:
-        """Something stops the fish dead and lets it go after ``hold_s``."""
-        lib.world_hold(self._world, sensible_hold(hold_s))
-
-    def stir(self, by_m_s: float) -> None:
-        """Moves the water along the tank; it comes to rest with a time constant of 8 s."""
-        lib.world_stir(self._world, sensible("a current", by_m_s, SPEED_MAX_M_S))
-
-    def place(self, x_m: float, y_m: float, heading_rad: float) -> None:
-        """Somebody puts the fish there, at rest; the next swim begins from there."""
-        lib.world_place(self._world, *sensible_pose(x_m, y_m, heading_rad))
-
-    def swap_battery(self, volts: float, gain: float, centre_rad: float) -> None:
-        """Another pack; the ballast may have shifted. The board's power is the caller's."""
-        lib.world_swap_battery(self._world, *sensible_swap(volts, gain, centre_rad))
+def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
+    """All that ``getter(out, max)`` has, by way of ``buffer``."""
+    found = []
+    while count := getter(buffer, len(buffer)):
+        found += [
+            CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led)
+            for f in buffer[0:count]
+        ]
+    return found
 
 
-def board_number(seed: float | None) -> int:
-    """What tells a simulated board from others, the last 8 bytes of its unique id: the seed if one
-    is given, so that it is the same board each time; otherwise random."""
-    return secrets.randbits(64) if seed is None else int(seed)
+def _bad_use(use: str) -> InputError:
+    return InputError(f"that is not how '{use.split()[0]}' is written", f"Write: {use}")
 
 
-def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
-    """A sim_config_t. Raises InputError for names there are none of."""
-    if plant not in PLANTS:
-        raise InputError(f"there is no plant {plant}", f"Use one of: {', '.join(PLANTS)}.")
-    if not 0 <= seed < 1 << 64 or seed != int(seed):
-        raise InputError(f"{seed} is no seed", "Give a whole number from 0 to 2^64 - 1.")
-    config = ffi.new("sim_config_t *")
-    lib.sim_config_default(config, PLANTS[plant])
-    config.seed = int(seed)
-    for name, value in overrides.items():
-        setattr(config, config_field(name), value)
-    return config
-
-
-def senseless() -> InputError:
-    """The error for values that fit no world."""
-    return InputError("the simulator cannot run with these values", "Check them: SI units.")
-
-
-def sensible(what: str, value: float, most: float, least: float | None = None) -> float:
+def _sensible(what: str, value: float, most: float, least: float | None = None) -> float:
     """``value`` from ``least`` (default: ``-most``) to ``most``. Raises InputError otherwise."""
     low = -most if least is None else least
     if not low <= value <= most:
@@ -199,87 +397,12 @@ def sensible(what: str, value: float, most: float, least: float | None = None) -
     return value
 
 
-def sensible_hold(hold_s: float) -> float:
-    """How long something holds the fish. Raises InputError."""
-    return sensible("a hold", hold_s, _HOLD_MAX_S, 0.0)
-
-
-def sensible_volts(volts: float) -> float:
-    """Of a pack. Raises InputError."""
-    return sensible("a voltage", volts, _VOLTS_MAX, 0.0)
-
-
-def sensible_pose(x_m: float, y_m: float, heading_rad: float) -> tuple[float, float, float]:
-    """Where somebody may put the fish. Raises InputError."""
-    return (
-        sensible("a place", x_m, _FAR_M),
-        sensible("a place", y_m, _FAR_M),
-        sensible("a heading", heading_rad, math.pi),
-    )
-
-
-def sensible_swap(volts: float, gain: float, centre_rad: float) -> tuple[float, float, float]:
-    """What a swap of the battery may bring. Raises InputError."""
-    return (
-        sensible_volts(volts),
-        sensible("a gain", gain, _GAIN_MAX, 0.0),
-        sensible("a shift of the tail's centre", centre_rad, _CENTRE_MAX_RAD),
-    )
-
-
-def config_values(config: Any) -> dict[str, float]:
-    """All values of a sim_config_t by name."""
-    return {name: getattr(config, name) for name in config_fields()}
-
-
-def config_fields() -> list[str]:
-    """Names of all values of the simulator's configuration."""
-    return [name for name, _ in ffi.typeof("sim_config_t").fields]
-
-
-def config_field(name: str) -> str:
-    """The field meant by ``name``; its unit may be left out (kappa = kappa_per_m)."""
-    fields = [f for f in config_fields() if f not in ("seed", "plant")]
-    matches = [f for f in fields if f == name] or [f for f in fields if f.startswith(name + "_")]
-    if len(matches) != 1:
-        raise InputError(f"the simulator has no value {name}", f"It has: {', '.join(fields)}.")
-    return matches[0]
-
-
-def truth_of(t: Any) -> Truth:
-    """From a sim_truth_t."""
-    return Truth(
-        time_s=t.time_s,
-        x_m=t.x_m,
-        y_m=t.y_m,
-        heading_rad=t.heading_rad,
-        v_m_s=t.v_m_s,
-        tail_rad=t.tail_rad,
-        amplitude_rad=t.amplitude_rad,
-        swims=t.swims,
-        swimming=t.swimming,
-        pulse_ticks=t.pulse_ticks,
-    )
-
-
-def read_values(getter: Any, handle: Any) -> F64:
+def _values(getter: Any, handle: Any) -> F64:
     """All that ``getter(handle, out, max)`` has."""
     count = getter(handle, ffi.NULL, 0)
     out = np.zeros(count, dtype=np.float64)
     getter(handle, ffi.cast("double *", out.ctypes.data), count)
     return out
-
-
-def read_pictures(getter: Any, buffer: Any) -> list[CameraFrame]:
-    """All that ``getter(out, max)`` has, by way of ``buffer``."""
-    found = []
-    while count := getter(buffer, len(buffer)):
-        found += [_picture(f) for f in buffer[0:count]]
-    return found
-
-
-def _picture(f: Any) -> CameraFrame:
-    return CameraFrame(f.time_s, f.x_m, f.y_m, f.heading_rad, f.tail_rad, f.led)
 
 
 def _time(time_us: int) -> int | None:

@@ -365,7 +365,7 @@ def test_a_slow_answer(look: Look, forged: Forged) -> None:
 
 
 def test_an_imu_that_fell_silent(look: Look, board: SimBoard) -> None:
-    board.set_imu(False)
+    board.world.set_imu(False)
     board.run(6.0)
     found = look(SimTransport(board))
     assert found["imu"].status == PROBLEM
@@ -392,7 +392,7 @@ def test_no_imu_matters_only_where_it_is_needed(look: Look) -> None:
      (12.0, PROBLEM, "9.90 V or more (reading at its limit): arming is refused")],
 )  # fmt: skip
 def test_battery(volts: float, status: str, text: str, look: Look, board: SimBoard) -> None:
-    board.set_battery_v(volts)
+    board.world.set_battery_v(volts)
     board.run(8.0)
     found = look(SimTransport(board))
     assert found["battery"].status == status
@@ -406,7 +406,7 @@ def test_limits_of_the_battery_are_the_boards(look: Look, board: SimBoard) -> No
 
 
 def test_a_bare_board_needs_no_battery(look: Look, board: SimBoard) -> None:
-    board.set_battery_v(12.0)
+    board.world.set_battery_v(12.0)
     board.run(1.0)
     fish = Fish(SimTransport(board))
     fish.params.set("BATT_LOW_V", 0.0)

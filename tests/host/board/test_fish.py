@@ -67,7 +67,7 @@ def test_the_board_measures_what_is_true(ready: Fish) -> None:
     assert ready.sim is not None
     outcome = run_trial(ready)
     measured = [b.speed_m_s for b in outcome.beats]
-    np.testing.assert_allclose(measured, ready.sim.true_beats(), atol=4e-3)
+    np.testing.assert_allclose(measured, ready.sim.world.true_beats(), atol=4e-3)
 
 
 def test_same_seed_same_trial(reference: bytes) -> None:
@@ -109,7 +109,7 @@ def test_amplitudes_both_ways(fish: Fish) -> None:
 def test_speeds_may_come_after_the_swim(ready: Fish) -> None:
     assert ready.sim is not None
     ready.params.set("SPD_SOURCE", 1)
-    ready.sim.set_camera(False)
+    ready.sim.world.set_camera(False)
     outcome = run_trial(ready)
     with pytest.raises(Refused) as refused:
         ready.learn()
@@ -159,7 +159,7 @@ def test_ctrl_c_stops_the_tail(ready: Fish) -> None:
     outcome = run_trial(ready, on_event=press)
     assert outcome.interrupted
     assert outcome.end == "aborted:ABORT_COMMAND"
-    assert not ready.sim.truth().swimming
+    assert not ready.sim.world.truth().swimming
     assert ready.status().state == "ABORTED"
 
 
@@ -170,9 +170,9 @@ def test_a_short_hole_in_the_radio_changes_nothing(ready: Fish) -> None:
     def follow(event: dict) -> None:
         if event["event"] == "beat" and event["beat"] == 1 and todo:
             todo.clear()
-            board.set_radio(False)
+            board.world.set_radio(False)
             board.run(1.5)
-            board.set_radio(True)
+            board.world.set_radio(True)
 
     outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "complete"
@@ -187,10 +187,10 @@ def test_a_long_hole_ends_the_trial_and_is_told(ready: Fish) -> None:
         events.append(event["event"])
         if event["event"] == "beat" and event["beat"] == 1 and todo:
             todo.clear()
-            board.set_radio(False)
+            board.world.set_radio(False)
         if event["event"] == "link_lost":
             board.run(8.0)
-            board.set_radio(True)
+            board.world.set_radio(True)
 
     outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "aborted:LINK_LOST"
@@ -203,14 +203,14 @@ def test_a_link_that_stays_away_is_an_error_in_bounded_time(ready: Fish) -> None
 
     def follow(event: dict) -> None:
         if event["event"] == "beat":
-            board.set_radio(False)
+            board.world.set_radio(False)
 
     begin = ready.transport.now_s()
     with pytest.raises(LinkLostError) as lost:
         run_trial(ready, on_event=follow, reconnect_s=20.0)
     assert ready.transport.now_s() - begin < 60.0
     assert "\n" not in str(lost.value)
-    assert not board.truth().swimming
+    assert not board.world.truth().swimming
 
 
 def test_power_lost_in_the_middle(ready: Fish) -> None:
@@ -220,7 +220,7 @@ def test_power_lost_in_the_middle(ready: Fish) -> None:
     def follow(event: dict) -> None:
         if event["event"] == "beat" and event["beat"] == 3 and todo:
             todo.clear()
-            board.power_cycle()
+            board.world.power_cycle()
 
     outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "aborted:REBOOT"
@@ -241,7 +241,7 @@ def test_a_camera_that_dies_in_the_middle_is_told_once(ready: Fish) -> None:
     def follow(event: dict) -> None:
         events.append(event)
         if event["event"] == "beat" and event["beat"] == 2:
-            ready.sim.set_camera(False)
+            ready.sim.world.set_camera(False)
 
     outcome = run_trial(ready, on_event=follow)
     warnings = [e["text"] for e in events if e["event"] == "warning"]
@@ -316,7 +316,7 @@ def test_ctrl_c_before_the_start_is_acknowledged_stops_the_tail(
     monkeypatch.setattr(ready.link, "send", press)
     with pytest.raises(KeyboardInterrupt):
         run_trial(ready)
-    assert not ready.sim.truth().swimming
+    assert not ready.sim.world.truth().swimming
     assert ready.status().state == "ABORTED"
 
 
@@ -352,9 +352,9 @@ def test_a_link_that_breaks_again_while_coming_back_gets_its_time(
     def follow(event: dict) -> None:
         if event["event"] == "beat" and not state["cut"]:
             state["cut"] = True
-            board.set_radio(False)
+            board.world.set_radio(False)
         if event["event"] == "link_lost":
-            board.set_radio(True)
+            board.world.set_radio(True)
 
     def sync_once_lost() -> None:
         if state["cut"] and not state["failed"]:

@@ -227,7 +227,7 @@ class Due:
         if not chip["stored"]:
             self.board.flash = b"\xff" * FLASH_BYTES
             self.state(stored=True)
-        self.board.power_cycle()
+        self.board.world.power_cycle()
         return SimTransport(self.board, CONSOLE if url in (ACM, CLONE) else RADIO)
 
     def around(self, **changes: Any) -> Surroundings:
@@ -353,7 +353,7 @@ def test_programming_port(due: Due, taught: Content, image: Path) -> None:
 
 def test_what_comes_back_lasts(due: Due, taught: Content, image: Path) -> None:
     due.flash(image)
-    due.board.power_cycle()
+    due.board.world.power_cycle()
     now = on_board(due)
     assert (now.params, now.learned) == (taught.params, taught.learned)
 
@@ -466,7 +466,7 @@ def test_the_key_does_not_come_back_by_radio(
     )  # this board stands for a real one
     backup = due.flash(image).backup
     due.board.flash = b"\xff" * FLASH_BYTES
-    due.board.power_cycle()
+    due.board.world.power_cycle()
     _, out, _ = command("--restore", str(backup), "--connect", "radio")
     assert "not restored: the key (the key can only be set over the wired port)" in out
     status, out, err = command("--restore", str(backup), "--connect", ACM)
@@ -772,7 +772,7 @@ def test_a_port_that_may_not_be_opened(
 
 @pytest.mark.usefixtures("taught")
 def test_a_board_that_is_armed(due: Due, image: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(due.board, "power_cycle", lambda: None)  # as over the radio
+    monkeypatch.setattr(due.board.world, "power_cycle", lambda: None)  # as over the radio
     with Fish(SimTransport(due.board)) as fish:
         fish.arm()
     error = untouched(due, image, connect="radio")
@@ -792,9 +792,9 @@ def test_a_pending_trial(due: Due, image: Path) -> None:
 
 
 def test_a_low_battery(due: Due, image: Path) -> None:
-    due.board.set_battery_v(5.5)
+    due.board.world.set_battery_v(5.5)
     assert "5.50 V, below BATT_CRIT_V (6 V)" in untouched(due, image).message
-    due.board.set_battery_v(0.1)
+    due.board.world.set_battery_v(0.1)
     assert due.flash(image).verified  # on USB power there is no battery
 
 
@@ -1042,7 +1042,7 @@ def test_restore_needs_an_idle_board(
     due: Due, taught: Content, image: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     backup = due.flash(image).backup
-    monkeypatch.setattr(due.board, "power_cycle", lambda: None)
+    monkeypatch.setattr(due.board.world, "power_cycle", lambda: None)
     with Fish(SimTransport(due.board)) as fish:
         fish.arm()
     status, _, err = command("--restore", str(backup), "--connect", "radio")

@@ -252,7 +252,7 @@ class Resets(SimTransport):
         super().wait(min(timeout_s, 0.01))
         if self._down() and self.board.time_s >= self._up_s:
             self._booted = True
-            self.board.power_cycle()
+            self.board.world.power_cycle()
 
 
 @pytest.mark.parametrize("boot_s", [0.0, 0.5, 1.5, 2.5])
@@ -281,7 +281,7 @@ class Console:
 
         def wipe() -> None:
             self.board.flash = b"\xff" * FLASH_BYTES
-            self.board.power_cycle()
+            self.board.world.power_cycle()
             done.set()
 
         self.jobs.put(wipe)

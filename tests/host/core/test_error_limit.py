@@ -134,7 +134,7 @@ def test_power_lost_in_mid_swim_teaches_nothing_and_costs_nothing(tmp_path: Path
         def cut(event: dict) -> None:
             if event["event"] == "beat" and event["beat"] == 7 and todo:
                 todo.clear()
-                board.power_cycle()
+                board.world.power_cycle()
 
         outcome = run_trial(fish, on_event=cut)
         assert outcome.end == "aborted:REBOOT"

@@ -191,7 +191,7 @@ def test_the_simulator_s_own_heading(askew_rad: float, tmp_path: Path) -> None:
         fish.link.run(30)
         seen = Seen()
         number = run_trial(fish, guard=seen).number
-        true_rad = fish.sim.truth().heading_rad
+        true_rad = fish.sim.world.truth().heading_rad
         one = read_trial(fish.pull_trial(number, tmp_path))
         begin_s = one.start_us * 1e-6
         by_board = [replace(f, t_s=fish.clock.board_s(f.t_s)) for f in seen.frames]

@@ -190,7 +190,7 @@ def record_tail(fish: Fish) -> dict[int, float]:
 
     def wait_and_look(timeout_s: float) -> None:
         wait(min(timeout_s, 0.01))
-        truth = board.truth()
+        truth = board.world.truth()
         booted_s = board.time_s - board.board_time_s
         tail_rad[round((truth.time_s - booted_s) * 1e6)] = truth.tail_rad
 

@@ -95,7 +95,7 @@ def stored() -> Iterator[Fish]:
     """The present firmware on the storage that 0bf270a wrote."""
     board = SimBoard("tank", seed=2)
     board.flash = gzip.decompress((FILES / "store.bin.gz").read_bytes())
-    board.power_cycle()
+    board.world.power_cycle()
     with Fish(SimTransport(board)) as fish:
         fish.link.run(3.0)
         yield fish

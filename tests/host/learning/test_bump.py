@@ -39,10 +39,10 @@ class Tank:
         def look(seen: object) -> None:
             if isinstance(seen, BeatEvent) and seen.beat == at and not heard_s:
                 heard_s.append(board.time_s)
-                board.push(push_m_s)
-                board.set_camera(not dark_s)
+                board.world.push(push_m_s)
+                board.world.set_camera(not dark_s)
             if heard_s and board.time_s - heard_s[0] > dark_s:
-                board.set_camera(True)
+                board.world.set_camera(True)
 
         self.fish.arm()
         number = run_trial(self.fish, guard=look).number

@@ -291,7 +291,7 @@ def test_after_a_failure_too(
             learned, Attendant(**{where: failing(calls, error)}), tmp_path / "safe", quick=True
         )
     assert state(learned) == before
-    assert where != "event" or len(board.true_beats()) < 20  # the tail stopped at once
+    assert where != "event" or len(board.world.true_beats()) < 20  # the tail stopped at once
 
 
 def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
@@ -307,7 +307,7 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
     with pytest.raises(TailbeatError, match="run 1 was stopped by hand"):
         identify_fish(learned, attendant, quick=True)
     assert state(learned) == before
-    assert len(board.true_beats()) <= 6
+    assert len(board.world.true_beats()) <= 6
 
 
 def test_the_wall_guard_is_asked(learned: Fish) -> None:
@@ -462,7 +462,7 @@ def test_speeds_by_hand(tank: Fish, board: SimBoard) -> None:
 
     def by_video(trial: int, beats: int, beat_s: float) -> Array:
         del trial, beat_s
-        return board.true_beats()[:beats]
+        return board.world.true_beats()[:beats]
 
     found = identify_fish(tank, Attendant(speeds=by_video), quick=True)
     assert found.model.kappa_per_m == pytest.approx(10, rel=0.15)
@@ -474,7 +474,7 @@ def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> No
     held = set_params(learned, found)
     assert held["MDL_KAPPA"] == pytest.approx(found.model.kappa_per_m, rel=1e-6)
     assert learned.params.get("ILC_GAIN").value == 5.5
-    board.power_cycle()
+    board.world.power_cycle()
     learned.link.run(2.0)
     for name, value in held.items():
         assert learned.params.get(name).value == value

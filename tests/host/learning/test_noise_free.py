@@ -59,6 +59,6 @@ def test_a_second_reference_that_does_not_set_the_fish_going() -> None:
             outcome = run_trial(fish)
             speeds = [beat.speed_m_s for beat in outcome.beats]
             assert None not in speeds, words
-            np.testing.assert_allclose(speeds, fish.sim.true_beats(), atol=2e-3)
+            np.testing.assert_allclose(speeds, fish.sim.world.true_beats(), atol=2e-3)
             assert fish.learn(outcome.number).max_abs_error_m_s > 0
-        assert max(fish.sim.true_beats()) < 1e-3, "it has not been set going"
+        assert max(fish.sim.world.true_beats()) < 1e-3, "it has not been set going"

@@ -59,7 +59,7 @@ def test_jitter_of_a_radio_is_no_rate(fish: Fish) -> None:
 def test_a_restart_of_the_board_is_noticed(fish: Fish) -> None:
     assert fish.sim is not None
     fish.link.run(20.0)
-    fish.sim.power_cycle()
+    fish.sim.world.power_cycle()
     fish.link.run(0.5)
     fish.clock.sync()
     assert fish.clock.now_s() == pytest.approx(fish.sim.board_time_s, abs=0.02)

@@ -123,13 +123,13 @@ def test_a_dead_link_ends_the_pull_and_keeps_the_beginning(fish: Fish, tmp_path:
 
     def cut(done: int, total: int) -> None:
         if done > 4000:
-            board.set_radio(False)
+            board.world.set_radio(False)
 
     with pytest.raises(LinkLostError) as lost:
         fish.ftp.pull(PATH, tmp_path / "file", cut)
     assert "\n" not in str(lost.value)
     assert (tmp_path / "file.part").stat().st_size > 4000
-    board.set_radio(True)
+    board.world.set_radio(True)
     fish.ftp.pull(PATH, tmp_path / "file")
     assert (tmp_path / "file").read_bytes() == data
 
@@ -139,7 +139,7 @@ def test_a_restart_of_the_board_in_the_middle(fish: Fish, tmp_path: Path) -> Non
     board = fish.sim
     data = content(12000)
     fish.ftp.write(PATH, data)
-    todo = [board.power_cycle]
+    todo = [board.world.power_cycle]
 
     def restart(done: int, total: int) -> None:
         if done > 4000 and todo:

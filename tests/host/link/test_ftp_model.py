@@ -87,7 +87,7 @@ class Wire:
 
     def __init__(self) -> None:
         self.board = SimBoard("tank", seed=1)
-        self.board.set_imu(False)
+        self.board.world.set_imu(False)
         self.booted()
         self._pack = {
             name: mavlink.MAVLink(None, srcSystem=system, srcComponent=190)
@@ -328,7 +328,7 @@ class FtpModel(RuleBasedStateMachine):
     @rule()
     def power_cycle(self) -> None:
         """What was not closed is lost; a file that was made stays, empty."""
-        self.wire.board.power_cycle()
+        self.wire.board.world.power_cycle()
         self.wire.booted()
         self.model.session = None
         self.last = None

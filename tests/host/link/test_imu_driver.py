@@ -151,7 +151,7 @@ def test_the_mounting_takes_effect_after_a_save(mount: int, firmware: int) -> No
         info, after_s = verdict(fish, fish.sim.board_time_s)
         assert (info.problem, info.state) == (NONE, STREAMING)
         assert after_s <= VERDICT_S
-        fish.sim.power_cycle()
+        fish.sim.world.power_cycle()
         info, _ = verdict(fish)
         assert (info.problem, info.state) == (NONE, STREAMING)
 
@@ -188,7 +188,7 @@ def test_it_restarts(baud: int) -> None:
         fish.params.set("IMU_BAUD", baud)
         assert fish.sim is not None
         verdict(fish, fish.sim.board_time_s)
-        fish.sim.reboot_imu()
+        fish.sim.world.reboot_imu()
         began_s = fish.sim.board_time_s
         fish.link.run(0.7)
         info, after_s = verdict(fish, began_s)
@@ -202,12 +202,12 @@ def test_it_wedges_and_comes_back_with_the_power() -> None:
     with fish_with() as fish:
         verdict(fish)
         assert fish.sim is not None
-        fish.sim.wedge_imu()
+        fish.sim.world.wedge_imu()
         began_s = fish.sim.board_time_s
         fish.link.run(1.0)
         info, after_s = verdict(fish, began_s)
         assert info.problem == SILENT
         assert after_s <= VERDICT_S
-        fish.sim.power_cycle()
+        fish.sim.world.power_cycle()
         info, _ = verdict(fish)
         assert info.problem == NONE

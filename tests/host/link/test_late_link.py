@@ -36,7 +36,7 @@ def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:
         trial = read_trial(fish.pull_trial(outcome.number, folder))
     assert outcome.end == "complete"
     assert np.array_equal(recompute_beats(trial)[0], trial.beats.speed_m_s)
-    error = trial.beats.speed_m_s - board.true_beats()[: len(trial.beats.speed_m_s)]
+    error = trial.beats.speed_m_s - board.world.true_beats()[: len(trial.beats.speed_m_s)]
     return error, trial.beats.sigma_m_s.astype(float)
 
 

@@ -148,7 +148,7 @@ def test_the_page_does_not_go_on_either(says: Says, monkeypatch: pytest.MonkeyPa
 
 def erase(board: SimBoard) -> None:
     board.flash = bytes(len(board.flash))
-    board.power_cycle()
+    board.world.power_cycle()
     with connected() as fish:
         fish.link.run(3.0)
         if fish.status().state in ("ABORTED", "FAULT"):
@@ -375,7 +375,7 @@ def test_ended_by_a_signal(
 
         def wait(self, timeout_s: float) -> None:
             super().wait(timeout_s)
-            if board.truth().swimming and not Tank.sent:
+            if board.world.truth().swimming and not Tank.sent:
                 Tank.sent = True
                 os.kill(os.getpid(), number)
 
@@ -383,7 +383,7 @@ def test_ended_by_a_signal(
     before = signal.getsignal(number)
     status, line = says(*KEEP)
     assert status == 130 and "trial 1" in line and Tank.sent
-    assert not board.truth().swimming and signal.getsignal(number) == before and not ended()
+    assert not board.world.truth().swimming and signal.getsignal(number) == before and not ended()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -409,7 +409,7 @@ def test_the_battery_sags_while_it_rests(
     look = checklist._look_at_battery
 
     def sags(fish: Fish, *rest: Any) -> None:
-        board.set_battery_v(6.4)
+        board.world.set_battery_v(6.4)
         look(fish, rest[0], fish.status())
 
     monkeypatch.setattr(checklist, "_look_at_battery", sags)
@@ -444,6 +444,6 @@ def test_without_a_camera_every_start_points_as_the_first(
     add = experiment().journal.add
     add("begun", datetime.now() - timedelta(days=1), trial=9, pose={"yaw_deg": 170.0})
     add("void", trial=9, end="not started")
-    board.place(0.0, 0.0, 0.7)
+    board.world.place(0.0, 0.0, 0.7)
     status, line = says(*throw)
     assert status == 1 and "turn the nose" in line and "degrees" in line

@@ -125,7 +125,7 @@ def test_unknown_message_is_refused(fish: Fish) -> None:
 
 def test_silence_ends_in_one_clear_line(fish: Fish) -> None:
     assert fish.sim is not None
-    fish.sim.set_radio(False)
+    fish.sim.world.set_radio(False)
     begin = fish.transport.now_s()
     with pytest.raises(LinkLostError) as lost:
         fish.status()

@@ -97,7 +97,7 @@ def test_save_load_and_reset(fish: Fish) -> None:
     fish.params.set("ILC_GAIN", 9.0)
     fish.params.load()
     assert fish.params.get("ILC_GAIN").value == 7.5
-    fish.sim.power_cycle()
+    fish.sim.world.power_cycle()
     fish.link.run(1.0)
     assert fish.params.get("ILC_GAIN").value == 7.5
     fish.params.reset()

@@ -126,7 +126,7 @@ def test_a_host_whose_clock_is_ahead(keyed: SimBoard, port: int, days: int) -> N
 
 
 def test_a_host_whose_clock_is_behind_adopts_the_boards(keyed: SimBoard) -> None:
-    keyed.power_cycle()
+    keyed.world.power_cycle()
     keyed.run(BOOT_S)
     host = Stock(keyed).sign(KEY, TODAY)
     host.listen(1.5)
@@ -162,7 +162,7 @@ def test_a_recorded_session_is_worth_nothing(keyed: SimBoard) -> None:
                 keyed.write(frame, port)
                 acks = [m for m in reader.listen(0.2) if m.get_type() == "COMMAND_ACK"]
                 assert [(a.result, a.result_param2) for a in acks] == [(REJECTED, 63)], boots
-        keyed.power_cycle()
+        keyed.world.power_cycle()
         keyed.run(BOOT_S)
         keyed.read(RADIO)
         keyed.read(CONSOLE)

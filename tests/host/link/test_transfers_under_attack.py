@@ -93,7 +93,9 @@ def learn_six(fish: Fish, source: int, folder: Path) -> Session:
         outcome = run_trial(fish)
         assert (outcome.number, outcome.end) == (number, "complete")
         if source == UPLOAD:
-            fish.upload_speeds(number, board_of(fish).true_beats()[:BEATS], np.full(BEATS, 1e-3))
+            fish.upload_speeds(
+                number, board_of(fish).world.true_beats()[:BEATS], np.full(BEATS, 1e-3)
+            )
         computed = dry_run(fish)
         path = fish.pull_trial(number, folder)
         trial = read_trial(path)
@@ -185,7 +187,7 @@ def long_flash() -> bytes:
 def test_a_long_trial_comes_whole(long_flash: bytes, faults: Faults, tmp_path: Path) -> None:
     board = SimBoard("tank")
     board.flash = long_flash
-    board.power_cycle()
+    board.world.power_cycle()
     with over(faults, 5, board) as fish:
         path = fish.pull_trial(1, tmp_path)
         assert not read_trial(path).problems
@@ -197,7 +199,7 @@ def share_used(flash: bytes, lost: float, seed: int, folder: Path) -> float:
     """Of the line, by the bytes of a long trial's log."""
     board = SimBoard("tank")
     board.flash = flash
-    board.power_cycle()
+    board.world.power_cycle()
     with over(lambda: [Drop(lost)], seed, board) as fish:
         fish.link.run(2.0)
         begin_s = fish.transport.now_s()
@@ -270,7 +272,7 @@ def test_a_pull_survives_a_restart_at_any_moment(tmp_path: Path) -> None:
         assert (tmp_path / "file").read_bytes() == content(3000)
         (tmp_path / "file").unlink()
 
-    assert at_every(1, SimBoard.power_cycle, do) > 10
+    assert at_every(1, lambda board: board.world.power_cycle(), do) > 10
 
 
 def test_an_upload_survives_a_restart_at_any_moment() -> None:
@@ -278,7 +280,7 @@ def test_an_upload_survives_a_restart_at_any_moment() -> None:
         fish.ftp.write(PATH, content(2500, 2))
         assert fish.ftp.crc32(PATH) == crc32(content(2500, 2))
 
-    assert at_every(1, SimBoard.power_cycle, do) > 10
+    assert at_every(1, lambda board: board.world.power_cycle(), do) > 10
 
 
 def interrupt(_: SimBoard) -> None:

@@ -64,9 +64,9 @@ class Watched(Tank):
         self.waits += 1
         if self.waits == self.interrupt_at:
             raise KeyboardInterrupt
-        swam = self.board.truth().swimming
+        swam = self.board.world.truth().swimming
         super().wait(timeout_s)
-        if swam and not self.board.truth().swimming:
+        if swam and not self.board.world.truth().swimming:
             self.stopped_s = self.board.time_s
 
 
@@ -107,7 +107,7 @@ class BadDay(Day):
     def require_stopped_within(self, limit_s: float) -> None:
         """After what went wrong."""
         self.fish().link.run(STOP_S)
-        assert not self.board.truth().swimming
+        assert not self.board.world.truth().swimming
         assert self.tank.stopped_s - self.bad_s <= limit_s + STOP_S
 
     def require_nothing_lost(self) -> None:
@@ -115,7 +115,7 @@ class BadDay(Day):
         fish = self.fish()
         fish.link.run(6.0)  # so long a trial that was cut may take to be pending
         status = fish.status()
-        assert not self.board.truth().swimming and status.state not in ("ARMED", "RUNNING")
+        assert not self.board.world.truth().swimming and status.state not in ("ARMED", "RUNNING")
         waiting = status.pending_trial
         if not Path("experiments").exists():
             assert fish.trials() == []
@@ -133,11 +133,14 @@ class BadDay(Day):
 
     def require_resume(self, differs: str) -> None:
         """It was switched off: nothing swims or is learned before 'session resume'."""
-        before, swims = self.experiment().folder / "board" / "state.json", self.board.truth().swims
+        before, swims = (
+            self.experiment().folder / "board" / "state.json",
+            self.board.world.truth().swims,
+        )
         held = before.read_bytes() if before.exists() else b""
         assert self.says(*KEEP)[0] == 1 and len(self.lines) == 1, self.lines
         words_of(differs, "tailbeat session resume", self.lines)
-        assert self.board.truth().swims == swims
+        assert self.board.world.truth().swims == swims
         assert (before.read_bytes() if before.exists() else b"") == held
         self.require_resume_only()
 
@@ -274,7 +277,7 @@ def test_the_picture_freezes(day: BadDay, camera: type[BadCamera]) -> None:
     """The IMU carries the speed on for a while; without one its beats would be unmeasured."""
     day.goes_wrong(3, lambda: setattr(camera, "ill", "frozen"))
     day.types("params", "set", "IMU_TIMEOUT_S", 0)
-    day.board.set_imu(False)
+    day.board.world.set_imu(False)
     status, document = day.says(*NOBODY)
     assert status == 1 and document is None
     words_of("the camera's picture stands still", "unmeasured", day.lines)
@@ -293,8 +296,8 @@ def test_the_picture_freezes(day: BadDay, camera: type[BadCamera]) -> None:
 
 def cut_the_link(day: BadDay, beat: int, for_s: float) -> None:
     def cut() -> None:
-        day.board.set_radio(False)
-        day.tank.later.append((day.board.time_s + for_s, lambda: day.board.set_radio(True)))
+        day.board.world.set_radio(False)
+        day.tank.later.append((day.board.time_s + for_s, lambda: day.board.world.set_radio(True)))
 
     day.goes_wrong(beat, cut)
 
@@ -345,7 +348,7 @@ def test_the_link_never_comes_back(day: BadDay, timeout_s: int) -> None:
     status, _ = day.says(*KEEP)
     assert status == 1 and len(day.lines) == 1
     words_of("Nothing was heard", "the radio is paired and out of the water", day.lines)
-    day.board.set_radio(True)
+    day.board.world.set_radio(True)
     day.require_goes_on()
     assert day.lines == ["tailbeat: trial 1 waits on the board; it is decided on first"]
 
@@ -354,7 +357,7 @@ def test_the_link_never_comes_back(day: BadDay, timeout_s: int) -> None:
 
 
 def test_the_battery_sags_in_mid_swim(day: BadDay) -> None:
-    day.goes_wrong(3, lambda: day.board.set_battery_v(5.5))
+    day.goes_wrong(3, lambda: day.board.world.set_battery_v(5.5))
     status, document = day.says(*KEEP)
     day.require_stopped_within(1.0)  # BATT_SAG_S
     assert status == 1 and document["why"] == "stopped"
@@ -362,18 +365,18 @@ def test_the_battery_sags_in_mid_swim(day: BadDay) -> None:
     words_of("BATTERY_CRITICAL", "change the battery", day.lines)
     assert day.lines[1].endswith("Then: tailbeat session resume")
     status, _ = day.says(*KEEP)
-    assert status == 1 and not day.board.truth().swimming, "nothing swims on such a battery"
+    assert status == 1 and not day.board.world.truth().swimming, "nothing swims on such a battery"
     words_of("BATTERY_CRITICAL", "change the battery", day.lines)
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     assert day.says("learn")[0] == 1, "its parameters come back first"
     day.says("session", "resume", "--yes", "--rest", 1)  # it may advise to identify
     day.require_goes_on()
 
 
 def test_a_new_battery_is_not_gone_on_with_unasked(day: BadDay) -> None:
-    day.goes_wrong(3, lambda: day.board.set_battery_v(5.5))
+    day.goes_wrong(3, lambda: day.board.world.set_battery_v(5.5))
     assert day.says(*KEEP)[0] == 1
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     assert day.says("learn")[0] == 1 and "session resume" in day.lines[0]
     day.require_resume("ILC_LEAD is 1, was 1.5")
     day.require_goes_on()
@@ -384,12 +387,12 @@ def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
     """Its parameters were saved: only its clock tells."""
     assert day.says("params", "save")[0] == 0
     assert day.says(*KEEP)[0] == 0
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     day.fish().link.run(1.0)
-    swims = day.board.truth().swims
+    swims = day.board.world.truth().swims
     assert day.says(*KEEP)[0] == 1 and len(day.lines) == 1
     words_of("the board was switched off since trial 1", "tailbeat session resume", day.lines)
-    assert day.board.truth().swims == swims
+    assert day.board.world.truth().swims == swims
     assert day.says("session", "resume", "--no-repeat")[0] == 0
     day.require_goes_on()
 
@@ -398,12 +401,12 @@ def test_a_swap_before_the_first_swim(day: BadDay) -> None:
     """Nothing knows what was set but the logbook: no experiment has begun."""
     shutil.rmtree("experiments")
     assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     new = ("experiment", "new", "--reference", "thesis")
     for words in (KEEP, ("trial", "run", "--no-guide"), new):
         assert day.says(*words)[0] == 1
         words_of("ILC_GAIN is 4, was 3", "tailbeat session resume", day.lines)
-    assert day.board.truth().swims == 0 and not list(Path("experiments").glob("*"))
+    assert day.board.world.truth().swims == 0 and not list(Path("experiments").glob("*"))
     assert day.says("session", "resume")[1]["params"]["ILC_GAIN"] == [4.0, 3.0]
     assert day.says(*KEEP)[0] == 0
 
@@ -413,7 +416,7 @@ def test_a_swap_between_two_references(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
     assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
     assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     assert day.says(*KEEP)[0] == 1
     words_of("ILC_GAIN is 4, was 3", "tailbeat session resume", day.lines)
     assert day.says("session", "resume")[0] == 0
@@ -456,7 +459,7 @@ def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.Monk
     decide = TerminalPerson.decide
 
     def slowly(self: TerminalPerson, swum: Swum) -> Decision:
-        day.board.swap_battery(8.2)
+        day.board.world.swap_battery(8.2)
         return decide(self, swum)
 
     with monkeypatch.context() as patch:
@@ -464,14 +467,14 @@ def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.Monk
         assert day.says(*KEEP, "--until", "3")[0] == 1
     words_of("ILC_LEAD is 1, was 1.5", "tailbeat session resume", day.lines)
     assert day.experiment().journal.entries("learned") == []
-    assert day.status().pending_trial == 1 and day.board.truth().swims == 1
+    assert day.status().pending_trial == 1 and day.board.world.truth().swims == 1
     day.require_resume_only()
     day.require_goes_on()
 
 
 def test_what_is_set_to_what_the_board_has_is_meant_too(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     assert day.says("params", "reset")[0] == 0
     resumed = day.says("session", "resume", "--no-repeat")[1]["restored"]
     assert resumed["params"] == {}, "every parameter was set on purpose, to its default"
@@ -484,7 +487,7 @@ def test_a_way_out_of_an_older_setting(day: BadDay) -> None:
     csv = day.experiment().folder / "reference.csv"
     assert day.says("reference", "upload", "trapezoid:0.05,2,4")[0] == 0
     assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
-    day.board.swap_battery(8.2)
+    day.board.world.swap_battery(8.2)
     assert day.says("reference", "upload", csv)[0] == 0
     assert day.says("session", "resume", "--no-repeat")[0] == 0, day.lines
     assert day.says("experiment", "new", "--another", "--reference", csv)[0] == 0, day.lines
@@ -515,7 +518,7 @@ def test_only_what_a_command_sets_is_meant(day: BadDay) -> None:
 
 def test_the_battery_is_too_low_for_another_swim(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
-    day.board.set_battery_v(6.4)
+    day.board.world.set_battery_v(6.4)
     begin_s = day.board.time_s
     status, document = day.says(*KEEP)
     assert status == 1 and document["why"] == "battery" and len(day.lines) == 1
@@ -523,13 +526,13 @@ def test_the_battery_is_too_low_for_another_swim(day: BadDay) -> None:
     assert day.board.time_s - begin_s < 2.0, "before anybody has waited"
     status, document = day.says(*KEEP, "--until", "battery")
     assert (status, day.lines, document["why"]) == (0, [], "battery"), "as was asked for"
-    day.board.set_battery_v(8.2)
+    day.board.world.set_battery_v(8.2)
     day.require_goes_on()
 
 
 def test_power_is_cut_in_mid_swim(day: BadDay) -> None:
     assert day.says(*KEEP)[0] == 0
-    day.goes_wrong(3, day.board.power_cycle)
+    day.goes_wrong(3, day.board.world.power_cycle)
     status, document = day.says(*KEEP, "--until", "3")
     day.require_stopped_within(0.0)
     assert status == 1 and document["why"] == "stopped" and len(document["swims"]) == 1
@@ -545,7 +548,7 @@ def test_power_is_cut_and_nobody_waits_for_the_end(
     day: BadDay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The board does not hold the trial, so only the journal knows that it is undecided."""
-    day.goes_wrong(3, day.board.power_cycle)
+    day.goes_wrong(3, day.board.world.power_cycle)
 
     def press(*_: Any) -> Any:
         raise KeyboardInterrupt
@@ -628,7 +631,7 @@ def test_ctrl_c_at_any_moment(fresh: Callable[[], BadDay], most: int) -> None:
         told = [line for line in day.lines if "stopped by" in line]
         assert len(told) == 1 and told[0] == day.lines[-1], f"wait {n}: {day.lines}"
         day.fish().link.run(STOP_S)
-        assert not day.board.truth().swimming, f"wait {n}"
+        assert not day.board.world.truth().swimming, f"wait {n}"
         day.require_goes_on()
 
 
@@ -663,7 +666,7 @@ def test_ctrl_c_at_the_worst_moments(
     assert pressed and status == 130, day.lines
     assert sum("stopped by" in line for line in day.lines) == 1, day.lines
     day.fish().link.run(STOP_S)
-    assert not day.board.truth().swimming
+    assert not day.board.world.truth().swimming
     day.require_goes_on()
 
 

@@ -80,7 +80,7 @@ class SpoiltCamera(SimulatedCamera):
 
     def t_s(self) -> float:
         """Since the start of the swim; negative before."""
-        if self.start_s is None and self.board.truth().swimming:
+        if self.start_s is None and self.board.world.truth().swimming:
             self.start_s = self.board.time_s
         return -1.0 if self.start_s is None else self.board.time_s - self.start_s
 
@@ -120,10 +120,10 @@ class Session:
     def resume(self, flash: bytes, trial: int) -> None:
         """As another session stood before ``trial``."""
         self.board.flash = flash
-        self.board.power_cycle()
+        self.board.world.power_cycle()
         self.fish.link.run(2.0)
         self.fish.clock.sync()
-        self.board.set_swim(trial)
+        self.board.world.set_swim(trial)
 
     def swim(self, trouble: Trouble | None = None) -> float:
         """One trial and what a person does after it; the true max|e|."""
@@ -143,7 +143,7 @@ class Session:
         outcome = run_trial(fish, camera=camera, guard=camera.guard)
         fish.link.send = plain_send  # type: ignore[method-assign]
         camera.close()
-        true = self.board.true_beats()[:BEATS]
+        true = self.board.world.true_beats()[:BEATS]
         self.learn()
         spoil.after(fish, outcome.number)
         self.check_amplitudes(old)
@@ -243,7 +243,7 @@ def abort_at(beat: float) -> Kind:
 
 
 def start_speed(m_s: float) -> Kind:
-    return lambda seed, trial: Trouble(before=lambda board: board.set_start(m_s))
+    return lambda seed, trial: Trouble(before=lambda board: board.world.set_start(m_s))
 
 
 def nan_speeds(length_s: float) -> Kind:
@@ -351,12 +351,12 @@ def glitch(x_m: float) -> Kind:
 
 
 def collision(seed: int, trial: int) -> Trouble:
-    return Trouble(at_s=within(seed, trial, 1.0), act=lambda board: board.hold(1.0))
+    return Trouble(at_s=within(seed, trial, 1.0), act=lambda board: board.world.hold(1.0))
 
 
 def hand(by_m_s: float) -> Kind:
     return lambda seed, trial: Trouble(
-        at_s=within(seed, trial, 1.0), act=lambda board: board.push(by_m_s)
+        at_s=within(seed, trial, 1.0), act=lambda board: board.world.push(by_m_s)
     )
 
 
@@ -371,7 +371,7 @@ def dark(length_s: float) -> Kind:
 
 
 def reset(seed: int, trial: int) -> Trouble:
-    return Trouble(at_s=spread(seed, trial) + 0.37, act=lambda board: board.power_cycle())
+    return Trouble(at_s=spread(seed, trial) + 0.37, act=lambda board: board.world.power_cycle())
 
 
 def repeats(seed: int, trial: int) -> Trouble:
@@ -548,13 +548,13 @@ def test_the_best_comes_back_bit_for_bit(name: str, monkeypatch: pytest.MonkeyPa
     now_best = session.fish.amplitudes(best=True)
     if name != "frozen position, 10 s":
         assert bits(now_best.values) == bits(best.values)
-    session.board.power_cycle()
+    session.board.world.power_cycle()
     session.fish.link.run(2.0)
     monkeypatch.setattr(
         "tailbeat.app.cli.learn.connected", lambda _: contextlib.nullcontext(session.fish)
     )
     assert CliRunner().invoke(app, ["learn", "--restore-best", "--json"]).exit_code == 0
     assert bits(session.fish.amplitudes().values) == bits(now_best.values)
-    session.board.power_cycle()
+    session.board.world.power_cycle()
     session.fish.link.run(2.0)
     assert bits(session.fish.amplitudes().values) == bits(now_best.values)

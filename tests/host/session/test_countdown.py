@@ -25,7 +25,7 @@ from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import GivenUp, NotReady, Wanted
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
-from tailbeat.sim.board import CameraFrame
+from tailbeat.sim.world import CameraFrame
 
 from ..conftest import BadRadio
 from ..led_films import LedFilm
@@ -119,7 +119,7 @@ def test_a_lost_link_is_told_and_the_board_disarms_itself(ready: Fish) -> None:
     def cut(event: Event) -> None:
         assert ready.sim is not None
         if event.get("left_s") == 3:
-            ready.sim.set_radio(False)
+            ready.sim.world.set_radio(False)
 
     person = Script(on_tell=cut)
     begin_s = ready.transport.now_s()
@@ -128,7 +128,7 @@ def test_a_lost_link_is_told_and_the_board_disarms_itself(ready: Fish) -> None:
     assert ready.transport.now_s() - begin_s < 40.0
     assert "may still be armed" in person.notices()
     assert ready.sim is not None
-    ready.sim.set_radio(True)
+    ready.sim.world.set_radio(True)
     ready.link.run(2.0)
     assert ready.status().state == "IDLE"
 
@@ -137,7 +137,7 @@ def test_giving_up_without_a_link_is_bounded(ready: Fish) -> None:
     def cut(event: Event) -> None:
         assert ready.sim is not None
         if event.get("left_s") == 3:
-            ready.sim.set_radio(False)
+            ready.sim.world.set_radio(False)
 
     person = Script(
         aborts=lambda told: any(event.get("left_s") == 2 for event in told), on_tell=cut
@@ -178,7 +178,7 @@ def test_a_board_that_does_not_arm_is_left_alone(
 
 def test_an_empty_battery_is_the_boards_to_refuse(ready: Fish) -> None:
     assert ready.sim is not None
-    ready.sim.set_battery_v(6.0)
+    ready.sim.world.set_battery_v(6.0)
     ready.link.run(1.0)
     with pytest.raises(Refused) as raised:
         countdown(ready, WANTED, Script())

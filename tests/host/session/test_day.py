@@ -97,7 +97,7 @@ def abort_and_bump(day: Day) -> None:
     day.happens(13, day.abort_by_console)
     cut = day.types("trial", "run", "--then", "discard", "--reason", "stopped by hand")["swims"][0]
     assert (cut["end"], cut["executed_beats"]) == ("aborted:ABORT_COMMAND", 13)
-    day.happens(20, lambda: day.board.push(-0.05))
+    day.happens(20, lambda: day.board.world.push(-0.05))
     bump = day.types("trial", "run", "--then", "discard", "--reason", "bumped the wall")
     assert bump["swims"][0]["end"] == "complete"
     after = day.types("info")["status"]
@@ -106,7 +106,7 @@ def abort_and_bump(day: Day) -> None:
 
 
 def swap_battery(day: Day) -> None:
-    day.board.swap_battery(8.2, 0.99, 0.0)
+    day.board.world.swap_battery(8.2, 0.99, 0.0)
     swims = day.swims()
     refused = day.types("trial", "run", "--then", "keep", status=1)
     assert "TLM_RATE_HZ" in str(refused) and "session resume" in str(refused)

@@ -228,7 +228,7 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         centre = fish.params.get("SERVO_CENTRE_US").value
         assert centre == pytest.approx(1500 - 0.05 * DEFAULTS["SERVO_US_RAD"], abs=6)
         held = {name: p.value for name, p in fish.params.list().items()}
-        board.power_cycle()
+        board.world.power_cycle()
         fish.link.run(1.0)
         assert {name: p.value for name, p in fish.params.list().items()} == held  # saved
         for question in somebody.asked:
@@ -256,7 +256,7 @@ def test_no_is_no(
 def test_a_proof_that_fails_leaves_the_limit(
     fish: Fish, known_at_once: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fish.sim.swap_battery(8.2, gain=0.7)  # type: ignore[union-attr]
+    fish.sim.world.swap_battery(8.2, gain=0.7)  # type: ignore[union-attr]
     fish.link.run(1.0)
     steps = list(first_session(fish, THESIS, Somebody()))
     assert not steps[-1].done and "slower than foretold" in steps[-1].words
@@ -273,9 +273,9 @@ def broken(do: Callable[[SimBoard], None], **config: float) -> tuple[list[Step],
 
 def test_nothing_begins_on_an_empty_battery_or_without_a_camera() -> None:
     for steps, reached in (
-        broken(lambda board: board.set_battery_v(6.3)),
+        broken(lambda board: board.world.set_battery_v(6.3)),
         broken(lambda board: None, camera_fps=0),
-        broken(lambda board: board.set_camera(False)),
+        broken(lambda board: board.world.set_camera(False)),
     ):
         print(steps)
         assert [step.name for step in steps] == ["look"] and not steps[0].done

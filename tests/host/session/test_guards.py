@@ -153,9 +153,9 @@ def swum(
         fish.upload_amplitudes(amplitude.astype(np.float32))
         travel_next(fish, None).require_room()
         end = run_trial(fish, guard=room_guard(fish, None)).end
-        while fish.sim.truth().v_m_s > 0.01:
+        while fish.sim.world.truth().v_m_s > 0.01:
             fish.sim.run(0.1)
-        return end, fish.sim.truth().x_m
+        return end, fish.sim.world.truth().x_m
 
 
 def check_stronger(seeds: range, kappas: tuple[float, ...]) -> None:

@@ -120,8 +120,8 @@ def swapped(pool: Pool) -> Fish:
 def after_a_swap(flash: bytes, seed: int = SEED, gain: float = 1.0) -> Fish:
     board = SimBoard("tank", seed=seed)
     board.flash = flash
-    board.swap_battery(8.3, gain=gain)
-    board.set_swim(9)  # the water and the fish of another hour
+    board.world.swap_battery(8.3, gain=gain)
+    board.world.set_swim(9)  # the water and the fish of another hour
     board.run(1.0)
     return connect(board)
 
@@ -147,7 +147,7 @@ def test_parameters_that_were_not_saved_are_given_back_and_saved(
     assert found.battery_v == pytest.approx(8.3, abs=0.05)
     board = swapped.sim
     assert board is not None
-    board.power_cycle()
+    board.world.power_cycle()
     board.run(1.0)
     again = connect(board)  # type: ignore[arg-type]
     assert values(again) == as_float32(PARAMS)
@@ -247,7 +247,7 @@ def test_a_trial_that_waits_is_left_alone(
     swapped: Fish, experiment: Experiment, pool: Pool
 ) -> None:
     outcome = run_trial(swapped)
-    swapped.sim.power_cycle()  # type: ignore[union-attr]
+    swapped.sim.world.power_cycle()  # type: ignore[union-attr]
     swapped.link.run(1.0)
     found = restore(swapped, experiment)
     assert found.pending_trial == outcome.number == 5
@@ -463,7 +463,7 @@ def test_a_far_shift_is_identified_again(pool: Pool, experiment: Experiment) -> 
 def test_a_fish_that_turns_is_trimmed_again(pool: Pool, experiment: Experiment) -> None:
     board = SimBoard("tank", seed=SEED)
     board.flash = pool.flash
-    board.swap_battery(8.3, centre_rad=0.3)
+    board.world.swap_battery(8.3, centre_rad=0.3)
     board.run(1.0)
     fish = connect(board)
     restore(fish, experiment)
@@ -485,7 +485,7 @@ def test_how_often_it_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         experiment = begin(fish, tmp_path)
         swim_series(fish, experiment, Somebody(), Options(Until(6), None))
         for gain in right:
-            board.swap_battery(8.3, gain=gain)
+            board.world.swap_battery(8.3, gain=gain)
             fish.link.run(2.0)
             restore(fish, experiment)
             shift = repeat_best(fish, experiment, Somebody(), ONE)[1]
@@ -532,7 +532,7 @@ def is_as_before(fish: Fish, experiment: Experiment, pool: Pool) -> None:
         repeat_best(fish, experiment, Somebody(), ONE)
     assert fish.learned_record() == pool.learned
     assert fish.status().state == "IDLE" and fish.status().pending_trial is None
-    truth = fish.sim.truth()  # type: ignore[union-attr]
+    truth = fish.sim.world.truth()  # type: ignore[union-attr]
     assert not truth.swimming and truth.pulse_ticks == 0
 
 
@@ -664,7 +664,7 @@ def test_the_link_breaks_in_the_repeat(swapped: Fish, experiment: Experiment, po
     restore(swapped, experiment)
     board = swapped.sim
     assert board is not None
-    radio = board.set_radio
+    radio = board.world.set_radio
 
     class Cutter(Somebody):
         def tell(self, event: Event) -> None:

@@ -123,7 +123,7 @@ def test_a_board_that_has_restarted_has_rested_as_long_as_it_is_up(ready: Fish) 
     ready.link.run(200.0)
     swim(ready)
     assert ready.sim is not None
-    ready.sim.power_cycle()
+    ready.sim.world.power_cycle()
     ready.link.run(6.0)
     ready.clock.sync()
     person = Script()
@@ -303,7 +303,7 @@ def test_without_camera_the_yaw_is_compared_across_the_seam(ready: Fish) -> None
 
 def test_a_fish_on_its_side_is_told(ready: Fish) -> None:
     assert ready.sim is not None
-    ready.sim.set_tilt_rad(math.radians(25.0))
+    ready.sim.world.set_tilt_rad(math.radians(25.0))
     ready.link.run(3.0)
     person = Script()
     prepare(ready, replace(QUICK, still_s=0.0), Overhead(ready, lies()), person)
@@ -314,7 +314,7 @@ def test_a_fish_on_its_side_is_told(ready: Fish) -> None:
 def test_neither_camera_nor_imu_is_never_taken_for_passed(reference: bytes) -> None:
     with Fish.connect("sim:tank?seed=1") as fish:
         assert fish.sim is not None
-        fish.sim.set_imu(False)
+        fish.sim.world.set_imu(False)
         fish.upload_reference(reference)
         fish.link.run(8.0)
         person = Script()
@@ -469,7 +469,7 @@ def test_the_imu_feels_a_fish_that_is_moved(ready: Fish) -> None:
     def roll(event: Event) -> None:
         assert ready.sim is not None
         rolled.append(0.0)
-        ready.sim.set_tilt_rad(0.2 * (len(rolled) % 2))
+        ready.sim.world.set_tilt_rad(0.2 * (len(rolled) % 2))
 
     rolled: list[float] = []
     with pytest.raises(NotReady, match="does not come to rest, by the IMU"):
@@ -482,17 +482,17 @@ def test_the_imu_feels_a_fish_that_is_moved(ready: Fish) -> None:
 def test_an_empty_battery_is_told_at_once(ready: Fish) -> None:
     assert ready.sim is not None
     swim(ready)
-    ready.sim.set_battery_v(6.55)
+    ready.sim.world.set_battery_v(6.55)
     ready.link.run(1.0)
     begin_s = ready.transport.now_s()
     with pytest.raises(NotReady, match=r"6\.55 V, .* 6\.60 V .*Swap the battery"):
         prepare(ready, Wanted(), None, Script())
     assert ready.transport.now_s() - begin_s < 2.0
-    ready.sim.set_battery_v(6.75)  # it recovers as soon as nothing pulls at it
+    ready.sim.world.set_battery_v(6.75)  # it recovers as soon as nothing pulls at it
     ready.link.run(1.0)
     with pytest.raises(NotReady, match=r"6\.80 V"):
         prepare(ready, Wanted(), None, Script())
-    ready.sim.set_battery_v(6.85)
+    ready.sim.world.set_battery_v(6.85)
     ready.link.run(1.0)
     assert prepare(ready, replace(QUICK, still_s=0.0), None, Script()).battery_v > 6.8
 
@@ -501,7 +501,7 @@ def test_a_battery_that_gets_empty_meanwhile(ready: Fish) -> None:
     def sag(event: Event) -> None:
         assert ready.sim is not None
         if event.get("step") == "still":
-            ready.sim.set_battery_v(6.5)
+            ready.sim.world.set_battery_v(6.5)
 
     with pytest.raises(NotReady, match="Swap the battery"):
         prepare(ready, QUICK, Overhead(ready, lies()), Script(on_tell=sag))
@@ -509,7 +509,7 @@ def test_a_battery_that_gets_empty_meanwhile(ready: Fish) -> None:
 
 def test_a_nearly_empty_battery_is_a_notice(ready: Fish) -> None:
     assert ready.sim is not None
-    ready.sim.set_battery_v(6.7)
+    ready.sim.world.set_battery_v(6.7)
     ready.link.run(1.0)
     person = Script()
     prepare(ready, replace(QUICK, still_s=0.0), None, person)
@@ -547,7 +547,7 @@ def test_a_board_that_restarts_meanwhile(ready: Fish) -> None:
     def swap(event: Event) -> None:
         assert ready.sim is not None
         if event.get("step") == "still" and ready.sim.board_time_s > 9.0:
-            ready.sim.power_cycle()
+            ready.sim.world.power_cycle()
 
     ready.link.run(20.0)
     with pytest.raises(NotReady, match="restarted"):
@@ -591,7 +591,7 @@ def test_a_link_that_is_lost_in_each_step(ready: Fish, step: str) -> None:
     def cut(event: Event) -> None:
         assert ready.sim is not None
         if event.get("step") == step and event["ok"] is None:
-            ready.sim.set_radio(False)
+            ready.sim.world.set_radio(False)
 
     swim(ready)
     wanted = Wanted(rest_s=40.0 if step == "rest" else 0.0)

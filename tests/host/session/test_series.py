@@ -119,7 +119,7 @@ def at_rest(fish: Fish, board: SimBoard) -> bool:
     """Not armed, the tail still within the stop's own time. (Only some seconds later a trial that
     was cut is pending.)"""
     fish.link.run(1.5)
-    still = not board.truth().swimming and fish.status().state not in ("ARMED", "RUNNING")
+    still = not board.world.truth().swimming and fish.status().state not in ("ARMED", "RUNNING")
     fish.link.run(5.0)
     return still
 
@@ -219,7 +219,7 @@ def test_positions_are_kept_from_the_start_of_the_swim(
     swum = rows[(rows[:, 0] >= 0) & (rows[:, 0] <= 6)]
     assert 6 * 25 - 5 <= len(swum) <= 6 * 25 + 1  # pictures come a little late, the last too late
     way_m = swum[-1, 1] - swum[0, 1]
-    assert way_m == pytest.approx(float(board.true_beats().sum()), abs=5e-3)
+    assert way_m == pytest.approx(float(board.world.true_beats().sum()), abs=5e-3)
     assert not (experiment.folder / ".pulling").exists()
 
 
@@ -288,7 +288,7 @@ def test_a_series_at_the_amplitude_limit_is_not_called_converged(
 def test_a_low_battery_ends_it_before_anybody_waits(
     swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
 ) -> None:
-    board.set_battery_v(6.3)
+    board.world.set_battery_v(6.3)
     fish.link.run(3.0)
     end = swim(Script(), swims=None)
     assert end.why == "battery" and "6.60 V" in end.words and "session resume" in end.words
@@ -299,11 +299,11 @@ def test_a_battery_that_is_too_low_once_it_was(
     swim: Callable[..., SeriesEnd], board: SimBoard, fish: Fish
 ) -> None:
     """Above the limit, but the board wants 0.2 V more: its refusal ends the series, too."""
-    board.set_battery_v(6.3)
+    board.world.set_battery_v(6.3)
     fish.link.run(3.0)
     with pytest.raises(TailbeatError):
         fish.arm()
-    board.set_battery_v(6.7)
+    board.world.set_battery_v(6.7)
     fish.link.run(3.0)
     assert swim(Script()).why == "battery"
 
@@ -315,14 +315,14 @@ def test_the_board_s_own_stop_is_left_as_it_is(
         def tell(self, event: Event) -> None:
             super().tell(event)
             if event["event"] == "beat" and event["beat"] == 2:
-                board.set_tilt_rad(1.4)
+                board.world.set_tilt_rad(1.4)
 
     set_meant(fish, experiment, "TILT_MAX_RAD", 0.5)
     end = swim(Rolls(KEEP), swims=4)
     assert end.why == "stopped" and "TILT" in end.words and "tailbeat clear" in end.words
     assert fish.status().state == "ABORTED" and fish.status().pending_trial == 1
     assert kinds(experiment)[-1] == "decided"
-    board.set_tilt_rad(0.0)
+    board.world.set_tilt_rad(0.0)
     refuses = Script()
     refuses.yes = False
     end = swim(refuses)
@@ -348,10 +348,10 @@ def test_rollback_is_told_with_what_it_means(
 ) -> None:
     swim(Script(), swims=3)
     set_meant(fish, experiment, "ROLLBACK_RATIO", 1.001)
-    board.set_start(0.15)  # every swim begins with a push
+    board.world.set_start(0.15)  # every swim begins with a push
     person = Script()
     for _ in range(3):
-        board.set_start(0.15)
+        board.world.set_start(0.15)
         swim(person)
     learned = person.of("learned")
     if not any(event["rolled_back"] for event in learned):
@@ -396,7 +396,7 @@ def test_a_fish_that_swims_is_left_alone(
         if event["event"] == "beat" and event["beat"] == 1 and not seen:
             with pytest.raises(TailbeatError, match="swims already"):
                 swim(Script())
-            seen.append(board.truth().swimming)
+            seen.append(board.world.truth().swimming)
 
     assert run_trial(fish, on_event=meddle).end == "complete"
     assert seen == [True]
@@ -433,7 +433,7 @@ def test_a_board_that_counts_from_one_again(
 ) -> None:
     swim(Script(KEEP, KEEP), swims=2)
     board.flash = bytes(len(board.flash))
-    board.power_cycle()
+    board.world.power_cycle()
     fish.link.run(3.0)
     if fish.status().state in ("ABORTED", "FAULT"):
         fish.clear()
@@ -715,7 +715,7 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
             super().tell(event)
             if event["event"] == "beat" and event["beat"] == 1 and math.isinf(self.cut_at_s):
                 self.cut_at_s = board.time_s
-                board.set_radio(False)
+                board.world.set_radio(False)
 
     person = Dips(KEEP, KEEP)
     real = fish.transport.wait
@@ -723,7 +723,7 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
     def wait(timeout_s: float) -> None:
         real(timeout_s)
         if board.time_s > person.cut_at_s + 20.0:
-            board.set_radio(True)
+            board.world.set_radio(True)
 
     fish.link.transport.wait = wait  # type: ignore[method-assign]
     options = Options(until=Until(2), wanted=None)
@@ -742,12 +742,12 @@ def test_a_link_that_does_not_come_back(
         def tell(self, event: Event) -> None:
             super().tell(event)
             if event["event"] == "beat":
-                board.set_radio(False)
+                board.world.set_radio(False)
 
     with pytest.raises(TailbeatError, match="link broke"):
         swim(Cuts(), reconnect_s=10.0)
-    board.set_radio(True)
-    assert not board.truth().swimming
+    board.world.set_radio(True)
+    assert not board.world.truth().swimming
     require_goes_on(fish, board, experiment, swim, 0)
 
 
@@ -803,7 +803,7 @@ def test_a_battery_that_falls_is_told_and_journalled(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
 ) -> None:
     for volts in (7.2, 6.95, 6.7):
-        board.set_battery_v(volts)
+        board.world.set_battery_v(volts)
         fish.link.run(3.0)
         person = Script()
         swim(person)

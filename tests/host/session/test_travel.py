@@ -36,7 +36,7 @@ def swim(fish: Fish, folder: Path) -> tuple[float, Trial]:
     """(true way over ground until the coast is over, its log)."""
     assert fish.sim is not None
     number = run_trial(fish).number  # settling takes as long as the coast
-    way_m = fish.sim.truth().x_m
+    way_m = fish.sim.world.truth().x_m
     return way_m, read_trial(fish.pull_trial(number, folder))
 
 

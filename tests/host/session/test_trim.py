@@ -102,7 +102,7 @@ def check_found(rad: float, seeds: range, tmp_path: Path) -> None:
             fish.link.run(30)
             number = run_trial(fish).number
             assert fish.sim is not None
-            left.append(math.degrees(fish.sim.truth().heading_rad))
+            left.append(math.degrees(fish.sim.world.truth().heading_rad))
             felt = straightness(read_trial(fish.pull_trial(number, tmp_path / f"{rad}{seed}")))
             assert felt is not None and not felt.crooked
     rms = np.sqrt(np.mean(np.square(misses)))
@@ -125,7 +125,7 @@ def test_of_twenty_fish(rad: float, tmp_path: Path) -> None:
 def test_by_a_camera_when_the_imu_is_unplugged() -> None:
     with askew(0.1) as fish:
         assert fish.sim is not None
-        fish.sim.set_imu(False)
+        fish.sim.world.set_imu(False)
         found = find_centre(fish, Somebody())
     assert found.source == "camera"
     assert found.centre_us == pytest.approx(1500 - 0.1 * US_RAD, abs=5.0)
@@ -136,7 +136,7 @@ def test_by_a_camera_when_the_imu_is_unplugged() -> None:
 def test_neither_imu_nor_camera() -> None:
     with askew(0.1, camera_fps=0) as fish:
         assert fish.sim is not None
-        fish.sim.set_imu(False)
+        fish.sim.world.set_imu(False)
         with pytest.raises(InputError, match="nothing felt how the fish turned"):
             find_centre(fish, Somebody())
         assert fish.params.get(CENTRE).value == 1500
@@ -189,7 +189,7 @@ def test_after_a_failure_too(learned: Fish, at: int, error: BaseException) -> No
     assert events > at
     assert state(learned) == before
     learned.link.run(1.0)  # the coast to the centre
-    assert learned.sim is not None and not learned.sim.truth().swimming
+    assert learned.sim is not None and not learned.sim.world.truth().swimming
 
 
 def test_stopped_by_hand(learned: Fish) -> None:
@@ -198,7 +198,7 @@ def test_stopped_by_hand(learned: Fish) -> None:
     with pytest.raises(GivenUp, match="stopped by hand"):
         find_centre(learned, somebody)
     assert state(learned) == before
-    assert learned.sim is not None and len(learned.sim.true_beats()) < 10
+    assert learned.sim is not None and len(learned.sim.world.true_beats()) < 10
     with pytest.raises(GivenUp):
         find_centre(learned, Somebody(says=False))
     assert state(learned) == before
@@ -252,7 +252,7 @@ def test_applied_for_good_and_nothing_else_is(learned: Fish) -> None:
     assert held == pytest.approx(found.centre_us, abs=0.06)
     assert learned.params.get("ILC_GAIN").value == 3.5
     assert learned.sim is not None
-    learned.sim.power_cycle()
+    learned.sim.world.power_cycle()
     learned.link.run(3)
     assert learned.params.get(CENTRE).value == held
     assert learned.params.get("ILC_GAIN").value == 4  # was never saved

@@ -319,7 +319,7 @@ def test_the_fish_is_stopped_and_hardly_touches(kappa_per_m: float, tmp_path: Pa
         assert outcome.end == "aborted:WALL"
         reasons = [event["reason"] for event in events if event["event"] == "guard"]
         assert len(reasons) == 1 and reasons[0].startswith(HIT)
-        while (truth := fish.sim.truth()).x_m + NOSE_M < 1.5 and truth.v_m_s > 0.004:
+        while (truth := fish.sim.world.truth()).x_m + NOSE_M < 1.5 and truth.v_m_s > 0.004:
             fish.sim.run(0.1)
         assert truth.v_m_s < touch_m_s
 
@@ -346,9 +346,9 @@ def test_the_tail_stops_within_a_beat() -> None:
             return reason
 
         def look(_: object) -> None:
-            if not board.truth().swimming and len(since) == 1:
+            if not board.world.truth().swimming and len(since) == 1:
                 since.append(board.time_s)
-                assert abs(board.truth().tail_rad) < 2e-3
+                assert abs(board.world.truth().tail_rad) < 2e-3
 
         fish.link.subscribe(look)
         assert run_trial(fish, guard=watch).end == "aborted:WALL"

@@ -17,7 +17,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.sim.board import CONSOLE, RADIO
 from tailbeat.sim.emulated import ID_PREFIX, EmulatedBoard, EmulationError
 from tailbeat.sim.native import SimBoard
-from tailbeat.sim.world import FRAME_US, World
+from tailbeat.sim.world import FRAME_US, Wires, World
 from vboard.core.bus import BusViolation
 from vboard.core.clock import TICKS_PER_S, TICKS_PER_US, Clock
 from vboard.wires.serial_line import SerialLine
@@ -184,7 +184,8 @@ def sine(frames: int, amplitude_rad: float = 0.6) -> list[int]:
 
 def test_pulses_move_the_fish_as_they_do_in_the_simulator(emulated: EmulatedBoard) -> None:
     pulses = sine(250)
-    world = World("tank", 1)
+    world = Wires("tank", 1)
+    fish = World(world.handle, None)  # type: ignore[arg-type]
     world.rest(2_000_000)
     for pulse in [*pulses, 0]:
         world.frame(world.time_us + FRAME_US, pulse)
@@ -194,29 +195,29 @@ def test_pulses_move_the_fish_as_they_do_in_the_simulator(emulated: EmulatedBoar
     pwm.pulses = [0] * 20 + pulses
     pwm.start()
     emulated.run(2.0)
-    assert emulated.truth().swimming
-    assert emulated.truth().pulse_ticks in pulses
+    assert emulated.world.truth().swimming
+    assert emulated.world.truth().pulse_ticks in pulses
     emulated.run(5.0)
-    assert not emulated.truth().swimming
-    assert emulated.truth().swims == 1
-    assert len(emulated.true_beats()) == 5
-    assert emulated.true_beats().tobytes() == world.true_beats().tobytes()
-    assert emulated.true_speeds_25hz().tobytes() == world.true_speeds_25hz().tobytes()
+    assert not emulated.world.truth().swimming
+    assert emulated.world.truth().swims == 1
+    assert len(emulated.world.true_beats()) == 5
+    assert emulated.world.true_beats().tobytes() == fish.true_beats().tobytes()
+    assert emulated.world.true_speeds_25hz().tobytes() == fish.true_speeds_25hz().tobytes()
 
 
 def test_without_a_pwm_that_runs_the_fish_drifts_on(emulated: EmulatedBoard) -> None:
     emulated.run(1.0)
-    assert emulated.time_s - emulated.truth().time_s == pytest.approx(0, abs=0.0201)
+    assert emulated.time_s - emulated.world.truth().time_s == pytest.approx(0, abs=0.0201)
     pwm = emulated.board.periph["PWM"]
     pwm.pulses = sine(1000)
     pwm.start()
     emulated.run(2.0)
-    assert emulated.truth().swimming
+    assert emulated.world.truth().swimming
     pwm.stop()
     emulated.run(1.0)
-    assert not emulated.truth().swimming
-    assert len(emulated.true_speeds_25hz()) == 51
-    assert emulated.time_s - emulated.truth().time_s == pytest.approx(0, abs=0.0201)
+    assert not emulated.world.truth().swimming
+    assert len(emulated.world.true_speeds_25hz()) == 51
+    assert emulated.time_s - emulated.world.truth().time_s == pytest.approx(0, abs=0.0201)
 
 
 def test_a_pulse_that_does_not_reach_the_pin_is_none(emulated: EmulatedBoard) -> None:
@@ -224,7 +225,7 @@ def test_a_pulse_that_does_not_reach_the_pin_is_none(emulated: EmulatedBoard) ->
     pwm.wired, pwm.pulses = False, sine(100)
     pwm.start()
     emulated.run(1.0)
-    assert emulated.truth().swims == 0
+    assert emulated.world.truth().swims == 0
 
 
 def arrived(emulated: EmulatedBoard) -> list[Any]:
@@ -252,12 +253,12 @@ def test_imu_bytes_come_at_the_speed_of_their_line(emulated: EmulatedBoard) -> N
     assert first.first / TICKS_PER_US == pytest.approx(260_998 + BYTE_US, abs=0.1)
     assert first.last / TICKS_PER_US == pytest.approx(260_998 + 122 * BYTE_US, abs=0.1)
     assert pieces[1].first - first.first == pytest.approx(25_000 * TICKS_PER_US, abs=100)
-    emulated.set_imu(False)
+    emulated.world.set_imu(False)
     emulated.run(1.0)
     arrived(emulated)
     emulated.run(1.0)
     assert arrived(emulated) == []
-    emulated.set_imu(True)
+    emulated.world.set_imu(True)
     emulated.run(0.25)
     assert len(arrived(emulated)) == 2
 
@@ -294,16 +295,16 @@ def test_both_ends_must_have_the_same_speed(emulated: EmulatedBoard) -> None:
     port.say(b"$VNRRG,07*74\r\n")
     emulated.run(0.02)
     assert [piece.baud for piece in arrived(emulated)] == [460800]
-    emulated.reboot_imu()
+    emulated.world.reboot_imu()
     assert answer(emulated, b"$VNRRG,07") == b""
     emulated.run(0.5)
     assert {piece.baud for piece in arrived(emulated)} == {115200}
-    emulated.wedge_imu()
+    emulated.world.wedge_imu()
     emulated.run(0.1)
     arrived(emulated)
     emulated.run(1.0)
     assert arrived(emulated) == []
-    emulated.power_cycle()
+    emulated.world.power_cycle()
     emulated.run(0.5)
     assert len(arrived(emulated)) == 10
 
@@ -340,11 +341,11 @@ def test_bytes_reach_the_board_unless_the_radio_is_cut(emulated: EmulatedBoard) 
     assert emulated.write(b"hello", RADIO) == 5
     emulated.run(0.01)
     assert [piece.data for piece in port.line.fetch(emulated.board.clock.now)] == [b"hello"]
-    emulated.set_radio(False)
+    emulated.world.set_radio(False)
     emulated.write(b"lost", RADIO)
     emulated.run(0.01)
     assert list(port.line.fetch(emulated.board.clock.now)) == []
-    emulated.set_radio(True)
+    emulated.world.set_radio(True)
     emulated.write(b"back", RADIO)
     emulated.run(0.01)
     assert [piece.data for piece in port.line.fetch(emulated.board.clock.now)] == [b"back"]
@@ -360,7 +361,7 @@ def test_pictures_end_a_wait_and_stop_with_the_camera(emulated: EmulatedBoard) -
     assert frames[1].time_s - frames[0].time_s == pytest.approx(0.04)
     assert emulated.time_s - frames[1].time_s == pytest.approx(0.08, abs=1e-6)
     assert emulated.time_s - begin < 0.081
-    emulated.set_camera(False)
+    emulated.world.set_camera(False)
     emulated.run(0.5)
     emulated.camera_frames()
     assert emulated.run(0.5, RADIO, camera=True) == 0
@@ -383,7 +384,7 @@ def test_led_is_in_the_pictures_to_the_microsecond(emulated: EmulatedBoard) -> N
 def test_led_is_out_without_power(emulated: EmulatedBoard) -> None:
     emulated.board.periph["PIOB"].drive(True)
     emulated.run(0.05)
-    emulated.power_cycle()
+    emulated.world.power_cycle()
     emulated.run(0.2)
     assert [frame.led for frame in emulated.camera_frames()[-2:]] == [0.0, 0.0]
 
@@ -406,7 +407,7 @@ def test_power_cycle_starts_everything_anew_but_the_flash(emulated: EmulatedBoar
     old = emulated.board.periph["USART0"]
     emulated.board.periph["TC0_0"].start = 0
     emulated.run(3.0)
-    emulated.power_cycle()
+    emulated.world.power_cycle()
     assert emulated.board.periph["USART0"] is not old
     assert emulated.board_time_s == 0
     begin = emulated.board.clock.now
@@ -425,21 +426,21 @@ def test_battery_is_on_its_divider(image: Path) -> None:
     emulated.board.periph["PWM"].start()
     emulated.run(0.5)
     assert volts() == pytest.approx(7.9 / 3)
-    emulated.set_battery_v(6.3)
+    emulated.world.set_battery_v(6.3)
     assert volts() == pytest.approx(6.0 / 3)
 
 
 def test_a_fish_is_handled_as_the_simulated_one(image: Path) -> None:
     simulated, emulated = SimBoard("tank"), EmulatedBoard(image)
     for board in (simulated, emulated):
-        board.place(0.1, 0.2, 0.3)
-        board.stir(0.02)
+        board.world.place(0.1, 0.2, 0.3)
+        board.world.stir(0.02)
         board.run(1.5)
-        board.hold(1.0)
+        board.world.hold(1.0)
         board.run(2.0)
-        board.push(-0.05)
+        board.world.push(-0.05)
         board.run(1.0)
-    one, other = simulated.truth(), emulated.truth()
+    one, other = simulated.world.truth(), emulated.world.truth()
     assert one.x_m < 0.1 < 0.18 < one.y_m < 0.2
     assert one.v_m_s < -0.02
     for name in ("x_m", "y_m", "heading_rad", "v_m_s"):
@@ -451,12 +452,12 @@ def test_another_pack_is_a_new_start(image: Path) -> None:
     emulated.run(1.0)
     emulated.flash = bytes(1000) + emulated.flash[1000:]
     before = emulated.board.periph["PWM"]
-    emulated.swap_battery(8.3, 0.97, 0.02)
+    emulated.world.swap_battery(8.3, 0.97, 0.02)
     assert emulated.board.periph["PWM"] is not before
     assert emulated.board.periph["ADC"].volts[7]() == pytest.approx(8.3 / 3)
     assert emulated.flash[:1000] == bytes(1000)
     with pytest.raises(InputError):
-        emulated.swap_battery(800.0)
+        emulated.world.swap_battery(800.0)
 
 
 def test_address_with_values(image: Path) -> None:

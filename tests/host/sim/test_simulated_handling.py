@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,9 @@ from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.sensors.camera.simulated import SimulatedCamera
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import CameraFrame, SimTransport, SimulatedBoard
-from tailbeat.sim.commands import WORDS, Lines, obey
+from tailbeat.sim.board import SimTransport, SimulatedBoard
 from tailbeat.sim.native import SimBoard
+from tailbeat.sim.world import VERBS, BoardControls, CameraFrame, CommandLines, World
 
 US_PER_RAD = 572.9578
 TURN_PER_M_RAD = -3.0
@@ -61,8 +61,8 @@ class Swum:
             outcome = run_trial(fish, camera)
             assert outcome.end == "complete"
             self.trial: Trial = read_trial(fish.pull_trial(outcome.number, folder))
-            self.truth = board.truth()
-            self.beats_m_s = board.true_beats()
+            self.truth = board.world.truth()
+            self.beats_m_s = board.world.true_beats()
             self.pictures = camera.seen
             self.board = board
 
@@ -132,7 +132,7 @@ def test_pictures_show_it_back_at_the_start(crooked: Swum) -> None:
     last = board.camera_frames()[-25:]
     assert all(abs(p.x_m) < 0.01 and abs(p.y_m) < 0.01 for p in last)
     assert np.mean([p.heading_rad for p in last]) == pytest.approx(0, abs=0.01)
-    truth = board.truth()
+    truth = board.world.truth()
     assert (truth.x_m, truth.y_m, truth.heading_rad, truth.v_m_s) == (0, 0, 0, 0)
 
 
@@ -140,7 +140,7 @@ def test_another_pack_boots_the_board_and_keeps_its_flash() -> None:
     board = SimBoard("tank", battery_v=6.0)
     board.run(10.0)
     flash = board.flash
-    board.swap_battery(8.3, 0.95, 0.02)
+    board.world.swap_battery(8.3, 0.95, 0.02)
     assert board.board_time_s < 0.1
     assert board.flash == flash
     board.run(3.0)
@@ -151,70 +151,83 @@ def test_another_pack_boots_the_board_and_keeps_its_flash() -> None:
 def test_senseless_handling_is_refused(bad: float) -> None:
     board = SimBoard("tank")
     acts: tuple[Callable[[], None], ...] = (
-        lambda: board.push(bad),
-        lambda: board.hold(bad),
-        lambda: board.stir(bad),
-        lambda: board.set_start(bad),
-        lambda: board.set_tilt_rad(bad),
-        lambda: board.set_battery_v(bad),
-        lambda: board.place(bad, 0, 0),
-        lambda: board.place(0, bad, 0),
-        lambda: board.place(0, 0, bad),
-        lambda: board.swap_battery(bad),
-        lambda: board.swap_battery(8, bad),
-        lambda: board.swap_battery(8, 1, bad),
+        lambda: board.world.push(bad),
+        lambda: board.world.hold(bad),
+        lambda: board.world.stir(bad),
+        lambda: board.world.set_start(bad),
+        lambda: board.world.set_tilt_rad(bad),
+        lambda: board.world.set_battery_v(bad),
+        lambda: board.world.place(bad, 0, 0),
+        lambda: board.world.place(0, bad, 0),
+        lambda: board.world.place(0, 0, bad),
+        lambda: board.world.swap_battery(bad),
+        lambda: board.world.swap_battery(8, bad),
+        lambda: board.world.swap_battery(8, 1, bad),
     )
     for act in acts:
         with pytest.raises(InputError):
             act()
     board.run(2.0)
-    assert board.truth().x_m == 0
+    assert board.world.truth().x_m == 0
 
 
 class Told:
-    """A board that notes what is done to it."""
+    """Stands for the C library and for the board: notes what is done. ``lines`` obeys them."""
 
-    def __init__(self) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[tuple[Any, ...]] = []
+        monkeypatch.setattr("tailbeat.sim.world.lib", self)
+        board = BoardControls(
+            now_us=lambda: 5,
+            power_cycle=lambda: self.done.append(("power_cycle",)),
+            set_radio=lambda connected: self.done.append(("set_radio", connected)),
+            imu_changed=lambda: self.done.append(("imu_changed",)),
+        )
+        self.lines = CommandLines(World(None, board), {})
 
     def __getattr__(self, name: str) -> Any:
-        return lambda *values: self.done.append((name, *values))
+        return lambda _, *values: self.done.append((name, *values))
 
 
 @pytest.fixture
-def told() -> Iterator[Any]:
-    yield Told()
+def told(monkeypatch: pytest.MonkeyPatch) -> Told:
+    return Told(monkeypatch)
 
 
-SAID = {
-    "push -0.05": ("push", -0.05),
-    "hold 3": ("hold", 3.0),
-    "stir 0.01": ("stir", 0.01),
-    "place 0 0.1 -0.2": ("place", 0.0, 0.1, -0.2),
-    "start 0.02": ("set_start", 0.02),
-    "tilt 0.5": ("set_tilt_rad", 0.5),
-    "battery 6.2": ("set_battery_v", 6.2),
-    "swap 8.2": ("swap_battery", 8.2),
-    "swap 8.2 0.97 0.02": ("swap_battery", 8.2, 0.97, 0.02),
-    "camera off": ("set_camera", False),
-    "camera on": ("set_camera", True),
-    "radio off": ("set_radio", False),
-    "radio on": ("set_radio", True),
-    "imu off": ("set_imu", False),
-    "imu on": ("set_imu", True),
-    "imu reboot": ("reboot_imu",),
-    "imu wedge": ("wedge_imu",),
-    "power cycle": ("power_cycle",),
-    "swim 7": ("set_swim", 7),
+def obey(board: SimBoard, line: str) -> str:
+    return CommandLines(board.world, {"plant": board.plant}).obey(line)
+
+
+IMU = ("imu_changed",)
+SAID: dict[str, list[tuple[Any, ...]]] = {
+    "push -0.05": [("world_push", -0.05)],
+    "hold 3": [("world_hold", 3.0)],
+    "stir 0.01": [("world_stir", 0.01)],
+    "place 0 0.1 -0.2": [("world_place", 0.0, 0.1, -0.2)],
+    "start 0.02": [("world_set_start", 0.02)],
+    "tilt 0.5": [("world_set_tilt_rad", 0.5)],
+    "battery 6.2": [("world_set_battery_v", 6.2)],
+    "swap 8.2": [("world_swap_battery", 8.2, 1.0, 0.0), ("power_cycle",)],
+    "swap 8.2 0.97 0.02": [("world_swap_battery", 8.2, 0.97, 0.02), ("power_cycle",)],
+    "camera off": [("world_set_camera", False)],
+    "camera on": [("world_set_camera", True)],
+    "radio off": [("set_radio", False)],
+    "radio on": [("set_radio", True)],
+    "imu off": [("world_set_imu", 5, False), IMU],
+    "imu on": [("world_set_imu", 5, True), IMU],
+    "imu reboot": [("world_imu_reboot", 5), IMU],
+    "imu wedge": [("world_imu_wedge",), IMU],
+    "power cycle": [("power_cycle",)],
+    "swim 7": [("world_set_swim", 7)],
 }
 
 
-def test_every_word_does_what_it_says(told: Any) -> None:
-    assert {line.split()[0] for line in SAID} == WORDS.keys() - {"truth", "help", "config"}
+def test_every_verb_does_what_it_says(told: Told) -> None:
+    assert {line.split()[0] for line in SAID} == VERBS.keys()
     for line, done in SAID.items():
         told.done.clear()
-        assert obey(told, f"  {line} \r") == "ok"
-        assert told.done == [done]
+        assert told.lines.obey(f"  {line} \r") == "ok"
+        assert told.done == done
 
 
 @pytest.mark.parametrize(
@@ -237,8 +250,8 @@ def test_every_word_does_what_it_says(told: Any) -> None:
         ("truth now", "Write: truth"),
     ],
 )
-def test_a_wrong_line_says_what_is_right(told: Any, line: str, words: str) -> None:
-    answer = obey(told, line)
+def test_a_wrong_line_says_what_is_right(told: Told, line: str, words: str) -> None:
+    answer = told.lines.obey(line)
     assert words in answer
     assert "\n" not in answer
     assert told.done == []
@@ -248,27 +261,27 @@ def test_truth_is_json_and_help_tells_all_words() -> None:
     board = SimBoard("tank")
     obey(board, "place 0.1 0.2 0.3")
     assert json.loads(obey(board, "truth"))["heading_rad"] == 0.3
-    assert [line.split()[0] for line in obey(board, "help").splitlines()] == list(WORDS)
+    names = [line.split()[0] for line in obey(board, "help").splitlines()]
+    assert names == [*VERBS, "truth", "config", "help"]
 
 
-def test_the_page_has_every_word_and_its_method() -> None:
+def test_the_page_has_every_verb_and_its_method() -> None:
     page = (Path(__file__).parents[3] / "docs" / "simulator.md").read_text().replace("\\|", "|")
-    for word in WORDS.values():
-        assert f"| `{word.use}` |" in page
-    for done in SAID.values():
-        name = str(done[0])
+    for verb in VERBS.values():
+        assert f"| `{verb.use}` |" in page
+    methods = {name for name, value in vars(World).items() if callable(value) and name[0] != "_"}
+    for name in methods - {"truth", "true_beats", "true_speeds_25hz"}:
         assert f"`{name}(" in page
-        assert hasattr(SimBoard, name)
 
 
-def test_lines_come_in_pieces(told: Any) -> None:
-    lines = Lines(told)
+def test_lines_come_in_pieces(told: Told) -> None:
+    lines = told.lines
     assert lines.hear(b"pu") == b""
     assert lines.hear(b"sh 0.1\n\n# a bump\nhold") == b"ok\n"
     assert lines.hear(b" 2\r\nstir 0.01") == b"ok\n"
-    assert told.done == [("push", 0.1), ("hold", 2.0)]
+    assert told.done == [("world_push", 0.1), ("world_hold", 2.0)]
     assert lines.hear(b"", last=True) == b"ok\n"
-    assert told.done[-1] == ("stir", 0.01)
+    assert told.done[-1] == ("world_stir", 0.01)
     assert b"there is no word" in lines.hear(b"x" * 5000)
     assert b"there is no word" in lines.hear(b"\xff\xfe\n")
     assert lines.hear(b"tilt 0\n") == b"ok\n"

@@ -9,7 +9,8 @@ from typing import Literal, Protocol
 
 from tailbeat.core.errors import ConnectError, reason
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.sim.board import CameraFrame, SimulatedBoard
+from tailbeat.sim.board import SimulatedBoard
+from tailbeat.sim.world import CameraFrame
 
 _CHUNK_BYTES = 65536
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
-from tailbeat.sim.world import make_config, senseless
+from tailbeat.sim.config import make_config, senseless
 
 
 @dataclass(frozen=True)

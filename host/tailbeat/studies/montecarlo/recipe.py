@@ -249,7 +249,7 @@ class _Parser:
 
     def settings(self, what: str, raw: dict[str, Any], index: int) -> list[Settings]:
         """One, or as many as the product of the values that are given as lists."""
-        from tailbeat.sim.world import PLANTS, config_field
+        from tailbeat.sim.config import PLANTS, config_field
 
         plant = raw.pop("plant", "tank")
         given = raw.pop("name", None)
@@ -422,7 +422,7 @@ class _Parser:
 
     def check_simulator(self, recipe: Recipe) -> None:
         """The simulator itself says whether the values make sense."""
-        from tailbeat.sim.world import make_config
+        from tailbeat.sim.config import make_config
 
         for plant, noise in product(recipe.plants, recipe.noises):
             config = make_config(plant.plant, recipe.first_seed, plant.values | noise.values)

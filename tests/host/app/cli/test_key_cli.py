@@ -479,7 +479,7 @@ def test_a_recording_is_worthless_after_a_restart(owner: Laptop) -> None:
         recorded = list(radio.sent)
     for restart in (False, True):
         if restart:
-            owner.board.power_cycle()
+            owner.board.world.power_cycle()
         transport = SimTransport(owner.board)
         transport.wait(2.0)
         transport.read()
@@ -500,11 +500,11 @@ def test_a_recording_is_worthless_after_a_restart(owner: Laptop) -> None:
 def test_a_board_that_restarts_is_followed(owner: Laptop) -> None:
     with owner.fish() as fish:
         for number in range(4):
-            owner.board.power_cycle()
+            owner.board.world.power_cycle()
             fish.params.set("ILC_LEAD", number)
-            owner.board.power_cycle()
+            owner.board.world.power_cycle()
             upload_reference(fish)
-            owner.board.power_cycle()
+            owner.board.world.power_cycle()
             fish.disarm()
     assert owner.board.time_s > 0
 
@@ -545,7 +545,7 @@ def test_a_board_that_lost_its_key_is_told(owner: Laptop, monkeypatch: pytest.Mo
     )  # this board stands for a real one
     key = owner.key()
     owner.board.flash = b"\xff" * FLASH_BYTES
-    owner.board.power_cycle()
+    owner.board.world.power_cycle()
     status, _, err = owner.call("params", "list", "--connect", "radio")
     assert status == 0
     assert f"this computer has its key {key.fingerprint}" in err
@@ -581,7 +581,7 @@ def test_the_key_comes_back_after_flashing(owner: Laptop) -> None:
         fish.params.set("ILC_GAIN", 9.0)
         recorded = list(radio.sent)
     owner.board.flash = b"\xff" * FLASH_BYTES
-    owner.board.power_cycle()
+    owner.board.world.power_cycle()
     with owner.fish(CONSOLE) as fish:
         assert give_back(fish, "ff" * 16) is None
         given = give_back(fish, owner.key().board, now_s=lambda: 0.0)
@@ -651,7 +651,7 @@ def test_a_lost_key_is_told_every_time(
     monkeypatch.setattr("tailbeat.board.provision._SHORT_LIVED", ())
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path))
     owner.board.flash = b"\xff" * FLASH_BYTES
-    owner.board.power_cycle()
+    owner.board.world.power_cycle()
     for _ in range(2):
         _, _, err = owner.call("params", "get", "ILC_LEAD", "--connect", "radio")
         assert "this computer has its key" in err
@@ -699,7 +699,7 @@ def test_a_trial_whose_board_comes_back_without_its_key(owner: Laptop) -> None:
             if event["event"] == "beat" and not cut_at_s:
                 cut_at_s.append(owner.board.time_s)
                 owner.board.flash = b"\xff" * FLASH_BYTES
-                owner.board.power_cycle()
+                owner.board.world.power_cycle()
 
         with pytest.raises(LinkLostError, match="not signed any more: its key was erased"):
             run_trial(fish, on_event=erase)

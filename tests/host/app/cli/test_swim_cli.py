@@ -23,8 +23,9 @@ from tailbeat.sensors.camera.source.picture import Picture
 from tailbeat.sensors.camera.sync.sync import Sync
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.tracker import Place
-from tailbeat.sim.board import CameraFrame, SimTransport, SimulatedBoard
+from tailbeat.sim.board import SimTransport, SimulatedBoard
 from tailbeat.sim.native import SimBoard
+from tailbeat.sim.world import CameraFrame
 
 SIZE = (64, 48)
 Swim = Callable[..., tuple[int, Any, str]]
@@ -302,7 +303,7 @@ def test_a_rendered_fish(
     assert err == "" and document["end"] == "complete"
     assert document["camera"]["seen"] > 2 * 15
     measured = document["beats"][1]
-    assert measured["speed_m_s"] == pytest.approx(simulated.true_beats()[1], abs=2.5e-3)
+    assert measured["speed_m_s"] == pytest.approx(simulated.world.true_beats()[1], abs=2.5e-3)
 
 
 def test_only_a_board_in_this_process_can_be_drawn(

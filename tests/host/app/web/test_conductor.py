@@ -151,14 +151,14 @@ def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
     assert now.swum is not None
     assert now.swum.outcome.end == "aborted:ABORT_COMMAND"
     assert now.swum.outcome.executed_beats < 8
-    assert ready.board.truth().pulse_ticks == 0
+    assert ready.board.world.truth().pulse_ticks == 0
     with pytest.raises(InputError, match="needs a reason"):
         ready.conductor.ask("decide", kind="discard")
     now = ready.decide("discard", "bumped the wall")
     assert (now.phase, now.iteration, now.next_trial) == ("idle", 1, 2)
     assert [(row.decision, row.reason) for row in now.rows] == [("discard", "bumped the wall")]
     assert [entry["reason"] for entry in ready.journal("decided")] == ["bumped the wall"]
-    assert ready.board.truth().swims == 1  # the other nine were not begun
+    assert ready.board.world.truth().swims == 1  # the other nine were not begun
 
 
 def test_one_swim_is_one_swim_whatever_becomes_of_it(ready: Tank) -> None:
@@ -166,7 +166,7 @@ def test_one_swim_is_one_swim_whatever_becomes_of_it(ready: Tank) -> None:
     assert ready.decide("repeat", "to see the noise").phase == "idle"
     ready.ask("swim", until="1", ritual=False)
     assert ready.decide("discard", "a wave").phase == "idle"
-    assert ready.board.truth().swims == 2
+    assert ready.board.world.truth().swims == 2
 
 
 def test_the_next_swim_is_not_stopped_by_an_old_abort(ready: Tank) -> None:
@@ -183,7 +183,7 @@ def test_abort_before_the_start_ends_the_waiting(ready: Tank) -> None:
     ready.at_start = lambda: ready.conductor.ask("abort")
     now = ready.ask("swim", ritual=True)
     assert (now.phase, now.state, now.next_trial, now.rows) == ("idle", "IDLE", 1, ())
-    assert ready.board.truth().swims == 0
+    assert ready.board.world.truth().swims == 0
 
 
 def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
@@ -212,7 +212,9 @@ def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
     assert now.state == "ABORTED"
     assert now.fault
     assert tank.board.time_s - begun_s < 10.0  # 30 beats would have been swum otherwise
-    tank.wait(lambda now: tank.board.truth().pulse_ticks == 0)  # the coast to the centre is over
+    tank.wait(
+        lambda now: tank.board.world.truth().pulse_ticks == 0
+    )  # the coast to the centre is over
 
 
 def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,10 +235,10 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
 
 
 def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
-    ready.board.set_tilt_rad(1.4)
+    ready.board.world.set_tilt_rad(1.4)
     now = ready.ask("swim", ritual=False)
     while now.phase in ("deciding", "asking"):
-        ready.board.set_tilt_rad(0.0)
+        ready.board.world.set_tilt_rad(0.0)
         now = ready.decide("discard", "lifted out") if now.swum else ready.ask("answer", yes=False)
     assert now.problem or now.fault
     if now.state in ("ABORTED", "FAULT"):
@@ -399,7 +401,7 @@ def test_closing_in_the_middle_of_a_swim_stops_the_tail(ready: Tank) -> None:
     ready.conductor.ask("swim", ritual=False)
     ready.conductor._thread.join(PATIENCE_S)
     assert not ready.conductor._thread.is_alive()
-    assert ready.board.truth().pulse_ticks == 0
+    assert ready.board.world.truth().pulse_ticks == 0
     fish = Fish(SimTransport(ready.board))
     fish.clock.sync()
     status = fish.status()
@@ -411,7 +413,7 @@ def test_closing_in_the_middle_of_a_swim_stops_the_tail(ready: Tank) -> None:
 
 def test_a_board_that_starts_again_is_greeted_anew(ready: Tank) -> None:
     greeted = sum("connected to" in line for line in ready.conductor.now.log)
-    ready.board.power_cycle()
+    ready.board.world.power_cycle()
     now = ready.wait(lambda now: sum("connected to" in s for s in now.log) > greeted)
     assert any("restarted" in line for line in now.log)
     now = ready.wait(lambda now: now.phase == "idle")
@@ -442,13 +444,13 @@ def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
     assert tank.conductor.silent_s() is None
     tank.conductor.start()
     tank.wait(lambda now: now.phase == "idle")
-    tank.board.set_radio(False)
+    tank.board.world.set_radio(False)
     done = tank.conductor.now.done
     tank.conductor.ask("set", name="ILC_GAIN", value=3.0)  # a round trip that nothing comes back of
     clock[0] = 107.0
     tank.wait(lambda now: now.done > done or now.phase == "connecting")
     assert tank.conductor.silent_s() == pytest.approx(7.0)
-    tank.board.set_radio(True)
+    tank.board.world.set_radio(True)
 
 
 def test_only_listed_logs_are_given_out(ready: Tank) -> None:

@@ -11,7 +11,7 @@ import pytest
 from tailbeat.core.native import lib
 from tailbeat.core.reference import thesis
 from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
-from tailbeat.sim.world import World
+from tailbeat.sim.world import Wires
 
 
 def feed(fit: BeatFit, frames: list[tuple[float, float]]) -> list[SpeedSample]:
@@ -105,7 +105,7 @@ def swum(seed: int, fps: float, noise_m: float) -> np.ndarray:
     wanted = thesis().speed_m_s
     amplitude = np.where(wanted > 0.002, 0.197 + wanted / 0.219, 0)
     camera = {"camera_fps": fps, "camera_noise_m": noise_m, "camera_exposure_s": 0.001}
-    world = World("tank", seed, imu_firmware=0, **camera)
+    world = Wires("tank", seed, imu_firmware=0, **camera)
     begin_us, frames = 440_000, 50 * len(amplitude)
     world.rest(begin_us - 20_000)
     rows = []

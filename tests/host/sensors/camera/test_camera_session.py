@@ -37,7 +37,7 @@ def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
     for name, value in {"ILC_GAIN": law.kp_rad_s_m, "ILC_LEAD": law.lead_beats}.items():
         fish.params.set(name, value)
     fish.upload_reference(reference)
-    fish.sim.set_swim(1)  # the same noise, whatever was swum before
+    fish.sim.world.set_swim(1)  # the same noise, whatever was swum before
     return fish
 
 
@@ -46,7 +46,7 @@ def last_errors(fish: Fish, reference: Reference, swim, trials: int) -> tuple[fl
     found = []
     for _ in range(trials):
         number = swim(fish)
-        error = reference.speed_m_s - fish.sim.true_beats()
+        error = reference.speed_m_s - fish.sim.world.true_beats()
         found.append((np.abs(error).max(), np.sqrt(np.mean(error**2))))
         fish.learn(number)
     return tuple(np.mean(found[trials // 2 :], axis=0))
@@ -55,7 +55,7 @@ def last_errors(fish: Fish, reference: Reference, swim, trials: int) -> tuple[fl
 def by_truth(fish: Fish) -> int:
     fish.params.set("SPD_SOURCE", UPLOAD)
     number = run_trial(fish).number
-    beats = fish.sim.true_beats()
+    beats = fish.sim.world.true_beats()
     fish.upload_speeds(number, beats, np.full(len(beats), 1e-4))
     return number
 

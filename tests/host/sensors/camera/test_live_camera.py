@@ -316,7 +316,7 @@ def test_two_fish_stop_the_tail_first_and_are_told_then(ready: Fish) -> None:
     with pytest.raises(InputError, match="two fish"):
         run()
     assert warnings == ["two fish. Take one out."]
-    assert ready.sim is not None and not ready.sim.truth().swimming
+    assert ready.sim is not None and not ready.sim.world.truth().swimming
     status = ready.status()
     assert status.state == "ABORTED" and status.trial == 1 and 0 < status.beat < 8
     assert [trial.number for trial in ready.trials()] == [1]
@@ -348,14 +348,14 @@ def stopped(fish: Fish) -> bool:
     assert fish.sim is not None
     status = fish.status()
     fish.sim.run(1.0)  # the tail comes to its middle
-    return status.fault.name == "ABORT_COMMAND" and not fish.sim.truth().swimming
+    return status.fault.name == "ABORT_COMMAND" and not fish.sim.world.truth().swimming
 
 
 @pytest.mark.parametrize("kind", [Frame, BeatEvent, Unseen])
 def test_a_guard_that_breaks_stops_the_tail(ready: Fish, kind: type) -> None:
     def guard(what: object) -> str | None:
         assert ready.sim is not None
-        if isinstance(what, kind) and ready.sim.truth().swimming:
+        if isinstance(what, kind) and ready.sim.world.truth().swimming:
             raise RuntimeError("a bug in the guard")
         return None
 
@@ -418,7 +418,7 @@ def test_after_the_swim_the_guard_is_not_asked(ready: Fish) -> None:
 
     def guard(what: object) -> str | None:
         assert ready.sim is not None
-        swimming.append(ready.sim.truth().swimming)
+        swimming.append(ready.sim.world.truth().swimming)
         return "too late" if True in swimming and not swimming[-1] else None
 
     assert run_trial(ready, on_event=told.append, guard=guard).end == "complete"
@@ -460,7 +460,7 @@ def test_a_fish_out_of_sight_is_stopped_in_time(ready: Fish, beat_s: float) -> N
     guard = WallGuard(area(0.5, 1.5), beat_s=beat_s)
     camera = Spoilt(ready, lambda now_s, frames: frames if now_s < 12 else [])
     assert run_trial(ready, camera, guard=guard).end == "aborted:WALL"
-    assert 0.05 < ready.sim.truth().x_m < 1.5 - 0.2
+    assert 0.05 < ready.sim.world.truth().x_m < 1.5 - 0.2
 
 
 def freeze(fish: Fish, after_s: float) -> Spoilt:
@@ -512,7 +512,7 @@ def test_a_guard_is_not_fooled_by_a_picture_that_stands_still(ready: Fish) -> No
     ready.upload_amplitudes(np.full(32, 0.55, dtype=np.float32))
     camera = freeze(ready, 9.0)
     assert run_trial(ready, camera, guard=WallGuard(area(0.5, 1.5))).end == "aborted:WALL"
-    assert ready.sim.truth().x_m + 0.2 < 1.5
+    assert ready.sim.world.truth().x_m + 0.2 < 1.5
 
 
 def test_a_fish_at_rest_before_a_camera_without_noise_is_no_frozen_picture() -> None:

@@ -19,8 +19,8 @@ from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.board import CameraFrame, SimulatedBoard
-from tailbeat.sim.world import FRAME_US, World
+from tailbeat.sim.board import SimulatedBoard
+from tailbeat.sim.world import FRAME_US, CameraFrame, Wires, World
 
 EXPOSURE_S = 0.02
 YAW_PER_TAIL = -10 / 45  # hal/sim/felt.h
@@ -39,7 +39,7 @@ def lit_part(edges_us: list[int], picture: CameraFrame, exposure_s: float) -> fl
 @pytest.mark.parametrize("seed", range(5))
 def test_led_is_what_the_open_shutter_saw(seed: int) -> None:
     chance = random.Random(seed)
-    world = World("tank", 1, camera_fps=27.0, camera_exposure_s=EXPOSURE_S)
+    world = Wires("tank", 1, camera_fps=27.0, camera_exposure_s=EXPOSURE_S)
     edges_us: list[int] = []
     next_us = 300_000
     while world.time_us < 8_000_000:
@@ -57,12 +57,13 @@ def test_led_is_what_the_open_shutter_saw(seed: int) -> None:
 
 
 def test_tail_is_the_servos_and_turns_the_head() -> None:
-    world = World("tank", 1, camera_noise=0.0)
+    world = Wires("tank", 1, camera_noise=0.0)
+    fish = World(world.handle, None)  # type: ignore[arg-type]
     tails = [0.0]
     for n in range(300):
         angle = 0.6 * math.sin(2 * math.pi * n / 50)
         world.frame(world.time_us + FRAME_US, round(3 * (1500 + 572.9578 * angle)))
-        tails.append(world.truth().tail_rad)
+        tails.append(fish.truth().tail_rad)
     pictures = world.camera_read(world.time_us)
     times = np.array([picture.time_s for picture in pictures])
     seen = np.array([picture.tail_rad for picture in pictures])
@@ -115,9 +116,9 @@ def _agree(pictures: list[CameraFrame], begin_us: int, on: list[bool]) -> bool:
 
 
 def test_exposure_is_no_longer_than_a_picture_lasts() -> None:
-    World("tank", 1, camera_fps=200.0)  # with the usual 10 ms, cut to 5
+    Wires("tank", 1, camera_fps=200.0)  # with the usual 10 ms, cut to 5
     with pytest.raises(InputError, match="cannot run with these values"):
-        World("tank", 1, camera_exposure_s=-0.01)
+        Wires("tank", 1, camera_exposure_s=-0.01)
 
 
 def test_remote_camera_takes_lines_with_more_than_it_needs() -> None:

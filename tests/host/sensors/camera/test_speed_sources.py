@@ -65,7 +65,9 @@ def swims(folder: Path, seeds: int, **params: float) -> Swims:
         with Fish.connect("sim:tank", seed=seed) as fish:
             trial = swim(fish, folder, reference.thesis(), **params)
             assert fish.sim is not None
-            errors.append(trial.beats.speed_m_s - fish.sim.true_beats()[: len(trial.beats.samples)])
+            errors.append(
+                trial.beats.speed_m_s - fish.sim.world.true_beats()[: len(trial.beats.samples)]
+            )
             sigmas.append(trial.beats.sigma_m_s)
     return Swims(np.array(errors, dtype=float), np.array(sigmas, dtype=float))
 
@@ -118,7 +120,7 @@ def test_an_imu_that_restarts_in_mid_swim_spoils_nothing(source: int, tmp_path: 
 
     def restart(event: dict) -> None:
         if event["event"] == "beat" and event["beat"] == 5 and event["provisional"]:
-            fish.sim.reboot_imu()
+            fish.sim.world.reboot_imu()
 
     with Fish.connect("sim:tank", seed=2) as fish:
         assert fish.sim is not None
@@ -129,7 +131,7 @@ def test_an_imu_that_restarts_in_mid_swim_spoils_nothing(source: int, tmp_path: 
         fish.link.run(REST_S)
         outcome = run_trial(fish, on_event=restart)
         trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
-        error = trial.beats.speed_m_s - fish.sim.true_beats()[: len(trial.beats.samples)]
+        error = trial.beats.speed_m_s - fish.sim.world.true_beats()[: len(trial.beats.samples)]
         assert fish.health()["imu_restarts"] == 1
     assert outcome.end == "complete"
     measured = np.isfinite(error)
@@ -145,7 +147,7 @@ def test_an_imu_that_falls_silent_after_the_swim_ends_the_waiting(tmp_path: Path
         if event["event"] == "text":
             texts.append(event["text"])
         if event["event"] == "hold":
-            fish.sim.wedge_imu()
+            fish.sim.world.wedge_imu()
 
     with Fish.connect("sim:tank", seed=2) as fish:
         assert fish.sim is not None

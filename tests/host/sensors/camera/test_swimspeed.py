@@ -71,7 +71,7 @@ def swum(seed: int, fps: float, lost: float, amplitudes=None):
             )
         )
         run_trial(fish, camera)
-        frames, beats = camera.seen, np.array(fish.sim.true_beats())
+        frames, beats = camera.seen, np.array(fish.sim.world.true_beats())
         start_s = _start_s(fish, boot_s)
     columns = np.array([(f.t_s, f.x_m, f.y_m) for f in frames]).T
     return track_of(*columns, fps=fps), beats, start_s

@@ -14,7 +14,7 @@ from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
 from tailbeat.sensors.camera.speed.line_fit import BeatFit
 from tailbeat.session.trial import run_trial
-from tailbeat.sim.world import World
+from tailbeat.sim.world import Wires
 from tailbeat.studies.montecarlo.batch import Shoal, Swims
 
 Array = F64
@@ -51,7 +51,11 @@ def test_true_beats_of_the_whole_simulator(seed: int) -> None:
             done = np.array([[beat.amplitude_rad for beat in outcome.beats]])
             swum = shoal.swim(done, number)
             np.testing.assert_allclose(
-                swum.true_m_s[0], fish.sim.true_beats(), rtol=0, atol=5e-5, err_msg=str(number)
+                swum.true_m_s[0],
+                fish.sim.world.true_beats(),
+                rtol=0,
+                atol=5e-5,
+                err_msg=str(number),
             )
             if number == 1:
                 fish.learn()
@@ -60,7 +64,7 @@ def test_true_beats_of_the_whole_simulator(seed: int) -> None:
 def world_speeds(seed: int, amplitude: Array, **others: float) -> Array:
     """Per beat what BeatFit makes of the pictures of a swim in the simulated world, NaN = nothing;
     no board: the pulses of a sine go straight to the tail."""
-    world = World("tank", seed, imu_firmware=0, **others)
+    world = Wires("tank", seed, imu_firmware=0, **others)
     world.rest(420_000)
     begin_us = 440_000  # with a picture's period, so that the first comes 0.33 of one later
     per_us = int(lib.NATIVE_SERVO_TICKS_PER_US)

@@ -9,7 +9,7 @@ from tailbeat.sensors.camera.render.painter import Painter, Truth
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.simulated import Moments
 from tailbeat.sensors.camera.source.picture import Picture
-from tailbeat.sim.board import CameraFrame
+from tailbeat.sim.world import CameraFrame
 
 _SPEED_MAX_M_S = 1.0  # faster than that somebody has carried the fish
 _KEPT = 4

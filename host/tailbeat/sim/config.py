@@ -1,0 +1,109 @@
+"""What a simulator is made with: plant, seed and the values of sim_config_t."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import socket
+from typing import Any
+
+from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
+from tailbeat.link.sockets import TcpTransport
+from tailbeat.link.transport import Transport
+
+PLANTS = {"thesis": 0, "tank": 1}
+DEFAULT_SEED = 1
+
+_TIMEOUT_S = 1.0
+_LONGEST_BYTES = 20_000
+# Places of that port behind the radio's and behind the wired console's (simserver.py).
+_BEHIND_RADIO, _BEHIND_CONSOLE = 3, 1
+
+
+def board_number(seed: float | None) -> int:
+    """What tells a simulated board from others, the last 8 bytes of its unique id: the seed if one
+    is given, so that it is the same board each time; otherwise random."""
+    return secrets.randbits(64) if seed is None else int(seed)
+
+
+def make_config(plant: str, seed: float, overrides: dict[str, float]) -> Any:
+    """A sim_config_t. Raises InputError for names there are none of."""
+    if plant not in PLANTS:
+        raise InputError(f"there is no plant {plant}", f"Use one of: {', '.join(PLANTS)}.")
+    if not 0 <= seed < 1 << 64 or seed != int(seed):
+        raise InputError(f"{seed} is no seed", "Give a whole number from 0 to 2^64 - 1.")
+    config = ffi.new("sim_config_t *")
+    lib.sim_config_default(config, PLANTS[plant])
+    config.seed = int(seed)
+    for name, value in overrides.items():
+        setattr(config, config_field(name), value)
+    return config
+
+
+def senseless() -> InputError:
+    """The error for values that fit no world."""
+    return InputError("the simulator cannot run with these values", "Check them: SI units.")
+
+
+def config_values(config: Any) -> dict[str, float]:
+    """All values of a sim_config_t by name."""
+    return {name: getattr(config, name) for name in config_fields()}
+
+
+def config_fields() -> list[str]:
+    """Names of all values of the simulator's configuration."""
+    return [name for name, _ in ffi.typeof("sim_config_t").fields]
+
+
+def config_field(name: str) -> str:
+    """The field meant by ``name``; its unit may be left out (kappa = kappa_per_m)."""
+    fields = [f for f in config_fields() if f not in ("seed", "plant")]
+    matches = [f for f in fields if f == name] or [f for f in fields if f.startswith(name + "_")]
+    if len(matches) != 1:
+        raise InputError(f"the simulator has no value {name}", f"It has: {', '.join(fields)}.")
+    return matches[0]
+
+
+def simulator_settings(transport: Transport) -> dict[str, Any]:
+    """``plant``, ``seed`` and ``simulator`` (its values) of the simulator behind ``transport``.
+
+    Empty when the simulator does not say: it is an older one, its ports are not in a row, or
+    another program uses the fault-injection port.
+    """
+    if not isinstance(transport, TcpTransport):
+        return {}
+    for behind in (_BEHIND_RADIO, _BEHIND_CONSOLE):
+        try:
+            with socket.create_connection(
+                (transport.host, transport.port + behind), _TIMEOUT_S
+            ) as s:
+                return _parse(_ask(s))
+        except ConnectionRefusedError:
+            continue
+        except (OSError, OverflowError):
+            break
+    return {}
+
+
+def _ask(connection: socket.socket) -> bytes:
+    """The first line that answers ``config``."""
+    connection.sendall(b"config\n")
+    answer = b""
+    while b"\n" not in answer and len(answer) < _LONGEST_BYTES:
+        piece = connection.recv(4096)
+        if not piece:
+            break
+        answer += piece
+    return answer.partition(b"\n")[0]
+
+
+def _parse(line: bytes) -> dict[str, Any]:
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return {}
+    wanted = {"plant": str, "seed": int, "simulator": dict}
+    if not isinstance(said, dict) or not all(isinstance(said.get(k), t) for k, t in wanted.items()):
+        return {}
+    return {name: said[name] for name in wanted}
