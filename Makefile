@@ -32,7 +32,7 @@ help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 16
 
 demo: package ## a simulated fish learns the thesis's speed profile
-	@$(BIN)/tailbeat demo
+	@$(BIN)/tailbeat sim demo
 
 test: toolchain ## all tests: C (sanitized, and on a Cortex-M3), host tool, flash image
 	@$(RUN_ALL) unit '$(MAKE) unit coverage' qemu '$(MAKE) qemu' image '$(MAKE) image' \
@@ -65,9 +65,9 @@ soak: package firmware ## hours: power cuts by the ten thousand, wear, 10^7 rand
 	WEAR_TRIALS=10000 build/unit/tests/test_wear
 	WALK_STEPS=10000000 WALK_SEED=2 build/unit/tests/test_supervisor_walk
 	@$(BIN)/pytest -n auto --dist worksteal -s -m soak tests/image tests/host tests/system
-	@for recipe in $$($(BIN)/tailbeat sweep --list --json | $(PYTHON) -c \
+	@for recipe in $$($(BIN)/tailbeat sim montecarlo --list --json | $(PYTHON) -c \
 		'import json, sys; print(*(r["name"] for r in json.load(sys.stdin)["recipes"]))'); do \
-		$(BIN)/tailbeat sweep $$recipe --out build/sweeps/$$recipe --check || exit 1; done
+		$(BIN)/tailbeat sim montecarlo $$recipe --out build/sweeps/$$recipe --check || exit 1; done
 	@FTP_MODEL_EXAMPLES=500 $(BIN)/pytest $(UNLIMITED) -s tests/host/link/test_ftp_model.py
 	@$(MAKE) fuzz
 
@@ -106,7 +106,7 @@ sbom: package ## everything built in or installed, as CycloneDX: build/sbom.json
 
 flash: firmware package ## write the image to the fish: make flash PORT=/dev/ttyACM0 FLASH_OPTIONS=--no-keep
 	@tools/bootstrap flash
-	@$(BIN)/tailbeat flash build/firmware/tailbeat.bin --port "$(PORT)" $(FLASH_OPTIONS)
+	@$(BIN)/tailbeat board flash build/firmware/tailbeat.bin --port "$(PORT)" $(FLASH_OPTIONS)
 
 size: firmware ## bytes, biggest symbols, deepest stack; fails over the budgets
 	@tools/bootstrap size

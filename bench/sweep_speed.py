@@ -107,8 +107,8 @@ def board_recipe(load: Load) -> Recipe:
 
 
 def sweep_trials_per_s(recipe: Recipe, cells: int, cores: int) -> float:
-    """Of a whole ``tailbeat sweep``: learning, errors and Parquet files included, by the clock on
-    the wall; from when every process has done a cell to the last one."""
+    """Of a whole ``tailbeat sim montecarlo``: learning, errors and Parquet files included, by the
+    clock on the wall; from when every process has done a cell to the last one."""
     done_s: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         sweep(recipe, Path(folder), cores, progress=lambda d, n: done_s.append(time.perf_counter()))
@@ -179,7 +179,8 @@ def main(load: Load = FULL) -> int:
     )
     rates = ", ".join(f"{rate:.0f} trials/s on {cores}" for cores, rate in best["sweep"].items())
     print(
-        f"tailbeat sweep, the board's law: {rates}: {best['sweep'][1] / found['numpy']:.1f} x numpy"
+        f"tailbeat sim montecarlo, the board's law: {rates}: "
+        f"{best['sweep'][1] / found['numpy']:.1f} x numpy"
         f" (goal {GOAL:.0f} x), {scaling(best['sweep']):.2f} x on two cores (goal {SCALING_GOAL} x;"
         f" processes that only swim: {scaling(best['bare']):.2f} x on this machine)"
     )

@@ -29,7 +29,7 @@ static void init_board(void) {
     battery_init(&board);
 }
 
-/* The DMA sends it whatever becomes of the main loop. By it 'tailbeat flash' tells a board whose
+/* The DMA sends it whatever becomes of the main loop. By it 'tailbeat board flash' tells a board whose
  * firmware hangs, which has data to lose, from a new one. */
 static void report_start(void) {
     static const char line[] = "tailbeat starts\r\n";

@@ -103,7 +103,7 @@ def test_the_first_bytes_come_soon(new_board: NewBoard) -> None:
 def test_the_console_tells_the_start_whatever_comes_after(
     new_board: NewBoard, page_us: float
 ) -> None:
-    """By this line `tailbeat flash` knows firmware that hangs from a new board."""
+    """By this line `tailbeat board flash` knows firmware that hangs from a new board."""
     board = new_board()
     board.board.periph["EEFC1"].timing.erase_write_us = page_us
     board.run(FIRST_BYTE_S)

@@ -35,7 +35,7 @@ FOLDER = "TAILBEAT_PICTURES"  # of the pictures, where somebody wants to look at
 
 @contextmanager
 def page_of(address: str, root: Path, *options: str) -> Iterator[tuple[str, Any]]:
-    """(URL, process) of 'tailbeat ui' on any free port; ended by Ctrl-C."""
+    """(URL, process) of 'tailbeat session web' on any free port; ended by Ctrl-C."""
     command = [sys.executable, "-c", START, "ui", "--connect", address, "--port", "0", "--json"]
     command += ["--root", str(root / "experiments"), *options]
     own = {"TAILBEAT_LOGBOOK": str(root / "fish"), "TAILBEAT_KEYS": str(root / "keys")}
@@ -219,7 +219,7 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
 
 @dataclass(frozen=True)
 class Page:
-    """'tailbeat ui' of a simulated fish. ``fish``, ``process``: of the two."""
+    """'tailbeat session web' of a simulated fish. ``fish``, ``process``: of the two."""
 
     address: str
     fish: Any

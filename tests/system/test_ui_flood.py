@@ -1,4 +1,5 @@
-"""ABORT of the page while idle connections want all descriptors of 'tailbeat ui'. Loopback only."""
+"""ABORT of the page while idle connections want all descriptors of
+'tailbeat session web'. Loopback only."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def test_info_command(image: Path) -> None:
 def test_demo_command_tells_all_a_simulator_knows(image: Path, tmp_path: Path) -> None:
     url = f"vboard:{image}"
     given = ("--trials", "1", "--plant", "thesis", "--seed", "7", "--out", tmp_path)
-    found = run("demo", "--connect", url, *given, "--json")
+    found = run("sim", "demo", "--connect", url, *given, "--json")
     assert (found["plant"], found["seed"], found["lead"]) == ("thesis", 7, 0)
     assert found["floor_m_s"] == pytest.approx(0.0008, abs=0.0002)
     trial = found["trials"][1]
@@ -145,7 +145,7 @@ def test_a_short_demo_knows_it_is_emulated(image: Path, tmp_path: Path) -> None:
 
 
 def test_vboard_command_serves_the_board(image: Path) -> None:
-    arguments = ("vboard", image, "--json", "--listen", "tcp:127.0.0.1:0", "--seed", "2")
+    arguments = ("sim", "board", image, "--json", "--listen", "tcp:127.0.0.1:0", "--seed", "2")
     with subprocess.Popen(command(*arguments), stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
@@ -162,7 +162,7 @@ def test_vboard_command_serves_the_board(image: Path) -> None:
 
 def test_vboard_command_without_an_image() -> None:
     done = subprocess.run(
-        command("vboard", "no-such.elf"), capture_output=True, text=True, check=False
+        command("sim", "board", "no-such.elf"), capture_output=True, text=True, check=False
     )
     assert done.returncode != 0
     assert done.stderr == f"tailbeat: there is no flash image no-such.elf. {BUILD_IMAGE}\n"

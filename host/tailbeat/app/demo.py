@@ -85,7 +85,7 @@ class DemoTrial:
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What ``tailbeat demo --json`` prints."""
+    """What ``tailbeat sim demo --json`` prints."""
 
     plant: str
     gain: float

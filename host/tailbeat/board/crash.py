@@ -63,7 +63,7 @@ def decode_crash(record: bytes) -> CrashReport:
     """Raises InputError when ``record`` is no sound /crash.bin."""
     report = ffi.new("crash_report_t *")
     if lib.record_decode_crash(ffi.from_buffer(record), len(record), report):
-        raise InputError("not a sound crash record", "Pull it again: tailbeat crash")
+        raise InputError("not a sound crash record", "Pull it again: tailbeat board crash")
     crash = report.crash
     return CrashReport(
         kind=KINDS.get(crash.kind, f"kind {crash.kind}"),

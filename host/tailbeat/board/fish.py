@@ -275,7 +275,7 @@ class Fish:
             state = self.status().state if refused.number == WRONG_STATE else ""
             if state not in _STOPPED:
                 raise
-            meaning, remedy = f"the board is stopped ({state})", "tailbeat clear, then learn."
+            meaning, remedy = f"the board is stopped ({state})", "tailbeat board clear, then learn."
             raise Refused(refused.number, refused.name, meaning, remedy) from None
         finally:
             stop()
@@ -323,7 +323,7 @@ class Fish:
         if not ((counts >= 0) & (counts <= _VISITS_MAX)).all():
             raise TransferError(
                 "the board's update counts are no numbers from 0 to 255",
-                "Its firmware or its storage is damaged: tailbeat doctor",
+                "Its firmware or its storage is damaged: tailbeat board check",
             )
         self._counts_visits = True
         return counts.astype(np.uint8)

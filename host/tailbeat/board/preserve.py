@@ -131,7 +131,7 @@ def restore_interrupted(fish: Fish, copy: Path | None, note: Callable[[str], Non
     if status.state == "RUNNING":
         raise InputError(
             "the board executes a run of an identification or a trim.",
-            f"If nobody waits for it: tailbeat trial abort, then {RESTORE_COMMAND}",
+            f"If nobody waits for it: tailbeat stop, then {RESTORE_COMMAND}",
         )
     stopped = f" (it was stopped: {status.fault.name})" if status.fault.number else ""
     note(
@@ -163,7 +163,10 @@ def _write_copy(copy: Path, held: Snapshot, note: Callable[[str], None]) -> None
     """One that is there already is set aside, never overwritten."""
     if (copy / BOARD_FILE).exists():
         aside = _set_aside(copy)
-        note(f"an older copy of what the board held is kept in {aside} (tailbeat flash --restore)")
+        note(
+            f"an older copy of what the board held is kept in {aside} (tailbeat board flash "
+            "--restore)"
+        )
     (copy / _REFERENCES).unlink(missing_ok=True)
     held.write(copy)
 
@@ -207,7 +210,7 @@ def _require_ready(fish: Fish, what: str) -> None:
     if status.state != "IDLE":
         raise InputError(
             f"the board is {status.state}, not IDLE.",
-            f"tailbeat disarm or tailbeat clear; then {what}.",
+            f"tailbeat board disarm or tailbeat board clear; then {what}.",
         )
 
 
@@ -240,7 +243,8 @@ def _put_back(fish: Fish, held: Snapshot, copy: Path | None) -> None:
             where = f"; a copy is in {copy}" if copy is not None else ""
             raise TailbeatError(
                 f"what the board had learned could not be put back ({error.message}){where}.",
-                f"Connect again, then: {RESTORE_COMMAND} (or: tailbeat flash --restore {copy})"
+                f"Connect again, then: {RESTORE_COMMAND} (or: tailbeat board flash --restore "
+                f"{copy})"
                 if copy is not None
                 else "",
             ) from error

@@ -31,7 +31,7 @@ _COUNTERS = ("refused_unsigned", "refused_wrong", "refused_stale")
 
 NO_KEY = (
     "no key: anyone in radio range can move this tail. Set one over the wired port:"
-    " tailbeat key set"
+    " tailbeat board key set"
 )
 OPEN, HELD, MISSING = "open", "held", "missing"
 
@@ -112,7 +112,7 @@ def connect_notice(fish: Fish) -> str | None:
         return (
             f"this board does not sign, but this computer has its key {lost.fingerprint}: the key"
             " was erased, or somebody pretends to be this board. Set it again over the wired port:"
-            " tailbeat key set"
+            " tailbeat board key set"
         )
     if in_process(fish.transport) is not None or board.startswith(_SHORT_LIVED):
         return None
@@ -124,7 +124,8 @@ def _missing_words(store: KeyStore) -> str:
     why = f" ({problems[0]})" if problems else ""
     return (
         f"this board has a key that this computer has not{why}: it can be read, unchecked, and does"
-        " not obey. Bring the key: 'tailbeat key export' where it was set, 'tailbeat key import'"
+        " not obey. Bring the key: 'tailbeat board key export' where it was set, 'tailbeat board "
+        "key import'"
         " here"
     )
 
@@ -247,5 +248,5 @@ def _refused(line: str) -> Refused | None:
 def _unanswered(error: LinkLostError) -> TailbeatError:
     return LinkLostError(
         f"the board did not say whether it took the key ({error.message})",
-        "Look with 'tailbeat key status', and try again. The key is kept until then.",
+        "Look with 'tailbeat board key status', and try again. The key is kept until then.",
     )

@@ -1,6 +1,6 @@
 """What a board holds: taken from it, written to disk, read, compared, and restored.
 
-In a folder (``tailbeat flash``, before an identification): ``board.json`` (who it was, and its
+In a folder (``tailbeat board flash``, before an identification): ``board.json`` (who it was, its
 parameters), ``reference.bin``, ``learned.bin``, ``crash.bin``, the records of docs/protocol.md. In
 one file (``board/state.json`` of an experiment): all but the crash record, with a checksum.
 """
@@ -125,7 +125,7 @@ class Snapshot:
     @classmethod
     def read(cls, folder: Path) -> Snapshot:
         """The backup in ``folder``. Raises InputError when it is none, or incomplete."""
-        path, remedy = folder / BOARD_FILE, "Name a folder that tailbeat flash made."
+        path, remedy = folder / BOARD_FILE, "Name a folder that tailbeat board flash made."
         try:
             held = decode.decode(path.read_bytes(), _Folder, f"{path} is damaged", remedy)
             files = {
@@ -225,7 +225,7 @@ class _File(decode.Table, forbid_unknown_fields=False):
 def _no_backup(folder: Path, why: str) -> InputError:
     return InputError(
         f"{folder} is no backup of a board: {why}",
-        "Give the folder that tailbeat flash made; it holds board.json.",
+        "Give the folder that tailbeat board flash made; it holds board.json.",
     )
 
 
@@ -299,7 +299,8 @@ def restore(fish: Fish, held: Snapshot) -> RestoreReport:
     if (state := fish.status().state) != "IDLE":
         raise InputError(
             f"the board is {state} and takes nothing back",
-            "Look at it with tailbeat info; make it idle with tailbeat clear or tailbeat disarm.",
+            "Look at it with tailbeat info; make it idle with tailbeat board clear or tailbeat "
+            "board disarm.",
         )
     report = RestoreReport()
     if fish.info().unique_id != held.unique_id:
@@ -383,6 +384,6 @@ def _offer(fish: Fish, forms: list[bytes]) -> None:
 def _restore_key(fish: Fish, board: str, report: RestoreReport) -> None:
     """The one that this computer has for the board the snapshot is of."""
     if fish.unique_id() != board or key_for(fish.link.signing.store, board) is None:
-        report.missing.append("the key (this computer has not got it); set one: tailbeat key set")
+        report.missing.append("the key (not on this computer); set one: tailbeat board key set")
     elif report.attempt("the key", partial(give_back, fish, board)):
         report.back.append("its key")

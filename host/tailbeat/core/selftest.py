@@ -50,7 +50,7 @@ class SelftestReport:
         return len(self.tests) - self.passed
 
     def as_dict(self) -> dict[str, object]:
-        """The JSON document of ``tailbeat selftest --json``."""
+        """The JSON document of ``tailbeat sim selftest --json``."""
         tests = [
             {"name": test.name, "suite": test.suite, "ok": test.ok, "message": test.message}
             for test in self.tests

@@ -59,7 +59,8 @@ class Straightness:
             return f"straight within {abs(worst_deg):.0f} degrees ({self.source})"
         return (
             f"NOT STRAIGHT: it turned {abs(worst_deg):.0f} degrees to the {side} "
-            f"({self.source}), so its speed along the way is not the one it swam; tailbeat trim"
+            f"({self.source}), so its speed along the way is not the one it swam; tailbeat session "
+            "trim"
         )
 
 

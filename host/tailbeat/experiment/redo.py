@@ -161,8 +161,8 @@ def _step(entry: Mapping[str, Any]) -> str:
         "typed": f"`{entry.get('command')}`",
         "resumed": "after a battery swap the board was given back what it lacked",
         "restarted": "the board had been switched off; gone on with, without a repeat of the best",
-        "trimmed": f"`tailbeat trim`: centre {entry.get('centre_us')} us",
-        "identified": f"`tailbeat identify`: {entry.get('file')}",
+        "trimmed": f"`tailbeat session trim`: centre {entry.get('centre_us')} us",
+        "identified": f"`tailbeat session identify`: {entry.get('file')}",
         "restored": "`tailbeat learn --restore-best`: the best amplitudes swim next"
         + (f" (trial {trial})" if trial else ""),
     }.get(what, "")

@@ -210,7 +210,7 @@ def from_trials(paths: Sequence[Path]) -> tuple[Identified, bool]:
     used = [swim for swim in swims if swim.measured.any()]
     if not used:
         raise InputError(
-            "no trial of these has a speed.", "Upload the speeds first: tailbeat speed upload"
+            "no trial of these has a speed.", "Upload the speeds first: tailbeat trial speeds"
         )
     found = identify_swims(used, source="trials", unique_id=fish.pop())
     length_m = trials[0].params.get("FISH_LEN_M", ThesisFish.length_m)

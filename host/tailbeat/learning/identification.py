@@ -97,7 +97,7 @@ class Identified:
     @classmethod
     def load(cls, path: Path) -> Identified:
         """Raises InputError when it is not there or damaged."""
-        remedy = "Identify the fish: tailbeat identify --out FILE"
+        remedy = "Identify the fish: tailbeat session identify --out FILE"
         try:
             raw = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:

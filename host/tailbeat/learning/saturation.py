@@ -202,7 +202,7 @@ def _judged(
 ) -> Saturation | None:
     limit = params["AMP_MAX_RAD"]
     if known is None:
-        action = "To find out how much it needs: tailbeat identify"
+        action = "To find out how much it needs: tailbeat session identify"
         return Saturation.of(count, trial_beats, limit, None, "", action, expected)
     if not count or _best_rad(known.identified, reference) <= limit + GRAIN_RAD:
         return None
@@ -237,9 +237,9 @@ def _slower(reference: Reference, limit: float, known: KnownFish, learned: bool)
         speed = float(known.identified.model.steady_m_s(limit - GRAIN_RAD - max(more, 0.0)))
         speed = math.floor(speed * 1e3) / 1e3
         if speed >= _SLOWEST_M_S:
-            like = " --like board" if learned else ""
+            like = " --warm-start board" if learned else ""
             return f"tailbeat reference upload thesis:{speed:g},{reference.duration_s:g}{like}"
-    first = "" if known.identified.source == "runs" else "tailbeat identify, then "
+    first = "" if known.identified.source == "runs" else "tailbeat session identify, then "
     return (
         f"{first}tailbeat reference show --csv reference.csv, then tailbeat reference check"
         " reference.csv --suggest"

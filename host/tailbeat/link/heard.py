@@ -8,7 +8,7 @@ from tailbeat.link import _dialect as mavlink
 
 # What the firmware sends on the console at every reset, before anything in it can hang.
 START_LINE = b"tailbeat starts"
-BLUETOOTH_SETUP = "tailbeat bluetooth setup"
+BLUETOOTH_SETUP = "tailbeat board bluetooth"
 _KEPT_BYTES = 4096
 _MARKER = 0xFD
 _HEADER_BYTES = 10

@@ -24,7 +24,7 @@ from tailbeat.core.files import replace_file
 from tailbeat.core.locks import locked
 
 KEY_BYTES = 32
-_FORMAT = "tailbeat key 1"
+_FORMAT = "tailbeat board key 1"
 _FOLDER = "TAILBEAT_KEYS"
 _OWNER_ONLY = 0o600
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
@@ -115,7 +115,7 @@ def decode_key(content: bytes, where: str) -> StoredKey:
         return _checked(json.loads(content))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise InputError(
-            f"{where} holds no key", "Take a file that 'tailbeat key export' wrote."
+            f"{where} holds no key", "Take a file that 'tailbeat board key export' wrote."
         ) from None
 
 
@@ -194,7 +194,8 @@ class KeyStore:
             why = f" ({problems[0]})" if problems else ""
             raise InputError(
                 f"this computer has no key{why}",
-                "Set one with 'tailbeat key set', or bring one with 'tailbeat key import'.",
+                "Set one with 'tailbeat board key set', or bring one with 'tailbeat board key "
+                "import'.",
             )
         names = ", ".join(f"{k.fingerprint} of board {k.board[:8]} {k.name}".rstrip() for k in keys)
         what = "there are several keys" if which is None else f"'{which}' is not the one key meant"

@@ -232,7 +232,7 @@ class Link:
         if why := self.signing.why_silent():
             return LinkLostError(
                 f"the board on {self.transport.name} is not believed: {why}",
-                "Look with 'tailbeat key status' what is there; connect again.",
+                "Look with 'tailbeat board key status' what is there; connect again.",
             )
         asked = f"(asked {tries} times in {waited_s:.1f} s)"
         silent_s = self.transport.now_s() - self.last_heard_s

@@ -183,6 +183,6 @@ class Signing:
         if self.refused.stale:
             return (
                 "what comes from it is old: somebody repeats what was recorded, or this computer's"
-                " key has a wrong time (then: 'tailbeat key forget', and import it anew)"
+                " key has a wrong time (then: 'tailbeat board key delete', and import it anew)"
             )
         return ""

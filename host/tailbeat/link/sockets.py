@@ -127,7 +127,7 @@ class TcpTransport:
         remedy = "Go on in that program; any key there stops a swim"
         if line[1] is not None:
             console = f"tcp:{self.host}:{int(line[1])}"
-            remedy += f", and so does: tailbeat trial abort --connect {console}"
+            remedy += f", and so does: tailbeat stop --connect {console}"
         return ConnectError(f"another program is connected to {self.name}", remedy + ".")
 
     def _lost(self) -> TailbeatError:

@@ -85,7 +85,7 @@ def _make_safe(fish: Fish) -> None:
 def require_still(fish: Fish) -> None:
     """Raises TailbeatError when the tail beats: somebody else swims this fish."""
     if fish.status().state == "RUNNING":
-        raise TailbeatError("the fish swims already", "Wait, or stop it: tailbeat trial abort")
+        raise TailbeatError("the fish swims already", "Wait, or stop it: tailbeat stop")
 
 
 def settled(fish: Fish, expected: int | None = None) -> BoardStatus:

@@ -175,7 +175,7 @@ class _Session:
         if source == "upload":
             return "", (
                 "speeds: SPD_SOURCE is upload, and the first session needs them while it swims;"
-                " set another, or do it by hand: tailbeat identify, tailbeat design"
+                " set another, or do it by hand: tailbeat session identify, tailbeat session design"
             )
         if self.camera is None:
             text = "camera: there is none, and SPD_SOURCE is vision. Give --camera"
@@ -302,7 +302,7 @@ class _Session:
         if not self.person.confirm(question):
             raise GivenUp(
                 f"{otherwise}: the answer was no.",
-                "Begin again with 'tailbeat session first'; --yes answers for a script.",
+                "Begin again with 'tailbeat session commission'; --yes answers for a script.",
             )
 
 
@@ -315,7 +315,8 @@ def _require_idle(fish: Fish) -> None:
         )
     if status.state != "IDLE":
         raise InputError(
-            f"the board is {status.state}, not IDLE.", "tailbeat disarm or tailbeat clear."
+            f"the board is {status.state}, not IDLE.",
+            "tailbeat board disarm or tailbeat board clear.",
         )
 
 

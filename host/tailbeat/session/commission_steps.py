@@ -79,7 +79,10 @@ def next_raise(
     now = params[AMP_MAX]
     stays = f"{AMP_MAX} stays {now:.2f}"
     if identified is None:
-        return f"{stays}: nobody knows yet what amplitude the reference needs: tailbeat identify"
+        return (
+            f"{stays}: nobody knows yet what amplitude the reference needs:"
+            " tailbeat session identify"
+        )
     need = needed_rad(identified, reference)
     if need <= now + GRAIN_RAD / 2:
         return f"{stays}: enough, the reference needs {need:.2f} with what learning adds"
@@ -108,7 +111,7 @@ def _not_now(straight: Straightness | None, rolled_back: bool) -> str | None:
         )
     if straight.crooked:
         off = abs(math.degrees(straight.worst_yaw_rad))
-        return f"it does not swim straight ({off:.0f} degrees off): tailbeat trim"
+        return f"it does not swim straight ({off:.0f} degrees off): tailbeat session trim"
     return None
 
 
@@ -189,7 +192,7 @@ def prove(
         if book is not None:
             book.keep(path, RUN)
 
-    with preserved(fish, preserve_folder(book), note, "session first", (AMP_MAX,)) as board:
+    with preserved(fish, preserve_folder(book), note, "session commission", (AMP_MAX,)) as board:
         allowed = board.params | {AMP_MAX: amplitude_rad}
         amplitude = profile(amplitude_rad, identified, allowed)
         if amplitude is None:
@@ -249,5 +252,5 @@ def _judge(fish: Fish, outcome: TrialOutcome) -> None:
     raise TailbeatError(
         f"the swim that was to prove it ended with {outcome.end} after "
         f"{outcome.executed_beats} beats; the limit stays.",
-        "Put it right, then: tailbeat session first",
+        "Put it right, then: tailbeat session commission",
     )

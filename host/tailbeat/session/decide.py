@@ -65,7 +65,7 @@ def pending_of(fish: Fish, number: int | None, command: str) -> int | None:
             refused.number,
             refused.name,
             f"the board is stopped ({fault.name}: {fault.meaning})",
-            f"tailbeat clear, then again: tailbeat {command}",
+            f"tailbeat board clear, then again: tailbeat {command}",
         )
     return pending
 
@@ -250,7 +250,7 @@ class Office:
         if decision.kind == "keep" and swum.measured_beats == 0:
             raise InputError(
                 f"trial {number} has no speeds, so nothing can be learned from it; it waits",
-                f"Upload them (tailbeat speed upload --trial {number}), or discard it:"
+                f"Upload them (tailbeat trial speeds {number} FILE), or discard it:"
                 " tailbeat trial discard --reason WHY",
             )
 

@@ -60,7 +60,7 @@ def idle(fish: Fish) -> BoardStatus:
         what = f" ({status.fault.name}: {status.fault.meaning})" if status.fault.number else ""
         raise InputError(
             f"the board is {status.state}{what}, not IDLE.",
-            f"tailbeat clear or tailbeat disarm, then: {AGAIN}",
+            f"tailbeat board clear or tailbeat board disarm, then: {AGAIN}",
         )
     return status
 

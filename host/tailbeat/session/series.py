@@ -283,7 +283,7 @@ class _Series:
             return None
         words = stop_words(status)
         if not self.around.person.confirm(f"{words} Clear it and go on?"):
-            return self.end("stopped", f"{words} Then: tailbeat clear")
+            return self.end("stopped", f"{words} Then: tailbeat board clear")
         self.around.fish.clear()
         return None
 
@@ -441,7 +441,7 @@ class _Series:
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
-        then = "tailbeat session resume" if critical else "tailbeat clear"
+        then = "tailbeat session resume" if critical else "tailbeat board clear"
         return self.end("stopped", f"{done.left} Then: {then}")
 
     def _notice(self, text: str) -> None:

@@ -256,8 +256,9 @@ class _Figures:
 _REMEDIES: dict[Remedy, str] = {
     "go on": "Go on: tailbeat trial run",
     "learn on": "Let it learn on, a trial or two take that up: tailbeat trial run",
-    "trim": "Trim it again: tailbeat trim; then tailbeat session resume",
-    "identify": "Identify it again: tailbeat identify, tailbeat design --apply; then go on",
+    "trim": "Trim it again: tailbeat session trim; then tailbeat session resume",
+    "identify": "Identify it again: tailbeat session identify,"
+    " tailbeat session design --apply; then go on",
 }
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from tailbeat.learning.identification import Identified
 
 INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
-_NOTHING = "Leave out --like, and the fish learns afresh; or name a trial or an experiment."
+_NOTHING = "Leave out --warm-start, and the fish learns afresh; or name a trial or an experiment."
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def of_records(reference: bytes | None, learned: bytes | None, where: str) -> Le
 
 
 def of_backup(folder: Path) -> Learned:
-    """Of a copy that ``tailbeat flash`` or an earlier --like made."""
+    """Of a copy that ``tailbeat board flash`` or an earlier --warm-start made."""
     backup = Snapshot.read(folder)
     return of_records(backup.reference, backup.learned, f"the copy {folder.name}")
 
@@ -97,7 +97,7 @@ def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Le
             f"{where} has no whole trial"
             + (" along that reference" if crc is not None else "")
             + ": executed to its end, with the speeds of 80 % of its beats.",
-            "Swim and learn along the old reference first, or leave out --like.",
+            "Swim and learn along the old reference first, or leave out --warm-start.",
         )
     wanted = judged[-1][0].reference_crc if crc is None else crc
     alike = [one for one in judged if one[0].reference_crc == wanted]
@@ -199,7 +199,7 @@ def plan(
             f"({_shape(learned.reference)}): the best fit misses by "
             f"{by.residual_m_s * 1e3:.1f} mm/s, {by.residual_m_s / by.peak_m_s:.0%} of its "
             f"largest speed; {TOLERANCE:.0%} are allowed.",
-            "Scale speed and time of the old reference only, or leave out --like.",
+            "Scale speed and time of the old reference only, or leave out --warm-start.",
         )
     params = {name: p.value for name, p in fish.params.list().items()}
     transferred = transfer(
@@ -250,7 +250,7 @@ def _state(fish: Fish, new: Reference) -> _State:
     if status.state != "IDLE":
         raise InputError(
             f"the board is {status.state}, not IDLE.",
-            "tailbeat disarm or tailbeat clear; then upload.",
+            "tailbeat board disarm or tailbeat board clear; then upload.",
         )
     reference, learned = fish.reference_record(), fish.learned_record()
     swims_it = status.reference_crc == new.crc
@@ -303,7 +303,7 @@ def _left(fish: Fish, new: Reference, book: Logbook | None) -> Learned:
             continue
     raise InputError(
         f"the board has {new.name} already, and of what it learned before there is no copy here.",
-        "Name a trial, an experiment or a copy with --like.",
+        "Name a trial, an experiment or a copy with --warm-start.",
     )
 
 
@@ -319,7 +319,8 @@ def _along(
     except InputError as error:
         raise InputError(
             f"'{text}' is nothing to learn from.",
-            "After --like give 'board', a trial's .ulg, the folder of an experiment or of a copy, "
+            "After --warm-start give 'board', a trial's .ulg, the folder of an experiment or of a "
+            "copy, "
             "or a reference that was learned.",
         ) from error
     held = state.reference is not None and record_crc(state.reference) == old.crc
@@ -352,7 +353,7 @@ def _model(identified: Identified | None, params: dict[str, float]) -> FishModel
     if model.slope_m_s_rad <= 0:
         raise InputError(
             "MDL_SLOPE is 0: thrust says nothing of amplitude.",
-            "Identify the fish (tailbeat identify), or set MDL_SLOPE.",
+            "Identify the fish (tailbeat session identify), or set MDL_SLOPE.",
         )
     return model
 

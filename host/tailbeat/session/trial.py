@@ -426,7 +426,8 @@ def _not_believed(run: _Run) -> LinkLostError:
     return LinkLostError(
         f"trial {run.number} was left alone, because the board is not believed:"
         f" {run.fish.link.signing.why_silent()}",
-        "The board stops by itself; look with 'tailbeat key status' what is there, and connect"
+        "The board stops by itself; look with 'tailbeat board key status' what is there, and "
+        "connect"
         " again.",
     )
 

@@ -53,7 +53,7 @@ _MARGIN_M = 0.15  # of the tank's length, left free
 _ALIKE_SIGMAS = 5.0  # two turns that differ by less tell no centre
 _FAR_RAD = 0.35  # a tail mounted further askew is no matter of trim
 _BEATS_MIN = 8  # swum of both, to tell anything
-_NOTHING = "Nothing was changed; tailbeat trim"
+_NOTHING = "Nothing was changed; tailbeat session trim"
 _REST_S, _PATIENCE_S, _LOOK_S = 20.0, 90.0, 0.2  # of board time
 
 
@@ -172,7 +172,8 @@ def plan(belief: Belief, params: Mapping[str, float]) -> Plan:
     assert travel is not None
     raise InputError(
         f"the tank is too short to trim: {max(travel.room_m, 0.0):.2f} m are left.",
-        "Correct TANK_LEN_M and FISH_LEN_M, or identify the fish first (tailbeat identify).",
+        "Correct TANK_LEN_M and FISH_LEN_M, or identify the fish first (tailbeat session "
+        "identify).",
     )
 
 
@@ -362,7 +363,8 @@ def _courses(logs: list[_Log], planned: Plan) -> tuple[Course, Course, str]:
         if not all(course.known for course in known):
             raise InputError(
                 "nothing felt how the fish turned: the IMU did not, and no camera saw it.",
-                "Look at the IMU (tailbeat imu info), or give a --camera; nothing was changed.",
+                "Look at the IMU (tailbeat board imu status), or give a --camera; nothing was "
+                "changed.",
             )
     if not all(np.isfinite(course.way_m).any() for course in known):
         # A wrong length of way changes the turn per metre, and not where it is none.

@@ -185,7 +185,9 @@ def test_with_too_low_a_limit_the_session_says_so_and_how_to_go_on(terminal: Ter
     check = terminal.says("tailbeat", "reference", "check", "thesis")
     assert "fits" in check and "saturation expected: 2" in check
     remedy = re.findall(r"tailbeat params set AMP_MAX_RAD 0\.\d\d", terminal.out)[-1]
-    slower = re.findall(r"tailbeat reference upload thesis:\S+ --like board", terminal.out)[-1]
+    slower = re.findall(r"tailbeat reference upload thesis:\S+ --warm-start board", terminal.out)[
+        -1
+    ]
     terminal.says(*remedy.split())
     terminal.says("tailbeat", "trial", "run", "--until", "converged")
     assert judged(f"after {remedy}", seed, terminal.last())

@@ -103,29 +103,30 @@ def test_modules_import_without_the_extras(blocked: str, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     refused = json.loads(done.stdout)
     assert refused
-    assert all(name.startswith("tailbeat.app.web.") for name in refused), refused
+    web = ("tailbeat.app.web.", "tailbeat.app.cli.web")
+    assert all(name.startswith(web) for name in refused), refused
 
 
 def test_commands_run_without_the_extras(blocked: str, tmp_path: Path) -> None:
     commands = [
-        "demo --trials 1 --out series",
+        "sim demo --trials 1 --out series",
         "report series --paper",
         "experiment export series --format parquet",
-        "sweep --list",
-        "sweep designed-law",
-        "ui",
+        "sim montecarlo --list",
+        "sim montecarlo designed-law",
+        "session web",
         "camera print ruler",
     ]
     words = json.dumps([line.split() for line in commands])
     done = run(RUN_COMMANDS, blocked, words, folder=tmp_path)
     status = [line for line in done.stdout.splitlines() if line.startswith("# ")]
     assert status == [
-        "# demo 0",
+        "# sim 0",
         "# report 0",
         "# experiment 1",
-        "# sweep 0",
-        "# sweep 1",
-        "# ui 1",
+        "# sim 0",
+        "# sim 1",
+        "# session 1",
         "# camera 1",
     ]
     lines = done.stderr.splitlines()

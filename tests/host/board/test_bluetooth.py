@@ -1,4 +1,4 @@
-"""tailbeat bluetooth setup, against models of the modules."""
+"""tailbeat board bluetooth, against models of the modules."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ def pty_module(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, Module]]:
 def test_the_command(pty_module: tuple[str, Module], capsys: pytest.CaptureFixture[str]) -> None:
     path, module = pty_module
     module.at_baud = 9600
-    assert run(["bluetooth", "setup", path, "--name", "fish"]) == 0
+    assert run(["board", "bluetooth", path, "--name", "fish"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     assert out == (
@@ -248,11 +248,11 @@ def test_the_command(pty_module: tuple[str, Module], capsys: pytest.CaptureFixtu
     )
     assert (module.uart, module.name) == ("115200,0,0", "fish")
     module.at_baud = 38400
-    assert run(["bluetooth", "setup", path, "--name", "fish", "--json"]) == 0
+    assert run(["board", "bluetooth", path, "--name", "fish", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["changed"] == []
     assert document["now"]["baud"] == 115200
-    assert run(["bluetooth", "setup", path]) == 0
+    assert run(["board", "bluetooth", path]) == 0
     assert "already at 115200 baud, nothing changed" in capsys.readouterr().out
-    assert run(["bluetooth", "setup", path, "--pin", "x"]) == 1
+    assert run(["board", "bluetooth", path, "--pin", "x"]) == 1
     assert "is no PIN" in capsys.readouterr().err

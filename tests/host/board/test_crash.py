@@ -100,7 +100,7 @@ def test_the_command(
 ) -> None:
     board = SimBoard("tank")
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
-    words = ["crash", "--connect", "the board"]
+    words = ["board", "crash", "--connect", "the board"]
     assert run(words) == 0
     assert capsys.readouterr().out == "no crash on record\n"
     assert run([*words, "--json"]) == 0

@@ -125,7 +125,7 @@ def test_learning_from_a_stopped_board_says_what_comes_first(ready: Fish) -> Non
     run_trial(ready, guard=guard)
     with pytest.raises(Refused, match="stopped") as refused:
         ready.learn()
-    assert refused.value.remedy == "tailbeat clear, then learn."
+    assert refused.value.remedy == "tailbeat board clear, then learn."
     ready.clear()
     assert ready.learn().measured_beats >= 3
 

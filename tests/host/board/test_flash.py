@@ -479,7 +479,7 @@ def test_a_key_that_went_missing_meanwhile_is_told(due: Due, keyed: KeyStore, im
     due.on_touch = lambda: keyed.forget(keyed.find(None))
     report = due.flash(image)
     assert report.not_restored == [
-        "the key (this computer has not got it); set one: tailbeat key set"
+        "the key (not on this computer); set one: tailbeat board key set"
     ]
     with Fish(SimTransport(due.board)) as fish:
         fish.clock.sync()
@@ -778,7 +778,7 @@ def test_a_board_that_is_armed(due: Due, image: Path, monkeypatch: pytest.Monkey
     error = untouched(due, image, connect="radio")
     assert str(error) == (
         "the board is ARMED; it is not flashed while the tail may move."
-        " Stop it first: tailbeat disarm"
+        " Stop it first: tailbeat board disarm"
     )
 
 
@@ -865,7 +865,8 @@ def test_a_write_that_fails(due: Due, image: Path) -> None:
         "bossac could not write the image: the flash holds something else than was written"
         " (Byte errors: 1)."
         " Hold the board's ERASE button for at least 1 s, release it, press RESET, and run the same"
-        f" command again. What the board held goes back with: tailbeat flash --restore {backup}"
+        " command again. What the board held goes back with: tailbeat board flash --restore "
+        f"{backup}"
     )
 
 
@@ -876,7 +877,7 @@ def test_the_advice_works(due: Due, taught: Content, image: Path) -> None:
     (folder,) = (due.folder / "backups").iterdir()
     due.state(broken=[], mode="loader", boot=False, image=None, stored=False)
     assert due.flash(image).verified
-    assert run_command(["flash", "--restore", str(folder), "--connect", ACM]) == 0
+    assert run_command(["board", "flash", "--restore", str(folder), "--connect", ACM]) == 0
     assert on_board(due).learned == taught.learned
 
 
@@ -958,7 +959,7 @@ def test_the_link_breaks_while_restoring(
     monkeypatch.setattr(Fish, "upload_reference", cut)
     error = broken(due, image)
     assert "but has not all of its content back (the board on sim:tank" in error.message
-    assert error.remedy.startswith("What the board held goes back with: tailbeat flash --restore")
+    assert error.remedy.startswith("What the board held goes back with: tailbeat board flash")
 
 
 # The command
@@ -971,7 +972,7 @@ def command(
     monkeypatch.setattr("tailbeat.board.flash.procedure.Surroundings", due.around)
 
     def call(*words: str) -> tuple[int, str, str]:
-        status = run_command(["flash", *words])
+        status = run_command(["board", "flash", *words])
         return (status, *capsys.readouterr())
 
     return call
@@ -1075,7 +1076,7 @@ def test_nothing_to_restore(command: Command, tmp_path: Path) -> None:
 
 
 def test_every_option_is_in_the_documentation(capsys: pytest.CaptureFixture[str]) -> None:
-    run_command(["flash", "--help"])
+    run_command(["board", "flash", "--help"])
     page = capsys.readouterr().out
     options = {word.strip(",.") for word in page.split() if word.startswith("--")} - {"--help"}
     text = (Path(__file__).parents[3] / "docs" / "flashing.md").read_text()

@@ -183,7 +183,7 @@ def test_a_session_by_the_command_line(
     assert "the speed error of a beat was too large" in err
     code, out, _ = tailbeat("info")
     assert "Clear it, then learn from the trial: the beat that was too far off counts." in out
-    assert tailbeat("clear")[0] == 0
+    assert tailbeat("board", "clear")[0] == 0
     code, out, _ = tailbeat("trial", "show")
     assert code == 0 and "not swum: beats 5-11" in out.splitlines()
     code, out, _ = tailbeat("learn")
@@ -193,11 +193,13 @@ def test_a_session_by_the_command_line(
     assert out.splitlines()[-1] == f"learned    {line}"
     document = json.loads(tailbeat("info", "--json")[1])
     assert document["visits"] == [1] * 5 + [0] * 7
-    code, out, _ = tailbeat("progress")
+    code, out, _ = tailbeat("experiment", "progress")
     assert "beats 5-11 have never been measured: no trial teaches anything there" in out
-    assert json.loads(tailbeat("progress", "--json")[1])["visits"] == [1] * 5 + [0] * 7
+    assert (
+        json.loads(tailbeat("experiment", "progress", "--json")[1])["visits"] == [1] * 5 + [0] * 7
+    )
     assert tailbeat("trial", "run")[0] == 1
-    assert tailbeat("clear")[0] == 0
+    assert tailbeat("board", "clear")[0] == 0
     learned = json.loads(tailbeat("learn", "--json")[1])
     assert learned["visits"][:5] == [2] * 5
     assert learned["visits"][-1] == 0

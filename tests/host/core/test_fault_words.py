@@ -139,22 +139,25 @@ def root() -> Any:
 
 @cache
 def known_command(text: str) -> bool:
-    """Whether the words lead to a command: the rest may be arguments, or prose."""
+    """Whether the words lead to a command under its present name: the rest may be arguments, or
+    prose."""
     here = root()
     words = text.split()[1:]
     while words and hasattr(here, "commands"):
         below = here.commands.get(words[0])
-        if below is None:
-            return here.invoke_without_command and here.name is not None
+        if below is None or below.hidden:
+            break
         here, words = below, words[1:]
-    return not hasattr(here, "commands") or here.invoke_without_command
+    return not hasattr(here, "commands") or bool(here.entry and here.entry.default)
 
 
 def test_the_search_for_commands_finds_wrong_ones() -> None:
     assert commands_named("Look: tailbeat trial list") == ["tailbeat trial list"]
     assert known_command("tailbeat trial list")
     assert known_command("tailbeat reference upload thesis")
-    assert known_command("tailbeat imu") and known_command("tailbeat imu save")
+    assert known_command("tailbeat board imu") and known_command("tailbeat board imu save")
+    assert known_command("tailbeat sim") and not known_command("tailbeat board")
+    assert not known_command("tailbeat " + "imu") and not known_command("tailbeat " + "doctor")
     assert known_command("tailbeat learn")
     assert not known_command("tailbeat trail list")
     assert not known_command("tailbeat trial lust")

@@ -236,7 +236,7 @@ def board(monkeypatch: pytest.MonkeyPatch, reference: bytes) -> Iterator[SimBoar
 @pytest.fixture
 def upload(board: SimBoard, capsys: pytest.CaptureFixture[str]) -> Upload:
     def command(path: Path, *words: str) -> tuple[int, Any, str]:
-        status = run(["speed", "upload", "1", str(path), *words, "--connect", "it", "--json"])
+        status = run(["trial", "speeds", "1", str(path), *words, "--connect", "it", "--json"])
         out, err = capsys.readouterr()
         return status, json.loads(out) if out else None, err
 

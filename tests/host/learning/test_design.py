@@ -1,4 +1,4 @@
-"""tailbeat design: the linearised fish, the ratios, what is chosen, refused and expected.
+"""tailbeat session design: the linearised fish, the ratios, what is chosen, refused and expected.
 
 Checked against what the design does not use: a first-order system written down here, the
 simulator's plant, the C law, a search by brute force and published numbers.
@@ -441,16 +441,16 @@ def csv(tmp_path: Path) -> str:
 
 
 def test_the_command_passes_4_and_refuses_10(csv: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["design", "--table", csv, "--gain", "4", "--json"]) == 0
+    assert run(["session", "design", "--table", csv, "--gain", "4", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["gain_rad_s_m"] == 4
     assert told["static_gain_best"] == pytest.approx(4.57, abs=0.01)
     assert told["refused"] == ""
     assert len(told["ratio"]) == len(told["frequency_cycles"])
-    assert run(["design", "--table", csv, "--gain", "10", "--json"]) == 1
+    assert run(["session", "design", "--table", csv, "--gain", "10", "--json"]) == 1
     out, err = capsys.readouterr()
     assert out == "" and "--force" in err and err.count("\n") == 1
-    assert run(["design", "--table", csv, "--gain", "10", "--force"]) == 0
+    assert run(["session", "design", "--table", csv, "--gain", "10", "--force"]) == 0
     assert "forced" in capsys.readouterr().out
 
 
@@ -458,7 +458,7 @@ def test_the_command_says_it_in_ten_lines_and_a_picture(
     csv: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = tmp_path / "law.png"
-    assert run(["design", "--table", csv, "--plot", str(picture)]) == 0
+    assert run(["session", "design", "--table", csv, "--plot", str(picture)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 10
     assert lines[0].startswith("law        gain 4.5")
@@ -478,9 +478,9 @@ def test_apply_sets_the_boards_law(
             "ILC_KIND": 2,
         }.items():
             fish.params.set(name, value)
-        assert run(["design", "--table", csv, "--gain", "10", "--apply"]) == 1
+        assert run(["session", "design", "--table", csv, "--gain", "10", "--apply"]) == 1
         assert fish.params.get("ILC_GAIN").value == 4.0
-        assert run(["design", "--table", csv, "--apply", "--json"]) == 0
+        assert run(["session", "design", "--table", csv, "--apply", "--json"]) == 0
         told = json.loads(capsys.readouterr().out)
         assert told["applied"] is True
         assert told["law"]["amplitude_max_rad"] == pytest.approx(0.6)

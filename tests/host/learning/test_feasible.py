@@ -218,4 +218,4 @@ def test_check_of_a_fish_nobody_identified(capsys: pytest.CaptureFixture[str]) -
     assert check("trapezoid:0.05,5,5", "--connect", "sim:tank") == 0
     assert "floor unknown" in capsys.readouterr().out
     assert check("trapezoid:0.05,5,5", "--connect", "sim:tank", "--suggest") == 1
-    assert "tailbeat identify" in capsys.readouterr().err
+    assert "tailbeat session identify" in capsys.readouterr().err

@@ -483,7 +483,16 @@ def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> No
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture, file = tmp_path / "fish.png", tmp_path / "fish.json"
-    line = ["identify", "--connect", "sim:tank?seed=3", "--out", str(file), "--plot", str(picture)]
+    line = [
+        "session",
+        "identify",
+        "--connect",
+        "sim:tank?seed=3",
+        "--out",
+        str(file),
+        "--plot",
+        str(picture),
+    ]
     assert run([*line, "--json"]) == 0
     out, err = capsys.readouterr()
     found = json.loads(out)
@@ -503,7 +512,7 @@ def test_a_real_fish_waits_for_somebody(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tailbeat.link.messages.SIMULATED_FISH", ())
-    line = ["identify", "--connect", "sim:tank?seed=3", "--logbook", str(tmp_path)]
+    line = ["session", "identify", "--connect", "sim:tank?seed=3", "--library", str(tmp_path)]
     assert run([*line, "--json"]) == 1
     assert "Add --yes" in capsys.readouterr().err
     asked: list[str] = []
@@ -541,9 +550,9 @@ def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixt
             outcome = run_trial(fish)
             (tmp_path / str(seed)).mkdir()
             paths.append(str(fish.pull_trial(outcome.number, tmp_path / str(seed))))
-    assert run(["identify", "--trials", *paths]) == 1
+    assert run(["session", "identify", "--trials", *paths]) == 1
     assert "2 different boards" in capsys.readouterr().err
-    assert run(["identify", "--trials", paths[0], "--json"]) == 0
+    assert run(["session", "identify", "--trials", paths[0], "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["source"], found["saved"]) == ("trials", [])
     assert found["warnings"]  # one short swim tells little

@@ -45,7 +45,7 @@ def by_quadrature(amplitude: float) -> tuple[float, float]:
 
 
 def test_the_thesis_number(table_8_1: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["identify", "--table", str(table_8_1), "--json"]) == 0
+    assert run(["session", "identify", "--table", str(table_8_1), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["alpha_kg_m"] == pytest.approx(165.7105, abs=5e-4)
     assert found["kappa_thesis_per_m"] == pytest.approx(414.28, abs=0.01)
@@ -135,7 +135,7 @@ def test_bad_tables(
 ) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    assert run(["identify", "--table", str(path), "--json"]) == 1
+    assert run(["session", "identify", "--table", str(path), "--json"]) == 1
     out, err = capsys.readouterr()
     assert out == ""
     assert says in err
@@ -151,6 +151,6 @@ def test_a_fish_that_cannot_be(field: str, value: float) -> None:
 
 def test_a_picture(table_8_1: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "map.png"
-    assert run(["identify", "--table", str(table_8_1), "--plot", str(picture)]) == 0
+    assert run(["session", "identify", "--table", str(table_8_1), "--plot", str(picture)]) == 0
     assert capsys.readouterr().out.startswith("alpha 165.71 kg/m")
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -362,7 +362,7 @@ def test_words_after_a_rollback_are_true(
             fish.learn()
     proposal = replace(foreseeing(law, median_m_s), amplitude_rad=np.full(SHORT.beats, 0.3))
     monkeypatch.setattr(
-        "tailbeat.session.model_step.next_step", lambda *_: Step(proposal, None, {"law": law})
+        "tailbeat.app.cli.learn.next_step", lambda *_: Step(proposal, None, {"law": law})
     )
     pulls: list[int] = []
     pull = fish.pull_trial

@@ -1,4 +1,4 @@
-"""tailbeat progress, and what learn and trial pull put into the logbook."""
+"""tailbeat experiment progress, and what learn and trial pull put into the logbook."""
 
 from __future__ import annotations
 
@@ -71,7 +71,9 @@ def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_folder_of_trials(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
     png = tmp_path / "p.png"
-    out, err = tailbeat("progress", "--experiment", str(swum), "--plot", str(png), "--json")
+    out, err = tailbeat(
+        "experiment", "progress", "--experiment", str(swum), "--plot", str(png), "--json"
+    )
     found = json.loads(out)
     assert err == ""
     assert [row["trial"] for row in found["trials"]] == list(range(1, TRIALS + 1))
@@ -80,7 +82,7 @@ def test_a_folder_of_trials(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
     assert found["verdict"]["best_max_abs_error_m_s"] == min(worst)
     assert found["visits"] == [TRIALS] * 10
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    text, _ = tailbeat("progress", "--experiment", str(swum))
+    text, _ = tailbeat("experiment", "progress", "--experiment", str(swum))
     assert text.splitlines()[0].split() == [
         "trial", "iteration", "max|e|", "mm/s", "RMS", "mm/s", "repeats", "verdict",
     ]  # fmt: skip
@@ -93,11 +95,13 @@ def test_another_reference_and_a_damaged_file(swum: Path, tailbeat: Run, tmp_pat
     for path in swum.glob("*.ulg"):
         (raw / path.name).write_bytes(path.read_bytes())
     (raw / "0009.ulg").write_bytes(b"no trial")
-    out, err = tailbeat("progress", "--experiment", str(tmp_path), "--json")
+    out, err = tailbeat("experiment", "progress", "--experiment", str(tmp_path), "--json")
     assert len(json.loads(out)["trials"]) == TRIALS
     assert err == "tailbeat: 0009.ulg is not a ULog file. Pull the trial again.\n"
     crc = json.loads(out)["reference_crc"]
-    same, _ = tailbeat("progress", "--experiment", str(tmp_path), "--reference", hex(crc), "--json")
+    same, _ = tailbeat(
+        "experiment", "progress", "--experiment", str(tmp_path), "--reference", hex(crc), "--json"
+    )
     assert json.loads(same) == json.loads(out)
 
 
@@ -114,7 +118,7 @@ def test_what_makes_no_sense(
     swum: Path, words: list[str], meaning: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = [str(swum) if word == "FOLDER" else word for word in words]
-    assert run(["progress", *line]) == 1
+    assert run(["experiment", "progress", *line]) == 1
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("tailbeat: ")
@@ -128,7 +132,7 @@ def test_a_simulated_fish_keeps_nothing_by_itself(
 ) -> None:
     tailbeat("trial", "pull", "--into", str(tmp_path), "--connect", "x")
     assert not logbook_folder.exists()
-    assert run(["progress", "--connect", "x"]) == 1
+    assert run(["experiment", "progress", "--connect", "x"]) == 1
     assert "keeps no logbook" in capsys.readouterr().err
 
 
@@ -138,7 +142,7 @@ def test_pull_and_learn_fill_the_logbook(
 ) -> None:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
     tailbeat("trial", "pull", "--all", "--into", str(tmp_path), "--connect", "x")
-    out, _ = tailbeat("progress", "--connect", "x", "--json")
+    out, _ = tailbeat("experiment", "progress", "--connect", "x", "--json")
     before = [row["trial"] for row in json.loads(out)["trials"]]
     assert before[-TRIALS:] == list(range(1, TRIALS + 1))
     ran, _ = tailbeat("trial", "run", "--connect", "x", "--json")
@@ -148,7 +152,7 @@ def test_pull_and_learn_fill_the_logbook(
     head, words = text.splitlines()[:2]
     assert head.startswith(f"learned from trial {number}: ")
     assert words.startswith(("progress: ", "within noise", "the best, but", "worse"))
-    out, _ = tailbeat("progress", "--connect", "x", "--json")
+    out, _ = tailbeat("experiment", "progress", "--connect", "x", "--json")
     rows = json.loads(out)["trials"]
     assert [row["trial"] for row in rows] == [*before, number]
     assert rows[-1]["words"] == words
@@ -183,7 +187,7 @@ def test_a_fluctuating_series_gets_a_falling_gain(
     worst = (0.05, 0.02, 0.012, 0.021, 0.010, 0.022, 0.012, 0.02, 0.011)
     trials = [made(at + 1, value) for at, value in enumerate(worst)]
     kept = [Kept(trial, swum / "0001.ulg") for trial in trials]
-    monkeypatch.setattr("tailbeat.learning.verdict.read_trials", lambda folder: (kept, []))
+    monkeypatch.setattr("tailbeat.app.cli.report.read_trials", lambda folder: (kept, []))
     set_to: dict[str, float] = {}
 
     class Params:
@@ -196,17 +200,15 @@ def test_a_fluctuating_series_gets_a_falling_gain(
         yield SimpleNamespace(params=Params())
 
     noted: dict[str, float] = {}
-    monkeypatch.setattr(
-        "tailbeat.experiment.current.note_set", lambda _, params: noted.update(params)
-    )
-    monkeypatch.setattr("tailbeat.app.cli.progress.connected", connected)
-    out, _ = tailbeat("progress", "--experiment", str(swum), "--apply", "--json")
+    monkeypatch.setattr("tailbeat.app.cli.report.note_set", lambda _, params: noted.update(params))
+    monkeypatch.setattr("tailbeat.app.cli.report.connected", connected)
+    out, _ = tailbeat("experiment", "progress", "--experiment", str(swum), "--apply", "--json")
     found = json.loads(out)
     assert found["fluctuation"] > 1.3
     assert found["fade"] == set_to == found["applied"] == noted
     assert 0 < set_to["ILC_DECR_RATE"] <= 10
     assert set_to["ILC_DECR_FROM"] >= 1
-    text, _ = tailbeat("progress", "--experiment", str(swum))
+    text, _ = tailbeat("experiment", "progress", "--experiment", str(swum))
     assert f"ILC_DECR_RATE {set_to['ILC_DECR_RATE']:g}" in text
     assert progress_of(trials).fade is not None
     planned = [replace(trial, input="uploaded") for trial in trials]
@@ -270,15 +272,19 @@ def test_an_experiment_brings_its_fish_and_lists_its_references(
     raw = tmp_path / "raw"
     shutil.copytree(swum, raw)
     trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
-    without, _ = tailbeat("progress", "--experiment", str(tmp_path), "--json")
+    without, _ = tailbeat("experiment", "progress", "--experiment", str(tmp_path), "--json")
     assert json.loads(without)["floor_m_s"] is None
     identified_by(trials, "trials").save(raw / "identified.json")
-    out, _ = tailbeat("progress", "--experiment", str(tmp_path), "--json")
+    out, _ = tailbeat("experiment", "progress", "--experiment", str(tmp_path), "--json")
     assert json.loads(out)["floor_m_s"] > 0
-    listed, _ = tailbeat("progress", "--experiment", str(tmp_path), "--reference", "list", "--json")
+    listed, _ = tailbeat(
+        "experiment", "progress", "--experiment", str(tmp_path), "--reference", "list", "--json"
+    )
     [row] = json.loads(listed)["references"]
     assert (row["reference_crc"], row["trials"]) == (trials[0].reference_crc, TRIALS)
-    text, _ = tailbeat("progress", "--experiment", str(tmp_path), "--reference", "list")
+    text, _ = tailbeat(
+        "experiment", "progress", "--experiment", str(tmp_path), "--reference", "list"
+    )
     assert f"{trials[0].reference_crc:#010x}" in text
 
 
@@ -298,11 +304,11 @@ def test_a_discarded_repeat_counts_and_a_spoiled_swim_does_not(
     book = Logbook(next((tmp_path / "book").iterdir()))
     assert [kept.mark for kept in book.kept()[0]] == ["", "", "discarded"]
     assert [swim.trial for swim in book.swims()][-1] == numbers[0]
-    out, _ = tailbeat("progress", "--connect", "x", "--json")
+    out, _ = tailbeat("experiment", "progress", "--connect", "x", "--json")
     found = json.loads(out)
     assert [row["trial"] for row in found["trials"]][-1] == numbers[0]
     assert found["discarded"] == [numbers[1]]
-    text, _ = tailbeat("progress", "--connect", "x")
+    text, _ = tailbeat("experiment", "progress", "--connect", "x")
     assert f"discarded, not counted: trial {numbers[1]}" in text
     tailbeat("trial", "pull", "--all", "--into", str(tmp_path), "--connect", "x")
     assert [k.mark for k in book.kept()[0]].count("discarded") == 1

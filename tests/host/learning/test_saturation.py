@@ -70,7 +70,7 @@ def test_what_to_do_is_a_command(series: list[Trial]) -> None:
     assert found is not None
     assert "If the fish's commissioning allows more" in found.action
     assert "tailbeat params set AMP_MAX_RAD 0.64. " in found.action
-    assert found.action.endswith("tailbeat reference upload thesis:0.061,40 --like board")
+    assert found.action.endswith("tailbeat reference upload thesis:0.061,40 --warm-start board")
     stiff = replace(series[-1], params={**series[-1].params, "SERVO_MAX_US": 1500 + 0.5 * 572.9578})
     found = saturation_of(stiff, known().identified, series)
     assert found is not None and found.action.startswith("The servo turns 0.50 rad at most. Use a")
@@ -80,10 +80,11 @@ def test_another_reference_is_slowed_by_check_suggest() -> None:
     fast = trapezoid(0.09, 8, 10)
     found = expected_saturation(known(), fast, PARAMS)
     assert found is not None and "check reference.csv --suggest" in found.action
-    assert "tailbeat identify" not in found.action
+    assert "tailbeat session identify" not in found.action
     by_trials = KnownFish(replace(known().identified, source="trials"), "")
     found = expected_saturation(by_trials, fast, PARAMS)
-    assert found is not None and "tailbeat identify, then tailbeat reference show" in found.action
+    assert found is not None
+    assert "tailbeat session identify, then tailbeat reference show" in found.action
 
 
 @pytest.mark.parametrize("limit", [0.6, 0.7])
@@ -103,7 +104,7 @@ def test_beforehand(series: list[Trial]) -> None:
     found = expected_saturation(known(), thesis(), PARAMS)
     assert found is not None and found.expected and found.beats == 24
     assert found.text.startswith("saturation expected: 24 of 40 beats at the limit 0.50 rad; ")
-    assert "--like" not in found.action, "nothing was learned yet"
+    assert "--warm-start" not in found.action, "nothing was learned yet"
     one = known_fish(None, [swim_of(series[0])])
     assert one is not None and "fitted to 1 trial," in one.basis
     assert expected_saturation(one, thesis(), PARAMS) is not None
@@ -116,7 +117,7 @@ def test_without_any_speed_the_need_is_not_known(series: list[Trial]) -> None:
     found = saturation_of(trial, None, [trial])
     assert found is not None and found.needed_rad is None
     assert found.words.endswith("how much the reference needs is not known")
-    assert "tailbeat identify" in found.action
+    assert "tailbeat session identify" in found.action
 
 
 def test_progress_says_so_instead_of_advising_a_falling_gain(series: list[Trial]) -> None:

@@ -119,7 +119,7 @@ def through_a_factory_module() -> Recorded:
     return Recorded(received(board_bursts(4.0), FAST, SLOW, True))
 
 
-REMEDY = "Raise it with: tailbeat bluetooth setup"
+REMEDY = "Raise it with: tailbeat board bluetooth"
 WORDS = "bytes come on /dev/rfcomm0 but no MAVLink: the radio module is probably still at 9600 baud"
 
 

@@ -82,7 +82,7 @@ def test_a_key_is_never_shown() -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"", b"null", b"[]", b'"tailbeat key 1"', b"{", b"\xff\xfe",
+        b"", b"null", b"[]", b'"tailbeat board key 1"', b"{", b"\xff\xfe",
         encode_key(KEY).replace(b"key 1", b"key 2"),
         encode_key(KEY).replace(KEY.key.hex().encode(), b"00" * 32),
         encode_key(KEY).replace(KEY.key.hex().encode(), b"01" * 31),
@@ -186,7 +186,7 @@ def test_a_file_in_the_place_of_the_folder_is_told(
 ) -> None:
     keys_folder.parent.mkdir(exist_ok=True)
     keys_folder.write_text("")
-    assert run(["key", *words]) == 1
+    assert run(["board", "key", *words]) == 1
     out, err = capsys.readouterr()
     assert out == ""
     assert f"{keys_folder} is no folder" in err
@@ -199,11 +199,11 @@ def test_damaged_files_do_not_break_commands(
     bad = tmp_path / "bad.key"
     for content in (b"[" * 30_000, encode_key(KEY).replace(b'"link_id": 9', b'"link_id": 1e999')):
         bad.write_bytes(content)
-        assert run(["key", "import", str(bad)]) == 1
+        assert run(["board", "key", "import", str(bad)]) == 1
         assert "holds no key" in capsys.readouterr().err
         keys_folder.mkdir(parents=True, exist_ok=True)
         write_private(keys_folder / "bad.json", content)
-        assert run(["key", "list"]) == 0
+        assert run(["board", "key", "list"]) == 0
         assert "holds no key" in capsys.readouterr().err
 
 
@@ -213,13 +213,13 @@ def test_where_an_export_cannot_go(
     store.save(KEY)
     held = tmp_path / "fish.key"
     held.write_text("mine")
-    assert run(["key", "export", str(held)]) == 1
+    assert run(["board", "key", "export", str(held)]) == 1
     assert capsys.readouterr().err == (
         f"tailbeat: {held} exists already. Delete it or take another name.\n"
     )
     assert held.read_text() == "mine"
     nowhere = tmp_path / "none" / "x"
-    assert run(["key", "export", str(nowhere)]) == 1
+    assert run(["board", "key", "export", str(nowhere)]) == 1
     assert capsys.readouterr().err.startswith(
         f"tailbeat: cannot write {nowhere} (No such file or directory). "
     )
@@ -276,13 +276,14 @@ def test_ctrl_c_while_a_key_is_set(
             set_key(fish)
     before = store.usable()
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda _: Interrupted(board, arrives))
-    assert run(["key", "set", "--connect", "wire"]) == 130
+    assert run(["board", "key", "set", "--connect", "wire"]) == 130
     assert capsys.readouterr().err == (
-        "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat key"
+        "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat board "
+        "key"
         " status\n"
     )
     (new,) = (key for key in store.usable() if key not in before and not key.confirmed)
-    assert run(["key", "list"]) == 0
+    assert run(["board", "key", "list"]) == 0
     assert capsys.readouterr().out.count("not heard from its board") == 1
     board.run(1.0)
     with Fish(SimTransport(board)) as fish:
@@ -482,7 +483,7 @@ def test_a_key_from_the_far_future_has_a_way_out(store: KeyStore) -> None:
     store.save(replace(KEY, heard=(1 << 48) - 2))
     signing = Signing(store)
     assert not signing.admit(Sender().frame(), 0.0)
-    assert "tailbeat key forget" in signing.why_silent()
+    assert "tailbeat board key delete" in signing.why_silent()
 
 
 def test_a_key_on_offer_is_taken_when_it_shows(signing: Signing) -> None:
@@ -501,5 +502,5 @@ def test_files_hold_what_they_say(store: KeyStore, keys_folder: Path) -> None:
     store.save(KEY)
     (path,) = keys_folder.glob("*.json")
     document = json.loads(path.read_text())
-    assert (document["format"], document["key"]) == ("tailbeat key 1", KEY.key.hex())
+    assert (document["format"], document["key"]) == ("tailbeat board key 1", KEY.key.hex())
     assert document["board"] == BOARD

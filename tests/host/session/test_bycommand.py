@@ -185,7 +185,7 @@ def test_a_stopped_board_is_told_before_anything_is_written(
     typed = " ".join(words).replace("a wave", "'a wave'")
     assert str(refused) == (
         "the board is stopped (ABORT_COMMAND: trial aborted by command)."
-        f" tailbeat clear, then again: tailbeat {typed}"
+        f" tailbeat board clear, then again: tailbeat {typed}"
     )
     assert whats(experiment) == before
     fish.clear()
@@ -216,7 +216,7 @@ def test_what_the_board_refuses_is_withdrawn(
 def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
     fish: Fish, experiment: Experiment
 ) -> None:
-    """``trial abort`` from elsewhere: no program here knows of it but by the log."""
+    """``stop`` from elsewhere: no program here knows of it but by the log."""
     log = keep_log(fish, experiment, swims(fish, until_beat=1))
     now = swum_of(outcome_of(log.trial), log, None, BY_HAND)
     later = swum_of(outcome_of(log.trial), log, None)

@@ -71,12 +71,12 @@ def test_a_day_at_the_tank(day: Day, tmp_path: Path) -> None:
 def trim_identify_design(day: Day) -> None:
     for name, value in {"AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0.0}.items():
         day.types("params", "set", name, value)
-    trim = day.types("trim", "--yes", "--apply")
+    trim = day.types("session", "trim", "--yes", "--apply")
     assert trim["held_us"] == pytest.approx(1500 - CENTRE_RAD * US_PER_RAD, abs=6)
     day.types("reference", "upload", "thesis")
-    found = day.types("identify", "--yes")
+    found = day.types("session", "identify", "--yes")
     assert found["model"]["kappa_per_m"] == pytest.approx(10, rel=0.2)
-    assert day.types("design", "--reference", "thesis", "--apply")["lead_beats"] == 1
+    assert day.types("session", "design", "--reference", "thesis", "--apply")["lead_beats"] == 1
     day.types("params", "save")
     day.types("params", "set", "TLM_RATE_HZ", 10)  # and forgets to save
 
@@ -119,7 +119,7 @@ def swap_battery(day: Day) -> None:
 
 
 def another_reference(day: Day) -> Path:
-    day.types("reference", "upload", "thesis:0.06,40", "--like", "board")
+    day.types("reference", "upload", "thesis:0.06,40", "--warm-start", "board")
     series = day.types("trial", "run", "--until", "converged", "--then", "keep")
     assert series["why"] == "converged"
     assert series["swims"][0]["max_abs_error_m_s"] < 0.3 * 0.06  # it need not begin anew

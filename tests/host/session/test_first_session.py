@@ -114,9 +114,9 @@ def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
 @pytest.mark.parametrize(
     ("given", "why"),
     [
-        ((None, STRAIGHT, False), "tailbeat identify"),
+        ((None, STRAIGHT, False), "tailbeat session identify"),
         ((known(), None, False), "nothing tells whether it swims straight"),
-        ((known(), CROOKED, False), "tailbeat trim"),
+        ((known(), CROOKED, False), "tailbeat session trim"),
         ((known(), STRAIGHT, True), "rolled back"),
     ],
 )
@@ -328,7 +328,7 @@ def test_status_before_and_after_a_swim(
 
 def test_at_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path))
-    done = CliRunner().invoke(app, ["session", "first", "--connect", "sim:tank", "--json"])
+    done = CliRunner().invoke(app, ["session", "commission", "--connect", "sim:tank", "--json"])
     document = json.loads(done.stdout)
     assert done.exit_code == 1 and document["ok"] is False
     assert "--yes answers" in document["steps"][-1]["words"]

@@ -456,7 +456,7 @@ def test_a_shifted_fish_is_seen(
 
 def test_a_far_shift_is_identified_again(pool: Pool, experiment: Experiment) -> None:
     shift = shift_after(pool, experiment, 0.8)
-    assert shift.remedy == "identify" and "tailbeat identify" in shift.words
+    assert shift.remedy == "identify" and "tailbeat session identify" in shift.words
     assert shift.speed_shift_m_s < -5 * shift.speed_shift_sigma_m_s < 0
 
 
@@ -468,7 +468,11 @@ def test_a_fish_that_turns_is_trimmed_again(pool: Pool, experiment: Experiment) 
     fish = connect(board)
     restore(fish, experiment)
     _, shift = repeat_best(fish, experiment, Somebody(), ONE)
-    assert shift.remedy == "trim" and "tailbeat trim" in shift.words and "turned by" in shift.words
+    assert (
+        shift.remedy == "trim"
+        and "tailbeat session trim" in shift.words
+        and "turned by" in shift.words
+    )
 
 
 @pytest.mark.soak

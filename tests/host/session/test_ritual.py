@@ -526,7 +526,7 @@ def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
 
     run_trial(ready, guard=wall)
     assert state_of(ready) == "ABORTED"
-    with pytest.raises(NotReady, match=r"WALL.*too close to a wall.*tailbeat clear"):
+    with pytest.raises(NotReady, match=r"WALL.*too close to a wall.*tailbeat board clear"):
         prepare(ready, Wanted(), None, Script())
     ready.clear()
     with pytest.raises(

@@ -319,7 +319,7 @@ def test_the_board_s_own_stop_is_left_as_it_is(
 
     set_meant(fish, experiment, "TILT_MAX_RAD", 0.5)
     end = swim(Rolls(KEEP), swims=4)
-    assert end.why == "stopped" and "TILT" in end.words and "tailbeat clear" in end.words
+    assert end.why == "stopped" and "TILT" in end.words and "tailbeat board clear" in end.words
     assert fish.status().state == "ABORTED" and fish.status().pending_trial == 1
     assert kinds(experiment)[-1] == "decided"
     board.world.set_tilt_rad(0.0)
@@ -406,7 +406,7 @@ def test_a_swim_without_speeds_cannot_be_kept(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment, board: SimBoard
 ) -> None:
     set_meant(fish, experiment, "SPD_SOURCE", 1)
-    with pytest.raises(InputError, match="speed upload"):
+    with pytest.raises(InputError, match="trial speeds"):
         swim(Script(KEEP))
     assert fish.status().pending_trial == 1 and "decided" not in kinds(experiment)
     fish.upload_speeds(1, np.full(6, 0.05), np.full(6, 0.001))

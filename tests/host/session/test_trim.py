@@ -327,12 +327,12 @@ SIM = ["--connect", "sim:tank?tail_centre_rad=0.1&seed=2"]
 
 
 def test_the_command_finds_and_sets_only_when_told() -> None:
-    told = CliRunner().invoke(app, ["trim", "--json", *SIM])
+    told = CliRunner().invoke(app, ["session", "trim", "--json", *SIM])
     document = json.loads(told.stdout)
     assert told.exit_code == 0 and document["applied"] is False and document["held_us"] is None
     assert document["centre_us"] == pytest.approx(1500 - 0.1 * US_RAD, abs=6)
     assert document["turn_before_rad_m"] == pytest.approx(-0.3, abs=0.06)
-    again = CliRunner().invoke(app, ["trim", "--apply", "--rest", "5", *SIM])
+    again = CliRunner().invoke(app, ["session", "trim", "--apply", "--rest", "5", *SIM])
     assert again.exit_code == 0 and "set for good: SERVO_CENTRE_US 144" in again.stdout
 
 
@@ -341,6 +341,6 @@ def test_a_real_fish_is_not_swum_unasked(monkeypatch: pytest.MonkeyPatch) -> Non
 
     usual = Fish.info
     monkeypatch.setattr(Fish, "info", lambda self: replace(usual(self), simulated=False))
-    told = CliRunner().invoke(app, ["trim", *SIM])
+    told = CliRunner().invoke(app, ["session", "trim", *SIM])
     assert told.exit_code != 0 and trim.CENTRE not in told.stdout
     assert "--yes" in str(told.exception) + told.stderr

@@ -72,7 +72,7 @@ def test_a_second_client_is_turned_away() -> None:
         console = server.addresses.console
         assert str(told.value) == (
             f"another program is connected to {server.addresses.listen}. Go on in that program; any"
-            f" key there stops a swim, and so does: tailbeat trial abort --connect {console}."
+            f" key there stops a swim, and so does: tailbeat stop --connect {console}."
         )
         assert fish.info().simulated
         with Fish.connect(console) as wired:  # which is there for both
@@ -89,7 +89,7 @@ def test_a_second_program_that_seeks_the_fish_is_told_who_has_it(
         host, port = parse_listen(server.addresses.listen)
         monkeypatch.setattr(find, "DEFAULT_HOST", host)
         monkeypatch.setattr(find, "DEFAULT_PORT", port)
-        with pytest.raises(ConnectError, match=r"another program is connected.*trial abort"):
+        with pytest.raises(ConnectError, match=r"another program is connected.*tailbeat stop"):
             find.find_board()
 
 

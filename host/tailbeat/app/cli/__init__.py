@@ -25,7 +25,7 @@ def run(arguments: list[str] | None = None) -> int:
     """Runs one command and returns its exit status; errors are one line on stderr."""
     import typer
 
-    from tailbeat.app.cli._terminal import typed_words
+    from tailbeat.app.cli._lazy import typed_words
     from tailbeat.app.cli.app import app
     from tailbeat.core.errors import TailbeatError, reason
 

@@ -1,7 +1,4 @@
-"""What all commands share: options, the way to the fish, and how results are printed.
-
-What is told of a board's key at connect, without saying the same at every command.
-"""
+"""How results are printed."""
 
 from __future__ import annotations
 
@@ -11,51 +8,16 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
-from datetime import date
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import typer
 
-from tailbeat.core.errors import TailbeatError
-from tailbeat.core.files import plain, replace_file
+from tailbeat.app.cli._lazy import typed_words
+from tailbeat.core.errors import InputError
+from tailbeat.core.files import plain
 from tailbeat.core.printable import printable, printable_lines
 
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-
-# commands have it from here
-
-
-typed_words: ContextVar[tuple[str, ...]] = ContextVar("typed_words", default=())
 TRIAL_MAX = 2**24 - 1  # trials travel as single precision numbers
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, nothing else.")]
-Connect = Annotated[
-    str | None,
-    typer.Option(
-        "--connect",
-        metavar="URL",
-        envvar="TAILBEAT_CONNECT",
-        help="Serial path, tcp:HOST:PORT, udp:PORT, sim[:plant] or vboard; default: find the fish.",
-        show_default=False,
-    ),
-]
-
-
-@contextmanager
-def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
-    """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
-    tell on stderr when its key is missing; that it has none once a day."""
-    from tailbeat.app.cli._display import ended_as_by_ctrl_c
-
-    pass
-    from tailbeat.board.fish import Fish
-
-    with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
-        if notice and (line := notice_today(fish)):
-            echo(f"tailbeat: {line}", err=True)
-        yield fish
 
 
 def command_typed() -> str:
@@ -110,7 +72,6 @@ def table(header: list[str], rows: list[list[str]], left: tuple[int, ...] = ()) 
 
 def assignments(pairs: list[str]) -> dict[str, float]:
     """``["kappa=5"]`` to ``{"kappa": 5.0}``."""
-    from tailbeat.core.errors import InputError
 
     values = {}
     for pair in pairs:
@@ -137,33 +98,3 @@ def progress_bar(as_json: bool, label: str) -> Iterator[Callable[[float, str], N
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0, label=label)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=text)
-
-
-_TOLD = "no-key-told"  # in the logbook of the fish: the day
-
-
-def notice_today(fish: Fish) -> str | None:
-    """As ``connect_notice``; that nobody has set a key yet once per board and day. A key that is
-    missing, or was lost, is told every time."""
-    from tailbeat.board.provision import NO_KEY, connect_notice
-
-    line = connect_notice(fish)
-    return None if line == NO_KEY and _told_before(fish) else line
-
-
-def _told_before(fish: Fish) -> bool:
-    """Whether it was told today; from now on it was. A logbook that cannot say: not told."""
-    from tailbeat.experiment.library import logbook_of
-
-    today = date.today().isoformat()
-    try:
-        if (book := logbook_of(fish)) is None:
-            return False
-        path = book.folder / _TOLD
-        if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == today:
-            return True
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, today)
-    except (TailbeatError, OSError):
-        pass
-    return False

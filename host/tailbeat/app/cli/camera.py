@@ -1,14 +1,300 @@
-"""camera calibrate, print, track, render."""
+"""camera render.
+
+camera track.
+
+camera calibrate, print, track, render.
+"""
 
 from __future__ import annotations
 
+import math
+import time
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Annotated, Any
+
 import typer
 
-from tailbeat.app.cli import camera_calibrate, camera_render, camera_track
+from tailbeat.app.cli._camera import CAMERA, MarkerOptions
+from tailbeat.app.cli._options import Json
+from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
+from tailbeat.app.exercise import Exercise, ExerciseOptions, make_exercise
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.current import named_reference
+from tailbeat.report.figures.track import draw_track
+from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
+from tailbeat.sensors.camera.film_to_speed import Analysis, analyse, new_folder, write_analysis
+from tailbeat.sensors.camera.marker.detector import KINDS
+from tailbeat.sensors.camera.render.scene import Scene
+from tailbeat.sensors.camera.source.open import open_source
+from tailbeat.sensors.camera.source.picture import PictureSource
+from tailbeat.sensors.camera.tracking.overlay import Overlay
+from tailbeat.sensors.camera.tracking.track import Progress
 
-app = typer.Typer(no_args_is_help=True, help="Speed from an overhead camera.")
+_SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
 
-app.command("print")(camera_calibrate.print_)
-app.command()(camera_calibrate.calibrate)
-app.command()(camera_track.track)
-app.command()(camera_render.render)
+
+def render(
+    film: Annotated[Path, typer.Argument(metavar="FILM", help="To write: .mp4 or .mkv.")],
+    reference: Annotated[
+        str,
+        typer.Option(
+            "--reference", help="What to swim: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV."
+        ),
+    ] = "thesis",
+    plant: Annotated[
+        str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish.")
+    ] = "tank",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Same seed, same film.")] = 1,
+    fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Pictures per second.")] = 25,
+    size: Annotated[
+        str, typer.Option("--size", metavar="WxH", help="Of the picture, pixels.")
+    ] = "1280x720",
+    marker: Annotated[
+        str, typer.Option("--marker", metavar="aruco|apriltag|blob", help="What the fish carries.")
+    ] = "aruco",
+    lost: Annotated[
+        float, typer.Option("--lost", min=0, max=0.9, help="Part of the pictures never taken.")
+    ] = 0.0,
+    hidden: Annotated[
+        float, typer.Option("--hidden", min=0, max=1, help="Part with half of the marker covered.")
+    ] = 0.0,
+    glare: Annotated[
+        float, typer.Option("--glare", min=0, max=1, help="Size of a bright spot that wanders.")
+    ] = 0.0,
+    noise_mm: Annotated[
+        float, typer.Option("--noise-mm", min=0, help="How far a drawn fish is off its place.")
+    ] = 0.0,
+    fish: Annotated[int, typer.Option("--fish", min=1, max=2, help="How many swim.")] = 1,
+    offset: Annotated[
+        float,
+        typer.Option("--offset", min=0.1, max=60, help="Film before the swim begins, s."),
+    ] = 2.0,
+    json: Json = False,
+) -> None:
+    """Film a simulated trial: the film, its truth, its calibration and the trial's log.
+
+    Example: tailbeat camera render swim.mp4 --lost 0.1 --glare 0.5
+    """
+
+    scene = _scene(size, marker, glare, hidden, fish, seed)
+    options = ExerciseOptions(
+        reference=named_reference(reference),
+        scene=scene,
+        plant=plant,
+        seed=seed,
+        before_s=offset,
+        overrides={"camera_fps": fps, "camera_lost": lost, "camera_noise_m": noise_mm * 1e-3},
+    )
+    with progress_bar(json, "render") as show:
+        exercise = make_exercise(film, options, show)
+    say(json, exercise, lambda: _render_text(exercise))
+
+
+def _scene(size: str, marker: str, glare: float, hidden: float, fish: int, seed: int) -> Scene:
+
+    kind = next((kind for kind in KINDS if kind == marker), None)
+    if kind is None:
+        raise InputError(f"there is no marker '{marker}'.", f"Use {', '.join(KINDS)}.")
+    return Scene(size_px=_size(size), marker=kind, glare=glare, hidden=hidden, fish=fish, seed=seed)
+
+
+def _size(text: str) -> tuple[int, int]:
+
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise InputError(f"'{text}' is no size of a picture.", "Write it like --size 1280x720.")
+    size = int(width), int(height)
+    if min(size) < _SIZE_MIN_PX or max(size) > _SIZE_MAX_PX:
+        limits = f"from {_SIZE_MIN_PX}x{_SIZE_MIN_PX} to {_SIZE_MAX_PX}x{_SIZE_MAX_PX}"
+        raise InputError(f"no film is drawn of {text} pixels.", f"Give a --size {limits}.")
+    return size
+
+
+def _render_text(exercise: Exercise) -> str:
+    lost = f", {exercise.lost} lost" if exercise.lost else ""
+    return "\n".join(
+        [
+            f"{exercise.film}: {exercise.pictures} pictures at {exercise.fps:g} per second{lost}; "
+            f"trial {exercise.trial} begins at {exercise.swim_begin_s:.3f} s",
+            f"{exercise.truth}: where the fish was drawn, and its speed",
+            f"{exercise.calibration}: the camera's calibration",
+            f"{exercise.trial_file}: the trial's log",
+        ]
+    )
+
+
+CALIBRATION = Path("tank.json")
+_SIZE_OFF_MAX = 0.02
+
+
+def track(
+    source: Annotated[
+        str, typer.Argument(metavar="VIDEO|DEVICE", help="A film, or a camera: 0, /dev/video0.")
+    ],
+    marker: MarkerOptions = CAMERA,
+    trial: Annotated[
+        Path | None,
+        typer.Option("--trial", metavar="FILE.ulg", help="The swim's file: 'trial pull'."),
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="S", help="Second of the film at which the swim begins."),
+    ] = None,
+    beat: Annotated[
+        float, typer.Option("--beat", metavar="S", help="Length of a beat; with --trial its own.")
+    ] = 1.0,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the results; default: as the film.")
+    ] = None,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="Film of what was seen, as overlay.mp4.")
+    ] = False,
+    plot: Annotated[bool, typer.Option("--plot", help="Way and speed as track.png.")] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="N", help="So long, then end; a device: 60."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Find the fish in a film, and its speed with error bars.
+
+    With --trial the film is synchronised with the trial, by the board's LED if it is in view,
+    otherwise by the fish's yaw oscillation. A film of another trial is refused (by the yaw only
+    when its amplitudes were others). The results are complete or not there at all.
+
+    Example: tailbeat camera track swim7.mp4 --trial 0007.ulg --plot
+    """
+    if not 0.1 <= beat <= 10:
+        raise typer.BadParameter("--beat is in seconds, like 1")
+    if seconds is not None and not seconds > 0:
+        raise typer.BadParameter("--seconds is more than 0")
+    on_fish = marker.on_fish()
+    known = _calibration(marker.calibration)
+    swim = read_trial(trial) if trial is not None else None
+    folder = out or _folder(source)
+    with ExitStack() as stack:
+        pictures = stack.enter_context(
+            closing(open_source(source, seconds, marker.latency, known.size_px))
+        )
+        part = stack.enter_context(new_folder(folder))
+        on_place = None
+        if overlay:
+            on_place = stack.enter_context(
+                Overlay(part / "overlay.mp4", pictures.size_px, pictures.fps)
+            )
+        show = stack.enter_context(progress_bar(json, "tracking"))
+        progress = _progress(show, pictures, seconds)
+        found = analyse(pictures, on_fish, known, swim, start, beat, progress, on_place)
+        if plot:
+            draw_track(found.track, found.curve, part / "track.png", known)
+        write_analysis(found, part)
+    document = {"folder": folder, **found.summary()}
+    say(json, document, lambda: _text_camera_track(found, document, folder))
+    if warning := _size_warning(found.track.marker_side_m, marker.marker_side):
+        echo(f"tailbeat: {warning}", err=True)
+
+
+def _calibration(path: Path | None) -> Calibration:
+
+    if path is None and not CALIBRATION.is_file():
+        raise InputError(
+            f"there is no {CALIBRATION} here, and pixels are no metres",
+            "Give --calibration FILE; make one: tailbeat camera calibrate",
+        )
+    return load_calibration(path or CALIBRATION)
+
+
+def _folder(source: str) -> Path:
+    """Beside the film, with its name; for a device here."""
+    path = Path(source)
+    if path.is_file():
+        return path.with_suffix("") if path.suffix else path.with_name(f"{path.name}-track")
+    return Path("camera-" + path.name)
+
+
+def _progress(show: Any, pictures: PictureSource, seconds: float | None) -> Progress:
+    """Pictures done, and how long it still takes."""
+    begin = time.monotonic()
+    expected = seconds * pictures.fps if seconds is not None else math.nan
+
+    def follow(done: int, part: float) -> None:
+        part = min(1.0, done / expected) if math.isnan(part) and expected else part
+        if math.isnan(part):
+            show(0.0, f"{done} pictures")
+            return
+        left_s = (time.monotonic() - begin) * (1 - part) / max(part, 1e-9)
+        show(part, f"{done} pictures, {left_s:.0f} s left")
+
+    return follow
+
+
+def _text_camera_track(found: Analysis, document: dict[str, Any], folder: Path) -> str:
+    lines = [
+        f"{found.track.name}: {document['pictures']} pictures, the fish seen in "
+        f"{document['seen'] / document['pictures']:.1%}; "
+        f"{document['bridged']} bridged, {document['lost']} lost",
+        f"mean speed {mm(document['mean_speed_m_s'])} mm/s{_of_beats(document)}, "
+        f"sigma {_fine_mm(document['sigma_median_m_s'])} mm/s (median)",
+        _sync_text(found),
+        _straight_text(found),
+        f"written: {folder}/",
+    ]
+    if document["scale_error"] is None:
+        lines.append("note: this calibration was never checked with a ruler")
+    if found.trial is not None:
+        measured, beats = document["measured_beats"], document["beats"]
+        if measured < beats:
+            lines.append(
+                f"note: {beats - measured} of {beats} beats have no speed: more than 5 pictures "
+                "in a row without the fish, or 40 %"
+            )
+        lines.append(f"next: tailbeat trial speeds {found.trial.number} {folder / 'speed.csv'}")
+    return "\n".join(lines)
+
+
+def _straight_text(found: Analysis) -> str:
+    straight = found.straight()
+    if straight is None:
+        return "straightness not known: too little was seen of it"
+    way = f"speeds are along its way, {math.degrees(found.curve.direction_rad):+.1f} degrees"
+    return f"{straight.text()}; {way}"
+
+
+def _of_beats(document: dict[str, Any]) -> str:
+    measured, beats = document["measured_beats"], document["beats"]
+    return "" if measured == beats else f" over the {measured} measured beats of {beats}"
+
+
+def _size_warning(seen_m: float | None, said_m: float | None) -> str:
+    """A marker of another size than said, or a scale that is wrong, is a wrong speed."""
+    if seen_m is None or said_m is None or abs(seen_m / said_m - 1) < _SIZE_OFF_MAX:
+        return ""
+    return (
+        f"the marker measures {seen_m * 1e3:.1f} mm, said {said_m * 1e3:.1f}: "
+        f"{seen_m / said_m - 1:+.1%}; a wrong side or scale is a wrong speed"
+    )
+
+
+def _fine_mm(value_m_s: float | None) -> str:
+    return "-" if value_m_s is None else f"{value_m_s * 1e3:.2f}"
+
+
+def _sync_text(found: Analysis) -> str:
+    sync = found.sync
+    if sync is None:
+        return "in time with no trial: give --trial FILE.ulg"
+    at = f"the swim begins at {sync.start_s:.3f} s"
+    if sync.how == "given":
+        return f"{at}, as given"
+    by = "by the LED" if sync.how == "led" else "by the fish's wobble"
+    line = f"{at} +-{sync.sigma_s * 1e3:.0f} ms, {by}"
+    if found.trial is None:
+        line += f", which shows trial {sync.trial} (or one 256 away): give its file, --trial"
+    elif sync.how == "yaw":
+        line += (
+            "; swims with nearly equal amplitudes look alike: "
+            f"is it trial {found.trial.number}'s film?"
+        )
+    return line

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
 
-from tailbeat.app.cli._terminal import Json, progress_bar, say
-
-if TYPE_CHECKING:
-    from tailbeat.sensors.camera.calibration.calibrate import Calibrated, Ruler, RulerCheck
-    from tailbeat.sensors.camera.calibration.file import Calibration
-    from tailbeat.sensors.camera.marker.sheets import Sheet
-
+from tailbeat.app.cli._options import Json
+from tailbeat.app.cli._terminal import progress_bar, say
+from tailbeat.sensors.camera.calibration.calibrate import (
+    Calibrated,
+    Height,
+    Ruler,
+    RulerCheck,
+    check_scale,
+    ruler_in,
+)
+from tailbeat.sensors.camera.calibration.calibrate import calibrate as make
+from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
+from tailbeat.sensors.camera.calibration.points import read_points, rectangle
+from tailbeat.sensors.camera.marker import sheets
+from tailbeat.sensors.camera.marker.sheets import Sheet, write_sheet
+from tailbeat.sensors.camera.source.open import read_all, read_grey
 
 FishKind = Literal["aruco", "apriltag"]
 Paper = Literal["a4", "a3", "letter"]
@@ -61,7 +72,6 @@ def print_(
     for option, value in given.items():
         if value is not None and option not in _OPTIONS[what]:
             raise typer.BadParameter(f"{option} does not apply to the sheet '{what}'")
-    from tailbeat.sensors.camera.marker.sheets import write_sheet
 
     sheet = _sheet(what, kind, number, side, paper)
     path = out or Path(f"{what}.pdf")
@@ -73,7 +83,6 @@ def print_(
 def _sheet(
     what: str, kind: FishKind | None, number: int | None, side: float | None, paper: Paper
 ) -> Sheet:
-    from tailbeat.sensors.camera.marker import sheets
 
     if what == "board":
         return sheets.board_sheet(paper)
@@ -163,7 +172,6 @@ def calibrate(
 
 
 def _now() -> str:
-    from datetime import datetime
 
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
@@ -177,10 +185,6 @@ def _made(
     rulers: list[Ruler],
     json: bool,
 ) -> Calibrated:
-    from tailbeat.sensors.camera.calibration.calibrate import Height
-    from tailbeat.sensors.camera.calibration.calibrate import calibrate as make
-    from tailbeat.sensors.camera.calibration.points import read_points, rectangle
-    from tailbeat.sensors.camera.source.open import read_all, read_grey
 
     places = read_points(points)
     area_m = rectangle(_numbers(area, "--area")) if area is not None else None
@@ -198,10 +202,6 @@ def _made(
 
 
 def _rulers(pictures: list[Path], length_m: float | None, points: str | None) -> list[Ruler]:
-    import numpy as np
-
-    from tailbeat.sensors.camera.calibration.calibrate import Ruler, ruler_in
-    from tailbeat.sensors.camera.source.open import read_grey
 
     if not pictures and points is None:
         return []
@@ -230,8 +230,6 @@ def _numbers(text: str, option: str) -> list[float]:
 
 
 def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
-    from tailbeat.sensors.camera.calibration.calibrate import check_scale
-    from tailbeat.sensors.camera.calibration.file import load_calibration
 
     if not rulers:
         raise typer.BadParameter("what to check it by? --ruler FILE --ruler-length METRES")
@@ -241,7 +239,6 @@ def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
 
 
 def _ruler_document(check: RulerCheck) -> dict[str, Any]:
-    from dataclasses import asdict
 
     return asdict(check) | {"scale_error": check.scale_error}
 

@@ -5,25 +5,31 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._options import reference_names
-from tailbeat.app.cli._terminal import Connect, Json, connected, mm, say
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._terminal import mm, say
+from tailbeat.board.fish import Fish, board_reference
+from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.reference import Reference
-    from tailbeat.learning.design import Design
-    from tailbeat.learning.identification import Identified
+from tailbeat.core.law import LAST
+from tailbeat.core.reference import Reference, thesis
+from tailbeat.experiment.current import named_reference, note_set
+from tailbeat.experiment.library import Logbook
+from tailbeat.learning.design import Design
+from tailbeat.learning.design import design as design_law
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.speed_table import from_table
+from tailbeat.report.figures.law import render_law
 
 
 def design(
     identified: Annotated[
         Path | None,
-        typer.Option("--identified", metavar="FILE", help="What 'tailbeat identify' has written."),
+        typer.Option("--identified", metavar="FILE", help="What 'session identify' wrote."),
     ] = None,
     table: Annotated[
         Path | None,
@@ -63,15 +69,13 @@ def design(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Choose gain, lead and filter for an identified fish, or judge those given.
+    """Choose gain, lead and filter for an identified fish, or assess given ones.
 
-    The fish: a file, a table of steady speeds, or what the logbook has of the connected one.
+    The fish: a file, a table of steady speeds, or what the trial library has of the connected one.
     Without --apply nothing changes on the board.
 
-    Example: tailbeat design --table amplitude.csv --gain 4
+    Example: tailbeat session design --table amplitude.csv --gain 4
     """
-    from tailbeat.core.errors import InputError
-    from tailbeat.learning.design import design as design_law
 
     if identified is not None and table is not None:
         raise typer.BadParameter("--identified and --table exclude each other")
@@ -97,30 +101,23 @@ def design(
 
 
 def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Identified:
-    from tailbeat.core.errors import InputError
-    from tailbeat.learning.identification import Identified
 
     if file is not None:
         return Identified.load(file)
     if table is not None:
-        from tailbeat.learning.speed_table import from_table
-
         return from_table(table).identified
-    from tailbeat.experiment.library import Logbook
 
     known = Logbook.of(fish.unique_id()).identified() if fish is not None else None
     if known is None:
         raise InputError(
             "this fish has not been identified.",
-            "Let it swim 'tailbeat identify' first, or give --table CSV with steady speeds.",
+            "Let it swim 'tailbeat session identify' first, or give --table CSV with steady "
+            "speeds.",
         )
     return known
 
 
 def _reference(text: str | None, fish: Fish | None) -> Reference:
-    from tailbeat.board.fish import board_reference
-    from tailbeat.core.reference import thesis
-    from tailbeat.experiment.current import named_reference
 
     if text is not None:
         return named_reference(text)
@@ -131,8 +128,6 @@ def _reference(text: str | None, fish: Fish | None) -> Reference:
 def _apply(fish: Fish, found: Design) -> None:
     """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
     last trial alone, so those go with it."""
-    from tailbeat.core.law import LAST
-    from tailbeat.experiment.current import note_set
 
     law = found.law
     wanted = {
@@ -149,8 +144,6 @@ def _apply(fish: Fish, found: Design) -> None:
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
-    from tailbeat.learning.design import design as design_law
-    from tailbeat.report.figures.law import render_law
 
     thesis = design_law(
         known, wanted, found.law.amplitude_max_rad, 4.0, 0.0, 1, step_max_rad=found.law.step_max_rad

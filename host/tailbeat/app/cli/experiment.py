@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
-from tailbeat.app.cli._experiment_words import (
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._experiment import (
     compared_text,
     folder_or_current,
     listed,
@@ -16,10 +18,27 @@ from tailbeat.app.cli._experiment_words import (
     show_text,
     tell_problems,
 )
-from tailbeat.app.cli._options import reference_names
-from tailbeat.app.cli._terminal import Connect, Json, connected, echo, say
-
-app = typer.Typer(no_args_is_help=True, help="Folders that hold everything of a series of trials.")
+from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._terminal import echo, say
+from tailbeat.core.errors import InputError
+from tailbeat.experiment.analysis import analyse
+from tailbeat.experiment.compare import compare as compare_sides
+from tailbeat.experiment.compare import other_differences
+from tailbeat.experiment.conditions import parse_conditions, set_conditions
+from tailbeat.experiment.current import (
+    made_before,
+    make,
+    named_reference,
+    own_reference,
+    require_same,
+)
+from tailbeat.experiment.current import use as make_current
+from tailbeat.experiment.export import export as export_files
+from tailbeat.experiment.export import missing_formats
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.redo import redo_text, write_redo
+from tailbeat.report.replay import replay as replay_all
 
 Root = Annotated[Path, typer.Option("--root", help="Folder that holds the experiments.")]
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The experiment's folder.")]
@@ -42,7 +61,6 @@ Configuration = Annotated[
 Operator = Annotated[str | None, typer.Option("--operator", help="Who is at the tank.")]
 
 
-@app.command()
 def new(
     reference: Annotated[
         str | None,
@@ -66,13 +84,11 @@ def new(
 ) -> None:
     """Make the folder of a new series, with the settings of the connected board.
 
-    From now on the fish is in it: 'trial run' adds to it. The same command again before anything
-    was swum makes no second one.
+    From now on 'trial run' of this fish adds to it. The same command again before any trial makes
+    no second folder.
 
     Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
-    from tailbeat.experiment.conditions import parse_conditions
-    from tailbeat.experiment.current import made_before, make, named_reference, own_reference
 
     named = None if reference is None else named_reference(reference)
     conditions = parse_conditions(condition or [], water_temp)
@@ -97,16 +113,11 @@ def _words(configuration: str | None, operator: str | None) -> dict[str, str]:
     return {key: value.strip() for key, value in given.items() if value is not None}
 
 
-@app.command()
 def use(folder: Folder, connect: Connect = None, json: Json = False) -> None:
-    """Go on with an experiment: 'trial run' of the connected fish adds to it.
+    """Continue an experiment: 'trial run' of the connected fish adds to it.
 
     Example: tailbeat experiment use experiments/2026-05-04_carangi_thesis_p4_01
     """
-    from tailbeat.experiment.current import require_same
-    from tailbeat.experiment.current import use as make_current
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.experiment.library import logbook_of
 
     experiment = Experiment.open(folder)
     with connected(connect) as fish:
@@ -124,7 +135,6 @@ def use(folder: Folder, connect: Connect = None, json: Json = False) -> None:
     say(json, {"folder": folder, "remembered": remembered}, f"the fish is in {experiment.name}")
 
 
-@app.command("set")
 def set_(
     folder: FolderOrCurrent = None,
     water_temp: WaterTemp = None,
@@ -134,12 +144,10 @@ def set_(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Set conditions that turned out later; what was set before stays in the journal.
+    """Set conditions that became known later; the event log keeps the earlier ones.
 
     Example: tailbeat experiment set FOLDER --water-temp 22 --condition salinity_psu=0.3
     """
-    from tailbeat.experiment.conditions import parse_conditions, set_conditions
-    from tailbeat.experiment.redo import write_redo
 
     experiment = folder_or_current(folder, connect)
     conditions = parse_conditions(condition or [], water_temp)
@@ -151,7 +159,6 @@ def set_(
     say(json, document, text or "set")
 
 
-@app.command("list")
 def list_(root: Root = Path("experiments"), json: Json = False) -> None:
     """Print the experiments below a folder, oldest first.
 
@@ -163,7 +170,6 @@ def list_(root: Root = Path("experiments"), json: Json = False) -> None:
         raise typer.Exit(1)
 
 
-@app.command()
 def show(
     folder: FolderOrCurrent = None,
     redo: Annotated[
@@ -176,7 +182,6 @@ def show(
 
     Example: tailbeat experiment show experiments/2026-05-04_carangi_thesis_p4_01
     """
-    from tailbeat.experiment.redo import redo_text, write_redo
 
     experiment = folder_or_current(folder, connect)
     if redo:
@@ -190,7 +195,6 @@ def show(
         raise typer.Exit(1)
 
 
-@app.command()
 def note(
     first: Annotated[str, typer.Argument(metavar="[FOLDER] TEXT", help="What to remember.")],
     second: Annotated[str | None, typer.Argument(hidden=True)] = None,
@@ -201,8 +205,6 @@ def note(
 
     Example: tailbeat experiment note experiments/2026-05-04_fish_thesis_p4_01 "water 22 °C"
     """
-    from tailbeat.core.errors import InputError
-    from tailbeat.experiment.redo import write_redo
 
     text = first if second is None else second
     if not text.strip():
@@ -215,7 +217,6 @@ def note(
     say(json, {"folder": experiment.folder, "notes": experiment.notes()}, "noted")
 
 
-@app.command()
 def compare(
     a: Annotated[Path, typer.Argument(metavar="A", help="An experiment's folder.")],
     b: Annotated[Path, typer.Argument(metavar="B", help="Another one, of the same reference.")],
@@ -226,15 +227,10 @@ def compare(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Tell whether B did better than A: effect with its confidence interval, repeats needed.
+    """Compare two experiments: effect with its confidence interval, repeats needed.
 
     Example: tailbeat experiment compare experiments/A experiments/B --iterations 4,5,6
     """
-    from tailbeat.core.errors import InputError
-    from tailbeat.experiment.analysis import analyse
-    from tailbeat.experiment.compare import compare as compare_sides
-    from tailbeat.experiment.compare import other_differences
-    from tailbeat.experiment.folder import Experiment
 
     experiments = [Experiment.open(folder) for folder in (a, b)]
     if a.resolve() == b.resolve():
@@ -257,19 +253,14 @@ def _numbers(text: str | None) -> list[int] | None:
         raise typer.BadParameter("--iterations is like 4,5,6") from None
 
 
-@app.command()
 def replay(folder: Folder, json: Json = False) -> None:
-    """Do everything again from the raw files, and tell whether each bit comes out the same.
+    """Compute everything again from the raw files, and compare each bit.
 
     Sums of the raw files, speeds and learning by the board's own code, then the analysis and the
     report's figures and tables.
 
     Example: tailbeat experiment replay experiments/2026-05-04_carangi_thesis_p4_01
     """
-    from tempfile import TemporaryDirectory
-
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.report.replay import replay as replay_all
 
     experiment = Experiment.open(folder)
     with TemporaryDirectory() as scratch:
@@ -279,7 +270,6 @@ def replay(folder: Folder, json: Json = False) -> None:
         raise typer.Exit(1)
 
 
-@app.command()
 def export(
     folder: Folder,
     formats: Annotated[
@@ -292,9 +282,6 @@ def export(
 
     Example: tailbeat experiment export FOLDER --format csv
     """
-    from tailbeat.experiment.export import export as export_files
-    from tailbeat.experiment.export import missing_formats
-    from tailbeat.experiment.folder import Experiment
 
     experiment = Experiment.open(folder)
     files = export_files(experiment, formats or [])

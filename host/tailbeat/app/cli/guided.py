@@ -16,7 +16,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tailbeat.app.cli._live_camera import Live
+    from tailbeat.app.cli._camera import LiveCamera
     from tailbeat.board.fish import Fish
     from tailbeat.experiment.folder import Experiment
     from tailbeat.session.collect import Swum
@@ -99,7 +99,7 @@ def _require_folder(into: Path) -> None:
     Experiment.open(into)
 
 
-def run_guided(fish: Fish, live: Live, given: GuideOptions, json: bool) -> None:
+def run_guided(fish: Fish, live: LiveCamera, given: GuideOptions, json: bool) -> None:
     """Swims the series, tells how it ended. Raises typer.Exit unless it ended as was asked for."""
     from tailbeat.app.cli._display import Display
     from tailbeat.app.cli._keyboard import terminal_keys
@@ -162,7 +162,7 @@ class _Filming:
     """Somebody, and the film that is wanted while it swims."""
 
     person: Person
-    live: Live
+    live: LiveCamera
 
     def tell(self, event: Event) -> None:
         """Passes it on."""

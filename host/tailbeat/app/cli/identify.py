@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -10,32 +11,33 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._options import (
-    CalibrationOption,
-    CameraOption,
-    LatencyOption,
-    MarkerIdOption,
-    MarkerKindOption,
-    MarkerSideOption,
-    WallOption,
-    marker_of,
-)
-from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, progress_bar, say, table
+from tailbeat.app.cli._camera import CAMERA, LiveCamera, LiveOptions, TankCameraOptions, live_camera
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli._keyboard import terminal_keys
+from tailbeat.app.cli._operator import TerminalPerson
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import echo, mm, progress_bar, say, table
+from tailbeat.board.fish import Fish, board_reference
+from tailbeat.board.preserve import restore_interrupted
+from tailbeat.core.csv import read_speeds
 from tailbeat.core.errors import InputError
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import RUN, Logbook, logbook_of, preserve_folder
+from tailbeat.learning.fit_quality import NAMES, Account, account_of, from_trials, with_drag
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification_runs import FRACTIONS, Limits, Run
+from tailbeat.learning.speed_table import Table, ThesisFish, from_table
+from tailbeat.link.messages import SPEED_SOURCES
+from tailbeat.report.figures.identification import draw_account, draw_table
+from tailbeat.session.identify import Attendant, identify_fish, prior_of, set_params
+from tailbeat.session.preflight.checklist import prepare
+from tailbeat.session.preflight.countdown import countdown
+from tailbeat.session.preflight.step import GivenUp, Wanted
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from tailbeat.app.cli._display import Display
-    from tailbeat.app.cli._live_camera import Live, LiveOptions
-    from tailbeat.app.cli._operator import TerminalPerson
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.learning.fit_quality import Account
-    from tailbeat.learning.identification import Identified
-    from tailbeat.learning.identification_runs import Limits, Run
-    from tailbeat.learning.speed_table import Table
-    from tailbeat.session.identify import Attendant
 
 _FISH = "With --table: the fish's "
 
@@ -59,7 +61,7 @@ def identify(
     out: Annotated[Path | None, typer.Option("--out", help="Write what was found there.")] = None,
     logbook: Annotated[
         Path | None,
-        typer.Option("--logbook", metavar="DIR", help="Folder of the logbooks, if not the usual."),
+        typer.Option("--library", metavar="DIR", help="Folder of the logbooks, if not the usual."),
     ] = None,
     params: Annotated[
         bool, typer.Option("--params/--no-params", help="Set the board's MDL_... and save them.")
@@ -84,24 +86,18 @@ def identify(
         float,
         typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each run."),
     ] = 30.0,
-    camera: CameraOption = None,
-    calibration: CalibrationOption = None,
-    marker: MarkerKindOption = "aruco",
-    marker_id: MarkerIdOption = None,
-    marker_side: MarkerSideOption = None,
-    latency: LatencyOption = 0.0,
-    wall: WallOption = None,
+    camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Find out what the fish is like: drag, speed over amplitude, dead zone, delay.
+    """Measure the fish: drag, speed over amplitude, dead zone, delay.
 
-    Swims three cruises and a coast-down, gentlest first, within the tank; the board gets back what
-    it had learned. At a terminal each run begins with the ritual of 'trial run' (rest, pose, still
-    water, countdown) and any key stops the tail; --yes leaves the ritual out. With --table,
-    --trials or --experiment nothing is swum.
+    Runs three cruises and a coast-down, gentlest first, within the tank; then the board gets its
+    learned data back. At a terminal each run begins with the preflight checks of 'trial run' (rest,
+    pose, still water, countdown) and any key stops the tail; --yes leaves them out. With --table,
+    --trials or --experiment the fish does not swim.
 
-    Example: tailbeat identify --plot fish.png
+    Example: tailbeat session identify --plot fish.png
     """
     sources = [table_ is not None, bool(trials or files), experiment is not None]
     if sum(sources) > 1:
@@ -110,31 +106,23 @@ def identify(
         if path is not None and not path.parent.is_dir():
             raise InputError(f"{option}: there is no folder {path.parent}.", "Make it, then again.")
     if table_ is not None:
-        from tailbeat.learning.speed_table import ThesisFish
-
         area = ThesisFish.tail_area_m2 if tail_area_m2 is None else tail_area_m2
         about = ThesisFish(mass_kg, length_m, density_kg_m3, area)
         _from_table(table_, about, out, plot, json)
     elif any(sources):
         _from_trials([*(trials or []), *(files or [])], experiment, out, logbook, plot, json)
     else:
-        from tailbeat.app.cli._live_camera import LiveOptions
-
-        on_fish = marker_of(marker, marker_id, marker_side)
-        options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
+        options = camera.live().check()
         asked = _Asked(yes, json, margin_m, rest, options)
         _swum(connect, asked, out, logbook, params, plot)
 
 
 def _from_table(path: Path, about: Any, out: Path | None, plot: Path | None, json: bool) -> None:
-    from tailbeat.learning.speed_table import from_table
 
     found = from_table(path, about)
     if out is not None:
         found.identified.save(out)
     if plot is not None:
-        from tailbeat.report.figures.identification import draw_table
-
         draw_table(found, plot)
     document = found.as_dict() | {"saved": out, "plot": plot}
     say(json, document, lambda: _table_text(found, out))
@@ -169,9 +157,6 @@ def _from_trials(
     plot: Path | None,
     json: bool,
 ) -> None:
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.learning.fit_quality import account_of, from_trials
 
     if experiment is not None:
         files = sorted(Experiment.open(experiment).raw.glob("*.ulg"))
@@ -206,14 +191,6 @@ def _swum(
     params: bool,
     plot: Path | None,
 ) -> None:
-    from tailbeat.app.cli._live_camera import live_camera
-    from tailbeat.board.fish import board_reference
-    from tailbeat.board.preserve import restore_interrupted
-    from tailbeat.experiment.library import logbook_of, preserve_folder
-    from tailbeat.learning.fit_quality import account_of, with_drag
-    from tailbeat.learning.identification_runs import Limits
-    from tailbeat.learning.speed_table import ThesisFish
-    from tailbeat.session.identify import prior_of, set_params
 
     with connected(connect) as fish, live_camera(fish, asked.camera) as live:
         simulated = fish.info().simulated
@@ -231,18 +208,12 @@ def _swum(
 
 def _found(
     fish: Fish,
-    live: Live,
+    live: LiveCamera,
     book: Logbook | None,
     limits: Limits,
     asked: _Asked,
     values: dict[str, float],
 ) -> Identified:
-    from tailbeat.app.cli._display import Display
-    from tailbeat.app.cli._keyboard import terminal_keys
-    from tailbeat.app.cli._operator import TerminalPerson
-    from tailbeat.experiment.library import preserve_folder
-    from tailbeat.link.messages import SPEED_SOURCES
-    from tailbeat.session.identify import identify_fish
 
     wait = not (asked.yes or fish.info().simulated)
     if wait and asked.json:
@@ -271,7 +242,7 @@ class _There:
     """Somebody at the terminal, who sees each run and, with ``keys``, stops it with one."""
 
     fish: Fish
-    live: Live
+    live: LiveCamera
     display: Display
     person: TerminalPerson
     keys: bool
@@ -279,9 +250,6 @@ class _There:
 
     def ready(self, wait: bool) -> None:
         """What goes before a run; nothing with --yes."""
-        from tailbeat.session.preflight.checklist import prepare
-        from tailbeat.session.preflight.countdown import countdown
-        from tailbeat.session.preflight.step import GivenUp, Wanted
 
         if self.asked.alone:
             return
@@ -324,9 +292,6 @@ def _attendant(
     there: _There | None = None,
 ) -> Attendant:
     """Whoever sees to it. ``alone``: nobody who could be asked for speeds."""
-    from tailbeat.experiment.library import RUN
-    from tailbeat.learning.identification_runs import FRACTIONS
-    from tailbeat.session.identify import Attendant
 
     now: list[Run] = []
 
@@ -349,7 +314,6 @@ def _attendant(
             _note(event.get("text") or event.get("reason") or "")
 
     def speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
-        from tailbeat.core.csv import read_speeds
 
         while True:
             name = typer.prompt(f"Speeds of trial {trial} (CSV t_s,v_m_s or beat,speed_m_s)")
@@ -367,7 +331,6 @@ def _attendant(
 
 
 def _run_text(run: Run, limits: Limits) -> str:
-    import math
 
     room = f" of {limits.usable_m:.2f} m" if math.isfinite(limits.usable_m) else ""
     return (
@@ -396,8 +359,6 @@ def _finish(
         account.identified.save(out)
         saved.append(out)
     if plot is not None:
-        from tailbeat.report.figures.identification import draw_account
-
         draw_account(account, plot, simulated)
     document = account.as_dict() | {"params": held, "saved": saved, "plot": plot}
     document["usable_m"] = limits.usable_m if limits else None
@@ -407,7 +368,6 @@ def _finish(
 def _text(
     account: Account, held: dict[str, float] | None, saved: list[Path], bare: bool = False
 ) -> str:
-    from tailbeat.learning.fit_quality import NAMES
 
     known: Identified = account.identified
     rows = [

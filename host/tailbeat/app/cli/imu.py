@@ -8,19 +8,19 @@ import itertools
 import math
 from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from tailbeat.app.cli._terminal import Connect, Json, connected, progress_bar, say
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import progress_bar, say
 from tailbeat.app.cli.board import imu_line
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import TransferError
 from tailbeat.core.files import plain
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.link.messages import ImuFrame, ImuInfo
-
-app = typer.Typer(help="The board's IMU: what it says, settings that last, raw frames.")
+from tailbeat.link.messages import ImuFrame, ImuInfo, imu_health
 
 _COLUMNS = [
     "sequence",
@@ -37,15 +37,11 @@ _COLUMNS = [
 ]
 
 
-@app.callback(invoke_without_command=True)
-def imu(context: typer.Context, connect: Connect = None, json: Json = False) -> None:
-    """Say whether the IMU is well, and if not, why and what to do.
+def status(connect: Connect = None, json: Json = False) -> None:
+    """Print the IMU's state; of a problem, its cause and what to do.
 
-    Example: tailbeat imu
+    Example: tailbeat board imu status
     """
-    if context.invoked_subcommand is not None:
-        context.obj = connect
-        return
     with connected(connect) as fish:
         info = fish.imu_verdict()
         health = {k: v for k, v in fish.health().items() if k.startswith("imu_")}
@@ -56,7 +52,6 @@ def imu(context: typer.Context, connect: Connect = None, json: Json = False) -> 
 
 
 def _not_well(health: dict[str, Any]) -> list[tuple[str, str]]:
-    from tailbeat.link.messages import imu_health
 
     return imu_health(int(health["imu_health"]))
 
@@ -85,21 +80,18 @@ def _counts(name: str) -> bool:
     return name not in ("imu_health", "imu_problem")
 
 
-@app.command()
-def save(context: typer.Context, connect: Connect = None, json: Json = False) -> None:
-    """Write the IMU's settings into its own flash and restart it: what IMU_MOUNT needs.
+def save(connect: Connect = None, json: Json = False) -> None:
+    """Write the IMU's settings into its own flash and restart it. IMU_MOUNT needs this.
 
-    Example: tailbeat imu save
+    Example: tailbeat board imu save
     """
-    with connected(connect or context.obj) as fish:
+    with connected(connect) as fish:
         fish.imu_save()
     say(json, {"saved": True}, "saved; the IMU restarts with these settings")
 
 
-@app.command()
 def record(
     out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="Replaced if it exists.")],
-    context: typer.Context,
     seconds: Annotated[
         float | None,
         typer.Option("--seconds", min=0.0, help="Of board time; default: until Ctrl-C."),
@@ -107,11 +99,11 @@ def record(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Write the IMU's raw frames to a CSV file as they come.
+    """Write the IMU's raw frames to a CSV file as they arrive.
 
-    Example: tailbeat imu record rest.csv --seconds 30
+    Example: tailbeat board imu record rest.csv --seconds 30
     """
-    with connected(connect or context.obj) as fish, progress_bar(json, "recording") as show:
+    with connected(connect) as fish, progress_bar(json, "recording") as show:
         tally = _Tally()
         frames = fish.imu_frames(math.inf if seconds is None else seconds)
         written = _rows_into(out, frames)
@@ -180,7 +172,6 @@ class _Tally:
 
 
 def _row(frame: ImuFrame) -> list[str]:
-    import numpy as np
 
     values = (*frame.accel_m_s2, *frame.rate_rad_s, *frame.ypr_deg)
     single = [str(np.float32(value)) for value in values]
@@ -188,7 +179,6 @@ def _row(frame: ImuFrame) -> list[str]:
 
 
 def _silent(fish: Fish) -> Exception:
-    from tailbeat.core.errors import TransferError
 
     problem = fish.imu_info().problem
     if problem.well:

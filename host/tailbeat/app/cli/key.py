@@ -6,38 +6,34 @@ import contextlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tailbeat.app.cli._terminal import Connect, Json, connected, echo, say
-
-if TYPE_CHECKING:
-    from tailbeat.board.provision import KeyStatus
-    from tailbeat.link.keystore import StoredKey
-
-app = typer.Typer(
-    no_args_is_help=True,
-    help="The key without which a board obeys nobody, and who has it.",
-)
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import echo, say
+from tailbeat.board.provision import KeyStatus, erase_key, key_status, set_key
+from tailbeat.core.errors import InputError, reason
+from tailbeat.link.keystore import KeyStore, StoredKey, decode_key, encode_key, write_private
 
 Which = Annotated[
     str,
-    typer.Argument(metavar="KEY", help="Fingerprint, name or board, as 'tailbeat key list' says."),
+    typer.Argument(metavar="KEY", help="Fingerprint, name or board, as in 'board key list'."),
 ]
 
 
-@app.command("set")
 def set_(
     name: Annotated[str, typer.Option("--name", help="What to call it on this computer.")] = "",
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Give the board a new key; from then on it obeys only those who have it. Needs the wired port.
+    """Give the board a new key. Needs the USB port.
 
-    Example: tailbeat key set --connect /dev/ttyACM0
+    From then on the board accepts only commands signed with this key.
+
+    Example: tailbeat board key set --connect /dev/ttyACM0
     """
-    from tailbeat.board.provision import set_key
 
     with connected(connect, notice=False) as fish, _told_when_interrupted():
         key = set_key(fish, name)
@@ -45,14 +41,13 @@ def set_(
         json,
         key.public(),
         f"the board signs with key {key.fingerprint} now, and so does this computer; a second one"
-        " gets it with: tailbeat key export FILE",
+        " gets it with: tailbeat board key export FILE",
     )
 
 
 @contextlib.contextmanager
 def _told_when_interrupted() -> Iterator[None]:
     """A key that was kept here may have reached the board or not."""
-    from tailbeat.link.keystore import KeyStore
 
     before = KeyStore().usable()
     try:
@@ -60,20 +55,18 @@ def _told_when_interrupted() -> Iterator[None]:
     except KeyboardInterrupt:
         if KeyStore().usable() != before:
             echo(
-                "tailbeat: interrupted: the board may have the new key or not; look with: tailbeat"
-                " key status",
+                "tailbeat: interrupted: the board may have the new key or not; look with:"
+                " tailbeat board key status",
                 err=True,
             )
         raise
 
 
-@app.command()
 def status(connect: Connect = None, json: Json = False) -> None:
-    """Whether the board has a key, whether it is here, and what the board turned away.
+    """Print whether the board has a key, whether it is here, and what the board refused.
 
-    Example: tailbeat key status
+    Example: tailbeat board key status
     """
-    from tailbeat.board.provision import key_status
 
     with connected(connect, notice=False) as fish:
         found = key_status(fish)
@@ -86,9 +79,11 @@ def _status_text(found: KeyStatus) -> str:
         named = f" ({found.held.name})" if found.held.name else ""
         lines.append(f"key        {found.held.fingerprint}{named}, set {found.held.created}")
     elif found.trust == "missing":
-        lines.append("key        the board has one, this computer has not: tailbeat key import")
+        lines.append(
+            "key        only on the board, not on this computer: tailbeat board key import"
+        )
     else:
-        lines.append("key        none: anyone in radio range can move this tail: tailbeat key set")
+        lines.append("key        none: anyone in radio range can move it: tailbeat board key set")
     if found.lost is not None:
         lines.append(
             f"lost       key {found.lost.fingerprint}: this computer has it, the board has not any"
@@ -99,13 +94,11 @@ def _status_text(found: KeyStatus) -> str:
     return "\n".join(lines)
 
 
-@app.command("list")
 def list_(json: Json = False) -> None:
-    """The keys on this computer.
+    """Print the keys on this computer.
 
-    Example: tailbeat key list
+    Example: tailbeat board key list
     """
-    from tailbeat.link.keystore import KeyStore
 
     store = KeyStore()
     keys, problems = store.load()
@@ -120,13 +113,11 @@ def list_(json: Json = False) -> None:
     say(json, document, "\n".join(row.rstrip() for row in rows) or "no keys on this computer")
 
 
-@app.command()
 def erase(connect: Connect = None, json: Json = False) -> None:
-    """Take the key away from the board and from this computer. Needs the wired port.
+    """Delete the key on the board and on this computer. Needs the USB port.
 
-    Example: tailbeat key erase --connect /dev/ttyACM0
+    Example: tailbeat board key erase --connect /dev/ttyACM0
     """
-    from tailbeat.board.provision import erase_key
 
     with connected(connect, notice=False) as fish:
         key = erase_key(fish)
@@ -134,7 +125,6 @@ def erase(connect: Connect = None, json: Json = False) -> None:
     say(json, document, "the board has no key: anyone in radio range can move its tail")
 
 
-@app.command()
 def export(
     file: Annotated[
         Path | None, typer.Argument(metavar="FILE", help="Where to; default: print it.")
@@ -145,12 +135,10 @@ def export(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write a key into a file, to carry it to a second computer. The file is a secret.
+    """Write a key into a file, for another computer. The file is a secret.
 
-    Example: tailbeat key export fish.key
+    Example: tailbeat board key export fish.key
     """
-    from tailbeat.core.errors import InputError, reason
-    from tailbeat.link.keystore import KeyStore, encode_key, write_private
 
     found = KeyStore().find(key)
     secret = "whoever has it can move the tail; delete it when it has arrived"
@@ -171,16 +159,14 @@ def export(
     say(json, document, f"wrote key {found.fingerprint} to {file}: {secret}")
 
 
-@app.command("import")
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="What export wrote; - = stdin.")],
     json: Json = False,
 ) -> None:
-    """Take in a key from another computer.
+    """Read a key from another computer.
 
-    Example: tailbeat key import fish.key
+    Example: tailbeat board key import fish.key
     """
-    from tailbeat.link.keystore import KeyStore, decode_key
 
     if str(file) == "-":
         content, where = sys.stdin.buffer.read(), "what came in"
@@ -195,13 +181,11 @@ def _import_text(key: StoredKey, file: Path) -> str:
     return line if str(file) == "-" else f"{line}; delete {file} now"
 
 
-@app.command()
-def forget(which: Which, json: Json = False) -> None:
-    """Remove a key from this computer. The board keeps it: make sure that somebody else has it.
+def delete(which: Which, json: Json = False) -> None:
+    """Delete a key on this computer. The board keeps it: make sure that somebody else has it.
 
-    Example: tailbeat key forget 3fa2b1c0
+    Example: tailbeat board key delete 3fa2b1c0
     """
-    from tailbeat.link.keystore import KeyStore
 
     store = KeyStore()
     key = store.find(which)

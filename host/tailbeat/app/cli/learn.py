@@ -1,43 +1,40 @@
-"""learn, law, speed upload.
-
-learn --law model.
-"""
+"""learn: what the board, or a model of the fish, makes of the pending trial."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._library import told_if_another, verdict_after_learning, verdict_text
-from tailbeat.app.cli._terminal import (
-    TRIAL_MAX,
-    Connect,
-    Json,
-    connected,
-    echo,
-    mm,
-    progress_bar,
-    say,
-)
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._experiment import told_if_another, verdict_after_learning, verdict_text
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import TRIAL_MAX, echo, mm, progress_bar, say
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.learning.convergence import Verdict
-    from tailbeat.learning.fish_model import Swim
-    from tailbeat.learning.identification import Identified
-    from tailbeat.link.messages import LearnReport
-    from tailbeat.session.model_step import Next, Step
-
-_SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
-
-speed_app = typer.Typer(no_args_is_help=True, help="Speeds measured after the swim.")
+from tailbeat.core.trial_checks import never_corrected
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.library import Logbook, logbook_of
+from tailbeat.learning.convergence import Verdict, rollback_words
+from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.identification import Identified
+from tailbeat.link.messages import LearnReport
+from tailbeat.session.decide import learn_noted, not_noted, restore_best_noted, state_noted
+from tailbeat.session.dry_run import dry_run as compute
+from tailbeat.session.model_step import (
+    Next,
+    Step,
+    next_of,
+    next_step,
+    numbered_anew,
+    setting_of,
+    swims_since,
+    upload,
+)
 
 
 def learn(
@@ -61,14 +58,30 @@ def learn(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Let the board learn from the trial that waits for it.
+    """Let the board learn from the pending trial.
 
-    With --law model the next amplitudes come from the identified fish, re-fitted on all its swims;
-    without a trial that waits they are planned from what is known. In an experiment the trial is
-    kept: its log, the decision and what was learned are written down there.
+    With --law model the next input comes from a model of the fish, fitted again to all its trials;
+    without a pending trial it is planned from what is known. In an experiment the log, the decision
+    and what was learned are kept.
 
     Example: tailbeat learn --law model
     """
+    _require_consistent(dry_run, restore_best, law, identified)
+    with connected(connect) as fish:
+        if law == "model":
+            learn_with_model(fish, number, identified, dry_run, json)
+        elif dry_run:
+            found = compute(fish, number)
+            say(json, found.as_dict(), found.text)
+        elif restore_best:
+            _restore_best(fish, json)
+        else:
+            _learn(fish, number, json)
+
+
+def _require_consistent(
+    dry_run: bool, restore_best: bool, law: str, identified: Path | None
+) -> None:
     if dry_run and restore_best:
         raise typer.BadParameter("--dry-run and --restore-best exclude each other")
     if law not in ("p", "model"):
@@ -77,123 +90,32 @@ def learn(
         raise typer.BadParameter("--identified is for --law model")
     if restore_best and law == "model":
         raise typer.BadParameter("--restore-best and --law model exclude each other")
-    with connected(connect) as fish:
-        if law == "model":
-            pass
 
-            learn_with_model(fish, number, identified, dry_run, json)
-            return
-        if dry_run:
-            from tailbeat.session.dry_run import dry_run as compute
 
-            found = compute(fish, number)
-            say(json, found.as_dict(), found.text)
-            return
-        if restore_best:
-            from tailbeat.session.decide import restore_best_noted
+def _restore_best(fish: Fish, json: bool) -> None:
+    restore_best_noted(fish)
+    held = fish.amplitudes()
+    document = {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values}
+    say(json, document, f"the best amplitudes swim next, as iteration {held.iteration}")
 
-            restore_best_noted(fish)
-            held = fish.amplitudes()
-            text = f"the best amplitudes swim next, as iteration {held.iteration}"
-            say(
-                json,
-                {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values},
-                text,
-            )
-            return
-        from tailbeat.core.trial_checks import never_corrected
-        from tailbeat.learning.convergence import rollback_words
-        from tailbeat.session.decide import learn_noted, not_noted
 
-        report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
-        held, visits = fish.amplitudes(), fish.visits()
-        if line := not_noted(fish):
-            echo(f"tailbeat: {line}", err=True)
-        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
-    document: dict[str, Any] = {**vars(report), "next_iteration": held.iteration}
-    document["amplitude_rad"] = held.values
-    document["visits"] = visits
-    document["verdict"] = verdict
+def _learn(fish: Fish, number: int | None, json: bool) -> None:
+    report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
+    held, visits = fish.amplitudes(), fish.visits()
+    if line := not_noted(fish):
+        echo(f"tailbeat: {line}", err=True)
+    verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
+    document = vars(report) | {
+        "next_iteration": held.iteration,
+        "amplitude_rad": held.values,
+        "visits": visits,
+        "verdict": verdict,
+    }
     text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
     text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
     text += f"; {rollback_words()}" if report.rolled_back else ""
     missing = never_corrected(visits)
     say(json, document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
-
-
-def law(
-    config: Annotated[Path, typer.Option("--config", help="LAW.json: fields of the law.")],
-    amplitudes: Annotated[Path, typer.Option("--input", help="CSV beat,amplitude_rad.")],
-    errors: Annotated[Path, typer.Option("--error", help="CSV beat,error_m_s; empty = none.")],
-    json: Json = False,
-) -> None:
-    """Apply the learning law once, with the code the board runs.
-
-    Example: tailbeat law --config law.json --input u.csv --error e.csv
-    """
-    from tailbeat.core import law as laws
-    from tailbeat.core.csv import read_column
-
-    old = read_column(amplitudes, "amplitude_rad")
-    error = read_column(errors, "error_m_s", gaps=True)
-    chosen = laws.load(config)
-    following, report = laws.update(
-        chosen, old, [0.0 if e != e else e for e in error], [e == e for e in error]
-    )
-    document = {
-        "law": chosen,
-        "amplitude_rad": following,
-        "applied_rad": laws.saturate(chosen, following),
-        "report": report,
-    }
-    rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(following)]
-    say(json, document, "\n".join(["beat,amplitude_rad", *rows]))
-
-
-@speed_app.command("upload")
-def upload(
-    number: Annotated[
-        int, typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="The pending trial.")
-    ],
-    file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
-    sigma_m_s: Annotated[
-        float | None,
-        typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s."),
-    ] = None,
-    connect: Connect = None,
-    json: Json = False,
-) -> None:
-    """Give the pending trial speeds measured after the swim, for example from a video.
-
-    With t_s,v_m_s the speed is averaged over each beat; with beat,speed_m_s it is taken as it is
-    and an empty cell means not measured. What 'camera track' writes also says how sure each speed
-    is and of which trial they are; without that the standard deviation is 0.001 m/s.
-
-    Example: tailbeat speed upload 3 speed.csv
-    """
-    import numpy as np
-
-    from tailbeat.core.csv import read_speeds
-    from tailbeat.core.records import decode_reference
-
-    if sigma_m_s is not None and not 0 < sigma_m_s <= 1:
-        raise typer.BadParameter("--sigma is in m/s, more than 0, like 0.001")
-    with connected(connect) as fish:
-        record = fish.reference_record()
-        beat_s = decode_reference(record).beat_s if record else 1.0
-        beats = fish.status().beats
-        found = read_speeds(file, beats, beat_s, number)
-        sigma = found.sigma_m_s if sigma_m_s is None else None
-        if sigma is None:
-            sigma = np.full(beats, sigma_m_s or _SPEED_SIGMA_M_S, dtype=np.float32)
-        fish.upload_speeds(number, found.speed_m_s, sigma)
-    document = {
-        "trial": number,
-        "measured_beats": found.measured,
-        "speed_m_s": found.speed_m_s,
-        "sigma_m_s": np.where(np.isfinite(found.speed_m_s), sigma, np.nan),
-    }
-    say(json, document, f"trial {number} has speeds for {found.measured} of {beats} beats")
 
 
 _RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
@@ -207,16 +129,6 @@ def learn_with_model(
     fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool, json: bool
 ) -> None:
     """The pending trial, if there is one, then the amplitudes that swim next."""
-    from tailbeat.experiment.library import logbook_of
-    from tailbeat.session.decide import learn_noted, state_noted
-    from tailbeat.session.model_step import (
-        next_of,
-        next_step,
-        numbered_anew,
-        setting_of,
-        swims_since,
-        upload,
-    )
 
     pending = fish.status().pending_trial
     if number not in (None, pending):
@@ -251,14 +163,14 @@ def learn_with_model(
 
 
 def _identified(book: Logbook | None, file: Path | None) -> Identified:
-    from tailbeat.learning.identification import Identified
 
     if file is not None:
         return Identified.load(file)
     found = book.identified() if book is not None else None
     if found is None:
         raise InputError(
-            "the fish has not been identified.", "tailbeat identify, or give --identified FILE."
+            "the fish has not been identified.",
+            "tailbeat session identify, or give --identified FILE.",
         )
     return found
 
@@ -268,8 +180,6 @@ def _swims(
 ) -> tuple[list[Swim], Path | None]:
     """All in the logbook and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""
-    from tailbeat.core.trial_file import read_trial
-    from tailbeat.learning.fish_model import swim_of
 
     if pending is None:
         return book.swims() if book is not None else [], None

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._terminal import Json, echo, mm, progress_bar, say, table
+from tailbeat.app.cli._options import Json
+from tailbeat.app.cli._terminal import echo, mm, progress_bar, say, table
 
 if TYPE_CHECKING:
     from tailbeat.studies.montecarlo.recipe import Recipe
@@ -51,11 +52,11 @@ def sweep(
     ),
     json: Json = False,
 ) -> None:
-    """Let many simulated fish learn, and see what holds for all of them.
+    """Run a study with many simulated fish, and check what holds for all of them.
 
-    What is done is kept: after Ctrl-C the same command goes on.
+    Results are kept: after Ctrl-C the same command continues.
 
-    Example: tailbeat sweep designed-law --plot designed.png
+    Example: tailbeat sim montecarlo designed-law --plot designed.png
     """
     from tailbeat.studies.montecarlo.recipe import load
     from tailbeat.studies.montecarlo.results import Store
@@ -69,7 +70,7 @@ def sweep(
         wanted = store.recipe() if recipe is None else load(recipe)
     else:
         if recipe is None:
-            raise typer.BadParameter("no recipe; 'tailbeat sweep --list' names them")
+            raise typer.BadParameter("no recipe; 'tailbeat sim montecarlo --list' names them")
         wanted = load(recipe)
         wanted = wanted if seeds is None else wanted.with_seeds(seeds)
         out = out or SWEEPS / wanted.name

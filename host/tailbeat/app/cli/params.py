@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._terminal import Connect, Json, connected, echo, say, table
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import echo, say, table
+from tailbeat.board import presets
 from tailbeat.core.param_names import current_name
-
-if TYPE_CHECKING:
-    from tailbeat.link.params import Parameter
-
-app = typer.Typer(no_args_is_help=True, help="The board's parameters.")
+from tailbeat.experiment.current import accept, note_all, note_set
+from tailbeat.link.params import Parameter
 
 Name = Annotated[str, typer.Argument(metavar="NAME", help="For example ILC_GAIN.")]
 
@@ -34,7 +34,6 @@ def _one(parameter: Parameter) -> dict[str, Any]:
     return {"name": parameter.name, "value": parameter.value, "unit": parameter.unit}
 
 
-@app.command("get")
 def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
     """Print one parameter.
 
@@ -45,26 +44,22 @@ def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
     say(json, _one(found), f"{found.name} = {_number(found.value)} {found.unit}".rstrip())
 
 
-@app.command("set", context_settings={"ignore_unknown_options": True})  # values may be negative
 def set_(
     name: Name,
     value: Annotated[float, typer.Argument(help="In the parameter's unit.")],
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Change one parameter at once; 'params save' makes it last.
+    """Change one parameter at once; 'params save' keeps it through a power cycle.
 
     Example: tailbeat params set ILC_GAIN 4.6
     """
     with connected(connect) as fish:
-        from tailbeat.experiment.current import note_set
-
         held = fish.params.set(_present(name), value)
         note_set(fish, {held.name: held.value})
     say(json, _one(held), f"{held.name} = {_number(held.value)} {held.unit}".rstrip())
 
 
-@app.command()
 def preset(
     name: Annotated[str, typer.Argument(metavar="thesis", help="Which set of values.")],
     connect: Connect = None,
@@ -76,12 +71,9 @@ def preset(
 
     Example: tailbeat params preset thesis
     """
-    from tailbeat.board import presets
 
     values = presets.preset(name)
     with connected(connect) as fish:
-        from tailbeat.experiment.current import note_set
-
         held = presets.apply(fish, values)
         note_set(fish, {now.name: now.value for _, now in held.values()})
     rows = [
@@ -95,7 +87,6 @@ def _was(before: float, now: Parameter) -> str:
     return "" if before == now.value else f"(was {_number(before)})"
 
 
-@app.command("list")
 def list_(connect: Connect = None, json: Json = False) -> None:
     """Print all parameters with their units and meaning.
 
@@ -117,15 +108,12 @@ def list_(connect: Connect = None, json: Json = False) -> None:
     say(json, {"params": list(found.values())}, lambda: table(header, rows, left=(0, 2, 3, 4)))
 
 
-@app.command()
 def save(connect: Connect = None, json: Json = False) -> None:
     """Keep the present values through a power cycle; an experiment goes on with them.
 
     Example: tailbeat params save
     """
     with connected(connect) as fish:
-        from tailbeat.experiment.current import accept
-
         fish.params.save()
         accepted = accept(fish)
     words = [f"{name} {_number(now)} (was {_number(was)})" for name, (now, was) in accepted.items()]
@@ -133,29 +121,23 @@ def save(connect: Connect = None, json: Json = False) -> None:
     say(json, {"saved": True, "accepted": {name: now for name, (now, _) in accepted.items()}}, text)
 
 
-@app.command()
 def load(connect: Connect = None, json: Json = False) -> None:
     """Bring the saved values back.
 
     Example: tailbeat params load
     """
     with connected(connect) as fish:
-        from tailbeat.experiment.current import note_all
-
         fish.params.load()
         note_all(fish)
     say(json, {"loaded": True}, "loaded")
 
 
-@app.command()
 def reset(connect: Connect = None, json: Json = False) -> None:
     """Set every parameter to its default; what is saved stays until 'params save'.
 
     Example: tailbeat params reset
     """
     with connected(connect) as fish:
-        from tailbeat.experiment.current import note_all
-
         fish.params.reset()
         note_all(fish)
     say(json, {"reset": True}, "all parameters at their defaults")

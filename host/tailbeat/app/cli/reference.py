@@ -1,40 +1,115 @@
-"""reference upload --like.
+"""How a floor and a suggested reference are told: as a document and in words.
+
+reference upload --warm-start.
 
 reference upload, show, check.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._library import sound_identified, told_if_another
-from tailbeat.app.cli._options import reference_names
-from tailbeat.app.cli._reference_words import (
-    advice,
-    floor_document,
-    floor_text,
-    suggestion_document,
-    suggestion_text,
-)
-from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, progress_bar, say
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._experiment import sound_identified, told_if_another
+from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
+from tailbeat.board.fish import Fish
+from tailbeat.core.errors import InputError
+from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.records import decode_reference
+from tailbeat.core.reference import Limits, Problem, Reference
+from tailbeat.experiment.current import named_reference
+from tailbeat.experiment.library import logbook_of, name_reference
+from tailbeat.learning import feasible
+from tailbeat.learning.error_bound import Band, Spot, band
+from tailbeat.learning.feasible import Suggestion
+from tailbeat.learning.fish_model import Swim
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
+from tailbeat.session.transfer import Plan, carry, plan
 
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.reference import Limits, Problem, Reference
-    from tailbeat.learning.fish_model import Swim
-    from tailbeat.learning.identification import Identified
-    from tailbeat.learning.saturation import KnownFish, Saturation
-    from tailbeat.session.transfer import Plan
+_FLOOR_FINE_M_S = 0.002
 
 
-def upload_like(
+def floor_document(band: Band) -> dict[str, Any]:
+    """Keys of ``reference check --json`` under ``floor``."""
+    found = band.floor
+    return {
+        "minimax_m_s": found.minimax_m_s,
+        "lsq_max_abs_m_s": found.lsq_max_abs_m_s,
+        "lsq_max_abs_band_m_s": band.lsq_max_abs_m_s,
+        "lsq_rms_m_s": found.lsq_rms_m_s,
+        "minimax_input_rad": found.minimax_input,
+        "lsq_input_rad": found.lsq_input,
+        "spots": found.spots,
+    }
+
+
+def floor_text(band: Band, assumed: Sequence[str] = ()) -> str:
+    """One line, and one for each place where the reference cannot be reached. ``assumed``: what of
+    the fish no run has told."""
+    found, (low, high) = band.floor, band.lsq_max_abs_m_s
+    lines = [
+        f"floor (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by what "
+        f"is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than that"
+    ]
+    lines += [f"  {_spot_text(spot)}" for spot in found.spots]
+    if assumed:
+        lines.append(
+            f"  it rests on an assumed {', '.join(assumed)}: runs tell better (tailbeat session "
+            "identify)"
+        )
+    return "\n".join(lines)
+
+
+def _spot_text(spot: Spot) -> str:
+    where = f"beat {spot.first}" if spot.first == spot.last else f"beats {spot.first}-{spot.last}"
+    way = "slow" if spot.error_m_s > 0 else "fast"
+    return f"{where}: up to {mm(abs(spot.error_m_s))} mm/s too {way}: {spot.why}"
+
+
+def advice(band: Band, what: str) -> str:
+    """What to do about a floor of the reference ``what``; empty when it is fine."""
+    if band.floor.lsq_max_abs_m_s <= _FLOOR_FINE_M_S:
+        return ""
+    return f"a reference this fish can follow: tailbeat reference check {what} --suggest"
+
+
+def suggestion_document(found: Suggestion, path: str) -> dict[str, Any]:
+    """Keys of ``reference check --suggest --json`` under ``suggestion``."""
+    return {
+        "path": path,
+        "beats": found.reference.beats,
+        "beat_s": found.reference.beat_s,
+        "travel_m": found.reference.travel_m,
+        "speed_m_s": found.reference.speed_m_s,
+        "crc": found.reference.crc,
+        "floor_lsq_m_s": found.floor_m_s,
+        "changes": found.changes,
+    }
+
+
+def suggestion_text(found: Suggestion, path: str) -> str:
+    """What was written, what it changes and how good it is."""
+    reference = found.reference
+    lines = [
+        f"suggested: {reference.beats} beats, {reference.travel_m:.2f} m, "
+        f"floor (least squares) {mm(found.floor_m_s)} mm/s",
+        *(f"  {change}" for change in found.changes),
+        f"written to {path}; use it: tailbeat reference upload {path}",
+    ]
+    return "\n".join(lines)
+
+
+def upload_warm(
     fish: Fish,
     reference: Reference,
-    like: str,
+    old: str,
     identified_file: Path | None,
     dry_run: bool,
     document: dict[str, Any],
@@ -43,9 +118,6 @@ def upload_like(
 ) -> None:
     """Uploads the reference and amplitudes for it, or prints them. ``document``, ``line``: what is
     said of the reference itself."""
-    from tailbeat.experiment.library import logbook_of, name_reference
-    from tailbeat.learning.identification import Identified
-    from tailbeat.session.transfer import carry, plan
 
     book = logbook_of(fish)
     identified = sound_identified(book) if book is not None else None
@@ -54,7 +126,7 @@ def upload_like(
     unique_id = fish.unique_id()
     if identified is not None:
         told_if_another(identified, unique_id)
-    found = plan(fish, like, reference, identified, book)
+    found = plan(fish, old, reference, identified, book)
     if found.learned.unique_id not in ("", unique_id):
         echo(f"tailbeat: learned by another fish ({found.learned.unique_id})", err=True)
     copy = None
@@ -84,8 +156,6 @@ def _words(found: Plan) -> str:
     )
 
 
-app = typer.Typer(no_args_is_help=True, help="The wanted speed per beat.")
-
 What = Annotated[
     str,
     typer.Argument(
@@ -98,7 +168,6 @@ What = Annotated[
 
 
 def _limits(fish: Fish) -> Limits:
-    from tailbeat.core.reference import Limits
 
     names = ("REF_MAX_M_S", "TANK_LEN_M", "FISH_LEN_M")
     return Limits.from_params({name: fish.params.get(name).value for name in names})
@@ -125,7 +194,6 @@ def _line(reference: Reference) -> str:
 
 
 def _refuse(problems: list[Problem]) -> None:
-    from tailbeat.core.errors import InputError
 
     if problems:
         raise InputError(
@@ -134,49 +202,47 @@ def _refuse(problems: list[Problem]) -> None:
         )
 
 
-@app.command()
 def upload(
     what: What,
-    like: Annotated[
+    warm_start: Annotated[
         str | None,
         typer.Option(
-            "--like",
+            "--warm-start",
             metavar="OLD",
             help="Begin with what was learned along OLD, a reference of the same shape: board (what"
             " it holds now), a trial's file, an experiment's folder, or a reference.",
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="With --like: print the amplitudes; change nothing.")
+        bool,
+        typer.Option("--dry-run", help="With --warm-start: print the amplitudes; change nothing."),
     ] = False,
     identified: Annotated[
         Path | None,
-        typer.Option("--identified", metavar="FILE", help="With --like: what identify wrote."),
+        typer.Option(
+            "--identified", metavar="FILE", help="With --warm-start: what identify wrote."
+        ),
     ] = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
     """Check a reference against the board's limits and make it the board's.
 
-    Another reference than the board has sets the iteration to 0. With --like the first swim has
-    amplitudes scaled from those along a reference of another magnitude or duration.
+    Another reference than the present one sets the iteration to 0. With --warm-start the first
+    trial has amplitudes scaled from those along a reference of another magnitude or duration.
 
-    Example: tailbeat reference upload thesis:0.0633,50 --like board
+    Example: tailbeat reference upload thesis:0.0633,50 --warm-start board
     """
-    from tailbeat.experiment.current import named_reference
-    from tailbeat.experiment.library import name_reference
 
-    if like is None and (dry_run or identified is not None):
-        raise typer.BadParameter("--dry-run and --identified are for --like OLD")
+    if warm_start is None and (dry_run or identified is not None):
+        raise typer.BadParameter("--dry-run and --identified are for --warm-start OLD")
     reference = named_reference(what)
     with connected(connect) as fish:
         _refuse(reference.check(_limits(fish)))
-        if like is not None:
-            pass
-
+        if warm_start is not None:
             document = _document(reference, reference.crc, [])
-            upload_like(
-                fish, reference, like, identified, dry_run, document, _line(reference), json
+            upload_warm(
+                fish, reference, warm_start, identified, dry_run, document, _line(reference), json
             )
             return
         with progress_bar(json, "upload") as show:
@@ -187,7 +253,6 @@ def upload(
     say(json, _document(reference, crc, []), f"uploaded {reference.name}: {_line(reference)}")
 
 
-@app.command()
 def show(
     connect: Connect = None,
     csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
@@ -197,9 +262,6 @@ def show(
 
     Example: tailbeat reference show --csv reference.csv
     """
-    from tailbeat.core.faults import NO_REFERENCE, refusal
-    from tailbeat.core.records import decode_reference
-    from tailbeat.core.reference import Reference
 
     with connected(connect) as fish:
         record = fish.reference_record()
@@ -223,7 +285,6 @@ class _Known:
     fish: KnownFish | None
 
 
-@app.command()
 def check(
     what: What,
     suggest: Annotated[
@@ -253,16 +314,14 @@ def check(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Check a reference against the board's limits, the tank and what the fish can do.
+    """Check a reference against the board's limits, the tank and the fish.
 
-    Of an identified fish the floor is told: the smallest max|e| of any input, where and why. With
-    --identified and --amp-max no board is asked. Once one trial is in the trial library, it tells
-    how many beats will be at the amplitude limit.
+    For an identified fish the error bound is printed: the smallest achievable max|e|, where and
+    why. With --identified and --amp-max no board is asked. Once one trial is in the trial library,
+    it also tells how many beats will be at the amplitude limit.
 
     Example: tailbeat reference check thesis --suggest
     """
-    from tailbeat.experiment.current import named_reference
-    from tailbeat.learning.error_bound import band
 
     reference = named_reference(what)
     known = _known(identified, amp_max, tank, connect)
@@ -290,11 +349,10 @@ def check(
         _refuse(problems)
 
 
-_UNKNOWN = "floor unknown: this fish has not been identified (tailbeat identify)"
+_UNKNOWN = "floor unknown: this fish has not been identified (tailbeat session identify)"
 
 
 def _expected(known: _Known, reference: Reference) -> Saturation | None:
-    from tailbeat.learning.saturation import expected_saturation
 
     if known.fish is None:
         return None
@@ -304,10 +362,6 @@ def _expected(known: _Known, reference: Reference) -> Saturation | None:
 def _known(
     path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
 ) -> _Known:
-    from tailbeat.core.reference import Limits
-    from tailbeat.experiment.library import logbook_of
-    from tailbeat.learning.identification import Identified
-    from tailbeat.learning.saturation import known_fish
 
     swims: list[Swim] = []
     loaded = Identified.load(path) if path is not None else None
@@ -327,13 +381,11 @@ def _known(
 
 
 def _suggested(reference: Reference, known: _Known, out: Path | None) -> tuple[dict[str, Any], str]:
-    from tailbeat.core.errors import InputError
-    from tailbeat.learning import feasible
 
     if known.identified is None:
         raise InputError(
             "what this fish can follow is not known: it has not been identified.",
-            "Run tailbeat identify, or name a file with --identified.",
+            "Run tailbeat session identify, or name a file with --identified.",
         )
     found = feasible.suggest(known.identified, reference, known.amplitude_max_rad, known.limits)
     path = out or Path(f"{reference.name}-feasible.csv")

@@ -1,17 +1,225 @@
-"""report: a page and figures of an experiment."""
+"""progress: what the trials prove, and when to stop.
+
+report: a page and figures of an experiment.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._terminal import Json, echo, say
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._experiment import sound_identified
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import echo, mm, say, table
+from tailbeat.core.errors import InputError
+from tailbeat.core.trial_checks import never_measured
+from tailbeat.experiment.current import note_set
+from tailbeat.experiment.export import missing_formats
+from tailbeat.experiment.folder import Experiment, list_experiments
+from tailbeat.experiment.library import DISCARDED, Kept, logbook_of
+from tailbeat.experiment.redo import write_redo
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.verdict import Progress, progress_of, read_trials
+from tailbeat.report.figures.series import progress_png
+from tailbeat.report.paper import Written, write_report
 
-if TYPE_CHECKING:
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.report.paper import Written
+
+def progress(
+    experiment: Annotated[
+        Path | None,
+        typer.Option("--experiment", metavar="DIR", help="Its trials; default: the logbook's."),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", metavar="CRC", help="0x1a2b3c4d, or list; default: the last."),
+    ] = None,
+    plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
+    apply: Annotated[
+        bool,
+        typer.Option("--apply", help="Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board."),
+    ] = False,
+    logbook: Annotated[
+        Path | None, typer.Option("--library", metavar="DIR", help="Folder of all logbooks.")
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Assess the convergence: disturbance or progress in each trial, go on or stop.
+
+    Example: tailbeat experiment progress --experiment experiments/2026-05-04_fish_thesis_p4_01
+    """
+    known = _material(experiment, logbook, connect)
+    for problem in known.problems:
+        echo(f"tailbeat: {problem}", err=True)
+    if reference == "list":
+        rows = references_of(known)
+        say(json, {"references": rows}, lambda: _references_text(rows))
+        return
+
+    trials = [one.trial for one in known.kept if not one.mark]
+    found = progress_of(trials, _crc(reference), known.identified, known.problems)
+    for problem in found.problems[len(known.problems) :]:
+        echo(f"tailbeat: {problem}", err=True)
+    left_out = _discarded(known, found)
+    applied = _apply(found, connect) if apply else None
+    if plot is not None:
+        progress_png(found, plot)
+    document = _progress_document(found) | {"applied": applied, "discarded": left_out}
+    say(json, document, lambda: _progress_text(found, applied, left_out))
+
+
+@dataclass(frozen=True)
+class _Material:
+    kept: list[Kept]
+    identified: Identified | None
+    problems: list[str]
+
+
+def _material(experiment: Path | None, root: Path | None, connect: str | None) -> _Material:
+
+    if experiment is not None:
+        kept, problems = read_trials(experiment)
+        return _Material(kept, _identified_in(experiment), problems)
+    with connected(connect) as fish:
+        book = logbook_of(fish, root)
+    if book is None:
+        raise InputError(
+            "a simulated fish in this process keeps no logbook.",
+            "Give --experiment DIR, or --library DIR.",
+        )
+    kept, problems = book.kept()
+    return _Material(kept, sound_identified(book), problems)
+
+
+def _identified_in(experiment: Path) -> Identified | None:
+    """What lies beside the trials."""
+
+    for folder in (experiment / "raw", experiment):
+        if (folder / "identified.json").is_file():
+            return Identified.load(folder / "identified.json")
+    return None
+
+
+def references_of(known: _Material) -> list[dict[str, Any]]:
+    """Every reference that was swum, in the order of its last trial."""
+
+    rows: dict[int, dict[str, Any]] = {}
+    for one in known.kept:
+        if one.mark:
+            continue
+        crc = one.trial.reference_crc
+        row = rows.pop(crc, {"reference_crc": crc, "trials": 0})
+        kept_at = datetime.fromtimestamp(one.path.stat().st_mtime)
+        rows[crc] = {
+            **row,
+            "trials": row["trials"] + 1,
+            "beats": len(one.trial.beats.samples),
+            "last": kept_at.isoformat(sep=" ", timespec="minutes"),
+        }
+    return list(rows.values())
+
+
+def _references_text(rows: list[dict[str, Any]]) -> str:
+    cells = [
+        [f"{row['reference_crc']:#010x}", str(row["trials"]), str(row["beats"]), row["last"]]
+        for row in rows
+    ]
+    return table(["reference", "trials", "beats", "last"], cells, left=(0, 3))
+
+
+def _discarded(known: _Material, found: Progress) -> list[int]:
+
+    mine = [one for one in known.kept if one.trial.reference_crc == found.reference_crc]
+    return [one.trial.number for one in mine if one.mark == DISCARDED]
+
+
+def _crc(text: str | None) -> int | None:
+
+    if text is None:
+        return None
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise InputError(f"'{text}' is no reference's CRC.", "Write it like 0x1a2b3c4d.") from None
+
+
+def _apply(found: Progress, connect: str | None) -> dict[str, float]:
+
+    if found.fade is None:
+        raise InputError(
+            "there is nothing to apply: the series fluctuates no more than its noise.",
+            "Run it without --apply.",
+        )
+    wanted = {"ILC_DECR_RATE": found.fade.fade, "ILC_DECR_FROM": float(found.fade.fade_from)}
+    with connected(connect) as fish:
+        held = {name: fish.params.set(name, value).value for name, value in wanted.items()}
+        note_set(fish, held)
+    return held
+
+
+def _progress_document(found: Progress) -> dict[str, Any]:
+    fade = found.fade
+    return {
+        "reference_crc": found.reference_crc,
+        "trials": found.rows,
+        "verdict": found.verdict,
+        "floor_m_s": found.floor_m_s,
+        "visits": found.visits,
+        "fluctuation": found.fluctuation,
+        "fade": fade and {"ILC_DECR_RATE": fade.fade, "ILC_DECR_FROM": fade.fade_from},
+        "problems": found.problems,
+    }
+
+
+def _progress_text(found: Progress, applied: dict[str, float] | None, discarded: list[int]) -> str:
+
+    header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
+    rows = [
+        [
+            str(row.trial),
+            str(row.iteration),
+            mm(row.max_abs_error_m_s),
+            mm(row.rms_error_m_s),
+            f"trial {row.repeat_of}" if row.repeat_of else "",
+            row.words.partition(" (")[0],
+        ]
+        for row in found.rows
+    ]
+    lines = [table(header, rows, left=(5,))]
+    if discarded:
+        lines.append(f"discarded, not counted: trial {', '.join(map(str, discarded))}")
+    if missing := never_measured(found.visits):
+        lines.append(missing)
+    return "\n".join([*lines, *_conclusion(found, applied)])
+
+
+def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
+    verdict = found.verdict
+    lines = []
+    if verdict.best_trial:
+        best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
+        floor = f"; floor (least squares) {mm(found.floor_m_s)} mm/s"
+        lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
+    if verdict.stop:
+        lines += [f"stop: {verdict.stop_reason}", verdict.advice]
+    elif verdict.saturation is not None:
+        lines.append(verdict.saturation.text)
+    else:
+        lines.append("go on: tailbeat trial run, tailbeat learn")
+    if found.fade is not None and found.fluctuation is not None:
+        names = f"ILC_DECR_RATE {found.fade.fade:g}, ILC_DECR_FROM {found.fade.fade_from}"
+        how = "set" if applied else "set it with --apply"
+        lines.append(
+            f"trials fluctuate {found.fluctuation:.1f} times as much as repeats: "
+            f"let the gain fall, {names} ({how})"
+        )
+    return lines
+
 
 _ROOT = Path("experiments")
 
@@ -47,10 +255,6 @@ def report(
 
     Example: tailbeat report --paper
     """
-    from tailbeat.experiment.export import missing_formats
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.experiment.redo import write_redo
-    from tailbeat.report.paper import write_report
 
     chosen = Experiment.open(folder) if folder else newest(root)
     others = [Experiment.open(one) for one in against or []]
@@ -64,13 +268,11 @@ def report(
     }
     if written.tables and (line := missing_formats()):
         echo(f"tailbeat: {line}", err=True)
-    say(json, document, lambda: _text(chosen, written, named=folder is not None))
+    say(json, document, lambda: _text_report(chosen, written, named=folder is not None))
 
 
 def newest(root: Path) -> Experiment:
     """The one made last below ``root``. Raises InputError when there is none."""
-    from tailbeat.core.errors import InputError
-    from tailbeat.experiment.folder import list_experiments
 
     found = list_experiments(root)
     if not found:
@@ -83,7 +285,6 @@ def newest(root: Path) -> Experiment:
 
 def _made(experiment: Experiment) -> tuple[float, str]:
     """When, by its settings; one without a time is the oldest."""
-    from datetime import datetime
 
     try:
         moment = datetime.fromisoformat(str(experiment.settings().get("made", "")))
@@ -92,7 +293,7 @@ def _made(experiment: Experiment) -> tuple[float, str]:
     return moment.timestamp(), experiment.name
 
 
-def _text(experiment: Experiment, written: Written, named: bool) -> str:
+def _text_report(experiment: Experiment, written: Written, named: bool) -> str:
     lines = [] if named else [f"the newest: {experiment.folder}"]
     lines.append(str(written.page))
     if written.figures:

@@ -1,36 +1,45 @@
-"""session first, resume, status."""
+"""session first, resume, status.
+
+trim.
+"""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._options import (
-    CalibrationOption,
-    CameraOption,
-    LatencyOption,
-    MarkerIdOption,
-    MarkerKindOption,
-    MarkerSideOption,
-    WallOption,
-    marker_of,
-    reference_names,
+from tailbeat.app.cli._camera import (
+    CAMERA,
+    CameraOptions,
+    LiveCamera,
+    TankCameraOptions,
+    live_camera,
 )
-from tailbeat.app.cli._terminal import Connect, Json, command_typed, connected, say
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli._keyboard import Keys, terminal_keys
+from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalPerson
+from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._terminal import command_typed, say
+from tailbeat.board.fish import Fish
+from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
-
-if TYPE_CHECKING:
-    from tailbeat.app.cli._display import Display
-    from tailbeat.app.cli._keyboard import Keys
-    from tailbeat.app.cli._operator import TerminalPerson
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.session.commission import Step
-    from tailbeat.session.resume import Restored
-
-app = typer.Typer(no_args_is_help=True, help="A day at the tank: first session, battery swap.")
+from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.session.collect import Swum
+from tailbeat.session.commission import Step, first_session
+from tailbeat.session.operator import Decision, Event, Person
+from tailbeat.session.preflight.step import Wanted
+from tailbeat.session.repeat import repeat_best
+from tailbeat.session.resume import Restored, restore, restore_params
+from tailbeat.session.series import Options
+from tailbeat.session.status import standing_of, words
+from tailbeat.session.trim import Trim, apply, find_centre
 
 IntoOption = Annotated[
     Path | None,
@@ -45,8 +54,7 @@ RestOption = Annotated[
 Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
 
 
-@app.command()
-def first(
+def commission(
     reference: Annotated[
         str,
         typer.Option(
@@ -57,34 +65,22 @@ def first(
     ] = "thesis",
     rest: RestOption = None,
     yes: Yes = False,
-    camera: CameraOption = None,
-    calibration: CalibrationOption = None,
-    marker: MarkerKindOption = "aruco",
-    marker_id: MarkerIdOption = None,
-    marker_side: MarkerSideOption = None,
-    latency: LatencyOption = 0.0,
-    wall: WallOption = None,
+    camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """A fish that nobody knows yet: look it over, trim, identify, design, raise its limits.
+    """Check, trim, identify and design for a new fish, then raise its limits.
 
-    Begins with the board's careful defaults. Each limit rises in small steps, each with its reason
-    and after a short swim has proved it; a step that fails leaves the limits where they were. Asks
-    before every swim and before anything is raised.
+    Begins with the careful defaults of the board. Each limit rises in small steps, each with its
+    reason and after a short trial at that step; after a failed step the limits stay where they
+    were. Asks before every trial and before anything is raised.
 
-    Example: tailbeat session first --reference thesis --camera 0 --calibration tank.json
+    Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """
-    from tailbeat.app.cli._live_camera import LiveOptions, live_camera
-    from tailbeat.experiment.current import named_reference
 
     wanted = named_reference(reference)
-    on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
+    options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
-        from tailbeat.session.commission import first_session
-        from tailbeat.session.preflight.step import Wanted
-
         display, keys = there
         ritual = Wanted() if rest is None else Wanted(rest_s=rest)
         person = _person(display, keys, yes)
@@ -99,7 +95,6 @@ def first(
         raise typer.Exit(1)
 
 
-@app.command()
 def resume(
     into: IntoOption = None,
     another_board: Annotated[
@@ -110,31 +105,21 @@ def resume(
     ] = True,
     rest: RestOption = None,
     yes: Yes = False,
-    camera: CameraOption = None,
-    calibration: CalibrationOption = None,
-    marker: MarkerKindOption = "aruco",
-    marker_id: MarkerIdOption = None,
-    marker_side: MarkerSideOption = None,
-    latency: LatencyOption = 0.0,
-    wall: WallOption = None,
+    camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """After a battery swap: give the board back what it knew, repeat the best, tell the shift.
+    """Restore the board after a battery swap, repeat the best trial, print the shift.
 
-    The repeat is not learned from; the amplitudes that were to swim next swim next. Exit status 0
-    when learning may go on, 1 when the fish is to be trimmed or identified first.
+    The repeat is not learned from; the feedforward input of the next trial stays. Exit status 0
+    when learning may go on, 1 when the fish must be trimmed or identified first.
 
     Example: tailbeat session resume --camera 0 --calibration tank.json
     """
-    from tailbeat.app.cli._live_camera import LiveOptions, live_camera
 
     _require_folder(into)
-    on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, None, wall).check()
+    options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
-        from tailbeat.session.resume import restore
-
         display, keys = there
         if (experiment := _to_resume(fish, into)) is None:
             if another_board:
@@ -158,13 +143,11 @@ def resume(
         raise typer.Exit(1)
 
 
-@app.command()
 def status(into: IntoOption = None, connect: Connect = None, json: Json = False) -> None:
-    """Which experiment the fish is in, and where it stands: best, battery, verdict, limits.
+    """Print the current experiment, its best trial, battery, convergence and limits.
 
     Example: tailbeat session status
     """
-    from tailbeat.session.status import standing_of, words
 
     _require_folder(into)
     with connected(connect) as fish:
@@ -175,9 +158,6 @@ def status(into: IntoOption = None, connect: Connect = None, json: Json = False)
 def _repeated(
     fish: Fish, experiment: Experiment, person: TerminalPerson, live: Any, rest: float | None
 ) -> Any:
-    from tailbeat.session.preflight.step import Wanted
-    from tailbeat.session.repeat import repeat_best
-    from tailbeat.session.series import Options
 
     wanted = Wanted() if rest is None else Wanted(rest_s=rest)
     options = Options(wanted=wanted, typed=command_typed())
@@ -186,15 +166,12 @@ def _repeated(
 
 def _require_folder(into: Path | None) -> None:
     """Before anything is connected."""
-    from tailbeat.experiment.folder import Experiment
 
     if into is not None:
         Experiment.open(into)
 
 
 def _found(fish: Fish, into: Path | None) -> Experiment | None:
-    from tailbeat.experiment.current import current
-    from tailbeat.experiment.folder import Experiment
 
     return Experiment.open(into) if into is not None else current(fish)
 
@@ -202,7 +179,6 @@ def _found(fish: Fish, into: Path | None) -> Experiment | None:
 def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
     """The one that was named, or the one the fish is in; None when the board has been given another
     reference than that one's since, and no experiment of it has begun."""
-    from tailbeat.experiment.current import is_interrupted, swims_for
 
     found = _found(fish, into)
     if into is not None or is_interrupted(fish) or fish.status().reference_crc is None:
@@ -226,10 +202,6 @@ def _in_none(fish: Fish) -> InputError:
 def _put_back_alone(fish: Fish, json: bool) -> None:
     """A fish that swims for no experiment: what a trim or an identification has left can be put
     back, and what commands have set."""
-    from tailbeat.board.preserve import restore_interrupted
-    from tailbeat.experiment.current import current
-    from tailbeat.experiment.library import logbook_of, preserve_folder
-    from tailbeat.session.resume import restore_params
 
     notes: list[str] = []
     put_back = restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
@@ -246,13 +218,10 @@ class _Terminal:
     """Display and keys, both put back at the end."""
 
     def __init__(self, quiet: bool) -> None:
-        from contextlib import ExitStack
 
         self._quiet, self._stack = quiet, ExitStack()
 
     def __enter__(self) -> tuple[Display, Keys | None]:
-        from tailbeat.app.cli._display import Display
-        from tailbeat.app.cli._keyboard import terminal_keys
 
         display = self._stack.enter_context(Display(quiet=self._quiet))
         keys = self._stack.enter_context(terminal_keys())
@@ -266,8 +235,6 @@ def _person(
     display: Display, keys: Keys | None, yes: bool, repeats: bool = False
 ) -> TerminalPerson:
     """``yes``: every answer is yes. ``repeats``: of a swim only whether it counts is asked."""
-    from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalPerson
-    from tailbeat.session.operator import Decision
 
     class Agreeing(TerminalPerson):
         def confirm(self, question: str) -> bool:
@@ -306,3 +273,124 @@ def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
     if found.pending_trial is not None:
         lines.append(f"trial {found.pending_trial} waits on the board and is left alone")
     return lines
+
+
+def trim(
+    apply: Annotated[
+        bool | None,
+        typer.Option(
+            "--apply/--no-apply",
+            help="Set SERVO_CENTRE_US to what is found, for good; default: asked.",
+            show_default=False,
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before each swim.")] = False,
+    rest: Annotated[
+        float,
+        typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each swim."),
+    ] = 30.0,
+    camera: CameraOptions = CAMERA,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Find the servo's centre by how the fish turns in two short trials.
+
+    The tail's centre is set a little to either side and then restored; what the board has learned
+    stays. Nothing is changed for good before you say so.
+
+    Example: tailbeat session trim
+    """
+    options = camera.live().check()
+    with connected(connect) as fish, live_camera(fish, options) as live:
+        found, held = _trimmed(fish, live, TrimOptions(apply, yes, rest, json))
+        document = _trim_document(found, held)
+        say(json, document, lambda: _trim_text(found, held))
+
+
+@dataclass(frozen=True)
+class TrimOptions:
+    """What was given on the command line."""
+
+    apply: bool | None
+    yes: bool
+    rest_s: float
+    json: bool
+
+
+def _trimmed(fish: Fish, live: LiveCamera, asked: TrimOptions) -> tuple[Trim, float | None]:
+    """What was found, and what is set now if it was applied."""
+
+    simulated = fish.info().simulated
+    with Display(quiet=asked.json) as display, terminal_keys() as keys:
+        there = keys is not None and display.moves
+        alone = asked.yes or simulated
+        _require_somebody(alone or there)
+        person = _person_trim(display, keys if there else None, alone)
+        wanted = Wanted(rest_s=asked.rest_s)
+        found = find_centre(fish, person, live.camera, live.guard, wanted)
+        wants = asked.apply
+        if wants is None and there and not asked.json:
+            display.keep(found.text())
+            wants = _person_trim(display, keys, False).confirm("Set it for good?")
+        return found, apply(fish, found) if wants else None
+
+
+def _require_somebody(there: bool) -> None:
+
+    if not there:
+        raise InputError(
+            "nobody can be asked before each swim here.",
+            "Add --yes when the fish is free to swim twice by itself, or call it at a terminal.",
+        )
+
+
+def _person_trim(display: Display, keys: Any, alone: bool) -> Person:
+
+    person = TerminalPerson(display, keys)
+    return _Willing(person) if alone else person
+
+
+@dataclass(frozen=True)
+class _Willing:
+    """Says yes to every swim; all else is the person's."""
+
+    person: Person
+
+    def tell(self, event: Event) -> None:
+        """Passes it on."""
+        self.person.tell(event)
+
+    def wants_abort(self) -> bool:
+        """As the person does."""
+        return self.person.wants_abort()
+
+    def decide(self, swum: Swum) -> Decision:
+        """As the person does."""
+        return self.person.decide(swum)
+
+    def confirm(self, question: str) -> bool:
+        """Yes."""
+        return True
+
+
+def _trim_document(found: Trim, held: float | None) -> dict[str, Any]:
+    return {
+        "was_us": found.was_us,
+        "centre_us": found.centre_us,
+        "sigma_us": found.sigma_us,
+        "turn_before_rad_m": found.turn_rad(found.was_us, 1.0),
+        "turn_sigma_rad_m": abs(found.turn_rad_m_us) * found.sigma_us,
+        "source": found.source,
+        "swims": found.swims,
+        "applied": held is not None,
+        "held_us": held,
+    }
+
+
+def _trim_text(found: Trim, held: float | None) -> str:
+    if held is not None:
+        return f"{found.text()}\nset for good: SERVO_CENTRE_US {held:.1f}"
+    return (
+        f"{found.text()}\nnothing was changed; to set it: tailbeat params set SERVO_CENTRE_US "
+        f"{found.centre_us:.1f}, tailbeat params save"
+    )

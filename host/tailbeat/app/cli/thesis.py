@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from tailbeat.app.cli._terminal import Json, echo, progress_bar, say
+from tailbeat.app.cli._options import Json
+from tailbeat.app.cli._terminal import echo, progress_bar, say
 from tailbeat.core.files import plain
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def thesis(
     Claims are judged at the thesis's own settings. Options change the run that is printed; an
     example that does not know one keeps its own.
 
-    Example: tailbeat thesis 8 --figures figures
+    Example: tailbeat sim thesis 8 --figures figures
     """
     from tailbeat.core.parallel import cores_here
     from tailbeat.studies.thesis import study

@@ -1,223 +1,327 @@
-"""trial run."""
+"""trial run, abort, list, pull, show, discard."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from tailbeat.app.cli._live_camera import (
-    Live,
-    LiveOptions,
-    camera_report,
-    camera_text,
-    lateness_warning,
-    live_camera,
-)
-from tailbeat.app.cli._options import (
-    CalibrationOption,
-    CameraOption,
-    LatencyOption,
-    MarkerIdOption,
-    MarkerKindOption,
-    MarkerSideOption,
-    WallOption,
-    marker_of,
-)
-from tailbeat.app.cli._terminal import Connect, Json, connected, echo, mm, progress_bar, say
-from tailbeat.app.cli._words import link_news, loud
-from tailbeat.app.cli.guided import GuideOptions, run_guided
+from tailbeat.app.cli._connect import connected
+from tailbeat.app.cli._experiment import discard_and_keep, keep_in_logbook, sound_identified
+from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._terminal import TRIAL_MAX, mm, progress_bar, say, table
+from tailbeat.board.fish import Fish
+from tailbeat.core.csv import read_speeds
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
+from tailbeat.core.records import decode_reference
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_checks import not_reached, straightness
+from tailbeat.core.trial_file import Trial, beats_csv, read_trial
+from tailbeat.experiment.current import require_fish
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import DISCARDED, logbook_of
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.saturation import Saturation, saturation_of
+from tailbeat.link.messages import SPEED_SOURCES
 
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
-    from tailbeat.learning.saturation import Saturation
-    from tailbeat.link.messages import TrialOutcome
+_SAME = "recomputed: the same speeds and sigmas, bit for bit"
+
+_SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
+
+Number = Annotated[
+    int | None,
+    typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="Default: the last one."),
+]
 
 
-def run(
-    camera: CameraOption = None,
-    calibration: CalibrationOption = None,
-    marker: MarkerKindOption = "aruco",
-    marker_id: MarkerIdOption = None,
-    marker_side: MarkerSideOption = None,
-    latency: LatencyOption = 0.0,
-    video: Annotated[
-        Path | None,
-        typer.Option("--video", metavar="FILM.mkv", help="Film what the camera sees."),
-    ] = None,
-    wall: WallOption = None,
-    guide: Annotated[
-        bool | None,
-        typer.Option(
-            "--guide/--no-guide",
-            help="Rest, pose, still water, countdown, swim, keep or not; default: at a terminal.",
-            show_default=False,
-        ),
-    ] = None,
-    rest: Annotated[
-        float | None,
-        typer.Option(
-            "--rest",
-            min=0.0,
-            max=3600.0,
-            metavar="S",
-            help="Rest since the last swim; default: 30.",
-        ),
-    ] = None,
-    until: Annotated[
-        str | None,
-        typer.Option(
-            "--until",
-            metavar="converged|battery|N",
-            help="Swim on until then; default: 1 kept swim.",
-        ),
-    ] = None,
+def stop(connect: Connect = None, json: Json = False) -> None:
+    """Stop the tail now.
+
+    Example: tailbeat stop
+    """
+    with connected(connect) as fish:
+        fish.abort()
+        status = fish.status()
+    say(json, status, f"stopped: {status.state}")
+
+
+def list_(connect: Connect = None, json: Json = False) -> None:
+    """Print the trials whose logs are on the board.
+
+    Example: tailbeat trial list
+    """
+    with connected(connect) as fish:
+        found = fish.trials()
+        pending = fish.status().pending_trial
+    rows = [
+        [str(t.number), str(t.size_bytes), "pending" if t.number == pending else ""] for t in found
+    ]
+    say(
+        json,
+        {"trials": found, "pending_trial": pending},
+        lambda: table(["trial", "bytes", ""], rows) if rows else "no trials on the board",
+    )
+
+
+def pull(
+    number: Number = None,
+    every: Annotated[bool, typer.Option("--all", help="All trials on the board.")] = False,
     into: Annotated[
-        Path | None,
-        typer.Option(
-            "--into", metavar="FOLDER", help="The experiment; default: the one the fish is in."
-        ),
-    ] = None,
-    then: Annotated[
-        str | None,
-        typer.Option(
-            "--then",
-            metavar="keep|repeat|discard",
-            help="Answer for every swim, given now; one you stop by a key is asked about.",
-        ),
-    ] = None,
-    reason: Annotated[
-        str | None,
-        typer.Option("--reason", metavar="TEXT", help="Why --then repeat or discard."),
-    ] = None,
-    learn: Annotated[
-        bool, typer.Option("--learn/--no-learn", help="Learn from what is kept at once.")
-    ] = True,
+        Path, typer.Option("--into", help="A folder, or an experiment's folder.")
+    ] = Path(),
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Arm if needed, swim the next trial to its end, show how it went. Ctrl-C stops the tail.
+    """Copy logs from the board. An interrupted copy continues where it stopped.
 
-    At a terminal it guides: rest, start pose, still water, countdown; any key stops the tail; then
-    you keep, repeat or discard the swim, and the log goes into the experiment. Elsewhere it swims
-    once and the trial waits, unless one of --guide, --rest, --until, --into and --then is given.
-    With a camera and its calibration the tail stops before the fish meets a wall.
-
-    Example: tailbeat trial run --until converged --rest 60 --camera 0 --calibration tank.json
+    Example: tailbeat trial pull 3 --into experiments/2026-05-04_fish_thesis_p4_01
     """
-    from tailbeat.session.trial import run_trial
-
-    on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, video, wall).check()
-    given = GuideOptions(guide, rest, until, into, then, reason, learn)
-    guided = given.wanted()
-    with _ctrl_c_told(), connected(connect) as fish, live_camera(fish, options) as live:
-        if guided:
-            run_guided(fish, live, given, json)
-            return
-        guard = _with_room(fish, live.guard)
-        with progress_bar(json, "swimming") as show:
-            outcome = run_trial(fish, live.camera, _follower(fish, live, show), guard)
-        report = camera_report(fish, live.video, outcome.number) if live.video else None
-        document, text = _told(outcome, report, _saturation(fish, outcome))
-        say(json, document, text)
-    if report and (warning := lateness_warning(report, latency)):
-        echo(f"tailbeat: {warning}", err=True)
-    if outcome.interrupted:
-        raise typer.Exit(130)
-    if outcome.end != "complete":
-        raise typer.Exit(1)
+    into.mkdir(parents=True, exist_ok=True)
+    with connected(connect) as fish:
+        numbers = [t.number for t in fish.trials()] if every else [_which(fish, number)]
+        paths = [_pull(fish, wanted, into, json) for wanted in numbers]
+        for path in paths:
+            keep_in_logbook(fish, path)
+    say(json, {"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
 
 
-@contextmanager
-def _ctrl_c_told() -> Iterator[None]:
-    """Also before anything swims, and when somebody is impatient."""
-    try:
-        yield
-    except KeyboardInterrupt as interrupt:
-        why = str(interrupt) or "stopped by Ctrl-C"
-        echo(f"tailbeat: {why}; nothing is lost", err=True)
-        raise typer.Exit(130) from None
+def _which(fish: Fish, number: int | None) -> int:
+
+    if number is not None:
+        return number
+    found = fish.trials()
+    if not found:
+        raise InputError("there are no trials on the board.", "Swim one: tailbeat trial run")
+    return found[-1].number
 
 
-def _with_room(fish: Fish, guard: Guard | None) -> Guard:
-    """Refuses a swim along what is not the fish's own or with parameters nobody meant, and one that
-    the tank has no room for; ends one that comes farther."""
-    from tailbeat.experiment.current import require_meant_here, require_own
-    from tailbeat.experiment.library import logbook_of
-    from tailbeat.session.guards import together
-    from tailbeat.session.room import room_guard, travel_next
+def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
+    """Into an experiment's raw files, where there is one; otherwise just into the folder."""
 
-    require_own(fish)
-    require_meant_here(fish)
-    book = logbook_of(fish)
-    travel_next(fish, book).require_room()
-    return together(guard, room_guard(fish, book))
-
-
-def _follower(
-    fish: Fish, live: Live, show: Callable[[float, str], None]
-) -> Callable[[dict[str, Any]], None]:
-    """Shows what happens while it happens."""
-    beats = max(fish.status().beats, 1)
-
-    def follow(event: dict[str, Any]) -> None:
-        if event["event"] == "started" and live.recorder is not None:
-            live.recorder.wanted = True
-        if event["event"] == "beat":
-            speed = mm(event.get("speed_m_s"))
-            show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-        elif (words := link_news(event) or loud(event)) is not None:
-            echo(f"tailbeat: {words}", err=True)
-
-    return follow
+    experiment = Experiment(into) if (into / "settings.json").is_file() else None
+    if experiment is not None:
+        require_fish(fish, experiment)
+    folder = into / ".pulling" if experiment else into
+    folder.mkdir(exist_ok=True)
+    with progress_bar(quiet, f"trial {number}") as show:
+        path = fish.pull_trial(
+            number, folder, lambda done, total: show(done / max(total, 1), f"{done} bytes")
+        )
+    if experiment is None:
+        return path
+    kept = experiment.add_raw(path.name, path.read_bytes())
+    path.unlink()
+    with contextlib.suppress(OSError):  # the beginning of another trial may lie there
+        folder.rmdir()
+    return kept
 
 
-def _told(
-    outcome: TrialOutcome, report: dict[str, float] | None, saturation: Saturation | None
-) -> tuple[Any, str]:
-    """A swim as a document and in words."""
-    document = plain(outcome) | {"saturation": saturation}
-    lines = [_outcome_text(outcome)]
-    if saturation is not None:
-        lines.append(saturation.text)
-    if report is not None:
-        document["camera"] = report
-        lines.append(camera_text(report))
-    return document, "\n".join(lines)
+def show(
+    what: Annotated[str | None, typer.Argument(metavar="TRIAL|FILE")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
+    recompute: Annotated[
+        bool,
+        typer.Option("--recompute", help="Compute the speeds again, by the board's own code."),
+    ] = False,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Print a trial: a file, or a number on the board (default: the last one).
+
+    Example: tailbeat trial show 0003.ulg --csv beats.csv
+    """
+
+    known: tuple[Identified | None, list[Trial]]
+    path = Path(what) if what is not None else None
+    if what is not None and path is not None and (path.is_file() or not what.isdecimal()):
+        trial = read_trial(path)
+        known = (None, [trial])
+    else:
+        trial, known = _from_board(int(what) if what else None, connect, json)
+    saturation = saturation_of(trial, *known)
+    if csv is not None:
+        beats_csv(trial, csv)
+    document = _document(trial) | {"saturation": saturation}
+    again = _recomputed(trial) if recompute else None
+    if again is not None:
+        document["recomputed"] = again
+    say(json, document, lambda: _trial_text(trial, saturation) + ("\n" + _SAME if again else ""))
+    if again is not None and not again["identical"]:
+        raise TailbeatError(
+            f"the speeds of trial {trial.number} cannot be computed again from its file",
+            "It was written by a firmware that computes otherwise, or is damaged; see the JSON.",
+        )
 
 
-def _saturation(fish: Fish, outcome: TrialOutcome) -> Saturation | None:
-    """None also when the board or the trial library cannot tell: the trial is over all the same."""
-    from tailbeat.core.errors import TailbeatError
-    from tailbeat.experiment.library import logbook_of
-    from tailbeat.learning.saturation import saturation_next
+def _recomputed(trial: Trial) -> dict[str, Any]:
 
-    try:
-        return saturation_next(fish, outcome.executed_beats, logbook_of(fish))
-    except TailbeatError:
-        return None
+    if trial.uploaded or _source(trial) == "upload":
+        raise InputError(
+            f"the speeds of trial {trial.number} were uploaded: there is nothing to compute",
+            "They are what the file says.",
+        )
+    if trial.executed_beats == 0 or trial.end_fault is None:
+        raise InputError(
+            f"trial {trial.number} was not written to its end: there is nothing to compare with",
+            "Pull it again.",
+        )
+    speed, sigma = recompute_beats(trial)
+    pairs = ((speed, trial.beats.speed_m_s), (sigma, trial.beats.sigma_m_s))
+    # float32 numbers that are equal have equal bits, but for a zero's sign; NaN = not measured
+    identical = all(np.array_equal(again, was, equal_nan=True) for again, was in pairs)
+    found: dict[str, Any] = plain({"speed_m_s": speed, "sigma_m_s": sigma})
+    return found | {"identical": identical}
 
 
-def _outcome_text(outcome: TrialOutcome) -> str:
-    errors = [
-        abs(beat.reference_m_s - beat.speed_m_s)
-        for beat in outcome.beats
-        if beat.speed_m_s is not None
+def _from_board(
+    number: int | None, connect: str | None, quiet: bool
+) -> tuple[Trial, tuple[Identified | None, list[Trial]]]:
+    """The trial, and what the trial library knows of its fish."""
+
+    with connected(connect) as fish, TemporaryDirectory() as folder:
+        path = _pull(fish, _which(fish, number), Path(folder), quiet)
+        trial = read_trial(path)
+        if (book := logbook_of(fish)) is None:
+            return trial, (None, [trial])
+        kept = [one.trial for one in book.kept(path)[0] if one.mark != DISCARDED]
+    return trial, (sound_identified(book), kept)
+
+
+def _source(trial: Trial) -> str:
+
+    return SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))]
+
+
+def _document(trial: Trial) -> dict[str, Any]:
+
+    document: dict[str, Any] = plain(trial)
+    document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
+    document["slots"] = plain(trial.slots.table())
+    document["speed_source"] = _source(trial)
+    document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
+    document["rms_error_m_s"] = trial.rms_error_m_s()
+    straight = straightness(trial)
+    document["straight"] = plain(straight)
+    document["crooked"] = straight.crooked if straight is not None else None
+    document["battery_start_v"], document["battery_end_v"] = _battery(trial)
+    return document
+
+
+def _battery(trial: Trial) -> tuple[float | None, float | None]:
+    """At the begin and at the end of the swim."""
+    volts = [volt for _, volt in trial.battery_v]
+    return (volts[0], volts[-1]) if volts else (None, None)
+
+
+def _conditions_text(trial: Trial) -> str:
+    """Straightness and battery, in one line."""
+
+    straight = straightness(trial)
+    words = "straightness not known" if straight is None else straight.text()
+    begin_v, end_v = _battery(trial)
+    volts = "not known" if begin_v is None else f"{begin_v:.2f} V to {end_v:.2f} V"
+    return f"{words}; battery {volts}"
+
+
+def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
+
+    b = trial.beats
+    rows = [
+        [
+            str(k),
+            "-" if np.isnan(b.applied_rad[k]) else f"{np.degrees(b.applied_rad[k]):.1f}",
+            mm(float(b.reference_m_s[k])),
+            mm(float(b.speed_m_s[k])),
+            mm(float(b.sigma_m_s[k])),
+            mm(float(b.error_m_s[k])),
+        ]
+        for k in range(len(b.samples))
     ]
-    worst = f", max|e| {mm(max(errors))} mm/s" if errors else ", no speeds measured"
-    line = f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}, "
-    unmeasured = outcome.executed_beats - len(errors)
-    missing = f" ({unmeasured} without a speed)" if errors and unmeasured > 0 else ""
-    line += f"{outcome.executed_beats} beats{missing}{worst}"
-    return line + ("" if outcome.end == "complete" else f"\nnext: {_next_words(bool(errors))}")
+    missing = not_reached(trial.executed_beats, np.isfinite(b.speed_m_s))
+    lines = [
+        f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
+        f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
+        f"RMS {mm(trial.rms_error_m_s())}; speed by "
+        f"{_source(trial)}",
+        _conditions_text(trial),
+        *([saturation.text] if saturation is not None else []),
+        *([missing] if missing else []),
+        *(f"note: {problem}" for problem in trial.problems),
+        table(["beat", "amplitude deg", "reference mm/s", "speed mm/s", "+-", "error mm/s"], rows),
+    ]
+    return "\n".join(lines)
 
 
-def _next_words(measured: bool) -> str:
-    """After a trial that did not end by itself."""
-    learn = ", then tailbeat learn (the beats it swam count) or tailbeat trial discard"
-    return "tailbeat clear" + (learn if measured else "")
+def discard(
+    number: Annotated[
+        int | None,
+        typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="Default: the pending one."),
+    ] = None,
+    repeat: Annotated[
+        bool, typer.Option("--repeat", help="It repeats an input: count it for the noise.")
+    ] = False,
+    reason: Annotated[
+        str, typer.Option("--reason", metavar="TEXT", help="Why, for the experiment's journal.")
+    ] = "",
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Drop the pending trial without learning from it; its log stays.
+
+    The trial library keeps it, too: without --repeat as a trial that does not count, neither for
+    the model nor for the convergence assessment (the fish touched the wall). So does the current
+    experiment, with the reason.
+
+    Example: tailbeat trial discard --reason "touched the wall at beat 13"
+    """
+    with connected(connect) as fish:
+        discard_and_keep(fish, number, repeat, json, reason)
+        status = fish.status()
+    what = "kept as a repeat, not learned from" if repeat else "discarded"
+    say(json, status, f"{what}; iteration {status.iteration} swims next")
+
+
+def speeds(
+    number: Annotated[
+        int, typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="The pending trial.")
+    ],
+    file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
+    sigma_m_s: Annotated[
+        float | None,
+        typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s."),
+    ] = None,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Upload speeds measured after the trial, for example from a video.
+
+    With t_s,v_m_s the speed is averaged over each beat; with beat,speed_m_s it is taken as it is
+    and an empty cell means not measured. The file of 'camera track' also has each speed's standard
+    deviation and its trial; without that the standard deviation is 0.001 m/s.
+
+    Example: tailbeat trial speeds 3 speed.csv
+    """
+
+    if sigma_m_s is not None and not 0 < sigma_m_s <= 1:
+        raise typer.BadParameter("--sigma is in m/s, more than 0, like 0.001")
+    with connected(connect) as fish:
+        record = fish.reference_record()
+        beat_s = decode_reference(record).beat_s if record else 1.0
+        beats = fish.status().beats
+        found = read_speeds(file, beats, beat_s, number)
+        sigma = found.sigma_m_s if sigma_m_s is None else None
+        if sigma is None:
+            sigma = np.full(beats, sigma_m_s or _SPEED_SIGMA_M_S, dtype=np.float32)
+        fish.upload_speeds(number, found.speed_m_s, sigma)
+    document = {
+        "trial": number,
+        "measured_beats": found.measured,
+        "speed_m_s": found.speed_m_s,
+        "sigma_m_s": np.where(np.isfinite(found.speed_m_s), sigma, np.nan),
+    }
+    say(json, document, f"trial {number} has speeds for {found.measured} of {beats} beats")

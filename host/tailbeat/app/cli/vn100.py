@@ -7,25 +7,33 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._terminal import Json, echo, json_line, say
+from tailbeat.app.cli._options import Json
+from tailbeat.app.cli._terminal import echo, json_line, say
+from tailbeat.core.errors import InputError, LinkLostError
 from tailbeat.core.printable import printable
-
-if TYPE_CHECKING:
-    from tailbeat.sensors.vn100.decode import Message
-    from tailbeat.sensors.vn100.driver import Setup
-    from tailbeat.sensors.vn100.live import Live
-    from tailbeat.sensors.vn100.summary import CsvFiles, Summary
+from tailbeat.sensors.vn100 import decode
+from tailbeat.sensors.vn100.decode import Line, Message, Reader
+from tailbeat.sensors.vn100.driver import Driver, Setup
+from tailbeat.sensors.vn100.live import (
+    DEFAULT_BAUD,
+    Live,
+    configure,
+    find_baud,
+    is_port,
+    open_source,
+)
+from tailbeat.sensors.vn100.summary import CsvFiles, Summary, plain_values
 
 _DROPOUTS_SHOWN = 10
 _LINE_EVERY_S = 0.2
 _SILENT_S = 2.0
 
 
-def vn100(
+def imu_decode(
     source: Annotated[
         str,
         typer.Argument(
@@ -67,10 +75,8 @@ def vn100(
 ) -> None:
     """Decode a VN-100's recording, or listen to one; --json prints JSON lines when live.
 
-    Example: tailbeat vn100 /dev/ttyUSB0 --config --csv imu.csv
+    Example: tailbeat board imu decode /dev/ttyUSB0 --config --csv imu.csv
     """
-    from tailbeat.core.errors import InputError
-    from tailbeat.sensors.vn100.live import is_port
 
     if is_port(source):
         _listen(source, csv, _Wishes(config, baud, rate, seconds), json)
@@ -91,10 +97,6 @@ class _Wishes:
 
 
 def _recording(name: str, csv: Path | None, as_json: bool) -> None:
-    from tailbeat.core.errors import InputError
-    from tailbeat.sensors.vn100 import decode
-    from tailbeat.sensors.vn100.decode import Reader
-    from tailbeat.sensors.vn100.summary import Summary
 
     reader, summary = Reader(), Summary()
     with _csv_files(csv, live=False) as files:
@@ -112,7 +114,7 @@ def _recording(name: str, csv: Path | None, as_json: bool) -> None:
 
 def _nothing(name: str, document: dict[str, Any]) -> tuple[str, str]:
     if not document["bytes"]:
-        return f"{name} is empty", "Record again; does anything come? tailbeat vn100 PORT"
+        return f"{name} is empty", "Record again. Is there data? tailbeat board imu decode PORT"
     damaged = document["crc_failed"] + document["checksum_failed"]
     return (
         f"{name} holds no message of a VN-100 in {document['bytes']} bytes"
@@ -130,15 +132,11 @@ def _chunks(name: str) -> Iterator[bytes]:
 
 
 def _csv_files(path: Path | None, live: bool) -> contextlib.AbstractContextManager[CsvFiles | None]:
-    from tailbeat.sensors.vn100.summary import CsvFiles
 
     return contextlib.nullcontext() if path is None else CsvFiles(path, live)
 
 
 def _listen(name: str, csv: Path | None, wishes: _Wishes, as_json: bool) -> None:
-    from tailbeat.core.errors import InputError
-    from tailbeat.sensors.vn100.driver import Driver
-    from tailbeat.sensors.vn100.live import DEFAULT_BAUD, Live, open_source
 
     if wishes.config and wishes.baud is None and name.startswith("tcp:"):
         raise InputError(
@@ -154,7 +152,6 @@ def _listen(name: str, csv: Path | None, wishes: _Wishes, as_json: bool) -> None
 
 
 def _begin(live: Live, wishes: _Wishes, as_json: bool) -> None:
-    from tailbeat.sensors.vn100.live import configure, find_baud
 
     if live.driver is None:
         baud = find_baud(live, wishes.baud)
@@ -182,8 +179,6 @@ def _setup_text(name: str, setup: Setup) -> str:
 
 
 def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) -> None:
-    from tailbeat.core.errors import LinkLostError
-    from tailbeat.sensors.vn100.summary import Summary
 
     lost: LinkLostError | None = None
     summary = Summary()
@@ -225,8 +220,6 @@ def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) 
 
 
 def _message_document(message: Message, time_s: float) -> dict[str, Any]:
-    from tailbeat.sensors.vn100.decode import Line
-    from tailbeat.sensors.vn100.summary import plain_values
 
     document = {"event": "message", "t_s": round(time_s, 6), "kind": message.kind}
     if message.values or not isinstance(message, Line):

@@ -1,33 +1,28 @@
-"""ui."""
+"""The session as a web page."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from threading import Event, Thread
+from typing import Annotated
 
 import typer
 
-from tailbeat.app.cli._options import (
-    CalibrationOption,
-    CameraOption,
-    LatencyOption,
-    MarkerIdOption,
-    MarkerKindOption,
-    MarkerSideOption,
-    marker_of,
-)
-from tailbeat.app.cli._terminal import Connect, Json, echo, json_line
-
-if TYPE_CHECKING:
-    from tailbeat.app.cli._live_camera import LiveOptions
-    from tailbeat.app.web.worker import Eyes
-    from tailbeat.board.fish import Fish
+from tailbeat.app.cli._camera import CAMERA, CameraOptions, LiveOptions, live_camera
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Json, Root
+from tailbeat.app.cli._terminal import echo, json_line
+from tailbeat.app.web.server import listen, serve
+from tailbeat.app.web.worker import Conductor, Eyes, no_eyes
+from tailbeat.board.connect import open_transport
+from tailbeat.board.fish import Fish, Guard
+from tailbeat.core.frames import Camera
+from tailbeat.sim.board import in_process
+from tailbeat.sim.server import SimServer
 
 
-def ui(
+def web(
     connect: Connect = None,
     host: Annotated[
         str,
@@ -43,34 +38,21 @@ def ui(
     open_: Annotated[
         bool, typer.Option("--open/--no-open", help="Show the page in a browser at once.")
     ] = True,
-    root: Annotated[Path, typer.Option("--root", help="Folder for new experiments.")] = Path(
-        "experiments"
-    ),
-    camera: CameraOption = None,
-    calibration: CalibrationOption = None,
-    marker: MarkerKindOption = "aruco",
-    marker_id: MarkerIdOption = None,
-    marker_side: MarkerSideOption = None,
-    latency: LatencyOption = 0.0,
+    root: Root = EXPERIMENTS,
+    camera: CameraOptions = CAMERA,
     speed: Annotated[
         float, typer.Option("--speed", help="With --connect sim: simulated seconds per second.")
     ] = 1.0,
     json: Json = False,
 ) -> None:
-    """The day at the tank as a web page on this computer: start, abort, decide, look. Ctrl-C ends
-    it and stops the tail.
+    """Run the session on a web page: start, stop, decide, look.
 
-    Example: tailbeat ui --connect sim --speed 5
+    This computer serves the page. Ctrl-C ends it and stops the tail.
+
+    Example: tailbeat session web --connect sim --speed 5
     """
-    from tailbeat.app.cli._live_camera import LiveOptions
-    from tailbeat.core.extras import need
 
-    need("nicegui", "web", "The page needs NiceGUI")
-    from tailbeat.app.web.server import listen, serve
-    from tailbeat.app.web.worker import Conductor
-
-    on_fish = marker_of(marker, marker_id, marker_side)
-    options = LiveOptions(camera, on_fish, calibration, latency, None, None)
+    options = camera.live()
     place = listen(host, port)
     with contextlib.closing(place.listener), _board(connect, speed) as make:
         if json:
@@ -85,16 +67,10 @@ def ui(
 def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
     """How to connect. A board that would live in this process gets a time of its own: otherwise its
     swims would be over before anybody could look."""
-    from tailbeat.board.fish import Fish
 
     if url is None or url.partition(":")[0] not in ("sim", "vboard"):
         yield lambda: Fish.connect(url)
         return
-    from threading import Event, Thread
-
-    from tailbeat.board.connect import open_transport
-    from tailbeat.sim.board import in_process
-    from tailbeat.sim.server import SimServer
 
     transport = in_process(open_transport(url))
     assert transport is not None
@@ -112,10 +88,6 @@ def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
 
 def _eyes(options: LiveOptions) -> Eyes:
     """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
-    from tailbeat.app.cli._live_camera import live_camera
-    from tailbeat.app.web.worker import no_eyes
-    from tailbeat.board.fish import Guard
-    from tailbeat.core.frames import Camera
 
     @contextlib.contextmanager
     def open_eyes(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:

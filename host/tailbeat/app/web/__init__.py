@@ -1,1 +1,1 @@
-"""The live page: ``tailbeat ui``. Needs the package's extra ``ui``."""
+"""The live page: ``tailbeat session web``. Needs the package's extra ``ui``."""

@@ -528,7 +528,7 @@ def _from_the_page(words: str) -> str:
     """Commands need the port that the page holds."""
     if "tailbeat session" not in words and "tailbeat params" not in words:
         return words
-    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat ui runs."
+    return f"{words.rstrip('.')}. End this page first: Ctrl-C where tailbeat session web runs."
 
 
 def _sensible(what: str, values: dict[str, Any]) -> Ask:
@@ -559,5 +559,6 @@ def _clock() -> str:
 def _unexpected(error: Exception) -> str:
     return (
         f"something went wrong that should not ({type(error).__name__}: {error})."
-        " Switch the fish off if its tail beats, start 'tailbeat ui' again and report this."
+        " Switch the fish off if its tail beats, start 'tailbeat session web' again and report "
+        "this."
     )

@@ -25,7 +25,8 @@ _SENT_CHARS = 40
 _LITTLE_V = 0.2
 _RADIO_REMEDY = "Bring the antenna out of the water, and closer; check the cable and its ground."
 _VERSION_REMEDY = (
-    "Flash the firmware that came with this tool (make firmware, then: tailbeat flash), or install"
+    "Flash the firmware that came with this tool (make firmware, then: tailbeat board flash), or "
+    "install"
     " the tool that came with the firmware."
 )
 
@@ -192,7 +193,7 @@ def _key(patient: Patient) -> Finding:
             PROBLEM,
             f"the board does not sign, but this computer has its key {key.lost.fingerprint}: it was"
             " erased, or somebody pretends to be this board",
-            "Set it again over the wired port: tailbeat key set",
+            "Set it again over the wired port: tailbeat board key set",
             measured,
         )
     if key.trust == MISSING:
@@ -200,7 +201,8 @@ def _key(patient: Patient) -> Finding:
             "key",
             PROBLEM,
             "the board has a key that this computer has not, so it does not obey",
-            "Bring the key: 'tailbeat key export' where it was set, 'tailbeat key import' here.",
+            "Bring the key: 'tailbeat board key export' where it was set, 'tailbeat board key "
+            "import' here.",
             measured,
         )
     if key.trust == HELD and key.held is not None:
@@ -211,7 +213,7 @@ def _key(patient: Patient) -> Finding:
         return Finding("key", WARNING if strangers else OK, text, "", measured)
     if patient.in_process:
         return Finding("key", OK, "none; nobody else reaches a board in this process", "", measured)
-    remedy = "Set one over the wired port: tailbeat key set"
+    remedy = "Set one over the wired port: tailbeat board key set"
     text = "none: anyone in radio range can move this tail"
     return Finding("key", WARNING, text, remedy, measured)
 

@@ -59,7 +59,7 @@ def require_quiet(fish: Fish, wipes: bool) -> None:
     if status.state not in _QUIET_STATES:
         raise InputError(
             f"the board is {status.state}; it is not flashed while the tail may move",
-            "Stop it first: tailbeat disarm",
+            "Stop it first: tailbeat board disarm",
         )
     critical_v = fish.params.get("BATT_CRIT_V").value
     if _NO_BATTERY_V < status.battery_v < critical_v:

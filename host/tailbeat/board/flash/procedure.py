@@ -423,7 +423,7 @@ class _Flashing:
 
 
 def _back_by(kept: Backup) -> str:
-    return f"What the board held goes back with: tailbeat flash --restore {kept.folder}"
+    return f"What the board held goes back with: tailbeat board flash --restore {kept.folder}"
 
 
 def _words(error: BaseException) -> str:

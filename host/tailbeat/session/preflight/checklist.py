@@ -115,7 +115,7 @@ def _look_at_board(fish: Fish, person: Person) -> BoardStatus:
         fault = status.fault
         raise step.refuse(
             f"the board is stopped ({fault.name}): {fault.meaning}",
-            f"{fault.remedy} To clear it: tailbeat clear",
+            f"{fault.remedy} To clear it: tailbeat board clear",
         )
     if status.state != "IDLE":
         raise step.refuse(

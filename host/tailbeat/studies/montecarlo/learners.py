@@ -167,8 +167,8 @@ class Board:
 
 
 class Designed:
-    """The board's law as ``tailbeat design`` makes it for each fish, with the ratio of each step
-    predicted before it is swum."""
+    """The board's law as ``tailbeat session design`` makes it for each fish, with the ratio of each
+    step     predicted before it is swum."""
 
     def __init__(
         self,

@@ -211,7 +211,8 @@ class Store:
         parts = sorted((self.folder / PARTS).glob("*.part"))
         if not parts:
             raise InputError(
-                f"{self.folder} holds no results of a sweep.", "Run: tailbeat sweep RECIPE --out"
+                f"{self.folder} holds no results of a sweep.",
+                "Run: tailbeat sim montecarlo RECIPE --out",
             )
         return arrow().concat_tables([_read_part(path) for path in parts])
 

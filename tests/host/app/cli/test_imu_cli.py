@@ -140,7 +140,7 @@ def shell(
     monkeypatch.setattr("tailbeat.board.fish.Fish.connect", connect)
 
     def command(*words: str, status: int = 0) -> str:
-        assert run(["imu", *words]) == status
+        assert run(["board", "imu", *words]) == status
         out, err = capsys.readouterr()
         err = "".join(line for line in err.splitlines(True) if "no key: anyone" not in line)
         assert (err == "") == (status == 0)
@@ -309,8 +309,8 @@ def test_the_simulated_board(capsys: pytest.CaptureFixture[str], tmp_path: Path)
         )
         assert frames[-1].time_s == pytest.approx(fish.clock.now_s(), abs=0.3)
         assert all(abs(f.accel_m_s2[2] + 9.8) < 1 for f in frames)
-    assert run(["imu", "--connect", "sim"]) == 0
+    assert run(["board", "imu", "--connect", "sim"]) == 0
     assert capsys.readouterr().out.startswith("VN-100")
     out = tmp_path / "raw.csv"
-    assert run(["imu", "record", str(out), "--seconds", "6", "--connect", "sim"]) == 0
+    assert run(["board", "imu", "record", str(out), "--seconds", "6", "--connect", "sim"]) == 0
     assert "0 missing" in capsys.readouterr().out

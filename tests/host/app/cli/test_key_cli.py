@@ -120,7 +120,7 @@ def laptop(
 def owner(laptop: Callable[[str], Laptop]) -> Laptop:
     """Has just given the board its key."""
     owner = laptop("owner")
-    owner.text("key", "set", "--name", "fish", "--connect", "wire")
+    owner.text("board", "key", "set", "--name", "fish", "--connect", "wire")
     return owner
 
 
@@ -135,43 +135,43 @@ def upload_reference(fish: Fish) -> bytes:
 
 def test_from_no_key_to_one_and_back(laptop: Callable[[str], Laptop]) -> None:
     owner = laptop("owner")
-    before = owner.json("key", "status", "--connect", "radio")
+    before = owner.json("board", "key", "status", "--connect", "radio")
     assert (before["trust"], before["held"], before["lost"]) == ("open", None, None)
-    line = owner.text("key", "set", "--connect", "wire")
+    line = owner.text("board", "key", "set", "--connect", "wire")
     assert owner.key().fingerprint in line
     assert "key export" in line
     for port in ("radio", "wire"):
-        held = owner.json("key", "status", "--connect", port)
+        held = owner.json("board", "key", "status", "--connect", port)
         assert (held["trust"], held["held"]["key"]) == ("held", owner.key().fingerprint)
     assert owner.text("params", "set", "ILC_LEAD", "2", "--connect", "radio")
-    assert owner.text("key", "status", "--connect", "radio").count("\n") == 3
-    gone = owner.json("key", "erase", "--connect", "wire")
+    assert owner.text("board", "key", "status", "--connect", "radio").count("\n") == 3
+    gone = owner.json("board", "key", "erase", "--connect", "wire")
     assert gone["erased"]["key"] == held["held"]["key"]
-    assert owner.json("key", "list")["keys"] == []
-    assert owner.json("key", "status", "--connect", "radio")["trust"] == "open"
-    assert owner.json("key", "erase", "--connect", "wire") == {"erased": None}
+    assert owner.json("board", "key", "list")["keys"] == []
+    assert owner.json("board", "key", "status", "--connect", "radio")["trust"] == "open"
+    assert owner.json("board", "key", "erase", "--connect", "wire") == {"erased": None}
 
 
 def test_no_key_is_ever_shown(owner: Laptop) -> None:
     secret = owner.key().key.hex()
     for words in (["list"], ["status", "--connect", "radio"], ["set", "--connect", "wire"]):
         for extra in ([], ["--json"]):
-            _, out, err = owner.call("key", *words, *extra)
+            _, out, err = owner.call("board", "key", *words, *extra)
             assert secret[:12] not in out + err
-    assert owner.key().key.hex() not in owner.text("key", "list")
+    assert owner.key().key.hex() not in owner.text("board", "key", "list")
 
 
 def test_not_over_the_radio(laptop: Callable[[str], Laptop]) -> None:
     owner = laptop("owner")
-    line = owner.fails("key", "set", "--connect", "radio")
+    line = owner.fails("board", "key", "set", "--connect", "radio")
     assert line.startswith("tailbeat: the key can only be set over the wired port. Connect")
-    assert owner.json("key", "list")["keys"] == []
-    owner.text("key", "set", "--connect", "wire")
+    assert owner.json("board", "key", "list")["keys"] == []
+    owner.text("board", "key", "set", "--connect", "wire")
     key = owner.key()
-    assert "wired port" in owner.fails("key", "set", "--connect", "radio")
-    assert "wired port" in owner.fails("key", "erase", "--connect", "radio")
+    assert "wired port" in owner.fails("board", "key", "set", "--connect", "radio")
+    assert "wired port" in owner.fails("board", "key", "erase", "--connect", "radio")
     assert owner.key().key == key.key
-    assert owner.json("key", "status", "--connect", "radio")["trust"] == "held"
+    assert owner.json("board", "key", "status", "--connect", "radio")["trust"] == "held"
 
 
 def test_not_while_armed(owner: Laptop) -> None:
@@ -179,18 +179,21 @@ def test_not_while_armed(owner: Laptop) -> None:
         upload_reference(fish)
         fish.arm()
     key = owner.key()
-    assert "not possible in this state" in owner.fails("key", "set", "--connect", "wire")
-    assert "not possible in this state" in owner.fails("key", "erase", "--connect", "wire")
+    assert "not possible in this state" in owner.fails("board", "key", "set", "--connect", "wire")
+    assert "not possible in this state" in owner.fails("board", "key", "erase", "--connect", "wire")
     assert owner.key().key == key.key
-    assert owner.json("disarm", "--connect", "radio")["state"] == "IDLE"
+    assert owner.json("board", "disarm", "--connect", "radio")["state"] == "IDLE"
 
 
 def test_a_second_set_replaces(owner: Laptop) -> None:
     first = owner.key()
-    owner.text("key", "set", "--connect", "wire")
+    owner.text("board", "key", "set", "--connect", "wire")
     second = owner.key()
     assert second.key != first.key
-    assert owner.json("key", "status", "--connect", "radio")["held"]["key"] == second.fingerprint
+    assert (
+        owner.json("board", "key", "status", "--connect", "radio")["held"]["key"]
+        == second.fingerprint
+    )
     KeyStore(owner.folder).forget(second)
     KeyStore(owner.folder).save(first)
     assert REFUSED in owner.fails("params", "set", "ILC_LEAD", "1", "--connect", "radio")
@@ -291,22 +294,22 @@ def test_the_key_goes_to_a_second_laptop(
     owner: Laptop, laptop: Callable[[str], Laptop], tmp_path: Path
 ) -> None:
     second, file = laptop("second"), tmp_path / "fish.key"
-    line = owner.text("key", "export", str(file))
+    line = owner.text("board", "key", "export", str(file))
     assert "whoever has it can move the tail" in line
     if sys.platform != "win32":
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
-    assert "exists" in owner.fails("key", "export", str(file))
-    assert REFUSED in second.fails("arm", "--connect", "radio")
-    assert f"delete {file}" in second.text("key", "import", str(file))
+    assert "exists" in owner.fails("board", "key", "export", str(file))
+    assert REFUSED in second.fails("board", "arm", "--connect", "radio")
+    assert f"delete {file}" in second.text("board", "key", "import", str(file))
     assert second.key().link_id != owner.key().link_id
     assert second.text("params", "set", "ILC_LEAD", "2", "--connect", "radio")
     assert owner.text("params", "set", "ILC_LEAD", "3", "--connect", "radio")
-    second.text("key", "forget", second.key().fingerprint)
-    assert REFUSED in second.fails("arm", "--connect", "radio")
+    second.text("board", "key", "delete", second.key().fingerprint)
+    assert REFUSED in second.fails("board", "arm", "--connect", "radio")
 
 
 def test_export_prints_the_secret_and_says_so(owner: Laptop, capsys: Any) -> None:
-    status, out, err = owner.call("key", "export")
+    status, out, err = owner.call("board", "key", "export")
     assert (status, json.loads(out)["key"]) == (0, owner.key().key.hex())
     assert "secret" in err
     assert err.count("\n") == 1
@@ -314,8 +317,8 @@ def test_export_prints_the_secret_and_says_so(owner: Laptop, capsys: Any) -> Non
 
 def test_import_of_something_else(owner: Laptop, tmp_path: Path) -> None:
     (tmp_path / "no.key").write_text("no")
-    assert "holds no key" in owner.fails("key", "import", str(tmp_path / "no.key"))
-    assert "cannot use" in owner.fails("key", "import", str(tmp_path / "none.key"))
+    assert "holds no key" in owner.fails("board", "key", "import", str(tmp_path / "no.key"))
+    assert "cannot use" in owner.fails("board", "key", "import", str(tmp_path / "none.key"))
 
 
 def copy(owner: Laptop, other: Laptop) -> None:
@@ -364,13 +367,14 @@ def test_a_laptop_whose_clock_is_wrong(
 
 
 CHANGES = [
-    ["arm"], ["disarm"], ["clear"], ["learn"], ["learn", "--restore-best"],
+    ["board", "arm"], ["board", "disarm"], ["board", "clear"],
+    ["learn"], ["learn", "--restore-best"],
     ["params", "set", "ILC_LEAD", "1"], ["params", "save"], ["params", "reset"],
     ["reference", "upload", "thesis"], ["trial", "run"], ["trial", "discard"],
-    ["key", "set"], ["key", "erase"],
+    ["board", "key", "set"], ["board", "key", "erase"],
 ]  # fmt: skip
 READS = [
-    ["info"], ["params", "list"], ["trial", "list"], ["key", "status"],
+    ["info"], ["params", "list"], ["trial", "list"], ["board", "key", "status"],
     ["params", "get", "ILC_LEAD"],
 ]  # fmt: skip
 
@@ -383,9 +387,9 @@ def test_a_stranger_changes_nothing(owner: Laptop, laptop: Callable[[str], Lapto
     stranger = laptop("stranger")
     flash = owner.board.flash
     for words in CHANGES:
-        err = stranger.fails(*words, "--connect", "wire" if words[0] == "key" else "radio")
+        err = stranger.fails(*words, "--connect", "wire" if "key" in words else "radio")
         assert err.splitlines()[-1].startswith(REFUSED), words
-        assert err.count("\n") == (1 if words[0] == "key" else 2), words
+        assert err.count("\n") == (1 if "key" in words else 2), words
     assert owner.board.flash == flash
     with owner.fish() as fish:
         assert {name: p.value for name, p in fish.params.list().items()} == params
@@ -404,8 +408,8 @@ def test_a_stranger_reads(owner: Laptop, laptop: Callable[[str], Laptop], tmp_pa
         status, out, err = stranger.call(*words, "--connect", "radio", "--json")
         assert status == 0, (words, err)
         assert json.loads(out)
-        assert err.count("\n") == (words[0] != "key")
-        assert "key import" in err or words[0] == "key"
+        assert err.count("\n") == ("key" not in words)
+        assert "key import" in err or "key" in words
     with stranger.fish() as fish:
         assert fish.status().pending_trial == number
         assert fish.reference_record() == record
@@ -439,7 +443,7 @@ def test_a_strangers_doctor_names_the_key(
         "tailbeat.board.diagnostics.evidence.open_transport", stranger.open_transport
     )
     for laptop_, problems in ((owner, []), (stranger, ["key"])):
-        status, out, err = laptop_.call("doctor", "--connect", "radio", "--json")
+        status, out, err = laptop_.call("board", "check", "--connect", "radio", "--json")
         checks = json.loads(out)["checks"]
         assert (status, err) == (len(problems), "")
         assert [check["name"] for check in checks if check["status"] == "problem"] == problems
@@ -550,7 +554,7 @@ def test_a_board_that_lost_its_key_is_told(owner: Laptop, monkeypatch: pytest.Mo
     assert status == 0
     assert f"this computer has its key {key.fingerprint}" in err
     assert err.count("\n") == 1
-    lost = owner.json("key", "status", "--connect", "radio")
+    lost = owner.json("board", "key", "status", "--connect", "radio")
     assert (lost["trust"], lost["lost"]["key"]) == ("open", key.fingerprint)
 
 
@@ -561,7 +565,7 @@ def test_a_simulated_board_may_forget_its_key(
     with Fish.connect("sim?port=console") as fish:
         set_key(fish)
     assert KeyStore()
-    for words in (["info"], ["key", "status"], ["doctor"]):
+    for words in (["info"], ["board", "key", "status"], ["board", "check"]):
         status = run([*words, "--connect", "sim", "--json"])
         out, err = capsys.readouterr()
         assert (status, err, 'lost": {' in out) == (0, "", False), words
@@ -620,7 +624,7 @@ def test_notices_at_connect(
         notice = connect_notice(fish)
         assert notice is not None
         assert notice.startswith("no key: anyone in radio range can move this tail")
-        assert "tailbeat key set" in notice
+        assert "tailbeat board key set" in notice
 
 
 def test_no_key_is_told_once_a_day(

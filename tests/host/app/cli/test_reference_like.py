@@ -1,4 +1,4 @@
-"""reference upload --like: what was learned goes along to a scaled reference."""
+"""reference upload --warm-start: what was learned goes along to a scaled reference."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def expected(fish: Fish, amplitude: Any, new: str) -> np.ndarray[Any, Any]:
 def test_from_the_board(learned: Fish, shell: Shell) -> None:
     best, error = learned.amplitudes(best=True).values, learned.status().best_max_abs_error_m_s
     held = learned.learned_record()
-    document = shell.upload(SLOWER, "--like", "board")
+    document = shell.upload(SLOWER, "--warm-start", "board")
     now = learned.amplitudes()
     np.testing.assert_array_equal(now.values, expected(learned, best, SLOWER))
     assert (now.iteration, now.input) == (1, UPLOADED)
@@ -121,7 +121,7 @@ def test_from_the_board(learned: Fish, shell: Shell) -> None:
 
 
 def test_one_quiet_line(learned: Fish, shell: Shell) -> None:
-    out, err = shell.text(SLOWER, "--like", "board")
+    out, err = shell.text(SLOWER, "--warm-start", "board")
     assert err == ""
     assert out.count("\n") == 1
     assert "like the board, iteration 3 (max|e|" in out
@@ -130,9 +130,9 @@ def test_one_quiet_line(learned: Fish, shell: Shell) -> None:
 
 def test_a_dry_run_changes_nothing(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     before = learned.learned_record(), learned.reference_record()
-    document = shell.upload(SLOWER, "--like", "board", "--dry-run")
+    document = shell.upload(SLOWER, "--warm-start", "board", "--dry-run")
     assert document["copy"] is None
-    out, err = shell.text(SLOWER, "--like", "board", "--dry-run")
+    out, err = shell.text(SLOWER, "--warm-start", "board", "--dry-run")
     rows = out.splitlines()
     assert rows[0] == "beat,amplitude_rad"
     values = np.array([float(row.split(",")[1]) for row in rows[1:]], np.float32)
@@ -146,7 +146,7 @@ def test_a_dry_run_changes_nothing(learned: Fish, shell: Shell, tmp_path: Path) 
 
 def test_dry_run_alone_is_a_slip(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["reference", "upload", OLD, "--dry-run"]) == 2
-    assert "--like" in capsys.readouterr().err
+    assert "--warm-start" in capsys.readouterr().err
 
 
 def test_from_files(learned: Fish, shell: Shell, tmp_path: Path) -> None:
@@ -165,52 +165,56 @@ def test_from_files(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     want = expected(learned, amplitude, SLOWER).tolist()
     learned.upload_reference(references.from_text("trapezoid:0.05,2,2").record())
     for like in (str(files[2]), str(tmp_path / "trials"), str(folder), OLD):
-        found = shell.upload(SLOWER, "--like", like, "--dry-run")["like"]
+        found = shell.upload(SLOWER, "--warm-start", like, "--dry-run")["like"]
         assert found["amplitude_rad"] == want, like
         assert found["from"].startswith("trial 3 of")
         assert found["old_max_abs_error_m_s"] < 0.03
-    other = shell.upload(SLOWER, "--like", str(files[0]))["like"]
+    other = shell.upload(SLOWER, "--warm-start", str(files[0]))["like"]
     assert other["from"] == "trial 1 of 0001.ulg"
     assert other["amplitude_rad"] != want
 
 
 def test_by_name_from_the_board_and_the_logbook(learned: Fish, shell: Shell) -> None:
-    assert shell.upload(SLOWER, "--like", OLD, "--dry-run")["like"]["from"].startswith("the board")
+    assert shell.upload(SLOWER, "--warm-start", OLD, "--dry-run")["like"]["from"].startswith(
+        "the board"
+    )
     from tailbeat.experiment.library import logbook_of
 
     book = logbook_of(learned)
     assert book is not None
     book.keep(learned.pull_trial(2, book.folder / "x"))
     learned.upload_reference(references.from_text("trapezoid:0.05,2,2").record())
-    found = shell.upload(SLOWER, "--like", OLD)["like"]
+    found = shell.upload(SLOWER, "--warm-start", OLD)["like"]
     assert found["from"].startswith("trial 2 of this fish along trapezoid")
-    assert "no whole trial" in shell.fails(SLOWER, "--like", "thesis")
+    assert "no whole trial" in shell.fails(SLOWER, "--warm-start", "thesis")
 
 
 def test_another_shape_is_refused(learned: Fish, shell: Shell) -> None:
     before = learned.learned_record()
-    error = shell.fails("cosine:0.048,5,7.5", "--like", "board")
+    error = shell.fails("cosine:0.048,5,7.5", "--warm-start", "board")
     assert "is no scaled copy" in error
     assert "5% are allowed" in error
-    assert "leave out --like" in error
+    assert "leave out --warm-start" in error
     assert learned.learned_record() == before
 
 
 def test_nothing_learned(fish: Fish, shell: Shell) -> None:
-    assert "has learned nothing" in shell.fails(SLOWER, "--like", "board")
+    assert "has learned nothing" in shell.fails(SLOWER, "--warm-start", "board")
     fish.upload_reference(references.from_text(OLD).record())
     fish.arm()  # which makes the first guess
     fish.disarm()
     assert fish.status().iteration == 1
-    assert "has learned nothing" in shell.fails(SLOWER, "--like", "board")
+    assert "has learned nothing" in shell.fails(SLOWER, "--warm-start", "board")
     assert fish.status().reference_crc == references.from_text(OLD).crc
 
 
 def test_a_pending_trial_comes_first(learned: Fish, shell: Shell) -> None:
     learned.arm()
-    assert "not IDLE" in shell.fails(SLOWER, "--like", "board")
+    assert "not IDLE" in shell.fails(SLOWER, "--warm-start", "board")
     run_trial(learned)
-    assert "tailbeat learn, or tailbeat trial discard" in shell.fails(SLOWER, "--like", "board")
+    assert "tailbeat learn, or tailbeat trial discard" in shell.fails(
+        SLOWER, "--warm-start", "board"
+    )
 
 
 def test_a_cut_trial_is_not_a_whole_one(learned: Fish, shell: Shell, tmp_path: Path) -> None:
@@ -220,7 +224,7 @@ def test_a_cut_trial_is_not_a_whole_one(learned: Fish, shell: Shell, tmp_path: P
     path = learned.pull_trial(outcome.number, tmp_path)
     learned.clear()
     learned.discard(outcome.number)
-    assert "no whole trial" in shell.fails(SLOWER, "--like", str(path))
+    assert "no whole trial" in shell.fails(SLOWER, "--warm-start", str(path))
 
 
 @pytest.mark.parametrize("armed_between", [False, True])
@@ -236,35 +240,35 @@ def test_the_link_drops_between_the_uploads(
 
     with monkeypatch.context() as broken:
         broken.setattr(Fish, "upload_amplitudes", lost)
-        shell.fails(SLOWER, "--like", "board")
+        shell.fails(SLOWER, "--warm-start", "board")
     assert learned.status().reference_crc == references.from_text(SLOWER).crc
     assert learned.status().iteration == 0
     if armed_between:
         learned.arm()
         learned.disarm()
     for _ in range(2):  # and it may be repeated when it is done
-        document = shell.upload(SLOWER, "--like", "board")
+        document = shell.upload(SLOWER, "--warm-start", "board")
         assert document["like"]["from"].startswith("the copy ")
         assert document["copy"] is None
         np.testing.assert_array_equal(learned.amplitudes().values, want)
     swim(learned, 1)
-    assert "has learned along" in shell.fails(SLOWER, "--like", "board")
+    assert "has learned along" in shell.fails(SLOWER, "--warm-start", "board")
 
 
 def test_a_copy_that_is_not_meant_is_not_taken(learned: Fish, shell: Shell) -> None:
-    shell.upload(SLOWER, "--like", "board")
+    shell.upload(SLOWER, "--warm-start", "board")
     third = "trapezoid:0.045,5,7.5"
     learned.upload_reference(references.from_text(third).record())
-    assert "there is no copy here" in shell.fails(third, "--like", "board")
+    assert "there is no copy here" in shell.fails(third, "--warm-start", "board")
 
 
 def test_the_copy_can_be_named_and_put_back(learned: Fish, shell: Shell) -> None:
     best, held = learned.amplitudes(best=True).values, learned.learned_record()
-    copy = shell.upload(SLOWER, "--like", "board")["copy"]
+    copy = shell.upload(SLOWER, "--warm-start", "board")["copy"]
     learned.upload_reference(references.from_text("trapezoid:0.05,2,2").record())
-    found = shell.upload(SLOWER, "--like", copy)["like"]
+    found = shell.upload(SLOWER, "--warm-start", copy)["like"]
     assert found["amplitude_rad"] == expected(learned, best, SLOWER).tolist()
-    assert run(["flash", "--restore", copy, "--connect", "the board"]) == 0
+    assert run(["board", "flash", "--restore", copy, "--connect", "the board"]) == 0
     shell.capsys.readouterr()
     assert learned.learned_record() == held
 
@@ -272,8 +276,8 @@ def test_the_copy_can_be_named_and_put_back(learned: Fish, shell: Shell) -> None
 def test_there_and_back_again(learned: Fish, shell: Shell) -> None:
     """By 0.8 and by 1 / 0.8: nearly what it was, where the tail pushed."""
     best = learned.amplitudes(best=True).values
-    shell.upload(SLOWER, "--like", "board")
-    document = shell.upload(OLD, "--like", "board")
+    shell.upload(SLOWER, "--warm-start", "board")
+    document = shell.upload(OLD, "--warm-start", "board")
     back = np.array(document["like"]["amplitude_rad"], np.float32)
     pushed = (best > 0.25) & (back > 0.25)
     assert pushed.sum() >= 9
@@ -284,7 +288,7 @@ def test_saturation_is_told(learned: Fish, shell: Shell) -> None:
     faster = "trapezoid:0.075,4,6"
     most = float(learned.amplitudes(best=True).values.max())
     learned.params.set("AMP_MAX_RAD", most)
-    document = shell.upload(faster, "--like", "board")
+    document = shell.upload(faster, "--warm-start", "board")
     like = document["like"]
     amplitude = np.array(like["amplitude_rad"], np.float32)
     assert amplitude.max() == np.float32(most)
@@ -295,12 +299,14 @@ def test_saturation_is_told(learned: Fish, shell: Shell) -> None:
 def test_too_fast_and_too_far(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     before = learned.learned_record()
     learned.params.set("REF_MAX_M_S", 0.05)
-    assert "the board allows 50.0" in shell.fails(OLD.replace("6,4", "7,4"), "--like", "board")
+    assert "the board allows 50.0" in shell.fails(
+        OLD.replace("6,4", "7,4"), "--warm-start", "board"
+    )
     learned.params.set("REF_MAX_M_S", 0.3)
     learned.params.set("TANK_LEN_M", 1.0)
-    assert "the tank has 1.00 m" in shell.fails("trapezoid:0.07,4,6", "--like", "board")
+    assert "the tank has 1.00 m" in shell.fails("trapezoid:0.07,4,6", "--warm-start", "board")
     path = learned.pull_trial(1, tmp_path)  # swam less than was wanted
-    shell.upload("trapezoid:0.06,4.2,6.3", "--like", str(path), "--dry-run")
+    shell.upload("trapezoid:0.06,4.2,6.3", "--warm-start", str(path), "--dry-run")
     assert learned.learned_record() == before
 
 
@@ -327,20 +333,20 @@ def test_an_identified_fish_is_believed(learned: Fish, shell: Shell, tmp_path: P
     model = FishModel(5.0, 0.219, 0.15, 0.3)
     path = tmp_path / "fish.json"
     Identified(model, [model], np.eye(4)).save(path)
-    line = ("trapezoid:0.06,5,7.5", "--like", "board", "--dry-run")
+    line = ("trapezoid:0.06,5,7.5", "--warm-start", "board", "--dry-run")
     plain = shell.upload(*line)["like"]
     other = shell.upload(*line, "--identified", str(path))["like"]
     assert (plain["model"], other["model"]) == ("board", "identified")
     assert plain["amplitude_rad"] != other["amplitude_rad"]
     learned.params.set("MDL_SLOPE", 0)
-    assert "MDL_SLOPE is 0" in shell.fails("trapezoid:0.06,5,7.5", "--like", "board")
+    assert "MDL_SLOPE is 0" in shell.fails("trapezoid:0.06,5,7.5", "--warm-start", "board")
 
 
 def test_without_a_logbook_nothing_is_kept(
     learned: Fish, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.delenv("TAILBEAT_LOGBOOK")
-    assert shell.upload(SLOWER, "--like", "board")["copy"] is None
+    assert shell.upload(SLOWER, "--warm-start", "board")["copy"] is None
     assert learned.amplitudes().input == UPLOADED
 
 

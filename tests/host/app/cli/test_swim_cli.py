@@ -77,7 +77,7 @@ def board(monkeypatch: pytest.MonkeyPatch) -> SimBoard:
     """One with a camera of its own at /dev/video0, and six beats to swim."""
     simulated = SimBoard("tank", seed=1)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(simulated))
-    monkeypatch.setattr("tailbeat.sensors.camera.tracking.tracker.Tracker", Eyes)
+    monkeypatch.setattr("tailbeat.app.cli._camera.Tracker", Eyes)
     with Fish.connect("it") as fish:
         fish.upload_reference(records.encode_reference(1.0, [0.03, 0.06, 0.08, 0.08, 0.08, 0.03]))
         fish.params.set("DU_MAX_RAD", 0)
@@ -94,7 +94,7 @@ def swim(
         assert threaded  # as it must be for a real device
         return VideoCamera(source, tracker, False, on_picture)
 
-    monkeypatch.setattr("tailbeat.sensors.camera.tracking.live.VideoCamera", in_step)
+    monkeypatch.setattr("tailbeat.app.cli._camera.VideoCamera", in_step)
 
     def command(*words: str, prepare: Callable[[Device], None] | None = None) -> Any:
         devices = []
@@ -109,7 +109,7 @@ def swim(
                 prepare(devices[-1])
             return devices[-1]
 
-        monkeypatch.setattr("tailbeat.sensors.camera.source.device.Device", opened)
+        monkeypatch.setattr("tailbeat.app.cli._camera.Device", opened)
         status = run(["trial", "run", "--connect", "it", *words])
         out, err = capsys.readouterr()
         assert all(device.closed for device in devices)
@@ -199,7 +199,7 @@ def test_a_device_pulled_out_in_mid_swim(
 
 def led(monkeypatch: pytest.MonkeyPatch, start_s: float, trial: int = 1) -> None:
     monkeypatch.setattr(
-        "tailbeat.sensors.camera.sync.sync.sync_by_led",
+        "tailbeat.app.cli._camera.sync_by_led",
         lambda track, known: Sync(start_s, 0.004, "led", trial, 1.0),
     )
 

@@ -116,7 +116,7 @@ def not_json(word: str) -> Any:
 
 
 def document(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
-    assert run(["thesis", *words, "--cores", "1", "--json"]) == 0
+    assert run(["sim", "thesis", *words, "--cores", "1", "--json"]) == 0
     shown = capsys.readouterr()
     assert shown.err == ""
     return json.loads(shown.out, parse_constant=not_json)
@@ -124,7 +124,7 @@ def document(capsys: pytest.CaptureFixture[str], *words: str) -> Any:
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     cores = [] if "--cores" in words else ["--cores", "1"]
-    status = run(["thesis", *words, *cores])
+    status = run(["sim", "thesis", *words, *cores])
     shown = capsys.readouterr()
     assert status in (1, 2) and shown.out == "" and shown.err.count("\n") == 1
     return shown.err
@@ -154,7 +154,7 @@ def test_the_document(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_text_fits_a_hundred_columns(stubs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["thesis", "--cores", "1", "--figures", str(stubs / "new" / "drawn")]) == 0
+    assert run(["sim", "thesis", "--cores", "1", "--figures", str(stubs / "new" / "drawn")]) == 0
     shown = capsys.readouterr().out
     lines = shown.splitlines()
     assert max(len(line) for line in lines if str(stubs) not in line) <= 100
@@ -210,7 +210,7 @@ def test_text_is_as_wide_as_the_terminal(
 
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     monkeypatch.setattr(shutil, "get_terminal_size", lambda: os.terminal_size((columns, 24)))
-    assert run(["thesis", "ch2-a", "--cores", "1", "--iterations", "9"]) == 0
+    assert run(["sim", "thesis", "ch2-a", "--cores", "1", "--iterations", "9"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert width - 8 <= max(map(len, lines)) <= width
     assert lines[1].startswith("settings: iterations 9, seed 1, precision double")
@@ -222,7 +222,7 @@ def test_many_numbers_have_a_line_of_their_own(
     at: Any = importlib.import_module("thesis_stubs")
     many = at.Claim("many", "(2.1)", at.VERDICTS[0], [0.1234] * 30, "a note")
     at.EXAMPLES = (at.made("ch2-a", 2, at.two, (), lambda study: [many]),)
-    assert run(["thesis", "--cores", "1"]) == 0
+    assert run(["sim", "thesis", "--cores", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     row = next(i for i, line in enumerate(lines) if line.startswith("many"))
     assert lines[row].endswith("see below") and lines[row + 1].startswith("  measured: 0.1234, ")
@@ -264,7 +264,7 @@ def test_chapters_by_number_or_name(stubs: Path, capsys: pytest.CaptureFixture[s
         (["--m", "-1"], "--m -1 is out of range. Give 0 to 15."),
         (["--m", "16"], "--m 16 is out of range."),
         (["--seed", "-1"], "--seed -1 is out of range."),
-        (["--cores", "0"], "Try: tailbeat thesis --help"),
+        (["--cores", "0"], "Try: tailbeat sim thesis --help"),
         (["--precision", "half"], "'half' is not one of 'double', 'float'"),
         (["--lengths", "short"], "'short' are no lengths of trials. Lengths are full, uniform or"),
         (["--lengths", "pattern:x+1"], "'x+1' has the name 'x', which is not allowed."),
@@ -296,7 +296,7 @@ def test_results_do_not_depend_on_cores(stubs: Path, capsys: pytest.CaptureFixtu
     """Byte for byte, linear algebra included; the heaviest begins first and is printed second."""
     shown = []
     for cores in ("1", "2"):
-        assert run(["thesis", "--json", "--seed", "3", "--cores", cores]) == 0
+        assert run(["sim", "thesis", "--json", "--seed", "3", "--cores", cores]) == 0
         shown.append(capsys.readouterr().out)
     assert shown[0] == shown[1] != ""
 

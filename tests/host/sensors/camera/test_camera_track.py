@@ -121,7 +121,7 @@ def test_text_says_what_to_do_next(
     begin = json.loads((out / "summary.json").read_text())["sync"]
     assert begin["sigma_s"] == pytest.approx(0.5 / film.fps / math.sqrt(3), rel=1e-3)
     assert f"of {BEATS} beats have no speed" in text
-    assert f"next: tailbeat speed upload {film.trial} {out / 'speed.csv'}" in text
+    assert f"next: tailbeat trial speeds {film.trial} {out / 'speed.csv'}" in text
 
 
 @pytest.mark.usefixtures("seen_once")

@@ -440,7 +440,7 @@ class Shell:
         self.capsys = capsys
 
     def __call__(self, *words: object, status: int = 0) -> tuple[str, str]:
-        assert run(["vn100", *map(str, words)]) == status
+        assert run(["board", "imu", "decode", *map(str, words)]) == status
         captured = self.capsys.readouterr()
         return captured.out, captured.err
 

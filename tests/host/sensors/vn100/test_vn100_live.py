@@ -169,8 +169,8 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
     """Makes the command open this source, under the name of a port."""
 
     def put(source: Any) -> None:
-        monkeypatch.setattr("tailbeat.sensors.vn100.live.open_source", lambda name, baud: source)
-        monkeypatch.setattr("tailbeat.sensors.vn100.live.is_port", lambda name: True)
+        monkeypatch.setattr("tailbeat.app.cli.vn100.open_source", lambda name, baud: source)
+        monkeypatch.setattr("tailbeat.app.cli.vn100.is_port", lambda name: True)
 
     return put
 
@@ -181,7 +181,7 @@ def frames() -> Callable[[float], bytes]:
 
 
 def lines_of(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
-    assert run(["vn100", "port", "--json", *words]) == 0
+    assert run(["board", "imu", "decode", "port", "--json", *words]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     return [json.loads(text) for text in out.splitlines()]
@@ -217,7 +217,7 @@ def test_only_one_rate_when_told(
 ) -> None:
     source = ScriptedSource(lambda now_s: YMR, right_baud=921600)
     use(source)
-    assert run(["vn100", "port", "--baud", "115200"]) == 1
+    assert run(["board", "imu", "decode", "port", "--baud", "115200"]) == 1
     assert "no message of a VN-100 at 115200 baud" in capsys.readouterr().err
     assert source.bauds == [115200]
 
@@ -228,7 +228,7 @@ def test_silence_is_told_with_what_to_look_at(
     source = ScriptedSource(lambda now_s: b"")
     use(source)
     begin_s = source.now_s()
-    assert run(["vn100", "port"]) == 1
+    assert run(["board", "imu", "decode", "port"]) == 1
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     for words in ("nothing comes from scripted", "pins 8", "RS-232", "register 75", "--config"):
@@ -246,7 +246,7 @@ def test_control_c_ends_with_the_summary(
         return YMR
 
     use(ScriptedSource(make))
-    assert run(["vn100", "port"]) == 0
+    assert run(["board", "imu", "decode", "port"]) == 0
     out, _ = capsys.readouterr()
     assert out.splitlines()[0] == "scripted: messages at 115200 baud"
     assert "$VNYMR: 50 lines" in out
@@ -261,7 +261,7 @@ def test_a_lost_port_is_an_error_behind_the_summary(
         return YMR
 
     use(ScriptedSource(make))
-    assert run(["vn100", "port"]) == 1
+    assert run(["board", "imu", "decode", "port"]) == 1
     out, err = capsys.readouterr()
     assert "$VNYMR: 50 lines" in out
     assert err == "tailbeat: the port is gone. Look.\n"
@@ -274,7 +274,7 @@ def test_a_person_sees_one_line(
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     use(ScriptedSource(lambda now_s: YMR if now_s < 102 else b""))
-    assert run(["vn100", "port", "--seconds", "5"]) == 0
+    assert run(["board", "imu", "decode", "port", "--seconds", "5"]) == 0
     shown = capsys.readouterr().err.split("\r")
     assert re.fullmatch(r"1[0-2] messages, 0 damaged\x1b\[K", shown[2])
     assert "; silent for 3 s" in shown[-2]
@@ -326,7 +326,7 @@ def pty_port(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 def test_a_serial_port(capsys: pytest.CaptureFixture[str], pty_port: str) -> None:
-    assert run(["vn100", pty_port, "--json", "--seconds", "0.02"]) == 0
+    assert run(["board", "imu", "decode", pty_port, "--json", "--seconds", "0.02"]) == 0
     found = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
     assert found[0] == {"event": "found", "source": pty_port, "baud": 115200}
     assert (found[-1]["binary_valid"], found[-1]["ascii_valid"]) >= (1, 1)
@@ -364,7 +364,7 @@ def test_config_command(capsys: pytest.CaptureFixture[str], use: Callable[[Any],
     assert summary["bytes"] - 64 * summary["binary_valid"] in range(64)  # none from before
     assert (summary["lost_frames"], summary["skipped_bytes"]) == (0, 0)
     use(SimulatedSensor())
-    assert run(["vn100", "port", "--config", "--seconds", "0.1"]) == 0
+    assert run(["board", "imu", "decode", "port", "--config", "--seconds", "0.1"]) == 0
     out, _ = capsys.readouterr()
     assert "VN-100" in out.splitlines()[0]
     assert "port 2, 115200 baud, 100 Hz" in out.splitlines()[0]

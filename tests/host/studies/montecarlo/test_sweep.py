@@ -530,7 +530,7 @@ def test_the_command(
     monkeypatch.setattr(runner, "_computed_here", _in_this_process)
     recipe, out, plot = tmp_path / "tiny.toml", tmp_path / "out", tmp_path / "tiny.png"
     recipe.write_text(TINY)
-    command = ["sweep", str(recipe), "--out", str(out), "--seeds", "2"]
+    command = ["sim", "montecarlo", str(recipe), "--out", str(out), "--seeds", "2"]
     assert run([*command, "--json", "--plot", str(plot)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["computed_cells"] == 4
@@ -541,12 +541,12 @@ def test_the_command(
     recipe.write_text(TINY.replace("at_most = 0.9", "at_most = 0.001"))
     assert run([*command, "--check"]) == 1
     assert "FAILS: the board's law gets better" in capsys.readouterr().out
-    assert run(["sweep", "--summary", str(out)]) == 0
+    assert run(["sim", "montecarlo", "--summary", str(out)]) == 0
     assert "FAILS: the board's law gets better" in capsys.readouterr().out
-    assert run(["sweep", "--list"]) == 0
+    assert run(["sim", "montecarlo", "--list"]) == 0
     assert "thesis-law" in capsys.readouterr().out
-    assert run(["sweep"]) == 2
-    assert run(["sweep", "--summary", str(tmp_path / "none")]) == 1
+    assert run(["sim", "montecarlo"]) == 2
+    assert run(["sim", "montecarlo", "--summary", str(tmp_path / "none")]) == 1
 
 
 def _in_this_process(

@@ -1,4 +1,4 @@
-"""The camera of a live swim, from the options of ``trial run``, and what is to be told of it."""
+"""The camera of a live trial, from the options of a command, and its report."""
 
 from __future__ import annotations
 
@@ -7,41 +7,128 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import Annotated
 
+import typer
+
+from tailbeat.board.connect import tcp_address
+from tailbeat.board.fish import Fish, Guard
 from tailbeat.core.errors import InputError, TailbeatError
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
-    from tailbeat.core.frames import Camera
-    from tailbeat.sensors.camera.calibration.file import Calibration
-    from tailbeat.sensors.camera.marker.detector import Marker
-    from tailbeat.sensors.camera.source.film import Recorder
-    from tailbeat.sensors.camera.source.picture import PictureSource
-    from tailbeat.sensors.camera.tracking.live import VideoCamera
-    from tailbeat.sensors.camera.tracking.track import Track
+from tailbeat.core.frames import Camera
+from tailbeat.core.records import decode_reference
+from tailbeat.core.trial_file import read_trial
+from tailbeat.experiment.library import logbook_of
+from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
+from tailbeat.sensors.camera.marker.detector import KINDS, Marker
+from tailbeat.sensors.camera.render.source import RenderedDevice, scene_of
+from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sensors.camera.source.device import Device
+from tailbeat.sensors.camera.source.film import Recorder
+from tailbeat.sensors.camera.source.picture import PictureSource
+from tailbeat.sensors.camera.sync.sync import sync_by_led
+from tailbeat.sensors.camera.tracking.live import VideoCamera
+from tailbeat.sensors.camera.tracking.track import Track
+from tailbeat.sensors.camera.tracking.tracker import Tracker
+from tailbeat.session.guards import WallGuard
+from tailbeat.session.trial_camera import default_camera
 
 RENDERED = "rendered"
 LATE_MAX_S = 0.03
 
 
 @dataclass(frozen=True)
+class MarkerOptions:
+    """What every command that looks through a camera asks for."""
+
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", metavar="TANK.json", help="What 'camera calibrate' wrote."),
+    ] = None
+    marker: Annotated[
+        str, typer.Option("--marker", metavar="aruco|apriltag|blob", help="What is on the fish.")
+    ] = "aruco"
+    marker_id: Annotated[
+        int | None,
+        typer.Option("--marker-id", min=0, help="Number of the fish's marker; default: any one."),
+    ] = None
+    marker_side: Annotated[
+        float | None,
+        typer.Option("--marker-side", metavar="M", help="Side of its black square, to check it."),
+    ] = None
+    latency: Annotated[
+        float,
+        typer.Option("--latency", metavar="S", help="How late a picture of a device arrives."),
+    ] = 0.0
+
+    def on_fish(self) -> Marker:
+        """The marker. Raises typer.BadParameter."""
+        known = next((kind for kind in KINDS if kind == self.marker), None)
+        if known is None:
+            raise typer.BadParameter(f"--marker is {', '.join(KINDS[:-1])} or {KINDS[-1]}")
+        if self.marker_side is not None and not 0.001 <= self.marker_side <= 1.0:
+            raise typer.BadParameter("--marker-side is in metres, like 0.06")
+        if known == "blob" and (self.marker_id is not None or self.marker_side is not None):
+            raise typer.BadParameter("a blob has neither --marker-id nor --marker-side")
+        return Marker(known, self.marker_id, self.marker_side)
+
+
+@dataclass(frozen=True)
+class CameraOptions(MarkerOptions):
+    """Of commands that run trials."""
+
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            metavar="DEVICE|tcp:HOST:PORT|rendered",
+            help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
+        ),
+    ] = None
+
+    def live(self, video: Path | None = None) -> LiveOptions:
+        """What they say of the camera. Raises typer.BadParameter."""
+        return LiveOptions(self.camera, self.on_fish(), self.calibration, self.latency, video)
+
+
+@dataclass(frozen=True)
+class TankCameraOptions(CameraOptions):
+    """Of commands that also stop a fish before it meets a wall."""
+
+    wall: Annotated[
+        float | None,
+        typer.Option(
+            "--wall",
+            min=0.0,
+            max=2.0,
+            metavar="M",
+            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
+            " default: where it can just still stop, by its drag.",
+        ),
+    ] = None
+
+    def live(self, video: Path | None = None) -> LiveOptions:
+        """With the wall's distance."""
+        return replace(super().live(video), wall_m=self.wall)
+
+
+CAMERA = TankCameraOptions()  # none of them given
+
+
+@dataclass(frozen=True)
 class LiveOptions:
-    """What ``trial run`` was told about its camera. ``address``: tcp:HOST:PORT (positions),
-    RENDERED, or a device; None = that of a simulated board, if it is one. ``wall_m`` None = the
-    usual zone where there are walls in the calibration."""
+    """Which camera, and what goes with it. ``address``: tcp:HOST:PORT (positions), RENDERED, or a
+    device; None = that of a simulated board, if it is one. ``wall_m`` None = the usual zone where
+    there are walls in the calibration."""
 
     address: str | None
     marker: Marker
     calibration: Path | None
     latency_s: float
-    video: Path | None
-    wall_m: float | None
+    video: Path | None = None
+    wall_m: float | None = None
 
     def check(self) -> LiveOptions:
         """Itself; what can be told before there is a fish. Raises InputError."""
-        from tailbeat.board.connect import tcp_address
-        from tailbeat.sensors.camera.calibration.file import load_calibration
 
         if self.calibration is not None:
             load_calibration(self.calibration)
@@ -69,7 +156,7 @@ def _require_film(film: Path, positions: bool) -> None:
 
 
 @dataclass(frozen=True)
-class Live:
+class LiveCamera:
     """An open camera and what goes with it. ``camera`` None = left to run_trial."""
 
     camera: Camera | None
@@ -79,16 +166,15 @@ class Live:
 
 
 @contextmanager
-def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
+def live_camera(fish: Fish, options: LiveOptions) -> Iterator[LiveCamera]:
     """The camera for the length of a swim. Raises InputError, ConnectError."""
-    from tailbeat.sensors.camera.calibration.file import load_calibration
 
     options.check()
     file = options.calibration
     known = None if file is None else load_calibration(file)
     if options.address is None or options.address.startswith("tcp:"):
         with _positions(fish, options) as positions:
-            yield Live(positions, _guard(fish, known, options.wall_m), None)
+            yield LiveCamera(positions, _guard(fish, known, options.wall_m), None)
         return
     with ExitStack() as stack:
         source, calibration = _source(fish, options, known)
@@ -103,11 +189,10 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[Live]:
         threaded = options.address != RENDERED
         camera = _video_camera(source, options.marker, calibration, recorder, threaded)
         stack.callback(camera.close)
-        yield Live(camera, _guard(fish, calibration, options.wall_m), camera, recorder)
+        yield LiveCamera(camera, _guard(fish, calibration, options.wall_m), camera, recorder)
 
 
 def _recorder(film: Path, source: PictureSource) -> Recorder:
-    from tailbeat.sensors.camera.source.film import Recorder
 
     return Recorder(film, source.size_px, source.fps)
 
@@ -118,8 +203,6 @@ def _positions(fish: Fish, options: LiveOptions) -> Iterator[Camera | None]:
     if options.address is None:
         yield None
         return
-    from tailbeat.board.connect import tcp_address
-    from tailbeat.sensors.camera.simulated import RemoteCamera
 
     with closing(RemoteCamera(*tcp_address(options.address))) as camera:
         yield camera
@@ -130,15 +213,10 @@ def _source(
 ) -> tuple[PictureSource, Calibration]:
     """A device, or the simulated fish as a camera would see it, with the true calibration unless
     another is given."""
-    from tailbeat.session.trial_camera import default_camera
 
     if known is not None and options.address != RENDERED:
-        from tailbeat.sensors.camera.source.device import Device
-
         device = Device(str(options.address), known.size_px, latency_s=options.latency_s)
         return device, known
-    from tailbeat.sensors.camera.render.source import RenderedDevice, scene_of
-    from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
 
     seen = default_camera(fish)
     if not isinstance(seen, SimulatedCamera | RemoteCamera):
@@ -160,16 +238,12 @@ def _video_camera(
     recorder: Recorder | None,
     threaded: bool,
 ) -> VideoCamera:
-    from tailbeat.sensors.camera.tracking.live import VideoCamera
-    from tailbeat.sensors.camera.tracking.tracker import Tracker
 
     tracker = Tracker(marker, calibration, source.name, glow=True)
     return VideoCamera(source, tracker, threaded, recorder)
 
 
 def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:
-    from tailbeat.core.records import decode_reference
-    from tailbeat.session.guards import WallGuard
 
     walls = calibration is not None and calibration.area_m is not None
     if wall_m and not walls:
@@ -186,7 +260,6 @@ def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) ->
 
 def _kappa_per_m(fish: Fish) -> float:
     """The fish's drag: as identified, else as the board has it."""
-    from tailbeat.experiment.library import logbook_of
 
     book = logbook_of(fish)
     with suppress(InputError):
@@ -211,8 +284,6 @@ def camera_report(fish: Fish, camera: VideoCamera, trial: int) -> dict[str, floa
 
 
 def _lateness(fish: Fish, camera: VideoCamera, seen: Track, trial: int) -> dict[str, float]:
-    from tailbeat.core.trial_file import read_trial
-    from tailbeat.sensors.camera.sync.sync import sync_by_led
 
     found = sync_by_led(seen, None)
     if found.trial != trial % 256:

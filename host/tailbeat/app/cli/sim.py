@@ -5,25 +5,20 @@ from __future__ import annotations
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from tailbeat.app.cli._terminal import (
-    Json,
-    assignments,
-    echo,
-    json_line,
-    mm,
-    progress_bar,
-    say,
-    table,
-)
-
-if TYPE_CHECKING:
-    from tailbeat.app.demo import DemoResult
-    from tailbeat.sim.board import SimulatedBoard
-    from tailbeat.sim.server import Addresses
+from tailbeat.app.cli._options import Json
+from tailbeat.app.cli._terminal import assignments, echo, json_line, mm, progress_bar, say, table
+from tailbeat.app.demo import DemoOptions, DemoResult, identified_text, run_demo
+from tailbeat.core import law as laws
+from tailbeat.core.csv import read_column
+from tailbeat.core.selftest import run_selftest
+from tailbeat.sim.board import SimulatedBoard
+from tailbeat.sim.emulated import EmulatedBoard
+from tailbeat.sim.native import SimBoard
+from tailbeat.sim.server import Addresses, SimServer, parse_listen
 
 Plant = Annotated[
     str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish and the water.")
@@ -80,11 +75,10 @@ def demo(
     ] = None,
     json: Json = False,
 ) -> None:
-    """A fish learns the thesis's speed profile, from connecting to the report.
+    """Show a simulated fish that learns the thesis's profile, from connecting to the report.
 
-    Example: tailbeat demo --plant tank --gain 4 --trials 6
+    Example: tailbeat sim demo --plant tank --gain 4 --trials 6
     """
-    from tailbeat.app.demo import DemoOptions, run_demo
 
     options = DemoOptions(
         plant, gain, lead, trials, seed, out, connect, assignments(settings or []), law
@@ -112,8 +106,6 @@ def _demo_text(result: DemoResult) -> str:
     down = 1 - last.max_abs_error_m_s / first.max_abs_error_m_s
     law = ""
     if result.identified is not None:
-        from tailbeat.app.demo import identified_text
-
         law = f"law model, {identified_text(result.identified)}; else P, "
     lines = [
         f"plant {result.plant}, {law}gain {result.gain:g} rad s/m, lead {result.lead:g}"
@@ -131,7 +123,7 @@ def _demo_text(result: DemoResult) -> str:
     return "\n".join([*lines, f"report {result.report}"])
 
 
-def sim(
+def fish(
     plant: Plant = "tank",
     seed: Seed = None,
     listen: Listen = "tcp:127.0.0.1:5760",
@@ -140,18 +132,19 @@ def sim(
     settings: Set = None,
     json: Json = False,
 ) -> None:
-    """A simulated fish for other programs, until Ctrl-C; its camera, its wired console and the
-    world around it are on the next three ports. The world takes lines like "push -0.05"; say help.
+    """Serve a simulated fish to other programs, until Ctrl-C.
 
-    Example: tailbeat sim --plant tank --speed 10 --set kappa_per_m=5
+    Its camera, its USB serial port and its fault-injection port are the next three ports. The last
+    one takes lines like "push -0.05"; send "help" for the others. 'tailbeat sim' is short for it.
+
+    Example: tailbeat sim fish --plant tank --speed 10 --set kappa_per_m=5
     """
-    from tailbeat.sim.native import SimBoard
 
     board = SimBoard(plant, **_values(seed, settings))
     _serve(board, "simulated fish", listen, pty, speed, json)
 
 
-def vboard(
+def board(
     image: Annotated[
         Path | None,
         typer.Argument(
@@ -166,11 +159,10 @@ def vboard(
     settings: Set = None,
     json: Json = False,
 ) -> None:
-    """The flash image on an emulated board with a simulated fish around it, until Ctrl-C.
+    """Serve the flash image on an emulated board, with a simulated fish, until Ctrl-C.
 
-    Example: tailbeat vboard build/firmware/tailbeat.elf --pty
+    Example: tailbeat sim board build/firmware/tailbeat.elf --pty
     """
-    from tailbeat.sim.emulated import EmulatedBoard
 
     board = EmulatedBoard(image, plant, **_values(seed, settings))
     _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
@@ -183,7 +175,6 @@ def _values(seed: int | None, settings: list[str] | None) -> dict[str, float]:
 def _serve(
     board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float, json: bool
 ) -> None:
-    from tailbeat.sim.server import SimServer
 
     def slow(pace: float) -> None:
         words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
@@ -205,7 +196,6 @@ def _serve(
 
 
 def _serve_text(what: str, speed: float, at: Addresses) -> str:
-    from tailbeat.sim.server import parse_listen
 
     pace = "" if speed == 1 else f" at {speed:g} x real time"
     line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
@@ -223,9 +213,8 @@ def selftest(
 ) -> None:
     """Build the firmware's unit tests for this computer and run them.
 
-    Example: tailbeat selftest
+    Example: tailbeat sim selftest
     """
-    from tailbeat.core.selftest import run_selftest
 
     with progress_bar(json, "building and running") as show:
         show(0.0, "")
@@ -239,3 +228,30 @@ def selftest(
     say(json, report.as_dict(), "\n".join([*failed, summary]))
     if failed:
         raise typer.Exit(1)
+
+
+def law(
+    config: Annotated[Path, typer.Option("--config", help="LAW.json: fields of the law.")],
+    amplitudes: Annotated[Path, typer.Option("--input", help="CSV beat,amplitude_rad.")],
+    errors: Annotated[Path, typer.Option("--error", help="CSV beat,error_m_s; empty = none.")],
+    json: Json = False,
+) -> None:
+    """Apply the learning law once, with the code of the board.
+
+    Example: tailbeat sim law --config law.json --input u.csv --error e.csv
+    """
+
+    old = read_column(amplitudes, "amplitude_rad")
+    error = read_column(errors, "error_m_s", gaps=True)
+    chosen = laws.load(config)
+    following, report = laws.update(
+        chosen, old, [0.0 if e != e else e for e in error], [e == e for e in error]
+    )
+    document = {
+        "law": chosen,
+        "amplitude_rad": following,
+        "applied_rad": laws.saturate(chosen, following),
+        "report": report,
+    }
+    rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(following)]
+    say(json, document, "\n".join(["beat,amplitude_rad", *rows]))
