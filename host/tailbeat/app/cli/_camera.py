@@ -193,7 +193,6 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[LiveCamera]:
 
 
 def _recorder(film: Path, source: PictureSource) -> Recorder:
-
     return Recorder(film, source.size_px, source.fps)
 
 
@@ -238,13 +237,11 @@ def _video_camera(
     recorder: Recorder | None,
     threaded: bool,
 ) -> VideoCamera:
-
     tracker = Tracker(marker, calibration, source.name, glow=True)
     return VideoCamera(source, tracker, threaded, recorder)
 
 
 def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:
-
     walls = calibration is not None and calibration.area_m is not None
     if wall_m and not walls:
         raise InputError(
@@ -284,7 +281,6 @@ def camera_report(fish: Fish, camera: VideoCamera, trial: int) -> dict[str, floa
 
 
 def _lateness(fish: Fish, camera: VideoCamera, seen: Track, trial: int) -> dict[str, float]:
-
     found = sync_by_led(seen, None)
     if found.trial != trial % 256:
         return {}

@@ -1,7 +1,4 @@
-"""What the commands of experiments say, and which folder they mean.
-
-What commands put into the fish's logbook, and the verdict they can give from it.
-"""
+"""What commands do with experiments and the trial library, and what they say of them."""
 
 from __future__ import annotations
 
@@ -241,7 +238,6 @@ def _pulled(fish: Fish, book: Logbook, number: int, quiet: bool) -> Path:
 
 
 def _judged(book: Logbook, kept: Path, rolled_back: bool) -> Verdict | None:
-
     trials = [one.trial for one in book.kept(kept)[0] if not one.mark]
     return progress_of(trials, None, sound_identified(book), (), rolled_back).verdict
 

@@ -112,9 +112,10 @@ class LazyGroup(TyperGroup):
     @classmethod
     def of(cls, name: str, entry: Entry, hidden: bool = False) -> LazyGroup:
         """A group without commands yet."""
+        default = f"\n\nWithout a command it runs '{entry.default}'." if entry.default else ""
         group = cls(
             name=name,
-            help=f"{entry.help}.",
+            help=f"{entry.help}.{default}",
             short_help=entry.help,
             hidden=hidden,
             no_args_is_help=not entry.default,

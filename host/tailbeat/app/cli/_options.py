@@ -18,6 +18,10 @@ Connect = Annotated[
         show_default=False,
     ),
 ]
+IdentifiedFile = Annotated[
+    Path | None,
+    typer.Option("--identified", metavar="FILE", help="What 'session identify' wrote."),
+]
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")]
 Library = Annotated[
     Path | None,
@@ -55,7 +59,7 @@ ReferenceName = Annotated[
     str | None,
     typer.Option(
         "--reference",
-        help="As for 'reference upload'; default: the board's.",
+        help="As for 'reference upload'; default: the board's (without a board: thesis).",
         autocompletion=reference_names,
         show_default=False,
     ),

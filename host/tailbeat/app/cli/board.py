@@ -1,11 +1,4 @@
-"""bluetooth setup.
-
-info, arm, disarm, clear, watch, crash.
-
-doctor.
-
-flash.
-"""
+"""The board: info, check, arm, disarm, clear, watch, crash, flash, bluetooth."""
 
 from __future__ import annotations
 
@@ -100,7 +93,6 @@ def info(connect: Connect = None, json: Json = False) -> None:
 
 
 def _info(fish: Fish) -> tuple[dict[str, Any], str]:
-
     found, imu, health, visits = fish.info(), fish.imu_info(), fish.health(), fish.visits()
     who = f"{found.board} board on {found.connection}, firmware {found.build_id}"
     document = plain(found) | {"imu": imu, "health": health, "visits": visits}
@@ -153,7 +145,6 @@ def _info_text(who: str, status: BoardStatus, imu: str, health: dict[str, int | 
 
 
 def _reference(status: BoardStatus) -> str:
-
     if status.reference_crc in (None, REST.crc):
         return "none; upload one: tailbeat reference upload thesis"
     return f"{status.beats} beats, {status.reference_crc:08x}"
@@ -374,7 +365,6 @@ def _flash_text(report: FlashReport) -> str:
 
 
 def _restore(folder: Path, url: str | None, json: bool) -> None:
-
     held = Snapshot.read(folder)
     with connected(url) as fish:
         result = restore_snapshot(fish, held)

@@ -1,9 +1,4 @@
-"""camera render.
-
-camera track.
-
-camera calibrate, print, track, render.
-"""
+"""camera track, render."""
 
 from __future__ import annotations
 
@@ -93,7 +88,6 @@ def render(
 
 
 def _scene(size: str, marker: str, glare: float, hidden: float, fish: int, seed: int) -> Scene:
-
     kind = next((kind for kind in KINDS if kind == marker), None)
     if kind is None:
         raise InputError(f"there is no marker '{marker}'.", f"Use {', '.join(KINDS)}.")
@@ -101,7 +95,6 @@ def _scene(size: str, marker: str, glare: float, hidden: float, fish: int, seed:
 
 
 def _size(text: str) -> tuple[int, int]:
-
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise InputError(f"'{text}' is no size of a picture.", "Write it like --size 1280x720.")
@@ -197,7 +190,6 @@ def track(
 
 
 def _calibration(path: Path | None) -> Calibration:
-
     if path is None and not CALIBRATION.is_file():
         raise InputError(
             f"there is no {CALIBRATION} here, and pixels are no metres",

@@ -1,4 +1,4 @@
-"""camera calibrate, print."""
+"""camera print, calibrate."""
 
 from __future__ import annotations
 
@@ -83,7 +83,6 @@ def print_(
 def _sheet(
     what: str, kind: FishKind | None, number: int | None, side: float | None, paper: Paper
 ) -> Sheet:
-
     if what == "board":
         return sheets.board_sheet(paper)
     if what == "marker":
@@ -172,7 +171,6 @@ def calibrate(
 
 
 def _now() -> str:
-
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
@@ -185,7 +183,6 @@ def _made(
     rulers: list[Ruler],
     json: bool,
 ) -> Calibrated:
-
     places = read_points(points)
     area_m = rectangle(_numbers(area, "--area")) if area is not None else None
     with progress_bar(json, "looking") as show:
@@ -202,7 +199,6 @@ def _made(
 
 
 def _rulers(pictures: list[Path], length_m: float | None, points: str | None) -> list[Ruler]:
-
     if not pictures and points is None:
         return []
     if length_m is None:
@@ -230,7 +226,6 @@ def _numbers(text: str, option: str) -> list[float]:
 
 
 def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
-
     if not rulers:
         raise typer.BadParameter("what to check it by? --ruler FILE --ruler-length METRES")
     checks = check_scale(load_calibration(path), rulers)
@@ -239,7 +234,6 @@ def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
 
 
 def _ruler_document(check: RulerCheck) -> dict[str, Any]:
-
     return asdict(check) | {"scale_error": check.scale_error}
 
 

@@ -1,4 +1,4 @@
-"""design: gain, lead and filter for a fish, and what they will do."""
+"""session design: gain, lead and filter for a fish, and what they will do."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._options import Connect, IdentifiedFile, Json, Plot, ReferenceName
 from tailbeat.app.cli._terminal import mm, say
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.errors import InputError
@@ -27,23 +27,12 @@ from tailbeat.report.figures.law import render_law
 
 
 def design(
-    identified: Annotated[
-        Path | None,
-        typer.Option("--identified", metavar="FILE", help="What 'session identify' wrote."),
-    ] = None,
+    identified: IdentifiedFile = None,
     table: Annotated[
         Path | None,
         typer.Option("--table", metavar="CSV", help="Steady speeds: amplitude_rad,speed_m_s."),
     ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            "--reference",
-            help="As for 'reference upload'; default: the board's, or thesis without a board.",
-            autocompletion=reference_names,
-            show_default=False,
-        ),
-    ] = None,
+    reference: ReferenceName = None,
     gain: Annotated[
         float | None, typer.Option("--gain", help="Judge this gain, rad per m/s.")
     ] = None,
@@ -65,7 +54,7 @@ def design(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Also a law that does not learn.")] = False,
     apply: Annotated[bool, typer.Option("--apply", help="Make it the connected board's.")] = False,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
+    plot: Plot = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
@@ -101,7 +90,6 @@ def design(
 
 
 def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Identified:
-
     if file is not None:
         return Identified.load(file)
     if table is not None:
@@ -118,7 +106,6 @@ def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Ide
 
 
 def _reference(text: str | None, fish: Fish | None) -> Reference:
-
     if text is not None:
         return named_reference(text)
     held = board_reference(fish) if fish is not None else None
@@ -144,7 +131,6 @@ def _apply(fish: Fish, found: Design) -> None:
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
-
     thesis = design_law(
         known, wanted, found.law.amplitude_max_rad, 4.0, 0.0, 1, step_max_rad=found.law.step_max_rad
     )

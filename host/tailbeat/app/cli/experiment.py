@@ -1,4 +1,4 @@
-"""experiment new, use, set, list, show, note, compare, replay, export."""
+"""experiment new, use, set, note, list, show, compare, replay, export."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tailbeat.app.cli._experiment import (
     show_text,
     tell_problems,
 )
-from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Json, ReferenceName, Root
 from tailbeat.app.cli._terminal import echo, say
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import analyse
@@ -40,7 +40,6 @@ from tailbeat.experiment.library import logbook_of
 from tailbeat.experiment.redo import redo_text, write_redo
 from tailbeat.report.replay import replay as replay_all
 
-Root = Annotated[Path, typer.Option("--root", help="Folder that holds the experiments.")]
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="The experiment's folder.")]
 FolderOrCurrent = Annotated[
     Path | None,
@@ -62,14 +61,7 @@ Operator = Annotated[str | None, typer.Option("--operator", help="Who is at the 
 
 
 def new(
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            "--reference",
-            help="As in 'reference upload'; default: the one on the board.",
-            autocompletion=reference_names,
-        ),
-    ] = None,
+    reference: ReferenceName = None,
     fish_name: Annotated[str | None, typer.Option("--fish", help="Name of the fish.")] = None,
     water_temp: WaterTemp = None,
     condition: Condition = None,
@@ -78,7 +70,7 @@ def new(
     another: Annotated[
         bool, typer.Option("--another", help="Also when nothing was swum in the last one.")
     ] = False,
-    root: Root = Path("experiments"),
+    root: Root = EXPERIMENTS,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
@@ -159,7 +151,7 @@ def set_(
     say(json, document, text or "set")
 
 
-def list_(root: Root = Path("experiments"), json: Json = False) -> None:
+def list_(root: Root = EXPERIMENTS, json: Json = False) -> None:
     """Print the experiments below a folder, oldest first.
 
     Example: tailbeat experiment list

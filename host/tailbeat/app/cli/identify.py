@@ -1,4 +1,4 @@
-"""identify."""
+"""session identify."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._keyboard import terminal_keys
 from tailbeat.app.cli._operator import TerminalPerson
-from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._options import Connect, Json, Library
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say, table
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
@@ -59,10 +59,7 @@ def identify(
         typer.Option("--experiment", metavar="DIR", help="Swim nothing; use its trials."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write what was found there.")] = None,
-    logbook: Annotated[
-        Path | None,
-        typer.Option("--library", metavar="DIR", help="Folder of the logbooks, if not the usual."),
-    ] = None,
+    library: Library = None,
     params: Annotated[
         bool, typer.Option("--params/--no-params", help="Set the board's MDL_... and save them.")
     ] = True,
@@ -110,15 +107,14 @@ def identify(
         about = ThesisFish(mass_kg, length_m, density_kg_m3, area)
         _from_table(table_, about, out, plot, json)
     elif any(sources):
-        _from_trials([*(trials or []), *(files or [])], experiment, out, logbook, plot, json)
+        _from_trials([*(trials or []), *(files or [])], experiment, out, library, plot, json)
     else:
         options = camera.live().check()
-        asked = _Asked(yes, json, margin_m, rest, options)
-        _swum(connect, asked, out, logbook, params, plot)
+        asked = RunOptions(yes, json, margin_m, rest, options)
+        _swum(connect, asked, out, library, params, plot)
 
 
 def _from_table(path: Path, about: Any, out: Path | None, plot: Path | None, json: bool) -> None:
-
     found = from_table(path, about)
     if out is not None:
         found.identified.save(out)
@@ -157,7 +153,6 @@ def _from_trials(
     plot: Path | None,
     json: bool,
 ) -> None:
-
     if experiment is not None:
         files = sorted(Experiment.open(experiment).raw.glob("*.ulg"))
     identified, simulated = from_trials(files)
@@ -168,7 +163,7 @@ def _from_trials(
 
 
 @dataclass(frozen=True)
-class _Asked:
+class RunOptions:
     """What was given on the command line for the swims."""
 
     yes: bool
@@ -185,13 +180,12 @@ class _Asked:
 
 def _swum(
     connect: str | None,
-    asked: _Asked,
+    asked: RunOptions,
     out: Path | None,
     logbook: Path | None,
     params: bool,
     plot: Path | None,
 ) -> None:
-
     with connected(connect) as fish, live_camera(fish, asked.camera) as live:
         simulated = fish.info().simulated
         book = logbook_of(fish, logbook)
@@ -211,10 +205,9 @@ def _found(
     live: LiveCamera,
     book: Logbook | None,
     limits: Limits,
-    asked: _Asked,
+    asked: RunOptions,
     values: dict[str, float],
 ) -> Identified:
-
     wait = not (asked.yes or fish.info().simulated)
     if wait and asked.json:
         raise InputError(
@@ -246,7 +239,7 @@ class _There:
     display: Display
     person: TerminalPerson
     keys: bool
-    asked: _Asked
+    asked: RunOptions
 
     def ready(self, wait: bool) -> None:
         """What goes before a run; nothing with --yes."""
@@ -314,7 +307,6 @@ def _attendant(
             _note(event.get("text") or event.get("reason") or "")
 
     def speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
-
         while True:
             name = typer.prompt(f"Speeds of trial {trial} (CSV t_s,v_m_s or beat,speed_m_s)")
             try:
@@ -331,7 +323,6 @@ def _attendant(
 
 
 def _run_text(run: Run, limits: Limits) -> str:
-
     room = f" of {limits.usable_m:.2f} m" if math.isfinite(limits.usable_m) else ""
     return (
         f"run {run.number}, {run.kind}: {run.beats} beats, up to {run.cruise_rad:.2f} rad "
@@ -368,7 +359,6 @@ def _finish(
 def _text(
     account: Account, held: dict[str, float] | None, saved: list[Path], bare: bool = False
 ) -> str:
-
     known: Identified = account.identified
     rows = [
         [label, f"{getattr(known.model, name):.3g}", unit, f"{low:.3g} to {high:.3g}"]

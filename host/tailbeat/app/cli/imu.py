@@ -1,4 +1,4 @@
-"""imu, imu save, imu record."""
+"""board imu status, save, record."""
 
 from __future__ import annotations
 
@@ -52,7 +52,6 @@ def status(connect: Connect = None, json: Json = False) -> None:
 
 
 def _not_well(health: dict[str, Any]) -> list[tuple[str, str]]:
-
     return imu_health(int(health["imu_health"]))
 
 
@@ -172,14 +171,12 @@ class _Tally:
 
 
 def _row(frame: ImuFrame) -> list[str]:
-
     values = (*frame.accel_m_s2, *frame.rate_rad_s, *frame.ypr_deg)
     single = [str(np.float32(value)) for value in values]
     return [str(frame.sequence), f"{frame.time_s:.6f}", *single]
 
 
 def _silent(fish: Fish) -> Exception:
-
     problem = fish.imu_info().problem
     if problem.well:
         return TransferError("no frames came over the link", "Record longer, or see the radio.")

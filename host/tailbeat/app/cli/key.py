@@ -1,4 +1,4 @@
-"""key set, status, list, erase, export, import, forget."""
+"""board key set, status, list, erase, export, import, delete."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import typer
 
 from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._experiment import told_if_another, verdict_after_learning, verdict_text
-from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._options import Connect, IdentifiedFile, Json
 from tailbeat.app.cli._terminal import TRIAL_MAX, echo, mm, progress_bar, say
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
@@ -51,10 +51,7 @@ def learn(
     law: Annotated[
         str, typer.Option("--law", metavar="p|model", help="model: this computer plans the next.")
     ] = "p",
-    identified: Annotated[
-        Path | None,
-        typer.Option("--identified", metavar="FILE", help="With --law model: what identify wrote."),
-    ] = None,
+    identified: IdentifiedFile = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
@@ -163,7 +160,6 @@ def learn_with_model(
 
 
 def _identified(book: Logbook | None, file: Path | None) -> Identified:
-
     if file is not None:
         return Identified.load(file)
     found = book.identified() if book is not None else None

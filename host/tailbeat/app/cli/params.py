@@ -1,4 +1,4 @@
-"""params get, set, preset, list, save, load, reset."""
+"""params get, set, list, preset, save, load, reset."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""How a floor and a suggested reference are told: as a document and in words.
-
-reference upload --warm-start.
-
-reference upload, show, check.
-"""
+"""reference upload, show, check."""
 
 from __future__ import annotations
 
@@ -16,7 +11,7 @@ import typer
 
 from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._experiment import sound_identified, told_if_another
-from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._options import Connect, IdentifiedFile, Json, reference_names
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
@@ -168,7 +163,6 @@ What = Annotated[
 
 
 def _limits(fish: Fish) -> Limits:
-
     names = ("REF_MAX_M_S", "TANK_LEN_M", "FISH_LEN_M")
     return Limits.from_params({name: fish.params.get(name).value for name in names})
 
@@ -194,7 +188,6 @@ def _line(reference: Reference) -> str:
 
 
 def _refuse(problems: list[Problem]) -> None:
-
     if problems:
         raise InputError(
             " ".join(problem.meaning for problem in problems),
@@ -217,12 +210,7 @@ def upload(
         bool,
         typer.Option("--dry-run", help="With --warm-start: print the amplitudes; change nothing."),
     ] = False,
-    identified: Annotated[
-        Path | None,
-        typer.Option(
-            "--identified", metavar="FILE", help="With --warm-start: what identify wrote."
-        ),
-    ] = None,
+    identified: IdentifiedFile = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
@@ -275,7 +263,7 @@ def show(
 
 
 @dataclass(frozen=True)
-class _Known:
+class _CheckedAgainst:
     """What a reference is checked against; ``identified`` None: the fish was not identified, but
     ``fish`` may know it from trials. None: nothing is known of it."""
 
@@ -290,10 +278,7 @@ def check(
     suggest: Annotated[
         bool, typer.Option("--suggest", help="Write the nearest reference the fish can follow.")
     ] = False,
-    identified: Annotated[
-        Path | None,
-        typer.Option("--identified", help="What identify has written; default: the logbook's."),
-    ] = None,
+    identified: IdentifiedFile = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="CSV for --suggest; default: NAME-feasible.csv.")
     ] = None,
@@ -352,8 +337,7 @@ def check(
 _UNKNOWN = "floor unknown: this fish has not been identified (tailbeat session identify)"
 
 
-def _expected(known: _Known, reference: Reference) -> Saturation | None:
-
+def _expected(known: _CheckedAgainst, reference: Reference) -> Saturation | None:
     if known.fish is None:
         return None
     return expected_saturation(known.fish, reference, {"AMP_MAX_RAD": known.amplitude_max_rad})
@@ -361,8 +345,7 @@ def _expected(known: _Known, reference: Reference) -> Saturation | None:
 
 def _known(
     path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
-) -> _Known:
-
+) -> _CheckedAgainst:
     swims: list[Swim] = []
     loaded = Identified.load(path) if path is not None else None
     if loaded is not None and amp_max is not None:
@@ -377,11 +360,12 @@ def _known(
                 swims = logbook.swims() if loaded is None else []
     if tank is not None:
         limits = replace(limits, tank_m=tank)
-    return _Known(limits, amp_max, loaded, known_fish(loaded, swims))
+    return _CheckedAgainst(limits, amp_max, loaded, known_fish(loaded, swims))
 
 
-def _suggested(reference: Reference, known: _Known, out: Path | None) -> tuple[dict[str, Any], str]:
-
+def _suggested(
+    reference: Reference, known: _CheckedAgainst, out: Path | None
+) -> tuple[dict[str, Any], str]:
     if known.identified is None:
         raise InputError(
             "what this fish can follow is not known: it has not been identified.",

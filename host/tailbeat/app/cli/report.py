@@ -1,7 +1,4 @@
-"""progress: what the trials prove, and when to stop.
-
-report: a page and figures of an experiment.
-"""
+"""report, experiment progress."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ import typer
 
 from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._experiment import sound_identified
-from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Json, Library, Plot, Root
 from tailbeat.app.cli._terminal import echo, mm, say, table
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_checks import never_measured
@@ -38,14 +35,12 @@ def progress(
         str | None,
         typer.Option("--reference", metavar="CRC", help="0x1a2b3c4d, or list; default: the last."),
     ] = None,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")] = None,
+    plot: Plot = None,
     apply: Annotated[
         bool,
         typer.Option("--apply", help="Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board."),
     ] = False,
-    logbook: Annotated[
-        Path | None, typer.Option("--library", metavar="DIR", help="Folder of all logbooks.")
-    ] = None,
+    library: Library = None,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
@@ -53,7 +48,7 @@ def progress(
 
     Example: tailbeat experiment progress --experiment experiments/2026-05-04_fish_thesis_p4_01
     """
-    known = _material(experiment, logbook, connect)
+    known = _material(experiment, library, connect)
     for problem in known.problems:
         echo(f"tailbeat: {problem}", err=True)
     if reference == "list":
@@ -81,7 +76,6 @@ class _Material:
 
 
 def _material(experiment: Path | None, root: Path | None, connect: str | None) -> _Material:
-
     if experiment is not None:
         kept, problems = read_trials(experiment)
         return _Material(kept, _identified_in(experiment), problems)
@@ -133,13 +127,11 @@ def _references_text(rows: list[dict[str, Any]]) -> str:
 
 
 def _discarded(known: _Material, found: Progress) -> list[int]:
-
     mine = [one for one in known.kept if one.trial.reference_crc == found.reference_crc]
     return [one.trial.number for one in mine if one.mark == DISCARDED]
 
 
 def _crc(text: str | None) -> int | None:
-
     if text is None:
         return None
     try:
@@ -149,7 +141,6 @@ def _crc(text: str | None) -> int | None:
 
 
 def _apply(found: Progress, connect: str | None) -> dict[str, float]:
-
     if found.fade is None:
         raise InputError(
             "there is nothing to apply: the series fluctuates no more than its noise.",
@@ -177,7 +168,6 @@ def _progress_document(found: Progress) -> dict[str, Any]:
 
 
 def _progress_text(found: Progress, applied: dict[str, float] | None, discarded: list[int]) -> str:
-
     header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
     rows = [
         [
@@ -221,9 +211,6 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
     return lines
 
 
-_ROOT = Path("experiments")
-
-
 def report(
     folder: Annotated[
         Path | None,
@@ -246,9 +233,7 @@ def report(
             "--out", metavar="DIR", help="Default: report/ in the experiment.", show_default=False
         ),
     ] = None,
-    root: Annotated[
-        Path, typer.Option("--root", help="Folder that holds the experiments.")
-    ] = _ROOT,
+    root: Root = EXPERIMENTS,
     json: Json = False,
 ) -> None:
     """Write one page about an experiment, and figures and tables for a paper.

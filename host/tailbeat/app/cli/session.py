@@ -1,12 +1,9 @@
-"""session first, resume, status.
-
-trim.
-"""
+"""session commission, trim, resume, status."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +20,7 @@ from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._keyboard import Keys, terminal_keys
 from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalPerson
-from tailbeat.app.cli._options import Connect, Json, reference_names
+from tailbeat.app.cli._options import Connect, Into, Json, Rest, reference_names
 from tailbeat.app.cli._terminal import command_typed, say
 from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import restore_interrupted
@@ -31,9 +28,8 @@ from tailbeat.core.errors import InputError
 from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, preserve_folder
-from tailbeat.session.collect import Swum
 from tailbeat.session.commission import Step, first_session
-from tailbeat.session.operator import Decision, Event, Person
+from tailbeat.session.operator import Decision
 from tailbeat.session.preflight.step import Wanted
 from tailbeat.session.repeat import repeat_best
 from tailbeat.session.resume import Restored, restore, restore_params
@@ -41,16 +37,6 @@ from tailbeat.session.series import Options
 from tailbeat.session.status import standing_of, words
 from tailbeat.session.trim import Trim, apply, find_centre
 
-IntoOption = Annotated[
-    Path | None,
-    typer.Option("--into", metavar="FOLDER", help="The experiment; default: the one it is in."),
-]
-RestOption = Annotated[
-    float | None,
-    typer.Option(
-        "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last swim; default: 30."
-    ),
-]
 Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
 
 
@@ -63,7 +49,7 @@ def commission(
             autocompletion=reference_names,
         ),
     ] = "thesis",
-    rest: RestOption = None,
+    rest: Rest = None,
     yes: Yes = False,
     camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
@@ -80,7 +66,7 @@ def commission(
 
     wanted = named_reference(reference)
     options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
+    with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
         display, keys = there
         ritual = Wanted() if rest is None else Wanted(rest_s=rest)
         person = _person(display, keys, yes)
@@ -96,14 +82,14 @@ def commission(
 
 
 def resume(
-    into: IntoOption = None,
+    into: Into = None,
     another_board: Annotated[
         bool, typer.Option("--another-board", help="The fish's board was replaced by this one.")
     ] = False,
     repeat: Annotated[
         bool, typer.Option("--repeat/--no-repeat", help="Swim the best once to tell the shift.")
     ] = True,
-    rest: RestOption = None,
+    rest: Rest = None,
     yes: Yes = False,
     camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
@@ -119,7 +105,7 @@ def resume(
 
     _require_folder(into)
     options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live, _Terminal(json) as there:
+    with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
         display, keys = there
         if (experiment := _to_resume(fish, into)) is None:
             if another_board:
@@ -143,7 +129,7 @@ def resume(
         raise typer.Exit(1)
 
 
-def status(into: IntoOption = None, connect: Connect = None, json: Json = False) -> None:
+def status(into: Into = None, connect: Connect = None, json: Json = False) -> None:
     """Print the current experiment, its best trial, battery, convergence and limits.
 
     Example: tailbeat session status
@@ -158,7 +144,6 @@ def status(into: IntoOption = None, connect: Connect = None, json: Json = False)
 def _repeated(
     fish: Fish, experiment: Experiment, person: TerminalPerson, live: Any, rest: float | None
 ) -> Any:
-
     wanted = Wanted() if rest is None else Wanted(rest_s=rest)
     options = Options(wanted=wanted, typed=command_typed())
     return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
@@ -172,7 +157,6 @@ def _require_folder(into: Path | None) -> None:
 
 
 def _found(fish: Fish, into: Path | None) -> Experiment | None:
-
     return Experiment.open(into) if into is not None else current(fish)
 
 
@@ -214,32 +198,25 @@ def _put_back_alone(fish: Fish, json: bool) -> None:
     say(json, {"experiment": None, "params": params, "notes": notes + refused}, "\n".join(lines))
 
 
-class _Terminal:
+@contextmanager
+def _terminal(quiet: bool) -> Iterator[tuple[Display, Keys | None]]:
     """Display and keys, both put back at the end."""
+    with Display(quiet=quiet) as display, terminal_keys() as keys:
+        yield display, keys if display.moves else None
 
-    def __init__(self, quiet: bool) -> None:
 
-        self._quiet, self._stack = quiet, ExitStack()
+class Agreeing(TerminalPerson):
+    """Says yes to every question; all else is the person's."""
 
-    def __enter__(self) -> tuple[Display, Keys | None]:
-
-        display = self._stack.enter_context(Display(quiet=self._quiet))
-        keys = self._stack.enter_context(terminal_keys())
-        return display, keys if display.moves else None
-
-    def __exit__(self, *what: Any) -> None:
-        self._stack.__exit__(*what)
+    def confirm(self, question: str) -> bool:
+        """Yes."""
+        return True
 
 
 def _person(
     display: Display, keys: Keys | None, yes: bool, repeats: bool = False
 ) -> TerminalPerson:
-    """``yes``: every answer is yes. ``repeats``: of a swim only whether it counts is asked."""
-
-    class Agreeing(TerminalPerson):
-        def confirm(self, question: str) -> bool:
-            return True
-
+    """``yes``: every answer is yes. ``repeats``: of a trial only whether it counts is asked."""
     then = Decision("keep") if yes and repeats else None
     kinds = COUNTS if repeats else KINDS
     return (Agreeing if yes else TerminalPerson)(display, keys, then, kinds=kinds)
@@ -276,7 +253,7 @@ def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
 
 
 def trim(
-    apply: Annotated[
+    to_apply: Annotated[
         bool | None,
         typer.Option(
             "--apply/--no-apply",
@@ -302,75 +279,33 @@ def trim(
     """
     options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live:
-        found, held = _trimmed(fish, live, TrimOptions(apply, yes, rest, json))
+        found, held = _trimmed(fish, live, to_apply, yes, rest, json)
         document = _trim_document(found, held)
         say(json, document, lambda: _trim_text(found, held))
 
 
-@dataclass(frozen=True)
-class TrimOptions:
-    """What was given on the command line."""
-
-    apply: bool | None
-    yes: bool
-    rest_s: float
-    json: bool
-
-
-def _trimmed(fish: Fish, live: LiveCamera, asked: TrimOptions) -> tuple[Trim, float | None]:
+def _trimmed(
+    fish: Fish, live: LiveCamera, to_apply: bool | None, yes: bool, rest_s: float, json: bool
+) -> tuple[Trim, float | None]:
     """What was found, and what is set now if it was applied."""
-
     simulated = fish.info().simulated
-    with Display(quiet=asked.json) as display, terminal_keys() as keys:
-        there = keys is not None and display.moves
-        alone = asked.yes or simulated
-        _require_somebody(alone or there)
-        person = _person_trim(display, keys if there else None, alone)
-        wanted = Wanted(rest_s=asked.rest_s)
-        found = find_centre(fish, person, live.camera, live.guard, wanted)
-        wants = asked.apply
-        if wants is None and there and not asked.json:
+    with _terminal(json) as (display, keys):
+        alone = yes or simulated
+        _require_somebody(alone or keys is not None)
+        person = _person(display, keys, alone)
+        found = find_centre(fish, person, live.camera, live.guard, Wanted(rest_s=rest_s))
+        if to_apply is None and keys is not None and not json:
             display.keep(found.text())
-            wants = _person_trim(display, keys, False).confirm("Set it for good?")
-        return found, apply(fish, found) if wants else None
+            to_apply = _person(display, keys, False).confirm("Set it for good?")
+        return found, apply(fish, found) if to_apply else None
 
 
 def _require_somebody(there: bool) -> None:
-
     if not there:
         raise InputError(
             "nobody can be asked before each swim here.",
             "Add --yes when the fish is free to swim twice by itself, or call it at a terminal.",
         )
-
-
-def _person_trim(display: Display, keys: Any, alone: bool) -> Person:
-
-    person = TerminalPerson(display, keys)
-    return _Willing(person) if alone else person
-
-
-@dataclass(frozen=True)
-class _Willing:
-    """Says yes to every swim; all else is the person's."""
-
-    person: Person
-
-    def tell(self, event: Event) -> None:
-        """Passes it on."""
-        self.person.tell(event)
-
-    def wants_abort(self) -> bool:
-        """As the person does."""
-        return self.person.wants_abort()
-
-    def decide(self, swum: Swum) -> Decision:
-        """As the person does."""
-        return self.person.decide(swum)
-
-    def confirm(self, question: str) -> bool:
-        """Yes."""
-        return True
 
 
 def _trim_document(found: Trim, held: float | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""demo, sim, vboard, selftest."""
+"""sim fish, board, demo, law, selftest."""
 
 from __future__ import annotations
 
@@ -175,7 +175,6 @@ def _values(seed: int | None, settings: list[str] | None) -> dict[str, float]:
 def _serve(
     board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float, json: bool
 ) -> None:
-
     def slow(pace: float) -> None:
         words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
         echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
@@ -196,7 +195,6 @@ def _serve(
 
 
 def _serve_text(what: str, speed: float, at: Addresses) -> str:
-
     pace = "" if speed == 1 else f" at {speed:g} x real time"
     line = f"{what}{pace} on {at.listen}: tailbeat info --connect {at.listen}"
     console = at.console + (f" and {at.pty}" if at.pty else "")

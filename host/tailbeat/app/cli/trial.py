@@ -1,4 +1,4 @@
-"""trial run, abort, list, pull, show, discard."""
+"""trial list, pull, show, speeds, discard; stop."""
 
 from __future__ import annotations
 
@@ -91,7 +91,6 @@ def pull(
 
 
 def _which(fish: Fish, number: int | None) -> int:
-
     if number is not None:
         return number
     found = fish.trials()
@@ -159,7 +158,6 @@ def show(
 
 
 def _recomputed(trial: Trial) -> dict[str, Any]:
-
     if trial.uploaded or _source(trial) == "upload":
         raise InputError(
             f"the speeds of trial {trial.number} were uploaded: there is nothing to compute",
@@ -193,12 +191,10 @@ def _from_board(
 
 
 def _source(trial: Trial) -> str:
-
     return SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))]
 
 
 def _document(trial: Trial) -> dict[str, Any]:
-
     document: dict[str, Any] = plain(trial)
     document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
     document["slots"] = plain(trial.slots.table())
@@ -229,7 +225,6 @@ def _conditions_text(trial: Trial) -> str:
 
 
 def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
-
     b = trial.beats
     rows = [
         [

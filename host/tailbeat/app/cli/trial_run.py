@@ -19,7 +19,7 @@ from tailbeat.app.cli._camera import (
     live_camera,
 )
 from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, Json
+from tailbeat.app.cli._options import Connect, Into, Json, Rest
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
 from tailbeat.app.cli._words import link_news, loud
 from tailbeat.app.cli.guided import GuideOptions, run_guided
@@ -49,16 +49,7 @@ def run(
             show_default=False,
         ),
     ] = None,
-    rest: Annotated[
-        float | None,
-        typer.Option(
-            "--rest",
-            min=0.0,
-            max=3600.0,
-            metavar="S",
-            help="Rest since the last swim; default: 30.",
-        ),
-    ] = None,
+    rest: Rest = None,
     until: Annotated[
         str | None,
         typer.Option(
@@ -67,12 +58,7 @@ def run(
             help="Swim on until then; default: 1 kept swim.",
         ),
     ] = None,
-    into: Annotated[
-        Path | None,
-        typer.Option(
-            "--into", metavar="FOLDER", help="The experiment; default: the one the fish is in."
-        ),
-    ] = None,
+    into: Into = None,
     then: Annotated[
         str | None,
         typer.Option(

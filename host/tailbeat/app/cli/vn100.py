@@ -1,4 +1,4 @@
-"""vn100."""
+"""board imu decode."""
 
 from __future__ import annotations
 
@@ -97,7 +97,6 @@ class _Wishes:
 
 
 def _recording(name: str, csv: Path | None, as_json: bool) -> None:
-
     reader, summary = Reader(), Summary()
     with _csv_files(csv, live=False) as files:
         for message in decode(_chunks(name), reader):
@@ -132,12 +131,10 @@ def _chunks(name: str) -> Iterator[bytes]:
 
 
 def _csv_files(path: Path | None, live: bool) -> contextlib.AbstractContextManager[CsvFiles | None]:
-
     return contextlib.nullcontext() if path is None else CsvFiles(path, live)
 
 
 def _listen(name: str, csv: Path | None, wishes: _Wishes, as_json: bool) -> None:
-
     if wishes.config and wishes.baud is None and name.startswith("tcp:"):
         raise InputError(
             "the speed of the line behind TCP is not known",
@@ -152,7 +149,6 @@ def _listen(name: str, csv: Path | None, wishes: _Wishes, as_json: bool) -> None
 
 
 def _begin(live: Live, wishes: _Wishes, as_json: bool) -> None:
-
     if live.driver is None:
         baud = find_baud(live, wishes.baud)
         if as_json:
@@ -179,7 +175,6 @@ def _setup_text(name: str, setup: Setup) -> str:
 
 
 def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) -> None:
-
     lost: LinkLostError | None = None
     summary = Summary()
     begin_s = live.source.now_s()
@@ -220,7 +215,6 @@ def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) 
 
 
 def _message_document(message: Message, time_s: float) -> dict[str, Any]:
-
     document = {"event": "message", "t_s": round(time_s, 6), "kind": message.kind}
     if message.values or not isinstance(message, Line):
         return document | {"values": plain_values(message.values)}

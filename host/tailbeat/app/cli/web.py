@@ -1,4 +1,4 @@
-"""The session as a web page."""
+"""session web."""
 
 from __future__ import annotations
 

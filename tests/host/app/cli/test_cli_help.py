@@ -143,8 +143,15 @@ def test_an_old_option_is_understood(capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_every_command_has_json(words: tuple[str, ...]) -> None:
+def test_every_command_has_json_and_an_error_is_one_line(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert "json" in [parameter.name for parameter in COMMANDS[words].params]
+    assert run([*words, "--json", "--no-such-option"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("tailbeat: ") and err.count("\n") == 1
+    assert err.endswith(f"Try: tailbeat {' '.join(words)} --help\n")
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
