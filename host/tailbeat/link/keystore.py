@@ -24,7 +24,7 @@ from tailbeat.core.files import replace_file
 from tailbeat.core.locks import locked
 
 KEY_BYTES = 32
-_FORMAT = "tailbeat board key 1"
+_FORMAT = "tailbeat key 1"
 _FOLDER = "TAILBEAT_KEYS"
 _OWNER_ONLY = 0o600
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO

@@ -82,7 +82,7 @@ def test_a_key_is_never_shown() -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"", b"null", b"[]", b'"tailbeat board key 1"', b"{", b"\xff\xfe",
+        b"", b"null", b"[]", b'"tailbeat key 1"', b"{", b"\xff\xfe",
         encode_key(KEY).replace(b"key 1", b"key 2"),
         encode_key(KEY).replace(KEY.key.hex().encode(), b"00" * 32),
         encode_key(KEY).replace(KEY.key.hex().encode(), b"01" * 31),
@@ -502,5 +502,5 @@ def test_files_hold_what_they_say(store: KeyStore, keys_folder: Path) -> None:
     store.save(KEY)
     (path,) = keys_folder.glob("*.json")
     document = json.loads(path.read_text())
-    assert (document["format"], document["key"]) == ("tailbeat board key 1", KEY.key.hex())
+    assert (document["format"], document["key"]) == ("tailbeat key 1", KEY.key.hex())
     assert document["board"] == BOARD

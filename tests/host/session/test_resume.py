@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tailbeat.app.cli import _library
+from tailbeat.app.cli import _experiment
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli.session import _person
 from tailbeat.board import preserve
@@ -349,7 +349,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
     swapped.clear()
     use(swapped, experiment)
-    _library.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
+    _experiment.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
     assert is_interrupted(swapped)
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)

@@ -129,7 +129,6 @@ class LiveOptions:
 
     def check(self) -> LiveOptions:
         """Itself; what can be told before there is a fish. Raises InputError."""
-
         if self.calibration is not None:
             load_calibration(self.calibration)
         positions = self.address is None or self.address.startswith("tcp:")
@@ -168,7 +167,6 @@ class LiveCamera:
 @contextmanager
 def live_camera(fish: Fish, options: LiveOptions) -> Iterator[LiveCamera]:
     """The camera for the length of a swim. Raises InputError, ConnectError."""
-
     options.check()
     file = options.calibration
     known = None if file is None else load_calibration(file)
@@ -212,11 +210,9 @@ def _source(
 ) -> tuple[PictureSource, Calibration]:
     """A device, or the simulated fish as a camera would see it, with the true calibration unless
     another is given."""
-
     if known is not None and options.address != RENDERED:
         device = Device(str(options.address), known.size_px, latency_s=options.latency_s)
         return device, known
-
     seen = default_camera(fish)
     if not isinstance(seen, SimulatedCamera | RemoteCamera):
         raise InputError("only a simulated fish can be drawn", "Start one: tailbeat sim")
@@ -257,7 +253,6 @@ def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) ->
 
 def _kappa_per_m(fish: Fish) -> float:
     """The fish's drag: as identified, else as the board has it."""
-
     book = logbook_of(fish)
     with suppress(InputError):
         if book is not None and (identified := book.identified()) is not None:

@@ -31,14 +31,12 @@ _TOLD = "no-key-told"  # in the logbook of the fish: the day
 def notice_today(fish: Fish) -> str | None:
     """As ``connect_notice``; that nobody has set a key yet once per board and day. A key that is
     missing, or was lost, is told every time."""
-
     line = connect_notice(fish)
     return None if line == NO_KEY and _told_before(fish) else line
 
 
 def _told_before(fish: Fish) -> bool:
     """Whether it was told today; from now on it was. A logbook that cannot say: not told."""
-
     today = date.today().isoformat()
     try:
         if (book := logbook_of(fish)) is None:

@@ -28,7 +28,6 @@ from tailbeat.session.operator import DecisionKind
 
 def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:
     """The one named, else that of the connected fish."""
-
     if folder is not None:
         return Experiment.open(folder)
     with connected(connect) as fish:
@@ -49,7 +48,6 @@ def tell_problems(experiment: Experiment) -> None:
 
 def listed(root: Path) -> tuple[list[dict[str, Any]], str]:
     """(one row per experiment, the same for people)."""
-
     rows: list[dict[str, Any]] = []
     lines = []
     for experiment in list_experiments(root):
@@ -66,7 +64,6 @@ def listed(root: Path) -> tuple[list[dict[str, Any]], str]:
 
 def show_document(experiment: Experiment) -> dict[str, Any]:
     """Settings, trials and notes; an experiment may have no trial yet."""
-
     settings = experiment.settings()
     document: dict[str, Any] = {
         "name": experiment.name,
@@ -91,7 +88,6 @@ def show_document(experiment: Experiment) -> dict[str, Any]:
 
 def show_text(document: dict[str, Any]) -> str:
     """The same for people."""
-
     settings = document["settings"]
     simulated = ", simulated" if settings.get("simulated") else ""
     head = f"{document['name']}: {settings.get('fish')}, reference {settings.get('reference')}"
@@ -167,7 +163,6 @@ def replay_text(found: Replay) -> str:
 def keep_in_logbook(fish: Fish, path: Path) -> None:
     """Keeps a pulled trial; a logbook that cannot take it is told on stderr and no reason to
     fail."""
-
     try:
         if (book := logbook_of(fish)) is not None:
             book.keep(path)
@@ -182,7 +177,6 @@ def discard_and_keep(
     trial that the logbook cannot keep (told on stderr) is dropped all the same; one that belongs to
     an experiment only once it is there, with the ``reason``. Raises InputError (disk full), and
     Refused of a stopped board before anything is written."""
-
     pending = pending_of(fish, number, f"trial discard{_given(number, repeat, reason)}")
     noted = None
     if pending is not None:
@@ -216,7 +210,6 @@ def verdict_after_learning(
     """Judges the trial by what the logbook has; fetches it unless it is ``kept`` there already.
     None without a logbook, or when the trial cannot be had (told on stderr): the board has learned
     all the same."""
-
     try:
         book = logbook_of(fish)
         if book is None:

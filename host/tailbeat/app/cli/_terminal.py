@@ -72,7 +72,6 @@ def table(header: list[str], rows: list[list[str]], left: tuple[int, ...] = ()) 
 
 def assignments(pairs: list[str]) -> dict[str, float]:
     """``["kappa=5"]`` to ``{"kappa": 5.0}``."""
-
     values = {}
     for pair in pairs:
         key, equals, text = pair.partition("=")

@@ -56,7 +56,6 @@ def bluetooth_setup(
 
     Example: tailbeat board bluetooth /dev/ttyUSB0 --name fish --pin 4711
     """
-
     with contextlib.closing(SerialTransport(port, bluetooth.AT_BAUDS[0])) as line:
         report = bluetooth.setup(line, name, pin)
     say(json, report, lambda: _bluetooth_text(report))
@@ -83,7 +82,6 @@ def info(connect: Connect = None, json: Json = False) -> None:
 
     Example: tailbeat info --connect tcp:127.0.0.1:5760
     """
-
     with connected(connect) as fish:
         if trust_of(fish) == MISSING:
             document, text = _info_of_a_stranger(fish)
@@ -103,7 +101,6 @@ def _info(fish: Fish) -> tuple[dict[str, Any], str]:
 
 def _info_of_a_stranger(fish: Fish) -> tuple[dict[str, Any], str]:
     """A board whose key we have not tells no more than it tells by itself."""
-
     status, health, name = fish.status(), fish.health(), fish.transport.name
     document: dict[str, Any] = dict.fromkeys(field.name for field in fields(BoardInfo))
     document |= {"connection": name, "status": status, "imu": None, "health": health}
@@ -214,7 +211,6 @@ def crash(
 
     Example: tailbeat board crash --elf build/firmware/tailbeat.elf
     """
-
     with connected(connect) as fish:
         report = fish.crash_report()
     found = places(report, elf) if report is not None and elf is not None else []
@@ -247,7 +243,6 @@ def check(connect: Connect = None, json: Json = False) -> None:
 
     Example: tailbeat board check --connect /dev/rfcomm0
     """
-
     findings = examine(connect)
     well = worst(findings) != PROBLEM
     say(json, {"ok": well, "checks": findings}, lambda: _text_doctor(findings))

@@ -72,7 +72,6 @@ def render(
 
     Example: tailbeat camera render swim.mp4 --lost 0.1 --glare 0.5
     """
-
     scene = _scene(size, marker, glare, hidden, fish, seed)
     options = ExerciseOptions(
         reference=named_reference(reference),

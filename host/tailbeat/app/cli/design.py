@@ -65,7 +65,6 @@ def design(
 
     Example: tailbeat session design --table amplitude.csv --gain 4
     """
-
     if identified is not None and table is not None:
         raise typer.BadParameter("--identified and --table exclude each other")
     with ExitStack() as stack:
@@ -115,7 +114,6 @@ def _reference(text: str | None, fish: Fish | None) -> Reference:
 def _apply(fish: Fish, found: Design) -> None:
     """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
     last trial alone, so those go with it."""
-
     law = found.law
     wanted = {
         "ILC_KD": law.kd_rad_s2_m,

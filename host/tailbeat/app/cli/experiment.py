@@ -81,7 +81,6 @@ def new(
 
     Example: tailbeat experiment new --reference thesis --fish carangi --water-temp 21.5
     """
-
     named = None if reference is None else named_reference(reference)
     conditions = parse_conditions(condition or [], water_temp)
     words = _words(configuration, operator)
@@ -110,7 +109,6 @@ def use(folder: Folder, connect: Connect = None, json: Json = False) -> None:
 
     Example: tailbeat experiment use experiments/2026-05-04_carangi_thesis_p4_01
     """
-
     experiment = Experiment.open(folder)
     with connected(connect) as fish:
         require_same(fish, experiment)
@@ -140,7 +138,6 @@ def set_(
 
     Example: tailbeat experiment set FOLDER --water-temp 22 --condition salinity_psu=0.3
     """
-
     experiment = folder_or_current(folder, connect)
     conditions = parse_conditions(condition or [], water_temp)
     set_conditions(experiment, conditions, _words(configuration, operator))
@@ -174,7 +171,6 @@ def show(
 
     Example: tailbeat experiment show experiments/2026-05-04_carangi_thesis_p4_01
     """
-
     experiment = folder_or_current(folder, connect)
     if redo:
         text = redo_text(experiment)
@@ -197,7 +193,6 @@ def note(
 
     Example: tailbeat experiment note experiments/2026-05-04_fish_thesis_p4_01 "water 22 °C"
     """
-
     text = first if second is None else second
     if not text.strip():
         raise InputError("the note is empty.", "Say what is to be remembered.")
@@ -223,7 +218,6 @@ def compare(
 
     Example: tailbeat experiment compare experiments/A experiments/B --iterations 4,5,6
     """
-
     experiments = [Experiment.open(folder) for folder in (a, b)]
     if a.resolve() == b.resolve():
         raise InputError(f"{a} and {b} are the same experiment.", "Name two.")
@@ -253,7 +247,6 @@ def replay(folder: Folder, json: Json = False) -> None:
 
     Example: tailbeat experiment replay experiments/2026-05-04_carangi_thesis_p4_01
     """
-
     experiment = Experiment.open(folder)
     with TemporaryDirectory() as scratch:
         found = replay_all(experiment, Path(scratch))
@@ -274,7 +267,6 @@ def export(
 
     Example: tailbeat experiment export FOLDER --format csv
     """
-
     experiment = Experiment.open(folder)
     files = export_files(experiment, formats or [])
     if not formats and (line := missing_formats()):

@@ -243,7 +243,6 @@ class _There:
 
     def ready(self, wait: bool) -> None:
         """What goes before a run; nothing with --yes."""
-
         if self.asked.alone:
             return
         if not self.keys:
@@ -285,7 +284,6 @@ def _attendant(
     there: _There | None = None,
 ) -> Attendant:
     """Whoever sees to it. ``alone``: nobody who could be asked for speeds."""
-
     now: list[Run] = []
 
     def before(run: Run) -> None:

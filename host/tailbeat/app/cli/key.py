@@ -34,7 +34,6 @@ def set_(
 
     Example: tailbeat board key set --connect /dev/ttyACM0
     """
-
     with connected(connect, notice=False) as fish, _told_when_interrupted():
         key = set_key(fish, name)
     say(
@@ -48,7 +47,6 @@ def set_(
 @contextlib.contextmanager
 def _told_when_interrupted() -> Iterator[None]:
     """A key that was kept here may have reached the board or not."""
-
     before = KeyStore().usable()
     try:
         yield
@@ -67,7 +65,6 @@ def status(connect: Connect = None, json: Json = False) -> None:
 
     Example: tailbeat board key status
     """
-
     with connected(connect, notice=False) as fish:
         found = key_status(fish)
     say(json, found.as_dict(), lambda: _status_text(found))
@@ -99,7 +96,6 @@ def list_(json: Json = False) -> None:
 
     Example: tailbeat board key list
     """
-
     store = KeyStore()
     keys, problems = store.load()
     for line in problems:
@@ -118,7 +114,6 @@ def erase(connect: Connect = None, json: Json = False) -> None:
 
     Example: tailbeat board key erase --connect /dev/ttyACM0
     """
-
     with connected(connect, notice=False) as fish:
         key = erase_key(fish)
     document = {"erased": None if key is None else key.public()}
@@ -139,7 +134,6 @@ def export(
 
     Example: tailbeat board key export fish.key
     """
-
     found = KeyStore().find(key)
     secret = "whoever has it can move the tail; delete it when it has arrived"
     if file is None:
@@ -167,7 +161,6 @@ def import_(
 
     Example: tailbeat board key import fish.key
     """
-
     if str(file) == "-":
         content, where = sys.stdin.buffer.read(), "what came in"
     else:
@@ -186,7 +179,6 @@ def delete(which: Which, json: Json = False) -> None:
 
     Example: tailbeat board key delete 3fa2b1c0
     """
-
     store = KeyStore()
     key = store.find(which)
     store.forget(key)

@@ -126,7 +126,6 @@ def learn_with_model(
     fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool, json: bool
 ) -> None:
     """The pending trial, if there is one, then the amplitudes that swim next."""
-
     pending = fish.status().pending_trial
     if number not in (None, pending):
         raise refusal(NO_TRIAL)
@@ -176,7 +175,6 @@ def _swims(
 ) -> tuple[list[Swim], Path | None]:
     """All in the logbook and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""
-
     if pending is None:
         return book.swims() if book is not None else [], None
     with TemporaryDirectory() as folder, progress_bar(json, f"trial {pending}") as show:

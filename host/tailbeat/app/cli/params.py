@@ -71,7 +71,6 @@ def preset(
 
     Example: tailbeat params preset thesis
     """
-
     values = presets.preset(name)
     with connected(connect) as fish:
         held = presets.apply(fish, values)

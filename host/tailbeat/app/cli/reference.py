@@ -113,7 +113,6 @@ def upload_warm(
 ) -> None:
     """Uploads the reference and amplitudes for it, or prints them. ``document``, ``line``: what is
     said of the reference itself."""
-
     book = logbook_of(fish)
     identified = sound_identified(book) if book is not None else None
     if identified_file is not None:
@@ -221,7 +220,6 @@ def upload(
 
     Example: tailbeat reference upload thesis:0.0633,50 --warm-start board
     """
-
     if warm_start is None and (dry_run or identified is not None):
         raise typer.BadParameter("--dry-run and --identified are for --warm-start OLD")
     reference = named_reference(what)
@@ -250,7 +248,6 @@ def show(
 
     Example: tailbeat reference show --csv reference.csv
     """
-
     with connected(connect) as fish:
         record = fish.reference_record()
     if record is None:
@@ -307,7 +304,6 @@ def check(
 
     Example: tailbeat reference check thesis --suggest
     """
-
     reference = named_reference(what)
     known = _known(identified, amp_max, tank, connect)
     problems = reference.check(known.limits)

@@ -92,7 +92,6 @@ def _material(experiment: Path | None, root: Path | None, connect: str | None) -
 
 def _identified_in(experiment: Path) -> Identified | None:
     """What lies beside the trials."""
-
     for folder in (experiment / "raw", experiment):
         if (folder / "identified.json").is_file():
             return Identified.load(folder / "identified.json")
@@ -101,7 +100,6 @@ def _identified_in(experiment: Path) -> Identified | None:
 
 def references_of(known: _Material) -> list[dict[str, Any]]:
     """Every reference that was swum, in the order of its last trial."""
-
     rows: dict[int, dict[str, Any]] = {}
     for one in known.kept:
         if one.mark:
@@ -240,7 +238,6 @@ def report(
 
     Example: tailbeat report --paper
     """
-
     chosen = Experiment.open(folder) if folder else newest(root)
     others = [Experiment.open(one) for one in against or []]
     written = write_report(chosen, paper, others, out)
@@ -258,7 +255,6 @@ def report(
 
 def newest(root: Path) -> Experiment:
     """The one made last below ``root``. Raises InputError when there is none."""
-
     found = list_experiments(root)
     if not found:
         raise InputError(
@@ -270,7 +266,6 @@ def newest(root: Path) -> Experiment:
 
 def _made(experiment: Experiment) -> tuple[float, str]:
     """When, by its settings; one without a time is the oldest."""
-
     try:
         moment = datetime.fromisoformat(str(experiment.settings().get("made", "")))
     except ValueError:

@@ -63,7 +63,6 @@ def commission(
 
     Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """
-
     wanted = named_reference(reference)
     options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
@@ -102,7 +101,6 @@ def resume(
 
     Example: tailbeat session resume --camera 0 --calibration tank.json
     """
-
     _require_folder(into)
     options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
@@ -134,7 +132,6 @@ def status(into: Into = None, connect: Connect = None, json: Json = False) -> No
 
     Example: tailbeat session status
     """
-
     _require_folder(into)
     with connected(connect) as fish:
         found = standing_of(fish, _experiment(fish, into))
@@ -151,7 +148,6 @@ def _repeated(
 
 def _require_folder(into: Path | None) -> None:
     """Before anything is connected."""
-
     if into is not None:
         Experiment.open(into)
 
@@ -163,7 +159,6 @@ def _found(fish: Fish, into: Path | None) -> Experiment | None:
 def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
     """The one that was named, or the one the fish is in; None when the board has been given another
     reference than that one's since, and no experiment of it has begun."""
-
     found = _found(fish, into)
     if into is not None or is_interrupted(fish) or fish.status().reference_crc is None:
         return found
@@ -186,7 +181,6 @@ def _in_none(fish: Fish) -> InputError:
 def _put_back_alone(fish: Fish, json: bool) -> None:
     """A fish that swims for no experiment: what a trim or an identification has left can be put
     back, and what commands have set."""
-
     notes: list[str] = []
     put_back = restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
     params, refused = restore_params(fish)

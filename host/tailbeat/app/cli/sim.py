@@ -79,7 +79,6 @@ def demo(
 
     Example: tailbeat sim demo --plant tank --gain 4 --trials 6
     """
-
     options = DemoOptions(
         plant, gain, lead, trials, seed, out, connect, assignments(settings or []), law
     )
@@ -139,7 +138,6 @@ def fish(
 
     Example: tailbeat sim fish --plant tank --speed 10 --set kappa_per_m=5
     """
-
     board = SimBoard(plant, **_values(seed, settings))
     _serve(board, "simulated fish", listen, pty, speed, json)
 
@@ -163,7 +161,6 @@ def board(
 
     Example: tailbeat sim board build/firmware/tailbeat.elf --pty
     """
-
     board = EmulatedBoard(image, plant, **_values(seed, settings))
     _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
 
@@ -213,7 +210,6 @@ def selftest(
 
     Example: tailbeat sim selftest
     """
-
     with progress_bar(json, "building and running") as show:
         show(0.0, "")
         report = run_selftest(source)
@@ -238,7 +234,6 @@ def law(
 
     Example: tailbeat sim law --config law.json --input u.csv --error e.csv
     """
-
     old = read_column(amplitudes, "amplitude_rad")
     error = read_column(errors, "error_m_s", gaps=True)
     chosen = laws.load(config)

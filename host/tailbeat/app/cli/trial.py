@@ -101,7 +101,6 @@ def _which(fish: Fish, number: int | None) -> int:
 
 def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
     """Into an experiment's raw files, where there is one; otherwise just into the folder."""
-
     experiment = Experiment(into) if (into / "settings.json").is_file() else None
     if experiment is not None:
         require_fish(fish, experiment)
@@ -134,7 +133,6 @@ def show(
 
     Example: tailbeat trial show 0003.ulg --csv beats.csv
     """
-
     known: tuple[Identified | None, list[Trial]]
     path = Path(what) if what is not None else None
     if what is not None and path is not None and (path.is_file() or not what.isdecimal()):
@@ -180,7 +178,6 @@ def _from_board(
     number: int | None, connect: str | None, quiet: bool
 ) -> tuple[Trial, tuple[Identified | None, list[Trial]]]:
     """The trial, and what the trial library knows of its fish."""
-
     with connected(connect) as fish, TemporaryDirectory() as folder:
         path = _pull(fish, _which(fish, number), Path(folder), quiet)
         trial = read_trial(path)
@@ -216,7 +213,6 @@ def _battery(trial: Trial) -> tuple[float | None, float | None]:
 
 def _conditions_text(trial: Trial) -> str:
     """Straightness and battery, in one line."""
-
     straight = straightness(trial)
     words = "straightness not known" if straight is None else straight.text()
     begin_v, end_v = _battery(trial)
@@ -301,7 +297,6 @@ def speeds(
 
     Example: tailbeat trial speeds 3 speed.csv
     """
-
     if sigma_m_s is not None and not 0 < sigma_m_s <= 1:
         raise typer.BadParameter("--sigma is in m/s, more than 0, like 0.001")
     with connected(connect) as fish:

@@ -121,7 +121,6 @@ def _ctrl_c_told() -> Iterator[None]:
 def _with_room(fish: Fish, guard: Guard | None) -> Guard:
     """Refuses a swim along what is not the fish's own or with parameters nobody meant, and one that
     the tank has no room for; ends one that comes farther."""
-
     require_own(fish)
     require_meant_here(fish)
     book = logbook_of(fish)
@@ -163,7 +162,6 @@ def _told(
 
 def _saturation(fish: Fish, outcome: TrialOutcome) -> Saturation | None:
     """None also when the board or the trial library cannot tell: the trial is over all the same."""
-
     try:
         return saturation_next(fish, outcome.executed_beats, logbook_of(fish))
     except TailbeatError:

@@ -77,7 +77,6 @@ def imu_decode(
 
     Example: tailbeat board imu decode /dev/ttyUSB0 --config --csv imu.csv
     """
-
     if is_port(source):
         _listen(source, csv, _Wishes(config, baud, rate, seconds), json)
     elif config:

@@ -51,7 +51,6 @@ def web(
 
     Example: tailbeat session web --connect sim --speed 5
     """
-
     options = camera.live()
     place = listen(host, port)
     with contextlib.closing(place.listener), _board(connect, speed) as make:
@@ -67,7 +66,6 @@ def web(
 def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
     """How to connect. A board that would live in this process gets a time of its own: otherwise its
     swims would be over before anybody could look."""
-
     if url is None or url.partition(":")[0] not in ("sim", "vboard"):
         yield lambda: Fish.connect(url)
         return
