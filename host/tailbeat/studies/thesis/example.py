@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.native import Precision
 
-if TYPE_CHECKING:
-    from tailbeat.studies.thesis.chapter3.plants import Uptake
+Uptake = Literal["clip", "abs", "monod", "none"]
 
 
 @dataclass(frozen=True)

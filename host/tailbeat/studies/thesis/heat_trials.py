@@ -10,12 +10,15 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study
-from tailbeat.studies.thesis.chapter3.plants import PlantFailed
 from tailbeat.studies.thesis.example import Options, Run
 from tailbeat.studies.thesis.heat import HORIZON, STEP, TRIAL, reference
 from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused
 from tailbeat.studies.thesis.limits import errors_beyond, last_iteration
 from tailbeat.studies.thesis.native import Precision, load
+
+
+class PlantFailed(ArithmeticError):
+    """The plant could not be computed to the end of the trial."""
 
 
 class Plant(Protocol):

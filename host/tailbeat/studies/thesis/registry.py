@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from tailbeat.studies.thesis.chapter2 import examples as chapter2
-from tailbeat.studies.thesis.chapter3 import examples as chapter3
-from tailbeat.studies.thesis.chapter4 import examples as chapter4
-from tailbeat.studies.thesis.chapter5 import examples as chapter5
-from tailbeat.studies.thesis.chapter6 import examples as chapter6
-from tailbeat.studies.thesis.chapter7 import examples as chapter7
-from tailbeat.studies.thesis.chapter8 import examples as chapter8
+from tailbeat.studies.thesis import (
+    chapter2,
+    chapter3,
+    chapter4,
+    chapter5,
+    chapter6,
+    chapter7,
+    chapter8,
+)
 from tailbeat.studies.thesis.example import Example
 
 EXAMPLES: tuple[Example, ...] = (

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis import picture
+from tailbeat.studies.thesis import chapter2, picture
 from tailbeat.studies.thesis.chapter2 import claims as chapter2_claims
-from tailbeat.studies.thesis.chapter2 import examples as chapter2
 from tailbeat.studies.thesis.chapter2 import figures as chapter2_figures
 from tailbeat.studies.thesis.chapter2 import plants as average
 from tailbeat.studies.thesis.chapter2.plants import (
@@ -26,8 +25,8 @@ from tailbeat.studies.thesis.chapter2.plants import (
     EXAMPLE2,
     SUBSTITUTE,
     WANTED,
+    reached_probability,
 )
-from tailbeat.studies.thesis.conditions import reached_probability
 from tailbeat.studies.thesis.cut import first_within, stays_within
 from tailbeat.studies.thesis.example import (
     COMES_OUT,

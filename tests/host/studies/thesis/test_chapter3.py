@@ -11,19 +11,16 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis import picture
+from tailbeat.studies.thesis import chapter3, picture
 from tailbeat.studies.thesis.chapter3 import claims as chapter3_claims
-from tailbeat.studies.thesis.chapter3 import examples as chapter3
 from tailbeat.studies.thesis.chapter3 import figures as chapter3_figures
 from tailbeat.studies.thesis.chapter3.plants import (
     EXAMPLE1,
     FISH,
     Moving,
+    beta_bounds,
     fish_rate_printed,
     fish_wanted_input,
-)
-from tailbeat.studies.thesis.conditions import (
-    beta_bounds,
     normal_reached,
     rho_least,
     window_contraction,

@@ -14,9 +14,8 @@ import pytest
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis.chapter4 import claims
+from tailbeat.studies.thesis.chapter4 import EXAMPLES, claims
 from tailbeat.studies.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
-from tailbeat.studies.thesis.chapter4.examples import EXAMPLES
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,

@@ -14,9 +14,8 @@ import pytest
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis.chapter4.claims import grows
-from tailbeat.studies.thesis.chapter5 import claims
+from tailbeat.studies.thesis.chapter5 import EXAMPLES, claims
 from tailbeat.studies.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2
-from tailbeat.studies.thesis.chapter5.examples import EXAMPLES
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,

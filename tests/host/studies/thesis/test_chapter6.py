@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import one_thread
-from tailbeat.studies.thesis.chapter6 import examples as chapter6
+from tailbeat.studies.thesis import chapter6
 from tailbeat.studies.thesis.chapter6 import plants
 from tailbeat.studies.thesis.chapter6 import plants as rod
 from tailbeat.studies.thesis.example import (

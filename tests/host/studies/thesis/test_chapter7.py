@@ -15,14 +15,14 @@ from scipy.integrate import solve_ivp
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import one_thread
-from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant, PlantFailed, Uptake
+from tailbeat.studies.thesis import chapter7
 from tailbeat.studies.thesis.chapter7 import claims as judging
-from tailbeat.studies.thesis.chapter7 import examples as chapter7
 from tailbeat.studies.thesis.chapter7 import plants as anticipatory
 from tailbeat.studies.thesis.chapter7.plants import (
     BY_TIME,
     DELTAS,
     STEADY,
+    AdvectionPlant,
     gain_for,
     promised,
     theta,
@@ -36,9 +36,10 @@ from tailbeat.studies.thesis.example import (
     Example,
     Options,
     Run,
+    Uptake,
 )
 from tailbeat.studies.thesis.heat import CHAPTER7, HeatPlant, reference, times
-from tailbeat.studies.thesis.heat_trials import learn
+from tailbeat.studies.thesis.heat_trials import PlantFailed, learn
 from tailbeat.studies.thesis.native import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 

@@ -13,9 +13,9 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import thesis
 from tailbeat.learning.error_bound_solve import plant_beats
+from tailbeat.studies.thesis.chapter8 import EXAMPLES, draw
 from tailbeat.studies.thesis.chapter8 import claims as fishclaims
 from tailbeat.studies.thesis.chapter8 import plants as fish_module
-from tailbeat.studies.thesis.chapter8.examples import EXAMPLES, draw
 from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,

@@ -14,8 +14,8 @@ from tailbeat.studies.thesis.chapter2.plants import (
     TIMES,
     WANTED,
     Average,
+    reached_probability,
 )
-from tailbeat.studies.thesis.conditions import reached_probability
 from tailbeat.studies.thesis.example import Figure, Run, Study
 from tailbeat.studies.thesis.picture import ACCENT, LINES, legend, picture
 from tailbeat.studies.thesis.picture import WANTED as WANTED_LINE

@@ -6,17 +6,16 @@ The examples of chapter 2 as tasks: plant, law (2.10), distribution of the lengt
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.conditions import contraction, reached_probability
 from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
 from tailbeat.studies.thesis.learner import LearnerConfig
 
@@ -24,6 +23,25 @@ LAST = 50  # T_d, samples
 TIMES: NDArray[np.int64] = np.arange(LAST + 1)
 # Both examples want the same. Its printed third term, sin(50 pi t), is 0 at whole t.
 WANTED: F64 = np.sin(2 * np.pi * TIMES / 50) + np.sin(2 * np.pi * TIMES / 5)
+
+
+def reached_probability(
+    times: ArrayLike, wanted: int, before: int, after: int, masses: Sequence[float]
+) -> F64:
+    """p(t), (2.5): the probability that a trial reaches sample t. Trials end at
+    ``wanted - before`` … ``wanted + after`` with the probabilities ``masses``, N1 + N2 + 1 of them.
+    """
+    if len(masses) != before + after + 1:
+        raise ValueError("one probability per possible end")
+    tails = np.append(np.cumsum(np.asarray(masses, np.float64)[::-1])[::-1], 0.0)
+    first = np.clip(np.asarray(times, np.int64) - (wanted - before), 0, len(masses))
+    return np.where(first == 0, 1.0, tails[first])
+
+
+def contraction(probability: ArrayLike, gain: ArrayLike) -> float:
+    """sup |1 - p LCB|, (2.11) and (2.32), for one input and one output. ``probability`` and
+    ``gain`` belong to the samples that the law corrects with: p(t+1), L C(t+1) B(t)."""
+    return float(np.abs(1.0 - np.asarray(probability) * np.asarray(gain)).max())
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,9 @@ from tailbeat.studies.thesis.chapter3.plants import (
     EXAMPLE1_LENGTHS,
     FISH,
     Moving,
+    beta_bounds,
     fish_rate_printed,
     fish_wanted_input,
-)
-from tailbeat.studies.thesis.conditions import (
-    beta_bounds,
     normal_reached,
     rho_least,
     window_contraction,

@@ -1,99 +1,24 @@
-"""The plant of chapter 7's example (7.31): heat that is carried along and taken up, computed by
-host/native/thesis/advection_plant.h.
-
-The plants of chapter 3: one state, in continuous time, the input held over each step.
+"""The plants of chapter 3: one state, in continuous time, the input held over each step.
 
 The examples of chapter 3 as tasks: plant, moving average (3.12), (3.43), lengths.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
-from tailbeat.studies.thesis.heat import CELLS, STEP, times
 from tailbeat.studies.thesis.learner import UNLIMITED, LearnerConfig
 from tailbeat.studies.thesis.limits import M_MAX, Span
-from tailbeat.studies.thesis.native import load
-
-Uptake = Literal["clip", "abs", "monod", "none"]
-_UPTAKES: tuple[Uptake, ...] = ("clip", "abs", "monod", "none")  # as advection_uptake_t
-
-
-class PlantFailed(ArithmeticError):
-    """The plant could not be computed to the end of the trial."""
-
-
-@dataclass(frozen=True)
-class AdvectionPlant:
-    """(7.31) with g = 1. ``uptake``: phi below v = 0, where the printed one has a pole: ``clip``
-    phi(max(v, 0)), ``abs`` -mu*v/(K + abs(v)), ``monod`` as printed, ``none`` no phi at all."""
-
-    step: float = STEP  # min
-    uptake: Uptake = "clip"
-    carried: float = 2.0  # varsigma
-    uptake_max: float = 3.2  # mu_max
-    half_at: float = 1.0  # K_s
-    inflow: float = 1.0  # g
-    cells: int = CELLS
-
-    @property
-    def time(self) -> F64:
-        """Where the samples are, min."""
-        return times(self.step)
-
-    def output(self, values: F64) -> F64:
-        """y of a trial.
-
-        Raises:
-            PlantFailed: when v jumps the pole of phi, or is not finite any more.
-        """
-        return self._run(values, None)
-
-    def field(self, values: F64) -> F64:
-        """v of a trial, one row per sample, one column per node. Raises as ``output``."""
-        field = np.empty((len(self.time), self.cells + 1))
-        self._run(values, field)
-        return field
-
-    def _run(self, values: F64, field: F64 | None) -> F64:
-        native = load("double")
-        samples = len(self.time)
-        if np.shape(values) != (samples,):
-            raise ValueError(f"{np.shape(values)} inputs for {samples} samples")
-        plant = native.ffi.new(
-            "advection_plant_t *",
-            {
-                "samples": samples,
-                "cells": self.cells,
-                "step": self.step,
-                "carried": self.carried,
-                "uptake_max": self.uptake_max,
-                "half_at": self.half_at,
-                "inflow": self.inflow,
-                "uptake": _UPTAKES.index(self.uptake),
-            },
-        )
-        out = np.empty(samples)
-
-        def pointer(array: F64 | None) -> Any:
-            if array is None:
-                return native.ffi.NULL
-            return native.ffi.cast("double *", native.ffi.from_buffer(array))
-
-        given = np.ascontiguousarray(values, dtype=np.float64)
-        done = native.lib.advection_plant_run(plant, pointer(given), pointer(out), pointer(field))
-        if done < samples:
-            raise PlantFailed(f"v cannot be computed beyond {done * self.step:.2f} min")
-        return out
-
 
 Rate = Callable[[F64, F64], F64]
 """(state, input) -> time derivative of the state."""
@@ -245,3 +170,44 @@ FISH = Moving(
     fish_rate, "rk4", 0.05, 50.0, fish_wanted, _uniform,
     m=2, beta=1.0 / 3.0, kp=1.0, first_input=0.05,
 )  # fmt: skip
+
+
+def window_contraction(
+    betas: Sequence[float], slopes: tuple[float, float], reached: ArrayLike
+) -> list[float]:
+    """eta_j of (3.13) and (3.36) for an input gain c'f_u anywhere in ``slopes`` and samples that
+    are reached with the probabilities ``reached``, q(t)."""
+    part = 1.0 / len(betas)
+    q = np.asarray(reached, np.float64)
+    return [
+        float(max(np.max(np.abs(part - beta * slope) * q + (1.0 - q) * part) for slope in slopes))
+        for beta in betas
+    ]
+
+
+def beta_bounds(
+    trials: int, missed: float, slopes: tuple[float, float], rho: float
+) -> tuple[float, float]:
+    """(3.34): the beta_j that contract to ``rho`` over ``trials`` = m + 1 trials when the end is
+    missed with a probability of at most ``missed``, alpha_2."""
+    low, high = slopes
+    share = trials * (1.0 - missed)
+    return (1.0 - rho) / (share * low), (1.0 + rho - 2.0 * missed) / (share * high)
+
+
+def rho_least(missed: float, slopes: tuple[float, float]) -> float:
+    """The least rho with which (3.34) leaves any beta_j."""
+    low, high = slopes
+    return (high + 2.0 * missed * low - low) / (high + low)
+
+
+def normal_reached(mean: float, deviation: float) -> Callable[[ArrayLike], F64]:
+    """q(t) = 1 - F(t), (3.6), for normally distributed lengths."""
+
+    def reached(times: ArrayLike) -> F64:
+        scaled = (np.atleast_1d(np.asarray(times, np.float64)) - mean) / (
+            deviation * math.sqrt(2.0)
+        )
+        return np.array([0.5 * math.erfc(x) for x in scaled])
+
+    return reached

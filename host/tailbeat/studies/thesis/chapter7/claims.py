@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant
 from tailbeat.studies.thesis.chapter7.plants import (
     BY_TIME,
     DELTA,
@@ -17,6 +16,7 @@ from tailbeat.studies.thesis.chapter7.plants import (
     ITERATIONS,
     RHO,
     STEADY,
+    AdvectionPlant,
     gain_for,
     law,
     promised,

@@ -6,9 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant
 from tailbeat.studies.thesis.chapter6.figures import field_map
-from tailbeat.studies.thesis.chapter7.plants import BY_TIME, DELTAS, ITERATIONS, RHO, STEADY, theta
+from tailbeat.studies.thesis.chapter7.plants import (
+    BY_TIME,
+    DELTAS,
+    ITERATIONS,
+    RHO,
+    STEADY,
+    AdvectionPlant,
+    theta,
+)
 from tailbeat.studies.thesis.example import Figure, Run, Study
 from tailbeat.studies.thesis.heat import CHAPTER7, HORIZON, heat_plant
 from tailbeat.studies.thesis.picture import LINES, WANTED, legend, picture

@@ -13,18 +13,90 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.chapter3.plants import AdvectionPlant, Uptake
-from tailbeat.studies.thesis.example import Options, Run
-from tailbeat.studies.thesis.heat import CHAPTER7, STEP, heat_plant, times
-from tailbeat.studies.thesis.heat_trials import Plant, asked, lead_samples, learn, window
+from tailbeat.studies.thesis.example import Options, Run, Uptake
+from tailbeat.studies.thesis.heat import CELLS, CHAPTER7, STEP, heat_plant, times
+from tailbeat.studies.thesis.heat_trials import (
+    Plant,
+    PlantFailed,
+    asked,
+    lead_samples,
+    learn,
+    window,
+)
 from tailbeat.studies.thesis.learner import LearnerConfig
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.native import Precision, load
 
 RHO = -1.2041
 DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five
 DELTA = 0.25  # the one that RHO is made for
 ITERATIONS = 5
 UPTAKE: Uptake = "clip"
+_UPTAKES: tuple[Uptake, ...] = ("clip", "abs", "monod", "none")  # as advection_uptake_t
+
+
+@dataclass(frozen=True)
+class AdvectionPlant:
+    """(7.31) with g = 1, by host/native/thesis/advection_plant.h. ``uptake``: phi below v = 0,
+    where the printed one has a pole: ``clip`` phi(max(v, 0)), ``abs`` -mu*v/(K + abs(v)), ``monod``
+    as printed, ``none`` no phi at all."""
+
+    step: float = STEP  # min
+    uptake: Uptake = "clip"
+    carried: float = 2.0  # varsigma
+    uptake_max: float = 3.2  # mu_max
+    half_at: float = 1.0  # K_s
+    inflow: float = 1.0  # g
+    cells: int = CELLS
+
+    @property
+    def time(self) -> F64:
+        """Where the samples are, min."""
+        return times(self.step)
+
+    def output(self, values: F64) -> F64:
+        """y of a trial.
+
+        Raises:
+            PlantFailed: when v jumps the pole of phi, or is not finite any more.
+        """
+        return self._run(values, None)
+
+    def field(self, values: F64) -> F64:
+        """v of a trial, one row per sample, one column per node. Raises as ``output``."""
+        field = np.empty((len(self.time), self.cells + 1))
+        self._run(values, field)
+        return field
+
+    def _run(self, values: F64, field: F64 | None) -> F64:
+        native = load("double")
+        samples = len(self.time)
+        if np.shape(values) != (samples,):
+            raise ValueError(f"{np.shape(values)} inputs for {samples} samples")
+        plant = native.ffi.new(
+            "advection_plant_t *",
+            {
+                "samples": samples,
+                "cells": self.cells,
+                "step": self.step,
+                "carried": self.carried,
+                "uptake_max": self.uptake_max,
+                "half_at": self.half_at,
+                "inflow": self.inflow,
+                "uptake": _UPTAKES.index(self.uptake),
+            },
+        )
+        out = np.empty(samples)
+
+        def pointer(array: F64 | None) -> Any:
+            if array is None:
+                return native.ffi.NULL
+            return native.ffi.cast("double *", native.ffi.from_buffer(array))
+
+        given = np.ascontiguousarray(values, dtype=np.float64)
+        done = native.lib.advection_plant_run(plant, pointer(given), pointer(out), pointer(field))
+        if done < samples:
+            raise PlantFailed(f"v cannot be computed beyond {done * self.step:.2f} min")
+        return out
 
 
 def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> LearnerConfig:
