@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tailbeat.studies.montecarlo.batch import Shoal, Swims
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 
 Array = NDArray[np.float64]
 
@@ -207,7 +207,7 @@ def fit(pictures_m: Array, beats: int) -> tuple[Array, Array]:
 
 
 @np.errstate(invalid="ignore", divide="ignore")
-def swim(config: Any, amplitude_rad: Array, drawn: Disturbances) -> Swims:
+def swim(config: Any, amplitude_rad: Array, drawn: Disturbances) -> BatchTrials:
     """One swim of fish that all have ``config`` (a ``sim_config_t *`` of a tank plant with servo,
     25 pictures per second, none lost, no bend of the map); ``amplitude_rad`` (fish, beats)."""
     fish, beats = amplitude_rad.shape
@@ -233,20 +233,20 @@ def swim(config: Any, amplitude_rad: Array, drawn: Disturbances) -> Swims:
     pictures[-1] += position(water, in_frame_s[-1])
     speed, sigma = fit(pictures, beats)
     speed += drawn.flow_m_s[:, None]
-    return Swims(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
+    return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
 
 
 def disagreement(fish: int, beats: int) -> float:
-    """Largest difference to the simulator's shoal in any result without noise, m/s."""
+    """Largest difference to the simulator's batch in any result without noise, m/s."""
     quiet = dict.fromkeys(
         ("gain_sigma", "flow_sigma_m_s", "start_sigma_m_s", "camera_noise_m"), 0.0
     )
-    shoal = Shoal("tank", [quiet] * fish)
+    batch = FishBatch("tank", [quiet] * fish)
     rng = np.random.default_rng(1)
     amplitude = rng.uniform(0, 0.75, (fish, beats))
     one, other = (
-        shoal.swim(amplitude, 1),
-        swim(shoal.config(0), amplitude, draw(shoal.config(0), fish, beats, rng)),
+        batch.run(amplitude, 1),
+        swim(batch.config(0), amplitude, draw(batch.config(0), fish, beats, rng)),
     )
     return max(
         float(np.abs(one.true_m_s - other.true_m_s).max()),

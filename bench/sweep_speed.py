@@ -23,9 +23,9 @@ import numpy as np
 from numpy_batch import Array, draw, swim
 
 from tailbeat.core.parallel import cores_here
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.recipe import Recipe, parse
-from tailbeat.studies.montecarlo.runner import sweep
+from tailbeat.studies.montecarlo.runner import run_study
 
 BEATS = 40
 GOAL = 5.0
@@ -86,13 +86,13 @@ def amplitudes(fish: int) -> Array:
 
 def swims(load: Load) -> dict[str, float]:
     """Of the bare swim, both ways."""
-    shoal = Shoal("tank", [{"seed": seed} for seed in range(load.fish)])
+    batch = FishBatch("tank", [{"seed": seed} for seed in range(load.fish)])
     amplitude = amplitudes(load.fish)
     rng = np.random.default_rng(2)
-    config = shoal.config(0)
+    config = batch.config(0)
     return compare(
         {
-            "shoal": lambda: shoal.swim(amplitude, 1),
+            "batch": lambda: batch.run(amplitude, 1),
             "numpy": lambda: swim(config, amplitude, draw(config, load.fish, BEATS, rng)),
         },
         load.fish,
@@ -111,20 +111,22 @@ def sweep_trials_per_s(recipe: Recipe, cells: int, cores: int) -> float:
     clock on the wall; from when every process has done a cell to the last one."""
     done_s: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
-        sweep(recipe, Path(folder), cores, progress=lambda d, n: done_s.append(time.perf_counter()))
+        run_study(
+            recipe, Path(folder), cores, progress=lambda d, n: done_s.append(time.perf_counter())
+        )
     per_cell = recipe.seeds * recipe.iterations / cells
     return per_cell * (cells - cores) / (done_s[-1] - done_s[cores])
 
 
 def swim_bare(fish: int, swims: int, together: Any, rates: Any) -> None:
     """In a process of its own: puts its trials/s by the clock on the wall into ``rates``."""
-    shoal = Shoal("tank", [{"seed": seed} for seed in range(fish)])
+    batch = FishBatch("tank", [{"seed": seed} for seed in range(fish)])
     amplitude = amplitudes(fish)
-    shoal.swim(amplitude, 1)
+    batch.run(amplitude, 1)
     together.wait()
     begin_s = time.perf_counter()
     for number in range(swims):
-        shoal.swim(amplitude, number + 2)
+        batch.run(amplitude, number + 2)
     rates.put(fish * swims / (time.perf_counter() - begin_s))
 
 
@@ -164,9 +166,9 @@ def scaling(rates: dict[int, float]) -> float:
 def main(load: Load = FULL) -> int:
     """Measures and prints."""
     found = swims(load)
-    ratio = found["shoal"] / found["numpy"]
+    ratio = found["batch"] / found["numpy"]
     print(
-        f"one core, {load.fish} fish at a time: {found['shoal']:.0f} trials/s side by side in C,"
+        f"one core, {load.fish} fish at a time: {found['batch']:.0f} trials/s side by side in C,"
         f" {found['numpy']:.0f} in numpy: {ratio:.1f} x (goal {GOAL:.0f} x)"
     )
     recipe = board_recipe(load)

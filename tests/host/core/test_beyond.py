@@ -16,7 +16,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 KEEP, HOLD, TAPER = range(3)
 NAMES = ("keep", "hold", "taper")
@@ -39,7 +39,7 @@ class School:
         law = Law(kp_rad_s_m=gain, lead_beats=LEAD[plant], amplitude_max_rad=math.pi / 4)
         self.law = ffi.new("law_t *", {**asdict(law), "step_max_rad": 0.0, "beat_s": 1.0})
         self.rules = ffi.new("memory_rules_t *", {"rollback_ratio": ROLLBACK, "beyond": beyond})
-        self.shoal = Shoal(plant, [{"seed": seed} for seed in range(1, fish + 1)])
+        self.batch = FishBatch(plant, [{"seed": seed} for seed in range(1, fish + 1)])
         self.memories = ffi.new("memory_t[]", fish)
         self.scratch = ffi.new("float[]", BEATS)
         self.trial = 0
@@ -49,7 +49,7 @@ class School:
             assert lib.memory_first(memory, self.law, wanted, self.scratch) == 0
 
     def _each(self) -> list[Any]:
-        return [self.memories + i for i in range(len(self.shoal))]
+        return [self.memories + i for i in range(len(self.batch))]
 
     def visits(self) -> Counts:
         return np.array([list(memory.visits[0:BEATS]) for memory in self._each()])
@@ -58,7 +58,7 @@ class School:
         """The next trial as if none were cut: speeds as measured and as they are."""
         self.trial += 1
         rows = np.array([list(memory.amplitude_rad[0:BEATS]) for memory in self._each()])
-        swims = self.shoal.swim(np.clip(rows, 0, math.pi / 4), self.trial)
+        swims = self.batch.run(np.clip(rows, 0, math.pi / 4), self.trial)
         return swims.speed_m_s, swims.true_m_s
 
     def learn(self, speed_m_s: Array, executed: Counts) -> None:

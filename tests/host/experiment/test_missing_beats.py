@@ -31,7 +31,7 @@ from tailbeat.learning.convergence import (
 from tailbeat.learning.verdict import progress_of, scores_of
 from tailbeat.session.dry_run import dry_run
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 from .. import made_analyses as made
 from ..swum_experiment import swim_experiment
@@ -114,20 +114,23 @@ def learn(kappa: int, lost: float, seeds: int, trials: int = 16, start_m_s: floa
     as of a reference that begins faster than the fish can."""
     quiet = dict.fromkeys(QUIET, 0.0)
     plants = [{"seed": seed + 1, "kappa_per_m": kappa} for seed in range(seeds)]
-    shoal, still = Shoal("tank", plants), Shoal("tank", [{**one, **quiet} for one in plants])
+    batch, still = (
+        FishBatch("tank", plants),
+        FishBatch("tank", [{**one, **quiet} for one in plants]),
+    )
     random = np.random.default_rng([kappa, round(1000 * lost)])
     ahead = np.minimum(np.arange(len(WANTED)) + 1, len(WANTED) - 1)
     amplitude = np.tile(4 * WANTED[ahead], (seeds, 1))
     seen, whole, true = [], [], []
     for trial in range(trials):
         applied = np.clip(amplitude, 0, np.pi / 4).astype(np.float32).astype(np.float64)
-        error = WANTED - shoal.swim(applied, trial + 1).speed_m_s
+        error = WANTED - batch.run(applied, trial + 1).speed_m_s
         known = random.random(error.shape) >= lost
         amplitude = applied + 4 * np.where(known, error, 0)[:, ahead]
         error[:, 0] = np.where(start_m_s, start_m_s + np.abs(error[:, 0]), error[:, 0])
         seen.append(np.where(known, error, MISSING))
         whole.append(np.abs(error).max(axis=1))
-        true.append(np.abs(WANTED - still.swim(applied, 1).true_m_s).max(axis=1))
+        true.append(np.abs(WANTED - still.run(applied, 1).true_m_s).max(axis=1))
     return Lost(np.stack(seen, 1), np.stack(whole, 1), np.stack(true, 1))
 
 

@@ -17,7 +17,7 @@ from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import Conditions, FishModel, Swim
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import propose
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.learners import identify
 
 Array = F64
@@ -94,10 +94,10 @@ def followed(kappa: float, wanted: Reference, seeds: range, trials: int) -> tupl
     for seed in seeds:
         fish = {"kappa_per_m": kappa, "seed": float(seed)}
         known = identify("tank", fish, LIMIT, 1.0)
-        shoal, swims = Shoal("tank", [fish]), list[Swim]()
+        batch, swims = FishBatch("tank", [fish]), list[Swim]()
         for number in range(1, trials + 1):
             found = propose(known, wanted, LIMIT, swims)
-            run = shoal.swim(found.amplitude_rad[None, :], number, 1.0)
+            run = batch.run(found.amplitude_rad[None, :], number, 1.0)
             speed = run.speed_m_s[0]
             swims.append(
                 Swim(found.amplitude_rad, speed, run.sigma_m_s[0], 1.0, wanted.crc, number)
@@ -112,9 +112,9 @@ def followed(kappa: float, wanted: Reference, seeds: range, trials: int) -> tupl
 def repeated(kappa: float, wanted: Reference, seeds: range, trials: int) -> Array:
     """True max|e| of the same fish with an input that is nearly the best, (fish, trials)."""
     best = floor(plant_config("tank", {"kappa_per_m": kappa}), wanted, LIMIT).lsq_input
-    shoal = Shoal("tank", [{"kappa_per_m": kappa, "seed": float(seed)} for seed in seeds])
+    batch = FishBatch("tank", [{"kappa_per_m": kappa, "seed": float(seed)} for seed in seeds])
     still = np.tile(best.astype(np.float64), (len(seeds), 1))
-    runs = [shoal.swim(still, number, 1.0).true_m_s for number in range(1, trials + 1)]
+    runs = [batch.run(still, number, 1.0).true_m_s for number in range(1, trials + 1)]
     return np.array([np.abs(wanted.speed_m_s - run).max(axis=1) for run in runs]).T
 
 

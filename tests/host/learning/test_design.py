@@ -31,7 +31,7 @@ from tailbeat.learning.frequency_response import response
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 from tailbeat.learning.speed_table import identify_table
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.learners import identify
 
 Array = F64
@@ -339,7 +339,7 @@ def bracketed(kappa: float, law: Law | None, seeds: range, trials: int) -> tuple
         before = None
         for number in range(1, trials + 1):
             amplitude = laws.saturate(used, memory).astype(np.float64)
-            swum = Shoal("tank", [water]).swim(amplitude[None, :], number)
+            swum = FishBatch("tank", [water]).run(amplitude[None, :], number)
             error = WANTED - swum.speed_m_s[0]
             if before is not None:
                 low, high = next_ratio(identified, REFERENCE, before, amplitude)

@@ -29,7 +29,7 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, again, document_of, foretold, propose
 from tailbeat.session.model_step import Step, next_of, numbered_anew, swims_since
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 Array = F64
 
@@ -48,14 +48,14 @@ class Tank:
     """One simulated fish; remembers its swims."""
 
     def __init__(self, seed: int, **settings: float) -> None:
-        self.shoal = Shoal("tank", [{"seed": float(seed), **settings}])
+        self.batch = FishBatch("tank", [{"seed": float(seed), **settings}])
         self.swims: list[Swim] = []
         self.flow_m_s = 0.0
 
     def swim(self, amplitude: Array, reference: Reference) -> float:
         """True max|e|, m/s."""
         number = len(self.swims) + 1
-        swum = self.shoal.swim(amplitude[None, :], number, reference.beat_s)
+        swum = self.batch.run(amplitude[None, :], number, reference.beat_s)
         self.swims.append(
             Swim(
                 amplitude_rad=amplitude,

@@ -13,7 +13,7 @@ from tailbeat.core.reference import thesis
 from tailbeat.learning.fish_model import FishModel, Swim, last_input
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, foretold, propose
-from tailbeat.studies.montecarlo.batch import Shoal
+from tailbeat.studies.montecarlo.batch import FishBatch
 
 LIMIT_RAD = math.pi / 4
 REFERENCE = thesis()
@@ -24,9 +24,9 @@ def known(kappa: float, slope: float = 0.219) -> Identified:
     return Identified(model, [model], np.diag(np.square([0.1, 0.02, 0.01, 0.05])))
 
 
-def swum(shoal: Shoal, proposal: Proposal, number: int) -> tuple[Swim, float]:
+def swum(batch: FishBatch, proposal: Proposal, number: int) -> tuple[Swim, float]:
     """One swim, and its true max|e|."""
-    found = shoal.swim(proposal.amplitude_rad[None, :], number)
+    found = batch.run(proposal.amplitude_rad[None, :], number)
     error = np.abs(REFERENCE.speed_m_s - found.true_m_s[0]).max()
     swim = Swim(
         proposal.amplitude_rad,
@@ -43,7 +43,7 @@ def swum(shoal: Shoal, proposal: Proposal, number: int) -> tuple[Swim, float]:
 def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float) -> None:
     """Beats that were planned to rest have to push once the drag is known."""
     step = 0.15
-    shoal = Shoal("tank", [{"seed": 1.0, "kappa_per_m": kappa}])
+    batch = FishBatch("tank", [{"seed": 1.0, "kappa_per_m": kappa}])
     swims: list[Swim] = []
     errors = []
     for number in range(1, 6):
@@ -51,7 +51,7 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
         if swims:
             change = np.abs(proposal.amplitude_rad - swims[-1].amplitude_rad)
             assert change.max() <= step + 1e-9
-        swim, error = swum(shoal, proposal, number)
+        swim, error = swum(batch, proposal, number)
         swims.append(swim)
         errors.append(error)
     floor = {20.0: 0.0072, 10.0: 0.0113}[kappa]
@@ -60,12 +60,12 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
 
 
 def test_only_what_the_step_limit_holds_is_counted() -> None:
-    shoal = Shoal("tank", [{"seed": 2.0}])
-    first, _ = swum(shoal, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    batch = FishBatch("tank", [{"seed": 2.0}])
+    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     for step in (0.15, 1.0, 100.0):
         assert propose(known(10), REFERENCE, LIMIT_RAD, [first], None, step).limited_beats == 0
     strong = known(10, slope=0.3)  # believes that less will do
-    weak, _ = swum(shoal, propose(strong, REFERENCE, LIMIT_RAD), 1)
+    weak, _ = swum(batch, propose(strong, REFERENCE, LIMIT_RAD), 1)
     held = propose(strong, REFERENCE, LIMIT_RAD, [weak], None, 0.02)
     binds = np.isclose(np.abs(held.amplitude_rad - weak.amplitude_rad), 0.02)
     assert 10 < held.limited_beats <= np.count_nonzero(binds)
@@ -84,21 +84,21 @@ def cut(swim: Swim, beats: int) -> Swim:
 
 
 def test_a_cut_trial_leaves_the_beats_behind_it_as_they_were() -> None:
-    shoal = Shoal("tank", [{"seed": 3.0}])
-    first, _ = swum(shoal, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    batch = FishBatch("tank", [{"seed": 3.0}])
+    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     stopped = cut(first, 20)
     assert last_input([first, stopped], 40).tolist() == first.amplitude_rad.tolist()
     assert np.isnan(last_input([stopped], 40)[20:]).all()
     for step in (0.0, 0.15):
         following = propose(known(10), REFERENCE, LIMIT_RAD, [first, stopped], None, step)
-        _, error = swum(shoal, following, 3)
+        _, error = swum(batch, following, 3)
         assert following.law == "model" and error < 0.015
 
 
 def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
     """A P step from zeros would leave the fish at rest beyond the cut."""
-    shoal = Shoal("tank", [{"seed": 4.0}])
-    first, _ = swum(shoal, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    batch = FishBatch("tank", [{"seed": 4.0}])
+    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     stopped = cut(replace(first, speed_m_s=first.speed_m_s * 0.5), 20)
     law = Law(kp_rad_s_m=4.0, lead_beats=1)
     following = propose(known(10), REFERENCE, LIMIT_RAD, [first, stopped], law)
@@ -109,8 +109,8 @@ def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
 
 def test_what_was_foretold_is_of_the_beats_that_were_swum() -> None:
     """Cut before the end that nobody can follow: the error to expect is a small one."""
-    shoal = Shoal("tank", [{"seed": 5.0}])
-    first, _ = swum(shoal, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    batch = FishBatch("tank", [{"seed": 5.0}])
+    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     whole = foretold(known(10), REFERENCE, [first])
     early = foretold(known(10), REFERENCE, [cut(first, 20)])
     assert whole is not None and early is not None

@@ -15,10 +15,10 @@ from tailbeat.link.messages import BeatEvent
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo import cell as lengths
 from tailbeat.studies.montecarlo import learners
-from tailbeat.studies.montecarlo.batch import Shoal, Swims
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import cells, run_cell
 from tailbeat.studies.montecarlo.learners import Past
-from tailbeat.studies.montecarlo.recipe import Claim, load, parse
+from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, parse
 from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 
 Array = F64
@@ -54,7 +54,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
     amplitudes to the last bit, trial after trial."""
     reference = from_text("cosine:0.07,4,2")
     base = {"ILC_KIND": KINDS[past.kind], "ILC_WINDOW": past.window, "ROLLBACK_RATIO": 0}
-    shoal = Shoal("tank", [{"seed": 5}])
+    one_fish = FishBatch("tank", [{"seed": 5}])
     spread = lengths.parse("uniform:4,13")
     rolled, ends = [], []
     with Fish.connect("sim:tank", seed=5) as fish:
@@ -63,7 +63,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
             fish.params.set(name, value)
         known = {name: param.value for name, param in fish.params.list().items()}
         law, ratio = Law.from_params(known, reference.beat_s), known["ROLLBACK_RATIO"]
-        batch = learners.Board([law], ratio, past)
+        batch = learners.BoardLaw([law], ratio, past)
         batch.begin(reference)
         fish.upload_reference(reference)
         for number in range(1, 10):
@@ -74,7 +74,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
             assert all(np.float32(told[k]) == np.float32(amplitude[0, k]) for k in told)
             executed = np.array([outcome.executed_beats])
             ends.append(outcome.executed_beats)
-            swims = shoal.swim(amplitude, number, reference.beat_s).cut(executed)
+            swims = one_fish.run(amplitude, number, reference.beat_s).cut(executed)
             if outcome.end != "complete":
                 fish.clear()
             fish.upload_speeds(number, swims.speed_m_s[0], np.full(reference.beats, 1e-3))
@@ -109,11 +109,11 @@ def test_averages_are_what_the_formulas_say(past: Past) -> None:
     speed = wanted + rng.normal(0, 0.02, (9, reference.beats))
     for row, cut in zip(speed, rng.integers(3, reference.beats + 1, len(speed)), strict=True):
         row[cut:] = np.nan
-    board = learners.Board([Law(kp_rad_s_m=5.0, amplitude_max_rad=0.6)], 0.0, past)
+    board = learners.BoardLaw([Law(kp_rad_s_m=5.0, amplitude_max_rad=0.6)], 0.0, past)
     board.begin(reference)
     for trial, expected in zip(speed, by_hand(past, 5.0, speed, wanted), strict=False):
         np.testing.assert_allclose(board.following()[0], expected, rtol=0, atol=2e-6)
-        board.learn(Swims(trial[None], trial[None], trial[None]))
+        board.learn(BatchTrials(trial[None], trial[None], trial[None]))
 
 
 def test_lengths_belong_to_fish_and_trial() -> None:
@@ -185,7 +185,7 @@ def test_rows_of_cut_trials() -> None:
     limited = rows["law"] == "moving 3"
     assert rows["step_rad"][limited].max() <= 0.1 + 1e-7 < rows["step_rad"][~limited].max()
     assert {*rows["swum_law"][swum]} == {"p", "mean", "window"}
-    claim = Claim(
+    claim = ClaimSpec(
         "P is sooner there", "reach", over="floor_lsq_m_s", where={"law": ["P"]}, level=3.0,
         against={"law": ["average"]}, at_most=1.0,
     )  # fmt: skip

@@ -13,7 +13,7 @@ from tailbeat.app.cli._terminal import echo, mm, progress_bar, say, table
 
 if TYPE_CHECKING:
     from tailbeat.studies.montecarlo.recipe import Recipe
-    from tailbeat.studies.montecarlo.summary import Line, Summary, Verdict
+    from tailbeat.studies.montecarlo.summary import ClaimResult, GroupSummary, StudySummary
 
 SWEEPS = Path("sweeps")
 _SHOWN = (1, 2, 3, 4, 6, 10, 20, 40)  # iterations of the table, and the last
@@ -89,7 +89,7 @@ def sweep(
 def _compute(
     recipe: Recipe, out: Path, cores: int | None, scheduler: str | None, json: bool
 ) -> dict[str, Any]:
-    from tailbeat.studies.montecarlo.runner import Interrupted, sweep
+    from tailbeat.studies.montecarlo.runner import Interrupted, run_study
 
     begin_s = time.monotonic()
     first: list[int] = []
@@ -103,7 +103,7 @@ def _compute(
             show(done / total, words + (f", {_duration(left_s)} left" if left_s else ""))
 
         try:
-            outcome = sweep(recipe, out, cores, scheduler, progress)
+            outcome = run_study(recipe, out, cores, scheduler, progress)
         except Interrupted as stopped:
             echo(f"tailbeat: {stopped}", err=True)
             raise typer.Exit(130) from None
@@ -134,7 +134,7 @@ def _list(json: bool) -> None:
     say(json, {"recipes": rows}, text)
 
 
-def _document(found: Summary) -> dict[str, Any]:
+def _document(found: StudySummary) -> dict[str, Any]:
     return {
         "recipe": found.recipe,
         "title": found.title,
@@ -145,7 +145,7 @@ def _document(found: Summary) -> dict[str, Any]:
     }
 
 
-def _text(found: Summary, about: dict[str, Any]) -> str:
+def _text(found: StudySummary, about: dict[str, Any]) -> str:
     parts = [f"{found.title}: true max|e| in mm/s, median [5 %, 95 %] over fish"]
     parts.append(_table(found.lines))
     if found.claims:
@@ -158,7 +158,7 @@ def _text(found: Summary, about: dict[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def _failures(found: Summary) -> list[str]:
+def _failures(found: StudySummary) -> list[str]:
     first = [f"  {one}" for one in found.failures[:_FAILURES_SHOWN]]
     more = len(found.failures) - len(first)
     return [
@@ -168,7 +168,7 @@ def _failures(found: Summary) -> list[str]:
     ]
 
 
-def _table(lines: list[Line]) -> str:
+def _table(lines: list[GroupSummary]) -> str:
     last = max(len(line.median_m_s) for line in lines) - 1
     shown = sorted({i for i in (*_SHOWN, last) if i <= last})
     names = [
@@ -190,13 +190,13 @@ def _table(lines: list[Line]) -> str:
     return table(header, rows, left=tuple(range(len(names))))
 
 
-def _cell(line: Line, i: int) -> str:
+def _cell(line: GroupSummary, i: int) -> str:
     if i >= len(line.median_m_s):
         return ""
     return f"{mm(line.median_m_s[i])} [{mm(line.low_m_s[i])}, {mm(line.high_m_s[i])}]"
 
 
-def _claim(claim: Verdict) -> str:
+def _claim(claim: ClaimResult) -> str:
     word = "holds" if claim.holds else "FAILS"
     where = f" ({claim.group})" if claim.group else ""
     return f"{word}: {claim.text}: {claim.figure:.3g}, {claim.bound}{where}"

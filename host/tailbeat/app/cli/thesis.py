@@ -90,11 +90,11 @@ def thesis(
     """
     from tailbeat.core.parallel import cores_here
     from tailbeat.studies.thesis import study
-    from tailbeat.studies.thesis.example import Options
+    from tailbeat.studies.thesis.example import ExampleOptions
     from tailbeat.studies.thesis.study import checked, choose
 
     given = checked(lengths, seed, step, iterations, m, beta, delta, uptake)
-    chosen = choose(_examples(), what, given, Options(precision=precision))
+    chosen = choose(_examples(), what, given, ExampleOptions(precision=precision))
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)
     orders = [

@@ -20,7 +20,7 @@ from tailbeat.sim.config import make_config, senseless
 
 
 @dataclass(frozen=True)
-class Swims:
+class BatchTrials:
     """Shape (fish, beats), m/s over ground. ``speed_m_s``: measured, NaN = too few pictures;
     ``sigma_m_s``: its standard deviation from the scatter about the line, NaN likewise;
     ``true_m_s``: the simulator's own."""
@@ -29,15 +29,15 @@ class Swims:
     sigma_m_s: F64
     true_m_s: F64
 
-    def cut(self, executed: NDArray[np.int64]) -> Swims:
+    def cut(self, executed: NDArray[np.int64]) -> BatchTrials:
         """As it is known of trials that ended after ``executed`` whole beats, shape (fish,). The
         simulator's own speeds go on: they are what the amplitudes would have done."""
         beyond = np.arange(self.speed_m_s.shape[1]) >= executed[:, None]
         speed, sigma = (np.where(beyond, np.nan, of) for of in (self.speed_m_s, self.sigma_m_s))
-        return Swims(speed_m_s=speed, sigma_m_s=sigma, true_m_s=self.true_m_s)
+        return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=self.true_m_s)
 
 
-class Shoal:
+class FishBatch:
     """Fish given as settings of the simulator (fields of ``sim_config_t``, ``seed`` among them)
     that differ from the plant's defaults. Raises InputError when a value makes no sense."""
 
@@ -54,9 +54,9 @@ class Shoal:
     def __len__(self) -> int:
         return self._count
 
-    def swim(
+    def run(
         self, amplitude_rad: F64, number: int | NDArray[np.uint32], beat_s: float = 1.0
-    ) -> Swims:
+    ) -> BatchTrials:
         """All of them swim once, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
         noise (1 = the first swim), one for all or one for each. Raises InputError when a value
         makes no sense."""
@@ -81,7 +81,7 @@ class Shoal:
                 f"no fish can swim these amplitudes in beats of {beat_s:g} s.",
                 "Amplitudes are finite, in rad; a beat is a multiple of 0.02 s.",
             )
-        return Swims(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
+        return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
 
     def config(self, index: int) -> Any:
         """``sim_config_t *`` of one fish, a copy."""

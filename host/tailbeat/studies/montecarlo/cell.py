@@ -27,15 +27,15 @@ from tailbeat.learning.error_bound import floor
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.identification import Identified
 from tailbeat.studies.montecarlo import learners
-from tailbeat.studies.montecarlo.batch import Shoal, Swims
-from tailbeat.studies.montecarlo.learners import ROLLED_BACK, Learner, Said
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
+from tailbeat.studies.montecarlo.learners import ROLLED_BACK, BatchLearner, BatchReport
 from tailbeat.studies.montecarlo.recipe import (
     REFERENCE_IDENTIFIED,
     REFERENCES_FEASIBLE,
     Corner,
     LawSpec,
     Recipe,
-    Settings,
+    SimSettings,
 )
 from tailbeat.studies.montecarlo.results import FAILED, arrow, schema
 
@@ -106,9 +106,9 @@ class Cell:
     """``index``: its place in the results. ``seeds``: of its fish."""
 
     index: int
-    plant: Settings
+    plant: SimSettings
     law: LawSpec
-    noise: Settings
+    noise: SimSettings
     corner: Corner
     seeds: tuple[int, ...]
 
@@ -167,7 +167,7 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
 
 def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
-    shoal = Shoal(cell.plant.plant, fish)
+    batch = FishBatch(cell.plant.plant, fish)
     rows = _Rows(cell)
     learner = _learner(recipe, cell, fish, phases[0][0])
     spread = parse(cell.noise.lengths)
@@ -179,7 +179,7 @@ def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
             number += 1
             amplitude = learner.following()
             reached = executed(spread, cell.seeds, number, ground.reference.beats)
-            swims = shoal.swim(amplitude, number, ground.reference.beat_s).cut(reached)
+            swims = batch.run(amplitude, number, ground.reference.beat_s).cut(reached)
             said = learner.learn(swims)
             rows.add(amplitude, swims, reached, said, learner.floor_m_s, recipe.amplitude_max_rad)
     return rows.table()
@@ -251,20 +251,24 @@ def _reference(
     return suggest(fish, thesis, amplitude_max_rad).reference
 
 
-def _learner(recipe: Recipe, cell: Cell, fish: list[dict[str, float]], ground: _Ground) -> Learner:
+def _learner(
+    recipe: Recipe, cell: Cell, fish: list[dict[str, float]], ground: _Ground
+) -> BatchLearner:
     spec, most = cell.law, recipe.amplitude_max_rad
     if spec.kind == "repeats":
-        return learners.Repeats(ground.near_optimal_rad, len(fish))
+        return learners.FixedInput(ground.near_optimal_rad, len(fish))
     if spec.kind == "p":
         past = learners.Past(spec.past, spec.window)
-        return learners.Board([learners.law_of(spec, most)] * len(fish), spec.rollback_ratio, past)
+        return learners.BoardLaw(
+            [learners.law_of(spec, most)] * len(fish), spec.rollback_ratio, past
+        )
     beat_s = ground.reference.beat_s
     identified = [
         learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s) for one in fish
     ]
     if spec.kind == "design":
-        return learners.Designed(identified, spec, most)
-    return learners.Modelled(identified, learners.law_of(spec, most), most)
+        return learners.DesignedLaw(identified, spec, most)
+    return learners.ModelBasedLaw(identified, learners.law_of(spec, most), most)
 
 
 def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
@@ -299,14 +303,14 @@ class _Rows:
         self._before = np.zeros_like(still)
         self._made_by_law = np.zeros(self.fish, dtype=bool)
         self._bounds(self._before, self._step(self._before), self._before, ground.reference.beats)
-        self._said(Said.nothing(self.fish), np.zeros(self.fish, dtype=np.int64))
+        self._said(BatchReport.nothing(self.fish), np.zeros(self.fish, dtype=np.int64))
 
     def add(
         self,
         amplitude: F64,
-        swims: Swims,
+        swims: BatchTrials,
         executed: NDArray[np.int64],
-        said: Said,
+        said: BatchReport,
         floor_m_s: F64,
         amplitude_max_rad: float,
     ) -> None:
@@ -324,7 +328,7 @@ class _Rows:
     def failed(self, ground: _Ground, iterations: int, why: str) -> None:
         """Nothing is known of any trial."""
         nothing = np.full(self.fish, np.nan)
-        said = Said.nothing(self.fish)
+        said = BatchReport.nothing(self.fish)
         said.verdict = FAILED
         self.ground = ground
         self.predicted_floor_m_s = nothing
@@ -380,7 +384,7 @@ class _Rows:
             travel_m=(true * reached).sum(axis=1) * self.ground.reference.beat_s,
         )
 
-    def _said(self, said: Said, saturated: NDArray[np.int64], failure: str = "") -> None:
+    def _said(self, said: BatchReport, saturated: NDArray[np.int64], failure: str = "") -> None:
         low, middle, high = said.predicted_m_s
         self._put(
             saturated_beats=saturated,

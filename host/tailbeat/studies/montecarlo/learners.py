@@ -21,7 +21,7 @@ from tailbeat.core.reference import Reference
 from tailbeat.learning.convergence import Score, input_crc, judge
 from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, Swim
 from tailbeat.learning.identification import Identified
-from tailbeat.studies.montecarlo.batch import Shoal, Swims
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.recipe import PASTS, LawSpec
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of tri
 
 
 @dataclass
-class Said:
+class BatchReport:
     """What a law says of one swim; arrays (fish,), NaN or "" where it says nothing."""
 
     predicted_m_s: F64  # max|e|: 5 %, median, 95 %; shape (3, fish)
@@ -44,7 +44,7 @@ class Said:
     verdict: str | list[str]
 
     @classmethod
-    def nothing(cls, fish: int) -> Said:
+    def nothing(cls, fish: int) -> BatchReport:
         """A law that just swims."""
         none = np.full(fish, np.nan)
         return cls(
@@ -53,7 +53,7 @@ class Said:
         )  # fmt: skip
 
 
-class Learner(Protocol):
+class BatchLearner(Protocol):
     """A law at work: ``begin``, then ``following`` and ``learn`` in turn. ``following``: the
     amplitudes of the next iteration, (fish, beats), rad, as the tail does them; ``learn`` takes the
     swim of them and tells what the law said of it."""
@@ -64,11 +64,11 @@ class Learner(Protocol):
 
     def following(self) -> F64: ...
 
-    def learn(self, swims: Swims) -> Said: ...
+    def learn(self, swims: BatchTrials) -> BatchReport: ...
 
 
 @dataclass
-class Repeats:
+class FixedInput:
     """The same input again and again. ``amplitude_rad``: shape (beats,)."""
 
     amplitude_rad: F64
@@ -85,9 +85,9 @@ class Repeats:
         """Always the same."""
         return np.tile(self.amplitude_rad, (self.fish, 1))
 
-    def learn(self, swims: Swims) -> Said:
+    def learn(self, swims: BatchTrials) -> BatchReport:
         """Learns nothing."""
-        said = Said.nothing(self.fish)
+        said = BatchReport.nothing(self.fish)
         said.law = "fixed"
         return said
 
@@ -101,7 +101,7 @@ class Past:
     window: int = 3
 
 
-class Board:
+class BoardLaw:
     """The board's law and memory, one ``Law`` per fish."""
 
     def __init__(
@@ -138,7 +138,7 @@ class Board:
         """As the board will swim it."""
         return self._applied
 
-    def learn(self, swims: Swims) -> Said:
+    def learn(self, swims: BatchTrials) -> BatchReport:
         """One trial of every fish."""
         speed = np.ascontiguousarray(swims.speed_m_s, dtype=np.float64)
         self._applied = np.empty_like(speed)
@@ -150,7 +150,7 @@ class Board:
                 _doubles(self._applied),
             )
         )  # fmt: skip
-        said = Said.nothing(len(self.laws))
+        said = BatchReport.nothing(len(self.laws))
         said.gain_rad_s_m = np.array([law.kp_rad_s_m for law in self.laws])
         said.lead_beats = np.array([float(law.lead_beats) for law in self.laws])
         said.law = "p" if self.past.kind == "last" else self.past.kind
@@ -166,9 +166,9 @@ class Board:
             )
 
 
-class Designed:
+class DesignedLaw:
     """The board's law as ``tailbeat session design`` makes it for each fish, with the ratio of each
-    step     predicted before it is swum."""
+    step predicted before it is swum."""
 
     def __init__(
         self,
@@ -194,9 +194,9 @@ class Designed:
             if self.spec.fade > 0:
                 law = replace(law, fade=self.spec.fade, fade_from=self.spec.fade_from)
             laws.append(law)
-        self._board = Board(laws, self.spec.rollback_ratio)
+        self._board = BoardLaw(laws, self.spec.rollback_ratio)
         self._board.begin(reference)
-        self._judges = [Judge(reference) for _ in laws]
+        self._judges = [ConvergenceJudge(reference) for _ in laws]
         self._swum: list[Swim] = []
         models = [one.model for one in self.identified]
         self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
@@ -213,7 +213,7 @@ class Designed:
         self._ratio = np.array(ranges).T if ranges else np.full((2, len(self.identified)), np.nan)
         return self._amplitude
 
-    def learn(self, swims: Swims) -> Said:
+    def learn(self, swims: BatchTrials) -> BatchReport:
         """One trial of every fish."""
         self._swum = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
         said = self._board.learn(swims)
@@ -222,7 +222,7 @@ class Designed:
         return said
 
 
-class Modelled:
+class ModelBasedLaw:
     """Learning with the model, from identification on."""
 
     def __init__(
@@ -237,7 +237,7 @@ class Modelled:
     def begin(self, reference: Reference) -> None:
         """From the identification, and all that was swum along other references."""
         self._reference = reference
-        self._judges = [Judge(reference) for _ in self.identified]
+        self._judges = [ConvergenceJudge(reference) for _ in self.identified]
         models = [one.model for one in self.identified]
         self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
 
@@ -255,12 +255,12 @@ class Modelled:
         self._amplitude = np.clip(np.array(rows), 0, self.amplitude_max_rad)
         return self._amplitude
 
-    def learn(self, swims: Swims) -> Said:
+    def learn(self, swims: BatchTrials) -> BatchReport:
         """One trial of every fish."""
         swum = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
         for kept, swim in zip(self._swims, swum, strict=True):
             kept.append(swim)
-        said = Said.nothing(len(swum))
+        said = BatchReport.nothing(len(swum))
         said.predicted_m_s = np.array(
             [one.predicted_max_abs_error_m_s for one in self._proposals]
         ).T
@@ -270,7 +270,7 @@ class Modelled:
 
 
 @dataclass
-class Judge:
+class ConvergenceJudge:
     """Passes the trials of one fish on to the verdict."""
 
     reference: Reference
@@ -294,12 +294,14 @@ class Judge:
         return judge(self.scores).kind
 
 
-def verdicts(judges: Sequence[Judge], swims: Sequence[Swim]) -> list[str]:
+def verdicts(judges: Sequence[ConvergenceJudge], swims: Sequence[Swim]) -> list[str]:
     """Of one swim of every fish."""
     return [judge.verdict(swim) for judge, swim in zip(judges, swims, strict=True)]
 
 
-def swims_of(swims: Swims, amplitude_rad: F64, beat_s: float, reference_crc: int = 0) -> list[Swim]:
+def swims_of(
+    swims: BatchTrials, amplitude_rad: F64, beat_s: float, reference_crc: int = 0
+) -> list[Swim]:
     """One ``Swim`` per fish; the standard deviation of what was not measured is the usual one."""
     sigma = np.where(np.isfinite(swims.sigma_m_s), swims.sigma_m_s, SIGMA_M_S)
     return [
@@ -320,12 +322,12 @@ def identify(
     """Identification runs of one simulated fish."""
     from tailbeat.learning.identification_runs import Limits, identify_runs
 
-    shoal = Shoal(plant, [settings])
+    batch = FishBatch(plant, [settings])
     number = FIRST_RUN
 
     def swim(amplitude_rad: F64) -> Swim:
         nonlocal number
-        swum = shoal.swim(amplitude_rad[None, :], number, beat_s)
+        swum = batch.run(amplitude_rad[None, :], number, beat_s)
         number += 1
         return swims_of(swum, amplitude_rad[None, :], beat_s)[0]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.files import replacing
-from tailbeat.studies.montecarlo.summary import Line, Summary
+from tailbeat.studies.montecarlo.summary import GroupSummary, StudySummary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,7 @@ _LEGENDS_MAX = 6  # panels with a legend each; more of them share one
 _BANDS_MAX = 3  # laws in a panel whose bands can be told apart
 
 
-def render(summary: Summary, path: Path) -> None:
+def render(summary: StudySummary, path: Path) -> None:
     """Writes a PNG, a panel for every plant, noise and reference."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def render(summary: Summary, path: Path) -> None:
             figure.savefig(file, format="png")
 
 
-def _panels(lines: list[Line]) -> list[tuple[str, list[Line]]]:
+def _panels(lines: list[GroupSummary]) -> list[tuple[str, list[GroupSummary]]]:
     """(title, lines), a row of plants for each reference and noise."""
     order = [
         list(dict.fromkeys(getattr(line, name) for line in lines))
@@ -71,7 +71,7 @@ def _panels(lines: list[Line]) -> list[tuple[str, list[Line]]]:
     return found
 
 
-def _panel(axes: Axes, title: str, lines: list[Line]) -> None:
+def _panel(axes: Axes, title: str, lines: list[GroupSummary]) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axes.set_title(title, loc="left", fontsize=11, color=_INK)
@@ -109,13 +109,15 @@ def _styles(count: int) -> list[tuple[str, LineStyle]]:
     return [_STYLES[i % len(_STYLES)] for i in range(count)]
 
 
-def _label(law: str, bundle: list[Line], j: int) -> str:
+def _label(law: str, bundle: list[GroupSummary], j: int) -> str:
     if len(bundle) <= _CORNERS_NAMED:
         return " ".join(word for word in (law, bundle[j].corner) if word)
     return f"{law}, {len(bundle)} corners" if j == 0 else ""
 
 
-def _curve(axes: Axes, line: Line, color: str, dash: LineStyle, label: str, band: bool) -> None:
+def _curve(
+    axes: Axes, line: GroupSummary, color: str, dash: LineStyle, label: str, band: bool
+) -> None:
     first = 1 if line.fixed else 0
     iteration = np.arange(first, len(line.median_m_s))
     median, low, high = (

@@ -35,7 +35,7 @@ _TABLES = ("plants", "laws", "noises", "claims", "corners", "name", "source")
 
 
 @dataclass(frozen=True)
-class Settings:
+class SimSettings:
     """A plant or a noise: values of the simulator (fields of ``sim_config_t``) under a name.
     ``plant``: the simulator's plant they change; meaningless for a noise. ``lengths``: how long
     trials are (lengths.parse); of a noise only."""
@@ -83,7 +83,7 @@ class Corner:
 
 
 @dataclass(frozen=True)
-class Claim:
+class ClaimSpec:
     """``statistic`` of column ``of`` (over column ``over``) in the rows of ``where`` at
     ``iteration`` (None: all from ``from_iteration`` on; -1: the last), for each plant, law, noise,
     corner and reference by itself (``pool``: all together), over the same of the rows of
@@ -111,11 +111,11 @@ class Recipe:
 
     name: str
     title: str
-    plants: list[Settings]
+    plants: list[SimSettings]
     laws: list[LawSpec]
-    noises: list[Settings] = field(default_factory=lambda: [Settings("usual")])
+    noises: list[SimSettings] = field(default_factory=lambda: [SimSettings("usual")])
     corners: list[Corner] = field(default_factory=list)
-    claims: list[Claim] = field(default_factory=list)
+    claims: list[ClaimSpec] = field(default_factory=list)
     reference: str = "thesis"
     iterations: int = 6
     before: str = ""
@@ -239,15 +239,15 @@ class _Parser:
         word = wanted.get(kind.split(" ")[0], "a number")
         raise self.fail(f"{where}: {key} = {value!r} is not {word}", f"Give {word}.")
 
-    def plant(self, raw: dict[str, Any], index: int) -> list[Settings]:
+    def plant(self, raw: dict[str, Any], index: int) -> list[SimSettings]:
         return self.settings("plant", raw, index)
 
-    def noise(self, raw: dict[str, Any], index: int) -> list[Settings]:
+    def noise(self, raw: dict[str, Any], index: int) -> list[SimSettings]:
         if "plant" in raw:
             raise self.fail("a noise has no plant", "Put it into [[plant]].")
         return self.settings("noise", raw, index)
 
-    def settings(self, what: str, raw: dict[str, Any], index: int) -> list[Settings]:
+    def settings(self, what: str, raw: dict[str, Any], index: int) -> list[SimSettings]:
         """One, or as many as the product of the values that are given as lists."""
         from tailbeat.sim.config import PLANTS, config_field
 
@@ -271,7 +271,7 @@ class _Parser:
             row = dict(zip(choices, values, strict=True))
             words = [f"{n.split('_')[0]} {row[n]:g}" for n in varied]
             title = " ".join([*([str(given)] if given else []), *words])
-            found.append(Settings(title or f"{plant}", row, plant, lengths))
+            found.append(SimSettings(title or f"{plant}", row, plant, lengths))
         return found
 
     def lengths(self, label: str, raw: Any) -> str:
@@ -321,13 +321,13 @@ class _Parser:
             found.append(Corner(", ".join(words), **row))
         return found
 
-    def claim(self, raw: dict[str, Any], index: int) -> list[Claim]:
+    def claim(self, raw: dict[str, Any], index: int) -> list[ClaimSpec]:
         label = f"claim {index + 1}"
-        names = [f.name for f in fields(Claim)]
+        names = [f.name for f in fields(ClaimSpec)]
         where, against = raw.pop("where", {}), raw.pop("against", {})
         if not isinstance(where, dict) or not isinstance(against, dict):
             raise self.fail(f"{label}: where and against are no tables", 'Write {law = "name"}.')
-        values = self.typed(label, raw, Claim, names)
+        values = self.typed(label, raw, ClaimSpec, names)
         for key in ("text", "statistic"):
             if key not in values:
                 raise self.fail(f"{label} has no {key}", "Every claim needs one.")
@@ -345,7 +345,7 @@ class _Parser:
             values["against"]["statistic"] = statistic
         if iteration is not None:
             values["against"]["iteration"] = self.value(label, "iteration", iteration, "int")
-        return [Claim(**values)]
+        return [ClaimSpec(**values)]
 
     def selection(self, label: str, raw: dict[str, Any]) -> dict[str, Any]:
         known = ("plant", "law", "noise", "corner", "reference")
@@ -390,7 +390,7 @@ class _Parser:
         except InputError as error:
             raise self.fail(error.message.rstrip("."), error.remedy) from error
 
-    def check_claim(self, recipe: Recipe, claim: Claim) -> None:
+    def check_claim(self, recipe: Recipe, claim: ClaimSpec) -> None:
         from tailbeat.studies.montecarlo.results import NUMBER_COLUMNS
 
         for column in filter(None, (claim.of, claim.over)):

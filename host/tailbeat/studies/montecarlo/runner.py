@@ -36,7 +36,7 @@ class Interrupted(TailbeatError):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StudyOutcome:
     """``computed`` of ``cells`` were missing and are there now."""
 
     results: Path
@@ -44,13 +44,13 @@ class Outcome:
     computed: int
 
 
-def sweep(
+def run_study(
     recipe: Recipe,
     out: Path,
     cores: int | None = None,
     scheduler: str | None = None,
     progress: Progress | None = None,
-) -> Outcome:
+) -> StudyOutcome:
     """Computes what is missing in ``out`` and puts everything together.
 
     ``cores``: processes; None = one per core that this process may use. ``scheduler``: address of a
@@ -74,7 +74,7 @@ def sweep(
             f"stopped with {done} of {len(everything)} cells done.",
             "The same command goes on from there.",
         ) from None
-    return Outcome(store.finish(everything), len(everything), len(missing))
+    return StudyOutcome(store.finish(everything), len(everything), len(missing))
 
 
 def compute(recipe: Recipe, cell: Cell) -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.montecarlo.recipe import BY_REPEATS, Claim, Recipe
+from tailbeat.studies.montecarlo.recipe import BY_REPEATS, ClaimSpec, Recipe
 from tailbeat.studies.montecarlo.results import FAILED
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Line:
+class GroupSummary:
     """One group. Arrays over iterations, true max|e| in m/s, of the fish that did not fail.
     ``fixed``: it learns nothing."""
 
@@ -134,7 +134,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ClaimResult:
     """How a claim came out. ``figure``: the worst group's, ``group`` says which."""
 
     text: str
@@ -146,27 +146,27 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Summary:
+class StudySummary:
     """All of a sweep. ``failures``: the fish that could not be identified or taught, and why."""
 
     recipe: str
     title: str
-    lines: list[Line]
-    claims: list[Verdict]
+    lines: list[GroupSummary]
+    claims: list[ClaimResult]
     failures: list[str]
 
     @property
-    def failed(self) -> list[Verdict]:
+    def failed(self) -> list[ClaimResult]:
         """Claims that do not hold."""
         return [claim for claim in self.claims if not claim.holds]
 
 
-def summarise(recipe: Recipe, table: pa.Table) -> Summary:
+def summarise(recipe: Recipe, table: pa.Table) -> StudySummary:
     """From the results of a recipe, or as much of them as there is."""
     rows = Rows.of(table)
     lines = [_line(key, group) for key, group in rows.groups()]
     claims = [judge(one, rows) for one in recipe.claims]
-    return Summary(recipe.name, recipe.title, lines, claims, _failures(rows.failures))
+    return StudySummary(recipe.name, recipe.title, lines, claims, _failures(rows.failures))
 
 
 def _failures(rows: Rows) -> list[str]:
@@ -183,14 +183,14 @@ def _inside(value: F64, low: F64, high: F64) -> F64:
     return np.where(known, (low <= value) & (value <= high), np.nan).astype(np.float64)
 
 
-def _line(key: Group, rows: Rows) -> Line:
+def _line(key: Group, rows: Rows) -> GroupSummary:
     fish = len(np.unique(rows.columns["seed"]))
     failed = len(rows.failures)
     swam = rows.where(rows.columns["verdict"] != FAILED) if failed < fish else rows
     true = swam.grid("true_max_abs_error_m_s")
     low, median, high = np.percentile(true, [5, 50, 95], axis=0)
     names = dict(zip(GROUP, key, strict=True))
-    return Line(
+    return GroupSummary(
         plant=names["plant"],
         law=names["law"],
         noise=names["noise"],
@@ -217,7 +217,7 @@ def _known_median(grid: F64) -> F64:
     )  # fmt: skip
 
 
-def judge(claim: Claim, rows: Rows) -> Verdict:
+def judge(claim: ClaimSpec, rows: Rows) -> ClaimResult:
     """A claim about results. Without any row that it speaks of it does not hold."""
     needed = {*GROUP, "seed", "iteration", claim.of, *([claim.over] if claim.over else [])}
     rows = rows.only(sorted(needed))
@@ -235,7 +235,7 @@ def judge(claim: Claim, rows: Rows) -> Verdict:
     return _verdict(claim, figures)
 
 
-def _verdict(claim: Claim, figures: dict[str, float]) -> Verdict:
+def _verdict(claim: ClaimSpec, figures: dict[str, float]) -> ClaimResult:
     low = -np.inf if claim.at_least is None else claim.at_least
     high = np.inf if claim.at_most is None else claim.at_most
     words = [
@@ -246,13 +246,13 @@ def _verdict(claim: Claim, figures: dict[str, float]) -> Verdict:
     known = {key: value for key, value in figures.items() if np.isfinite(value)}
     if not known or len(known) < len(figures):
         missing = next((key for key in figures if key not in known), "no rows")
-        return Verdict(claim.text, False, float("nan"), bound, missing, figures)
+        return ClaimResult(claim.text, False, float("nan"), bound, missing, figures)
     worst = max(known, key=lambda key: max(known[key] - high, low - known[key]))
     holds = low <= known[worst] <= high
-    return Verdict(claim.text, bool(holds), known[worst], bound, worst, figures)
+    return ClaimResult(claim.text, bool(holds), known[worst], bound, worst, figures)
 
 
-def _counterpart(claim: Claim, key: Group, rows: Rows) -> Rows:
+def _counterpart(claim: ClaimSpec, key: Group, rows: Rows) -> Rows:
     """The rows a group is held against: of the same plant, noise and so on, but for what
     ``against`` names; a law without corners has only one."""
     wanted = {k: v for k, v in claim.against.items() if k not in ("iteration", "statistic")}
@@ -264,7 +264,7 @@ def _counterpart(claim: Claim, key: Group, rows: Rows) -> Rows:
     return rows.select({**same, **wanted})
 
 
-def _figure(claim: Claim, rows: Rows, against: bool = False) -> float:
+def _figure(claim: ClaimSpec, rows: Rows, against: bool = False) -> float:
     """The statistic of a group. A counterpart without an iteration of its own stands for all of
     its trials if it is another law, for the same iteration if not."""
     iteration = claim.iteration
@@ -301,7 +301,7 @@ def _at(rows: Rows, iteration: int | None, from_iteration: int) -> Rows:
     return rows.where(at == (at.max() if iteration < 0 else iteration))
 
 
-def _by_repeats(claim: Claim, rows: Rows, repeats: Rows) -> float:
+def _by_repeats(claim: ClaimSpec, rows: Rows, repeats: Rows) -> float:
     """Share of runs that rise no more than 95 % of equally long runs of a fixed input do: at most
     over the best so far (``monotone``), or in the end over what they had settled at (``settled``).
     """

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis import study
-from tailbeat.studies.thesis.example import Run
-from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused
-from tailbeat.studies.thesis.lengths import Length, parse
-from tailbeat.studies.thesis.limits import errors_beyond
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.example import ExampleRun
+from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused, Precision
+from tailbeat.studies.thesis.options import Length, errors_beyond, parse
 
 Respond = Callable[[F64, int], F64]
 """Inputs (series, samples) and the iteration -> outputs (series, samples)."""
@@ -26,7 +24,7 @@ _ROUNDING = 1e-9  # of the whole length: a sample at the very end was reached
 
 
 @dataclass(frozen=True)
-class Task:
+class LearningProblem:
     """What is learned, by which law, on which plant. ``draw``: (seed, iteration) -> length of that
     trial, the example's own distribution; ``times`` and lengths in one unit."""
 
@@ -43,7 +41,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SeriesOutcome:
     """Shapes (series, iterations), with NaN from the iteration on in which a series diverged
     (``diverged``, -1 = it did not): no digit of the wanted output was left in the error, or the
     plant escaped. ``kept``: iteration -> inputs and outputs (series, samples)."""
@@ -54,11 +52,11 @@ class Outcome:
     diverged: NDArray[np.int64]
     kept: dict[int, tuple[F64, F64]] = field(default_factory=dict)
 
-    def run(self, **traces: object) -> Run:
+    def run(self, **traces: object) -> ExampleRun:
         """The first series as the run of an example."""
         diverged = int(self.diverged[0])
         end = self.max_abs_error.shape[1] if diverged < 0 else diverged
-        return Run(
+        return ExampleRun(
             iterations=np.arange(end),
             max_abs_error=self.max_abs_error[0, :end],
             executed=self.executed[0, :end],
@@ -68,20 +66,20 @@ class Outcome:
         )
 
 
-def swim(
-    task: Task,
+def run_series(
+    task: LearningProblem,
     lengths: Sequence[Length],
     iterations: int,
     precision: Precision = "double",
     keep: Collection[int] = (),
-) -> Outcome:
+) -> SeriesOutcome:
     """Iterations 0 to ``iterations`` of one series per entry of ``lengths``. A sample is reached
     when its time is not beyond the trial's length; the plant goes on virtually to the end.
 
     Raises:
         LearnerRefused: when the law does not fit the trial.
     """
-    return _Series(task, lengths, iterations, precision).swim(keep)
+    return _SeriesRunner(task, lengths, iterations, precision).swim(keep)
 
 
 @lru_cache(maxsize=4096)
@@ -94,9 +92,13 @@ def chance(seed: int, iteration: int, stream: int = 0) -> float:
     return float(_block(seed, stream, iteration // _BLOCK)[iteration % _BLOCK])
 
 
-class _Series:
+class _SeriesRunner:
     def __init__(
-        self, task: Task, lengths: Sequence[Length], iterations: int, precision: Precision
+        self,
+        task: LearningProblem,
+        lengths: Sequence[Length],
+        iterations: int,
+        precision: Precision,
     ):
         samples = len(task.times)
         first = np.full(samples, task.first_input)
@@ -109,7 +111,7 @@ class _Series:
         self._diverged = np.full(len(lengths), -1)
         self._inputs = np.zeros((len(lengths), samples))
 
-    def swim(self, keep: Collection[int]) -> Outcome:
+    def swim(self, keep: Collection[int]) -> SeriesOutcome:
         kept = {}
         for i in range(self._errors.shape[1]):
             alive = np.flatnonzero(self._diverged < 0)
@@ -119,7 +121,7 @@ class _Series:
             if i in keep:
                 kept[i] = self._inputs.copy(), outputs
             study.tell(i + 1, self._errors.shape[1])
-        return Outcome(self._errors, self._executed, self._drawn, self._diverged, kept)
+        return SeriesOutcome(self._errors, self._executed, self._drawn, self._diverged, kept)
 
     def _trial(self, i: int, alive: NDArray[np.int64]) -> F64:
         task = self._task

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.learner import Precision
 
 Uptake = Literal["clip", "abs", "monod", "none"]
 
 
 @dataclass(frozen=True)
-class Options:
+class ExampleOptions:
     """None = as the thesis has it. An example refuses those that it does not know
     (``Example.knows``) when it is asked for by name."""
 
@@ -64,7 +64,7 @@ def verdict(plainly: bool, under_a_reading: bool = False) -> str:
 
 
 @dataclass(frozen=True)
-class Run:
+class ExampleRun:
     """Errors per iteration. ``max_abs_error``: over the whole wanted record, beyond a cut too (the
     plant goes on virtually); one value per iteration, or one row of one per component.
     ``executed``: over what each trial reached, where trials are cut. ``diverged``: the iteration
@@ -81,7 +81,7 @@ class Run:
 class Study(Protocol):
     """What claims and figures are computed with. Runs with the same options are computed once."""
 
-    def run(self, **changes: Any) -> Run:
+    def run(self, **changes: Any) -> ExampleRun:
         """A run of this example with the thesis's settings but for ``changes`` (of ``Options``)."""
 
     def tick(self, done: float) -> None:
@@ -107,15 +107,15 @@ class Example:
     title: str
     law: str  # short, with the equation's number
     knows: frozenset[str]  # names of Options it takes, beside precision
-    run: Callable[[Options], Run]
+    run: Callable[[ExampleOptions], ExampleRun]
     claims: Callable[[Study], list[Claim]]
     figures: Callable[[Study, Path], list[Figure]]
     weight: float = 1.0  # seconds that run and claims take, about
-    settings: Callable[[Options], dict[str, Any]] | None = None
+    settings: Callable[[ExampleOptions], dict[str, Any]] | None = None
     """What a run with these options uses of all that the example knows; a seed of None: it draws
     nothing. Raises InputError as ``run`` does, before anything is computed."""
 
-    def settings_of(self, options: Options) -> dict[str, Any]:
+    def settings_of(self, options: ExampleOptions) -> dict[str, Any]:
         """The same with the precision; by default the options as they are."""
         found = (
             {name: getattr(options, name) for name in self.knows}

@@ -1,5 +1,8 @@
 """The laws that correct while the plant moves (firmware/ilc/feedback.h) on the plants of chapters
-4 and 5: whole series of trials, integrated in C in double, the laws in double or float."""
+4 and 5: whole series of trials, integrated in C in double, the laws in double or float.
+
+What the figures of chapters 4 and 5 have in common.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,26 @@ from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis import study
-from tailbeat.studies.thesis.example import Claim, Example, Figure, Options, Run, Study
-from tailbeat.studies.thesis.limits import Span, errors_beyond, last_iteration
-from tailbeat.studies.thesis.native import Precision, load
+from tailbeat.studies.thesis.example import (
+    Claim,
+    Example,
+    ExampleOptions,
+    ExampleRun,
+    Figure,
+    Study,
+)
+from tailbeat.studies.thesis.learner import Precision, load
+from tailbeat.studies.thesis.options import Span, errors_beyond, last_iteration
+from tailbeat.studies.thesis.picture import LINES, WANTED, legend, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Scheme = Literal["rk4", "held", "euler"]
 
@@ -29,7 +43,7 @@ _WANTED = slice(3, 5)  # of these
 
 
 @dataclass(frozen=True)
-class Grid:
+class TimeGrid:
     """How the continuous loop is computed, as ``loop_scheme_t``: ``rk4`` asks the law in every
     stage, ``held`` holds its input over a step, ``euler`` is Euler's rule. ``steps`` divide the
     common axis of all trials."""
@@ -43,7 +57,7 @@ class Chapter4:
     """``chapter4_t``. ``dead_zone`` and ``lambda_max`` act on lambda's estimate and are not the
     thesis's."""
 
-    grid: Grid
+    grid: TimeGrid
     varying: bool = False
     smooth: bool = False
     block: bool = False
@@ -65,7 +79,7 @@ class Chapter4:
 class Chapter5:
     """``chapter5_t``. ``dead_zone``, ``theta_max`` and ``softness`` are not the thesis's."""
 
-    grid: Grid
+    grid: TimeGrid
     uncertain: bool = False
     smooth: bool = False
     epsilon: float = 0.1
@@ -89,7 +103,7 @@ class Chapter5:
 
 
 @dataclass(frozen=True)
-class Trials:
+class LoopTrials:
     """What trials 1, 2, … gave, one row each. Shapes: (trials, 2); ``max_estimate``: (trials,
     estimates). ``diverged``: the trial that could not be computed to its end; it has no row.
     ``traces``: by trial, rows of ``TRACE_COLUMNS`` (t on the common axis)."""
@@ -126,7 +140,7 @@ class Trials:
 
 
 def asked(
-    setting: Chapter4 | Chapter5, options: Options, iterations: int
+    setting: Chapter4 | Chapter5, options: ExampleOptions, iterations: int
 ) -> tuple[Chapter4 | Chapter5, int]:
     """The example with the grid of the options, or its own, and the last iteration. In chapter 4
     the step becomes the nearest that divides the trial, as no short number divides 2 pi.
@@ -138,20 +152,22 @@ def asked(
     last = last_iteration(options.iterations, iterations, first=1)
     if options.step is not None:
         count = trial.nearest if isinstance(setting, Chapter4) else trial.steps
-        setting = replace(setting, grid=Grid(count(options.step), setting.grid.scheme))
+        setting = replace(setting, grid=TimeGrid(count(options.step), setting.grid.scheme))
     trial.afford(setting.grid.steps, last)
     return setting, last
 
 
 def settings(
-    setting: Chapter4 | Chapter5, iterations: int, options: Options
+    setting: Chapter4 | Chapter5, iterations: int, options: ExampleOptions
 ) -> dict[str, int | float]:
     """What ``run_example`` uses."""
     setting, last = asked(setting, options, iterations)
     return {"iterations": last, "step": setting.trial.duration / setting.grid.steps}
 
 
-def run_example(setting: Chapter4 | Chapter5, options: Options, iterations: int) -> Run:
+def run_example(
+    setting: Chapter4 | Chapter5, options: ExampleOptions, iterations: int
+) -> ExampleRun:
     """An example with its own grid and ``iterations`` where the options leave them open.
     ``traces["trials"]`` are the ``Trials``, with traces of the first and the last one.
 
@@ -160,7 +176,7 @@ def run_example(setting: Chapter4 | Chapter5, options: Options, iterations: int)
     """
     setting, last = asked(setting, options, iterations)
     trials = run_trials(setting, last, options.precision, traced={1, last})
-    return Run(
+    return ExampleRun(
         iterations=np.arange(1, len(trials.max_abs_error) + 1),
         max_abs_error=trials.max_abs_error,
         diverged=trials.diverged,
@@ -187,10 +203,10 @@ def example(
     )  # fmt: skip
 
 
-def trials_of(run: Run) -> Trials:
+def trials_of(run: ExampleRun) -> LoopTrials:
     """What ``run_example`` keeps beside the errors."""
     trials = run.traces["trials"]
-    assert isinstance(trials, Trials)
+    assert isinstance(trials, LoopTrials)
     return trials
 
 
@@ -199,7 +215,7 @@ def run_trials(
     iterations: int,
     precision: Precision = "double",
     traced: Collection[int] = (),
-) -> Trials:
+) -> LoopTrials:
     """Trials 1 … ``iterations`` with estimates that begin at zero; ends early where the loop cannot
     be computed any more, or no digit of what trial 1 wanted is left in the error. Pure; costs about
     0.3 µs per law, estimate and step."""
@@ -226,7 +242,7 @@ def run_trials(
         )
         for column, width in enumerate((STATES, STATES, STATES, loop.estimates))
     ]
-    return Trials(columns[0], columns[1], columns[2], columns[3], diverged, traces)
+    return LoopTrials(columns[0], columns[1], columns[2], columns[3], diverged, traces)
 
 
 class _Loop:
@@ -271,3 +287,62 @@ class _Loop:
             list(report.max_abs_input),
             list(report.max_estimate)[: self.estimates],
         )
+
+
+_POINTS = 1250  # of states, which move slowly
+
+
+def errors(path: Path, name: str, series: dict[str, LoopTrials], caption: str) -> Figure:
+    """max|e| of both states over the trials; one panel per state."""
+    with picture(path, panels=2) as panels:
+        for state, axes in enumerate(panels):
+            for line, (label, trials) in enumerate(series.items()):
+                values = trials.max_abs_error[:, state]
+                axes.plot(range(1, len(values) + 1), values, label=label, **LINES[line])
+            axes.set_yscale("log")
+            axes.set_xlabel("iteration i")
+            axes.set_ylabel(f"max|e_{state + 1}(t)|")
+            legend(axes)
+    return Figure(path, name, caption)
+
+
+def states(path: Path, name: str, trials: LoopTrials, caption: str) -> Figure:
+    """Both states and their references in the trials that were kept; one panel per state."""
+    with picture(path, panels=2 * len(trials.traces), across=False) as panels:
+        rows = iter(panels)
+        for trial, trace in sorted(trials.traces.items()):
+            for state in range(2):
+                _state(next(rows), thinned(trace), trial, state)
+    return Figure(path, name, caption)
+
+
+def _state(axes: Axes, trace: F64, trial: int, state: int) -> None:
+    axes.plot(trace[:, 0], trace[:, 3 + state], label="reference", **WANTED)
+    axes.plot(trace[:, 0], trace[:, 1 + state], label=f"trial {trial}", **LINES[0])
+    axes.set_ylabel(f"x_{state + 1}")
+    _time(axes, trace)
+    legend(axes)
+
+
+def inputs(path: Path, name: str, series: dict[str, F64], caption: str) -> Figure:
+    """Both inputs of several traces, one panel per trace and input."""
+    with picture(path, panels=2 * len(series), across=False) as panels:
+        rows = iter(panels)
+        for channel in range(2):
+            for label, trace in series.items():
+                axes = next(rows)
+                axes.plot(trace[:, 0], trace[:, 5 + channel], label=label, color="0.15", lw=0.8)
+                axes.set_ylabel(f"u_{channel + 1}")
+                _time(axes, trace)
+                legend(axes)
+    return Figure(path, name, caption)
+
+
+def _time(axes: Axes, trace: F64) -> None:
+    axes.set_xlabel("t")
+    axes.set_xlim(0.0, trace[-1, 0])
+
+
+def thinned(trace: F64) -> F64:
+    """Every so many rows, few enough to draw; the last one is among them."""
+    return trace[:: -max(1, len(trace) // _POINTS)][::-1]

@@ -1,17 +1,37 @@
-"""The memory laws of firmware/ilc/learner.h on numpy arrays, in double or in the board's float."""
+"""The compiled laws in either precision: firmware/ilc and the slow plants, bound with cffi.
+
+The memory laws of firmware/ilc/learner.h on numpy arrays, in double or in the board's float.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cache
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
-from tailbeat.studies.thesis.native import Precision, load
+from tailbeat.core.native import HERE, Native, load_library
+
+Precision = Literal["double", "float"]
+
+_BITS = {"double": 64, "float": 32}
+
+
+@cache
+def load(precision: Precision = "double") -> Native:
+    """The library whose ``number_t`` is ``precision``.
+
+    Raises:
+        NativeLibraryError: when it is not there or was built for another machine.
+    """
+    bits = _BITS[precision]
+    return load_library(HERE / f"thesis{bits}.cdef", HERE / f"libtailbeat_thesis{bits}.so")
+
 
 UNLIMITED = 1e30  # of inputs: LAW_LIMIT
 PASTS = {"last": 0, "mean": 1, "window": 2}

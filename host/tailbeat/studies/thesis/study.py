@@ -26,15 +26,14 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import deaf_children, one_thread, terminate
-from tailbeat.studies.thesis import lengths
-from tailbeat.studies.thesis.arithmetic import expression
-from tailbeat.studies.thesis.example import Claim, Example, Figure, Options, Run
-from tailbeat.studies.thesis.limits import ITERATIONS_MAX, M_MAX
+from tailbeat.studies.thesis import options as lengths
+from tailbeat.studies.thesis.example import Claim, Example, ExampleOptions, ExampleRun, Figure
+from tailbeat.studies.thesis.options import ITERATIONS_MAX, M_MAX, expression
 
 
 def choose(
-    examples: Sequence[Example], what: str | None, given: Mapping[str, Any], options: Options
-) -> list[tuple[Example, Options]]:
+    examples: Sequence[Example], what: str | None, given: Mapping[str, Any], options: ExampleOptions
+) -> list[tuple[Example, ExampleOptions]]:
     """The examples of ``what``, a chapter's number or an example's id (None = all), with
     ``options`` and what each knows of ``given`` (names of ``Options``, checked by ``checked``).
 
@@ -62,7 +61,7 @@ def choose(
     return orders
 
 
-def _settings(example: Example, options: Options) -> Mapping[str, Any]:
+def _settings(example: Example, options: ExampleOptions) -> Mapping[str, Any]:
     try:
         return example.settings_of(options)
     except InputError as error:
@@ -174,7 +173,7 @@ class Result:
     """What came of one example. Without traces, as it travels between processes."""
 
     example_id: str
-    options: Options
+    options: ExampleOptions
     iterations: NDArray[np.int64]
     max_abs_error: F64
     executed: F64 | None
@@ -189,7 +188,7 @@ class Order:
     """One example to compute. ``figures``: folder to draw into, None = draw nothing."""
 
     example_id: str
-    options: Options
+    options: ExampleOptions
     claims: bool = True
     figures: Path | None = None
     registry: str = REGISTRY
@@ -199,16 +198,16 @@ class CachedStudy:
     """``Study`` of an example: the same run is computed once. Claims judge the thesis's own
     settings, so of the options only the precision of the laws is taken over."""
 
-    def __init__(self, example: Example, options: Options, tick: Show | None = None) -> None:
+    def __init__(self, example: Example, options: ExampleOptions, tick: Show | None = None) -> None:
         self._example = example
-        self._options = Options(precision=options.precision)
+        self._options = ExampleOptions(precision=options.precision)
         self._tick = tick or (lambda done: None)
-        self._runs: dict[Options, Run] = {}
+        self._runs: dict[ExampleOptions, ExampleRun] = {}
 
-    def run(self, **changes: Any) -> Run:
+    def run(self, **changes: Any) -> ExampleRun:
         return self.run_with(replace(self._options, **changes))
 
-    def run_with(self, options: Options) -> Run:
+    def run_with(self, options: ExampleOptions) -> ExampleRun:
         """A run with exactly these options."""
         if options not in self._runs:
             self._runs[options] = self._example.run(options)
@@ -246,7 +245,7 @@ def compute(order: Order, tick: Show | None = None) -> Result:
     )
 
 
-def _told(run: Run) -> Run:
+def _told(run: ExampleRun) -> ExampleRun:
     """With a row even when the very first iteration diverged: nothing finite is known of it."""
     if len(run.iterations) or run.diverged is None:
         return run
@@ -268,7 +267,7 @@ def _find(order: Order) -> Example:
     return next(one for one in examples if one.id == order.example_id)
 
 
-def _run(example: Example, study: CachedStudy, options: Options) -> Run:
+def _run(example: Example, study: CachedStudy, options: ExampleOptions) -> ExampleRun:
     try:
         return study.run_with(options)
     except InputError as error:

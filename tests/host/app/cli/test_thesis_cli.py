@@ -25,7 +25,7 @@ import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study as progress
-from tailbeat.studies.thesis.example import Claim, Example, Figure, Run, VERDICTS
+from tailbeat.studies.thesis.example import Claim, Example, Figure, ExampleRun, VERDICTS
 
 LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"
 
@@ -38,7 +38,7 @@ def run(scale, options):
     last = 3 if options.iterations is None else options.iterations
     if scale == 1.0 and options.iterations == 666:
         nothing = np.zeros((0, 2))
-        return Run(np.arange(0), nothing, lengths=nothing[:, 0], diverged=0)
+        return ExampleRun(np.arange(0), nothing, lengths=nothing[:, 0], diverged=0)
     i = np.arange(last + 1)
     errors = scale / (i + 1.0) * (1 + 0.1 * options.seed)
     if options.m is not None:
@@ -48,12 +48,12 @@ def run(scale, options):
     errors[-1] += np.linalg.norm(np.linalg.inv(random) @ random - np.eye(300))  # last bits alone
     if options.precision == "float":
         errors = errors.astype(np.float32).astype(float)
-    return Run(i, errors, lengths=None if options.lengths is None else i + 1.0)
+    return ExampleRun(i, errors, lengths=None if options.lengths is None else i + 1.0)
 
 
 def two(options):
     i = np.arange(1, 4)
-    return Run(i, np.array([[1.0, 2.0], [np.nan, 3.0], [0.5, np.inf]]), diverged=4)
+    return ExampleRun(i, np.array([[1.0, 2.0], [np.nan, 3.0], [0.5, np.inf]]), diverged=4)
 
 
 def claims(study):
@@ -310,7 +310,7 @@ def test_results_do_not_depend_on_threads(stubs: Path, capsys: pytest.CaptureFix
 
 
 def test_progress_rises_to_the_end(stubs: Path) -> None:
-    orders = [study.Order(name, study.Options(), registry="thesis_stubs")
+    orders = [study.Order(name, study.ExampleOptions(), registry="thesis_stubs")
               for name in ("ch2-a", "ch2-b", "ch3-c")]  # fmt: skip
     for cores in (1, 2):
         parts: list[float] = []

@@ -33,8 +33,8 @@ from tailbeat.studies.thesis.example import (
     DOES_NOT,
     UNDER_A_READING,
     Example,
-    Options,
-    Run,
+    ExampleOptions,
+    ExampleRun,
 )
 
 EXAMPLES = {example.id: example for example in chapter2.EXAMPLES}
@@ -56,8 +56,8 @@ class PlainStudy:
     def __init__(self, example: Example):
         self._example = example
 
-    def run(self, **changes: Any) -> Run:
-        return self._example.run(Options(**changes))
+    def run(self, **changes: Any) -> ExampleRun:
+        return self._example.run(ExampleOptions(**changes))
 
     def tick(self, done: float) -> None:
         assert 0.0 <= done <= 1.0
@@ -109,7 +109,7 @@ PATTERNS: dict[str, Callable[[int], float]] = {
 @pytest.mark.parametrize("name", ["ch2-ex1", "ch2-ex2-substitute"])
 @pytest.mark.parametrize("lengths", PATTERNS)
 def test_any_pattern_is_the_plain_law(name: str, lengths: str) -> None:
-    run = EXAMPLES[name].run(Options(lengths=lengths, iterations=61))
+    run = EXAMPLES[name].run(ExampleOptions(lengths=lengths, iterations=61))
     np.testing.assert_allclose(
         run.max_abs_error, plain_average(name, PATTERNS[lengths], 61), rtol=1e-9, atol=1e-14
     )
@@ -120,7 +120,7 @@ def test_any_pattern_is_the_plain_law(name: str, lengths: str) -> None:
 def test_n30_differs_in_its_lengths_only() -> None:
     for lengths in ("full", "pattern:20+10*(i%4)"):
         runs = [
-            EXAMPLES[name].run(Options(lengths=lengths, iterations=30)).max_abs_error
+            EXAMPLES[name].run(ExampleOptions(lengths=lengths, iterations=30)).max_abs_error
             for name in ("ch2-ex1", "ch2-ex1-n30")
         ]
         np.testing.assert_array_equal(*runs)
@@ -133,7 +133,9 @@ def test_n30_differs_in_its_lengths_only() -> None:
     ("precision", "rtol", "atol"), [("double", 3e-5, 0), ("float", 1e-4, 5e-7)]
 )
 def test_uncut_rows(precision: Any, rtol: float, atol: float) -> None:
-    run = EXAMPLES["ch2-ex1"].run(Options(lengths="full", iterations=200, precision=precision))
+    run = EXAMPLES["ch2-ex1"].run(
+        ExampleOptions(lengths="full", iterations=200, precision=precision)
+    )
     for row, golden in zip(ROWS, UNCUT, strict=True):
         relative = max(rtol, 1.5e-4 if row == 60 else 0.0)
         assert run.max_abs_error[row] == pytest.approx(golden, rel=relative, abs=atol)
@@ -144,7 +146,7 @@ def test_uncut_rows(precision: Any, rtol: float, atol: float) -> None:
 def test_float_follows_double_under_random_lengths() -> None:
     for seed in (1, 2, 3):
         double, single = (
-            EXAMPLES["ch2-ex1"].run(Options(seed=seed, precision=precision)).max_abs_error
+            EXAMPLES["ch2-ex1"].run(ExampleOptions(seed=seed, precision=precision)).max_abs_error
             for precision in ("double", "float")
         )
         np.testing.assert_allclose(single, double, rtol=1e-4, atol=5e-7)
@@ -199,15 +201,15 @@ def test_random_start() -> None:
 
 
 def test_the_printed_plant_of_example_2_diverges() -> None:
-    run = EXAMPLES["ch2-ex2"].run(Options(lengths="full"))
+    run = EXAMPLES["ch2-ex2"].run(ExampleOptions(lengths="full"))
     np.testing.assert_allclose(run.max_abs_error[:4], [1.9333, 24.4, 94.0, 745.0], rtol=1e-3)
     np.testing.assert_allclose(run.max_abs_error[10], 2e7, rtol=0.05)
     expected = plain_average("ch2-ex2", PATTERNS["full"], 12)
     np.testing.assert_allclose(run.max_abs_error[:13], expected, rtol=1e-9)
     assert run.diverged == len(run.max_abs_error) < 80
     assert np.isfinite(run.max_abs_error).all()
-    assert EXAMPLES["ch2-ex2"].run(Options()).diverged is not None
-    assert EXAMPLES["ch2-ex2"].run(Options(precision="float")).diverged is not None
+    assert EXAMPLES["ch2-ex2"].run(ExampleOptions()).diverged is not None
+    assert EXAMPLES["ch2-ex2"].run(ExampleOptions(precision="float")).diverged is not None
 
 
 def test_wanted_inputs() -> None:
@@ -245,7 +247,7 @@ def test_conditions() -> None:
 
 def test_runs_are_reproducible_and_seeds_differ() -> None:
     first, again, other = (
-        EXAMPLES["ch2-ex1"].run(Options(seed=seed, iterations=20)) for seed in (5, 5, 6)
+        EXAMPLES["ch2-ex1"].run(ExampleOptions(seed=seed, iterations=20)) for seed in (5, 5, 6)
     )
     np.testing.assert_array_equal(first.max_abs_error, again.max_abs_error)
     assert (first.lengths != other.lengths).any()
@@ -253,7 +255,7 @@ def test_runs_are_reproducible_and_seeds_differ() -> None:
 
 def test_iterations_that_make_no_sense_are_refused() -> None:
     with pytest.raises(InputError):
-        EXAMPLES["ch2-ex1"].run(Options(iterations=-1))
+        EXAMPLES["ch2-ex1"].run(ExampleOptions(iterations=-1))
 
 
 # --- claims and figures

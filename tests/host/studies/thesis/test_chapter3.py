@@ -25,14 +25,14 @@ from tailbeat.studies.thesis.chapter3.plants import (
     rho_least,
     window_contraction,
 )
-from tailbeat.studies.thesis.cut import swim
+from tailbeat.studies.thesis.cut import run_series
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
     UNDER_A_READING,
     Example,
-    Options,
-    Run,
+    ExampleOptions,
+    ExampleRun,
 )
 
 EXAMPLES = {example.id: example for example in chapter3.EXAMPLES}
@@ -52,8 +52,8 @@ class PlainStudy:
     def __init__(self, example: Example):
         self._example = example
 
-    def run(self, **changes: Any) -> Run:
-        return self._example.run(Options(**changes))
+    def run(self, **changes: Any) -> ExampleRun:
+        return self._example.run(ExampleOptions(**changes))
 
     def tick(self, done: float) -> None:
         assert 0.0 <= done <= 1.0
@@ -61,7 +61,7 @@ class PlainStudy:
 
 def uncut(setting: Moving, iterations: int) -> np.ndarray:
     task = setting.task()
-    return swim(task, [task.length("full", 1)], iterations).max_abs_error[0]
+    return run_series(task, [task.length("full", 1)], iterations).max_abs_error[0]
 
 
 # --- the laws and plants once more, from the formulas
@@ -138,7 +138,7 @@ def rk4(v: float, u: float, step: float) -> float:
 def test_example1_is_the_plain_law(
     m: int, step: float, lengths: str, length: Callable[[int], float]
 ) -> None:
-    run = EXAMPLES["ch3-ex1"].run(Options(m=m, step=step, lengths=lengths, iterations=12))
+    run = EXAMPLES["ch3-ex1"].run(ExampleOptions(m=m, step=step, lengths=lengths, iterations=12))
     np.testing.assert_allclose(
         run.max_abs_error, plain_example1(m, step, length, 12), rtol=1e-9, atol=1e-14
     )
@@ -146,7 +146,7 @@ def test_example1_is_the_plain_law(
 
 @pytest.mark.parametrize("m", [0, 5])
 def test_example1_with_the_gain_of_every_m(m: int) -> None:
-    run = EXAMPLES["ch3-ex1"].run(Options(m=m, beta=0.2, lengths="full", iterations=12))
+    run = EXAMPLES["ch3-ex1"].run(ExampleOptions(m=m, beta=0.2, lengths="full", iterations=12))
     wanted = plain_example1(m, 0.01, lambda i: 2.0, 12, beta=0.2)
     np.testing.assert_allclose(run.max_abs_error, wanted, rtol=1e-9, atol=1e-14)
 
@@ -162,7 +162,7 @@ def test_example1_with_the_gain_of_every_m(m: int) -> None:
 def test_fish_is_the_plain_law(
     m: int, step: float, lengths: str, length: Callable[[int], float]
 ) -> None:
-    run = EXAMPLES["ch3-fish"].run(Options(m=m, step=step, lengths=lengths, iterations=6))
+    run = EXAMPLES["ch3-fish"].run(ExampleOptions(m=m, step=step, lengths=lengths, iterations=6))
     np.testing.assert_allclose(run.max_abs_error, plain_fish(m, step, length, 6), rtol=1e-9)
 
 
@@ -170,7 +170,7 @@ def test_fish_is_the_plain_law(
 
 
 def test_example1_uncut() -> None:
-    found = EXAMPLES["ch3-ex1"].run(Options(lengths="full")).max_abs_error
+    found = EXAMPLES["ch3-ex1"].run(ExampleOptions(lengths="full")).max_abs_error
     assert found[20] == pytest.approx(0.00180, abs=5e-6)
     better = uncut(replace(EXAMPLE1, method="rk4"), 20)
     assert better[0] == pytest.approx(2.3506, abs=1e-4)
@@ -191,7 +191,7 @@ def test_example1_with_a_tenth_of_the_step() -> None:
 def test_example1_in_float() -> None:
     for options in ({"lengths": "full"}, {"seed": 3}, {"m": 0, "seed": 4}):
         double, single = (
-            EXAMPLES["ch3-ex1"].run(Options(precision=precision, **options)).max_abs_error
+            EXAMPLES["ch3-ex1"].run(ExampleOptions(precision=precision, **options)).max_abs_error
             for precision in ("double", "float")
         )
         np.testing.assert_allclose(single, double, rtol=1e-4, atol=5e-7)
@@ -245,7 +245,7 @@ def test_example1_as_many_seeds_and_iterations_as_the_table() -> None:
 
 
 def test_fish_ratio() -> None:
-    run = EXAMPLES["ch3-fish"].run(Options(lengths="full"))
+    run = EXAMPLES["ch3-fish"].run(ExampleOptions(lengths="full"))
     assert run.max_abs_error[0] / run.max_abs_error[30] == pytest.approx(113.6, abs=0.1)
 
 
@@ -270,7 +270,7 @@ def test_fish_of_other_steps_and_methods() -> None:
 
 def test_fish_in_float() -> None:
     double, single = (
-        EXAMPLES["ch3-fish"].run(Options(precision=precision, iterations=8)).max_abs_error
+        EXAMPLES["ch3-fish"].run(ExampleOptions(precision=precision, iterations=8)).max_abs_error
         for precision in ("double", "float")
     )
     np.testing.assert_allclose(single, double, rtol=1e-4, atol=1e-7)
@@ -340,7 +340,7 @@ def test_lengths_are_drawn_from_the_examples_distributions() -> None:
 )
 def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(InputError):
-        EXAMPLES["ch3-ex1"].run(Options(**options))
+        EXAMPLES["ch3-ex1"].run(ExampleOptions(**options))
 
 
 # --- claims and figures

@@ -22,11 +22,11 @@ from tailbeat.studies.thesis.example import (
     UNDER_A_READING,
     Claim,
     Example,
-    Options,
-    Run,
+    ExampleOptions,
+    ExampleRun,
 )
-from tailbeat.studies.thesis.feedback import Chapter4, Grid, Scheme, Trials, run_trials
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.feedback import Chapter4, LoopTrials, Scheme, TimeGrid, run_trials
+from tailbeat.studies.thesis.learner import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
 Doubles = F64
@@ -54,7 +54,7 @@ def example(id: str) -> Example:
     return next(one for one in EXAMPLES if one.id == id)
 
 
-def check(run: Run, golden: dict[int, tuple[float, float]], relative: float) -> None:
+def check(run: ExampleRun, golden: dict[int, tuple[float, float]], relative: float) -> None:
     assert run.iterations[0] == 1
     for trial, expected in golden.items():
         if trial <= len(run.iterations):
@@ -63,50 +63,54 @@ def check(run: Run, golden: dict[int, tuple[float, float]], relative: float) -> 
 
 
 def test_the_first_trials_of_example1_as_it_is_printed() -> None:
-    check(example("ch4-ex1").run(Options(iterations=10)), EXAMPLE1, 1e-4)
+    check(example("ch4-ex1").run(ExampleOptions(iterations=10)), EXAMPLE1, 1e-4)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_example1_as_it_is_printed(precision: Precision) -> None:
-    run = example("ch4-ex1").run(Options(precision=precision))
+    run = example("ch4-ex1").run(ExampleOptions(precision=precision))
     assert len(run.iterations) == 100
     check(run, EXAMPLE1, 1e-4)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_example1_with_longer_steps(precision: Precision) -> None:
-    run = example("ch4-ex1").run(Options(step=2 * math.pi / 2000, precision=precision))
+    run = example("ch4-ex1").run(ExampleOptions(step=2 * math.pi / 2000, precision=precision))
     check(run, EXAMPLE1, 5e-4)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_smooth_law(precision: Precision) -> None:
-    run = example("ch4-ex2-smooth").run(Options(step=2 * math.pi / 1000, precision=precision))
+    run = example("ch4-ex2-smooth").run(
+        ExampleOptions(step=2 * math.pi / 1000, precision=precision)
+    )
     check(run, SMOOTH, 1e-4)
 
 
 @pytest.mark.soak
 def test_the_smooth_law_as_it_is_printed() -> None:
-    check(example("ch4-ex2-smooth").run(Options()), SMOOTH, 1e-4)
+    check(example("ch4-ex2-smooth").run(ExampleOptions()), SMOOTH, 1e-4)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_sign_law(precision: Precision) -> None:
-    run = example("ch4-ex2-sign").run(Options(iterations=20, precision=precision))
+    run = example("ch4-ex2-sign").run(ExampleOptions(iterations=20, precision=precision))
     for trial, (first, _) in SIGN.items():
         if trial <= 20:
             assert run.max_abs_error[trial - 1, 0] == pytest.approx(first, rel=0.02), trial
 
 
 def test_a_held_input_and_eulers_rule() -> None:
-    held = run_trials(replace(EXAMPLE2_SMOOTH, grid=Grid(5000, "held")), 20)
+    held = run_trials(replace(EXAMPLE2_SMOOTH, grid=TimeGrid(5000, "held")), 20)
     check_trials(held, SMOOTH, 0.015)
-    euler = run_trials(Chapter4(Grid(5000, "euler")), 20)
+    euler = run_trials(Chapter4(TimeGrid(5000, "euler")), 20)
     check_trials(euler, EXAMPLE1, 0.02)
 
 
-def check_trials(trials: Trials, golden: dict[int, tuple[float, float]], relative: float) -> None:
+def check_trials(
+    trials: LoopTrials, golden: dict[int, tuple[float, float]], relative: float
+) -> None:
     for trial, expected in golden.items():
         if trial <= len(trials.max_abs_error):
             assert trials.error(trial) == pytest.approx(expected, rel=relative), trial
@@ -206,13 +210,13 @@ def runge_kutta(slope: Slope, t: float, x: Doubles, h: float) -> Doubles:
 
 
 SETTINGS = {
-    "all of Theta, Euler": Chapter4(Grid(1700, "euler")),
-    "the diagonal, RK4": Chapter4(Grid(1300, "rk4"), block=True),
-    "smooth, held": Chapter4(Grid(900, "held"), varying=True, smooth=True, epsilon=0.07),
+    "all of Theta, Euler": Chapter4(TimeGrid(1700, "euler")),
+    "the diagonal, RK4": Chapter4(TimeGrid(1300, "rk4"), block=True),
+    "smooth, held": Chapter4(TimeGrid(900, "held"), varying=True, smooth=True, epsilon=0.07),
     "smooth, diagonal, RK4": Chapter4(
-        Grid(300, "rk4"), varying=True, smooth=True, block=True, leak_eta=0.02, leak_lambda=0.05
+        TimeGrid(300, "rk4"), varying=True, smooth=True, block=True, leak_eta=0.02, leak_lambda=0.05
     ),
-    "sign, held": Chapter4(Grid(1100, "held"), varying=True),
+    "sign, held": Chapter4(TimeGrid(1100, "held"), varying=True),
 }
 
 
@@ -243,15 +247,15 @@ def test_other_settings_against_numpy(name: str, precision: Precision) -> None:
 def test_coarse_steps_cannot_be_computed() -> None:
     schemes: tuple[Scheme, ...] = ("rk4", "held", "euler")
     for scheme in schemes:
-        diverged = run_trials(Chapter4(Grid(200, scheme)), 10).diverged
+        diverged = run_trials(Chapter4(TimeGrid(200, scheme)), 10).diverged
         assert diverged is not None and diverged <= 3
-    run = example("ch4-ex1").run(Options(step=2 * math.pi / 200))
+    run = example("ch4-ex1").run(ExampleOptions(step=2 * math.pi / 200))
     assert run.diverged == len(run.iterations) + 1 == len(run.max_abs_error) + 1
-    assert run_trials(Chapter4(Grid(2000, "held")), 20).diverged is None
+    assert run_trials(Chapter4(TimeGrid(2000, "held")), 20).diverged is None
 
 
 def test_the_sign_law_grows_when_it_is_sampled() -> None:
-    found = run_trials(replace(EXAMPLE2_SIGN, grid=Grid(500, "held")), 60)
+    found = run_trials(replace(EXAMPLE2_SIGN, grid=TimeGrid(500, "held")), 60)
     assert found.diverged is not None and 40 <= found.diverged <= 50
     assert claims.grows(found)
 
@@ -259,12 +263,12 @@ def test_the_sign_law_grows_when_it_is_sampled() -> None:
 def test_total_variation_tells_chatter() -> None:
     sign = run_trials(EXAMPLE2_SIGN, 100)
     assert sign.variation(100) == pytest.approx([4125, 9753], rel=0.05)
-    smooth = run_trials(replace(EXAMPLE2_SMOOTH, grid=Grid(1000, "rk4")), 100)
+    smooth = run_trials(replace(EXAMPLE2_SMOOTH, grid=TimeGrid(1000, "rk4")), 100)
     assert smooth.variation(100) == pytest.approx([14.7, 12.9], rel=0.005)
 
 
 def test_traces_hold_the_trial() -> None:
-    found = run_trials(Chapter4(Grid(2000, "rk4")), 2, traced={2})
+    found = run_trials(Chapter4(TimeGrid(2000, "rk4")), 2, traced={2})
     assert set(found.traces) == {2}
     trace = found.traces[2]
     assert trace.shape == (2001, 7)
@@ -275,23 +279,27 @@ def test_traces_hold_the_trial() -> None:
 @pytest.mark.parametrize("step", [0.0, -0.1, 7.0, 1e-9, math.nan, math.inf])
 def test_steps_that_make_no_sense_are_refused(step: float) -> None:
     with pytest.raises(InputError, match="step"):
-        example("ch4-ex1").run(Options(step=step))
+        example("ch4-ex1").run(ExampleOptions(step=step))
 
 
 def test_iterations_begin_at_one() -> None:
-    run = example("ch4-ex2-smooth").run(Options(iterations=1, step=0.01))
+    run = example("ch4-ex2-smooth").run(ExampleOptions(iterations=1, step=0.01))
     assert run.iterations.tolist() == [1]
     with pytest.raises(InputError, match="iterations"):
-        example("ch4-ex1").run(Options(iterations=0))
+        example("ch4-ex1").run(ExampleOptions(iterations=0))
 
 
 def quick(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[Claim]]:
     """Claims on coarser grids, which change no verdict."""
     monkeypatch.setattr(claims, "COARSE", (200, 2000))
-    monkeypatch.setattr(claims, "EXAMPLE1_BLOCK", Chapter4(Grid(2000, "rk4"), block=True))
+    monkeypatch.setattr(claims, "EXAMPLE1_BLOCK", Chapter4(TimeGrid(2000, "rk4"), block=True))
     monkeypatch.setattr(claims, "SAMPLED", ((500, 60),))
-    monkeypatch.setattr(claims, "EXAMPLE2_SIGN", replace(EXAMPLE2_SIGN, grid=Grid(4000, "held")))
-    monkeypatch.setattr(claims, "EXAMPLE2_SMOOTH", replace(EXAMPLE2_SMOOTH, grid=Grid(1000, "rk4")))
+    monkeypatch.setattr(
+        claims, "EXAMPLE2_SIGN", replace(EXAMPLE2_SIGN, grid=TimeGrid(4000, "held"))
+    )
+    monkeypatch.setattr(
+        claims, "EXAMPLE2_SMOOTH", replace(EXAMPLE2_SMOOTH, grid=TimeGrid(1000, "rk4"))
+    )
 
     def judge(id: str) -> list[Claim]:
         study = Coarse(example(id))
@@ -302,10 +310,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[Claim]]:
 
 class Coarse(CachedStudy):
     def __init__(self, example: Example) -> None:
-        super().__init__(example, Options())
+        super().__init__(example, ExampleOptions())
         self.example = example
 
-    def run(self, **changes: Any) -> Run:
+    def run(self, **changes: Any) -> ExampleRun:
         return super().run(step=2 * math.pi / 2000, **changes)
 
 
@@ -324,7 +332,7 @@ def test_verdicts(id: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("id", VERDICTS)
 def test_verdicts_as_printed(id: str, tmp_path: Path) -> None:
-    study = CachedStudy(example(id), Options())
+    study = CachedStudy(example(id), ExampleOptions())
     assert [claim.verdict for claim in example(id).claims(study)] == VERDICTS[id]
     for figure in example(id).figures(study, tmp_path):
         assert figure.path.stat().st_size > 10_000
@@ -333,7 +341,7 @@ def test_verdicts_as_printed(id: str, tmp_path: Path) -> None:
 def test_a_line_s_width_is_judged_over_the_trials_about_100() -> None:
     """References in plain numpy; at i = 100 itself the first state is at 2.985 %, two trials of the
     twenty are above the threshold."""
-    found = run_trials(Chapter4(Grid(2000, "rk4")), 110, traced={97, 100})
+    found = run_trials(Chapter4(TimeGrid(2000, "rk4")), 110, traced={97, 100})
     shares = []
     for trial in range(91, 111):
         peaks = claims._peaks(trial)
@@ -343,11 +351,11 @@ def test_a_line_s_width_is_judged_over_the_trials_about_100() -> None:
     assert shares[9] == pytest.approx([0.02985, 0.00887], abs=2e-5)
     assert np.max(shares) > 0.07
     assert claims._apart(found) == pytest.approx([0.01956, 0.01104], abs=2e-5)
-    assert not np.any(np.isfinite(claims._apart(run_trials(Chapter4(Grid(2000, "rk4")), 109))))
+    assert not np.any(np.isfinite(claims._apart(run_trials(Chapter4(TimeGrid(2000, "rk4")), 109))))
 
 
 def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = run_trials(Chapter4(Grid(500, "rk4")), 100, traced={1})
+    bad = run_trials(Chapter4(TimeGrid(500, "rk4")), 100, traced={1})
     series = np.tile(bad.max_abs_error[:1], (110, 1))
     flat = replace(
         bad, max_abs_error=series, input_variation=series, diverged=None,
@@ -355,8 +363,8 @@ def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> N
     )  # fmt: skip
 
     class Flat(Coarse):
-        def run(self, **changes: Any) -> Run:
-            return Run(np.arange(1, 111), series, traces={"trials": flat})
+        def run(self, **changes: Any) -> ExampleRun:
+            return ExampleRun(np.arange(1, 111), series, traces={"trials": flat})
 
     judge = quick(monkeypatch)
     assert judge("ch4-ex1")[0].verdict == COMES_OUT

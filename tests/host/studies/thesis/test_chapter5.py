@@ -21,11 +21,11 @@ from tailbeat.studies.thesis.example import (
     DOES_NOT,
     UNDER_A_READING,
     Example,
-    Options,
-    Run,
+    ExampleOptions,
+    ExampleRun,
 )
-from tailbeat.studies.thesis.feedback import Chapter5, Grid, run_trials
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.feedback import Chapter5, TimeGrid, run_trials
+from tailbeat.studies.thesis.learner import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
 Doubles = F64
@@ -62,16 +62,16 @@ def check(errors: Doubles, golden: Golden, relative: float) -> None:
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(("id", "golden"), [("ch5-case1-smooth", SMOOTH), ("ch5-case2", UNCERTAIN)])
 def test_the_smooth_laws(id: str, golden: Golden, precision: Precision) -> None:
-    run = example(id).run(Options(precision=precision))
+    run = example(id).run(ExampleOptions(precision=precision))
     assert run.iterations.tolist() == list(range(1, 51))
     check(run.max_abs_error, golden, 2e-4)
-    finer = example(id).run(Options(precision=precision, step=0.5 / 900))
+    finer = example(id).run(ExampleOptions(precision=precision, step=0.5 / 900))
     check(finer.max_abs_error, golden, 2e-4)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_sign_law(precision: Precision) -> None:
-    run = example("ch5-case1-sign").run(Options(precision=precision))
+    run = example("ch5-case1-sign").run(ExampleOptions(precision=precision))
     for trial, (first, second) in SIGN.items():
         if trial <= 20:
             assert run.max_abs_error[trial - 1, 1] == pytest.approx(second, rel=0.05), trial
@@ -81,9 +81,9 @@ def test_the_sign_law(precision: Precision) -> None:
 
 @pytest.mark.parametrize(("setting", "golden"), [(CASE1_SMOOTH, SMOOTH), (CASE2, UNCERTAIN)])
 def test_a_held_input(setting: Chapter5, golden: Golden) -> None:
-    held = run_trials(replace(setting, grid=Grid(500, "held")), 50)
+    held = run_trials(replace(setting, grid=TimeGrid(500, "held")), 50)
     check(held.max_abs_error, golden, 0.007)
-    coarse = run_trials(replace(setting, grid=Grid(100, "held")), 10)
+    coarse = run_trials(replace(setting, grid=TimeGrid(100, "held")), 10)
     check(coarse.max_abs_error, {i: row for i, row in golden.items() if i <= 10}, 0.033)
 
 
@@ -175,17 +175,18 @@ class Independent:
 
 
 SETTINGS = {
-    "I_2, Euler": Chapter5(Grid(400, "euler"), smooth=True, leak=0.03, bound=1.4),
+    "I_2, Euler": Chapter5(TimeGrid(400, "euler"), smooth=True, leak=0.03, bound=1.4),
     "I_2, dead zone, cap": replace(
-        CASE1_SMOOTH, grid=Grid(350, "held"), dead_zone=0.015, theta_max=3.2, epsilon=0.2
+        CASE1_SMOOTH, grid=TimeGrid(350, "held"), dead_zone=0.015, theta_max=3.2, epsilon=0.2
     ),
-    "I_1, held": Chapter5(Grid(800, "held")),
-    "(5.19)": replace(CASE2, grid=Grid(230, "rk4")),
+    "I_1, held": Chapter5(TimeGrid(800, "held")),
+    "(5.19)": replace(CASE2, grid=TimeGrid(230, "rk4")),
     "(5.19), other readings": replace(
-        CASE2, grid=Grid(260, "held"), beta_power=2, inverse_norm=True, softness=0.01, leak=0.01,
+        CASE2, grid=TimeGrid(260, "held"), beta_power=2, inverse_norm=True, softness=0.01,
+        leak=0.01,
         gain_eta=2.5, gain_theta=0.7,
     ),
-    "(5.13)": Chapter5(Grid(1000, "held"), uncertain=True),
+    "(5.13)": Chapter5(TimeGrid(1000, "held"), uncertain=True),
 }  # fmt: skip
 
 
@@ -213,20 +214,20 @@ def test_other_settings_against_numpy(name: str, precision: Precision) -> None:
 def test_sampled_the_sign_law_cannot_be_computed_in_the_end(
     steps: int, last: int, not_before: int
 ) -> None:
-    found = run_trials(replace(CASE1_SIGN, grid=Grid(steps, "held")), last)
+    found = run_trials(replace(CASE1_SIGN, grid=TimeGrid(steps, "held")), last)
     assert found.diverged is not None and not_before < found.diverged <= last
     assert grows(found)
 
 
 def test_sampled_finely_it_passes_a_minimum_and_grows() -> None:
-    found = run_trials(replace(CASE1_SIGN, grid=Grid(1000, "held")), 400)
+    found = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held")), 400)
     assert found.largest(50) == pytest.approx(0.0041, rel=0.05)
     assert found.largest(400) == pytest.approx(0.11, rel=0.15)
     assert grows(found)
 
 
 def test_a_dead_zone_and_leakage_cure_it() -> None:
-    at = replace(CASE1_SIGN, grid=Grid(1000, "held"))
+    at = replace(CASE1_SIGN, grid=TimeGrid(1000, "held"))
     dead = run_trials(replace(at, dead_zone=0.02), 1000)
     assert dead.error(1000) == pytest.approx([0.004, 0.020], rel=0.05)
     # 3 % apart: where exactly a dead zone begins is not the thesis's.
@@ -242,7 +243,7 @@ def test_a_dead_zone_and_leakage_cure_it() -> None:
 def test_total_variation_tells_chatter() -> None:
     assert run_trials(CASE1_SIGN, 50).variation(50) == pytest.approx([3173, 12242], rel=0.05)
     assert run_trials(CASE1_SMOOTH, 50).variation(50) == pytest.approx([2.3, 24.7], rel=0.02)
-    slow = run_trials(replace(CASE2, grid=Grid(100, "held")), 50)
+    slow = run_trials(replace(CASE2, grid=TimeGrid(100, "held")), 50)
     assert slow.variation(50)[0] == pytest.approx(69, rel=0.05)
     assert run_trials(CASE2, 50).variation(50)[0] == pytest.approx(2.4, rel=0.05)
 
@@ -260,13 +261,13 @@ def test_a_smaller_bound_is_slower() -> None:
 @pytest.mark.parametrize("step", [0.0, -1e-3, 0.6, 1e-9, math.nan])
 def test_steps_that_make_no_sense_are_refused(step: float) -> None:
     with pytest.raises(InputError, match="step"):
-        example("ch5-case2").run(Options(step=step))
+        example("ch5-case2").run(ExampleOptions(step=step))
 
 
 def test_iterations_begin_at_one() -> None:
-    assert example("ch5-case2").run(Options(iterations=3)).iterations.tolist() == [1, 2, 3]
+    assert example("ch5-case2").run(ExampleOptions(iterations=3)).iterations.tolist() == [1, 2, 3]
     with pytest.raises(InputError, match="iterations"):
-        example("ch5-case2").run(Options(iterations=0))
+        example("ch5-case2").run(ExampleOptions(iterations=0))
 
 
 VERDICTS = {
@@ -277,7 +278,7 @@ VERDICTS = {
 
 
 def test_verdicts_of_case2() -> None:
-    study = CachedStudy(example("ch5-case2"), Options())
+    study = CachedStudy(example("ch5-case2"), ExampleOptions())
     found = example("ch5-case2").claims(study)
     assert [claim.verdict for claim in found] == VERDICTS["ch5-case2"]
     assert found[0].measured == 3.0
@@ -302,8 +303,8 @@ def test_the_norm_of_the_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_is_ours_follows_what_is_computed() -> None:
     """The cures, judged on the law that they cure."""
-    growing = run_trials(replace(CASE1_SIGN, grid=Grid(1000, "held")), 1000)
-    kept = run_trials(replace(CASE1_SIGN, grid=Grid(1000, "held"), dead_zone=0.02), 1000)
+    growing = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held")), 1000)
+    kept = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held"), dead_zone=0.02), 1000)
     found = [claims._cured("so", trials) for trials in (growing, kept)]
     assert [claim.verdict for claim in found] == [DOES_NOT, COMES_OUT]
     assert all(claim.ours for claim in found)
@@ -319,27 +320,27 @@ def test_rho_has_to_bound(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("id", VERDICTS)
 def test_verdicts(id: str, tmp_path: Path) -> None:
-    study = CachedStudy(example(id), Options())
+    study = CachedStudy(example(id), ExampleOptions())
     assert [claim.verdict for claim in example(id).claims(study)] == VERDICTS[id]
     for figure in example(id).figures(study, tmp_path):
         assert figure.path.stat().st_size > 10_000
 
 
 def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = run_trials(replace(CASE2, grid=Grid(100, "held")), 50)
+    bad = run_trials(replace(CASE2, grid=TimeGrid(100, "held")), 50)
     rough = replace(
         bad, max_abs_error=bad.max_abs_error + 0.1, input_variation=1e6 + bad.input_variation
     )
 
     class Rough(CachedStudy):
-        def run(self, **changes: Any) -> Run:
-            return Run(np.arange(1, 51), rough.max_abs_error, traces={"trials": rough})
+        def run(self, **changes: Any) -> ExampleRun:
+            return ExampleRun(np.arange(1, 51), rough.max_abs_error, traces={"trials": rough})
 
     monkeypatch.setattr(claims, "LATE", 120)
     monkeypatch.setattr(claims, "SAMPLED", ((5000, 50),))
 
     def judged(id: str) -> list[str]:
-        return [claim.verdict for claim in example(id).claims(Rough(example(id), Options()))]
+        return [claim.verdict for claim in example(id).claims(Rough(example(id), ExampleOptions()))]
 
     assert judged("ch5-case2")[:2] == [DOES_NOT, DOES_NOT]
     assert judged("ch5-case1-smooth")[0] == DOES_NOT

@@ -23,12 +23,19 @@ from tailbeat.studies.thesis.example import (
     UNDER_A_READING,
     VERDICTS,
     Claim,
-    Options,
+    ExampleOptions,
 )
-from tailbeat.studies.thesis.heat import CHAPTER6, HeatPlant, Scheme, reference, times
-from tailbeat.studies.thesis.heat_trials import learn, slope, zero_phase
-from tailbeat.studies.thesis.learner import LearnerConfig
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.heat import (
+    CHAPTER6,
+    HeatPlant,
+    Scheme,
+    learn,
+    reference,
+    slope,
+    times,
+    zero_phase,
+)
+from tailbeat.studies.thesis.learner import LearnerConfig, Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
 (EXAMPLE,) = chapter6.EXAMPLES
@@ -81,17 +88,17 @@ def test_g6(scheme: Scheme, precision: Precision) -> None:
 
 
 def test_the_default_is_backward_euler_to_iteration_7() -> None:
-    run = EXAMPLE.run(Options())
+    run = EXAMPLE.run(ExampleOptions())
     assert run.iterations.tolist() == list(range(8))
     assert run.max_abs_error == pytest.approx(numbers(G6["backward-euler"])[:8], rel=1e-5, abs=1e-5)
 
 
 def test_inputs_of_iterations_1_and_7() -> None:
-    first = EXAMPLE.run(Options(iterations=1)).traces["input"]
+    first = EXAMPLE.run(ExampleOptions(iterations=1)).traces["input"]
     at = [0, 1, 10, 20, 100, 300, 500, 700, 900, 990, 1000]
     wanted = "-0.106769 -0.11106 -0.157699 -0.201413 0.521402 1.503718 -3.929479 -9.339487 "
     assert first[at] == pytest.approx(numbers(wanted + "-8.330456 -7.586109 -7.601905"), abs=2e-6)
-    seventh = EXAMPLE.run(Options()).traces["input"]
+    seventh = EXAMPLE.run(ExampleOptions()).traces["input"]
     wanted = "-0.49566 1.005547 1.745744 -6.019138 -12.780361 -10.890771 -10.243768"
     at = [0, 100, 300, 500, 700, 900, 1000]
     assert seventh[at] == pytest.approx(numbers(wanted), abs=1e-5)
@@ -107,7 +114,7 @@ def test_inputs_of_iterations_1_and_7() -> None:
     ],
 )
 def test_other_steps_keep_the_window(step: float, wanted: str) -> None:
-    run = EXAMPLE.run(Options(step=step))
+    run = EXAMPLE.run(ExampleOptions(step=step))
     assert run.max_abs_error == pytest.approx(numbers(wanted), rel=5e-4)
     assert rod.law(step).q_len == {0.02: 10, 0.005: 40}[step]
 
@@ -176,7 +183,7 @@ def test_where_the_filter_acts() -> None:
     for run, wanted in rows.items():
         errors = run(50).max_abs_error[at]
         assert rounded(errors, wanted), (run, errors)
-    errors = EXAMPLE.run(Options(iterations=10)).max_abs_error
+    errors = EXAMPLE.run(ExampleOptions(iterations=10)).max_abs_error
     assert errors[5] == pytest.approx(0.0861, abs=1e-4)
 
 
@@ -318,7 +325,9 @@ def test_what_acts_at_the_ends_and_inside() -> None:
 
 @cache
 def claims(precision: Precision) -> dict[str, Claim]:
-    return {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, Options(precision=precision)))}
+    return {
+        c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, ExampleOptions(precision=precision)))
+    }
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -358,7 +367,7 @@ def test_a_verdict_follows_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(rod, "law", lambda step=0.01, rho=2.839, q_len=None: good(step, rho, q_len))
     monkeypatch.setattr(plants, "along_printed", plants.along)
     monkeypatch.setattr(plants, "PRINTED_OVER", (20.0, *plants.PRINTED_OVER[1:]))
-    found = {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, Options()))}
+    found = {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, ExampleOptions()))}
     assert found["it is 0.0371 within 7 iterations"].verdict == DOES_NOT
     assert found["each trial shrinks the error"].verdict == DOES_NOT
     assert found["h11, h21 as printed solve (6.35)"].verdict == COMES_OUT
@@ -377,12 +386,12 @@ def test_divergence_ends_the_run() -> None:
                                      {"step": float("nan")}, {"iterations": -1}])  # fmt: skip
 def test_options_that_make_no_sense(options: dict[str, float]) -> None:
     with pytest.raises(InputError) as caught:
-        EXAMPLE.run(Options(**options))
+        EXAMPLE.run(ExampleOptions(**options))
     assert caught.value.remedy
 
 
 def test_figures(tmp_path: Path) -> None:
-    drawn = EXAMPLE.figures(CachedStudy(EXAMPLE, Options()), tmp_path)
+    drawn = EXAMPLE.figures(CachedStudy(EXAMPLE, ExampleOptions()), tmp_path)
     assert {f.path.name for f in drawn} >= {"fig6-1.png", "fig6-2.png", "fig6-3.png"}
     assert all(f.path.read_bytes()[:4] == b"\x89PNG" for f in drawn)
     assert "13.20" in next(f for f in drawn if f.name == "Fig. 6.1").contradicts

@@ -34,13 +34,12 @@ from tailbeat.studies.thesis.example import (
     VERDICTS,
     Claim,
     Example,
-    Options,
-    Run,
+    ExampleOptions,
+    ExampleRun,
     Uptake,
 )
-from tailbeat.studies.thesis.heat import CHAPTER7, HeatPlant, reference, times
-from tailbeat.studies.thesis.heat_trials import PlantFailed, learn
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.heat import CHAPTER7, HeatPlant, PlantFailed, learn, reference, times
+from tailbeat.studies.thesis.learner import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
 PRINTED, HEAT = chapter7.EXAMPLES
@@ -79,8 +78,8 @@ def numbers(text: str) -> list[float]:
 
 
 @cache
-def heat(precision: Precision, delta: float, iterations: int = 10) -> Run:
-    return HEAT.run(Options(delta=delta, iterations=iterations, precision=precision))
+def heat(precision: Precision, delta: float, iterations: int = 10) -> ExampleRun:
+    return HEAT.run(ExampleOptions(delta=delta, iterations=iterations, precision=precision))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -100,14 +99,16 @@ def test_the_plant_as_printed(uptake: Uptake, delta: float, precision: Precision
 
 
 def test_defaults() -> None:
-    assert PRINTED.run(Options()).max_abs_error == pytest.approx(
+    assert PRINTED.run(ExampleOptions()).max_abs_error == pytest.approx(
         [15.536284, *numbers(PLANT_AS_PRINTED["clip", 0.25])], abs=2e-6
     )
-    assert HEAT.run(Options()).max_abs_error == pytest.approx(numbers(G7B[0.25])[:6], rel=1e-5)
+    assert HEAT.run(ExampleOptions()).max_abs_error == pytest.approx(
+        numbers(G7B[0.25])[:6], rel=1e-5
+    )
 
 
 def test_the_input_of_iteration_1() -> None:
-    values = HEAT.run(Options(delta=0.1, iterations=1)).traces["input"]
+    values = HEAT.run(ExampleOptions(delta=0.1, iterations=1)).traces["input"]
     wanted = numbers("2.085434 -1.514383 -5.070902 1.677795 7.638237 3.1735 1.20422")
     assert values[[0, 100, 300, 500, 700, 900, 1000]] == pytest.approx(wanted, rel=2e-6)
 
@@ -145,14 +146,14 @@ def test_other_schemes_and_steps() -> None:
         law = anticipatory.law(delta)
         crank_nicolson = learn(HeatPlant(CHAPTER7, scheme="crank-nicolson"), law, 5)
         assert crank_nicolson.max_abs_error[5] == pytest.approx(crank, abs=5.1e-5)
-        finer = HEAT.run(Options(delta=delta, step=0.005)).max_abs_error
+        finer = HEAT.run(ExampleOptions(delta=delta, step=0.005)).max_abs_error
         assert finer[5] == pytest.approx(fine, abs=5.1e-5)
         coarse = learn(HeatPlant(CHAPTER7, cells=50), law, 5).max_abs_error
         assert coarse[5] == pytest.approx(cells, abs=3e-4)
 
 
 def test_long_runs_of_the_plant_as_printed() -> None:
-    errors = PRINTED.run(Options(iterations=30)).max_abs_error
+    errors = PRINTED.run(ExampleOptions(iterations=30)).max_abs_error
     assert errors[20] == pytest.approx(61, rel=0.01)
     assert errors[30] == pytest.approx(1.2e4, rel=0.02)
 
@@ -205,7 +206,7 @@ def test_other_settings_against_plain_numpy(example: str, step: float, delta: fl
         errors.append(np.abs(e).max())
         u = plain_law(u, e, step, delta)
     for precision in PRECISIONS:
-        asked = Options(step=step, delta=delta, iterations=4, precision=precision)
+        asked = ExampleOptions(step=step, delta=delta, iterations=4, precision=precision)
         tolerance = 1e-9 if precision == "double" else 1e-5
         assert run(asked).max_abs_error == pytest.approx(errors, rel=tolerance)
 
@@ -277,7 +278,9 @@ def test_theta() -> None:
 @cache
 def claims(example_id: str, precision: Precision) -> dict[str, Claim]:
     example = {e.id: e for e in chapter7.EXAMPLES}[example_id]
-    return {c.text: c for c in example.claims(CachedStudy(example, Options(precision=precision)))}
+    return {
+        c.text: c for c in example.claims(CachedStudy(example, ExampleOptions(precision=precision)))
+    }
 
 
 @pytest.mark.parametrize(
@@ -354,17 +357,17 @@ def test_a_gain_too_large_for_the_rod_breaks_the_bound(monkeypatch: pytest.Monke
     """What theta(1, .02) promises is next to nothing; the rod sees the whole gain."""
     monkeypatch.setattr(anticipatory, "RHO", -2.4)
     monkeypatch.setattr(judging, "RHO", -2.4)
-    study = CachedStudy(HEAT, Options())
+    study = CachedStudy(HEAT, ExampleOptions())
     assert judging._contraction(study)[0].verdict == DOES_NOT
     monkeypatch.setattr(judging, "promised", lambda gain, lead: 0.5)
-    runs = [Run(np.arange(1), np.ones(1), traces={"input": np.full(3, 1e-6)})] * 5
+    runs = [ExampleRun(np.arange(1), np.ones(1), traces={"input": np.full(3, 1e-6)})] * 5
     assert judging._own_rule(runs).verdict == COMES_OUT
 
 
 def test_verdicts_follow_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a tenth of the gain nothing gets below 1 in five trials on the rod either."""
     monkeypatch.setattr(anticipatory, "RHO", -0.12041)
-    found = HEAT.claims(CachedStudy(HEAT, Options()))
+    found = HEAT.claims(CachedStudy(HEAT, ExampleOptions()))
     assert [claim.verdict for claim in found[:3]] == [DOES_NOT] * 3
 
 
@@ -374,7 +377,7 @@ def test_verdicts_follow_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> No
                                      {"iterations": -1}])  # fmt: skip
 def test_options_that_make_no_sense(example: Example, options: dict[str, float]) -> None:
     with pytest.raises(InputError) as caught:
-        example.run(Options(**options))
+        example.run(ExampleOptions(**options))
     assert caught.value.remedy
 
 
@@ -382,17 +385,17 @@ def test_options_that_make_no_sense(example: Example, options: dict[str, float])
 def test_a_delta_as_long_as_the_trial(delta: float) -> None:
     """The last sample's error may still correct the first input; no further."""
     if delta == 10.0:
-        assert len(HEAT.run(Options(delta=delta)).max_abs_error) == 6
+        assert len(HEAT.run(ExampleOptions(delta=delta)).max_abs_error) == 6
     else:
         with pytest.raises(InputError) as caught:
-            HEAT.run(Options(delta=delta))
+            HEAT.run(ExampleOptions(delta=delta))
         assert caught.value.remedy
 
 
 def test_figures(tmp_path: Path) -> None:
     drawn = []
     for example in chapter7.EXAMPLES:
-        drawn += example.figures(CachedStudy(example, Options()), tmp_path)
+        drawn += example.figures(CachedStudy(example, ExampleOptions()), tmp_path)
     names = {f.path.name for f in drawn}
     assert names >= {f"fig7-{n}.png" for n in (1, 2, 3, 5, 6, 7)}
     assert len(names) == len(drawn)

@@ -19,9 +19,9 @@ from tailbeat.studies.thesis.chapter8 import plants as fish_module
 from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
-    Fish,
+    CruisePlant,
+    FishTask,
     Lags,
-    Task,
     trials,
     wanted_beats,
 )
@@ -31,10 +31,10 @@ from tailbeat.studies.thesis.example import (
     UNDER_A_READING,
     Claim,
     Example,
-    Options,
-    Run,
+    ExampleOptions,
+    ExampleRun,
 )
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.learner import Precision
 from tailbeat.studies.thesis.study import CachedStudy
 
 Doubles = F64
@@ -69,11 +69,11 @@ def example(gain: float) -> Example:
     return next(one for one in EXAMPLES if one.id == f"ch8-sim-{gain:g}")
 
 
-def errors(task: Task) -> list[float]:
+def errors(task: FishTask) -> list[float]:
     return [trial.max_abs_error_m_s for trial in trials(task)]
 
 
-def at(task: Task, *iterations: int) -> list[float]:
+def at(task: FishTask, *iterations: int) -> list[float]:
     found = errors(replace(task, iterations=max(iterations)))
     return [found[i] for i in iterations]
 
@@ -81,7 +81,7 @@ def at(task: Task, *iterations: int) -> list[float]:
 @pytest.mark.parametrize("precision", ["double", "float"])
 @pytest.mark.parametrize("gain", [4, 7, 10])
 def test_golden_beats(gain: int, precision: Precision) -> None:
-    run = example(gain).run(Options(precision=precision))
+    run = example(gain).run(ExampleOptions(precision=precision))
     assert run.iterations.tolist() == list(range(21)) and run.diverged is None
     for found, golden in zip(run.max_abs_error, BEATS[gain], strict=False):
         assert found == pytest.approx(golden, abs=max(0.02 * golden, 0.0002))
@@ -90,18 +90,18 @@ def test_golden_beats(gain: int, precision: Precision) -> None:
 @pytest.mark.parametrize("precision", ["double", "float"])
 @pytest.mark.parametrize("gain", [4, 7, 10])
 def test_golden_fine_samples(gain: int, precision: Precision) -> None:
-    options = Options(step=0.001, iterations=6, precision=precision)
+    options = ExampleOptions(step=0.001, iterations=6, precision=precision)
     run = example(gain).run(options)
     for found, golden in zip(run.max_abs_error, FINE[gain], strict=True):
         assert found == pytest.approx(golden, abs=1.1e-4)
 
 
 def test_goldens_that_were_recomputed_twice() -> None:
-    np.testing.assert_allclose(errors(Task(7, 6)), BEATS_7, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(errors(FishTask(7, 6)), BEATS_7, rtol=0, atol=2e-5)
     for gain, golden in TRAP.items():
-        found = at(Task(gain, 0, step_s=0.1, pairing=0), 3, 6, 10, 20, 40)
+        found = at(FishTask(gain, 0, step_s=0.1, pairing=0), 3, 6, 10, 20, 40)
         np.testing.assert_allclose(found, golden, rtol=0, atol=2e-5)
-    way = [float(trial.speed_m_s.sum()) for trial in trials(Task(10, 6))]
+    way = [float(trial.speed_m_s.sum()) for trial in trials(FishTask(10, 6))]
     np.testing.assert_allclose(way, WAY_10_M, rtol=0, atol=2e-5)
 
 
@@ -147,17 +147,17 @@ def series_in_numpy(gain: float, step: float | None, iterations: int) -> list[fl
     ("gain", "step", "iterations"), [(5.5, None, 4), (10, 0.05, 3), (4, 0.25, 5), (8.0, 1.6, 4)]
 )
 def test_rows_that_are_in_no_table(gain: float, step: float | None, iterations: int) -> None:
-    found = errors(Task(gain, iterations, step_s=step))
+    found = errors(FishTask(gain, iterations, step_s=step))
     wanted = series_in_numpy(gain, step, iterations)
     np.testing.assert_allclose(found, wanted, rtol=0.02, atol=5e-5)
 
 
 def test_the_plant_is_the_simulators() -> None:
-    fish = Fish(1.0)
+    fish = CruisePlant(1.0)
     amplitude = np.random.default_rng(8).uniform(0, 0.9, 40)
     _, mean = fish.swim(amplitude)
     np.testing.assert_allclose(mean, plant_beats(fish.config, amplitude, 1.0), rtol=1e-6)
-    _, fine = Fish(0.01).swim(np.repeat(amplitude, 100))
+    _, fine = CruisePlant(0.01).swim(np.repeat(amplitude, 100))
     np.testing.assert_allclose(fine.reshape(40, 100).mean(axis=1), mean, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(wanted_beats(), thesis().speed_m_s, rtol=1e-7)
     steady = fish.steady_m_s(np.array([angle for angle, _ in TABLE_8_1]))
@@ -167,18 +167,19 @@ def test_the_plant_is_the_simulators() -> None:
 @pytest.mark.parametrize(
     ("task", "iterations", "golden"),
     [
-        (Task(4, 0, lead=1), (1, 2, 3, 4, 5, 6), [0.0389, 0.0189, 0.0082, 0.0045, 0.0048, 0.0056]),
-        (Task(4, 0, lead=1), (40,), [0.11]),
-        (Task(4, 0, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0052, 0.0023, 0.0121, 0.0601]),
-        (Task(4, 0, step_s=0.1), (3, 6, 10, 40), [0.0049, 0.0011, 0.0011, 0.0011]),
-        (Task(7, 0, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0017, 0.0108, 0.0573, 0.0666]),
-        (Task(7, 0, step_s=0.1), (3, 6, 10, 40), [0.0011] * 4),
-        (Task(7, 0, step_s=1.0, pairing=0), (1, 8), [0.0128, 0.10]),
-        (Task(4, 0, step_s=1.0, pairing=0), (3, 20), [0.0082, 0.108]),
-        (Task(7, 0, step_s=1.0), (1, 4), [0.0021, 0.00098]),
+        (FishTask(4, 0, lead=1), (1, 2, 3, 4, 5, 6),
+         [0.0389, 0.0189, 0.0082, 0.0045, 0.0048, 0.0056]),
+        (FishTask(4, 0, lead=1), (40,), [0.11]),
+        (FishTask(4, 0, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0052, 0.0023, 0.0121, 0.0601]),
+        (FishTask(4, 0, step_s=0.1), (3, 6, 10, 40), [0.0049, 0.0011, 0.0011, 0.0011]),
+        (FishTask(7, 0, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0017, 0.0108, 0.0573, 0.0666]),
+        (FishTask(7, 0, step_s=0.1), (3, 6, 10, 40), [0.0011] * 4),
+        (FishTask(7, 0, step_s=1.0, pairing=0), (1, 8), [0.0128, 0.10]),
+        (FishTask(4, 0, step_s=1.0, pairing=0), (3, 20), [0.0082, 0.108]),
+        (FishTask(7, 0, step_s=1.0), (1, 4), [0.0021, 0.00098]),
     ],
 )  # fmt: skip
-def test_the_index_trap(task: Task, iterations: tuple[int, ...], golden: list[float]) -> None:
+def test_the_index_trap(task: FishTask, iterations: tuple[int, ...], golden: list[float]) -> None:
     """Within 3 % or 0.1 mm/s; what grows is the more sensitive the longer it does."""
     found = at(task, *iterations)
     np.testing.assert_allclose(found, golden, rtol=0.03, atol=1e-4)
@@ -187,25 +188,25 @@ def test_the_index_trap(task: Task, iterations: tuple[int, ...], golden: list[fl
 @pytest.mark.parametrize(
     ("task", "golden"),
     [
-        (Task(4, 0, lags=LAGS, pairing=0), [0.0083, 0.0059, 0.0119, 0.0438, 0.0599]),
-        (Task(4, 0, lags=LAGS, pairing=0, q_len=10), [0.0085, 0.0017, 0.0025, 0.0024, 0.0024]),
-        (Task(4, 0, lags=LAGS, pairing=0, lead=10), [0.0062, 0.0016, 0.0015, 0.0015, 0.0036]),
-        (Task(4, 0, lags=LAGS, pairing=0, lead=10, q_len=10),
+        (FishTask(4, 0, lags=LAGS, pairing=0), [0.0083, 0.0059, 0.0119, 0.0438, 0.0599]),
+        (FishTask(4, 0, lags=LAGS, pairing=0, q_len=10), [0.0085, 0.0017, 0.0025, 0.0024, 0.0024]),
+        (FishTask(4, 0, lags=LAGS, pairing=0, lead=10), [0.0062, 0.0016, 0.0015, 0.0015, 0.0036]),
+        (FishTask(4, 0, lags=LAGS, pairing=0, lead=10, q_len=10),
          [0.0074, 0.0025, 0.0024, 0.0023, 0.0023]),
-        (Task(7, 0, lags=LAGS, pairing=0, q_len=10), [0.0047, 0.0033, 0.0028, 0.0036, 0.0092]),
-        (Task(7, 0, lags=LAGS, pairing=0, lead=10, q_len=10), [0.0019] * 5),
-        (Task(7, 0, lags=LONG_LAGS, pairing=0, q_len=10),
+        (FishTask(7, 0, lags=LAGS, pairing=0, q_len=10), [0.0047, 0.0033, 0.0028, 0.0036, 0.0092]),
+        (FishTask(7, 0, lags=LAGS, pairing=0, lead=10, q_len=10), [0.0019] * 5),
+        (FishTask(7, 0, lags=LONG_LAGS, pairing=0, q_len=10),
          [0.0104, 0.0129, 0.0205, 0.0428, 0.0457]),
-        (Task(7, 0, lags=LONG_LAGS, pairing=0, lead=18, q_len=10), [0.0034] + [0.0033] * 4),
+        (FishTask(7, 0, lags=LONG_LAGS, pairing=0, lead=18, q_len=10), [0.0034] + [0.0033] * 4),
     ],
 )  # fmt: skip
-def test_a_fish_with_delay_needs_lead_and_filter(task: Task, golden: list[float]) -> None:
+def test_a_fish_with_delay_needs_lead_and_filter(task: FishTask, golden: list[float]) -> None:
     found = at(replace(task, step_s=0.1, tail="keep"), 3, 6, 10, 20, 40)
     np.testing.assert_allclose(found, golden, rtol=0.03, atol=1.1e-4)
 
 
 def test_saturation_in_memory_keeps_from_winding_up() -> None:
-    task = Task(4, 11, step_s=0.1, target=lambda i: 1.9 if i < 6 else 1.0)
+    task = FishTask(4, 11, step_s=0.1, target=lambda i: 1.9 if i < 6 else 1.0)
     saturated = errors(task)[6:11]
     raw = errors(replace(task, remembered_sat=False))[6:11]
     np.testing.assert_allclose(saturated, [0.060, 0.014, 0.0055, 0.0022, 0.0011], atol=5e-4)
@@ -213,7 +214,7 @@ def test_saturation_in_memory_keeps_from_winding_up() -> None:
 
 
 def test_inputs_of_the_first_trials() -> None:
-    largest = {g: [t.amplitude_rad.max() for t in trials(Task(g, 6))] for g in (4.0, 10.0)}
+    largest = {g: [t.amplitude_rad.max() for t in trials(FishTask(g, 6))] for g in (4.0, 10.0)}
     assert largest[4.0][1] == pytest.approx(0.3164, abs=1e-6)
     saturated = [i for i, one in enumerate(largest[10.0]) if one >= AMPLITUDE_MAX_RAD]
     assert 1 in saturated and not {2, 4, 6} & set(saturated)
@@ -224,7 +225,7 @@ def test_trials_cut_at_random_learn_at_a_mean_rate() -> None:
     of that of the distribution."""
     seeds = range(1, 101)
     runs = [
-        example(4).run(Options(lengths="uniform", seed=seed, step=1.0, iterations=20))
+        example(4).run(ExampleOptions(lengths="uniform", seed=seed, step=1.0, iterations=20))
         for seed in seeds
     ]
     means = np.mean([run.max_abs_error for run in runs], axis=0)
@@ -241,22 +242,24 @@ def test_drawn_lengths_are_uniform_and_depend_on_nothing_else() -> None:
 
 
 def test_a_cut_trial_learns_to_its_end_and_is_judged_beyond() -> None:
-    run = example(7).run(Options(lengths="pattern:30+20*(i%2)", iterations=4))
+    run = example(7).run(ExampleOptions(lengths="pattern:30+20*(i%2)", iterations=4))
     assert run.lengths is not None and run.executed is not None
     assert run.lengths.tolist() == [30, 50, 30, 50, 30]
     full, reached = run.max_abs_error, run.executed
     coasting = math.log1p(414.264 * 0.0791) / 414.264
     assert reached[1] == full[1] == pytest.approx(wanted_beats()[30] - coasting, rel=0.01)
     assert reached[2] < 0.1 * full[2]
-    uncut = example(7).run(Options(lengths="full", iterations=4))
+    uncut = example(7).run(ExampleOptions(lengths="full", iterations=4))
     assert uncut.executed is not None
-    np.testing.assert_array_equal(uncut.executed, example(7).run(Options()).max_abs_error[:5])
+    np.testing.assert_array_equal(
+        uncut.executed, example(7).run(ExampleOptions()).max_abs_error[:5]
+    )
 
 
 @pytest.mark.parametrize("step", [41.0, 40 / 65536, 1e-7])
 def test_steps_that_make_no_trial_are_refused(step: float) -> None:
     with pytest.raises(InputError, match="Give --step 40/N, N from 2 to 65535"):
-        example(4).run(Options(step=step, iterations=1))
+        example(4).run(ExampleOptions(step=step, iterations=1))
 
 
 @pytest.fixture(scope="module")
@@ -264,7 +267,7 @@ def judged() -> dict[tuple[str, str], Claim]:
     return {
         (one.id, claim.text): claim
         for one in EXAMPLES
-        for claim in one.claims(CachedStudy(one, Options()))
+        for claim in one.claims(CachedStudy(one, ExampleOptions()))
     }
 
 
@@ -319,7 +322,7 @@ def test_verdicts_follow_the_computation(monkeypatch: pytest.MonkeyPatch) -> Non
     wrong = tuple((angle / 2, speed) for angle, speed in TABLE_8_1)
     monkeypatch.setattr(fishclaims, "TABLE_8_1", wrong)
     monkeypatch.setattr(fishclaims, "_TANK_M", 1.0)
-    found = {c.text: c for c in fishclaims.claims(4.0, CachedStudy(example(4), Options()))}
+    found = {c.text: c for c in fishclaims.claims(4.0, CachedStudy(example(4), ExampleOptions()))}
     flipped = [c for text, c in found.items() if "drag fitted" in text or "can be tried" in text]
     assert len(flipped) == 2 and all(c.verdict == DOES_NOT for c in flipped)
 
@@ -336,8 +339,8 @@ def test_a_fish_that_can_brake_can_swim_the_reference(monkeypatch: pytest.Monkey
 
 
 def test_eighty_percent_can_fail() -> None:
-    slow = CachedStudy(example(4), Options())
-    slow.run = lambda **changes: Run(np.arange(7), 0.079 * 0.9 ** np.arange(7))  # type: ignore[method-assign]
+    slow = CachedStudy(example(4), ExampleOptions())
+    slow.run = lambda **changes: ExampleRun(np.arange(7), 0.079 * 0.9 ** np.arange(7))  # type: ignore[method-assign]
     claim = fishclaims._eighty_percent(slow)
     assert (claim.verdict, claim.measured) == (DOES_NOT, pytest.approx(1 - 0.9**6))
 
@@ -350,7 +353,9 @@ def test_which_claims_are_not_the_thesis_s(judged: dict[tuple[str, str], Claim])
 
 def test_figures_are_drawn_once(tmp_path: Path) -> None:
     drawn = [
-        figure for one in EXAMPLES for figure in one.figures(CachedStudy(one, Options()), tmp_path)
+        figure
+        for one in EXAMPLES
+        for figure in one.figures(CachedStudy(one, ExampleOptions()), tmp_path)
     ]
     assert [figure.name for figure in drawn] == ["Fig. 8.3", "Fig. 8.4", "Fig. A.1"]
     for figure in drawn:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from tailbeat.studies.thesis.native import load
+from tailbeat.studies.thesis.learner import load
 
 DRAG_PER_M, PEAK_M_S, TRIAL_S = 31.2485, 0.06, 40.0
 TRIALS = 30

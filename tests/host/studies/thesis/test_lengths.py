@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis.arithmetic import expression
-from tailbeat.studies.thesis.lengths import parse
+from tailbeat.studies.thesis.options import expression, parse
 
 NUMBERS = st.integers(0, 50).map(str) | st.floats(0, 1e3).map(repr)
 

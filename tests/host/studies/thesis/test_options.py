@@ -15,9 +15,14 @@ from hypothesis import strategies as st
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study
-from tailbeat.studies.thesis.arithmetic import expression
-from tailbeat.studies.thesis.example import Example, Options
-from tailbeat.studies.thesis.limits import ITERATIONS_MAX, Span, errors_beyond, last_iteration
+from tailbeat.studies.thesis.example import Example, ExampleOptions
+from tailbeat.studies.thesis.options import (
+    ITERATIONS_MAX,
+    Span,
+    errors_beyond,
+    expression,
+    last_iteration,
+)
 from tailbeat.studies.thesis.registry import EXAMPLES
 from tailbeat.studies.thesis.study import Order, checked, choose, compute
 
@@ -28,7 +33,7 @@ CHEAP = ("ch2-ex2-substitute", "ch3-ex1", "ch6-heat", "ch7-heat", "ch8-sim-4", "
 
 def settings(what: str | None, **words: Any) -> dict[str, dict[str, Any]]:
     """By id, as the command would take the words; nothing is computed."""
-    found = choose(EXAMPLES, what, checked(**words), Options())
+    found = choose(EXAMPLES, what, checked(**words), ExampleOptions())
     return {one.id: one.settings_of(options) for one, options in found}
 
 
@@ -45,9 +50,9 @@ def refusal(what: str, **words: Any) -> str:
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda one: one.id)
 def test_settings_are_of_all_that_an_example_knows(example: Example) -> None:
-    found = example.settings_of(Options())
+    found = example.settings_of(ExampleOptions())
     assert set(found) == example.knows | {"precision"}
-    assert set(found) <= {one.name for one in fields(Options)}
+    assert set(found) <= {one.name for one in fields(ExampleOptions)}
 
 
 def test_settings_of_the_thesis() -> None:
@@ -79,10 +84,12 @@ def test_settings_that_others_lead_to() -> None:
 def test_settings_are_what_is_run(example: str) -> None:
     """Given back as options they are the same run."""
     one = BY_ID[example]
-    found = one.settings_of(Options(iterations=3))
-    again = one.run(Options(**{n: v for n, v in found.items() if v is not None}))
+    found = one.settings_of(ExampleOptions(iterations=3))
+    again = one.run(ExampleOptions(**{n: v for n, v in found.items() if v is not None}))
     assert again.iterations[-1] == found["iterations"] == 3
-    np.testing.assert_array_equal(again.max_abs_error, one.run(Options(iterations=3)).max_abs_error)
+    np.testing.assert_array_equal(
+        again.max_abs_error, one.run(ExampleOptions(iterations=3)).max_abs_error
+    )
 
 
 # Seeds that do nothing.
@@ -183,9 +190,9 @@ def test_last_iteration() -> None:
 def test_progress_is_told_trial_by_trial(example: str) -> None:
     told: list[float] = []
     with study.heard(told.append):
-        BY_ID[example].run(Options(iterations=5))
+        BY_ID[example].run(ExampleOptions(iterations=5))
     assert len(told) >= 5 and told == sorted(told) and told[-1] == 1.0
-    BY_ID[example].run(Options(iterations=1))  # nobody listens any more
+    BY_ID[example].run(ExampleOptions(iterations=1))  # nobody listens any more
     assert told[-1] == 1.0
 
 
@@ -206,7 +213,7 @@ def test_errors_end_where_no_digit_of_the_reference_is_left(
     example: str, options: dict[str, Any], peak: float | None
 ) -> None:
     with np.errstate(all="ignore"):
-        run = BY_ID[example].run(Options(**options))
+        run = BY_ID[example].run(ExampleOptions(**options))
     errors = run.max_abs_error
     assert run.diverged is not None and len(errors) > 0
     assert np.isfinite(errors).all()
@@ -223,7 +230,7 @@ def test_the_limit() -> None:
 def test_a_first_trial_that_diverges_has_a_row(
     example: str, step: float, width: int | None
 ) -> None:
-    found = compute(Order(example, Options(step=step, iterations=3), claims=False))
+    found = compute(Order(example, ExampleOptions(step=step, iterations=3), claims=False))
     assert found.iterations.tolist() == [found.diverged]
     assert found.max_abs_error.shape == ((1,) if width is None else (1, width))
     assert np.isnan(found.max_abs_error).all()
@@ -238,10 +245,10 @@ def test_the_limit_of_trials_with_feedback(monkeypatch: pytest.MonkeyPatch) -> N
         return 0.3
 
     monkeypatch.setattr("tailbeat.studies.thesis.feedback.errors_beyond", low)
-    run = BY_ID["ch5-case1-sign"].run(Options(iterations=4))
+    run = BY_ID["ch5-case1-sign"].run(ExampleOptions(iterations=4))
     assert run.diverged == 1 and len(peaks) == 1
     monkeypatch.setattr("tailbeat.studies.thesis.feedback.errors_beyond", lambda wanted: 0.51)
-    assert BY_ID["ch5-case1-sign"].run(Options(iterations=4)).diverged is None
+    assert BY_ID["ch5-case1-sign"].run(ExampleOptions(iterations=4)).diverged is None
     assert 0.5 < peaks[0] < 10.0
 
 
@@ -260,7 +267,7 @@ UPTAKES = {
 @pytest.mark.parametrize(("uptake", "delta"), UPTAKES)
 def test_uptakes(uptake: str, delta: float) -> None:
     ((example, options),) = choose(
-        EXAMPLES, "ch7-printed", checked(uptake=uptake, delta=str(delta)), Options()
+        EXAMPLES, "ch7-printed", checked(uptake=uptake, delta=str(delta)), ExampleOptions()
     )
     found = example.run(options).max_abs_error
     assert found == pytest.approx(UPTAKES[uptake, delta], rel=1e-5)

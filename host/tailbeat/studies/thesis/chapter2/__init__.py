@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tailbeat.studies.thesis import lengths
+from tailbeat.studies.thesis import options as lengths
 from tailbeat.studies.thesis.chapter2 import claims, figures
 from tailbeat.studies.thesis.chapter2.plants import (
     EXAMPLE1,
@@ -16,23 +16,30 @@ from tailbeat.studies.thesis.chapter2.plants import (
     SUBSTITUTE,
     Average,
 )
-from tailbeat.studies.thesis.cut import swim
-from tailbeat.studies.thesis.example import Claim, Example, Figure, Options, Run, Study
-from tailbeat.studies.thesis.limits import last_iteration
+from tailbeat.studies.thesis.cut import run_series
+from tailbeat.studies.thesis.example import (
+    Claim,
+    Example,
+    ExampleOptions,
+    ExampleRun,
+    Figure,
+    Study,
+)
+from tailbeat.studies.thesis.options import last_iteration
 
 ITERATIONS = 80
 _KNOWS = frozenset({"lengths", "seed", "iterations"})
 _KEPT = (0, 5, 20, 40)
 
 
-def _run(setting: Average, options: Options) -> Run:
+def _run(setting: Average, options: ExampleOptions) -> ExampleRun:
     task = setting.task()
     length = task.length(options.lengths, options.seed)
     last = last_iteration(options.iterations, ITERATIONS)
-    return swim(task, [length], last, options.precision, keep=_KEPT).run()
+    return run_series(task, [length], last, options.precision, keep=_KEPT).run()
 
 
-def _settings(options: Options) -> dict[str, Any]:
+def _settings(options: ExampleOptions) -> dict[str, Any]:
     return {
         "iterations": last_iteration(options.iterations, ITERATIONS),
         **lengths.settings(options, "uniform"),

@@ -13,7 +13,7 @@ from tailbeat.studies.thesis.chapter2.plants import (
     WANTED,
     Average,
 )
-from tailbeat.studies.thesis.cut import Outcome, first_within, stays_within
+from tailbeat.studies.thesis.cut import SeriesOutcome, first_within, stays_within
 from tailbeat.studies.thesis.example import Claim, Study, verdict
 
 SEEDS = range(1, 201)
@@ -56,7 +56,7 @@ def _condition(text: str, source: str, printed: float, setting: Average, note: s
 
 
 def _error_within(
-    study: Study, found: Outcome, start: float, bound: float, iterations: int
+    study: Study, found: SeriesOutcome, start: float, bound: float, iterations: int
 ) -> Claim:
     full = study.run(lengths="full", iterations=LATE)
     first = float(full.max_abs_error[0])
@@ -78,7 +78,7 @@ def _error_within(
     )
 
 
-def _random_start_mean(found: Outcome) -> Claim:
+def _random_start_mean(found: SeriesOutcome) -> Claim:
     at = _RANDOM_START_WITHIN
     sigmas = max(_mean_in_sigmas(found, at), _mean_in_sigmas(found, LATE))
     single = [_expected(found, i) for i in (at, LATE)]
@@ -94,7 +94,7 @@ def _random_start_mean(found: Outcome) -> Claim:
     )
 
 
-def _random_start_better(average: Outcome, classic: Outcome) -> Claim:
+def _random_start_better(average: SeriesOutcome, classic: SeriesOutcome) -> Claim:
     floors = [_expected(found, LATE) for found in (average, classic)]
     early = [_expected(found, _EARLY) for found in (average, classic)]
     return Claim(
@@ -108,13 +108,13 @@ def _random_start_better(average: Outcome, classic: Outcome) -> Claim:
     )
 
 
-def _mean_in_sigmas(found: Outcome, iteration: int) -> float:
+def _mean_in_sigmas(found: SeriesOutcome, iteration: int) -> float:
     errors = WANTED - found.kept[iteration][1]
     deviation = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
     return float((np.abs(errors.mean(axis=0)) / deviation).max())
 
 
-def _expected(found: Outcome, iteration: int) -> float:
+def _expected(found: SeriesOutcome, iteration: int) -> float:
     """Mean over the series of sup |E{e_i | u_i}|: the plant is linear, so that the mean error over
     all starts is the one from their mean, 0."""
     outputs = EXAMPLE1.plant.respond(found.kept[iteration][0])

@@ -16,7 +16,7 @@ from tailbeat.studies.thesis.chapter2.plants import (
     Average,
     reached_probability,
 )
-from tailbeat.studies.thesis.example import Figure, Run, Study
+from tailbeat.studies.thesis.example import ExampleRun, Figure, Study
 from tailbeat.studies.thesis.picture import ACCENT, LINES, legend, picture
 from tailbeat.studies.thesis.picture import WANTED as WANTED_LINE
 
@@ -84,7 +84,7 @@ def _reached(folder: Path) -> Figure:
     return Figure(path, "Fig. 2.2", caption)
 
 
-def _outputs(run: Run, path: Path, name: str) -> Figure:
+def _outputs(run: ExampleRun, path: Path, name: str) -> Figure:
     kept = {i: trial for i, trial in run.traces["kept"].items() if i < len(run.iterations)}
     assert run.lengths is not None
     with picture(path, panels=len(kept), across=False) as axes:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
+from tailbeat.studies.thesis.cut import LearningProblem, SeriesOutcome, chance, run_series
 from tailbeat.studies.thesis.learner import LearnerConfig
 
 LAST = 50  # T_d, samples
@@ -136,14 +136,14 @@ class Average:
         """(2.10), or with ``past`` "last" the classic (2.3) with the same L."""
         return LearnerConfig(samples=LAST + 1, kp=self.gain, lead=1, past=past)
 
-    def task(self, past: str = "mean", random_start: tuple[int, ...] = ()) -> Task:
+    def task(self, past: str = "mean", random_start: tuple[int, ...] = ()) -> LearningProblem:
         """``random_start``: seeds of series that begin in (0, 0, -1), (0, 0, 0) or (0, 0, 1)."""
 
         def respond(inputs: F64, iteration: int) -> F64:
             start = _random_start(random_start, iteration) if random_start else None
             return self.plant.respond(inputs, start)
 
-        return Task(TIMES.astype(np.float64), WANTED, respond, self.law(past), self.draw)
+        return LearningProblem(TIMES.astype(np.float64), WANTED, respond, self.law(past), self.draw)
 
     def swim(
         self,
@@ -152,10 +152,10 @@ class Average:
         past: str = "mean",
         random_start: bool = False,
         keep: Collection[int] = (),
-    ) -> Outcome:
+    ) -> SeriesOutcome:
         """One series per seed, of random lengths."""
         task = self.task(past, tuple(seeds) if random_start else ())
-        return swim(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
+        return run_series(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
 
 
 def _random_start(seeds: tuple[int, ...], iteration: int) -> F64:

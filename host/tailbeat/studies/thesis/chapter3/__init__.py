@@ -6,17 +6,17 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from tailbeat.studies.thesis import lengths
+from tailbeat.studies.thesis import options as lengths
 from tailbeat.studies.thesis.chapter3 import claims, figures
 from tailbeat.studies.thesis.chapter3.plants import EXAMPLE1, FISH, Moving, share
-from tailbeat.studies.thesis.cut import swim
-from tailbeat.studies.thesis.example import Example, Options, Run
-from tailbeat.studies.thesis.limits import last_iteration
+from tailbeat.studies.thesis.cut import run_series
+from tailbeat.studies.thesis.example import Example, ExampleOptions, ExampleRun
+from tailbeat.studies.thesis.options import last_iteration
 
 _KNOWS = frozenset({"lengths", "seed", "iterations", "step", "m", "beta"})
 
 
-def _asked(setting: Moving, iterations: int, options: Options) -> tuple[Moving, int]:
+def _asked(setting: Moving, iterations: int, options: ExampleOptions) -> tuple[Moving, int]:
     """Setting and last iteration of the options. Another m shares the same total gain out among
     its trials, as 1/5 and 1/3 do in the two examples, unless beta says otherwise."""
     m = setting.m if options.m is None else options.m
@@ -31,15 +31,17 @@ def _asked(setting: Moving, iterations: int, options: Options) -> tuple[Moving, 
     return asked, last
 
 
-def _run(setting: Moving, iterations: int, keep: tuple[int, ...], options: Options) -> Run:
+def _run(
+    setting: Moving, iterations: int, keep: tuple[int, ...], options: ExampleOptions
+) -> ExampleRun:
     asked, last = _asked(setting, iterations, options)
     task = asked.task()
     length = task.length(options.lengths, options.seed)
-    found = swim(task, [length], last, options.precision, keep)
+    found = run_series(task, [length], last, options.precision, keep)
     return found.run(times=task.times, wanted=task.wanted)
 
 
-def _settings(setting: Moving, iterations: int, options: Options) -> dict[str, Any]:
+def _settings(setting: Moving, iterations: int, options: ExampleOptions) -> dict[str, Any]:
     asked, last = _asked(setting, iterations, options)
     return {
         "beta": asked.beta,

@@ -19,7 +19,7 @@ from tailbeat.studies.thesis.chapter3.plants import (
     rho_least,
     window_contraction,
 )
-from tailbeat.studies.thesis.cut import Outcome, swim
+from tailbeat.studies.thesis.cut import SeriesOutcome, run_series
 from tailbeat.studies.thesis.example import Claim, Study, verdict
 
 SEEDS = range(1, 201)
@@ -56,7 +56,7 @@ def _bounds() -> Claim:
     )  # fmt: skip
 
 
-def _example1_error(study: Study, random: Outcome) -> Claim:
+def _example1_error(study: Study, random: SeriesOutcome) -> Claim:
     at, bound = _ITERATIONS1, 0.003035
     uncut = study.run(lengths="full").max_abs_error
     first = float(uncut[0])
@@ -88,7 +88,7 @@ def _sweep(total: bool) -> tuple[list[float], list[float]]:
 
 def _uncut(setting: Moving, iterations: int) -> list[float]:
     task = setting.task()
-    found = swim(task, [task.length("full", 1)], iterations)
+    found = run_series(task, [task.length("full", 1)], iterations)
     return [float(error) for error in found.max_abs_error[0]]
 
 
@@ -130,7 +130,7 @@ def fish(study: Study) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _ratios(found: Outcome) -> F64:
+def _ratios(found: SeriesOutcome) -> F64:
     """How many times smaller the error has become; 0 for a series that diverged."""
     errors = found.max_abs_error
     return np.where(np.isnan(errors[:, -1]), 0.0, errors[:, 0] / errors[:, -1])

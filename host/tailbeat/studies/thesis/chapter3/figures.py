@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.studies.thesis.chapter3.plants import EXAMPLE1, FISH, Moving, fish_wanted_input
-from tailbeat.studies.thesis.cut import swim
-from tailbeat.studies.thesis.example import Figure, Run, Study
+from tailbeat.studies.thesis.cut import run_series
+from tailbeat.studies.thesis.example import ExampleRun, Figure, Study
 from tailbeat.studies.thesis.picture import LINES, legend, picture
 from tailbeat.studies.thesis.picture import WANTED as WANTED_LINE
 
@@ -23,7 +23,7 @@ _LAST1, _LAST2 = 40, 30
 
 def _uncut(axes: Axes, setting: Moving, last: int, name: str, line: int) -> None:
     task = setting.task()
-    errors = swim(task, [task.length("full", 1)], last).max_abs_error[0]
+    errors = run_series(task, [task.length("full", 1)], last).max_abs_error[0]
     axes.plot(np.arange(last + 1), errors, label=name, **LINES[line])
 
 
@@ -70,7 +70,7 @@ def example1(study: Study, folder: Path) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _outputs(run: Run, path: Path, name: str, quantity: str, scale: float = 1.0) -> Figure:
+def _outputs(run: ExampleRun, path: Path, name: str, quantity: str, scale: float = 1.0) -> Figure:
     assert run.lengths is not None
     times, wanted = run.traces["times"], scale * run.traces["wanted"]
     kept = {i: trial for i, trial in run.traces["kept"].items() if i < len(run.iterations)}
@@ -108,7 +108,7 @@ def fish(study: Study, folder: Path) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _thrust(run: Run, path: Path) -> Figure:
+def _thrust(run: ExampleRun, path: Path) -> Figure:
     times = run.traces["times"]
     last = max(i for i in run.traces["kept"] if i < len(run.iterations))
     learned = run.traces["kept"][last][0][0]

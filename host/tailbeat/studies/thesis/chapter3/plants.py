@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis.cut import Outcome, Task, chance, swim
+from tailbeat.studies.thesis.cut import LearningProblem, SeriesOutcome, chance, run_series
 from tailbeat.studies.thesis.learner import UNLIMITED, LearnerConfig
-from tailbeat.studies.thesis.limits import M_MAX, Span
+from tailbeat.studies.thesis.options import M_MAX, Span
 
 Rate = Callable[[F64, F64], F64]
 """(state, input) -> time derivative of the state."""
@@ -134,19 +134,23 @@ class Moving:
             weights=[(part, 1.0 if j == 0 else 0.0, self.beta) for j in range(self.m + 1)],
         )  # fmt: skip
 
-    def task(self) -> Task:
+    def task(self) -> LearningProblem:
         times = self.times()
         plant = HeldPlant(self.rate, self.step, self.method)
 
         def respond(inputs: F64, _: int) -> F64:
             return plant.respond(inputs)
 
-        return Task(times, self.wanted(times), respond, self.law(), self.draw, self.first_input)
+        return LearningProblem(
+            times, self.wanted(times), respond, self.law(), self.draw, self.first_input
+        )
 
-    def swim(self, seeds: Sequence[int], iterations: int, keep: tuple[int, ...] = ()) -> Outcome:
+    def swim(
+        self, seeds: Sequence[int], iterations: int, keep: tuple[int, ...] = ()
+    ) -> SeriesOutcome:
         """One series per seed, of random lengths."""
         task = self.task()
-        return swim(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
+        return run_series(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
 
 
 EXAMPLE1_LENGTHS = NormalDist(2.0, 0.25)

@@ -9,13 +9,13 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Claim, Study, verdict
-from tailbeat.studies.thesis.feedback import Chapter4, Grid, Trials, run_trials, trials_of
+from tailbeat.studies.thesis.feedback import Chapter4, LoopTrials, TimeGrid, run_trials, trials_of
 
 ITERATIONS = 100
-EXAMPLE1 = Chapter4(Grid(20000, "rk4"))
-EXAMPLE1_BLOCK = Chapter4(Grid(5000, "rk4"), block=True)
-EXAMPLE2_SIGN = Chapter4(Grid(5000, "held"), varying=True)
-EXAMPLE2_SMOOTH = Chapter4(Grid(5000, "rk4"), varying=True, smooth=True)
+EXAMPLE1 = Chapter4(TimeGrid(20000, "rk4"))
+EXAMPLE1_BLOCK = Chapter4(TimeGrid(5000, "rk4"), block=True)
+EXAMPLE2_SIGN = Chapter4(TimeGrid(5000, "held"), varying=True)
+EXAMPLE2_SMOOTH = Chapter4(TimeGrid(5000, "rk4"), varying=True, smooth=True)
 
 COARSE = (200, 500, 1000, 2000)  # steps of a held input; example 1
 SAMPLED = ((500, 100), (1000, 200), (2000, 200))  # steps, trials; sign law of example 2
@@ -25,14 +25,14 @@ _CHATTER = 10.0  # times the variation of the smooth input
 _GROWTH = 3.0  # times the smallest error so far, from where it is no scatter of the references
 
 
-def sampled_words(trials: Trials, steps: int, last: int) -> str:
+def sampled_words(trials: LoopTrials, steps: int, last: int) -> str:
     """How a series of ``last`` trials went with ``steps`` samples each."""
     if trials.diverged is not None:
         return f"{steps} steps: not computable from trial {trials.diverged} on"
     return f"{steps} steps: {trials.largest(last):.3g} at trial {last}"
 
 
-def grows(trials: Trials) -> bool:
+def grows(trials: LoopTrials) -> bool:
     """Whether the errors have passed a minimum and risen well above it, or diverged."""
     if trials.diverged is not None:
         return True
@@ -43,7 +43,9 @@ def grows(trials: Trials) -> bool:
 def example1(study: Study) -> list[Claim]:
     found = trials_of(study.run(iterations=AROUND[1]))
     study.tick(0.5)
-    coarse = {n: run_trials(replace(EXAMPLE1, grid=Grid(n, "held")), ITERATIONS) for n in COARSE}
+    coarse = {
+        n: run_trials(replace(EXAMPLE1, grid=TimeGrid(n, "held")), ITERATIONS) for n in COARSE
+    }
     study.tick(0.6)
     block = run_trials(EXAMPLE1_BLOCK, ITERATIONS)
     return [_indistinguishable(found), _converges(found, coarse), _full(found, block)]
@@ -58,7 +60,7 @@ def _peaks(trial: int) -> F64:
     return np.asarray(np.abs([first, second]).max(axis=1))
 
 
-def _apart(found: Trials) -> F64:
+def _apart(found: LoopTrials) -> F64:
     """Median over the trials ``AROUND`` of each state's largest error by its reference's peak."""
     first, last = AROUND
     if len(found.max_abs_error) < last:
@@ -68,7 +70,7 @@ def _apart(found: Trials) -> F64:
     return shares
 
 
-def _indistinguishable(found: Trials) -> Claim:
+def _indistinguishable(found: LoopTrials) -> Claim:
     error, peaks, apart = found.error(ITERATIONS), _peaks(ITERATIONS), _apart(found)
     return Claim(
         "x and its reference are almost indistinguishable at i = 100",
@@ -83,7 +85,7 @@ def _indistinguishable(found: Trials) -> Claim:
     )
 
 
-def _converges(found: Trials, coarse: dict[int, Trials]) -> Claim:
+def _converges(found: LoopTrials, coarse: dict[int, LoopTrials]) -> Claim:
     late, early = found.settled(91, 100), found.settled(1, 10)
     falls = late < 0.2 * early
     robust = all(trials.settled(91, 100) < 0.2 * early for trials in coarse.values())
@@ -99,7 +101,7 @@ def _converges(found: Trials, coarse: dict[int, Trials]) -> Claim:
     )
 
 
-def _full(found: Trials, block: Trials) -> Claim:
+def _full(found: LoopTrials, block: LoopTrials) -> Claim:
     reads = block.largest(ITERATIONS) < 0.1 * block.largest(1)
     full = found.largest(ITERATIONS) < 0.1 * found.largest(1)
     return Claim(
@@ -115,7 +117,7 @@ def _full(found: Trials, block: Trials) -> Claim:
 
 
 @cache
-def other(setting: Chapter4) -> Trials:
+def other(setting: Chapter4) -> LoopTrials:
     """The law to compare with, with a trace of the last trial; figures draw it, too."""
     return run_trials(setting, ITERATIONS, traced={ITERATIONS})
 
@@ -126,12 +128,12 @@ def sign(study: Study) -> list[Claim]:
     against = other(EXAMPLE2_SMOOTH)
     study.tick(0.6)
     sampled = {
-        n: run_trials(replace(EXAMPLE2_SIGN, grid=Grid(n, "held")), last) for n, last in SAMPLED
+        n: run_trials(replace(EXAMPLE2_SIGN, grid=TimeGrid(n, "held")), last) for n, last in SAMPLED
     }
     return [_chatters(found, against), _sampled(found, sampled), _expansion(), _bounding()]
 
 
-def _chatters(found: Trials, against: Trials) -> Claim:
+def _chatters(found: LoopTrials, against: LoopTrials) -> Claim:
     variation = np.array(found.variation(ITERATIONS))
     ratio = variation / np.array(against.variation(ITERATIONS))
     return Claim(
@@ -144,7 +146,7 @@ def _chatters(found: Trials, against: Trials) -> Claim:
     )
 
 
-def _sampled(found: Trials, sampled: dict[int, Trials]) -> Claim:
+def _sampled(found: LoopTrials, sampled: dict[int, LoopTrials]) -> Claim:
     words = [
         sampled_words(t, n, last) for (n, last), t in zip(SAMPLED, sampled.values(), strict=True)
     ]
@@ -200,7 +202,7 @@ def smooth(study: Study) -> list[Claim]:
     return [_smooth_input(found, against), _slower(found, against), _bounded(found)]
 
 
-def _smooth_input(found: Trials, against: Trials) -> Claim:
+def _smooth_input(found: LoopTrials, against: LoopTrials) -> Claim:
     ratio = np.array(against.variation(ITERATIONS)) / np.array(found.variation(ITERATIONS))
     return Claim(
         "The tanh law's input is smooth",
@@ -212,7 +214,7 @@ def _smooth_input(found: Trials, against: Trials) -> Claim:
     )
 
 
-def _slower(found: Trials, against: Trials) -> Claim:
+def _slower(found: LoopTrials, against: LoopTrials) -> Claim:
     mine, others = found.error(ITERATIONS), against.error(ITERATIONS)
     return Claim(
         "The tanh law converges more slowly than the sign law",
@@ -224,7 +226,7 @@ def _slower(found: Trials, against: Trials) -> Claim:
     )
 
 
-def _bounded(found: Trials) -> Claim:
+def _bounded(found: LoopTrials) -> Claim:
     early, late = found.settled(1, 50), found.settled(51, ITERATIONS)
     return Claim(
         "With leakage the errors end within a bound",

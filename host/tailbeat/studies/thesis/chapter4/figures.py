@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tailbeat.studies.thesis import feedback_figures as draw
+from tailbeat.studies.thesis import feedback as draw
 from tailbeat.studies.thesis.chapter4.claims import (
     EXAMPLE2_SIGN,
     EXAMPLE2_SMOOTH,

@@ -10,12 +10,12 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.chapter4.claims import grows, sampled_words
 from tailbeat.studies.thesis.example import Claim, Study, verdict
-from tailbeat.studies.thesis.feedback import Chapter5, Grid, Trials, run_trials, trials_of
+from tailbeat.studies.thesis.feedback import Chapter5, LoopTrials, TimeGrid, run_trials, trials_of
 
 ITERATIONS = 50
-CASE1_SIGN = Chapter5(Grid(5000, "held"))
-CASE1_SMOOTH = Chapter5(Grid(500, "rk4"), smooth=True)
-CASE2 = Chapter5(Grid(500, "rk4"), smooth=True, uncertain=True)
+CASE1_SIGN = Chapter5(TimeGrid(5000, "held"))
+CASE1_SMOOTH = Chapter5(TimeGrid(500, "rk4"), smooth=True)
+CASE2 = Chapter5(TimeGrid(500, "rk4"), smooth=True, uncertain=True)
 
 SAMPLED = ((250, 200), (500, 400), (1000, 600))  # steps of 0.5 s, trials
 LATE = 1000
@@ -26,7 +26,7 @@ _UNREAD = "rho of case 1 is never given; 2|f|, the alpha of case 2, is taken."
 
 
 @cache
-def other(setting: Chapter5) -> Trials:
+def other(setting: Chapter5) -> LoopTrials:
     """The law to compare with, with a trace of the last trial; figures draw it, too."""
     return run_trials(setting, ITERATIONS, traced={ITERATIONS})
 
@@ -40,10 +40,10 @@ def case1_sign(study: Study) -> list[Claim]:
     against = other(CASE1_SMOOTH)
     study.tick(0.3)
     sampled = {
-        n: run_trials(replace(CASE1_SIGN, grid=Grid(n, "held")), last) for n, last in SAMPLED
+        n: run_trials(replace(CASE1_SIGN, grid=TimeGrid(n, "held")), last) for n, last in SAMPLED
     }
     study.tick(0.6)
-    at = replace(CASE1_SIGN, grid=Grid(1000, "held"))
+    at = replace(CASE1_SIGN, grid=TimeGrid(1000, "held"))
     dead = run_trials(replace(at, dead_zone=DEAD_ZONE), LATE)
     leaky = run_trials(replace(at, leak=LEAK), LATE)
     return [
@@ -53,7 +53,7 @@ def case1_sign(study: Study) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _beats(found: Trials, against: Trials) -> Claim:
+def _beats(found: LoopTrials, against: LoopTrials) -> Claim:
     mine, others = found.error(ITERATIONS), against.error(ITERATIONS)
     return Claim(
         "I_1 tracks better than I_2",
@@ -64,7 +64,7 @@ def _beats(found: Trials, against: Trials) -> Claim:
     )
 
 
-def _chatters(found: Trials, against: Trials) -> Claim:
+def _chatters(found: LoopTrials, against: LoopTrials) -> Claim:
     ratio = np.array(found.variation(ITERATIONS)) / np.array(against.variation(ITERATIONS))
     return Claim(
         "I_1 chatters",
@@ -76,7 +76,7 @@ def _chatters(found: Trials, against: Trials) -> Claim:
     )
 
 
-def _theorem(sampled: dict[int, Trials]) -> Claim:
+def _theorem(sampled: dict[int, LoopTrials]) -> Claim:
     words = [
         sampled_words(t, n, last) for (n, last), t in zip(SAMPLED, sampled.values(), strict=True)
     ]
@@ -93,7 +93,7 @@ def _theorem(sampled: dict[int, Trials]) -> Claim:
     )
 
 
-def _cured(how: str, trials: Trials) -> Claim:
+def _cured(how: str, trials: LoopTrials) -> Claim:
     middle, end = trials.settled(101, 200), trials.settled(LATE - 99, LATE)
     bounded = np.isfinite(end) and not grows(trials)
     return Claim(
@@ -118,7 +118,7 @@ def case1_smooth(study: Study) -> list[Claim]:
     return [_smooth(found, against), _bounded(found, late, leaky), _rho(found, less)]
 
 
-def _smooth(found: Trials, against: Trials) -> Claim:
+def _smooth(found: LoopTrials, against: LoopTrials) -> Claim:
     ratio = np.array(against.variation(ITERATIONS)) / np.array(found.variation(ITERATIONS))
     return Claim(
         "I_2's input is smooth",
@@ -130,7 +130,7 @@ def _smooth(found: Trials, against: Trials) -> Claim:
     )
 
 
-def _bounded(found: Trials, late: Trials, leaky: Trials) -> Claim:
+def _bounded(found: LoopTrials, late: LoopTrials, leaky: LoopTrials) -> Claim:
     creep = late.max_estimate[:, 0]
     words = (
         f"{creep[ITERATIONS - 1]:.1f} at trial {ITERATIONS} and {creep[-1]:.1f} at trial {LATE}"
@@ -148,14 +148,14 @@ def _bounded(found: Trials, late: Trials, leaky: Trials) -> Claim:
     )
 
 
-def _first_within(trials: Trials, bound: float) -> int | None:
+def _first_within(trials: LoopTrials, bound: float) -> int | None:
     """The trial from which on all errors are below ``bound``."""
     above = np.flatnonzero(trials.max_abs_error.max(axis=1) >= bound)
     first = int(above[-1]) + 2 if above.size else 1
     return first if first <= len(trials.max_abs_error) else None
 
 
-def _rho(found: Trials, less: Trials) -> Claim:
+def _rho(found: LoopTrials, less: LoopTrials) -> Claim:
     covers = CASE1_SMOOTH.bound
     trials = [float(_first_within(one, _BOUND) or np.nan) for one in (found, less)]
     return Claim(
@@ -174,14 +174,14 @@ def case2(study: Study) -> list[Claim]:
     fitting = run_trials(replace(CASE2, beta_power=2), ITERATIONS)
     safe = run_trials(replace(CASE2, inverse_norm=True), ITERATIONS)
     study.tick(0.6)
-    slow = run_trials(replace(CASE2, grid=Grid(100, "held")), ITERATIONS)
-    soft = run_trials(replace(CASE2, grid=Grid(100, "held"), softness=SOFTNESS), ITERATIONS)
+    slow = run_trials(replace(CASE2, grid=TimeGrid(100, "held")), ITERATIONS)
+    soft = run_trials(replace(CASE2, grid=TimeGrid(100, "held"), softness=SOFTNESS), ITERATIONS)
     return [
         _within(found), _continuous(found, slow, soft), _beta(found, fitting), _norm(found, safe),
     ]  # fmt: skip
 
 
-def _within(found: Trials) -> Claim:
+def _within(found: LoopTrials) -> Claim:
     first = _first_within(found, _BOUND)
     return Claim(
         "Both errors are within 0.1 after 10 iterations",
@@ -192,7 +192,7 @@ def _within(found: Trials) -> Claim:
     )
 
 
-def _continuous(found: Trials, slow: Trials, soft: Trials) -> Claim:
+def _continuous(found: LoopTrials, slow: LoopTrials, soft: LoopTrials) -> Claim:
     here, there = found.variation(ITERATIONS), slow.variation(ITERATIONS)
     smooth = all(np.isfinite(here)) and max(here) < _CHATTER * max(found.max_abs_input[-1])
     return Claim(
@@ -206,7 +206,7 @@ def _continuous(found: Trials, slow: Trials, soft: Trials) -> Claim:
     )
 
 
-def _beta(found: Trials, fitting: Trials) -> Claim:
+def _beta(found: LoopTrials, fitting: LoopTrials) -> Claim:
     gap = float(np.max(np.abs(fitting.max_abs_error[1:10] / found.max_abs_error[1:10] - 1.0)))
     covered = _beta_covers(CASE2.beta_power)
     return Claim(
@@ -227,7 +227,7 @@ def _beta_covers(power: int) -> float:
     return float(np.min(beta / np.hypot(0.1 * first, 0.2 * second)))
 
 
-def _norm(found: Trials, safe: Trials) -> Claim:
+def _norm(found: LoopTrials, safe: LoopTrials) -> Claim:
     largest = _inverse_by_norm()
     return Claim(
         "1/|B| holds enough in reserve against the uncertain gain: |B^-1| <= 1/|B|",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from tailbeat.studies.thesis import feedback_figures as draw
+from tailbeat.studies.thesis import feedback as draw
 from tailbeat.studies.thesis.chapter5.claims import (
     CASE1_SIGN,
     CASE1_SMOOTH,
@@ -15,7 +15,7 @@ from tailbeat.studies.thesis.chapter5.claims import (
     other,
 )
 from tailbeat.studies.thesis.example import Figure, Study
-from tailbeat.studies.thesis.feedback import Grid, run_trials, trials_of
+from tailbeat.studies.thesis.feedback import TimeGrid, run_trials, trials_of
 
 _CASE1 = "Ch. 5, case 1"
 _TRIAL = f"trial {ITERATIONS}"
@@ -43,11 +43,11 @@ def case1_sign(study: Study, folder: Path) -> list[Figure]:
 
 def _sampled(path: Path) -> Figure:
     series = {
-        f"{500.0 / steps:g} ms": run_trials(replace(CASE1_SIGN, grid=Grid(steps, "held")), last)
+        f"{500.0 / steps:g} ms": run_trials(replace(CASE1_SIGN, grid=TimeGrid(steps, "held")), last)
         for steps, last in SAMPLED
     }
     steps, last = SAMPLED[-1]
-    cured = replace(CASE1_SIGN, grid=Grid(steps, "held"), dead_zone=DEAD_ZONE)
+    cured = replace(CASE1_SIGN, grid=TimeGrid(steps, "held"), dead_zone=DEAD_ZONE)
     series[f"{500.0 / steps:g} ms, dead zone"] = run_trials(cured, last)
     return draw.errors(
         path, f"{_CASE1}, I_1 sampled", series,

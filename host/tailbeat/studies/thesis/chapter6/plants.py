@@ -13,9 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import Options, Run
-from tailbeat.studies.thesis.heat import CHAPTER6, STEP, heat_plant, times
-from tailbeat.studies.thesis.heat_trials import asked, learn, slope, window, zero_phase
+from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun
+from tailbeat.studies.thesis.heat import (
+    CHAPTER6,
+    STEP,
+    asked,
+    heat_plant,
+    learn,
+    slope,
+    times,
+    window,
+    zero_phase,
+)
 from tailbeat.studies.thesis.learner import LearnerConfig
 
 Complexes = NDArray[np.complex128]
@@ -210,34 +219,34 @@ def law(step: float = STEP, rho: float = RHO, q_len: int | None = None) -> Learn
     )
 
 
-def run(options: Options) -> Run:
+def run(options: ExampleOptions) -> ExampleRun:
     """The rod by backward Euler on 100 cells."""
     step, iterations = asked(options, ITERATIONS)
     return learn(heat_plant(CHAPTER6, step), law(step), iterations, options.precision)
 
 
-def settings(options: Options) -> dict[str, int | float]:
+def settings(options: ExampleOptions) -> dict[str, int | float]:
     """What ``run`` uses."""
     step, iterations = asked(options, ITERATIONS)
     return {"iterations": iterations, "step": step}
 
 
-def exact(config: LearnerConfig, iterations: int) -> Run:
+def exact(config: LearnerConfig, iterations: int) -> ExampleRun:
     """Any law of the thesis's step on the exact rod."""
     return learn(heat_plant(CHAPTER6, scheme="modal"), config, iterations)
 
 
-def with_filter(iterations: int) -> Run:
+def with_filter(iterations: int) -> ExampleRun:
     """As the thesis has it."""
     return exact(law(), iterations)
 
 
-def without_filter(iterations: int) -> Run:
+def without_filter(iterations: int) -> ExampleRun:
     """(6.19)."""
     return exact(law(q_len=1), iterations)
 
 
-def with_filter_on_the_correction(iterations: int) -> Run:
+def with_filter_on_the_correction(iterations: int) -> ExampleRun:
     """u + rho * Q(de/dt), as the words of section 6.5 may be read."""
 
     def filtered(error: F64) -> F64:
@@ -247,7 +256,7 @@ def with_filter_on_the_correction(iterations: int) -> Run:
     return learn(heat_plant(CHAPTER6, scheme="modal"), config, iterations, prepare=filtered)
 
 
-def with_filter_on_the_error(iterations: int) -> Run:
+def with_filter_on_the_error(iterations: int) -> ExampleRun:
     """u + rho * d/dt Q(e), the other way to read them."""
 
     def filtered(error: F64) -> F64:

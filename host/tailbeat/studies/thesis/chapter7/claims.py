@@ -23,9 +23,16 @@ from tailbeat.studies.thesis.chapter7.plants import (
     theta,
     variant,
 )
-from tailbeat.studies.thesis.example import Claim, Run, Study, verdict
-from tailbeat.studies.thesis.heat import CHAPTER7, HORIZON, STEP, heat_plant, reference, times
-from tailbeat.studies.thesis.heat_trials import learn
+from tailbeat.studies.thesis.example import Claim, ExampleRun, Study, verdict
+from tailbeat.studies.thesis.heat import (
+    CHAPTER7,
+    HORIZON,
+    STEP,
+    heat_plant,
+    learn,
+    reference,
+    times,
+)
 
 _ACCURATE = 1.0  # epsilon of the example
 _REDUCTION = 0.96
@@ -59,11 +66,11 @@ def heat_claims(study: Study) -> list[Claim]:
     return found
 
 
-def _all_deltas(study: Study) -> list[Run]:
+def _all_deltas(study: Study) -> list[ExampleRun]:
     return [study.run(delta=delta) for delta in DELTAS]
 
 
-def _last(runs: list[Run]) -> list[float]:
+def _last(runs: list[ExampleRun]) -> list[float]:
     """Errors of the last iteration, infinite where it did not get there."""
     return [float(run.max_abs_error[-1]) if run.diverged is None else float("inf") for run in runs]
 
@@ -101,7 +108,7 @@ def _theta() -> list[Claim]:
     ]
 
 
-def _results(study: Study, runs: list[Run], printed: bool) -> list[Claim]:
+def _results(study: Study, runs: list[ExampleRun], printed: bool) -> list[Claim]:
     errors = _last(runs)
     first = float(runs[0].max_abs_error[0])
     reductions = [1 - error / first for error in errors]
@@ -189,7 +196,7 @@ def _listed_deltas() -> str:
     return ", ".join(f"{delta:g}" for delta in _LONG_DELTAS)
 
 
-def _ended(run: Run) -> str:
+def _ended(run: ExampleRun) -> str:
     if run.diverged is not None:
         return f"not computable from iteration {run.diverged} on"
     at = int(run.max_abs_error.argmin())
@@ -296,7 +303,7 @@ def _contraction(study: Study) -> list[Claim]:
     ]
 
 
-def _own_rule(runs: list[Run]) -> Claim:
+def _own_rule(runs: list[ExampleRun]) -> Claim:
     inputs = [float(np.abs(run.traces["input"]).max()) for run in runs]
     gammas = [promised(RHO, delta) for delta in DELTAS]
     allowed = [_longest(gamma, most) for gamma, most in zip(gammas, inputs, strict=True)]

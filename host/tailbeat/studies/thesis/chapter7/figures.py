@@ -16,7 +16,7 @@ from tailbeat.studies.thesis.chapter7.plants import (
     AdvectionPlant,
     theta,
 )
-from tailbeat.studies.thesis.example import Figure, Run, Study
+from tailbeat.studies.thesis.example import ExampleRun, Figure, Study
 from tailbeat.studies.thesis.heat import CHAPTER7, HORIZON, heat_plant
 from tailbeat.studies.thesis.picture import LINES, WANTED, legend, picture
 
@@ -83,7 +83,7 @@ def _theta_sup(folder: Path) -> Figure:
     return Figure(path, "Fig. 7.3", "How the sum's largest value gets to 1/2 with its terms.")
 
 
-def _error_axes(path: Path, runs: dict[str, Run], log: bool, columns: int = 3) -> None:
+def _error_axes(path: Path, runs: dict[str, ExampleRun], log: bool, columns: int = 3) -> None:
     with picture(path) as (axes,):
         for (name, run), line in zip(runs.items(), LINES, strict=False):
             axes.plot(run.iterations, run.max_abs_error, label=name, marker="o", ms=6, **line)

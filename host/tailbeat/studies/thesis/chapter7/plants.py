@@ -13,18 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import Options, Run, Uptake
-from tailbeat.studies.thesis.heat import CELLS, CHAPTER7, STEP, heat_plant, times
-from tailbeat.studies.thesis.heat_trials import (
-    Plant,
+from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Uptake
+from tailbeat.studies.thesis.heat import (
+    CELLS,
+    CHAPTER7,
+    STEP,
     PlantFailed,
+    SampledPlant,
     asked,
+    heat_plant,
     lead_samples,
     learn,
+    times,
     window,
 )
-from tailbeat.studies.thesis.learner import LearnerConfig
-from tailbeat.studies.thesis.native import Precision, load
+from tailbeat.studies.thesis.learner import LearnerConfig, Precision, load
 
 RHO = -1.2041
 DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five
@@ -115,47 +118,47 @@ def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> Lea
     )
 
 
-def printed(options: Options) -> Run:
+def printed(options: ExampleOptions) -> ExampleRun:
     """(7.10) on (7.31) as printed, its phi below v = 0 as the options have it, or clipped."""
     given = _asked(options)
     return _run(AdvectionPlant(given.step, options.uptake or UPTAKE), given, options.precision)
 
 
-def printed_settings(options: Options) -> dict[str, Any]:
+def printed_settings(options: ExampleOptions) -> dict[str, Any]:
     """What ``printed`` uses."""
     return {**asdict(_asked(options)), "uptake": options.uptake or UPTAKE}
 
 
-def heat(options: Options) -> Run:
+def heat(options: ExampleOptions) -> ExampleRun:
     """(7.10) on the heat equation, F = 0."""
     given = _asked(options)
     return _run(heat_plant(CHAPTER7, given.step), given, options.precision)
 
 
-def heat_settings(options: Options) -> dict[str, Any]:
+def heat_settings(options: ExampleOptions) -> dict[str, Any]:
     """What ``heat`` uses."""
     return asdict(_asked(options))
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Chosen:
     delta: float
     iterations: int
     step: float
 
 
-def _asked(options: Options) -> _Asked:
+def _asked(options: ExampleOptions) -> _Chosen:
     step, last = asked(options, ITERATIONS)
     delta = DELTA if options.delta is None else options.delta
     lead_samples(delta, step)
-    return _Asked(delta, last, step)
+    return _Chosen(delta, last, step)
 
 
-def _run(plant: Plant, given: _Asked, precision: Precision) -> Run:
+def _run(plant: SampledPlant, given: _Chosen, precision: Precision) -> ExampleRun:
     return learn(plant, law(given.delta, given.step), given.iterations, precision)
 
 
-def variant(delta: float, carried: float, uptake: Uptake = "clip") -> Run:
+def variant(delta: float, carried: float, uptake: Uptake = "clip") -> ExampleRun:
     """(7.10) on (7.31) with another varsigma or phi."""
     return learn(AdvectionPlant(uptake=uptake, carried=carried), law(delta), ITERATIONS)
 
@@ -170,7 +173,9 @@ class Proportional:
     by_time: bool = False
     lead: float = 0.10  # min
 
-    def learn(self, iterations: int, step: float = STEP, precision: Precision = "double") -> Run:
+    def learn(
+        self, iterations: int, step: float = STEP, precision: Precision = "double"
+    ) -> ExampleRun:
         """On the printed plant, clipped."""
         config = LearnerConfig(
             samples=len(times(step)),

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.studies.thesis import lengths
+from tailbeat.studies.thesis import options as lengths
 from tailbeat.studies.thesis import study as progress
 from tailbeat.studies.thesis.chapter8.claims import claims as judged
 from tailbeat.studies.thesis.chapter8.figures import draw_all
-from tailbeat.studies.thesis.chapter8.plants import BEATS, TRIAL, Task, Trial, trials
-from tailbeat.studies.thesis.example import Example, Figure, Options, Run, Study
-from tailbeat.studies.thesis.limits import last_iteration
+from tailbeat.studies.thesis.chapter8.plants import BEATS, TRIAL, FishTask, FishTrial, trials
+from tailbeat.studies.thesis.example import Example, ExampleOptions, ExampleRun, Figure, Study
+from tailbeat.studies.thesis.options import last_iteration
 
 ITERATIONS = 20
 GAINS = (4.0, 7.0, 10.0)
@@ -32,13 +32,13 @@ def draw(seed: int, iteration: int) -> float:
     return float(random.integers(_SHORTEST, _LONGEST, endpoint=True))
 
 
-def run(gain: float, options: Options) -> Run:
+def run(gain: float, options: ExampleOptions) -> ExampleRun:
     """Raises InputError for a step that makes no trial, or a length that is none."""
     task = _task(gain, options)
     return _told(trials(task), task.iterations, cut=task.length_beats is not None)
 
 
-def settings(gain: float, options: Options) -> dict[str, Any]:
+def settings(gain: float, options: ExampleOptions) -> dict[str, Any]:
     """What ``run`` uses. A step of None: one amplitude per beat."""
     task = _task(gain, options)
     return {
@@ -48,9 +48,9 @@ def settings(gain: float, options: Options) -> dict[str, Any]:
     }
 
 
-def _task(gain: float, options: Options) -> Task:
+def _task(gain: float, options: ExampleOptions) -> FishTask:
     text = options.lengths
-    task = Task(
+    task = FishTask(
         gain,
         last_iteration(options.iterations, ITERATIONS),
         step_s=options.step,
@@ -61,7 +61,7 @@ def _task(gain: float, options: Options) -> Task:
     return task
 
 
-def _told(series: Iterable[Trial], last: int, cut: bool) -> Run:
+def _told(series: Iterable[FishTrial], last: int, cut: bool) -> ExampleRun:
     rows = []
     for t in series:
         rows.append(
@@ -69,7 +69,7 @@ def _told(series: Iterable[Trial], last: int, cut: bool) -> Run:
         )
         progress.tell(t.iteration + 1, last + 1)
     iterations, errors, executed, beats = (np.array(column) for column in zip(*rows, strict=True))
-    return Run(
+    return ExampleRun(
         iterations=iterations.astype(np.int64),
         max_abs_error=errors,
         executed=executed if cut else None,

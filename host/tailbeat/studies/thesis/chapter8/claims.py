@@ -12,9 +12,9 @@ from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     DURATION_S,
     TABLE_8_1,
-    Fish,
-    Task,
-    Trial,
+    CruisePlant,
+    FishTask,
+    FishTrial,
     trials,
     wanted_at,
     wanted_beats,
@@ -56,8 +56,8 @@ def _settled(errors: Sequence[float] | F64) -> bool:
     return bool(values[least] < 0.1 * values[0] and values[least:].max() <= 1.05 * values[least])
 
 
-def _series(gain: float, iterations: int) -> list[Trial]:
-    return list(trials(Task(gain, iterations)))
+def _series(gain: float, iterations: int) -> list[FishTrial]:
+    return list(trials(FishTask(gain, iterations)))
 
 
 def _eighty_percent(study: Study) -> Claim:
@@ -75,7 +75,9 @@ def _eighty_percent(study: Study) -> Claim:
 
 def _converges(gain: float, study: Study) -> Claim:
     beats = study.run(iterations=_LONG).max_abs_error
-    trap = [t.max_abs_error_m_s for t in trials(Task(gain, _LONG, step_s=_TRAP_STEP_S, pairing=0))]
+    trap = [
+        t.max_abs_error_m_s for t in trials(FishTask(gain, _LONG, step_s=_TRAP_STEP_S, pairing=0))
+    ]
     by_beats, sampled = _settled(beats), _settled(trap)
     return Claim(
         f"any gain above 0 converges: gain {gain:g}",
@@ -165,7 +167,7 @@ def _speed_oscillates() -> Claim:
 
 
 def _speed_at_the_end() -> Claim:
-    fine = list(trials(Task(_FIRST_GAIN, 6, step_s=0.01)))[-1]
+    fine = list(trials(FishTask(_FIRST_GAIN, 6, step_s=0.01)))[-1]
     left = float(fine.speed_m_s[-1])
     return Claim(
         "after 6 iterations the speed is not zero at 40 s",
@@ -190,7 +192,7 @@ def _saturation_first() -> Claim:
 
 
 def _recovery(remembered_sat: bool) -> float:
-    task = Task(
+    task = FishTask(
         _FIRST_GAIN,
         30,
         step_s=0.1,
@@ -203,7 +205,7 @@ def _recovery(remembered_sat: bool) -> float:
 
 
 def _drag() -> Claim:
-    fish = Fish(1.0)
+    fish = CruisePlant(1.0)
     angles, speeds = np.array(TABLE_8_1).T
     h1, h2 = fish.thrust(angles)
     force = h1 - h2 * speeds**2
@@ -221,7 +223,7 @@ def _drag() -> Claim:
 
 def _table() -> Claim:
     angles, speeds = np.array(TABLE_8_1).T
-    model = Fish(1.0).steady_m_s(angles)
+    model = CruisePlant(1.0).steady_m_s(angles)
     off = np.abs(model / speeds - 1)
     slope, speed_at_0 = np.polyfit(angles, speeds, 1)
     dead = float(np.rad2deg(-speed_at_0 / slope))
@@ -250,7 +252,7 @@ def _reference_joins() -> Claim:
 def _reference_is_realizable() -> Claim:
     t = np.linspace(0, DURATION_S, 40001)
     v = wanted_at(t)
-    config = Fish(1.0).config
+    config = CruisePlant(1.0).config
     force = config.mass_kg * np.gradient(v, t) + config.drag_kg_m * v**2
     force[np.abs(np.gradient(v, t)) > 0.02] = 0  # the steps of a micrometre at 10 and 30 s
     braking = t[force < -1e-9]
@@ -269,7 +271,7 @@ def _reference_is_realizable() -> Claim:
 
 def _slope_is_positive() -> Claim:
     angles = np.linspace(0, AMPLITUDE_MAX_RAD, 500)
-    fish = Fish(1.0)
+    fish = CruisePlant(1.0)
     h1, h2 = fish.thrust(angles)
     least, at_rest = math.inf, 0.0
     for v in (0.0, 0.05, 0.1):
@@ -286,7 +288,7 @@ def _slope_is_positive() -> Claim:
     )
 
 
-def _slope_at_zero(fish: Fish, v_m_s: float) -> float:
+def _slope_at_zero(fish: CruisePlant, v_m_s: float) -> float:
     small = 1e-7
     h1, h2 = fish.thrust(np.array([0.0, small]))
     return float((h1[1] - h1[0] - (h2[1] - h2[0]) * v_m_s**2) / small)

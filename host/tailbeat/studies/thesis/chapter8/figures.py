@@ -12,8 +12,8 @@ from tailbeat.core.files import replacing
 from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
-    Fish,
-    Task,
+    CruisePlant,
+    FishTask,
     trials,
     wanted_beats,
 )
@@ -50,7 +50,7 @@ def _speeds(folder: Path) -> Figure:
 
     with mpl.rc_context(_STYLE):
         canvas, (upper, lower) = _panels(2)
-        for trial in trials(Task(4.0, max(_SHOWN))):
+        for trial in trials(FishTask(4.0, max(_SHOWN))):
             if trial.iteration in _SHOWN:
                 shade = 0.75 - 0.65 * _SHOWN.index(trial.iteration) / (len(_SHOWN) - 1)
                 dash = ((0, (1, 1.2)), "--", "-.", "-")[_SHOWN.index(trial.iteration)]
@@ -76,7 +76,7 @@ def _errors(folder: Path) -> Figure:
     with mpl.rc_context(_STYLE):
         canvas, (axes,) = _panels(1)
         for gain, (color, dash) in zip((4.0, 7.0, 10.0), _LINES, strict=True):
-            errors = [1e3 * t.max_abs_error_m_s for t in trials(Task(gain, 20))]
+            errors = [1e3 * t.max_abs_error_m_s for t in trials(FishTask(gain, 20))]
             axes.plot(errors, dash, marker="o", ms=3.5, color=color, label=f"gain {gain:g}")
         axes.axhline(0.2 * 79.1, color=_FAINT, lw=1)
         axes.annotate("80 % down", (20, 0.2 * 79.1), (0, 3), textcoords="offset points",
@@ -95,7 +95,7 @@ def _thrust(folder: Path) -> Figure:
     import matplotlib as mpl
 
     angles = np.linspace(0, AMPLITUDE_MAX_RAD, 300)
-    fish = Fish(1.0)
+    fish = CruisePlant(1.0)
     h1, h2 = fish.thrust(angles)
     with mpl.rc_context(_STYLE):
         canvas, (upper, lower) = _panels(2)

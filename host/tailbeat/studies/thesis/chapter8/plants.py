@@ -12,9 +12,8 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import THESIS_PLATEAU_M_S, thesis_speed
-from tailbeat.studies.thesis.learner import UNLIMITED, Learner, LearnerConfig
-from tailbeat.studies.thesis.limits import Span
-from tailbeat.studies.thesis.native import Precision
+from tailbeat.studies.thesis.learner import UNLIMITED, Learner, LearnerConfig, Precision
+from tailbeat.studies.thesis.options import Span
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 DURATION_S = 40.0
@@ -35,7 +34,7 @@ class Lags:
     thrust_s: float = 0.0
 
 
-class Fish:
+class CruisePlant:
     """The plant (8.13), from rest, its amplitude held for samples of ``step_s``. The step is exact
     for thrust held within it; what lags is held for ``_SUBSTEP_S`` at most."""
 
@@ -101,7 +100,7 @@ def wanted_beats() -> F64:
 
 
 @dataclass(frozen=True)
-class Task:
+class FishTask:
     """A series of trials. ``step_s`` None: one amplitude per beat, errors are beat means; else
     sampled control, u(k) held from t_k on and paired with e(k + ``pairing``), 1 as it must be, 0
     the trap. ``lead`` in samples more; ``q_len`` of Q; ``lags`` of the fish; ``remembered_sat``:
@@ -127,7 +126,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Trial:
+class FishTrial:
     """One iteration. Arrays by sample: ``t_s`` at which the speed is told (the middle of a beat,
     the end of a sample), the amplitude as applied, the speed and the error."""
 
@@ -149,11 +148,11 @@ class Trial:
         return float(np.max(np.abs(self.error_m_s[: self.valid]), initial=0.0))
 
 
-def trials(task: Task) -> Iterator[Trial]:
+def trials(task: FishTask) -> Iterator[FishTrial]:
     """Iterations 0 (no amplitude) to ``task.iterations``."""
     samples = task.samples()
     step = BEAT_S if task.step_s is None else task.step_s
-    fish = Fish(step, task.lags)
+    fish = CruisePlant(step, task.lags)
     learner = Learner(_config(task, samples, step), precision=task.precision)
     ends: F64 = step * np.arange(1, samples + 1, dtype=np.float64)
     beats = task.step_s is None
@@ -167,14 +166,14 @@ def trials(task: Task) -> Iterator[Trial]:
         length = task.length_beats(iteration) if task.length_beats else float(BEATS)
         valid = min(samples, math.floor(length * BEAT_S / step + 1e-9))
         told = ends - step / 2 if beats else ends
-        yield Trial(iteration, told, amplitude, speed, error, length, valid)
+        yield FishTrial(iteration, told, amplitude, speed, error, length, valid)
         if task.pairing == 0:  # e(0) = 0: fish and reference start from rest
             learner.learn(np.r_[0.0, error[:-1]], valid)
         else:
             learner.learn(error, valid)
 
 
-def _config(task: Task, samples: int, step: float) -> LearnerConfig:
+def _config(task: FishTask, samples: int, step: float) -> LearnerConfig:
     limits = (0.0, AMPLITUDE_MAX_RAD) if task.remembered_sat else (-UNLIMITED, UNLIMITED)
     return LearnerConfig(
         samples,

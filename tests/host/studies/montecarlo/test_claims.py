@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from tailbeat.studies.montecarlo.cell import cells
-from tailbeat.studies.montecarlo.recipe import Claim, load, packaged
+from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, packaged
 from tailbeat.studies.montecarlo.results import schema
 from tailbeat.studies.montecarlo.summary import Rows, judge
 
@@ -189,8 +189,8 @@ def _rows(**columns: object) -> Rows:
     return Rows(filled)
 
 
-def _claim(**values: object) -> Claim:
-    return replace(Claim("it holds", "median", at_most=1.0), **values)  # type: ignore[arg-type]
+def _claim(**values: object) -> ClaimSpec:
+    return replace(ClaimSpec("it holds", "median", at_most=1.0), **values)  # type: ignore[arg-type]
 
 
 def test_claims_are_judged_by_their_worst_group() -> None:

@@ -27,11 +27,11 @@ from tailbeat.core.reference import from_text
 from tailbeat.learning.fish_model import SIGMA_M_S
 from tailbeat.studies.montecarlo import cell as cell_module
 from tailbeat.studies.montecarlo import learners, runner
-from tailbeat.studies.montecarlo.batch import Swims
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import Recipe, load, parse
 from tailbeat.studies.montecarlo.results import Store, identity
-from tailbeat.studies.montecarlo.runner import Interrupted, compute, sweep
+from tailbeat.studies.montecarlo.runner import Interrupted, compute, run_study
 from tailbeat.studies.montecarlo.summary import summarise
 
 CLAIM = """
@@ -123,11 +123,11 @@ def test_rows_are_what_the_laws_and_the_plant_say(tiny: Recipe) -> None:
     wanted = from_text(tiny.reference).speed_m_s
     assert rows["max_abs_error_m_s"][0] == wanted.max()
     law = Law(lead_beats=1, amplitude_max_rad=tiny.amplitude_max_rad)
-    alone = learners.Shoal("tank", [{"kappa_per_m": 10.0, "seed": 2}])
+    alone = FishBatch("tank", [{"kappa_per_m": 10.0, "seed": 2}])
     amplitude = laws.first(law, wanted)
     for iteration in (1, 2, 3):
         applied = laws.saturate(law, amplitude)
-        swum = alone.swim(applied[None, :].astype(np.float64), iteration)
+        swum = alone.run(applied[None, :].astype(np.float64), iteration)
         row = 4 + iteration
         assert rows["max_abs_error_m_s"][row] == np.abs(wanted - swum.speed_m_s[0]).max()
         assert rows["true_max_abs_error_m_s"][row] == np.abs(wanted - swum.true_m_s[0]).max()
@@ -156,7 +156,7 @@ def test_the_batch_learns_bit_for_bit_as_one_fish_does(seed: int) -> None:
         )
         for _ in range(40)
     ]
-    board = learners.Board(many, 0.0)
+    board = learners.BoardLaw(many, 0.0)
     board.begin(reference)
     stored = [laws.first(law, reference.speed_m_s) for law in many]
     for _ in range(5):
@@ -168,32 +168,32 @@ def test_the_batch_learns_bit_for_bit_as_one_fish_does(seed: int) -> None:
             stored[i], _ = laws.update(
                 law, stored[i], *laws.errors_of(reference.speed_m_s, speed[i])
             )
-        board.learn(Swims(speed, speed, speed))
+        board.learn(BatchTrials(speed, speed, speed))
     assert any((amplitude > 0.5).any() for amplitude in stored)
 
 
 def test_the_batch_rolls_back_as_the_board_does() -> None:
     """Two trials 1.5 times as bad as the best bring the best back; one fish has better ones."""
     reference = from_text("cosine:0.05,3,2")
-    board = learners.Board([Law(), Law()], 1.3)
+    board = learners.BoardLaw([Law(), Law()], 1.3)
     board.begin(reference)
     best = board.following().copy()
     wanted = reference.speed_m_s.astype(np.float64)
     for error, verdict in ((0.02, ["", ""]), (0.03, ["", ""]), (0.03, ["rolled_back", ""])):
         speed = np.array([wanted - error, wanted - 0.01])
-        assert board.learn(Swims(speed, speed, speed)).verdict == verdict
+        assert board.learn(BatchTrials(speed, speed, speed)).verdict == verdict
     assert np.array_equal(board.following()[0], best[0])
     assert (board.following()[1] > best[1]).any()
 
 
 def test_a_fish_without_speeds_keeps_its_amplitudes() -> None:
     reference = from_text("cosine:0.05,3,2")
-    board = learners.Board([Law(), Law()], 0.0)
+    board = learners.BoardLaw([Law(), Law()], 0.0)
     board.begin(reference)
     before = board.following().copy()
     speed = np.zeros((2, reference.beats))
     speed[0] = np.nan
-    board.learn(Swims(speed, speed, speed))
+    board.learn(BatchTrials(speed, speed, speed))
     assert np.array_equal(board.following()[0], before[0])
     assert (board.following()[1] > before[1]).any()
 
@@ -202,7 +202,7 @@ def test_a_fish_without_speeds_keeps_its_amplitudes() -> None:
 def test_the_same_bytes_on_any_number_of_cores(
     tiny: Recipe, expected: bytes, tmp_path: Path, cores: int
 ) -> None:
-    outcome = sweep(tiny, tmp_path, cores=cores)
+    outcome = run_study(tiny, tmp_path, cores=cores)
     assert outcome.computed == outcome.cells == 8
     assert outcome.results.read_bytes() == expected
 
@@ -212,7 +212,7 @@ def test_the_same_bytes_of_linear_algebra(algebra: tuple[Recipe, bytes], tmp_pat
     recipe, expected = algebra
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
-        outcome = sweep(recipe, tmp_path, cores=2)
+        outcome = run_study(recipe, tmp_path, cores=2)
     assert outcome.results.read_bytes() == expected
 
 
@@ -265,14 +265,14 @@ def test_the_same_bytes_after_an_interruption(
 
     monkeypatch.setattr(runner, "_computed_here", here)
     with pytest.raises(Interrupted, match=r"3 of 8 cells done. The same command"):
-        sweep(tiny, tmp_path)
+        run_study(tiny, tmp_path)
     assert not Store(tmp_path).results.exists()
     assert Store(tmp_path).read().num_rows > 0
     damaged = Store(tmp_path).part(cells(tiny)[computed[1]])
     damaged.write_bytes(damaged.read_bytes()[:100])
     del computed[:]
     computed.extend([-1] * 4)  # never three again
-    outcome = sweep(tiny, tmp_path)
+    outcome = run_study(tiny, tmp_path)
     assert outcome.computed == 6
     assert outcome.results.read_bytes() == expected
 
@@ -285,18 +285,18 @@ def test_the_same_bytes_by_a_dask_cluster(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None,
         protocol="tcp", host="127.0.0.1",
     ) as cluster:  # fmt: skip
-        outcome = sweep(tiny, tmp_path / "tiny", scheduler=cluster.scheduler_address)
+        outcome = run_study(tiny, tmp_path / "tiny", scheduler=cluster.scheduler_address)
         assert outcome.results.read_bytes() == expected
         recipe, bytes_of_algebra = algebra
         cell_module._ground.cache_clear()
         with threadpool_limits(limits=1):
-            outcome = sweep(recipe, tmp_path / "algebra", scheduler=cluster.scheduler_address)
+            outcome = run_study(recipe, tmp_path / "algebra", scheduler=cluster.scheduler_address)
         assert outcome.results.read_bytes() == bytes_of_algebra
         with pytest.MonkeyPatch.context() as patch:
             here = identity() | {"numpy": "0.0"}
             patch.setattr("tailbeat.studies.montecarlo.runner.identity", _Once(here))
             with pytest.raises(InputError, match=r"has another numpy .* here 0.0"):
-                sweep(
+                run_study(
                     replace(tiny, seeds=4), tmp_path / "other", scheduler=cluster.scheduler_address
                 )
 
@@ -322,7 +322,7 @@ def test_a_worker_that_joins_later_must_be_alike(
         ) as cluster,
         pytest.raises(InputError, match=r"joined later has another scipy \(0.1; here"),
     ):  # fmt: skip
-        sweep(tiny, tmp_path, scheduler=cluster.scheduler_address)
+        run_study(tiny, tmp_path, scheduler=cluster.scheduler_address)
 
 
 class _Once:
@@ -349,7 +349,7 @@ def test_a_cluster_that_is_not_there(
     monkeypatch.setattr("tailbeat.studies.montecarlo.runner._ANSWER_S", 0.2)
     for address in ("tcp://127.0.0.1:1", "nonsense"):
         with pytest.raises(InputError, match="no Dask scheduler answers at"):
-            sweep(tiny, tmp_path, scheduler=address)
+            run_study(tiny, tmp_path, scheduler=address)
 
 
 def test_a_cluster_without_the_package(
@@ -357,7 +357,7 @@ def test_a_cluster_without_the_package(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"needs Dask.*tools/bootstrap cluster"):
-        sweep(tiny, tmp_path, scheduler="tcp://127.0.0.1:1")
+        run_study(tiny, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
 def test_a_folder_of_something_else_is_refused(tiny: Recipe, tmp_path: Path) -> None:
@@ -470,7 +470,7 @@ def test_a_reference_for_what_identification_knows() -> None:
 
 def test_a_beat_without_a_speed_has_the_usual_standard_deviation() -> None:
     speed = np.array([[0.1, np.nan]])
-    swum = learners.swims_of(Swims(speed, speed / 50, speed), np.ones((1, 2)), 1.0, 7)[0]
+    swum = learners.swims_of(BatchTrials(speed, speed / 50, speed), np.ones((1, 2)), 1.0, 7)[0]
     assert np.array_equal(swum.sigma_m_s, [0.002, SIGMA_M_S])
     assert swum.measured.tolist() == [True, False]
     assert (swum.beat_s, swum.reference_crc) == (1.0, 7)

@@ -15,7 +15,7 @@ from tailbeat.core.reference import thesis
 from tailbeat.sensors.camera.speed.line_fit import BeatFit
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.world import Wires
-from tailbeat.studies.montecarlo.batch import Shoal, Swims
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 
 Array = F64
 
@@ -31,7 +31,7 @@ def learned(fish: int, beats: int = BEATS, seed: int = 1) -> Array:
     return 0.22 + 0.33 * rise + noise
 
 
-def same(one: Swims, other: Swims) -> bool:
+def same(one: BatchTrials, other: BatchTrials) -> bool:
     return (
         one.true_m_s.tobytes() == other.true_m_s.tobytes()
         and one.speed_m_s.tobytes() == other.speed_m_s.tobytes()
@@ -41,7 +41,7 @@ def same(one: Swims, other: Swims) -> bool:
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_true_beats_of_the_whole_simulator(seed: int) -> None:
-    shoal = Shoal("tank", [{"seed": seed}])
+    batch = FishBatch("tank", [{"seed": seed}])
     with Fish.connect("sim:tank", seed=seed) as fish:
         assert fish.sim is not None
         fish.params.set("DU_MAX_RAD", 0)
@@ -49,7 +49,7 @@ def test_true_beats_of_the_whole_simulator(seed: int) -> None:
         for number in (1, 2):
             outcome = run_trial(fish)
             done = np.array([[beat.amplitude_rad for beat in outcome.beats]])
-            swum = shoal.swim(done, number)
+            swum = batch.run(done, number)
             np.testing.assert_allclose(
                 swum.true_m_s[0],
                 fish.sim.world.true_beats(),
@@ -86,7 +86,7 @@ def world_speeds(seed: int, amplitude: Array, **others: float) -> Array:
 def test_measured_as_beatfit_does(lost: float) -> None:
     others = {"camera_noise_m": 0.002, "camera_lost": lost}
     amplitude = learned(3, beats=20)
-    swum = Shoal("tank", [{"seed": seed, **others} for seed in (1, 2, 3)]).swim(amplitude, 1)
+    swum = FishBatch("tank", [{"seed": seed, **others} for seed in (1, 2, 3)]).run(amplitude, 1)
     fitted = np.array([world_speeds(i + 1, amplitude[i], **others) for i in range(3)])
     both = np.isfinite(fitted)  # BeatFit wants the pictures at both ends, too
     assert both.mean() > (0.6 if lost else 0.99)
@@ -96,7 +96,7 @@ def test_measured_as_beatfit_does(lost: float) -> None:
 
 def test_sigma_says_how_far_off_a_speed_is() -> None:
     fish = [{**QUIET, "camera_noise_m": 0.005, "seed": seed} for seed in range(200)]
-    swum = Shoal("tank", fish).swim(np.repeat(learned(1), 200, axis=0), 1)
+    swum = FishBatch("tank", fish).run(np.repeat(learned(1), 200, axis=0), 1)
     error = swum.speed_m_s - swum.true_m_s
     spread = error.std(axis=0).mean()
     times = (np.arange(26) - 12.5) / 25
@@ -106,22 +106,22 @@ def test_sigma_says_how_far_off_a_speed_is() -> None:
 
 
 def test_learned_beats_are_measured_without_bias() -> None:
-    shoal = Shoal("tank", [{**QUIET, "kappa_per_m": kappa} for kappa in (5, 10, 20)])
+    batch = FishBatch("tank", [{**QUIET, "kappa_per_m": kappa} for kappa in (5, 10, 20)])
     wanted = thesis().speed_m_s.astype(np.float64)
     amplitude = np.clip(0.197 + wanted / 0.219, 0, math.pi / 4)
-    swum = shoal.swim(np.repeat(amplitude[None, :], 3, axis=0), 1)
+    swum = batch.run(np.repeat(amplitude[None, :], 3, axis=0), 1)
     assert np.abs(swum.speed_m_s - swum.true_m_s).max() < 4e-4
 
 
 def test_seed_and_number_key_the_noise() -> None:
     amplitude = learned(2)
-    first = Shoal("tank", [{"seed": 1}, {"seed": 2}])
-    again = first.swim(amplitude, 1)
-    assert same(again, Shoal("tank", [{"seed": 1}, {"seed": 2}]).swim(amplitude, 1))
-    assert not same(again, first.swim(amplitude, 2))
-    each = first.swim(amplitude, np.array([1, 2], dtype=np.uint32))
+    first = FishBatch("tank", [{"seed": 1}, {"seed": 2}])
+    again = first.run(amplitude, 1)
+    assert same(again, FishBatch("tank", [{"seed": 1}, {"seed": 2}]).run(amplitude, 1))
+    assert not same(again, first.run(amplitude, 2))
+    each = first.run(amplitude, np.array([1, 2], dtype=np.uint32))
     assert each.true_m_s[0].tobytes() == again.true_m_s[0].tobytes()
-    assert each.true_m_s[1].tobytes() == first.swim(amplitude, 2).true_m_s[1].tobytes()
+    assert each.true_m_s[1].tobytes() == first.run(amplitude, 2).true_m_s[1].tobytes()
 
 
 def test_a_fish_does_not_feel_its_neighbours() -> None:
@@ -131,9 +131,9 @@ def test_a_fish_does_not_feel_its_neighbours() -> None:
         for seed in range(37)
     ]
     amplitude = learned(37)
-    together = Shoal("tank", fish).swim(amplitude, 3)
+    together = FishBatch("tank", fish).run(amplitude, 3)
     for i in (0, 20, 36):
-        alone = Shoal("tank", [fish[i]]).swim(amplitude[i : i + 1], 3)
+        alone = FishBatch("tank", [fish[i]]).run(amplitude[i : i + 1], 3)
         assert alone.true_m_s[0].tobytes() == together.true_m_s[i].tobytes()
         assert alone.speed_m_s[0].tobytes() == together.speed_m_s[i].tobytes()
         assert alone.sigma_m_s[0].tobytes() == together.sigma_m_s[i].tobytes()
@@ -141,14 +141,14 @@ def test_a_fish_does_not_feel_its_neighbours() -> None:
 
 @pytest.mark.parametrize("plant", ["tank", "thesis"])
 def test_quiet_fish_swim_as_the_plant_alone(plant: str) -> None:
-    shoal = Shoal(plant, [QUIET, {**QUIET, "map_bend_m_s_rad2": 0.1}])
+    batch = FishBatch(plant, [QUIET, {**QUIET, "map_bend_m_s_rad2": 0.1}])
     amplitude = learned(2)
-    swum = shoal.swim(amplitude, 1)
+    swum = batch.run(amplitude, 1)
     for i in range(2):
         alone = np.empty(BEATS)
         row = np.ascontiguousarray(amplitude[i])
         assert lib.sim_plant_beats(
-            shoal.config(i),
+            batch.config(i),
             ffi.from_buffer("double[]", row),
             BEATS,
             1.0,
@@ -158,8 +158,8 @@ def test_quiet_fish_swim_as_the_plant_alone(plant: str) -> None:
             swum.true_m_s[i], alone, rtol=0, atol=0 if plant == "tank" else 1e-9
         )
     bend_felt = not np.array_equal(
-        shoal.swim(amplitude[:1].repeat(2, 0), 1).true_m_s[0],
-        shoal.swim(amplitude[:1].repeat(2, 0), 1).true_m_s[1],
+        batch.run(amplitude[:1].repeat(2, 0), 1).true_m_s[0],
+        batch.run(amplitude[:1].repeat(2, 0), 1).true_m_s[1],
     )
     assert bend_felt == (plant == "tank")
 
@@ -173,8 +173,8 @@ def test_what_makes_no_sense_is_refused() -> None:
         ("tank", {"seed": 0.5}),
     ):
         with pytest.raises(InputError):
-            Shoal(plant, [settings])
-    shoal = Shoal("tank", [{}, {}])
+            FishBatch(plant, [settings])
+    batch = FishBatch("tank", [{}, {}])
     for amplitude, beat_s in (
         (learned(3), 1.0),
         (learned(2)[0], 1.0),
@@ -182,8 +182,8 @@ def test_what_makes_no_sense_is_refused() -> None:
         (np.full((2, 3), np.nan), 1.0),
     ):
         with pytest.raises(InputError):
-            shoal.swim(amplitude, 1, beat_s)
+            batch.run(amplitude, 1, beat_s)
 
 
-def test_no_fish_is_a_shoal_too() -> None:
-    assert Shoal("tank", []).swim(np.empty((0, BEATS)), 1).true_m_s.shape == (0, BEATS)
+def test_no_fish_is_a_batch_too() -> None:
+    assert FishBatch("tank", []).run(np.empty((0, BEATS)), 1).true_m_s.shape == (0, BEATS)
