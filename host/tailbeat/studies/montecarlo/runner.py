@@ -11,22 +11,30 @@ shared between the machines.
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.extras import need
-from tailbeat.core.parallel import cores_here, deaf_children, one_thread, terminate
+from tailbeat.core.lazy import LazyModule
+from tailbeat.core.parallel import cores_here, one_thread
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import Recipe
 from tailbeat.studies.montecarlo.results import Store, identity, to_bytes
+from tailbeat.studies.pool import each_result
 
+
+def _dask() -> ModuleType:
+    found: ModuleType = need(
+        "distributed", "cluster", "Computing on a cluster needs Dask (distributed)"
+    )
+    return found
+
+
+distributed = LazyModule("distributed", _dask)
 Progress = Callable[[int, int], None]  # cells done, cells in all
 Finished = Iterator[tuple[Cell, bytes]]
 
@@ -89,56 +97,20 @@ def _computed(
     if not missing:
         return
     if scheduler is not None:
-        pass
-
         yield from computed_by(scheduler, recipe, missing)
         return
     yield from _computed_here(recipe, missing, cores or cores_here())
 
 
 def _computed_here(recipe: Recipe, missing: list[Cell], cores: int) -> Finished:
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        min(cores, len(missing)), multiprocessing.get_context("spawn"), _begin_worker
+    by_index = {cell.index: cell for cell in missing}
+    died = InputError(
+        "a process that computed cells has died.",
+        "It may have run out of memory: give fewer --cores. The same command goes on.",
     )
-    queue = iter(missing)
-    running: dict[Future[bytes], Cell] = {}
-    finished = False
-    try:
-        with deaf_children():
-            _fill(pool, recipe, queue, running, 2 * cores)
-        while running:
-            ready, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in sorted(ready, key=lambda one: running[one].index):
-                cell = running.pop(future)
-                yield cell, future.result()
-            _fill(pool, recipe, queue, running, 2 * cores)
-        finished = True
-    except BrokenProcessPool as error:
-        raise InputError(
-            "a process that computed cells has died.",
-            "It may have run out of memory: give fewer --cores. The same command goes on.",
-        ) from error
-    finally:
-        if not finished:
-            terminate(pool, set(multiprocessing.active_children()) - before)
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _fill(
-    pool: ProcessPoolExecutor,
-    recipe: Recipe,
-    queue: Iterator[Cell],
-    running: dict[Future[bytes], Cell],
-    most: int,
-) -> None:
-    """Keeps some cells waiting, and not all of them: what is queued has to be cancelled."""
-    while len(running) < most and (cell := next(queue, None)) is not None:
-        running[pool.submit(compute, recipe, cell)] = cell
-
-
-def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tasks = ((cell.index, (recipe, cell)) for cell in missing)
+    for index, data in each_result(compute, tasks, min(cores, len(missing)), died):
+        yield by_index[index], data
 
 
 _ANSWER_S = 10
@@ -156,7 +128,6 @@ def computed_by(scheduler: str, recipe: Recipe, missing: list[Cell]) -> Finished
 
 
 def _connect(scheduler: str) -> Any:
-    distributed = need("distributed", "cluster", "Computing on a cluster needs Dask (distributed)")
     try:
         return distributed.Client(scheduler, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
@@ -202,9 +173,6 @@ def _check_workers(client: Any, scheduler: str) -> None:
 
 
 def _gather(client: Any, recipe: Recipe, missing: list[Cell]) -> Finished:
-    import distributed
-
-    as_completed: Any = distributed.as_completed
     by_key = {f"tailbeat-{recipe.crc}-{cell.index}": cell for cell in missing}
     here = identity()
     futures = [
@@ -212,7 +180,7 @@ def _gather(client: Any, recipe: Recipe, missing: list[Cell]) -> Finished:
         for key, cell in by_key.items()
     ]
     try:
-        for future in as_completed(futures, loop=client.loop):
+        for future in distributed.as_completed(futures, loop=client.loop):
             yield by_key[future.key], future.result()
             future.release()
     finally:

@@ -9,11 +9,7 @@ from __future__ import annotations
 
 import importlib
 import math
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -25,7 +21,8 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.parallel import deaf_children, one_thread, terminate
+from tailbeat.core.parallel import one_thread
+from tailbeat.studies.pool import CONTEXT, each_result
 from tailbeat.studies.thesis import options as lengths
 from tailbeat.studies.thesis.example import Claim, Example, ExampleOptions, ExampleRun, Figure
 from tailbeat.studies.thesis.options import ITERATIONS_MAX, M_MAX, expression
@@ -295,9 +292,24 @@ def run_many(
     show = progress or (lambda done: None)
     if cores <= 1 or len(orders) <= 1:
         return _here(orders, weights, show)
-    found: dict[int, Result] = {}
-    for index, result in _in_processes(orders, weights, min(cores, len(orders)), show):
-        found[index] = result
+    parts = CONTEXT.Array("d", len(orders), lock=False)
+    died = InputError(
+        "a process that computed examples has died.",
+        "It may have run out of memory: give fewer --cores.",
+    )
+    total = math.fsum(weights)
+    found = dict(
+        each_result(
+            _work,
+            ((i, (i, orders[i])) for i in sorted(range(len(orders)), key=lambda i: -weights[i])),
+            min(cores, len(orders)),
+            died,
+            begin=_begin_worker,
+            shared=(parts,),
+            poll_s=_POLL_S,
+            polled=lambda: show(sum(w * p for w, p in zip(weights, parts, strict=True)) / total),
+        )
+    )
     return [found[index] for index in range(len(orders))]
 
 
@@ -322,7 +334,6 @@ _shared_parts: Any = None  # of a worker: how much of each order is done
 def _begin_worker(parts: Any) -> None:
     global _shared_parts
     _shared_parts = parts
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _work(index: int, order: Order) -> Result:
@@ -330,34 +341,3 @@ def _work(index: int, order: Order) -> Result:
         _shared_parts[index] = part
 
     return compute(order, tick)
-
-
-def _in_processes(
-    orders: Sequence[Order], weights: Sequence[float], cores: int, show: Show
-) -> Iterator[tuple[int, Result]]:
-    before = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    parts = context.Array("d", len(orders), lock=False)
-    pool = ProcessPoolExecutor(cores, context, _begin_worker, (parts,))
-    running: dict[Future[Result], int] = {}
-    total, finished = math.fsum(weights), False
-    try:
-        with deaf_children():
-            for index in sorted(range(len(orders)), key=lambda one: (-weights[one], one)):
-                running[pool.submit(_work, index, orders[index])] = index
-        while running:
-            ready, _ = wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            for future in sorted(ready, key=lambda one: running[one]):
-                index = running.pop(future)
-                yield index, future.result()
-            show(sum(w * p for w, p in zip(weights, parts, strict=True)) / total)
-        finished = True
-    except BrokenProcessPool as error:
-        raise InputError(
-            "a process that computed examples has died.",
-            "It may have run out of memory: give fewer --cores.",
-        ) from error
-    finally:
-        if not finished:
-            terminate(pool, set(multiprocessing.active_children()) - before)
-        pool.shutdown(wait=True, cancel_futures=True)

@@ -346,13 +346,14 @@ def test_ctrl_c_ends_all_of_it_with_one_line(stubs: Path) -> None:
     """Pressed when the first example is done and another goes on for ever."""
     done = script(stubs, """
         thesis_stubs.EXAMPLES = thesis_stubs.SLOW
-        really = study.wait
+        from tailbeat.studies import pool
+        really = pool.wait
         def wait(running, **how):
             ready = really(running, **how)
             if ready[0]:
                 os.killpg(0, signal.SIGINT)
             return ready
-        study.wait = wait
+        pool.wait = wait
         """)  # fmt: skip
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "tailbeat: stopped; nothing is kept. Run it again.\n"

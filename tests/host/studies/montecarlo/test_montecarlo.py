@@ -22,6 +22,7 @@ from tailbeat.app.cli import run
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
+from tailbeat.core.lazy import LazyModule
 from tailbeat.core.parallel import terminate
 from tailbeat.core.reference import from_text
 from tailbeat.learning.fish_model import SIGMA_M_S
@@ -356,6 +357,7 @@ def test_a_cluster_without_the_package(
     tiny: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.setattr(runner, "distributed", LazyModule("distributed", runner._dask))
     with pytest.raises(InputError, match=r"needs Dask.*tools/bootstrap cluster"):
         run_study(tiny, tmp_path, scheduler="tcp://127.0.0.1:1")
 
