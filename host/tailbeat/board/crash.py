@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from tailbeat.board.flash.programs import build_id_of, require_program, run_program
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 
@@ -82,8 +83,6 @@ def places(report: CrashReport, elf: Path) -> list[str]:
 
     Raises InputError when ``elf`` is of another build or the program that looks it up is missing.
     """
-    from tailbeat.board.flash.image import build_id_of
-    from tailbeat.board.flash.tools import require_program, run_program
 
     build_id = build_id_of(elf)
     if build_id != report.build_id:

@@ -19,7 +19,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.flash.backup import key_warning
 from tailbeat.board.flash.ports import BoardPort
 from tailbeat.board.flash.procedure import FlashError, FlashPlan, FlashReport, Surroundings, flash
-from tailbeat.board.flash.tools import Outcome, run_program
+from tailbeat.board.flash.programs import ProgramResult, run_program
 from tailbeat.board.provision import HELD, OPEN, set_key, trust_of
 from tailbeat.board.snapshot import Snapshot, restore
 from tailbeat.core import records
@@ -891,7 +891,7 @@ def test_an_image_that_does_not_start(due: Due, image: Path) -> None:
 def test_one_call_to_bossac_would_not_boot(due: Due, image: Path) -> None:
     """The trap that the two calls avoid: the fake behaves as bossac 1.9 does."""
 
-    def in_one_call(command: Sequence[str], timeout_s: float) -> Outcome:
+    def in_one_call(command: Sequence[str], timeout_s: float) -> ProgramResult:
         joined = [*command[:-1], "-R", command[-1]] if "-b" in command else command
         return run_program(joined, timeout_s)
 
@@ -933,7 +933,7 @@ def test_the_loader_does_not_appear(due: Due, image: Path) -> None:
 
 @pytest.mark.usefixtures("taught")
 def test_ctrl_c_half_way(due: Due, image: Path) -> None:
-    def interrupted(command: Sequence[str], timeout_s: float) -> Outcome:
+    def interrupted(command: Sequence[str], timeout_s: float) -> ProgramResult:
         raise KeyboardInterrupt
 
     error = broken(due, image, due.around(run=interrupted))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.board.flash.image import Image
+from tailbeat.board.flash.programs import Image
 from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core import native
 from tailbeat.core.errors import InputError

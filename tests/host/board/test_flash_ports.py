@@ -23,7 +23,7 @@ from tailbeat.board.flash import ports
 from tailbeat.board.flash.backup import back_up
 from tailbeat.board.flash.ports import BoardPort
 from tailbeat.board.flash.procedure import FlashPlan, Surroundings, flash
-from tailbeat.board.flash.tools import Outcome, run_program
+from tailbeat.board.flash.programs import ProgramResult, run_program
 from tailbeat.board.snapshot import restore
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, InputError
@@ -349,9 +349,9 @@ def test_the_whole_procedure_over_a_serial_line(console: Console, tmp_path: Path
     image.write_bytes(struct.pack("<II", 0x20088000, 0x80101) + bytes(512) + marked)
     calls: list[Sequence[str]] = []
 
-    def bossac(command: Sequence[str], timeout_s: float) -> Outcome:
+    def bossac(command: Sequence[str], timeout_s: float) -> ProgramResult:
         calls.append(command[3:])
-        return Outcome(0, "")
+        return ProgramResult(0, "")
 
     around = Surroundings(
         enumerate_ports=lambda: [listed(console.path, PortKind.PROGRAMMING)],

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tailbeat.board.fish import Fish
-from tailbeat.board.flash import bossac, openocd, ports
+from tailbeat.board.flash import ports, programs
 from tailbeat.board.flash.backup import (
     Backup,
     BackupPlaces,
@@ -22,17 +22,13 @@ from tailbeat.board.flash.backup import (
     key_warning,
     require_quiet,
 )
-from tailbeat.board.flash.image import Image
 from tailbeat.board.flash.ports import BoardPort, Enumerate
-from tailbeat.board.flash.tools import Run, require_program, run_program
+from tailbeat.board.flash.programs import BOSSAC, OPENOCD, Image, Run, require_program, run_program
 from tailbeat.board.snapshot import restore
 from tailbeat.core.errors import ConnectError, LinkLostError, NoBoardError, TailbeatError, reason
 from tailbeat.link.heard import Hearing
 from tailbeat.link.messages import BoardInfo
 from tailbeat.link.usb_ids import PortKind
-
-BOSSAC, OPENOCD = "bossac", "openocd"
-TOOLS = (BOSSAC, OPENOCD)
 
 _ERASED_S = 1.0  # ERASE and RESET pulses of the ATmega16U2 take 0.75 s
 _RETURN_S = 10.0  # for a USB device to leave and come back under another id
@@ -72,7 +68,7 @@ class FlashPlan:
     keep: bool = True
     places: BackupPlaces = field(default_factory=BackupPlaces)
     connect: str | None = None
-    adapter: str = openocd.ADAPTER
+    adapter: str = programs.ADAPTER
 
 
 @dataclass(frozen=True)
@@ -138,8 +134,7 @@ class _Flashing:
         self._around = around
         self._image = Image.load(plan.image)
         self._elf = self._image.elf() if plan.tool == OPENOCD else None
-        used = openocd if plan.tool == OPENOCD else bossac
-        around.require_program(used.PROGRAM, used.PACKAGE)
+        around.require_program(plan.tool, programs.PACKAGES[plan.tool])
         self._port = self._find_port()
         self._kept: Backup | None = None
         self._report = FlashReport(
@@ -238,7 +233,7 @@ class _Flashing:
         """Only a board that has nothing to lose may be silent: an erased one, whose boot loader
         answers, or one whose reset, by the opening of the port, starts no tailbeat."""
         port = self._port if self._plan.tool == BOSSAC else None
-        if port is not None and bossac.loader_answers(self._around.run, port):
+        if port is not None and programs.loader_answers(self._around.run, port):
             self._report.notes.append("the board was in its boot loader: there was nothing to save")
             return
         never_ran = isinstance(error, NoBoardError) and error.heard in _NOT_TAILBEAT
@@ -287,7 +282,7 @@ class _Flashing:
         """Waits until somebody has pressed the buttons, unless that is done already."""
         deadline = self._around.now_s() + _BY_HAND_S
         waits = False
-        while not bossac.loader_answers(self._around.run, port):
+        while not programs.loader_answers(self._around.run, port):
             if not waits:
                 self._tell(
                     f"{port.device} cannot erase the board. {_BY_HAND}"
@@ -304,16 +299,16 @@ class _Flashing:
     def _write(self, erase: Callable[[BoardPort], BoardPort]) -> None:
         if self._elf is not None:
             self._on_step(0.5, "writing over SWD")
-            openocd.write(self._around.run, self._elf, self._plan.adapter)
+            programs.write_by_openocd(self._around.run, self._elf, self._plan.adapter)
             return
         assert self._port is not None
         self._on_step(0.5, "erasing")
         loader = erase(self._port)
         self._on_step(0.55, "writing and verifying")
-        bossac.write(self._around.run, loader, self._image)
+        programs.write_by_bossac(self._around.run, loader, self._image)
         self._on_step(0.85, "starting")
         self._around.sleep(_BOOT_BIT_S)
-        bossac.start(self._around.run, loader)
+        programs.start_by_bossac(self._around.run, loader)
 
     def _erase(self, port: BoardPort) -> BoardPort:
         """The touch; then the port on which the boot loader waits."""
