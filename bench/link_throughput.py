@@ -20,7 +20,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.provision import set_key
 from tailbeat.core import records
 from tailbeat.link.ftp.wire import DATA_BYTES
-from tailbeat.link.impaired import BadLine, Corrupt, Drop, Fault, hc05
+from tailbeat.link.impaired import Corrupt, Drop, Fault, ImpairedLine, hc05
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CONSOLE, SimTransport
 from tailbeat.sim.native import SimBoard
@@ -107,7 +107,7 @@ def board_for(case: Case, flash: bytes) -> SimBoard:
 
 def pull(case: Case, flash: bytes, seed: int) -> float:
     """Bytes of the file per second."""
-    line = BadLine(SimTransport(board_for(case, flash)), case.faults(), case.faults(), seed)
+    line = ImpairedLine(SimTransport(board_for(case, flash)), case.faults(), case.faults(), seed)
     with Fish(line) as fish, tempfile.TemporaryDirectory() as folder:
         fish.link.run(2.0)
         assert (fish.link.signing.key is not None) == case.signed

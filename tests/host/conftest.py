@@ -14,7 +14,7 @@ import typer.main
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.link.impaired import BadLine, Corrupt, Drop, Duplicate, Fault
+from tailbeat.link.impaired import Corrupt, Drop, Duplicate, Fault, ImpairedLine
 from tailbeat.link.transport import Transport
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background job
@@ -26,7 +26,7 @@ typer.main.get_command = functools.cache(typer.main.get_command)
 FRAME_BYTES = 60  # of a usual one, for odds given per frame
 
 
-class BadRadio(BadLine):
+class BadRadio(ImpairedLine):
     """A line that loses, damages and repeats frames both ways, and shows what was sent."""
 
     def __init__(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tailbeat.core.trial_checks import Straightness
+from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.core.trial_file import Beats, Slots, Trial
 from tailbeat.experiment.analysis import Analysis, Band, TrialRow, with_noise
 
@@ -83,7 +83,7 @@ def row(swim: Trial, decision: str = "keep", **fields: Any) -> TrialRow:
         contraction=math.nan,
         learned=decision == "keep",
         rolled_back=False,
-        straight=Straightness(0.02, 0.1, 0.03, "imu"),
+        straight=HeadingDrift(0.02, 0.1, 0.03, "imu"),
         battery_start_v=8.1,
         battery_end_v=7.9,
         input="law",

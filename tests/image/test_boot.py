@@ -10,7 +10,7 @@ from tailbeat.board.connect import hear_board
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.errors import Refused
-from tailbeat.link.heard import Hearing
+from tailbeat.link.transport import Hearing
 from tailbeat.sim.board import CONSOLE, RADIO, SimTransport
 from tailbeat.sim.emulated import EmulatedBoard
 from vboard.core.clock import TICKS_PER_US

@@ -11,7 +11,7 @@ import pytest
 from tailbeat.app.demo import same_bits
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.link.impaired import BadLine, Corrupt, Drop, Fault
+from tailbeat.link.impaired import Corrupt, Drop, Fault, ImpairedLine
 from tailbeat.session.dry_run import dry_run
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
@@ -29,7 +29,7 @@ def faults() -> list[Fault]:
 
 
 def over_bad_line(board: EmulatedBoard) -> Fish:
-    return Fish(BadLine(SimTransport(board), faults(), faults(), seed=3))
+    return Fish(ImpairedLine(SimTransport(board), faults(), faults(), seed=3))
 
 
 def test_a_file_goes_up_and_comes_down(new_board: NewBoard, tmp_path: Path) -> None:

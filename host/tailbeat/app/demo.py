@@ -189,7 +189,7 @@ class _Demo:
         presets.apply(fish, {**THESIS, **law})
         self.params = {name: p.value for name, p in fish.params.list().items()}
         self.law = laws.Law.from_params(self.params, self.reference.beat_s)
-        for problem in self.reference.check(reference.Limits.from_params(self.params)):
+        for problem in self.reference.check(reference.ReferenceLimits.from_params(self.params)):
             raise InputError(problem.meaning, problem.remedy)
         self.info = fish.info()
 

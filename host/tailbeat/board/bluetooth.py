@@ -48,7 +48,7 @@ _AT_MODE = (
 )
 
 
-class Line(Transport, Protocol):
+class ModuleLine(Transport, Protocol):
     """A serial port whose speed can be changed while it is open."""
 
     def set_baud(self, baud: int) -> None:
@@ -56,7 +56,7 @@ class Line(Transport, Protocol):
 
 
 @dataclass(frozen=True)
-class Settings:
+class ModuleSettings:
     """What a module is set to; None = it does not say. ``stop``: 0 = one stop bit; ``parity``: 0 =
     none."""
 
@@ -79,13 +79,13 @@ class SetupReport:
     module: str
     firmware: str | None
     at_baud: int
-    found: Settings
-    now: Settings
+    found: ModuleSettings
+    now: ModuleSettings
     changed: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
-class Reply:
+class ModuleReply:
     """Lines of an answer before OK; ``error``: why it was refused, in words; None when it was not.
     ``came``: anything came at all."""
 
@@ -99,7 +99,7 @@ class Reply:
         return next((m for line in self.lines if (m := re.fullmatch(pattern, line))), None)
 
 
-def setup(line: Line, name: str | None = None, pin: str | None = None) -> SetupReport:
+def setup(line: ModuleLine, name: str | None = None, pin: str | None = None) -> SetupReport:
     """Finds the module on ``line`` and brings it to 115200 baud 8N1, and to ``name`` and ``pin``
     when given. What is as wanted already is left alone. Raises ConnectError, InputError,
     TailbeatError."""
@@ -119,7 +119,7 @@ def setup(line: Line, name: str | None = None, pin: str | None = None) -> SetupR
 class _Asking:
     """Commands and answers, and all that was heard."""
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: ModuleLine) -> None:
         self.line = line
         self.heard = bytearray()
         self.sent = bytearray()
@@ -142,13 +142,13 @@ class _Asking:
             )
         return False
 
-    def ask(self, command: str, timeout_s: float = _REPLY_S) -> Reply:
+    def ask(self, command: str, timeout_s: float = _REPLY_S) -> ModuleReply:
         """A command of an HC-05 and its answer."""
         text, ended = self._exchange(f"{command}\r\n", timeout_s, _ended)
         lines = [part.strip() for part in text.splitlines()]
         said = [part for part in lines if part and part != "OK"]
         error = next((words for part in said if (words := _error(part)) is not None), None)
-        return Reply(said, ended and error is None, error, bool(text))
+        return ModuleReply(said, ended and error is None, error, bool(text))
 
     def plain(self, command: str) -> str:
         """A command of an HC-06 and its answer."""
@@ -229,18 +229,18 @@ class _Hc05:
                 return match[1]
         return None
 
-    def _read(self, name: bool, pin: bool) -> Settings:
+    def _read(self, name: bool, pin: bool) -> ModuleSettings:
         settings = self._uart()
         if name:
             settings = replace(settings, name=self._name())
         return replace(settings, pin=self._pin()) if pin else settings
 
-    def _uart(self) -> Settings:
+    def _uart(self) -> ModuleSettings:
         reply = self._asking.ask("AT+UART?")
         if match := reply.value(r"\+?UART:\s*(\d+),\s*(\d),\s*(\d)"):
             baud, stop, parity = map(int, match.groups())
-            return Settings(baud, stop, parity)
-        return Settings()
+            return ModuleSettings(baud, stop, parity)
+        return ModuleSettings()
 
     def _name(self) -> str | None:
         match = self._asking.ask("AT+NAME?").value(r"\+?NAME:\s*(.*)")
@@ -250,7 +250,7 @@ class _Hc05:
         match = self._asking.ask("AT+PSWD?").value(r"\+?(?:PSWD|PIN):\s*(.*)")
         return match[1].strip('"') if match else None
 
-    def _set_uart(self, before: Settings) -> Settings:
+    def _set_uart(self, before: ModuleSettings) -> ModuleSettings:
         reply = self._asking.ask(f"AT+UART={BAUD},0,0")
         if reply.error:
             raise TailbeatError(
@@ -289,7 +289,7 @@ class _Hc05:
 def _setup_hc06(asking: _Asking, baud: int, name: str | None, pin: str | None) -> SetupReport:
     """It tells neither name nor PIN, so those are written whenever they are given."""
     firmware = asking.plain("AT+VERSION").removeprefix("OK") or None
-    found = Settings(baud, 0, 0)
+    found = ModuleSettings(baud, 0, 0)
     now, changed = found, []
     if baud != BAUD:
         reply = asking.plain(f"AT+BAUD{_HC06_BAUD_CODE}")

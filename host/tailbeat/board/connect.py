@@ -8,13 +8,12 @@ from urllib.parse import parse_qsl
 
 from tailbeat.core.errors import ConnectError, InputError, NoBoardError, TailbeatError
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.heard import Hearing
-from tailbeat.link.impaired import BadLine, faults_of
+from tailbeat.link.impaired import ImpairedLine, faults_of
 from tailbeat.link.keystore import KeyStore
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Framer, Message
 from tailbeat.link.serial import SerialTransport, likely_ports
 from tailbeat.link.sockets import TcpTransport, UdpTransport
-from tailbeat.link.transport import Transport
+from tailbeat.link.transport import Hearing, Transport
 from tailbeat.sim.board import CONSOLE, RADIO, SimTransport
 from tailbeat.sim.config import DEFAULT_SEED
 from tailbeat.sim.native import SimBoard
@@ -197,7 +196,7 @@ def _behind(words: dict[str, str], transport: Transport, values: dict[str, float
     if "line" not in words:
         return transport
     up, down = faults_of(words["line"])
-    return BadLine(transport, up, down, int(values.get("seed", DEFAULT_SEED)))
+    return ImpairedLine(transport, up, down, int(values.get("seed", DEFAULT_SEED)))
 
 
 def _settings(query: str) -> tuple[dict[str, str], dict[str, float]]:

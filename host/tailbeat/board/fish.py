@@ -21,8 +21,15 @@ from tailbeat.board.crash import CrashReport
 from tailbeat.core import records
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import Refused, TransferError
-from tailbeat.core.faults import BAD_DATA, BAD_FILE, NO_REFERENCE, NO_TRIAL, WRONG_STATE, refusal
-from tailbeat.core.imu_problems import STARTING
+from tailbeat.core.faults import (
+    BAD_DATA,
+    BAD_FILE,
+    IMU_STARTING,
+    NO_REFERENCE,
+    NO_TRIAL,
+    WRONG_STATE,
+    refusal,
+)
 from tailbeat.core.records import Amplitudes, decode_reference
 from tailbeat.core.reference import Reference
 from tailbeat.link import _dialect as mavlink
@@ -172,7 +179,9 @@ class Fish:
         """The same once the board knows: a few seconds after its start, the IMU's, or a change of
         the IMU's parameters."""
         end_s = self.clock.now_s() + _IMU_VERDICT_S
-        while (info := self.imu_info()).problem.number == STARTING and self.clock.now_s() < end_s:
+        while (
+            info := self.imu_info()
+        ).problem.number == IMU_STARTING and self.clock.now_s() < end_s:
             self.link.run(_IMU_LOOK_S / self.clock.rate)
         return info
 

@@ -196,7 +196,7 @@ class Snapshot:
         return replace(found, params=with_current_names(found.params))
 
 
-class _Folder(decode.Table, forbid_unknown_fields=False):
+class _Folder(decode.StrictTable, forbid_unknown_fields=False):
     """``board.json``."""
 
     format: str
@@ -209,7 +209,7 @@ class _Folder(decode.Table, forbid_unknown_fields=False):
     signed: bool = False
 
 
-class _File(decode.Table, forbid_unknown_fields=False):
+class _File(decode.StrictTable, forbid_unknown_fields=False):
     """``state.json``."""
 
     format: str

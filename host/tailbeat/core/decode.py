@@ -36,7 +36,7 @@ _WORDS = {
 _AT = re.compile(r"(?s)(.*?)(?: - at `\$\.?(.*)`)?$")
 
 
-class Table(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+class StrictTable(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     """A table of keys and values, of which no others are known."""
 
 

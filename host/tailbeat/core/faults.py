@@ -1,4 +1,7 @@
-"""The board's fault table: numbers on the wire, words for people (supervisor/faults.def)."""
+"""The board's fault table: numbers on the wire, words for people (supervisor/faults.def).
+
+Why a VN-100 does not stream as wanted: the firmware's table of problems (imu/problems.def).
+"""
 
 from __future__ import annotations
 
@@ -91,3 +94,58 @@ def _row(row: int) -> FaultInfo:
 
 def _text(pointer: object) -> str:
     return str(ffi.string(pointer).decode())
+
+
+IMU_NONE = 0
+IMU_STARTING = 1
+IMU_SILENT = 2
+IMU_UNREADABLE = 3
+IMU_NOISY = 9
+IMU_NEEDS_SAVE = 10
+
+_IMU_PREFIX = "IMU_PROBLEM_"
+
+
+@dataclass(frozen=True)
+class ImuProblem:
+    """One row of the table."""
+
+    number: int
+    name: str
+    meaning: str
+    remedy: str
+
+    @property
+    def well(self) -> bool:
+        """Nothing is wrong."""
+        return self.number == IMU_NONE
+
+
+@cache
+def all_problems() -> tuple[ImuProblem, ...]:
+    """Every row, in rising order of number."""
+    rows = ffi.typeof("imu_problem_t").elements
+    return tuple(_row_imu_problems(number, rows[number]) for number in sorted(rows))
+
+
+@cache
+def problem_info(number: int) -> ImuProblem:
+    """The row of ``number``; a made-up row when the table has none (a newer firmware)."""
+    for problem in all_problems():
+        if problem.number == number:
+            return problem
+    return ImuProblem(
+        number,
+        f"PROBLEM_{number}",
+        f"the board gave IMU problem {number}, which this tool does not know",
+        "Tool and firmware differ in version; update the tool.",
+    )
+
+
+def _row_imu_problems(number: int, name: str) -> ImuProblem:
+    return ImuProblem(
+        number,
+        name.removeprefix(_IMU_PREFIX),
+        ffi.string(lib.imu_problem_meaning(number)).decode(),
+        ffi.string(lib.imu_problem_remedy(number)).decode(),
+    )

@@ -31,7 +31,7 @@ class Unseen:
 
 
 @dataclass(frozen=True, slots=True)
-class Afresh:
+class TrackReset:
     """For a guard: what was seen before counts no more, the fish may have been carried."""
 
 

@@ -93,7 +93,7 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Past:
+class Averaging:
     """What the board's law learns from: ``kind`` LAST, MEAN or WINDOW, the last ``window`` trials.
     ILC_KIND and ILC_WINDOW; firmware without them has the last trial alone."""
 
@@ -101,7 +101,7 @@ class Past:
     window: int = 3
 
     @classmethod
-    def from_params(cls, params: Mapping[str, float]) -> Past:
+    def from_params(cls, params: Mapping[str, float]) -> Averaging:
         """What the board learns from with these parameters."""
         return cls(int(params.get("ILC_KIND", cls.kind)), int(params.get("ILC_WINDOW", cls.window)))
 
@@ -302,7 +302,7 @@ def learn(
     measured: ArrayLike,
     complete: bool,
     rollback_ratio: float,
-    past: Past | None = None,
+    past: Averaging | None = None,
     earlier: Sequence[PastTrial] = (),
     beyond: int = 0,
 ) -> tuple[F32, LawReport, bool]:
@@ -327,7 +327,7 @@ def learn(
         fill_peaks(native.peaks, memory.peaks)
     report = call.ffi.new("memory_report_t *")
     rules = call.ffi.new("memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": beyond})
-    kept = _kept(call, past or Past(), earlier)
+    kept = _kept(call, past or Averaging(), earlier)
     call.check(call.lib.learn_past_add(kept, call.law, native, rules, call.scratch))
     call.check(
         call.lib.memory_learn(
@@ -339,7 +339,7 @@ def learn(
     return following[: call.beats].copy(), found, bool(report.rolled_back)
 
 
-def _kept(call: _Call, past: Past, earlier: Sequence[PastTrial]) -> Any:
+def _kept(call: _Call, past: Averaging, earlier: Sequence[PastTrial]) -> Any:
     """``earlier`` where the C code looks for them."""
     kept = call.ffi.new("learn_past_t *")
     if not call.lib.learn_past_begin(kept, past.kind, past.window):

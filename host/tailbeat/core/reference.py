@@ -30,7 +30,7 @@ _UNEVEN = 1e-3  # of a beat: what other programs may round off
 
 
 @dataclass(frozen=True)
-class Problem:
+class ReferenceProblem:
     """Why a reference cannot be swum, and what to do about it."""
 
     meaning: str
@@ -41,7 +41,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ReferenceLimits:
     """What the board and the tank allow; a tank of 0 m is not checked."""
 
     speed_max_m_s: float = 0.3
@@ -49,7 +49,7 @@ class Limits:
     fish_m: float = 0.36
 
     @classmethod
-    def from_params(cls, params: dict[str, float]) -> Limits:
+    def from_params(cls, params: dict[str, float]) -> ReferenceLimits:
         """The limits held in board parameters."""
         return cls(params["REF_MAX_M_S"], params["TANK_LEN_M"], params["FISH_LEN_M"])
 
@@ -80,11 +80,11 @@ class Reference:
         """Distance the reference covers, m."""
         return float(np.sum(self.speed_m_s, dtype=np.float64)) * self.beat_s
 
-    def check(self, limits: Limits) -> list[Problem]:
+    def check(self, limits: ReferenceLimits) -> list[ReferenceProblem]:
         """Everything that would make the board or the tank refuse this reference."""
         if not 1 <= self.beats <= BEATS_MAX:
             return [
-                Problem(
+                ReferenceProblem(
                     f"the reference has {self.beats} beats; 1 to {BEATS_MAX} fit on the board.",
                     "Shorten it.",
                 )
@@ -93,7 +93,7 @@ class Reference:
         need_m = self.travel_m + limits.fish_m
         if limits.tank_m > 0 and need_m > limits.tank_m:
             found.append(
-                Problem(
+                ReferenceProblem(
                     f"it travels {self.travel_m:.2f} m and the fish is {limits.fish_m:.2f} m long, "
                     f"but the tank has {limits.tank_m:.2f} m.",
                     "Shorten or slow it, or correct TANK_LEN_M (0 = not checked).",
@@ -122,15 +122,15 @@ class Reference:
                 out.writerow([beat, repr((beat + 0.5) * self.beat_s), repr(float(speed))])
 
 
-def _value_problems(speed: F32, limit: float) -> list[Problem]:
+def _value_problems(speed: F32, limit: float) -> list[ReferenceProblem]:
     found = []
     bad = np.flatnonzero(~np.isfinite(speed))
     if bad.size:
-        found.append(Problem(f"beat {bad[0]} has no finite speed.", "Fill the gap."))
+        found.append(ReferenceProblem(f"beat {bad[0]} has no finite speed.", "Fill the gap."))
     slow = np.flatnonzero(speed < 0)
     if slow.size:
         found.append(
-            Problem(
+            ReferenceProblem(
                 f"beat {slow[0]} wants {speed[slow[0]] * 1e3:.1f} mm/s.",
                 "The fish cannot swim backwards; use speeds of 0 or more.",
             )
@@ -138,7 +138,7 @@ def _value_problems(speed: F32, limit: float) -> list[Problem]:
     fast = np.flatnonzero(speed > np.float32(limit))
     if fast.size:
         found.append(
-            Problem(
+            ReferenceProblem(
                 f"beat {fast[0]} wants {speed[fast[0]] * 1e3:.1f} mm/s; "
                 f"the board allows {limit * 1e3:.1f}.",
                 "Slow it down, or raise REF_MAX_M_S if the fish can do it.",

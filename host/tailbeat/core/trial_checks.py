@@ -1,4 +1,6 @@
-"""Whether the fish swam straight.
+"""Which trials are judged and which is the best, by the board's own code (firmware/ilc/judge.h).
+
+Whether the fish swam straight.
 
 Which beats of a series no trial has corrected yet: the board's counts, in words.
 """
@@ -6,18 +8,71 @@ Which beats of a series no trial has corrected yet: the board's counts, in words
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.core.arrays import F64
+from tailbeat.core.arrays import F32, F64
+from tailbeat.core.native import ffi, lib
 
 if TYPE_CHECKING:
     from tailbeat.core.frames import Frame
     from tailbeat.core.trial_file import Trial
+
+
+def counts(error_m_s: F32, complete: bool) -> bool:
+    """Whether a trial is judged.
+
+    Parameters
+    ----------
+    error_m_s : shape (beats,), NaN = not measured.
+    complete : whether it was executed to its end.
+    """
+    return bool(lib.judge_counts(_Native(error_m_s).trial, complete))
+
+
+def best_at(errors: Iterable[F32]) -> int | None:
+    """Index of the best of trials that are judged, in the order they were executed; None = there
+    are none. Their errors as for ``counts``."""
+    best: int | None = None
+    best_m_s = 0.0
+    peaks = ffi.new("judge_peaks_t *")
+    for at, error_m_s in enumerate(errors):
+        native = _Native(error_m_s)
+        if best is None or lib.judge_is_better(peaks, best_m_s, native.trial):
+            best, best_m_s = at, max_abs(error_m_s)
+            lib.judge_keep(peaks, native.trial)
+    return best
+
+
+def on_common_beats(one_m_s: F32, other_m_s: F32) -> tuple[float, float]:
+    """max|e| of two trials on the beats that both measured; NaN when there are none."""
+    common = np.isfinite(one_m_s) & np.isfinite(other_m_s)
+    return max_abs(one_m_s[common]), max_abs(other_m_s[common])
+
+
+def max_abs(error_m_s: F32) -> float:
+    """Over the measured beats; NaN when there are none."""
+    known = np.abs(error_m_s[np.isfinite(error_m_s)])
+    return float(known.max()) if known.size else float("nan")
+
+
+class _Native:
+    """A trial as the C code takes it. Its arrays live as long as this."""
+
+    def __init__(self, error_m_s: F32) -> None:
+        self._error = np.ascontiguousarray(error_m_s, dtype=np.float32)
+        self._measured = np.isfinite(self._error).view(np.uint8)
+        self.trial: Any = ffi.new("law_trial_t *")
+        self.trial.beats = self._error.size
+        self._held = (
+            ffi.from_buffer("float[]", self._error),
+            ffi.from_buffer("uint8_t[]", self._measured),
+        )
+        self.trial.error_m_s, self.trial.measured = self._held
 
 
 CROOKED_RAD = math.radians(15.0)
@@ -35,7 +90,7 @@ _SIGMA_MIN_RAD = 1e-3  # of a beat's mean heading
 
 
 @dataclass(frozen=True)
-class Straightness:
+class HeadingDrift:
     """Headings are means over whole beats, against the direction in which the swim began, positive
     clockwise from above. ``mean_yaw_rad``: over the swim; ``worst_yaw_rad``: the farthest off, with
     its sign; ``curvature_1_m``: turn per metre swum, NaN when it hardly moved. ``source``: ``imu``
@@ -65,7 +120,7 @@ class Straightness:
 
 
 @dataclass(frozen=True)
-class Course:
+class HeadingTrace:
     """Mean heading of each beat against the first known one, NaN = not known; ``way_m``: how far it
     had come by the middle of each beat, NaN = not known."""
 
@@ -92,12 +147,12 @@ class Course:
         scatter = math.sqrt(math.fsum(left * left) / (len(way) - 2))
         return slope, max(scatter, _SIGMA_MIN_RAD) / math.sqrt(squares)
 
-    def straightness(self, source: str) -> Straightness | None:
+    def straightness(self, source: str) -> HeadingDrift | None:
         """None when too little is known."""
         if not self.known:
             return None
         headings = self.heading_rad[np.isfinite(self.heading_rad)]
-        return Straightness(
+        return HeadingDrift(
             mean_yaw_rad=_mean(headings),
             worst_yaw_rad=float(headings[np.argmax(np.abs(headings))]),
             curvature_1_m=self.turn_rad_m()[0],
@@ -110,22 +165,22 @@ def _mean(values: F64) -> float:
     return math.fsum(values) / len(values)
 
 
-def straightness(trial: Trial) -> Straightness | None:
+def heading_drift(trial: Trial) -> HeadingDrift | None:
     """By the turns its IMU felt; None when they are not in the file, or mean nothing because the
     fish had hardly rested before."""
-    course = course_of(trial)
+    course = heading_trace(trial)
     return None if course is None else course.straightness("imu")
 
 
-def straightness_of_frames(
+def heading_drift_of_frames(
     frames: Sequence[Frame], begin_s: float, beats: int, beat_s: float
-) -> Straightness | None:
+) -> HeadingDrift | None:
     """By what a camera saw from ``begin_s`` on (the clock of the frames); None when it saw too
     little (fewer than half of the beats)."""
-    return course_of_frames(frames, begin_s, beats, beat_s).straightness("camera")
+    return heading_trace_of_frames(frames, begin_s, beats, beat_s).straightness("camera")
 
 
-def course_of(trial: Trial) -> Course | None:
+def heading_trace(trial: Trial) -> HeadingTrace | None:
     """By the IMU; the way by the beats' speeds. None as for ``straightness``."""
     swim_s = trial.executed_beats * trial.beat_s
     drift_rad = imu_drift_rad_s(trial) * swim_s
@@ -133,12 +188,12 @@ def course_of(trial: Trial) -> Course | None:
     if heading is None:
         return None
     speed = trial.beats.speed_m_s[: len(heading)].astype(np.float64)
-    return Course(heading - heading[0], _way(speed, trial.beat_s))
+    return HeadingTrace(heading - heading[0], _way(speed, trial.beat_s))
 
 
-def with_way(course: Course, speed_m_s: F64, beat_s: float) -> Course:
+def with_way(course: HeadingTrace, speed_m_s: F64, beat_s: float) -> HeadingTrace:
     """The same with the way by other speeds: of a trial whose own are not known yet."""
-    return Course(course.heading_rad, _way(speed_m_s[: len(course.heading_rad)], beat_s))
+    return HeadingTrace(course.heading_rad, _way(speed_m_s[: len(course.heading_rad)], beat_s))
 
 
 def imu_drift_rad_s(trial: Trial) -> float:
@@ -198,7 +253,9 @@ def _whole(turn_rad: F64, beat_slots: float) -> F64:
     return filled
 
 
-def course_of_frames(frames: Sequence[Frame], begin_s: float, beats: int, beat_s: float) -> Course:
+def heading_trace_of_frames(
+    frames: Sequence[Frame], begin_s: float, beats: int, beat_s: float
+) -> HeadingTrace:
     """By a camera; a beat that it saw too little of is not known."""
     t = (np.array([f.t_s for f in frames]) - begin_s) / beat_s
     xy = np.array([(f.x_m, f.y_m) for f in frames]).reshape(-1, 2)
@@ -218,7 +275,7 @@ def course_of_frames(frames: Sequence[Frame], begin_s: float, beats: int, beat_s
         heading -= heading[known[0]]
         steps = np.hypot(*np.diff(place[known], axis=0).T) if len(known) > 1 else np.empty(0)
         way[known] = np.concatenate([[0.0], np.cumsum(steps)])
-    return Course(heading, way)
+    return HeadingTrace(heading, way)
 
 
 def _without_sway(t_beats: F64, heading_rad: F64) -> float:

@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import canonical, plain, write_whole
-from tailbeat.core.judge import on_common_beats
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
-from tailbeat.core.trial_checks import Straightness, straightness
+from tailbeat.core.trial_checks import HeadingDrift, heading_drift, on_common_beats
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import JUDGING
 from tailbeat.experiment.journal import Told, told_of
@@ -81,7 +80,7 @@ class TrialRow:
     contraction: float
     learned: bool
     rolled_back: bool
-    straight: Straightness | None
+    straight: HeadingDrift | None
     battery_start_v: float
     battery_end_v: float
     input: str
@@ -453,7 +452,7 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         contraction=math.nan,
         learned=bool(told.learned),
         rolled_back=told.rolled_back,
-        straight=straightness(trial),
+        straight=heading_drift(trial),
         battery_start_v=volts[0] if told.battery_start_v is None else told.battery_start_v,
         battery_end_v=volts[-1],
         input=trial.input,

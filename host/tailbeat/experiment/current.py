@@ -182,13 +182,15 @@ def make(
     """As ``begin``, of a reference that the board may get later. ``words``: what else is to be set:
     operator, configuration. Raises InputError when the board is not as it was set last."""
     pass
-    from tailbeat.core.law import Law, Past
+    from tailbeat.core.law import Averaging, Law
 
     require_as_set(fish)
     info = fish.info()
     params = board_params(fish)
     note_board(fish, params)
-    label = Past.from_params(params).label() + Law.from_params(params, reference.beat_s).label()
+    label = (
+        Averaging.from_params(params).label() + Law.from_params(params, reference.beat_s).label()
+    )
     experiment = Experiment.new(root, name or info.board, reference.name, label)
     settings: dict[str, Any] = {
         "simulated": info.simulated,

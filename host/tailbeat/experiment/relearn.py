@@ -221,7 +221,7 @@ class _Board:
                     yield restored
 
     def _learn(self, trial: Trial, params: Mapping[str, float], forget: bool) -> None:
-        law, looks = laws.Law.from_params(params, self.beat_s), laws.Past.from_params(params)
+        law, looks = laws.Law.from_params(params, self.beat_s), laws.Averaging.from_params(params)
         if forget or (self.past.kind, self.past.window) != (looks.kind, looks.window):
             lib.learn_past_begin(self.past, looks.kind, looks.window)
         error, measured = laws.errors_of(self.reference_m_s, trial.beats.speed_m_s)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tailbeat.core import judge as judging
+from tailbeat.core import trial_checks as judging
 from tailbeat.core.arrays import F32, F64
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replacing_text
-from tailbeat.core.reference import Limits, Reference, curve
+from tailbeat.core.reference import Reference, ReferenceLimits, curve
 from tailbeat.learning.error_bound import NEGLIGIBLE_M_S, lsq_max_abs_m_s
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
@@ -85,14 +85,14 @@ def suggest(
     fish: FishModel | Identified,
     reference: Reference,
     amplitude_max_rad: float,
-    limits: Limits | None = None,
+    limits: ReferenceLimits | None = None,
 ) -> Suggestion:
     """The nearest feasible reference; deterministic, some 0.1 s.
 
     As long as the one asked for, unless the tank is too short: then beats are taken out of the
     cruise. Raises InputError when the fish has no thrust at ``amplitude_max_rad``.
     """
-    limits = limits or Limits()
+    limits = limits or ReferenceLimits()
     judges = _judges(fish)
     reach = _reach(judges, amplitude_max_rad)
     best: Suggestion | None = None
@@ -141,7 +141,7 @@ def _reach(models: list[FishModel], amplitude_max_rad: float) -> _Reach:
     )
 
 
-def _fitted(reference: Reference, reach: _Reach, limits: Limits) -> tuple[F64, F64]:
+def _fitted(reference: Reference, reach: _Reach, limits: ReferenceLimits) -> tuple[F64, F64]:
     """The curve (t_s, v_m_s), shortened until it fits into the tank."""
     top = min(limits.speed_max_m_s, reach.steady_max_m_s)
     wanted = np.minimum(reference.speed_m_s.astype(np.float64), top)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError
-from tailbeat.core.trial_checks import straightness
+from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import Kept
 from tailbeat.learning.convergence import (
@@ -133,7 +133,7 @@ def _with_saturation(verdict: Verdict, saturation: Saturation | None) -> Verdict
 
 def _crooked(series: Sequence[Trial]) -> list[str]:
     """A line for each trial that was not swum straight: its errors are not of the wanted way."""
-    found = [(trial.number, straightness(trial)) for trial in series]
+    found = [(trial.number, heading_drift(trial)) for trial in series]
     return [f"trial {number}: {one.text()}" for number, one in found if one and one.crooked]
 
 

@@ -122,7 +122,7 @@ def hc05() -> Delay:
 
 
 @dataclass
-class Stall:
+class Standstill:
     """Holds everything for the last ``length_s`` of every ``every_s``; then it comes all at once,
     with ``shuffle`` in any order."""
 
@@ -230,7 +230,7 @@ class _Way:
         self._queue.clear()
 
 
-class BadLine:
+class ImpairedLine:
     """``inner`` with faults: ``up`` to the board, ``down`` from it, each in the order given.
 
     Same seed and same calls, same faults. A frame passes when it is whole. Over a transport in
@@ -332,7 +332,7 @@ def _fault(word: str) -> Fault:
         elif name == "stall":
             every_s, length_s = _numbers(value, 2)
             if length_s < every_s:
-                return Stall(every_s, length_s)
+                return Standstill(every_s, length_s)
         elif 0 <= (fraction := _numbers(value, 1)[0]) <= 1:
             return _FRACTIONS[name](fraction)
     except (KeyError, ValueError):

@@ -11,9 +11,8 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 
 from tailbeat.core.errors import TailbeatError
-from tailbeat.core.faults import FaultInfo, fault_info
+from tailbeat.core.faults import FaultInfo, ImuProblem, fault_info, problem_info
 from tailbeat.core.imu_fields import error_words
-from tailbeat.core.imu_problems import Problem, problem_info
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Link, Message, text_of
 from tailbeat.link.timesync import BoardClock
@@ -196,7 +195,7 @@ class ImuInfo:
     """TAILBEAT_IMU_INFO. ``error``: what the sensor complained of last, in words."""
 
     state: str
-    problem: Problem
+    problem: ImuProblem
     error: str | None
     model: str | None
     firmware: str | None

@@ -42,7 +42,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _KnownParameter:
     default: float
     low: float
     high: float
@@ -60,7 +60,7 @@ _IMU_LINE_REMEDY = (
 # Values that are in range, and that the board refuses all the same.
 _NO_LAW_FOR_A_FISH = {3.0: LAW_FEEDBACK, 4.0: LAW_FEEDBACK, 5.0: LAW_SIGN}
 
-_UNKNOWN = _Known(math.nan, math.nan, math.nan, 0.0, "", "")
+_UNKNOWN = _KnownParameter(math.nan, math.nan, math.nan, 0.0, "", "")
 
 
 class Parameters:
@@ -219,13 +219,13 @@ class Parameters:
 
 
 @cache
-def known_parameters() -> dict[str, _Known]:
+def known_parameters() -> dict[str, _KnownParameter]:
     """The table this tool was built with (params/params.def)."""
     steps = {lib.PARAM_REAL: 0.0, lib.PARAM_HALF: 0.5, lib.PARAM_WHOLE: 1.0}
-    table: dict[str, _Known] = {}
+    table: dict[str, _KnownParameter] = {}
     for index in range(int(lib.PARAM_COUNT)):
         info = lib.param_info(index)
-        table[_text(info.name)] = _Known(
+        table[_text(info.name)] = _KnownParameter(
             float(info.fallback),
             float(info.low),
             float(info.high),
@@ -272,7 +272,7 @@ def _bits(value: float) -> bytes:
     return struct.pack("<f", value)
 
 
-def _check_range(name: str, value: float, known: _Known | None) -> None:
+def _check_range(name: str, value: float, known: _KnownParameter | None) -> None:
     if not math.isfinite(value) or abs(value) > 3.4e38:
         raise InputError(f"{value} is no value for {name}", "Give a finite number.")
     if known is None:

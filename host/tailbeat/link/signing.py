@@ -27,7 +27,7 @@ _SAVE_TICKS = 60 * TICKS_PER_S
 
 
 @dataclass
-class Disbelieved:
+class RejectedFrames:
     """Frames of the board that were not believed, since the last one that was."""
 
     unsigned: int = 0
@@ -58,7 +58,7 @@ class Signing:
         self.store = KeyStore() if store is None else store
         self.key: StoredKey | None = None
         self.signs: bool | None = None
-        self.refused = Disbelieved()
+        self.refused = RejectedFrames()
         self._candidates: list[StoredKey] | None = None
         self._offered: StoredKey | None = None
         self._parting = False
@@ -101,7 +101,7 @@ class Signing:
             self.refused.stale += 1
             return False
         self.signs = True
-        self.refused = Disbelieved()
+        self.refused = RejectedFrames()
         return True
 
     def _admit_unsigned(self) -> bool:
@@ -109,7 +109,7 @@ class Signing:
             self.refused.unsigned += 1
             return False
         self.signs = False
-        self.refused = Disbelieved()
+        self.refused = RejectedFrames()
         return True
 
     def _owner(self, frame: bytes | bytearray) -> StoredKey | None:

@@ -22,7 +22,7 @@ import numpy as np
 
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, fault_info
-from tailbeat.core.trial_checks import straightness, straightness_of_frames
+from tailbeat.core.trial_checks import heading_drift, heading_drift_of_frames
 from tailbeat.core.trial_file import read_trial
 from tailbeat.learning.convergence import score_of
 from tailbeat.learning.disturbance import bump_of
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.core.faults import FaultInfo
     from tailbeat.core.frames import Frame
-    from tailbeat.core.trial_checks import Straightness
+    from tailbeat.core.trial_checks import HeadingDrift
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.folder import Experiment
     from tailbeat.link.messages import BoardStatus
@@ -115,7 +115,7 @@ class Swum:
     outcome: TrialOutcome
     file: Path
     ready: Ready | None
-    straight: Straightness | None
+    straight: HeadingDrift | None
     max_abs_error_m_s: float
     rms_error_m_s: float
     measured_beats: int
@@ -254,7 +254,7 @@ class Log:
 
     path: Path
     trial: Trial
-    straight: Straightness | None
+    straight: HeadingDrift | None
     stopped: str = ""
 
 
@@ -313,10 +313,10 @@ def _stopped(experiment: Experiment, kept: Path) -> str:
     return stopped_by(map(str, told[-1].get("problems") or ())) if told else ""
 
 
-def _straight(trial: Trial, frames: Sequence[Frame]) -> Straightness | None:
-    found = straightness(trial)
+def _straight(trial: Trial, frames: Sequence[Frame]) -> HeadingDrift | None:
+    found = heading_drift(trial)
     if found is None and frames and trial.executed_beats:
-        return straightness_of_frames(frames, 0.0, trial.executed_beats, trial.beat_s)
+        return heading_drift_of_frames(frames, 0.0, trial.executed_beats, trial.beat_s)
     return found
 
 

@@ -16,7 +16,7 @@ from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.trial_checks import straightness
+from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserve_folder
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tailbeat.core.frames import Camera
     from tailbeat.core.law import Law
     from tailbeat.core.reference import Reference
-    from tailbeat.core.trial_checks import Straightness
+    from tailbeat.core.trial_checks import HeadingDrift
     from tailbeat.experiment.folder import Experiment
     from tailbeat.experiment.library import Logbook
     from tailbeat.learning.identification import Identified
@@ -112,7 +112,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
     trials = Account(experiment, experiment.journal).counting()
     if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
         return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
-    straight = straightness(trials[-1]) if trials else None
+    straight = heading_drift(trials[-1]) if trials else None
     learned = experiment.journal.entries("learned")
     rolled_back = bool(learned and learned[-1].get("rolled_back"))
     found = next_raise(params, reference, _identified(fish), straight, rolled_back)
@@ -147,7 +147,7 @@ class _Session:
     camera: Camera | None
     guard: Guard | None
     wanted: Wanted
-    straight: Straightness | None = field(default=None, init=False)
+    straight: HeadingDrift | None = field(default=None, init=False)
     identified: Identified | None = field(default=None, init=False)
 
     def look(self) -> Step:
@@ -187,9 +187,9 @@ class _Session:
         return f"camera: it sees the fish ({len(frames)} pictures)", ""
 
     def _give_reference(self) -> None:
-        from tailbeat.core.reference import Limits
+        from tailbeat.core.reference import ReferenceLimits
 
-        problems = self.reference.check(Limits.from_params(_params(self.fish)))
+        problems = self.reference.check(ReferenceLimits.from_params(_params(self.fish)))
         if problems:
             raise InputError(problems[0].meaning, problems[0].remedy)
         status = self.fish.status()
@@ -258,7 +258,7 @@ class _Session:
         self.person.tell({"event": "notice", "text": text})
 
     def _keep(self, path: Path, book: Logbook | None) -> None:
-        self.straight = straightness(read_trial(path)) or self.straight
+        self.straight = heading_drift(read_trial(path)) or self.straight
         if book is not None:
             book.keep(path, RUN)
 

@@ -19,7 +19,7 @@ import numpy as np
 from tailbeat.board.preserve import preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
-from tailbeat.core.trial_checks import Straightness, straightness
+from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
 from tailbeat.learning.saturation import (
     GRAIN_RAD,
@@ -70,7 +70,7 @@ def next_raise(
     params: Mapping[str, float],
     reference: Reference,
     identified: Identified | None,
-    straight: Straightness | None,
+    straight: HeadingDrift | None,
     rolled_back: bool = False,
 ) -> Raise | str:
     """The next step for AMP_MAX_RAD (at most RAISE_MAX_RAD at once), or why there is none: enough
@@ -98,7 +98,7 @@ def next_raise(
     return Raise(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
 
 
-def _not_now(straight: Straightness | None, rolled_back: bool) -> str | None:
+def _not_now(straight: HeadingDrift | None, rolled_back: bool) -> str | None:
     if rolled_back:
         return (
             "the board has just rolled back to its best input, and what went wrong would have more"
@@ -168,7 +168,7 @@ class Proof:
 
     words: str
     why_not: str
-    straight: Straightness | None
+    straight: HeadingDrift | None
 
 
 def prove(
@@ -230,7 +230,7 @@ def profile(
 
 def judged(trial: Trial, identified: Identified) -> Proof:
     """What the swim says of the amplitude."""
-    straight = straightness(trial)
+    straight = heading_drift(trial)
     part = slope_of(trial, identified.model)
     words = f"proved by a swim: {part:.2f} of the speed foretold"
     if straight is not None:

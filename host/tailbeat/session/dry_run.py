@@ -65,7 +65,7 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
     memory = _memory(fish, status)
     if memory.peaks is None:  # older firmware judges no trial with missing beats
         complete = complete and bool(measured.all())
-    past = laws.Past.from_params(params)
+    past = laws.Averaging.from_params(params)
     following, report, rolled_back = laws.learn(
         law,
         memory,
@@ -100,7 +100,7 @@ def _memory(fish: Fish, status: BoardStatus) -> laws.Memory:
     )
 
 
-def _earlier(fish: Fish, past: laws.Past, iteration: int) -> list[laws.PastTrial]:
+def _earlier(fish: Fish, past: laws.Averaging, iteration: int) -> list[laws.PastTrial]:
     """What the board looks back on, newest first: the chain that begins with what it has learned
     (docs/protocol.md). A file that is missing or not of the chain ends it."""
     most = {laws.LAST: 0, laws.MEAN: 1}.get(past.kind, past.window - 1)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
+from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class WallGuard:
             return self._reckon(what.t_s)
         if isinstance(what, BeatEvent):
             self._reference_m_s = what.reference_m_s
-        if isinstance(what, Afresh):
+        if isinstance(what, TrackReset):
             self._begin()
         if isinstance(what, CameraGone):
             return "the camera that guards the walls is gone"
@@ -307,7 +307,7 @@ class RoomGuard:
 
     def __call__(self, seen: object) -> str | None:
         """Looks at results.BeatEvent, and at Afresh, which begins anew."""
-        if isinstance(seen, Afresh):
+        if isinstance(seen, TrackReset):
             self._begin()
         if not isinstance(seen, BeatEvent) or self.room_m <= 0 or math.isinf(self.room_m):
             return None
@@ -388,7 +388,7 @@ class Seen:
 
     def __call__(self, seen: object) -> str | None:
         """Takes frames, and forgets them on Afresh."""
-        if isinstance(seen, Afresh):
+        if isinstance(seen, TrackReset):
             self.frames.clear()
         elif isinstance(seen, Frame):
             self.frames.append(seen)

@@ -103,7 +103,7 @@ def repeat_best(
     return swum, shift
 
 
-class RepeatFile(decode.Table):
+class RepeatFile(decode.StrictTable):
     """``board/repeat.json``: what is to swim next once the repeat is swum, and the repeat's number;
     there from before the board's amplitudes change until they are back."""
 

@@ -28,7 +28,7 @@ from tailbeat.learning.convergence import (
 )
 
 if TYPE_CHECKING:
-    from tailbeat.core.trial_checks import Straightness
+    from tailbeat.core.trial_checks import HeadingDrift
     from tailbeat.core.trial_file import Trial
     from tailbeat.learning.fish_model import FishModel
     from tailbeat.learning.identification import Identified
@@ -73,7 +73,7 @@ def shift_of(
     repeat: Trial,
     model: FishModel,
     identified: Identified | None = None,
-    straight: Straightness | None = None,
+    straight: HeadingDrift | None = None,
 ) -> Shift:
     """``series``: what was swum of this reference before, without the discarded. ``model``: the
     identified fish's, or the board's. Raises InputError when none of them swam the repeat's
@@ -237,7 +237,7 @@ class _Figures:
     thrust: _Thrust
     speed_shift_m_s: float
     within: bool
-    straight: Straightness | None
+    straight: HeadingDrift | None
 
     @property
     def turned(self) -> bool:

@@ -22,7 +22,7 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.core.records import decode_learned, decode_reference, record_crc
-from tailbeat.core.reference import Limits, Reference
+from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
@@ -212,7 +212,7 @@ def plan(
     )
     old_m = learned.reference.travel_m if learned.travel_m is None else learned.travel_m
     travel_m = by.magnitude / by.time_factor * old_m * transferred.share
-    _require_room(travel_m, Limits.from_params(params))
+    _require_room(travel_m, ReferenceLimits.from_params(params))
     model_of = "identified" if identified is not None else "board"
     return Plan(learned, new, by, transferred, travel_m, model_of, state.swims_it)
 
@@ -358,7 +358,7 @@ def _model(identified: Identified | None, params: dict[str, float]) -> FishModel
     return model
 
 
-def _require_room(travel_m: float, limits: Limits) -> None:
+def _require_room(travel_m: float, limits: ReferenceLimits) -> None:
     room_m = limits.tank_m - limits.fish_m
     if limits.tank_m > 0 and travel_m > room_m + _ROUNDING:
         raise InputError(

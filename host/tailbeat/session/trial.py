@@ -16,7 +16,7 @@ from tailbeat.core.faults import (
     FaultInfo,
     fault_info,
 )
-from tailbeat.core.frames import Afresh, Camera, Unseen
+from tailbeat.core.frames import Camera, TrackReset, Unseen
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message
 from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
@@ -224,7 +224,7 @@ def _look_afresh(run: _Run, began: bool) -> None:
     """Forgets what was. ``began``: the board may swim already, nothing of the camera's raises."""
     run.status = None
     if run.camera is None:
-        _consult(run, Afresh())
+        _consult(run, TrackReset())
     else:
         run.camera.look_afresh() if began else run.camera.begin()
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import ConnectError, LinkLostError
-from tailbeat.core.frames import Afresh, Camera, CameraGone, Frame, Unseen
+from tailbeat.core.frames import Camera, CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent
@@ -76,7 +76,7 @@ class TrialCamera:
         self._repeats.forget()
         self._seen_at_s = self._fish.link.transport.now_s()
         with self._kept():
-            self._consult(Afresh())
+            self._consult(TrackReset())
 
     def hear(self, beat: BeatEvent) -> None:
         """A beat that was swum."""

@@ -13,9 +13,9 @@ from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.trial_checks import (
-    Course,
-    course_of,
-    course_of_frames,
+    HeadingTrace,
+    heading_trace,
+    heading_trace_of_frames,
     imu_drift_rad_s,
     with_way,
 )
@@ -339,7 +339,7 @@ def _since_begin(
     ]  # fmt: skip
 
 
-def _turned(log: _Log, course: Course, source: str) -> TrimSwim:
+def _turned(log: _Log, course: HeadingTrace, source: str) -> TrimSwim:
     """With a sigma that holds what the scatter about the line does not show: a fish at rest that
     turned a little, and water that flowed (the tail turns it by the metre through the water)."""
     turn, sigma = course.turn_rad_m()
@@ -352,14 +352,16 @@ def _turned(log: _Log, course: Course, source: str) -> TrimSwim:
     )
 
 
-def _courses(logs: list[_Log], planned: Plan) -> tuple[Course, Course, str]:
+def _courses(logs: list[_Log], planned: Plan) -> tuple[HeadingTrace, HeadingTrace, str]:
     """Of both swims by the same means; the IMU's first."""
-    felt = [course_of(log.trial) for log in logs]
+    felt = [heading_trace(log.trial) for log in logs]
     known = [course for course in felt if course is not None and course.known]
     source = "imu"
     if len(known) < len(logs):
         source = "camera"
-        known = [course_of_frames(log.frames, 0.0, log.trial.executed_beats, 1.0) for log in logs]
+        known = [
+            heading_trace_of_frames(log.frames, 0.0, log.trial.executed_beats, 1.0) for log in logs
+        ]
         if not all(course.known for course in known):
             raise InputError(
                 "nothing felt how the fish turned: the IMU did not, and no camera saw it.",

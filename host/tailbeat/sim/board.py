@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from tailbeat.link.impaired import BadLine
+from tailbeat.link.impaired import ImpairedLine
 from tailbeat.link.transport import Transport
 from tailbeat.sim.world import CameraFrame, World
 
@@ -90,6 +90,6 @@ class SimTransport:
 
 def in_process(transport: Transport) -> SimTransport | None:
     """The transport to a board in this process, behind whatever bad line; None for any other."""
-    while isinstance(transport, BadLine):
+    while isinstance(transport, ImpairedLine):
         transport = transport.inner
     return transport if isinstance(transport, SimTransport) else None

@@ -13,7 +13,7 @@ import pytest
 
 from tailbeat.app.cli import run
 from tailbeat.board import bluetooth
-from tailbeat.board.bluetooth import Settings, SetupReport, setup
+from tailbeat.board.bluetooth import ModuleSettings, SetupReport, setup
 from tailbeat.core.errors import ConnectError, InputError, TailbeatError
 from tailbeat.link.serial import SerialTransport
 
@@ -36,7 +36,7 @@ def test_a_factory_module(firmware: int, at_baud: int) -> None:
     assert report.found.baud == 9600
     assert report.changed == ["baud", "name", "pin"]
     assert (module.uart, module.name, module.pin) == ("115200,0,0", "fish", "4711")
-    assert report.now == Settings(115200, 0, 0, "fish", "4711")
+    assert report.now == ModuleSettings(115200, 0, 0, "fish", "4711")
     assert module.resets == 1
 
 

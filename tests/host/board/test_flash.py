@@ -27,9 +27,9 @@ from tailbeat.core.errors import ConnectError, InputError, TailbeatError
 from tailbeat.core.faults import BAD_FORMAT, WRONG_STATE, refusal
 from tailbeat.experiment.folder import Experiment, backup_places
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.heard import START_LINE
 from tailbeat.link.keystore import KeyStore
-from tailbeat.link.usb_ids import USB_IDS, PortKind
+from tailbeat.link.serial import USB_IDS, PortKind
+from tailbeat.link.transport import START_LINE
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
 from tailbeat.sim.native import SimBoard

@@ -28,8 +28,7 @@ from tailbeat.board.snapshot import restore
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, InputError
 from tailbeat.experiment.folder import backup_places
-from tailbeat.link.serial import SerialTransport, likely_ports
-from tailbeat.link.usb_ids import USB_IDS, PortKind
+from tailbeat.link.serial import USB_IDS, PortKind, SerialTransport, likely_ports
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import FLASH_BYTES, SimTransport
 from tailbeat.sim.native import SimBoard

@@ -13,7 +13,7 @@ from tailbeat.core import records, reference
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
-from tailbeat.core.law import MEAN, WINDOW, Law, Memory, Past, PastTrial
+from tailbeat.core.law import MEAN, WINDOW, Averaging, Law, Memory, PastTrial
 from tailbeat.session.dry_run import dry_run
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
@@ -126,7 +126,7 @@ def series(beats: int, seed: int) -> tuple[list[Array], list[Array]]:
     return amplitudes, errors
 
 
-def next_of(past: Past, earlier: list[PastTrial], u: Array, e: Array) -> Floats:
+def next_of(past: Averaging, earlier: list[PastTrial], u: Array, e: Array) -> Floats:
     law = Law(kp_rad_s_m=3.0, amplitude_max_rad=0.5)
     memory = Memory(5, u.astype(np.float32), 0, np.zeros(len(u), np.float32), 0.0, 0)
     measured = np.isfinite(e)
@@ -144,7 +144,7 @@ def test_a_moving_average_is_that_of_plain_numpy() -> None:
     ]
     for window in (2, 3, 6, 8):
         found = next_of(
-            Past(WINDOW, window), kept[-2 : -window - 1 : -1], amplitudes[-1], errors[-1]
+            Averaging(WINDOW, window), kept[-2 : -window - 1 : -1], amplitudes[-1], errors[-1]
         )
         last = slice(-min(window, 6), None)
         u = np.mean([np.clip(u, 0, 0.5) for u in amplitudes[last]], axis=0)
@@ -158,7 +158,7 @@ def test_a_mean_is_that_of_plain_numpy() -> None:
     u = np.array([np.clip(u, 0, 0.5) for u in amplitudes])
     e = np.nan_to_num(np.array(errors))
     mean = PastTrial(u[:-1].mean(0).astype(np.float32), e[:-1].mean(0).astype(np.float32), 5)
-    found = next_of(Past(MEAN), [mean], amplitudes[-1], errors[-1])
+    found = next_of(Averaging(MEAN), [mean], amplitudes[-1], errors[-1])
     np.testing.assert_allclose(found, u.mean(0) + 7 * 3.0 * e.mean(0), atol=3e-6)
 
 
@@ -176,7 +176,7 @@ def test_a_mean_with_kd_is_refused(fish: Fish) -> None:
             [True, True],
             True,
             0.0,
-            Past(MEAN),
+            Averaging(MEAN),
         )
 
 
@@ -218,8 +218,8 @@ def test_a_damaged_past_trial_is_none(fish: Fish) -> None:
             records.decode_past(damaged)
 
 
-@pytest.mark.parametrize(("past", "gain"), [(Past(MEAN), 2.0), (Past(WINDOW, 3), 4.0)])
-def test_a_fish_learns_with_an_average(past: Past, gain: float) -> None:
+@pytest.mark.parametrize(("past", "gain"), [(Averaging(MEAN), 2.0), (Averaging(WINDOW, 3), 4.0)])
+def test_a_fish_learns_with_an_average(past: Averaging, gain: float) -> None:
     with Fish.connect("sim:tank", seed=1) as fish:
         settings = {
             "AMP_MAX_RAD": 0.785398,

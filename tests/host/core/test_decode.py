@@ -16,7 +16,7 @@ from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 
 
-class Law(decode.Table):
+class Law(decode.StrictTable):
     """One table in a list."""
 
     name: str
@@ -24,7 +24,7 @@ class Law(decode.Table):
     beats: decode.Whole = decode.Whole(1)
 
 
-class Recipe(decode.Table):
+class Recipe(decode.StrictTable):
     """The whole document."""
 
     law: tuple[Law, ...] = ()

@@ -15,9 +15,8 @@ import pytest
 import typer.main
 
 from tailbeat.app.cli.app import app
-from tailbeat.core import faults, imu_problems
-from tailbeat.core.faults import FaultInfo, all_faults, fault_info
-from tailbeat.core.imu_problems import all_problems
+from tailbeat.core import faults
+from tailbeat.core.faults import FaultInfo, all_faults, all_problems, fault_info
 from tailbeat.link.params import known_parameters
 
 ROOT = Path(__file__).parents[3]
@@ -257,12 +256,11 @@ def test_no_other_place_keeps_a_copy_of_the_words() -> None:
             assert meaning not in " ".join(text.split()), f"{path.name} has its own '{meaning}'"
 
 
-@pytest.mark.parametrize("module", [faults, imu_problems])
-def test_numbers_that_the_tool_knows_by_name_are_the_tables(module: Any) -> None:
-    rows = all_faults() if module is faults else all_problems()
-    table = {row.name: row.number for row in rows}
-    named = {n: v for n, v in vars(module).items() if n.isupper() and isinstance(v, int)}
-    assert len(named) >= 5
+def test_numbers_that_the_tool_knows_by_name_are_the_tables() -> None:
+    table = {row.name: row.number for row in all_faults()}
+    table |= {f"IMU_{row.name}": row.number for row in all_problems()}
+    named = {n: v for n, v in vars(faults).items() if n.isupper() and isinstance(v, int)}
+    assert len(named) >= 25
     assert named == {name: table.get(name) for name in named}
 
 

@@ -19,7 +19,7 @@ from tailbeat.core.records import crc32
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import Logbook
-from tailbeat.link.ftp.partfile import PartFile
+from tailbeat.link.ftp.download import PartFile
 from tailbeat.link.keystore import KeyStore, new_key
 
 WRITERS = 3

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.records import decode_reference
-from tailbeat.core.reference import Limits, Reference
+from tailbeat.core.reference import Reference, ReferenceLimits
 
 
 def test_thesis_is_the_exact_mean_of_8_31() -> None:
@@ -31,7 +31,7 @@ def test_thesis_is_the_exact_mean_of_8_31() -> None:
 
 
 def test_thesis_fits_the_default_tank() -> None:
-    assert reference.thesis().check(Limits()) == []
+    assert reference.thesis().check(ReferenceLimits()) == []
 
 
 def test_trapezoid_beat_means() -> None:
@@ -152,15 +152,15 @@ def test_record_carries_the_values_bit_for_bit() -> None:
 @pytest.mark.parametrize(
     ("speeds", "limits", "words"),
     [
-        ([], Limits(), "0 beats"),
-        ([0.1] * 513, Limits(tank_m=0), "513 beats"),
-        ([0.1, 0.4], Limits(), "beat 1 wants 400.0 mm/s"),
-        ([0.1, -0.1], Limits(), "beat 1 wants -100.0 mm/s"),
-        ([float("nan")], Limits(), "beat 0 has no finite speed"),
-        ([0.1] * 27, Limits(), "travels 2.70 m"),
+        ([], ReferenceLimits(), "0 beats"),
+        ([0.1] * 513, ReferenceLimits(tank_m=0), "513 beats"),
+        ([0.1, 0.4], ReferenceLimits(), "beat 1 wants 400.0 mm/s"),
+        ([0.1, -0.1], ReferenceLimits(), "beat 1 wants -100.0 mm/s"),
+        ([float("nan")], ReferenceLimits(), "beat 0 has no finite speed"),
+        ([0.1] * 27, ReferenceLimits(), "travels 2.70 m"),
     ],
 )
-def test_check_finds(speeds: list[float], limits: Limits, words: str) -> None:
+def test_check_finds(speeds: list[float], limits: ReferenceLimits, words: str) -> None:
     made = Reference(1.0, np.array(speeds, dtype=np.float32), "x")
     problems = made.check(limits)
     assert any(words in str(problem) for problem in problems)
@@ -169,7 +169,7 @@ def test_check_finds(speeds: list[float], limits: Limits, words: str) -> None:
 
 def test_a_tank_of_0_m_is_not_checked() -> None:
     made = Reference(1.0, np.full(100, 0.1, dtype=np.float32), "x")
-    assert made.check(Limits(tank_m=0)) == []
+    assert made.check(ReferenceLimits(tank_m=0)) == []
 
 
 def test_from_text(tmp_path: Path) -> None:

@@ -17,10 +17,10 @@ from tailbeat.core.frames import Frame
 from tailbeat.core.reference import thesis
 from tailbeat.core.trial_checks import (
     CROOKED_RAD,
-    Course,
-    Straightness,
-    straightness,
-    straightness_of_frames,
+    HeadingDrift,
+    HeadingTrace,
+    heading_drift,
+    heading_drift_of_frames,
 )
 from tailbeat.core.trial_file import NO_MOTION, Beats, Rest, Slots, Trial, read_trial
 from tailbeat.sensors.camera.simulated import SimulatedCamera
@@ -67,7 +67,7 @@ def without(one: Trial, holes: list[int]) -> Trial:
 
 @pytest.mark.parametrize("beat_s", [0.5, 1.0, 1.26, 4.0])
 def test_the_wobble_of_a_body_is_no_turn(beat_s: float) -> None:
-    found = straightness(trial(lambda t: wobble(t, beat_s), 20, beat_s))
+    found = heading_drift(trial(lambda t: wobble(t, beat_s), 20, beat_s))
     assert found is not None and found.source == "imu"
     # A tenth of a second is a coarse measure of half a beat that holds no whole number of them.
     assert abs(found.worst_yaw_rad) < (2e-3 if beat_s != 1.26 else 0.01)
@@ -77,7 +77,7 @@ def test_the_wobble_of_a_body_is_no_turn(beat_s: float) -> None:
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_an_even_turn(side: float) -> None:
     """0.01 rad/s at 0.05 m/s: 0.2 rad/m, 0.39 rad from the first beat to the last."""
-    found = straightness(trial(lambda t: side * 0.01 * t + wobble(t)))
+    found = heading_drift(trial(lambda t: side * 0.01 * t + wobble(t)))
     assert found is not None
     assert found.worst_yaw_rad == pytest.approx(side * 0.39, abs=2e-3)
     assert found.mean_yaw_rad == pytest.approx(side * 0.195, abs=2e-3)
@@ -88,47 +88,47 @@ def test_an_even_turn(side: float) -> None:
 
 
 def test_the_farthest_off_counts_also_when_it_comes_back() -> None:
-    found = straightness(trial(lambda t: -0.4 * np.sin(math.tau * t / 80) + wobble(t)))
+    found = heading_drift(trial(lambda t: -0.4 * np.sin(math.tau * t / 80) + wobble(t)))
     assert found is not None
     assert found.worst_yaw_rad == pytest.approx(-0.4, abs=0.03) and found.crooked
 
 
 def test_fifteen_degrees() -> None:
     for worst, crooked in ((CROOKED_RAD * 0.99, False), (-CROOKED_RAD * 1.01, True)):
-        found = Straightness(0.0, worst, 0.0, "imu")
+        found = HeadingDrift(0.0, worst, 0.0, "imu")
         assert found.crooked == crooked and ("NOT" in found.text()) == crooked
 
 
 def test_turns_that_are_not_known() -> None:
     whole = trial(lambda t: 0.01 * t + wobble(t))
     for holes in ([0], [399], list(range(13, 400, 20)), [100, 101, 102]):
-        found = straightness(without(whole, holes))
+        found = heading_drift(without(whole, holes))
         assert found is not None
         assert found.worst_yaw_rad == pytest.approx(0.39, abs=0.01), holes
-    assert straightness(without(whole, list(range(0, 400, 9)))) is None
-    assert straightness(replace(whole, executed_beats=0)) is None
+    assert heading_drift(without(whole, list(range(0, 400, 9)))) is None
+    assert heading_drift(replace(whole, executed_beats=0)) is None
     older = replace(whole.slots, turn_100urad=np.full_like(whole.slots.turn_100urad, NO_MOTION))
-    assert straightness(replace(whole, slots=older)) is None
+    assert heading_drift(replace(whole, slots=older)) is None
 
 
 def test_only_what_was_swum_counts() -> None:
     """Somebody carries it back after beat 20."""
     carried = trial(lambda t: np.where(t < 20.05, 0.0, 3.0 * (t - 20.05)))
-    found = straightness(replace(carried, executed_beats=20))
+    found = heading_drift(replace(carried, executed_beats=20))
     assert found is not None and abs(found.worst_yaw_rad) < 1e-3
 
 
 @pytest.mark.parametrize(("rest_s", "told"), [(0.0, False), (7.0, False), (9.0, True)])
 def test_without_a_rest_before_it_the_gyro_has_no_zero(rest_s: float, told: bool) -> None:
     """The rest may hold a turn of a degree: 5 degrees over five times its length."""
-    assert (straightness(trial(wobble, rest_s=rest_s)) is not None) == told
+    assert (heading_drift(trial(wobble, rest_s=rest_s)) is not None) == told
 
 
 def test_a_fish_that_hardly_moved_has_no_curvature() -> None:
     one = trial(lambda t: 0.01 * t)
     for speed in (0.001, math.nan):
         beats = replace(one.beats, speed_m_s=np.full(40, speed, np.float32))
-        found = straightness(replace(one, beats=beats))
+        found = heading_drift(replace(one, beats=beats))
         assert found is not None and math.isnan(found.curvature_1_m)
         assert found.worst_yaw_rad == pytest.approx(0.39, abs=2e-3)
 
@@ -161,7 +161,7 @@ def frames(
 def test_by_frames(course_rad: float, lost: float) -> None:
     """Whatever the direction it set out in; headings jump by a turn at pi."""
     for turn in (-0.2, 0.0, 0.2):
-        found = straightness_of_frames(frames(course_rad, turn, lost=lost), 100.0, 30, 1.0)
+        found = heading_drift_of_frames(frames(course_rad, turn, lost=lost), 100.0, 30, 1.0)
         assert found is not None and found.source == "camera"
         assert found.worst_yaw_rad == pytest.approx(turn * 0.08 * 29, abs=0.02)
         assert found.curvature_1_m == pytest.approx(turn, abs=0.01)
@@ -170,12 +170,12 @@ def test_by_frames(course_rad: float, lost: float) -> None:
 def test_a_camera_that_saw_too_little() -> None:
     seen = frames(beats=30)
     half = [f for f in seen if f.t_s < 114.5]
-    assert straightness_of_frames(half, 100.0, 30, 1.0) is None
-    assert straightness_of_frames(half, 100.0, 28, 1.0) is not None
-    assert straightness_of_frames([], 100.0, 30, 1.0) is None
-    assert straightness_of_frames(seen, 100.0, 0, 1.0) is None
+    assert heading_drift_of_frames(half, 100.0, 30, 1.0) is None
+    assert heading_drift_of_frames(half, 100.0, 28, 1.0) is not None
+    assert heading_drift_of_frames([], 100.0, 30, 1.0) is None
+    assert heading_drift_of_frames(seen, 100.0, 0, 1.0) is None
     senseless = [Frame(math.nan, 0.0), Frame(105.01, math.inf), Frame(105.02, 0.0, 0.0, math.nan)]
-    assert straightness_of_frames([*seen, *senseless], 100.0, 30, 1.0) is not None
+    assert heading_drift_of_frames([*seen, *senseless], 100.0, 30, 1.0) is not None
 
 
 # -- against the simulator's true heading ---------------------------------------------------------
@@ -195,8 +195,8 @@ def test_the_simulator_s_own_heading(askew_rad: float, tmp_path: Path) -> None:
         one = read_trial(fish.pull_trial(number, tmp_path))
         begin_s = one.start_us * 1e-6
         by_board = [replace(f, t_s=fish.clock.board_s(f.t_s)) for f in seen.frames]
-    felt = straightness(one)
-    saw = straightness_of_frames(by_board, begin_s, one.executed_beats, one.beat_s)
+    felt = heading_drift(one)
+    saw = heading_drift_of_frames(by_board, begin_s, one.executed_beats, one.beat_s)
     assert felt is not None and saw is not None
     print(askew_rad, math.degrees(true_rad), felt, saw)
     for found in (felt, saw):
@@ -269,11 +269,11 @@ def test_what_is_written_down_does_not_depend_on_the_order_of_sums() -> None:
     """Nor, then, on the processor: a product of matrices adds up as that likes best."""
     random = np.random.default_rng(4)
     heading, way = random.normal(0, 0.1, 37), np.cumsum(random.uniform(0.02, 0.08, 37))
-    found = Course(heading, way).turn_rad_m()
+    found = HeadingTrace(heading, way).turn_rad_m()
     for _ in range(20):
         order = random.permutation(37)
-        shuffled = Course(heading[order], way[order])
+        shuffled = HeadingTrace(heading[order], way[order])
         assert shuffled.turn_rad_m() == found
-        one, other = (c.straightness("imu") for c in (shuffled, Course(heading, way)))
+        one, other = (c.straightness("imu") for c in (shuffled, HeadingTrace(heading, way)))
         assert one is not None and other is not None
         assert one.mean_yaw_rad == other.mean_yaw_rad

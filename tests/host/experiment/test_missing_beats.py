@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tailbeat.board.fish import Fish
-from tailbeat.core import judge, reference
 from tailbeat.core import law as laws
+from tailbeat.core import reference, trial_checks
 from tailbeat.core.arrays import F64
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
@@ -49,18 +49,20 @@ def scores(*errors_mm: list[float], crcs: tuple[int, ...] = ()) -> list[Score]:
     for at, error_mm in enumerate(errors_mm):
         error = np.array(error_mm, np.float32) / np.float32(1e3)
         name = crcs[at] if crcs else at + 1
-        judged = judge.counts(error, True)
-        found.append(Score(at + 1, at + 1, name, judge.max_abs(error), judged, error_m_s=error))
+        judged = trial_checks.counts(error, True)
+        found.append(
+            Score(at + 1, at + 1, name, trial_checks.max_abs(error), judged, error_m_s=error)
+        )
     return found
 
 
 def test_share_and_gap_decide_whether_a_trial_is_judged() -> None:
     error = np.zeros(40, np.float32)
-    assert judge.counts(error, True) and not judge.counts(error, False)
+    assert trial_checks.counts(error, True) and not trial_checks.counts(error, False)
     error[5:8] = MISSING
-    assert judge.counts(error, True)
+    assert trial_checks.counts(error, True)
     error[8] = MISSING
-    assert not judge.counts(error, True)
+    assert not trial_checks.counts(error, True)
 
 
 def test_missing_the_worst_beat_does_not_make_a_trial_the_best() -> None:

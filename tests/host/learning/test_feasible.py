@@ -13,7 +13,7 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
-from tailbeat.core.reference import Limits, from_csv
+from tailbeat.core.reference import ReferenceLimits, from_csv
 from tailbeat.learning.error_bound import floor, lsq_max_abs_m_s
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.feasible import TARGET_M_S, Suggestion, suggest
@@ -52,7 +52,7 @@ def test_the_thesis_made_feasible(kappa: float) -> None:
     assert left.spots == ()
     assert found.reference.beats == wanted.beats
     assert found.reference.speed_m_s[11:29] == pytest.approx(wanted.speed_m_s[11:29], abs=1e-5)
-    assert found.reference.check(Limits()) == []
+    assert found.reference.check(ReferenceLimits()) == []
     assert left.lsq_input[1:39].min() > 0.197  # it swims to the end: learning has a grip
 
 
@@ -78,7 +78,7 @@ def test_any_shape(text: str, fish: FishModel) -> None:
     found = suggest(fish, wanted, AMPLITUDE_MAX_RAD)
     assert found.floor_m_s <= TARGET_M_S
     assert found.floor_m_s == lsq_max_abs_m_s(fish, found.reference, AMPLITUDE_MAX_RAD)
-    assert found.reference.check(Limits()) == []
+    assert found.reference.check(ReferenceLimits()) == []
     assert found.floor_m_s < lsq_max_abs_m_s(fish, wanted, AMPLITUDE_MAX_RAD)
 
 
@@ -117,7 +117,7 @@ def test_the_least_drag_of_the_identified_set_counts() -> None:
 
 
 def test_a_short_tank_shortens_the_cruise() -> None:
-    found = suggest(TANK, reference.thesis(), AMPLITUDE_MAX_RAD, Limits(tank_m=2.0))
+    found = suggest(TANK, reference.thesis(), AMPLITUDE_MAX_RAD, ReferenceLimits(tank_m=2.0))
     assert found.reference.travel_m + 0.36 <= 2.0
     assert found.reference.beats < 40
     assert float(found.reference.speed_m_s.max()) == pytest.approx(0.0791, rel=1e-3)
@@ -125,7 +125,9 @@ def test_a_short_tank_shortens_the_cruise() -> None:
 
 
 def test_a_tank_too_short_for_the_ramps_slows_it() -> None:
-    found = suggest(TANK, reference.cosine(0.08, 15, 0), AMPLITUDE_MAX_RAD, Limits(tank_m=1.0))
+    found = suggest(
+        TANK, reference.cosine(0.08, 15, 0), AMPLITUDE_MAX_RAD, ReferenceLimits(tank_m=1.0)
+    )
     assert found.reference.travel_m + 0.36 <= 1.0
 
 
@@ -156,12 +158,14 @@ def test_twice_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "amplitude_max", "limits", "words"),
     [
-        ("thesis", 0.19, Limits(), "give this fish no thrust"),
-        ("thesis", 0.7, Limits(tank_m=0.3), "no longer than the fish"),
-        ("trapezoid:0.08,0,1", 0.7, Limits(), "before this fish is under way"),
+        ("thesis", 0.19, ReferenceLimits(), "give this fish no thrust"),
+        ("thesis", 0.7, ReferenceLimits(tank_m=0.3), "no longer than the fish"),
+        ("trapezoid:0.08,0,1", 0.7, ReferenceLimits(), "before this fish is under way"),
     ],
 )
-def test_what_cannot_be(text: str, amplitude_max: float, limits: Limits, words: str) -> None:
+def test_what_cannot_be(
+    text: str, amplitude_max: float, limits: ReferenceLimits, words: str
+) -> None:
     with pytest.raises(InputError, match=words):
         suggest(TANK, reference.from_text(text), amplitude_max, limits)
 

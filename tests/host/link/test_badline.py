@@ -8,7 +8,6 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.impaired import (
-    BadLine,
     Corrupt,
     Cut,
     Delay,
@@ -16,7 +15,8 @@ from tailbeat.link.impaired import (
     Duplicate,
     Fault,
     HalfOpen,
-    Stall,
+    ImpairedLine,
+    Standstill,
     Truncate,
     faults_of,
     hc05,
@@ -65,7 +65,9 @@ def frames(count: int = COUNT) -> list[bytes]:
     return out
 
 
-def through(line: BadLine, sent: list[bytes], step_s: float = 0.001) -> list[tuple[float, bytes]]:
+def through(
+    line: ImpairedLine, sent: list[bytes], step_s: float = 0.001
+) -> list[tuple[float, bytes]]:
     """(when, bytes) that came back, the frames sent ``step_s`` apart."""
     got = []
 
@@ -88,14 +90,14 @@ def numbers(data: bytes) -> list[int]:
 
 
 def come_through(faults: list[Fault], seed: int = 1, count: int = COUNT) -> list[int]:
-    got = through(BadLine(Echo(), up=faults, seed=seed), frames(count))
+    got = through(ImpairedLine(Echo(), up=faults, seed=seed), frames(count))
     return numbers(b"".join(data for _, data in got))
 
 
 def test_a_line_without_faults_changes_nothing() -> None:
     sent = frames(50)
     junk = [b"junk", *sent[:10], b"\xfd\x00", *sent[10:], b"\xfd\xff\xff"]
-    line = BadLine(Echo())
+    line = ImpairedLine(Echo())
     got = b"".join(data for _, data in through(line, junk))
     assert b"".join(junk).startswith(got)
     assert numbers(got) == list(range(50))
@@ -105,7 +107,7 @@ def test_a_line_without_faults_changes_nothing() -> None:
 def test_frames_are_frames_however_the_bytes_come(cut: int) -> None:
     stream = b"".join(frames(300))
     pieces = [stream[at : at + cut] for at in range(0, len(stream), cut)]
-    got = through(BadLine(Echo(), up=[Drop(0.5)]), pieces)
+    got = through(ImpairedLine(Echo(), up=[Drop(0.5)]), pieces)
     whole = b"".join(data for _, data in got)
     assert len(numbers(whole)) * len(frames(1)[0]) == len(whole)
     assert 100 < len(numbers(whole)) < 200
@@ -120,7 +122,7 @@ def test_the_fraction_is_lost() -> None:
 
 def test_bytes_go_wrong_at_the_rate() -> None:
     sent = b"".join(frames())
-    got = b"".join(d for _, d in through(BadLine(Echo(), up=[Corrupt(1e-2)]), frames()))
+    got = b"".join(d for _, d in through(ImpairedLine(Echo(), up=[Corrupt(1e-2)]), frames()))
     assert len(got) == len(sent)
     wrong = sum(a != b for a, b in zip(sent, got, strict=True))
     assert wrong / len(sent) == pytest.approx(1e-2, rel=0.1)
@@ -128,12 +130,12 @@ def test_bytes_go_wrong_at_the_rate() -> None:
 
 def test_twice_and_short() -> None:
     assert len(come_through([Duplicate(0.3)])) / COUNT == pytest.approx(1.3, abs=0.03)
-    short = through(BadLine(Echo(), up=[Truncate(1.0)]), frames(500))
+    short = through(ImpairedLine(Echo(), up=[Truncate(1.0)]), frames(500))
     assert sum(len(data) for _, data in short) < 0.6 * len(b"".join(frames(500)))
 
 
 def test_a_delay_keeps_the_order_and_its_limits() -> None:
-    line = BadLine(Echo(), up=[Delay(0.02, 0.05, tail=0.1, tail_s=(0.1, 0.4))])
+    line = ImpairedLine(Echo(), up=[Delay(0.02, 0.05, tail=0.1, tail_s=(0.1, 0.4))])
     got = through(line, frames(200), step_s=1.0)
     late_s = [when - n for when, data in got for n in numbers(data)]
     assert [n for _, data in got for n in numbers(data)] == list(range(200))
@@ -143,7 +145,7 @@ def test_a_delay_keeps_the_order_and_its_limits() -> None:
 
 
 def test_when_the_wait_is_over() -> None:
-    line = BadLine(Echo(), up=[Delay(0.03, 0.03)])
+    line = ImpairedLine(Echo(), up=[Delay(0.03, 0.03)])
     line.write(frames(1)[0])
     line.wait(1.0)
     assert line.now_s() == pytest.approx(0.03)
@@ -154,7 +156,7 @@ def test_when_the_wait_is_over() -> None:
 
 @pytest.mark.parametrize("shuffle", [False, True])
 def test_a_stall_holds_and_then_lets_all_go(shuffle: bool) -> None:
-    line = BadLine(Echo(), up=[Stall(1.0, 0.4, shuffle)])
+    line = ImpairedLine(Echo(), up=[Standstill(1.0, 0.4, shuffle)])
     got = through(line, frames(100), step_s=0.01)
     order = [n for _, data in got for n in numbers(data)]
     assert sorted(order) == list(range(100))
@@ -163,13 +165,13 @@ def test_a_stall_holds_and_then_lets_all_go(shuffle: bool) -> None:
 
 
 def test_one_way_dies_and_comes_back() -> None:
-    kept = through(BadLine(Echo(), up=[HalfOpen(0.2, 0.5)]), frames(100), step_s=0.01)
+    kept = through(ImpairedLine(Echo(), up=[HalfOpen(0.2, 0.5)]), frames(100), step_s=0.01)
     lost = set(range(100)) - {n for _, data in kept for n in numbers(data)}
     assert lost == set(range(20, 50))
 
 
 def test_a_cut_is_a_cut_until_it_is_opened_again() -> None:
-    line = BadLine(Echo(), up=[Cut(at_bytes=500, closed_s=2.0)])
+    line = ImpairedLine(Echo(), up=[Cut(at_bytes=500, closed_s=2.0)])
     with pytest.raises(LinkLostError):
         through(line, frames(100))
     for use in (line.read, lambda: line.write(b"x")):
@@ -187,7 +189,7 @@ def test_a_cut_is_a_cut_until_it_is_opened_again() -> None:
 
 def test_an_address_with_a_line() -> None:
     with Fish.connect("sim:tank?line=drop=0.2,delay=hc05&seed=3") as fish:
-        assert isinstance(fish.transport, BadLine)
+        assert isinstance(fish.transport, ImpairedLine)
         assert fish.sim is not None and fish.sim.seed == 3
         assert fish.status().state == "IDLE"
     with pytest.raises(InputError, match="line"):
@@ -205,7 +207,7 @@ def test_same_seed_same_faults() -> None:
 def test_a_line_in_words() -> None:
     up, down = faults_of("drop=0.2,errors=1e-3,delay=hc05,twice=0.1,short=0.05,stall=5:1")
     assert [type(fault).__name__ for fault in up] == [
-        "Drop", "Corrupt", "Delay", "Duplicate", "Truncate", "Stall",
+        "Drop", "Corrupt", "Delay", "Duplicate", "Truncate", "Standstill",
     ]  # fmt: skip
     assert len(down) == len(up)
     assert all(a is not b for a, b in zip(up, down, strict=True))

@@ -14,7 +14,7 @@ from tailbeat.board.diagnostics.evidence import PROBLEM
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.heard import Hearing
+from tailbeat.link.transport import Hearing
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 

@@ -11,7 +11,7 @@ from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
-from tailbeat.link.impaired import BadLine, Delay
+from tailbeat.link.impaired import Delay, ImpairedLine
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -24,7 +24,7 @@ Floats = F64
 def swim(seed: int, folder: Path) -> tuple[Floats, Floats]:
     """(error, sigma) of each beat, m/s."""
     board = SimBoard("tank", seed=seed, camera_lost=0.1, link_bytes_per_s=0)
-    late = BadLine(SimTransport(board), [Delay(0.05, 0.3)], [Delay(0.05, 0.3)], seed)
+    late = ImpairedLine(SimTransport(board), [Delay(0.05, 0.3)], [Delay(0.05, 0.3)], seed)
     with Fish(late) as fish:
         fish.link.run(9.0)
         for name, value in {"SPD_SOURCE": 0, "DU_MAX_RAD": 0, "AMP_MAX_RAD": 0.785}.items():

@@ -11,7 +11,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import Refused
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.impaired import BadLine, Cut, Delay, Duplicate
+from tailbeat.link.impaired import Cut, Delay, Duplicate, ImpairedLine
 from tailbeat.link.mavlink import Framer, Message
 from tailbeat.session.trial import run_trial
 
@@ -54,7 +54,7 @@ def deaf_to(ready: Fish, command: int, count: int, up: int = 0) -> First:
         return is_command(frame, command)
 
     lost = First(count, meant)
-    ready.link.transport = BadLine(ready.transport, [First(up, meant)], [lost])
+    ready.link.transport = ImpairedLine(ready.transport, [First(up, meant)], [lost])
     return lost
 
 
@@ -119,8 +119,8 @@ def test_a_command_that_the_line_brings_twice_is_done(
     """The answer to the first is lost; the second finds it done."""
     prepare(ready)
     lost = deaf_to(ready, command, 1)
-    assert isinstance(ready.link.transport, BadLine)
-    ready.link.transport = BadLine(ready.transport, [Duplicate(1.0)], [lost])
+    assert isinstance(ready.link.transport, ImpairedLine)
+    ready.link.transport = ImpairedLine(ready.transport, [Duplicate(1.0)], [lost])
     do(ready)
     assert len(lost.lost) == 1
 
@@ -150,11 +150,11 @@ def test_a_start_that_is_lost_does_not_grow_stale(ready: Fish) -> None:
 
 def test_an_answer_to_arm_is_not_one_to_disarm(ready: Fish) -> None:
     """The first acknowledgement is late, so arm is said twice and answered twice."""
-    line = BadLine(ready.transport, down=[Delay(0.6, 0.6)])
+    line = ImpairedLine(ready.transport, down=[Delay(0.6, 0.6)])
     ready.link.transport = line
     ready.arm()
     down = First(1, lambda frame: is_command(frame, ARM))
-    ready.link.transport = BadLine(line, up=[down])
+    ready.link.transport = ImpairedLine(line, up=[down])
     ready.disarm()
     assert len(down.lost) == 1
     assert ready.status().state == "IDLE"
@@ -163,7 +163,7 @@ def test_an_answer_to_arm_is_not_one_to_disarm(ready: Fish) -> None:
 def test_a_trial_over_a_cut_goes_on(ready: Fish) -> None:
     begin_s = ready.transport.now_s()
     cut = Cut(at_s=begin_s + 5.0, closed_s=1.5)
-    ready.link.transport = BadLine(ready.transport, [cut])
+    ready.link.transport = ImpairedLine(ready.transport, [cut])
     events: list[str] = []
     outcome = run_trial(ready, on_event=lambda event: events.append(event["event"]))
     assert outcome.end == "complete"

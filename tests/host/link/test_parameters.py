@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tailbeat.board import presets
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
-from tailbeat.core.law import Law, Past
+from tailbeat.core.law import Averaging, Law
 from tailbeat.link.params import known_parameters
 
 
@@ -66,7 +66,7 @@ def test_the_thesis_preset_is_the_law_of_8_16(fish: Fish) -> None:
     changed = presets.apply(fish, presets.preset("thesis"))
     params = {name: p.value for name, p in fish.params.list().items()}
     assert Law.from_params(params) == Law(amplitude_max_rad=float(np.float32(math.pi / 4)))
-    assert Past.from_params(params) == Past()
+    assert Averaging.from_params(params) == Averaging()
     assert changed["ILC_LEAD"][0] == 1 and changed["ILC_LEAD"][1].value == 0
     with pytest.raises(InputError, match="no preset 'thesi'") as caught:
         presets.preset("thesi")

@@ -17,7 +17,6 @@ from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.impaired import (
-    BadLine,
     Corrupt,
     Cut,
     Delay,
@@ -25,7 +24,8 @@ from tailbeat.link.impaired import (
     Duplicate,
     Fault,
     HalfOpen,
-    Stall,
+    ImpairedLine,
+    Standstill,
     Truncate,
     hc05,
 )
@@ -45,7 +45,7 @@ Faults = Callable[[], list[Fault]]
 LOST: Faults = lambda: [Drop(0.2)]  # noqa: E731
 WRONG: Faults = lambda: [Corrupt(1e-3)]  # noqa: E731
 ALL: Faults = lambda: [  # noqa: E731
-    Drop(0.1), Corrupt(3e-4), Duplicate(0.1), Truncate(0.03), Stall(7.0, 0.8, True), hc05()
+    Drop(0.1), Corrupt(3e-4), Duplicate(0.1), Truncate(0.03), Standstill(7.0, 0.8, True), hc05()
 ]  # fmt: skip
 
 
@@ -55,7 +55,7 @@ def content(size: int, seed: int = 1) -> bytes:
 
 def over(faults: Faults, seed: int = 1, board: SimBoard | None = None) -> Fish:
     board = board or SimBoard("tank", seed=7)
-    return Fish(BadLine(SimTransport(board), faults(), faults(), seed))
+    return Fish(ImpairedLine(SimTransport(board), faults(), faults(), seed))
 
 
 def board_of(fish: Fish) -> SimBoard:
@@ -428,7 +428,7 @@ def test_a_pull_that_stands_still_ends_in_one_line(
     with Fish(SimTransport(board)) as clean:
         clean.ftp.write(PATH, content(LONGEST))
         begin_s = clean.transport.now_s()
-    with Fish(BadLine(_Later(board), up, down)) as fish:
+    with Fish(ImpairedLine(_Later(board), up, down)) as fish:
         with pytest.raises(LinkLostError, match=words) as lost:
             fish.ftp.pull(PATH, tmp_path / "file")
         print(lost.value)
@@ -448,7 +448,7 @@ def test_a_pull_that_stands_still_ends_in_one_line(
 def test_an_upload_that_stands_still_ends_in_one_line() -> None:
     board = SimBoard("tank")
     board.run(4.0)
-    with Fish(BadLine(_Later(board), [HalfOpen(0.5)])) as fish:
+    with Fish(ImpairedLine(_Later(board), [HalfOpen(0.5)])) as fish:
         with pytest.raises(LinkLostError, match="went up") as lost:
             fish.ftp.write(PATH, content(LONGEST))
         print(lost.value)
@@ -458,7 +458,7 @@ def test_an_upload_that_stands_still_ends_in_one_line() -> None:
 def test_a_board_that_is_heard_but_does_not_hear_is_told_apart() -> None:
     with over(lambda: []) as fish:
         fish.status()
-        fish.link.transport = BadLine(fish.transport, up=[HalfOpen(0.0)])
+        fish.link.transport = ImpairedLine(fish.transport, up=[HalfOpen(0.0)])
         with pytest.raises(LinkLostError, match="heard but does not answer"):
             fish.link.request("AUTOPILOT_VERSION")
 

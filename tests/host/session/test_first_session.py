@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
-from tailbeat.core.trial_checks import Straightness
+from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import begin
 from tailbeat.learning import fit
@@ -37,8 +37,8 @@ from tailbeat.sim.native import SimBoard
 
 THESIS = reference.thesis()
 DEFAULTS = {name: known.default for name, known in known_parameters().items()}
-STRAIGHT = Straightness(0.0, 0.05, 0.02, "imu")
-CROOKED = Straightness(0.1, 0.3, 0.2, "imu")
+STRAIGHT = HeadingDrift(0.0, 0.05, 0.02, "imu")
+CROOKED = HeadingDrift(0.1, 0.3, 0.2, "imu")
 TANK = FishModel(10.0, 0.212, 0.203, 0.32)
 
 

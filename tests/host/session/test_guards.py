@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tailbeat.board.fish import Fish
-from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
+from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.guards import RoomGuard, Seen, together, when
@@ -74,7 +74,7 @@ def test_a_beat_that_is_said_again_counts_once() -> None:
 def test_afresh_begins_anew_and_all_else_is_ignored() -> None:
     guard = RoomGuard(1.0)
     assert stopped_at(guard, [0.1] * 3) is None
-    assert guard(Afresh()) is None and guard.way_m == 0
+    assert guard(TrackReset()) is None and guard.way_m == 0
     assert stopped_at(guard, [0.1] * 3) is None
     for what in (Frame(1.0, 9.0), Unseen(9.0), CameraGone("x"), "x"):
         assert guard(what) is None
@@ -123,7 +123,7 @@ def test_when() -> None:
 def test_seen_keeps_the_frames_of_this_swim() -> None:
     seen = Seen()
     seen(Frame(1.0, 0.5))
-    seen(Afresh())
+    seen(TrackReset())
     assert seen(Frame(102.0, 0.1, -0.2, 0.3)) is None and seen("x") is None
     assert seen.frames == [Frame(102.0, 0.1, -0.2, 0.3)]
 

@@ -18,7 +18,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.reference import thesis
-from tailbeat.core.trial_checks import straightness
+from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, Logbook, preserve_folder
@@ -103,7 +103,7 @@ def check_found(rad: float, seeds: range, tmp_path: Path) -> None:
             number = run_trial(fish).number
             assert fish.sim is not None
             left.append(math.degrees(fish.sim.world.truth().heading_rad))
-            felt = straightness(read_trial(fish.pull_trial(number, tmp_path / f"{rad}{seed}")))
+            felt = heading_drift(read_trial(fish.pull_trial(number, tmp_path / f"{rad}{seed}")))
             assert felt is not None and not felt.crooked
     rms = np.sqrt(np.mean(np.square(misses)))
     print(f"askew {rad:+.2f}: centre within {np.abs(misses).max():.1f} us, RMS {rms:.1f}")

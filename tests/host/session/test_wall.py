@@ -10,7 +10,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
-from tailbeat.core.frames import Afresh, CameraGone, Frame, Unseen
+from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent
@@ -259,7 +259,7 @@ def test_a_picture_that_is_not_believed_shows_no_fish() -> None:
 def test_what_is_afresh_forgets_the_swim_before() -> None:
     guard = WallGuard(calibration())
     assert stop(guard, way(0.08, seconds=20)) is None
-    assert guard(Afresh()) is None
+    assert guard(TrackReset()) is None
     assert guard(Unseen(300.0)) is None
     assert stop(guard, way(0.02, seconds=5, t0=300.1)) is None
 

@@ -17,7 +17,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.records import decode_reference
-from tailbeat.core.reference import Limits, Problem, Reference
+from tailbeat.core.reference import Reference, ReferenceLimits, ReferenceProblem
 from tailbeat.experiment.current import named_reference
 from tailbeat.experiment.library import logbook_of, name_reference
 from tailbeat.learning import feasible
@@ -161,12 +161,12 @@ What = Annotated[
 ]
 
 
-def _limits(fish: Fish) -> Limits:
+def _limits(fish: Fish) -> ReferenceLimits:
     names = ("REF_MAX_M_S", "TANK_LEN_M", "FISH_LEN_M")
-    return Limits.from_params({name: fish.params.get(name).value for name in names})
+    return ReferenceLimits.from_params({name: fish.params.get(name).value for name in names})
 
 
-def _document(reference: Reference, crc: int, problems: list[Problem]) -> dict[str, Any]:
+def _document(reference: Reference, crc: int, problems: list[ReferenceProblem]) -> dict[str, Any]:
     return {
         "name": reference.name,
         "beats": reference.beats,
@@ -186,7 +186,7 @@ def _line(reference: Reference) -> str:
     )
 
 
-def _refuse(problems: list[Problem]) -> None:
+def _refuse(problems: list[ReferenceProblem]) -> None:
     if problems:
         raise InputError(
             " ".join(problem.meaning for problem in problems),
@@ -264,7 +264,7 @@ class _CheckedAgainst:
     """What a reference is checked against; ``identified`` None: the fish was not identified, but
     ``fish`` may know it from trials. None: nothing is known of it."""
 
-    limits: Limits
+    limits: ReferenceLimits
     amplitude_max_rad: float
     identified: Identified | None
     fish: KnownFish | None
@@ -345,7 +345,7 @@ def _known(
     swims: list[Swim] = []
     loaded = Identified.load(path) if path is not None else None
     if loaded is not None and amp_max is not None:
-        limits = Limits()
+        limits = ReferenceLimits()
     else:
         with connected(connect) as fish:
             limits = _limits(fish)

@@ -20,7 +20,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
 from tailbeat.core.records import decode_reference
 from tailbeat.core.speed_estimate import recompute_beats
-from tailbeat.core.trial_checks import not_reached, straightness
+from tailbeat.core.trial_checks import heading_drift, not_reached
 from tailbeat.core.trial_file import Trial, beats_csv, read_trial
 from tailbeat.experiment.current import require_fish
 from tailbeat.experiment.folder import Experiment
@@ -198,7 +198,7 @@ def _document(trial: Trial) -> dict[str, Any]:
     document["speed_source"] = _source(trial)
     document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
     document["rms_error_m_s"] = trial.rms_error_m_s()
-    straight = straightness(trial)
+    straight = heading_drift(trial)
     document["straight"] = plain(straight)
     document["crooked"] = straight.crooked if straight is not None else None
     document["battery_start_v"], document["battery_end_v"] = _battery(trial)
@@ -213,7 +213,7 @@ def _battery(trial: Trial) -> tuple[float | None, float | None]:
 
 def _conditions_text(trial: Trial) -> str:
     """Straightness and battery, in one line."""
-    straight = straightness(trial)
+    straight = heading_drift(trial)
     words = "straightness not known" if straight is None else straight.text()
     begin_v, end_v = _battery(trial)
     volts = "not known" if begin_v is None else f"{begin_v:.2f} V to {end_v:.2f} V"

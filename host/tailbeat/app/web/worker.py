@@ -412,9 +412,9 @@ class Conductor:
         )
 
     def _upload(self, fish: Fish, reference: Reference) -> None:
-        from tailbeat.core.reference import Limits
+        from tailbeat.core.reference import ReferenceLimits
 
-        limits = Limits.from_params({n: p.value for n, p in fish.params.list().items()})
+        limits = ReferenceLimits.from_params({n: p.value for n, p in fish.params.list().items()})
         if problems := reference.check(limits):
             raise InputError(
                 " ".join(p.meaning for p in problems), " ".join(p.remedy for p in problems)

@@ -6,13 +6,29 @@ from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as installed_version
 
-from tailbeat.board.diagnostics.evidence import OK, PROBLEM, WARNING, Figures, Finding, Patient
+from tailbeat.board.diagnostics.evidence import (
+    OK,
+    PROBLEM,
+    WARNING,
+    BoardEvidence,
+    Figures,
+    Finding,
+)
 from tailbeat.board.provision import HELD, MISSING
-from tailbeat.core.faults import BATTERY_SENSE, CRASH, STORAGE, WATCHDOG, fault_info
-from tailbeat.core.imu_problems import NEEDS_SAVE, NOISY, SILENT, STARTING
+from tailbeat.core.faults import (
+    BATTERY_SENSE,
+    CRASH,
+    IMU_NEEDS_SAVE,
+    IMU_NOISY,
+    IMU_SILENT,
+    IMU_STARTING,
+    STORAGE,
+    WATCHDOG,
+    fault_info,
+)
 from tailbeat.core.native import ffi, lib
-from tailbeat.link.heard import BLUETOOTH_SETUP
 from tailbeat.link.messages import RESET_CAUSES
+from tailbeat.link.transport import BLUETOOTH_SETUP
 
 _LOST_PROBLEM, _LOST_WARNING = 0.2, 0.02
 _SLOW_PROBLEM_S, _SLOW_WARNING_S = 1.0, 0.3  # an HC-05 takes 0.04 to 0.1 s
@@ -31,7 +47,7 @@ _VERSION_REMEDY = (
 )
 
 
-def _firmware(patient: Patient) -> Finding:
+def _firmware(patient: BoardEvidence) -> Finding:
     """Whether board and tool are of one version."""
     ours, build = tool_version(), _text(lib.link_build_id())
     measured: Figures = {"tool": ours, "tool_build": build, "board_build": patient.build_id}
@@ -58,7 +74,7 @@ def _firmware(patient: Patient) -> Finding:
     return Finding("firmware", OK, f"{patient.kind} board, {build}, as this tool", "", measured)
 
 
-def _link(patient: Patient) -> Finding:
+def _link(patient: BoardEvidence) -> Finding:
     """Round trip, losses, damage and speed."""
     pings, burst = patient.pings, patient.burst
     measured: Figures = {
@@ -87,7 +103,7 @@ def _link(patient: Patient) -> Finding:
     return Finding("link", status, ", ".join(parts), remedy, measured)
 
 
-def _judge_link(patient: Patient, rate: float | None) -> tuple[str, str]:
+def _judge_link(patient: BoardEvidence, rate: float | None) -> tuple[str, str]:
     pings, burst = patient.pings, patient.burst
     asked, missing = pings.asked, pings.lost
     if burst is not None:
@@ -105,7 +121,7 @@ def _judge_link(patient: Patient, rate: float | None) -> tuple[str, str]:
     return OK, ""
 
 
-def _imu(patient: Patient) -> Finding:
+def _imu(patient: BoardEvidence) -> Finding:
     """Whether the IMU streams, and whether that matters."""
     imu = patient.imu
     if "TAILBEAT_IMU_INFO" in patient.untold:
@@ -121,15 +137,15 @@ def _imu(patient: Patient) -> Finding:
     needed = patient.parameters.get("SPD_SOURCE", 0) >= 2 or (
         patient.parameters.get("IMU_TIMEOUT_S", 0) > 0
     )
-    absent = problem.number == SILENT and not seen and not needed
-    mild = absent or problem.number in (STARTING, NOISY, NEEDS_SAVE)
+    absent = problem.number == IMU_SILENT and not seen and not needed
+    mild = absent or problem.number in (IMU_STARTING, IMU_NOISY, IMU_NEEDS_SAVE)
     remedy = problem.remedy
     if absent:
         remedy += " Without an IMU the speed sources vision and upload work all the same."
     return Finding("imu", WARNING if mild else PROBLEM, problem.meaning, remedy, measured)
 
 
-def _battery(patient: Patient) -> Finding:
+def _battery(patient: BoardEvidence) -> Finding:
     """Against the limits the board holds."""
     if patient.status is None:
         return _unknown("battery")
@@ -162,7 +178,7 @@ def _battery(patient: Patient) -> Finding:
     return Finding("battery", OK, f"{volts:.2f} V", "", measured)
 
 
-def _storage(patient: Patient) -> Finding:
+def _storage(patient: BoardEvidence) -> Finding:
     """Room, and writes that failed."""
     if patient.health is None:
         return _unknown("storage")
@@ -181,7 +197,7 @@ def _storage(patient: Patient) -> Finding:
     return Finding("storage", OK, text, "", measured)
 
 
-def _key(patient: Patient) -> Finding:
+def _key(patient: BoardEvidence) -> Finding:
     """Whether strangers can move the tail, and whether we can."""
     key = patient.key
     if key is None:
@@ -218,7 +234,7 @@ def _key(patient: Patient) -> Finding:
     return Finding("key", WARNING, text, remedy, measured)
 
 
-def _clock(patient: Patient) -> Finding:
+def _clock(patient: BoardEvidence) -> Finding:
     """Offset and drift."""
     reading = patient.pings.clock()
     if reading is None:
@@ -244,7 +260,7 @@ def _clock(patient: Patient) -> Finding:
     return Finding("clock", OK, f"{text} (+- {reading.rate_error * 100:.2f})", "", measured)
 
 
-def _state(patient: Patient) -> Finding:
+def _state(patient: BoardEvidence) -> Finding:
     """Whether it is stopped, and why."""
     status = patient.status
     if status is None:
@@ -261,7 +277,7 @@ def _state(patient: Patient) -> Finding:
     return Finding("state", OK, status.state + waiting, "", measured)
 
 
-def _restart(patient: Patient) -> Finding:
+def _restart(patient: BoardEvidence) -> Finding:
     """Why it last started, and how it last crashed."""
     if patient.health is None:
         return _unknown("restart")
@@ -280,7 +296,7 @@ def _restart(patient: Patient) -> Finding:
     return Finding("restart", OK, f"last start: {cause}; no crash on record", "", measured)
 
 
-def _radio(patient: Patient) -> Finding:
+def _radio(patient: BoardEvidence) -> Finding:
     """Whether something at another speed talks into the radio's port."""
     if patient.health is None or "radio_framing" not in patient.health:
         return _unknown("radio")
@@ -296,7 +312,7 @@ def _radio(patient: Patient) -> Finding:
     return Finding("radio", PROBLEM, text, f"Raise it to 115200 baud: {BLUETOOTH_SETUP}", measured)
 
 
-CHECKS: tuple[Callable[[Patient], Finding], ...] = (
+CHECKS: tuple[Callable[[BoardEvidence], Finding], ...] = (
     _firmware,
     _link,
     _imu,

@@ -21,12 +21,11 @@ from tailbeat.board.provision import MISSING, KeyStatus, key_status, trust_of
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages as results
-from tailbeat.link.heard import Hearing
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
 from tailbeat.link.messages import BoardStatus, ImuInfo
 from tailbeat.link.serial import CLOSE_IT, SerialTransport, holders, is_radio
 from tailbeat.link.timesync import ClockSample
-from tailbeat.link.transport import Transport
+from tailbeat.link.transport import Hearing, Transport
 from tailbeat.sim.board import in_process
 
 OK, WARNING, PROBLEM = "ok", "warning", "problem"
@@ -246,7 +245,7 @@ Health = dict[str, int | str]
 
 
 @dataclass
-class Patient:
+class BoardEvidence:
     """``unanswered``: messages the board did not give though it answered others. ``untold``: those
     it refused us, because it has a key and we have not."""
 
@@ -279,7 +278,7 @@ class Patient:
         return results.BOARD_KINDS.get(number or 0, "unknown")
 
 
-def gather(transport: Transport, measure_s: float) -> Patient:
+def gather(transport: Transport, measure_s: float) -> BoardEvidence:
     """Asks for everything. Raises LinkLostError when the board answers nothing at all."""
     fish = Fish(transport)
     fish.clock.sync()
@@ -287,7 +286,7 @@ def gather(transport: Transport, measure_s: float) -> Patient:
     # A stranger would have to wait for it twice.
     before = None if link.signing.locked else _ask(link, "TAILBEAT_HEALTH")
     damaged = link.framer.bad_frames
-    patient = Patient(by_radio(transport), in_process(transport) is not None, Pings(0, []))
+    patient = BoardEvidence(by_radio(transport), in_process(transport) is not None, Pings(0, []))
     patient.pings = ping(link, measure_s)
     _read(patient, link)
     if not patient.busy:
@@ -300,10 +299,10 @@ def gather(transport: Transport, measure_s: float) -> Patient:
     return patient
 
 
-def of_connected(fish: Fish, measure_s: float) -> Patient:
+def of_connected(fish: Fish, measure_s: float) -> BoardEvidence:
     """What matters before a swim, of a fish that is connected: link, battery, IMU."""
     link = fish.link
-    patient = Patient(
+    patient = BoardEvidence(
         by_radio(fish.transport), in_process(fish.transport) is not None, ping(link, measure_s)
     )
     patient.status = fish.status()
@@ -313,7 +312,7 @@ def of_connected(fish: Fish, measure_s: float) -> Patient:
     return patient
 
 
-def _read(patient: Patient, link: Link) -> None:
+def _read(patient: BoardEvidence, link: Link) -> None:
     tries = _TRIES_LOSSY if patient.pings.lost else _TRIES
     messages: dict[str, Message | None] = dict.fromkeys(ASKED)
     for kind in ASKED:
@@ -337,7 +336,7 @@ def _read(patient: Patient, link: Link) -> None:
         patient.imu = ImuInfo.of(imu)
 
 
-def _look_further(patient: Patient, fish: Fish) -> None:
+def _look_further(patient: BoardEvidence, fish: Fish) -> None:
     for name in PARAMETERS:
         if name not in patient.parameters:
             with contextlib.suppress(TailbeatError):

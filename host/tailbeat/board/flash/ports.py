@@ -12,8 +12,16 @@ from typing import Protocol
 import serial
 
 from tailbeat.core.errors import ConnectError, reason
-from tailbeat.link.serial import BAUD, ERASE_BAUD, cannot_open, holders
-from tailbeat.link.usb_ids import PortKind, ids_text, kind_of, may_be_16u2
+from tailbeat.link.serial import (
+    BAUD,
+    ERASE_BAUD,
+    PortKind,
+    cannot_open,
+    holders,
+    ids_text,
+    kind_of,
+    may_be_16u2,
+)
 
 _RESTART_S = 2.5  # the watchdog restarts a board that hangs once a second
 _RESTART_BYTES = 4096

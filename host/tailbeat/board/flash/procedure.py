@@ -26,9 +26,9 @@ from tailbeat.board.flash.ports import BoardPort, Enumerate
 from tailbeat.board.flash.programs import BOSSAC, OPENOCD, Image, Run, require_program, run_program
 from tailbeat.board.snapshot import restore
 from tailbeat.core.errors import ConnectError, LinkLostError, NoBoardError, TailbeatError, reason
-from tailbeat.link.heard import Hearing
 from tailbeat.link.messages import BoardInfo
-from tailbeat.link.usb_ids import PortKind
+from tailbeat.link.serial import PortKind
+from tailbeat.link.transport import Hearing
 
 _ERASED_S = 1.0  # ERASE and RESET pulses of the ATmega16U2 take 0.75 s
 _RETURN_S = 10.0  # for a USB device to leave and come back under another id

@@ -1,4 +1,4 @@
-"""The flash image, and the programs that write it: bossac by the chip's boot loader, OpenOCD over SWD.
+"""The flash image, and the programs that write it: bossac over the boot loader, OpenOCD over SWD.
 
 OpenOCD erases only the pages of the image: stored data stays. Of bossac: setting the boot bit and
 resetting in one call is a race that bossac 1.8 and 1.9 lose: the reset comes before the bit is

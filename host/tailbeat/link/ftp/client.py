@@ -13,9 +13,7 @@ from pathlib import Path
 
 from tailbeat.core.errors import TransferError
 from tailbeat.core.records import crc32
-from tailbeat.link.ftp.download import Download, FileChangedError
-from tailbeat.link.ftp.partfile import PartFile
-from tailbeat.link.ftp.window import RoundTrip, Stall, Window
+from tailbeat.link.ftp.download import Download, FileChangedError, PartFile
 from tailbeat.link.ftp.wire import (
     CRC32,
     CREATE,
@@ -32,8 +30,11 @@ from tailbeat.link.ftp.wire import (
     TERMINATE,
     WRITE,
     FtpError,
-    Reply,
-    Request,
+    FtpReply,
+    FtpRequest,
+    RequestWindow,
+    RoundTrip,
+    StallTimer,
     is_for_us,
     parse,
 )
@@ -54,11 +55,11 @@ class Upload:
         self._data = data
         self._session = client.open(CREATE, path).session
         self._todo = list(range(0, len(data), DATA_BYTES))
-        self._window = Window(self._link, client.round_trip)
+        self._window = RequestWindow(self._link, client.round_trip)
 
     def send(self, progress: Progress | None) -> None:
         """All blocks, each until acknowledged, and the file's end. Raises FtpError."""
-        stall = Stall(self._link, "upload again")
+        stall = StallTimer(self._link, "upload again")
         done, total = 0, len(self._data)
         while self._todo:
             self._fill()
@@ -78,14 +79,14 @@ class Upload:
                 block = self._data[offset : offset + DATA_BYTES]
                 self._client.send(WRITE, self._session, offset, data=block)
 
-    def _hear(self) -> Reply | None:
+    def _hear(self) -> FtpReply | None:
         wait_s = self._window.next_due_s() - self._link.transport.now_s()
         message = self._link.recv("FILE_TRANSFER_PROTOCOL", min(max(wait_s, 0.001), 1.0), is_for_us)
         reply = parse(message) if message is not None else None
         ours = reply is not None and (reply.session, reply.request) == (self._session, WRITE)
         return reply if ours else None
 
-    def _take(self, reply: Reply) -> bool:
+    def _take(self, reply: FtpReply) -> bool:
         """Whether this acknowledges a block that was not yet."""
         if reply.error:
             raise FtpError(reply.error, self._path)
@@ -223,7 +224,7 @@ class FtpClient:
         """Ends all transfer sessions on the board, whoever began them."""
         self._request(RESET, "/")
 
-    def open(self, opcode: int, path: str) -> Reply:
+    def open(self, opcode: int, path: str) -> FtpReply:
         """A session of a number of its own, so that answers to an earlier one are known by it."""
         self._session = self._session % 255 + 1
         try:
@@ -252,7 +253,7 @@ class FtpClient:
     ) -> None:
         """Sends a request once, and waits for nothing."""
         self._seq = (self._seq + 1) & 0xFFFF
-        self.link.send(Request(self._seq, session, opcode, offset, data, size).message())
+        self.link.send(FtpRequest(self._seq, session, opcode, offset, data, size).message())
 
     def _request(
         self,
@@ -262,9 +263,9 @@ class FtpClient:
         offset: int = 0,
         data: bytes = b"",
         size: int | None = None,
-    ) -> Reply:
+    ) -> FtpReply:
         self._seq = (self._seq + 1) & 0xFFFF
-        request = Request(self._seq, session, opcode, offset, data, size)
+        request = FtpRequest(self._seq, session, opcode, offset, data, size)
         expected = (self._seq + 1) & 0xFFFF
 
         def fits(message: Message) -> bool:
@@ -285,7 +286,7 @@ class FtpClient:
         raise AssertionError("attempts always raises at its end")
 
 
-def _checked(reply: Reply, path: str) -> Reply:
+def _checked(reply: FtpReply, path: str) -> FtpReply:
     if reply.error:
         raise FtpError(reply.error, path)
     return reply

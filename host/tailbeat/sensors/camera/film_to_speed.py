@@ -20,7 +20,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file
 from tailbeat.core.frames import Frame
-from tailbeat.core.trial_checks import Straightness, straightness_of_frames
+from tailbeat.core.trial_checks import HeadingDrift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker
@@ -58,7 +58,7 @@ class Analysis:
         without a trial: empty."""
         return self.curve.beats(self.trial.executed_beats if self.trial is not None else 0)
 
-    def straight(self) -> Straightness | None:
+    def straight(self) -> HeadingDrift | None:
         """Whether it swam straight, from the begin of the swim (of the film, if that is not known)
         to its end; speeds are those along ``curve.direction_rad``."""
         beat_s, begin_s = self.curve.beat_s, self.curve.start_s
@@ -72,7 +72,7 @@ class Analysis:
             self.track.heading_rad[seen], strict=True,
         )  # fmt: skip
         frames = [Frame(*map(float, row)) for row in rows]
-        return straightness_of_frames(frames, begin_s, beats, beat_s)
+        return heading_drift_of_frames(frames, begin_s, beats, beat_s)
 
     def summary(self) -> dict[str, Any]:
         """What summary.json holds: plain values, units in the names, None = not known."""
@@ -207,7 +207,7 @@ def _beats_csv(speed: F64, sigma: F64) -> str:
     return out.getvalue()
 
 
-def _straight_summary(found: Straightness | None) -> dict[str, Any] | None:
+def _straight_summary(found: HeadingDrift | None) -> dict[str, Any] | None:
     if found is None:
         return None
     return {

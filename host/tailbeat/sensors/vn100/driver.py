@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tailbeat.core.errors import InputError
-from tailbeat.core.imu_problems import Problem, problem_info
+from tailbeat.core.faults import ImuProblem, problem_info
 from tailbeat.core.native import ffi, lib
 from tailbeat.sensors.vn100.decode import Binary, Message
 
@@ -56,7 +56,7 @@ class Setup:
     found_baud: int
     rate_hz: int
     registers: tuple[Setting, ...]
-    problem: Problem
+    problem: ImuProblem
 
 
 class Driver:
@@ -83,7 +83,7 @@ class Driver:
         return STATES[self._driver.state]
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> ImuProblem:
         """Why it does not stream as wanted."""
         return problem_info(int(self._driver.problem))
 

@@ -15,8 +15,8 @@ import serial
 
 from tailbeat.board.connect import tcp_address
 from tailbeat.core.errors import LinkLostError, TailbeatError, reason
+from tailbeat.core.faults import IMU_NEEDS_SAVE, IMU_NONE, IMU_SILENT, IMU_STARTING
 from tailbeat.core.imu_fields import error_words
-from tailbeat.core.imu_problems import NEEDS_SAVE, NONE, SILENT, STARTING
 from tailbeat.link.serial import SerialTransport
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.sensors.vn100.decode import Message, Reader
@@ -190,12 +190,12 @@ def configure(live: Live) -> Setup:
     end_s = live.source.now_s() + VERDICT_S + 1.0
     while driver.state != "streaming" and live.source.now_s() < end_s:
         live.step(_STEP_S)
-        if driver.problem.number not in (NONE, STARTING, NEEDS_SAVE):
+        if driver.problem.number not in (IMU_NONE, IMU_STARTING, IMU_NEEDS_SAVE):
             break
     if driver.state != "streaming":
         problem = driver.problem
         said = f" (it said: {error_words(driver.error)})" if driver.error else ""
-        remedy = WIRING if problem.number == SILENT else problem.remedy
+        remedy = WIRING if problem.number == IMU_SILENT else problem.remedy
         raise SensorError(f"{live.source.name}: {problem.meaning}{said}", remedy)
     live.reader.count_anew()
     return driver.setup()

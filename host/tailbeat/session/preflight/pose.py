@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.faults import IMU_STARTING
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.core.imu_problems import STARTING
 from tailbeat.sensors.camera.tracking.tracker import Repeats
 from tailbeat.session.preflight.step import Pose, Wanted
 
@@ -53,7 +53,7 @@ class Feel:
     @classmethod
     def of(cls, fish: Fish, step: Step) -> Feel | None:
         """None when the board has no IMU that streams; waits until it knows."""
-        while (info := fish.imu_info()).problem.number == STARTING:
+        while (info := fish.imu_info()).problem.number == IMU_STARTING:
             if step.elapsed_s > _VERDICT_S:
                 break
             step.tell("waits for the IMU")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from tailbeat.core import judge as judging
+from tailbeat.core import trial_checks as judging
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law

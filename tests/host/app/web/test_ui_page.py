@@ -9,7 +9,7 @@ import pytest
 
 from tailbeat.app.web import charts, words
 from tailbeat.app.web.view import LOG_LINES, Snapshot, after, logged
-from tailbeat.core.trial_checks import Straightness
+from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.analysis import TrialRow
 
 NOW = Snapshot(
@@ -116,7 +116,7 @@ def test_start_says_what_it_will_do() -> None:
 
 
 def test_rows_in_words() -> None:
-    bent = Straightness(0.1, math.radians(-21), 0.2, "imu")
+    bent = HeadingDrift(0.1, math.radians(-21), 0.2, "imu")
     assert words.straight(row(1, 0.01, straight=bent)) == "crooked, -21°"
     assert words.straight(row(1, 0.01)) == ""
     cut = row(1, 0.01, "discard", reason="a wave", end="aborted:ABORT_COMMAND")

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
+from tailbeat.core.faults import all_problems, problem_info
 from tailbeat.core.imu_fields import ASCII, BINARY
-from tailbeat.core.imu_problems import all_problems, problem_info
 from tailbeat.core.native import ffi, lib
 from tailbeat.sensors.vn100 import decode
 from tailbeat.sensors.vn100.decode import Binary, Line, Message, Reader
