@@ -169,7 +169,7 @@ def test_learning_does_not_fail_with_the_logbook(
     tailbeat("trial", "run", "--connect", "x")
     out, err = tailbeat("learn", "--connect", "x", "--json")
     assert json.loads(out)["verdict"] is None
-    assert err.startswith("tailbeat: no verdict on trial ")
+    assert err.startswith("tailbeat: no assessment of trial ")
     assert "TAILBEAT_LOGBOOK" in err
 
 
@@ -323,7 +323,7 @@ def test_a_trial_that_cannot_be_kept_is_discarded_all_the_same(
     tailbeat("trial", "run", "--connect", "x")
     out, err = tailbeat("trial", "discard", "--connect", "x", "--json")
     assert json.loads(out)["pending_trial"] is None
-    assert err.startswith("tailbeat: not kept in the logbook: ")
+    assert err.startswith("tailbeat: not kept in the trial library: ")
 
 
 def test_what_excludes_each_other(capsys: pytest.CaptureFixture[str]) -> None:

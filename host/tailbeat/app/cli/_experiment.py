@@ -98,7 +98,7 @@ def show_text(document: dict[str, Any]) -> str:
     rows = [_trial_cells(row) for row in document["trials"]]
     lines.append(table(header, rows, left=(2, 7)) if rows else "no trials yet")
     if document.get("floor_m_s") is not None:
-        lines.append(f"floor {mm(document['floor_m_s'])} mm/s ({document['floor_by']})")
+        lines.append(f"error bound {mm(document['floor_m_s'])} mm/s ({document['floor_by']})")
     if document.get("noise_m_s") is not None:
         freedom = freedom_words(document["noise_freedom"])
         scatter = f"{mm(document['noise_m_s'])} mm/s (standard deviation, {freedom})"
@@ -134,7 +134,7 @@ def compared_text(found: Comparison, others: list[str], simulated: bool) -> str:
     need = "more than 1000" if found.repeats is None else str(found.repeats)
     lines = [
         found.words + (", simulated" if simulated else ""),
-        f"{effect}, p = {found.p:.2g}; swims on each side to see such an effect: {need}",
+        f"{effect}, p = {found.p:.2g}; trials on each side to see such an effect: {need}",
     ]
     if others:
         lines.append(f"they differ in: {'; '.join(others)}")
@@ -167,7 +167,7 @@ def keep_in_logbook(fish: Fish, path: Path) -> None:
         if (book := logbook_of(fish)) is not None:
             book.keep(path)
     except TailbeatError as error:
-        echo(f"tailbeat: not kept in the logbook: {error}", err=True)
+        echo(f"tailbeat: not kept in the trial library: {error}", err=True)
 
 
 def discard_and_keep(
@@ -188,7 +188,7 @@ def discard_and_keep(
         if book is not None and pending is not None:
             copy = _pulled(fish, book, pending, quiet)
     except TailbeatError as error:
-        echo(f"tailbeat: not kept in the logbook: {error}", err=True)
+        echo(f"tailbeat: not kept in the trial library: {error}", err=True)
     with withdrawn_if_refused(noted):
         fish.discard(number)
     if noted is None and (line := not_noted(fish)):
@@ -216,7 +216,7 @@ def verdict_after_learning(
             return None
         return _judged(book, kept or _pulled(fish, book, number, quiet), rolled_back)
     except TailbeatError as error:
-        echo(f"tailbeat: no verdict on trial {number}: {error}", err=True)
+        echo(f"tailbeat: no assessment of trial {number}: {error}", err=True)
         return None
 
 

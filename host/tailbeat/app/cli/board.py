@@ -105,8 +105,8 @@ def _info_of_a_stranger(fish: Fish) -> tuple[dict[str, Any], str]:
     document: dict[str, Any] = dict.fromkeys(field.name for field in fields(BoardInfo))
     document |= {"connection": name, "status": status, "imu": None, "health": health}
     document["visits"] = None
-    who = f"board on {name}; what it is, and its firmware: not told to strangers"
-    return document, _info_text(who, status, "not told to strangers", health)
+    who = f"board on {name}; what it is, and its firmware: only for authenticated hosts"
+    return document, _info_text(who, status, "only for authenticated hosts", health)
 
 
 def imu_line(imu: ImuInfo) -> str:

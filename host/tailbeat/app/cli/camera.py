@@ -35,7 +35,7 @@ def render(
     reference: Annotated[
         str,
         typer.Option(
-            "--reference", help="What to swim: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV."
+            "--reference", help="The reference: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV."
         ),
     ] = "thesis",
     plant: Annotated[
@@ -61,10 +61,10 @@ def render(
     noise_mm: Annotated[
         float, typer.Option("--noise-mm", min=0, help="How far a drawn fish is off its place.")
     ] = 0.0,
-    fish: Annotated[int, typer.Option("--fish", min=1, max=2, help="How many swim.")] = 1,
+    fish: Annotated[int, typer.Option("--fish", min=1, max=2, help="Number of fish.")] = 1,
     offset: Annotated[
         float,
-        typer.Option("--offset", min=0.1, max=60, help="Film before the swim begins, s."),
+        typer.Option("--offset", min=0.1, max=60, help="Film before the trial begins, s."),
     ] = 2.0,
     json: Json = False,
 ) -> None:
@@ -128,11 +128,11 @@ def track(
     marker: MarkerOptions = CAMERA,
     trial: Annotated[
         Path | None,
-        typer.Option("--trial", metavar="FILE.ulg", help="The swim's file: 'trial pull'."),
+        typer.Option("--trial", metavar="FILE.ulg", help="The trial's file: 'trial pull'."),
     ] = None,
     start: Annotated[
         float | None,
-        typer.Option("--start", metavar="S", help="Second of the film at which the swim begins."),
+        typer.Option("--start", metavar="S", help="Second of the film at which the trial begins."),
     ] = None,
     beat: Annotated[
         float, typer.Option("--beat", metavar="S", help="Length of a beat; with --trial its own.")
@@ -276,16 +276,16 @@ def _sync_text(found: Analysis) -> str:
     sync = found.sync
     if sync is None:
         return "in time with no trial: give --trial FILE.ulg"
-    at = f"the swim begins at {sync.start_s:.3f} s"
+    at = f"the trial begins at {sync.start_s:.3f} s"
     if sync.how == "given":
         return f"{at}, as given"
-    by = "by the LED" if sync.how == "led" else "by the fish's wobble"
+    by = "by the LED" if sync.how == "led" else "by the fish's yaw oscillation"
     line = f"{at} +-{sync.sigma_s * 1e3:.0f} ms, {by}"
     if found.trial is None:
         line += f", which shows trial {sync.trial} (or one 256 away): give its file, --trial"
     elif sync.how == "yaw":
         line += (
-            "; swims with nearly equal amplitudes look alike: "
+            "; trials with nearly equal amplitudes look alike: "
             f"is it trial {found.trial.number}'s film?"
         )
     return line

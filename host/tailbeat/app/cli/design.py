@@ -98,8 +98,7 @@ def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Ide
     if known is None:
         raise InputError(
             "this fish has not been identified.",
-            "Let it swim 'tailbeat session identify' first, or give --table CSV with steady "
-            "speeds.",
+            "Run 'tailbeat session identify' first, or give --table CSV with steady speeds.",
         )
     return known
 
@@ -160,7 +159,7 @@ def _text(found: Design, applied: bool) -> str:
         f"simulated  max|e| {_series(found)} mm/s from iteration 0 on (medians)",
         f"           90 % of the last: {mm(float(found.series.low_m_s[-1]))} to "
         f"{mm(float(found.series.high_m_s[-1]))} mm/s",
-        f"floor      {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
+        f"bound      {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
     ]
     if found.refused:
         lines.append(f"forced     {found.refused.rstrip('.')}")

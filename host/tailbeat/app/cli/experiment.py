@@ -68,7 +68,7 @@ def new(
     configuration: Configuration = None,
     operator: Operator = None,
     another: Annotated[
-        bool, typer.Option("--another", help="Also when nothing was swum in the last one.")
+        bool, typer.Option("--another", help="Also when the last one has no trial.")
     ] = False,
     root: Root = EXPERIMENTS,
     connect: Connect = None,

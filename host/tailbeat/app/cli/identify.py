@@ -52,11 +52,15 @@ def identify(
     ] = None,
     trials: Annotated[
         list[Path] | None,
-        typer.Option("--trials", metavar="FILE...", help="Swim nothing; use these trial files."),
+        typer.Option(
+            "--trials", metavar="FILE...", help="Trial files to use; the fish does not swim."
+        ),
     ] = None,
     experiment: Annotated[
         Path | None,
-        typer.Option("--experiment", metavar="DIR", help="Swim nothing; use its trials."),
+        typer.Option(
+            "--experiment", metavar="DIR", help="Its trials are used; the fish does not swim."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write what was found there.")] = None,
     library: Library = None,

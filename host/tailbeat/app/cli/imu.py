@@ -179,5 +179,7 @@ def _row(frame: ImuFrame) -> list[str]:
 def _silent(fish: Fish) -> Exception:
     problem = fish.imu_info().problem
     if problem.well:
-        return TransferError("no frames came over the link", "Record longer, or see the radio.")
+        return TransferError(
+            "no frames came over the link", "Record longer, or check the Bluetooth link."
+        )
     return TransferError(f"no frames came: {problem.meaning}", problem.remedy)

@@ -71,7 +71,7 @@ def status(connect: Connect = None, json: Json = False) -> None:
 
 
 def _status_text(found: KeyStatus) -> str:
-    lines = [f"board      {found.board or 'does not tell strangers who it is'}"]
+    lines = [f"board      {found.board or 'only for authenticated hosts'}"]
     if found.held is not None:
         named = f" ({found.held.name})" if found.held.name else ""
         lines.append(f"key        {found.held.fingerprint}{named}, set {found.held.created}")

@@ -117,8 +117,9 @@ def _learn(fish: Fish, number: int | None, json: bool) -> None:
 
 _RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
 _ANEW = (
-    "trial numbers come again: the logbook holds swims of this board before it started anew; "
-    "for another fish name another logbook in TAILBEAT_LOGBOOK"
+    "trial numbers come again: the trial library holds trials of this board from before its "
+    "restart; "
+    "for another fish name another folder in TAILBEAT_LOGBOOK"
 )
 
 

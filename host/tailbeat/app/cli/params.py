@@ -116,7 +116,7 @@ def save(connect: Connect = None, json: Json = False) -> None:
         fish.params.save()
         accepted = accept(fish)
     words = [f"{name} {_number(now)} (was {_number(was)})" for name, (now, was) in accepted.items()]
-    text = f"saved; from now on meant: {', '.join(words)}" if words else "saved"
+    text = f"saved; from now on expected: {', '.join(words)}" if words else "saved"
     say(json, {"saved": True, "accepted": {name: now for name, (now, _) in accepted.items()}}, text)
 
 

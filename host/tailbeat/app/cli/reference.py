@@ -50,7 +50,8 @@ def floor_text(band: Band, assumed: Sequence[str] = ()) -> str:
     the fish no run has told."""
     found, (low, high) = band.floor, band.lsq_max_abs_m_s
     lines = [
-        f"floor (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by what "
+        f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by "
+        "what "
         f"is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than that"
     ]
     lines += [f"  {_spot_text(spot)}" for spot in found.spots]
@@ -94,7 +95,7 @@ def suggestion_text(found: Suggestion, path: str) -> str:
     reference = found.reference
     lines = [
         f"suggested: {reference.beats} beats, {reference.travel_m:.2f} m, "
-        f"floor (least squares) {mm(found.floor_m_s)} mm/s",
+        f"error bound (least squares) {mm(found.floor_m_s)} mm/s",
         *(f"  {change}" for change in found.changes),
         f"written to {path}; use it: tailbeat reference upload {path}",
     ]
@@ -290,7 +291,9 @@ def check(
     slew: Annotated[
         float | None,
         typer.Option(
-            "--slew", metavar="RAD", help="Largest change per beat for the floor; default: any."
+            "--slew",
+            metavar="RAD",
+            help="Largest change per beat for the error bound; default: any.",
         ),
     ] = None,
     connect: Connect = None,
@@ -330,7 +333,7 @@ def check(
         _refuse(problems)
 
 
-_UNKNOWN = "floor unknown: this fish has not been identified (tailbeat session identify)"
+_UNKNOWN = "error bound unknown: this fish has not been identified (tailbeat session identify)"
 
 
 def _expected(known: _CheckedAgainst, reference: Reference) -> Saturation | None:

@@ -29,7 +29,9 @@ from tailbeat.report.paper import Written, write_report
 def progress(
     experiment: Annotated[
         Path | None,
-        typer.Option("--experiment", metavar="DIR", help="Its trials; default: the logbook's."),
+        typer.Option(
+            "--experiment", metavar="DIR", help="Its trials; default: those of the trial library."
+        ),
     ] = None,
     reference: Annotated[
         str | None,
@@ -83,7 +85,7 @@ def _material(experiment: Path | None, root: Path | None, connect: str | None) -
         book = logbook_of(fish, root)
     if book is None:
         raise InputError(
-            "a simulated fish in this process keeps no logbook.",
+            "a simulated fish in this process has no trial library.",
             "Give --experiment DIR, or --library DIR.",
         )
     kept, problems = book.kept()
@@ -191,7 +193,7 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
     lines = []
     if verdict.best_trial:
         best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
-        floor = f"; floor (least squares) {mm(found.floor_m_s)} mm/s"
+        floor = f"; error bound (least squares) {mm(found.floor_m_s)} mm/s"
         lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
     if verdict.stop:
         lines += [f"stop: {verdict.stop_reason}", verdict.advice]

@@ -45,7 +45,7 @@ def commission(
         str,
         typer.Option(
             "--reference",
-            help="What it is to swim, as for 'reference upload'.",
+            help="The reference, as for 'reference upload'.",
             autocompletion=reference_names,
         ),
     ] = "thesis",
@@ -86,7 +86,10 @@ def resume(
         bool, typer.Option("--another-board", help="The fish's board was replaced by this one.")
     ] = False,
     repeat: Annotated[
-        bool, typer.Option("--repeat/--no-repeat", help="Swim the best once to tell the shift.")
+        bool,
+        typer.Option(
+            "--repeat/--no-repeat", help="Run the best trial once more, to measure the shift."
+        ),
     ] = True,
     rest: Rest = None,
     yes: Yes = False,
@@ -255,10 +258,10 @@ def trim(
             show_default=False,
         ),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before each swim.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before each trial.")] = False,
     rest: Annotated[
         float,
-        typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each swim."),
+        typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each trial."),
     ] = 30.0,
     camera: CameraOptions = CAMERA,
     connect: Connect = None,
@@ -297,7 +300,7 @@ def _trimmed(
 def _require_somebody(there: bool) -> None:
     if not there:
         raise InputError(
-            "nobody can be asked before each swim here.",
+            "nobody can be asked before each trial here.",
             "Add --yes when the fish is free to swim twice by itself, or call it at a terminal.",
         )
 

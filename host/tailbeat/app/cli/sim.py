@@ -35,7 +35,7 @@ Seed = Annotated[
 Listen = Annotated[
     str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
 ]
-Pty = Annotated[bool, typer.Option("--pty", help="Serve the wired console on a pty too.")]
+Pty = Annotated[bool, typer.Option("--pty", help="Serve the USB serial port on a pty too.")]
 Speed = Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")]
 Set = Annotated[
     list[str] | None,
@@ -55,7 +55,7 @@ def demo(
         float | None,
         typer.Option("--lead", min=0, help="Beats, in halves; default 0 (thesis) or 1 (tank)."),
     ] = None,
-    trials: Annotated[int, typer.Option("--trials", min=1, help="Trials to swim.")] = 6,
+    trials: Annotated[int, typer.Option("--trials", min=1, help="Number of trials.")] = 6,
     seed: Annotated[
         int | None,
         typer.Option("--seed", min=0, help="Same seed, same run, bit for bit; default: 1."),
@@ -96,7 +96,7 @@ def _demo_text(result: DemoResult) -> str:
             mm(row.rms_error_m_s),
             mm(row.true_max_abs_error_m_s),
             str(row.saturated_beats),
-            "zero input, not swum" if row.trial == 0 else row.end,
+            "baseline (u = 0)" if row.trial == 0 else row.end,
         ]
         for row in result.trials
     ]
@@ -116,7 +116,8 @@ def _demo_text(result: DemoResult) -> str:
     ]
     if result.floor_m_s is not None:
         lines.append(
-            f"floor {mm(result.floor_m_s)} mm/s: no input can do better on this plant without "
+            f"error bound {mm(result.floor_m_s)} mm/s: no input can do better on this plant "
+            "without "
             f"noise (least squares: {mm(result.floor_lsq_m_s)})"
         )
     return "\n".join([*lines, f"report {result.report}"])

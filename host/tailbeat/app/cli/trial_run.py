@@ -45,7 +45,7 @@ def run(
         bool | None,
         typer.Option(
             "--guide/--no-guide",
-            help="Rest, pose, still water, countdown, swim, keep or not; default: at a terminal.",
+            help="Rest, pose, still water, countdown, trial, keep or not; default: at a terminal.",
             show_default=False,
         ),
     ] = None,
@@ -55,7 +55,7 @@ def run(
         typer.Option(
             "--until",
             metavar="converged|battery|N",
-            help="Swim on until then; default: 1 kept swim.",
+            help="Run trials until then; default: 1 kept trial.",
         ),
     ] = None,
     into: Into = None,
@@ -64,7 +64,7 @@ def run(
         typer.Option(
             "--then",
             metavar="keep|repeat|discard",
-            help="Answer for every swim, given now; one you stop by a key is asked about.",
+            help="Answer for every trial, given now; one you stop by a key is asked about.",
         ),
     ] = None,
     reason: Annotated[

@@ -187,7 +187,7 @@ def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
     document = alone.json("sim", "demo", "--trials", "1", "--seed", "4", "--out", str(tmp_path))
     assert (document["seed"], len(document["trials"])) == (4, 2)
     text = alone.text("sim", "demo", "--trials", "1", "--out", str(tmp_path))
-    assert "floor 10.4 mm/s" in text
+    assert "error bound 10.4 mm/s" in text
     assert text.splitlines()[-1] == f"report {tmp_path / 'report.html'}"
 
 

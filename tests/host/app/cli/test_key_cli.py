@@ -431,8 +431,8 @@ def test_what_info_tells_a_stranger(owner: Laptop, laptop: Callable[[str], Lapto
     assert theirs["status"].keys() == ours["status"].keys()
     assert theirs["health"].keys() == ours["health"].keys()
     _, out, _ = stranger.call("info", "--connect", "radio")
-    assert "what it is, and its firmware: not told to strangers" in out
-    assert "imu        not told to strangers" in out
+    assert "what it is, and its firmware: only for authenticated hosts" in out
+    assert "imu        only for authenticated hosts" in out
 
 
 def test_a_strangers_doctor_names_the_key(

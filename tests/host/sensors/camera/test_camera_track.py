@@ -117,7 +117,7 @@ def test_text_says_what_to_do_next(
     out = tmp_path / "swim"
     assert track(film, out, "--trial", str(film.trial_file), *SHORT) == 0
     text = capsys.readouterr().out
-    assert "the swim begins at 2.000 s, as given" in text
+    assert "the trial begins at 2.000 s, as given" in text
     begin = json.loads((out / "summary.json").read_text())["sync"]
     assert begin["sigma_s"] == pytest.approx(0.5 / film.fps / math.sqrt(3), rel=1e-3)
     assert f"of {BEATS} beats have no speed" in text
@@ -205,7 +205,7 @@ def test_a_film_paired_by_the_wobble_is_questioned(
     monkeypatch.setattr(film_to_speed, "track", without_led)
     assert track(film, tmp_path / "swim", "--trial", str(film.trial_file)) == 0
     text = capsys.readouterr().out
-    assert "by the fish's wobble; swims with nearly equal amplitudes look alike" in text
+    assert "by the fish's yaw oscillation; swims with nearly equal amplitudes look alike" in text
     assert f"is it trial {film.trial}'s film?" in text
 
 
