@@ -46,7 +46,7 @@ COMMANDS = {
     "board imu status": Entry("Print the IMU's state, and what to do", "imu:status"),
     "board imu save": Entry("Write the IMU's settings into its own flash", "imu:save"),
     "board imu record": Entry("Write the IMU's raw frames to a CSV file", "imu:record"),
-    "board imu decode": Entry("Decode a VN-100's recording, or listen to one", "vn100:imu_decode"),
+    "board imu decode": Entry("Decode a VN-100's recording, or listen to one", "imu:decode_imu"),
     "session commission": Entry(
         "Check, trim, identify and design for a new fish; raise its limits",
         "session:commission", SET_UP,

@@ -169,8 +169,8 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], None]:
     """Makes the command open this source, under the name of a port."""
 
     def put(source: Any) -> None:
-        monkeypatch.setattr("tailbeat.app.cli.vn100.open_source", lambda name, baud: source)
-        monkeypatch.setattr("tailbeat.app.cli.vn100.is_port", lambda name: True)
+        monkeypatch.setattr("tailbeat.app.cli.imu.open_source", lambda name, baud: source)
+        monkeypatch.setattr("tailbeat.app.cli.imu.is_port", lambda name: True)
 
     return put
 
