@@ -220,6 +220,6 @@ def test_check_suggests_for_a_tank_too_short(
 
 def test_check_of_a_fish_nobody_identified(capsys: pytest.CaptureFixture[str]) -> None:
     assert check("trapezoid:0.05,5,5", "--connect", "sim:tank") == 0
-    assert "floor unknown" in capsys.readouterr().out
+    assert "error bound unknown" in capsys.readouterr().out
     assert check("trapezoid:0.05,5,5", "--connect", "sim:tank", "--suggest") == 1
     assert "tailbeat session identify" in capsys.readouterr().err

@@ -133,7 +133,7 @@ def test_a_simulated_fish_keeps_nothing_by_itself(
     tailbeat("trial", "pull", "--into", str(tmp_path), "--connect", "x")
     assert not logbook_folder.exists()
     assert run(["experiment", "progress", "--connect", "x"]) == 1
-    assert "keeps no logbook" in capsys.readouterr().err
+    assert "has no trial library" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("connected", "swum")

@@ -205,7 +205,7 @@ def test_a_film_paired_by_the_wobble_is_questioned(
     monkeypatch.setattr(film_to_speed, "track", without_led)
     assert track(film, tmp_path / "swim", "--trial", str(film.trial_file)) == 0
     text = capsys.readouterr().out
-    assert "by the fish's yaw oscillation; swims with nearly equal amplitudes look alike" in text
+    assert "by the fish's yaw oscillation; trials with nearly equal amplitudes look alike" in text
     assert f"is it trial {film.trial}'s film?" in text
 
 
