@@ -13,7 +13,7 @@ from tailbeat.core.law import Law
 from tailbeat.core.reference import from_text
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo import cell as lengths
+from tailbeat.studies.montecarlo import batch as lengths
 from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import cells, run_cell
@@ -55,7 +55,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
     reference = from_text("cosine:0.07,4,2")
     base = {"ILC_KIND": KINDS[past.kind], "ILC_WINDOW": past.window, "ROLLBACK_RATIO": 0}
     one_fish = FishBatch("tank", [{"seed": 5}])
-    spread = lengths.parse("uniform:4,13")
+    spread = lengths.parse_lengths("uniform:4,13")
     rolled, ends = [], []
     with Fish.connect("sim:tank", seed=5) as fish:
         values = {"SPD_SOURCE": UPLOAD, "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, **base, **params}
@@ -118,7 +118,7 @@ def test_averages_are_what_the_formulas_say(past: Past) -> None:
 
 def test_lengths_belong_to_fish_and_trial() -> None:
     """Even, within their spread, and the same whoever asks first."""
-    spread = lengths.parse("uniform:20,50")
+    spread = lengths.parse_lengths("uniform:20,50")
     assert spread is not None
     drawn = np.array([[spread.executed(s, t, 40) for t in range(1, 41)] for s in range(1, 101)])
     assert (drawn.min(), drawn.max()) == (20, 40)
@@ -127,11 +127,11 @@ def test_lengths_belong_to_fish_and_trial() -> None:
         assert np.mean(drawn == beats) == pytest.approx(1 / 30, abs=0.012)
     assert lengths.executed(spread, [7, 3], 5, 40).tolist() == [drawn[6, 4], drawn[2, 4]]
     assert len({tuple(row) for row in drawn}) == 100
-    scaled = lengths.parse("uniform:44,58,50")
+    scaled = lengths.parse_lengths("uniform:44,58,50")
     assert scaled is not None
     ends = {scaled.executed(s, 1, 40) for s in range(300)}
     assert ends == {35, 36, 37, 38, 39, 40}
-    assert lengths.executed(lengths.parse(""), [1, 2], 3, 40).tolist() == [40, 40]
+    assert lengths.executed(lengths.parse_lengths(""), [1, 2], 3, 40).tolist() == [40, 40]
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_lengths_belong_to_fish_and_trial() -> None:
 )
 def test_lengths_that_make_no_sense(text: str) -> None:
     with pytest.raises(InputError, match="Write it like uniform:20,50"):
-        lengths.parse(text)
+        lengths.parse_lengths(text)
 
 
 SMALL = """

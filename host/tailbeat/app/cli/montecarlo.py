@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from tailbeat.app.cli._options import Json
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say, table
-
-if TYPE_CHECKING:
-    from tailbeat.studies.montecarlo.recipe import Recipe
-    from tailbeat.studies.montecarlo.summary import ClaimResult, GroupSummary, StudySummary
+from tailbeat.studies.montecarlo.cell import cells
+from tailbeat.studies.montecarlo.plot import render
+from tailbeat.studies.montecarlo.recipe import Recipe, load, packaged
+from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, run_study
+from tailbeat.studies.montecarlo.summary import ClaimResult, GroupSummary, StudySummary, summarise
 
 SWEEPS = Path("sweeps")
 _SHOWN = (1, 2, 3, 4, 6, 10, 20, 40)  # iterations of the table, and the last
@@ -58,15 +59,12 @@ def sweep(
 
     Example: tailbeat sim montecarlo designed-law --plot designed.png
     """
-    from tailbeat.studies.montecarlo.recipe import load
-    from tailbeat.studies.montecarlo.results import Store
-    from tailbeat.studies.montecarlo.summary import summarise
 
     if list_:
         _list(json)
         return
     if summary is not None:
-        store, about = Store(summary), {"out": summary}
+        store, about = StudyFolder(summary), {"out": summary}
         wanted = store.recipe() if recipe is None else load(recipe)
     else:
         if recipe is None:
@@ -74,11 +72,9 @@ def sweep(
         wanted = load(recipe)
         wanted = wanted if seeds is None else wanted.with_seeds(seeds)
         out = out or SWEEPS / wanted.name
-        store, about = Store(out), _compute(wanted, out, cores, scheduler, json)
+        store, about = StudyFolder(out), _compute(wanted, out, cores, scheduler, json)
     found = summarise(wanted, store.read())
     if plot is not None:
-        from tailbeat.studies.montecarlo.plot import render
-
         render(found, plot)
         about["plot"] = plot
     say(json, _document(found) | about, lambda: _text(found, about))
@@ -89,7 +85,6 @@ def sweep(
 def _compute(
     recipe: Recipe, out: Path, cores: int | None, scheduler: str | None, json: bool
 ) -> dict[str, Any]:
-    from tailbeat.studies.montecarlo.runner import Interrupted, run_study
 
     begin_s = time.monotonic()
     first: list[int] = []
@@ -116,8 +111,6 @@ def _duration(seconds: float) -> str:
 
 
 def _list(json: bool) -> None:
-    from tailbeat.studies.montecarlo.cell import cells
-    from tailbeat.studies.montecarlo.recipe import load, packaged
 
     recipes = [load(name) for name in packaged()]
     rows = [

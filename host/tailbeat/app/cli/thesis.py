@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
 import sys
 import textwrap
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from tailbeat.app.cli._options import Json
 from tailbeat.app.cli._terminal import echo, progress_bar, say
 from tailbeat.core.files import plain
-
-if TYPE_CHECKING:
-    from tailbeat.studies.thesis.example import Claim, Example
-    from tailbeat.studies.thesis.study import Result
+from tailbeat.core.parallel import cores_here
+from tailbeat.studies.thesis import study
+from tailbeat.studies.thesis.example import VERDICTS, Claim, Example, ExampleOptions
+from tailbeat.studies.thesis.study import Result, checked, choose
 
 _WIDTH, _WIDTH_MIN, _WIDTH_MAX = 100, 72, 120  # of lines; the first where no terminal is
 _SOURCE, _VERDICT = 17, 17  # columns, two spaces between; the claim has the rest
@@ -88,10 +89,6 @@ def thesis(
 
     Example: tailbeat sim thesis 8 --figures figures
     """
-    from tailbeat.core.parallel import cores_here
-    from tailbeat.studies.thesis import study
-    from tailbeat.studies.thesis.example import ExampleOptions
-    from tailbeat.studies.thesis.study import checked, choose
 
     given = checked(lengths, seed, step, iterations, m, beta, delta, uptake)
     chosen = choose(_examples(), what, given, ExampleOptions(precision=precision))
@@ -119,10 +116,6 @@ def thesis(
 
 
 def _examples() -> tuple[Example, ...]:
-    import importlib
-
-    from tailbeat.studies.thesis import study
-
     examples: tuple[Example, ...] = importlib.import_module(study.REGISTRY).EXAMPLES
     return examples
 
@@ -146,7 +139,6 @@ def _document(example: Example, result: Result) -> dict[str, Any]:
 
 def _counts(results: list[Result], ours: bool) -> dict[str, int]:
     """By verdict, of the thesis's claims or of those beside them."""
-    from tailbeat.studies.thesis.example import VERDICTS
 
     claims = (claim for result in results for claim in result.claims if claim.ours == ours)
     counted = Counter(claim.verdict for claim in claims)

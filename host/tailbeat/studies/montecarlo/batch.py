@@ -6,6 +6,8 @@ speeds are measured from its camera's noisy pictures by a line over each beat (h
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -86,3 +88,56 @@ class FishBatch:
     def config(self, index: int) -> Any:
         """``sim_config_t *`` of one fish, a copy."""
         return ffi.new("sim_config_t *", self._configs[range(self._count)[index]])
+
+
+_LENGTHS_REMEDY = (
+    "Write it like uniform:20,50 (beats) or uniform:44,58,50 (of 50 for a full trial)."
+)
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """The trial would end after a time drawn evenly from ``low`` to ``high``; ``full`` of the same
+    unit last as long as the reference, 0 = as many as it has beats."""
+
+    low: float
+    high: float
+    full: float = 0.0
+
+    def executed(self, seed: int, trial: int, beats: int) -> int:
+        """Whole beats that trial ``trial`` (1 = the first) has of ``beats``."""
+        drawn = self.low + _draw(seed, trial) * (self.high - self.low)
+        return min(beats, math.floor(drawn * beats / (self.full or beats)))
+
+
+def parse_lengths(text: str) -> Lengths | None:
+    """``""``: every trial is full (None). ``uniform:LOW,HIGH`` in beats, ``uniform:LOW,HIGH,FULL``
+    where FULL is a full trial. Raises InputError for anything else."""
+    if not text:
+        return None
+    kind, _, arguments = text.partition(":")
+    try:
+        values = [float(part) for part in arguments.split(",")]
+    except ValueError:
+        values = []
+    if kind != "uniform" or len(values) not in (2, 3) or not all(map(math.isfinite, values)):
+        raise InputError(f"'{text}' is no length of trials.", _LENGTHS_REMEDY)
+    found = Lengths(*values)
+    if not 0 <= found.low <= found.high or (len(values) == 3 and found.full <= 0):
+        raise InputError(f"no trial is as long as '{text}'.", _LENGTHS_REMEDY)
+    return found
+
+
+def executed(
+    lengths: Lengths | None, seeds: Sequence[int], trial: int, beats: int
+) -> NDArray[np.int64]:
+    """Whole beats that each fish swims of ``beats`` in its trial ``trial``."""
+    if lengths is None:
+        return np.full(len(seeds), beats)
+    return np.array([lengths.executed(seed, trial, beats) for seed in seeds])
+
+
+def _draw(seed: int, trial: int) -> float:
+    """[0, 1), to 53 bits."""
+    digest = hashlib.sha256(f"length {seed} {trial}".encode()).digest()
+    return (int.from_bytes(digest[:8], "little") >> 11) * 2.0**-53

@@ -1,17 +1,9 @@
-"""How much of each trial is swum before something ends it: full, or drawn for each fish and trial.
-
-A length belongs to (seed, trial), whatever was drawn before it, so that a fish is cut short in the
-same trials with every law.
-
-One piece of a sweep: some seeds of one plant, law, noise and corner. A pure function of both.
-"""
+"""One piece of a Monte Carlo study: some seeds of one plant, law, noise and corner. A pure function
+of both."""
 
 from __future__ import annotations
 
-import hashlib
-import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -25,9 +17,11 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference
 from tailbeat.learning.error_bound import floor
 from tailbeat.learning.error_bound_solve import plant_config
+from tailbeat.learning.feasible import suggest
+from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.studies.montecarlo import learners
-from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
+from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch, executed, parse_lengths
 from tailbeat.studies.montecarlo.learners import ROLLED_BACK, BatchLearner, BatchReport
 from tailbeat.studies.montecarlo.recipe import (
     REFERENCE_IDENTIFIED,
@@ -41,57 +35,6 @@ from tailbeat.studies.montecarlo.results import FAILED, arrow, schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-_REMEDY = "Write it like uniform:20,50 (beats) or uniform:44,58,50 (of 50 for a full trial)."
-
-
-@dataclass(frozen=True)
-class Lengths:
-    """The trial would end after a time drawn evenly from ``low`` to ``high``; ``full`` of the same
-    unit last as long as the reference, 0 = as many as it has beats."""
-
-    low: float
-    high: float
-    full: float = 0.0
-
-    def executed(self, seed: int, trial: int, beats: int) -> int:
-        """Whole beats that trial ``trial`` (1 = the first) has of ``beats``."""
-        drawn = self.low + _share(seed, trial) * (self.high - self.low)
-        return min(beats, math.floor(drawn * beats / (self.full or beats)))
-
-
-def parse(text: str) -> Lengths | None:
-    """``""``: every trial is full (None). ``uniform:LOW,HIGH`` in beats, ``uniform:LOW,HIGH,FULL``
-    where FULL is a full trial. Raises InputError for anything else."""
-    if not text:
-        return None
-    kind, _, arguments = text.partition(":")
-    try:
-        values = [float(part) for part in arguments.split(",")]
-    except ValueError:
-        values = []
-    if kind != "uniform" or len(values) not in (2, 3) or not all(map(math.isfinite, values)):
-        raise InputError(f"'{text}' is no length of trials.", _REMEDY)
-    found = Lengths(*values)
-    if not 0 <= found.low <= found.high or (len(values) == 3 and found.full <= 0):
-        raise InputError(f"no trial is as long as '{text}'.", _REMEDY)
-    return found
-
-
-def executed(
-    lengths: Lengths | None, seeds: Sequence[int], trial: int, beats: int
-) -> NDArray[np.int64]:
-    """Whole beats that each fish swims of ``beats`` in its trial ``trial``."""
-    if lengths is None:
-        return np.full(len(seeds), beats)
-    return np.array([lengths.executed(seed, trial, beats) for seed in seeds])
-
-
-def _share(seed: int, trial: int) -> float:
-    """[0, 1), to 53 bits."""
-    digest = hashlib.sha256(f"length {seed} {trial}".encode()).digest()
-    return (int.from_bytes(digest[:8], "little") >> 11) * 2.0**-53
-
 
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
 _BOUNDS = (
@@ -170,7 +113,7 @@ def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     batch = FishBatch(cell.plant.plant, fish)
     rows = _Rows(cell)
     learner = _learner(recipe, cell, fish, phases[0][0])
-    spread = parse(cell.noise.lengths)
+    spread = parse_lengths(cell.noise.lengths)
     number = 0
     for ground, iterations in phases:
         learner.begin(ground.reference)
@@ -233,8 +176,6 @@ def _ground(
 def _reference(
     plant: str, values: dict[str, float], name: str, amplitude_max_rad: float
 ) -> Reference:
-    from tailbeat.learning.feasible import suggest
-    from tailbeat.learning.fish_model import FishModel
 
     if name not in REFERENCES_FEASIBLE:
         return references.from_text(name)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,14 +19,15 @@ from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
 from tailbeat.learning.convergence import Score, input_crc, judge
+from tailbeat.learning.design import design
+from tailbeat.learning.expected_series import next_ratio
 from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, Swim
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification_runs import Limits, identify_runs
+from tailbeat.learning.model_law import Proposal, propose
+from tailbeat.learning.planner import plan
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.recipe import PASTS, LawSpec
-
-if TYPE_CHECKING:
-    from tailbeat.learning.model_law import Proposal
-
 
 ROLLED_BACK = "rolled_back"  # what the board's law says when it brought the best back
 FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of trials from 1
@@ -183,7 +184,6 @@ class DesignedLaw:
 
     def begin(self, reference: Reference) -> None:
         """Designs."""
-        from tailbeat.learning.design import design
 
         self._reference = reference
         laws = []
@@ -203,7 +203,6 @@ class DesignedLaw:
 
     def following(self) -> F64:
         """As the board will swim it; predicts what that will change."""
-        from tailbeat.learning.expected_series import next_ratio
 
         self._amplitude = self._board.following()
         ranges = [
@@ -243,7 +242,6 @@ class ModelBasedLaw:
 
     def following(self) -> F64:
         """Proposes."""
-        from tailbeat.learning.model_law import propose
 
         self._proposals: list[Proposal] = [
             propose(one, self._reference, self.amplitude_max_rad, kept, self.fallback)
@@ -320,7 +318,6 @@ def identify(
     plant: str, settings: dict[str, float], amplitude_max_rad: float, beat_s: float
 ) -> Identified:
     """Identification runs of one simulated fish."""
-    from tailbeat.learning.identification_runs import Limits, identify_runs
 
     batch = FishBatch(plant, [settings])
     number = FIRST_RUN
@@ -339,7 +336,6 @@ def predicted_floors(
     models: Sequence[FishModel], reference: Reference, amplitude_max_rad: float
 ) -> F64:
     """max|e| of the least-squares optimum by each fish's model, m/s, shape (fish,)."""
-    from tailbeat.learning.planner import plan
 
     return np.array(
         [

@@ -10,11 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.files import replacing
+from tailbeat.core.lazy import lazy
 from tailbeat.studies.montecarlo.summary import GroupSummary, StudySummary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+mpl: Any = lazy("matplotlib")
+mpl_figure: Any = lazy("matplotlib.figure")
+mpl_ticker: Any = lazy("matplotlib.ticker")
 
 LineStyle = str | tuple[int, tuple[int, ...]]
 
@@ -31,16 +36,15 @@ _BANDS_MAX = 3  # laws in a panel whose bands can be told apart
 
 def render(summary: StudySummary, path: Path) -> None:
     """Writes a PNG, a panel for every plant, noise and reference."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     panels = _panels(summary.lines)
     plants = len({line.plant for line in summary.lines})
     across = min(len(panels), plants if 1 < plants <= _ACROSS_MAX else _ACROSS)
     down = math.ceil(len(panels) / across)
     style: dict[Any, Any] = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}
     with mpl.rc_context(style):
-        figure = Figure(figsize=(5.2 * across, 4.2 * down + 0.6), dpi=100, layout="constrained")
+        figure = mpl_figure.Figure(
+            figsize=(5.2 * across, 4.2 * down + 0.6), dpi=100, layout="constrained"
+        )
         figure.suptitle(summary.title, fontweight="bold", x=0.02, ha="left", fontsize=14)
         grid = figure.subplots(down, across, squeeze=False, sharey=True)
         for axes in grid.flat[len(panels) :]:
@@ -72,8 +76,6 @@ def _panels(lines: list[GroupSummary]) -> list[tuple[str, list[GroupSummary]]]:
 
 
 def _panel(axes: Axes, title: str, lines: list[GroupSummary]) -> None:
-    from matplotlib.ticker import MaxNLocator
-
     axes.set_title(title, loc="left", fontsize=11, color=_INK)
     laws = list(dict.fromkeys(line.law for line in lines))
     for law, (color, dash) in zip(laws, _styles(len(laws)), strict=True):
@@ -88,7 +90,7 @@ def _panel(axes: Axes, title: str, lines: list[GroupSummary]) -> None:
     axes.yaxis.set_minor_formatter(
         lambda value, _: f"{value:g}" if str(f"{value:g}")[0] in "25" else ""
     )
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(mpl_ticker.MaxNLocator(integer=True))
     axes.set_xlabel("iteration")
     axes.grid(axis="y", color="0.92", lw=0.8)
 

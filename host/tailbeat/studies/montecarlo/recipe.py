@@ -20,6 +20,10 @@ from typing import Any
 
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.native import lib
+from tailbeat.core.reference import from_text
+from tailbeat.sim.config import PLANTS, config_field, make_config
+from tailbeat.studies.montecarlo.batch import parse_lengths
+from tailbeat.studies.montecarlo.results import NUMBER_COLUMNS
 
 LAW_KINDS = ("p", "design", "model", "repeats")
 WINDOW_MIN, WINDOW_MAX = 2, 8
@@ -249,7 +253,6 @@ class _Parser:
 
     def settings(self, what: str, raw: dict[str, Any], index: int) -> list[SimSettings]:
         """One, or as many as the product of the values that are given as lists."""
-        from tailbeat.sim.config import PLANTS, config_field
 
         plant = raw.pop("plant", "tank")
         given = raw.pop("name", None)
@@ -275,11 +278,9 @@ class _Parser:
         return found
 
     def lengths(self, label: str, raw: Any) -> str:
-        from tailbeat.studies.montecarlo.cell import parse
-
         text = str(self.value(label, "lengths", raw, "str"))
         try:
-            parse(text)
+            parse_lengths(text)
         except InputError as error:
             raise self.fail(f"{label}: {error.message.rstrip('.')}", error.remedy) from error
         return text
@@ -381,7 +382,6 @@ class _Parser:
         return recipe
 
     def check_reference(self, text: str) -> None:
-        from tailbeat.core.reference import from_text
 
         if text in REFERENCES_FEASIBLE:
             return
@@ -391,7 +391,6 @@ class _Parser:
             raise self.fail(error.message.rstrip("."), error.remedy) from error
 
     def check_claim(self, recipe: Recipe, claim: ClaimSpec) -> None:
-        from tailbeat.studies.montecarlo.results import NUMBER_COLUMNS
 
         for column in filter(None, (claim.of, claim.over)):
             if column not in NUMBER_COLUMNS:
@@ -422,7 +421,6 @@ class _Parser:
 
     def check_simulator(self, recipe: Recipe) -> None:
         """The simulator itself says whether the values make sense."""
-        from tailbeat.sim.config import make_config
 
         for plant, noise in product(recipe.plants, recipe.noises):
             config = make_config(plant.plant, recipe.first_seed, plant.values | noise.values)

@@ -3,27 +3,33 @@
 Every finished cell is on disk at once, so that whatever stops a sweep, the same command goes on
 from there. Who computes a cell, and when, changes no bit of the results.
 
-The cells of a sweep on a Dask cluster; every machine needs the extra ``cluster``.
+``OUT/sweep.json`` and ``OUT/recipe.toml`` say of what the results are; ``OUT/parts/NNNNN-….part``
+are the finished cells, each a SHA-256 and the Parquet file that it is of; ``OUT/results.parquet``
+holds all of them in the order of the cells. Its bytes depend on the recipe and the tailbeat that
+computed it, on nothing else.
 
-Workers need this very tailbeat; results travel back and are kept here, so that nothing need be
-shared between the machines.
+On a Dask cluster every machine needs the extra ``cluster`` and the same tailbeat. Results travel
+back and are kept here, so that the machines share nothing.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.extras import need
+from tailbeat.core.files import replace_file, replacing
 from tailbeat.core.lazy import LazyModule
 from tailbeat.core.parallel import cores_here, one_thread
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
-from tailbeat.studies.montecarlo.recipe import Recipe
-from tailbeat.studies.montecarlo.results import Store, identity, to_bytes
+from tailbeat.studies.montecarlo.recipe import Recipe, parse
+from tailbeat.studies.montecarlo.results import arrow, identity, schema, to_bytes
 from tailbeat.studies.pool import each_result
 
 
@@ -34,9 +40,155 @@ def _dask() -> ModuleType:
     return found
 
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 distributed = LazyModule("distributed", _dask)
 Progress = Callable[[int, int], None]  # cells done, cells in all
 Finished = Iterator[tuple[Cell, bytes]]
+
+
+MANIFEST = "sweep.json"
+RECIPE = "recipe.toml"
+RESULTS = "results.parquet"
+PARTS = "parts"
+_DIGEST_BYTES = 32
+
+
+class StudyFolder:
+    """What a study leaves on disk: a Parquet part per cell while it runs, then one file."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def results(self) -> Path:
+        """The file with everything; there only when the sweep is complete."""
+        return self.folder / RESULTS
+
+    def open(self, recipe: Recipe) -> None:
+        """Makes the folder, or makes sure that what lies there is of this very sweep."""
+        wanted = {"recipe": recipe.name, "recipe_crc": recipe.crc, **identity()}
+        found = self.manifest()
+        if found is None:
+            if any((self.folder / PARTS).glob("*")) or self.results.exists():
+                raise InputError(
+                    f"{self.folder} holds results, but no {MANIFEST} says of what.",
+                    "Give another folder with --out.",
+                )
+            self._make(wanted, recipe.source)
+            return
+        different = [key for key, value in wanted.items() if found.get(key) != value]
+        if not different:
+            self._rejudge(recipe.source)
+            return
+        what = "another recipe" if different[0].startswith("recipe") else f"another {different[0]}"
+        what = "another build of tailbeat" if different[0] == "code" else what
+        raise InputError(
+            f"{self.folder} holds results of {what} (its {different[0]} is "
+            f"{found.get(different[0])}, now {wanted[different[0]]}).",
+            "Give another folder with --out, or delete that one.",
+        )
+
+    def manifest(self) -> dict[str, Any] | None:
+        """What the folder says it is of; None when it says nothing."""
+        try:
+            raw = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"{self.folder / MANIFEST} cannot be read ({reason(error)}).",
+                "Give another folder with --out, or delete that one.",
+            ) from error
+        return raw if isinstance(raw, dict) else {}
+
+    def recipe(self) -> Recipe:
+        """What the results are of."""
+        manifest = self.manifest()
+        source = self.folder / RECIPE
+        if manifest is None or "recipe" not in manifest or not source.exists():
+            raise InputError(f"{self.folder} holds no sweep.", "Give the folder of one.")
+        return parse(source.read_text(encoding="utf-8"), str(manifest["recipe"]))
+
+    def _make(self, wanted: dict[str, str], source: str) -> None:
+        (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
+        replace_file(self.folder / RECIPE, source.encode())
+        replace_file(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
+
+    def _rejudge(self, source: str) -> None:
+        """Only what judges the results can differ: from now on it is what is given now."""
+        path = self.folder / RECIPE
+        if not path.exists() or path.read_bytes() != source.encode():
+            replace_file(path, source.encode())
+
+    def part(self, cell: Cell) -> Path:
+        """Where the results of a cell go."""
+        return self.folder / PARTS / f"{cell.label}.part"
+
+    def has(self, cell: Cell) -> bool:
+        """Whether a cell is done; a damaged part is not."""
+        try:
+            return bool(_read_part(self.part(cell)).schema.equals(schema()))
+        except InputError:
+            return False
+
+    def put(self, cell: Cell, data: bytes) -> None:
+        """Keeps the results of a cell, whole or not at all."""
+        replace_file(self.part(cell), hashlib.sha256(data).digest() + data)
+
+    def finish(self, cells: list[Cell]) -> Path:
+        """Puts all parts together in the order of the cells, a row group for each."""
+        parquet = arrow("pyarrow.parquet")
+        with (
+            replacing(self.results) as file,
+            parquet.ParquetWriter(
+                file, schema(), compression="zstd", write_page_checksum=True
+            ) as writer,
+        ):
+            for cell in cells:
+                writer.write_table(_read_part(self.part(cell)))
+        return self.results
+
+    def read(self) -> pa.Table:
+        """The results; those of the finished cells when the sweep is not complete."""
+        if self.results.exists():
+            return _read(self.results)
+        parts = sorted((self.folder / PARTS).glob("*.part"))
+        if not parts:
+            raise InputError(
+                f"{self.folder} holds no results of a sweep.",
+                "Run: tailbeat sim montecarlo RECIPE --out",
+            )
+        return arrow().concat_tables([_read_part(path) for path in parts])
+
+
+def _read(path: Path) -> pa.Table:
+    """With every page checked. Raises InputError when it is damaged or not there."""
+    parquet = arrow("pyarrow.parquet")
+    try:
+        return parquet.read_table(path, page_checksum_verification=True)
+    except (OSError, arrow().ArrowException) as error:
+        raise _damaged(path) from error
+
+
+def _read_part(path: Path) -> pa.Table:
+    """Raises InputError when a byte of it is not as it was written, or it is not there."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise _damaged(path) from error
+    digest, data = raw[:_DIGEST_BYTES], raw[_DIGEST_BYTES:]
+    if hashlib.sha256(data).digest() != digest:
+        raise _damaged(path)
+    return arrow("pyarrow.parquet").read_table(arrow().BufferReader(data))
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(
+        f"{path} is damaged or cannot be read.",
+        "The command that computed it computes again what is missing.",
+    )
 
 
 class Interrupted(TailbeatError):
@@ -66,7 +218,7 @@ def run_study(
     something else, Interrupted at Ctrl-C.
     """
     show = progress or (lambda done, total: None)
-    store = Store(out)
+    store = StudyFolder(out)
     store.open(recipe)
     everything = cells(recipe)
     missing = [cell for cell in everything if not store.has(cell)]

@@ -9,10 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.files import replace_file
+from tailbeat.core.lazy import lazy
 from tailbeat.report.demo_picture import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+mpl: Any = lazy("matplotlib")
+mpl_figure: Any = lazy("matplotlib.figure")
 
 _DPI = 100
 ACCENT = "#0b5394"  # prints as dark grey
@@ -30,12 +34,9 @@ WANTED: dict[str, Any] = {"color": "0.8", "lw": 6.0, "ls": "-", "zorder": 1}
 @contextmanager
 def picture(path: Path, panels: int = 1, across: bool = True) -> Iterator[list[Axes]]:
     """Axes to draw on, side by side or on top of each other; written as a PNG at the end."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
     with mpl.rc_context(STYLE):
         size = (8.0 * panels, 6.0) if across else (10.0, 4.2 * panels)
-        figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
+        figure = mpl_figure.Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
         grid: Any = figure.subplots(1 if across else panels, panels if across else 1, squeeze=False)
         axes = list(grid.ravel())
         for one in axes:

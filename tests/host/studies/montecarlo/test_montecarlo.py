@@ -31,8 +31,8 @@ from tailbeat.studies.montecarlo import learners, runner
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
 from tailbeat.studies.montecarlo.recipe import Recipe, load, parse
-from tailbeat.studies.montecarlo.results import Store, identity
-from tailbeat.studies.montecarlo.runner import Interrupted, compute, run_study
+from tailbeat.studies.montecarlo.results import identity
+from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, compute, run_study
 from tailbeat.studies.montecarlo.summary import summarise
 
 CLAIM = """
@@ -108,7 +108,7 @@ def algebra(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recipe, bytes]:
 
 
 def _put_together(recipe: Recipe, folder: Path) -> bytes:
-    store = Store(folder)
+    store = StudyFolder(folder)
     store.open(recipe)
     for cell in reversed(cells(recipe)):
         store.put(cell, compute(recipe, cell))
@@ -267,9 +267,9 @@ def test_the_same_bytes_after_an_interruption(
     monkeypatch.setattr(runner, "_computed_here", here)
     with pytest.raises(Interrupted, match=r"3 of 8 cells done. The same command"):
         run_study(tiny, tmp_path)
-    assert not Store(tmp_path).results.exists()
-    assert Store(tmp_path).read().num_rows > 0
-    damaged = Store(tmp_path).part(cells(tiny)[computed[1]])
+    assert not StudyFolder(tmp_path).results.exists()
+    assert StudyFolder(tmp_path).read().num_rows > 0
+    damaged = StudyFolder(tmp_path).part(cells(tiny)[computed[1]])
     damaged.write_bytes(damaged.read_bytes()[:100])
     del computed[:]
     computed.extend([-1] * 4)  # never three again
@@ -363,20 +363,20 @@ def test_a_cluster_without_the_package(
 
 
 def test_a_folder_of_something_else_is_refused(tiny: Recipe, tmp_path: Path) -> None:
-    Store(tmp_path).open(tiny)
-    Store(tmp_path).open(replace(tiny, claims=[]))  # claims only judge
+    StudyFolder(tmp_path).open(tiny)
+    StudyFolder(tmp_path).open(replace(tiny, claims=[]))  # claims only judge
     with pytest.raises(InputError, match=r"results of another recipe .* --out"):
-        Store(tmp_path).open(tiny.with_seeds(7))
+        StudyFolder(tmp_path).open(tiny.with_seeds(7))
     manifest = json.loads((tmp_path / "sweep.json").read_text())
     manifest["code"] = "0123"
     (tmp_path / "sweep.json").write_text(json.dumps(manifest))
     with pytest.raises(InputError, match="results of another build of tailbeat"):
-        Store(tmp_path).open(tiny)
+        StudyFolder(tmp_path).open(tiny)
 
 
 def test_a_damaged_part_is_computed_again(tiny: Recipe, tmp_path: Path) -> None:
     """Whatever piece of it is lost."""
-    store, cell = Store(tmp_path), cells(tiny)[0]
+    store, cell = StudyFolder(tmp_path), cells(tiny)[0]
     store.open(tiny)
     store.put(cell, compute(tiny, cell))
     assert store.has(cell)
@@ -397,17 +397,17 @@ def test_a_damaged_part_is_computed_again(tiny: Recipe, tmp_path: Path) -> None:
 def test_a_folder_that_was_only_just_made(tiny: Recipe, tmp_path: Path) -> None:
     """The power failed between making it and saying what it is of."""
     (tmp_path / "parts").mkdir()
-    Store(tmp_path).open(tiny)
+    StudyFolder(tmp_path).open(tiny)
     (tmp_path / "sweep.json").unlink()
-    Store(tmp_path).open(tiny)
-    Store(tmp_path).put(cells(tiny)[0], b"x")
+    StudyFolder(tmp_path).open(tiny)
+    StudyFolder(tmp_path).put(cells(tiny)[0], b"x")
     (tmp_path / "sweep.json").unlink()
     with pytest.raises(InputError, match=r"holds results, but no sweep.json says of what"):
-        Store(tmp_path).open(tiny)
+        StudyFolder(tmp_path).open(tiny)
 
 
 def test_results_are_judged_by_the_claims_of_today(tiny: Recipe, tmp_path: Path) -> None:
-    store = Store(tmp_path)
+    store = StudyFolder(tmp_path)
     store.open(tiny)
     store.open(parse(TINY.replace("at_most = 0.9", "at_most = 0.8"), "tiny"))
     assert [claim.at_most for claim in store.recipe().claims] == [0.8]
@@ -576,12 +576,12 @@ def test_ctrl_c_stops_it_quietly(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys\n"
         "from tailbeat.app.cli import run\n"
-        "import tailbeat.studies.montecarlo.results as results\n"
-        "put = results.Store.put\n"
+        "import tailbeat.studies.montecarlo.runner as runner\n"
+        "put = runner.StudyFolder.put\n"
         "def once(self, cell, data):\n"
         "    put(self, cell, data)\n"
         "    os.killpg(0, signal.SIGINT)\n"
-        "results.Store.put = once\n"
+        "runner.StudyFolder.put = once\n"
         "if __name__ == '__main__':\n"
         "    sys.exit(run(['sweep', sys.argv[1], '--out', sys.argv[2], '--cores', '2']))\n"
     )

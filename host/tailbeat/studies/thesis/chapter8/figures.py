@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.files import replacing
+from tailbeat.core.lazy import lazy
 from tailbeat.studies.thesis.chapter8.plants import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
@@ -21,6 +22,9 @@ from tailbeat.studies.thesis.example import Figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+mpl: Any = lazy("matplotlib")
+mpl_figure: Any = lazy("matplotlib.figure")
 
 _STYLE: dict[Any, Any] = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}
 _INK, _FAINT = "0.15", "0.55"
@@ -39,15 +43,11 @@ def draw_all(folder: Path) -> list[Figure]:
 
 
 def _panels(rows: int) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure as Canvas
-
-    canvas = Canvas(figsize=(7.2, 1.0 + 3.1 * rows), dpi=120, layout="constrained")
+    canvas = mpl_figure.Figure(figsize=(7.2, 1.0 + 3.1 * rows), dpi=120, layout="constrained")
     return canvas, canvas.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
 
 
 def _speeds(folder: Path) -> Figure:
-    import matplotlib as mpl
-
     with mpl.rc_context(_STYLE):
         canvas, (upper, lower) = _panels(2)
         for trial in trials(FishTask(4.0, max(_SHOWN))):
@@ -71,8 +71,6 @@ def _speeds(folder: Path) -> Figure:
 
 
 def _errors(folder: Path) -> Figure:
-    import matplotlib as mpl
-
     with mpl.rc_context(_STYLE):
         canvas, (axes,) = _panels(1)
         for gain, (color, dash) in zip((4.0, 7.0, 10.0), _LINES, strict=True):
@@ -92,8 +90,6 @@ def _errors(folder: Path) -> Figure:
 
 
 def _thrust(folder: Path) -> Figure:
-    import matplotlib as mpl
-
     angles = np.linspace(0, AMPLITUDE_MAX_RAD, 300)
     fish = CruisePlant(1.0)
     h1, h2 = fish.thrust(angles)

@@ -12,6 +12,7 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import THESIS_PLATEAU_M_S, thesis_speed
+from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.studies.thesis.learner import UNLIMITED, Learner, LearnerConfig, Precision
 from tailbeat.studies.thesis.options import Span
 
@@ -39,7 +40,6 @@ class CruisePlant:
     for thrust held within it; what lags is held for ``_SUBSTEP_S`` at most."""
 
     def __init__(self, step_s: float, lags: Lags | None = None) -> None:
-        from tailbeat.learning.error_bound_solve import plant_config
 
         self.lags = lags or Lags()
         self._parts = math.ceil(step_s / _SUBSTEP_S - 1e-9) if self.lags != Lags() else 1
