@@ -17,7 +17,7 @@ from tailbeat.studies.montecarlo import batch as lengths
 from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import cells, run_cell
-from tailbeat.studies.montecarlo.learners import Past
+from tailbeat.studies.montecarlo.learners import PastKind
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, parse
 from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 
@@ -41,15 +41,15 @@ class CutAfter:
 @pytest.mark.parametrize(
     ("past", "params"),
     [
-        (Past("last"), {}),
-        (Past("mean"), {}),
-        (Past("window", 3), {"ILC_LEAD": 1}),
-        (Past("window", 5), {"ILC_DECR_RATE": 1, "ILC_DECR_FROM": 1, "DU_MAX_RAD": 0.05}),
-        (Past("mean"), {"ILC_GAIN": 9, "ROLLBACK_RATIO": 1.01, "ILC_Q_LEN": 2}),
+        (PastKind("last"), {}),
+        (PastKind("mean"), {}),
+        (PastKind("window", 3), {"ILC_LEAD": 1}),
+        (PastKind("window", 5), {"ILC_DECR_RATE": 1, "ILC_DECR_FROM": 1, "DU_MAX_RAD": 0.05}),
+        (PastKind("mean"), {"ILC_GAIN": 9, "ROLLBACK_RATIO": 1.01, "ILC_Q_LEN": 2}),
     ],
     ids=["last", "mean", "window 3", "window 5 with limits", "mean that rolls back"],
 )
-def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float]) -> None:
+def test_a_series_of_cut_trials_on_the_board(past: PastKind, params: dict[str, float]) -> None:
     """The board of the simulator, its store and its link, against the batch of a sweep: the same
     amplitudes to the last bit, trial after trial."""
     reference = from_text("cosine:0.07,4,2")
@@ -86,7 +86,7 @@ def test_a_series_of_cut_trials_on_the_board(past: Past, params: dict[str, float
     assert min(ends) < reference.beats == max(ends)
 
 
-def by_hand(past: Past, gain: float, speed: Array, wanted: Array) -> list[Array]:
+def by_hand(past: PastKind, gain: float, speed: Array, wanted: Array) -> list[Array]:
     """The amplitudes of all trials by the formulas, in double, saturated to [0, 0.6]."""
     swum, errors = [np.clip(gain * wanted, 0, 0.6)], []
     for i, trial in enumerate(speed, start=1):
@@ -100,8 +100,10 @@ def by_hand(past: Past, gain: float, speed: Array, wanted: Array) -> list[Array]
     return swum
 
 
-@pytest.mark.parametrize("past", [Past("last"), Past("mean"), Past("window", 2), Past("window", 5)])
-def test_averages_are_what_the_formulas_say(past: Past) -> None:
+@pytest.mark.parametrize(
+    "past", [PastKind("last"), PastKind("mean"), PastKind("window", 2), PastKind("window", 5)]
+)
+def test_averages_are_what_the_formulas_say(past: PastKind) -> None:
     """(2.10) and the moving average, with cut trials and saturation, by numpy."""
     rng = np.random.default_rng(3)
     reference = from_text("cosine:0.07,4,2")

@@ -199,7 +199,7 @@ def _learner(
     if spec.kind == "repeats":
         return learners.FixedInput(ground.near_optimal_rad, len(fish))
     if spec.kind == "p":
-        past = learners.Past(spec.past, spec.window)
+        past = learners.PastKind(spec.past, spec.window)
         return learners.BoardLaw(
             [learners.law_of(spec, most)] * len(fish), spec.rollback_ratio, past
         )

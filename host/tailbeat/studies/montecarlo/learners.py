@@ -94,7 +94,7 @@ class FixedInput:
 
 
 @dataclass(frozen=True)
-class Past:
+class PastKind:
     """What the board's law learns from: ``last``, ``mean`` or ``window`` (ILC_KIND 0, 1, 2), the
     last ``window`` trials (ILC_WINDOW)."""
 
@@ -106,11 +106,11 @@ class BoardLaw:
     """The board's law and memory, one ``Law`` per fish."""
 
     def __init__(
-        self, laws: Sequence[Law], rollback_ratio: float, past: Past | None = None
+        self, laws: Sequence[Law], rollback_ratio: float, past: PastKind | None = None
     ) -> None:
         self.laws = list(laws)
         self.rollback_ratio = rollback_ratio
-        self.past = past or Past()
+        self.past = past or PastKind()
         self.floor_m_s = np.full(len(self.laws), np.nan)
 
     def begin(self, reference: Reference) -> None:
