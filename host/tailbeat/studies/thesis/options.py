@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import ast
 import math
-import operator
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -31,47 +31,30 @@ _LONGEST = 300  # characters; keeps the tree shallow enough to walk
 
 
 def _power(base: float, exponent: float) -> float:
-    found = base**exponent
+    found: float | complex = float(base) ** float(exponent)
     if isinstance(found, complex):
         raise ValueError("no real power")
-    return float(found)
+    return found
 
 
-_BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.FloorDiv: operator.floordiv,
-    ast.Mod: operator.mod,
-    ast.Pow: _power,
-}
-_UNARY: dict[type[ast.unaryop], Callable[[float], float]] = {
-    ast.UAdd: operator.pos,
-    ast.USub: operator.neg,
-    ast.Not: operator.not_,
-}
-_COMPARE: dict[type[ast.cmpop], Callable[[float, float], bool]] = {
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-}
-_FUNCTIONS: dict[str, Callable[[list[float]], float]] = {
-    "abs": lambda given: abs(given[0]),
-    "floor": lambda given: math.floor(given[0]),
-    "ceil": lambda given: math.ceil(given[0]),
-    "round": lambda given: round(given[0]),
-    "sqrt": lambda given: math.sqrt(given[0]),
-    "sin": lambda given: math.sin(given[0]),
-    "cos": lambda given: math.cos(given[0]),
-    "min": min,
-    "max": max,
+_PARTS = (ast.BinOp, ast.UnaryOp, ast.IfExp, ast.Compare)
+_OPERATORS = (
+    ast.Add, ast.Sub, ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow, ast.UAdd, ast.USub,
+    ast.Not, ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE,
+)  # fmt: skip
+_FUNCTIONS: dict[str, Callable[..., float]] = {
+    "abs": abs,
+    "floor": lambda x: float(math.floor(x)),
+    "ceil": lambda x: float(math.ceil(x)),
+    "round": lambda x: float(round(x)),
+    "sqrt": math.sqrt,
+    "sin": math.sin,
+    "cos": math.cos,
+    "min": lambda *given: min(given),
+    "max": lambda *given: max(given),
 }
 _MANY = ("min", "max")
-_CONSTANTS = {"pi": math.pi}
+_KNOWN = {"pi": math.pi, "bool": bool, "power": _power, "__builtins__": {}, **_FUNCTIONS}
 
 
 class _Unknown(Exception):
@@ -91,14 +74,15 @@ def expression(text: str, names: tuple[str, ...] = ()) -> Value:
     try:
         with warnings.catch_warnings(action="ignore"):
             tree = ast.parse(text.strip(), mode="eval")
-        value = _compile(tree.body, names)
+        checked = ast.fix_missing_locations(ast.Expression(_Arithmetic(names).visit(tree.body)))
+        code = compile(checked, "<expression>", "eval")
     except _Unknown as error:
         raise InputError(f"'{text}' has {error}, which is not allowed.", may) from None
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError):
         raise InputError(f"'{text}' is no arithmetic expression.", may) from None
 
     def finite(given: Mapping[str, float]) -> float:
-        found = _evaluate(value, given)
+        found = _evaluate(code, given)
         if found is None:
             where = "".join(f" at {name} = {given[name]:g}" for name in names)
             raise InputError(f"'{text}' has no finite value{where}.", "Change it.")
@@ -107,81 +91,58 @@ def expression(text: str, names: tuple[str, ...] = ()) -> Value:
     return finite
 
 
-def _evaluate(value: Value, given: Mapping[str, float]) -> float | None:
+def _evaluate(code: CodeType, given: Mapping[str, float]) -> float | None:
     try:
-        found = float(value(given))
+        found = float(eval(code, {**_KNOWN, **given}))
     except (ArithmeticError, ValueError):
         return None
     return found if math.isfinite(found) else None
 
 
-def _compile(node: ast.expr, names: tuple[str, ...]) -> Value:
-    if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
-        constant = float(node.value)
-        return lambda given: constant
-    if isinstance(node, ast.Name):
-        return _name(node.id, names)
-    if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
-        return _binary(node, names)
-    if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
-        apply, operand = _UNARY[type(node.op)], _compile(node.operand, names)
-        return lambda given: apply(operand(given))
-    if isinstance(node, ast.IfExp):
-        test, yes, no = (_compile(part, names) for part in (node.test, node.body, node.orelse))
-        return lambda given: yes(given) if test(given) else no(given)
-    if isinstance(node, ast.BoolOp):
-        return _junction(node, names)
-    if isinstance(node, ast.Compare):
-        return _comparison(node, names)
-    if isinstance(node, ast.Call):
-        return _call(node, names)
-    raise _Unknown(f"'{ast.unparse(node)}'")
+class _Arithmetic(ast.NodeTransformer):
+    """Refuses all that is not arithmetic of ``names``. What is left computes with floats, so that
+    nothing grows beyond one."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._names = (*names, "pi")
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        if isinstance(node, _OPERATORS):
+            return node
+        used = [getattr(node, "op", None), *getattr(node, "ops", ())]
+        known = all(one is None or isinstance(one, _OPERATORS) for one in used)
+        if not isinstance(node, _PARTS) or not known:
+            raise _Unknown(f"'{ast.unparse(node)}'")
+        return super().generic_visit(node)
+
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:
+        if not isinstance(node.value, int | float):
+            raise _Unknown(f"'{ast.unparse(node)}'")
+        return ast.Constant(float(node.value))
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id not in self._names:
+            raise _Unknown(f"the name '{node.id}'")
+        return node
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        if not isinstance(node.op, ast.Pow):
+            return self.generic_visit(node)
+        return _call("power", [self.visit(node.left), self.visit(node.right)])
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        return _call("bool", [ast.BoolOp(node.op, [self.visit(part) for part in node.values])])
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        few = len(node.args) == 1 or (name in _MANY and node.args)
+        if name not in _FUNCTIONS or node.keywords or not few:
+            raise _Unknown(f"'{ast.unparse(node)}'")
+        return _call(name, [self.visit(part) for part in node.args])
 
 
-def _name(name: str, names: tuple[str, ...]) -> Value:
-    if name in _CONSTANTS:
-        constant = _CONSTANTS[name]
-        return lambda given: constant
-    if name not in names:
-        raise _Unknown(f"the name '{name}'")
-    return lambda given: given[name]
-
-
-def _binary(node: ast.BinOp, names: tuple[str, ...]) -> Value:
-    apply = _BINARY[type(node.op)]
-    left, right = _compile(node.left, names), _compile(node.right, names)
-    return lambda given: apply(float(left(given)), float(right(given)))
-
-
-def _junction(node: ast.BoolOp, names: tuple[str, ...]) -> Value:
-    parts = [_compile(part, names) for part in node.values]
-    every = isinstance(node.op, ast.And)
-    test = all if every else any
-    return lambda given: test(bool(part(given)) for part in parts)
-
-
-def _comparison(node: ast.Compare, names: tuple[str, ...]) -> Value:
-    unknown = [op for op in node.ops if type(op) not in _COMPARE]
-    if unknown:
-        raise _Unknown(f"'{ast.unparse(node)}'")
-    tests = [_COMPARE[type(op)] for op in node.ops]
-    parts = [_compile(part, names) for part in (node.left, *node.comparators)]
-
-    def holds(given: Mapping[str, float]) -> bool:
-        values = [part(given) for part in parts]
-        return all(test(a, b) for test, a, b in zip(tests, values[:-1], values[1:], strict=True))
-
-    return holds
-
-
-def _call(node: ast.Call, names: tuple[str, ...]) -> Value:
-    name = node.func.id if isinstance(node.func, ast.Name) else ""
-    few = len(node.args) == 1 or (name in _MANY and node.args)
-    if name not in _FUNCTIONS or node.keywords or not few:
-        raise _Unknown(f"'{ast.unparse(node)}'")
-    apply = _FUNCTIONS[name]
-    parts = [_compile(part, names) for part in node.args]
-    return lambda given: float(apply([part(given) for part in parts]))
+def _call(name: str, arguments: list[ast.expr]) -> ast.Call:
+    return ast.Call(ast.Name(name, ast.Load()), arguments, [])
 
 
 Length = Callable[[int], float]
