@@ -16,6 +16,7 @@ from tailbeat.link.sockets import TcpTransport, UdpTransport
 from tailbeat.link.transport import Hearing, Transport
 from tailbeat.sim.board import CONSOLE, RADIO, SimTransport
 from tailbeat.sim.config import DEFAULT_SEED
+from tailbeat.sim.emulated import EmulatedBoard
 from tailbeat.sim.native import SimBoard
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 5760
@@ -180,8 +181,6 @@ def _open_simulated(url: str, overrides: dict[str, float]) -> Transport:
     if port is None:
         raise InputError(f"a board has no port {words['port']}", f"It is {' or '.join(_PORTS)}.")
     if kind == "vboard":
-        from tailbeat.sim.emulated import EmulatedBoard
-
         image = Path(what) if what else None
         board = EmulatedBoard(image, words.get("plant", DEFAULT_PLANT), **values)
         return _behind(words, SimTransport(board, port), values)

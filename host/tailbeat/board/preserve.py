@@ -16,12 +16,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tailbeat.board.fish import REST
+from tailbeat.board.fish import REST, Fish
 from tailbeat.board.snapshot import BOARD_FILE, Snapshot, board_params
 from tailbeat.core import law
 from tailbeat.core.arrays import F64
@@ -31,10 +30,6 @@ from tailbeat.core.records import decode_reference, record_crc
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.link.messages import TrialOutcome
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-
 
 RESTORE_COMMAND = "tailbeat session resume"
 

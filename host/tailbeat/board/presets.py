@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.link.params import Parameter
+from tailbeat.link.params import Parameter
 
 THESIS: Mapping[str, float] = {
     "AMP_MAX_RAD": math.pi / 4,

@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import NOT_FRESH, NOT_SIGNED, all_faults, refusal
 from tailbeat.link import _dialect as mavlink
@@ -15,9 +16,6 @@ from tailbeat.link.keystore import KEY_BYTES, KeyStore, StoredKey, new_key
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message, text_of
 from tailbeat.link.signing import TICKS_PER_S
 from tailbeat.sim.board import in_process
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
 
 _EPOCH_S = datetime(2015, 1, 1, tzinfo=UTC).timestamp()  # of signing time
 _JUMP_MAX_TICKS = 40 * 366 * 86400 * TICKS_PER_S  # a clock that is further off is not believed
@@ -40,11 +38,11 @@ OPEN, HELD, MISSING = "open", "held", "missing"
 class KeyStatus:
     """How a board and this computer stand to each other.
 
-    ``trust``: open (the board has no key and obeys anybody), held (it has one, and so have we) or
-    missing (it has one, and we have not). ``held``: the key it signs with. ``lost``: a key of ours
-    that it does not sign with any more; never of a simulated board, which forgets it at its end.
-    ``refused``: frames the board turned away since its boot.
-    ``board``: its unique id; None when it does not tell a stranger.
+    ``trust``: open (the board has no key: every host may command it), held (it has one, and so have
+    we) or missing (it has one, and we have not). ``held``: the key it signs with. ``lost``: a key
+    of ours that it does not sign with any more; never of a simulated board, whose key ends with its
+    process. ``refused``: frames the board turned away since its boot.
+    ``board``: its unique id; None when it does not tell an unauthenticated host.
     """
 
     trust: str
@@ -80,7 +78,7 @@ def key_status(fish: Fish, health: Mapping[str, int | str] | None = None) -> Key
 
 
 def _board_of(fish: Fish) -> str | None:
-    """Its unique id; None when it does not tell a stranger."""
+    """Its unique id; None when it does not tell an unauthenticated host."""
     try:
         return fish.unique_id()
     except Refused as refused:
@@ -171,11 +169,11 @@ def _give(fish: Fish, key: StoredKey, now_s: Callable[[], float], anew: bool = T
         )
     except Refused:
         if anew:
-            signing.store.forget(key)  # nobody has it
+            signing.store.delete(key)  # nobody has it
         raise
     finally:
         signing.offer(None)
-    signing.store.forget_others(key)
+    signing.store.delete_others(key)
     return key
 
 
@@ -199,7 +197,7 @@ def erase_key(fish: Fish) -> StoredKey | None:
         raise
     signing.drop()
     if held is not None:
-        signing.store.forget(held)
+        signing.store.delete(held)
     return held
 
 

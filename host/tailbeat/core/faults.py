@@ -1,6 +1,6 @@
-"""The board's fault table: numbers on the wire, words for people (supervisor/faults.def).
+"""The firmware's tables of faults and of IMU problems: numbers on the wire, words for people.
 
-Why a VN-100 does not stream as wanted: the firmware's table of problems (imu/problems.def).
+supervisor/faults.def and imu/problems.def; a row is added there and needs nothing here.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name
+from tailbeat.core.records import fill_peaks
 
 _PARAMS = {
     "ILC_GAIN": "kp_rad_s_m",
@@ -322,8 +323,6 @@ def learn(
     if memory.best_iteration:
         native.best_rad[0 : call.beats] = memory.best_rad.tolist()
     if memory.peaks is not None:
-        from tailbeat.core.records import fill_peaks
-
         fill_peaks(native.peaks, memory.peaks)
     report = call.ffi.new("memory_report_t *")
     rules = call.ffi.new("memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": beyond})

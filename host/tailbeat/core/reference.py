@@ -20,6 +20,7 @@ from tailbeat.core.arrays import F32, F64
 from tailbeat.core.csv import read_table
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replacing_text
+from tailbeat.core.records import encode_reference
 
 Antiderivative = Callable[[F64], F64]
 
@@ -103,7 +104,6 @@ class Reference:
 
     def record(self) -> bytes:
         """The reference as the board stores it (docs/protocol.md, ``TBRF``)."""
-        from tailbeat.core.records import encode_reference
 
         return encode_reference(self.beat_s, self.speed_m_s)
 

@@ -10,17 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F32, F64
+from tailbeat.core.frames import Frame
 from tailbeat.core.native import ffi, lib
-
-if TYPE_CHECKING:
-    from tailbeat.core.frames import Frame
-    from tailbeat.core.trial_file import Trial
+from tailbeat.core.trial_file import SLOT_S, Trial
 
 
 def counts(error_m_s: F32, complete: bool) -> bool:
@@ -215,7 +213,6 @@ def _way(speed_m_s: F64, beat_s: float) -> F64:
 def _headings(trial: Trial) -> F64 | None:
     """Mean heading over each whole beat that was swum, against that at the begin, which the sway of
     the body leaves alone; None when too many turns are not known."""
-    from tailbeat.core.trial_file import SLOT_S
 
     beats = trial.executed_beats
     count = math.ceil(beats * trial.beat_s / SLOT_S - 1e-6)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, reason
+from tailbeat.core.faults import fault_info
 from tailbeat.core.files import replacing_text
 from tailbeat.core.param_names import with_current_names
 from tailbeat.core.reference import BEATS_MAX
@@ -144,7 +145,6 @@ class Trial:
 
 def fault_text(number: int) -> str:
     """``complete``, ``aborted:LINK_LOST`` or ``fault:LATE_TICK`` for an end's fault number."""
-    from tailbeat.core.faults import fault_info
 
     if number == 0:
         return "complete"

@@ -17,8 +17,13 @@ import sys
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
+from msgspec import Meta
+from platformdirs.unix import Unix
+
+from tailbeat.core import decode
+from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file
 from tailbeat.core.locks import locked
@@ -109,38 +114,33 @@ def encode_key(key: StoredKey) -> bytes:
     return json.dumps(document, indent=2).encode() + b"\n"
 
 
+class _KeyFile(decode.StrictTable, forbid_unknown_fields=False):
+    """A key's file."""
+
+    format: Literal["tailbeat key 1"]
+    key: Hex
+    board: str
+    name: str
+    created: str
+    link_id: Annotated[int, Meta(ge=1, le=_LINK_IDS)]
+    used: Annotated[int, Meta(ge=0, le=_TIME_MAX)]
+    heard: Annotated[int, Meta(ge=0, le=_TIME_MAX)]
+
+
 def decode_key(content: bytes, where: str) -> StoredKey:
     """The key in a file. Raises InputError, which does not show the content."""
+    remedy = "Take a file that 'tailbeat key export' wrote."
     try:
-        return _checked(json.loads(content))
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-        raise InputError(
-            f"{where} holds no key", "Take a file that 'tailbeat board key export' wrote."
-        ) from None
-
-
-def _checked(document: dict[str, Any]) -> StoredKey:
-    if document["format"] != _FORMAT:
-        raise ValueError
-    key = StoredKey(
-        bytes.fromhex(document["key"]),
-        str(document["board"]),
-        str(document["name"]),
-        str(document["created"]),
-        int(document["link_id"]),
-        int(document["used"]),
-        int(document["heard"]),
+        held = decode.decode(content, _KeyFile, where, remedy)
+    except InputError:
+        raise InputError(f"{where} holds no key", remedy) from None
+    board_ok = held.board.isalnum() and held.board.isascii() and len(held.board) <= 64
+    words_ok = held.name.isprintable() and held.created.isprintable()
+    if len(held.key) != KEY_BYTES or not any(held.key) or not board_ok or not words_ok:
+        raise InputError(f"{where} holds no key", remedy)
+    return StoredKey(
+        held.key, held.board, held.name, held.created, held.link_id, held.used, held.heard
     )
-    times_ok = 0 <= key.used <= _TIME_MAX and 0 <= key.heard <= _TIME_MAX
-    board_ok = key.board.isalnum() and key.board.isascii() and len(key.board) <= 64
-    words_ok = key.name.isprintable() and key.created.isprintable()
-    if len(key.key) != KEY_BYTES or not any(key.key):
-        raise ValueError
-    if not (times_ok and board_ok and words_ok):
-        raise ValueError
-    if not 1 <= key.link_id <= _LINK_IDS:
-        raise ValueError
-    return key
 
 
 def _new_link_id(other: int = 0) -> int:
@@ -221,7 +221,7 @@ class KeyStore:
         write_private(path, encode_key(key))
 
     def note(self, key: StoredKey, used: int, heard: int) -> None:
-        """Keeps how far time has come with ``key``, unless it was forgotten meanwhile."""
+        """Keeps how far time has come with ``key``, unless it was deleted meanwhile."""
         if self._path(key).exists():
             self.save(replace(key, used=used, heard=heard))
 
@@ -236,24 +236,24 @@ class KeyStore:
         self.save(own)
         return own
 
-    def forget(self, key: StoredKey) -> None:
-        """Removes the key from this computer for good."""
+    def delete(self, key: StoredKey) -> None:
+        """Deletes the key from this computer."""
         self._path(key).unlink(missing_ok=True)
 
-    def forget_others(self, key: StoredKey) -> None:
-        """Removes all other keys of the same board: it has this one now."""
+    def delete_others(self, key: StoredKey) -> None:
+        """Deletes all other keys of the same board: it has this one now."""
         if not self._path(key).exists():
             self.save(key)  # another process took it for one that never arrived
         for other in self._others(key):
-            self.forget(other)
+            self.delete(other)
 
-    def forget_unconfirmed(self, key: StoredKey) -> None:
-        """Removes the keys that the board never signed with: it signs with ``key``. A disk that
+    def delete_unconfirmed(self, key: StoredKey) -> None:
+        """Deletes the keys that the board never signed with: it signs with ``key``. A disk that
         keeps them is no reason to stop."""
         for other in self._others(key):
             if not other.confirmed:
                 with contextlib.suppress(OSError):
-                    self.forget(other)
+                    self.delete(other)
 
     def newest_of(self, board: str) -> StoredKey | None:
         """The key that a board was last heard to sign with."""
@@ -275,8 +275,7 @@ class KeyStore:
 def _default_folder() -> Path:
     if named := os.environ.get(_FOLDER):
         return Path(named).expanduser()
-    base = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
-    return Path(base) / "tailbeat" / "keys"
+    return Unix("tailbeat").user_config_path / "keys"  # the same place on every system
 
 
 def _is_file(path: Path) -> bool:

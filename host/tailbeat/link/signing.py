@@ -144,7 +144,7 @@ class Signing:
         self.save()
         self.key, self._used = owner, owner.used
         if self._offered is None:  # else a key is on its way to the board
-            self.store.forget_unconfirmed(owner)
+            self.store.delete_unconfirmed(owner)
 
     def pack(self, message: Any, mav: Any, now_s: float, rate: float) -> bytes:
         """The bytes of a message from ``mav``, signed when the board has a key we know. ``rate``:

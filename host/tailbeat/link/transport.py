@@ -1,7 +1,4 @@
-"""What it means when bytes come and no board is among them.
-
-The one interface every link to a board has.
-"""
+"""The interface of every link to a board, and what bytes mean that come from no board."""
 
 from __future__ import annotations
 

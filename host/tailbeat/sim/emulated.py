@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.extras import BUILD_IMAGE, remedy
+from tailbeat.core.selftest import SelftestError, find_source
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO
 from tailbeat.sim.config import DEFAULT_SEED, board_number
 from tailbeat.sim.world import FRAME_US, BoardControls, CameraFrame, Wires, World
@@ -378,7 +379,6 @@ def find_image(image: Path | None) -> Path:
 
 
 def _built_image() -> Path:
-    from tailbeat.core.selftest import SelftestError, find_source
 
     if IMAGE.is_file():
         return IMAGE

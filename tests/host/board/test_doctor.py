@@ -482,14 +482,17 @@ def test_a_board_whose_key_is_elsewhere(
 ) -> None:
     """What a stranger is refused is no sign of another version."""
     for key in KeyStore().usable():
-        KeyStore().forget(key)
+        KeyStore().delete(key)
     found = look(spoil(Fish(SimTransport(keyed)), seed=3, lose=lose))
     assert found["key"].status == PROBLEM
     assert "tailbeat board key import" in found["key"].remedy
     assert found["key"].text.startswith("the board has a key that this computer has not")
     assert int(found["key"].measured["refused_unsigned"] or 0) > 0 or lose
     for name in ("firmware", "imu"):
-        assert (found[name].status, found[name].text) == (WARNING, "not told to strangers")
+        assert (found[name].status, found[name].text) == (
+            WARNING,
+            "only for authenticated hosts",
+        )
     assert others(found, "firmware", "imu", "link") == {OK}
     patient = gather(SimTransport(keyed), QUICK_S)
     assert patient.unanswered == []

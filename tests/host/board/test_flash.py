@@ -476,7 +476,7 @@ def test_the_key_does_not_come_back_by_radio(
 
 
 def test_a_key_that_went_missing_meanwhile_is_told(due: Due, keyed: KeyStore, image: Path) -> None:
-    due.on_touch = lambda: keyed.forget(keyed.find(None))
+    due.on_touch = lambda: keyed.delete(keyed.find(None))
     report = due.flash(image)
     assert report.not_restored == [
         "the key (not on this computer); set one: tailbeat board key set"
@@ -487,7 +487,7 @@ def test_a_key_that_went_missing_meanwhile_is_told(due: Due, keyed: KeyStore, im
 
 
 def test_a_stranger_is_warned_before_the_key_goes(due: Due, keyed: KeyStore) -> None:
-    keyed.forget(keyed.find(None))
+    keyed.delete(keyed.find(None))
     with Fish(SimTransport(due.board)) as fish:
         fish.clock.sync()
         assert "after flashing it has none" in (key_warning(fish) or "")

@@ -119,7 +119,7 @@ def test_time_never_goes_back_on_disk(store: KeyStore) -> None:
 
 def test_a_forgotten_key_stays_forgotten(store: KeyStore) -> None:
     store.save(KEY)
-    store.forget(KEY)
+    store.delete(KEY)
     store.note(KEY, 5, 5)
     assert store.usable() == []
 
@@ -151,7 +151,7 @@ def test_which_key_is_meant(store: KeyStore) -> None:
     with pytest.raises(InputError, match="not the one key"):
         store.find(BOARD)
     assert store.find("second").key == OTHER.key
-    store.forget_others(store.find("second"))
+    store.delete_others(store.find("second"))
     assert [key.key for key in store.usable()] == [OTHER.key]
 
 
@@ -162,7 +162,7 @@ def test_a_second_computer_signs_under_a_number_of_its_own(store: KeyStore) -> N
         assert got.link_id != number
         assert (got.key, got.heard) == (KEY.key, 9)
         assert store.add(sent).link_id == got.link_id  # once more changes nothing
-        store.forget(got)
+        store.delete(got)
 
 
 def test_where_keys_lie(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -238,7 +238,7 @@ def test_only_a_key_that_was_heard_counts_as_the_boards(store: KeyStore) -> None
 
 def test_a_key_that_went_missing_while_it_was_given_is_kept(store: KeyStore) -> None:
     store.save(OTHER)
-    store.forget_others(KEY)
+    store.delete_others(KEY)
     assert store.usable() == [KEY]
 
 

@@ -181,7 +181,7 @@ def delete(which: Which, json: Json = False) -> None:
     """
     store = KeyStore()
     key = store.find(which)
-    store.forget(key)
+    store.delete(key)
     say(
         json,
         {"forgotten": key.public()},

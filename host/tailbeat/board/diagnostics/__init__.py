@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
 
 from tailbeat.board.diagnostics import checks, evidence
-from tailbeat.board.diagnostics.evidence import OK, PROBLEM, WARNING, Finding, gather, worst
+from tailbeat.board.diagnostics.evidence import (
+    OK,
+    PROBLEM,
+    WARNING,
+    Finding,
+    gather,
+    of_connected,
+    worst,
+)
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
 
 __all__ = ["OK", "PROBLEM", "WARNING", "Finding", "examine", "look_at", "worst"]
 
@@ -25,15 +30,14 @@ def examine(url: str | None = None, measure_s: float = MEASURE_S) -> list[Findin
         return findings
     with contextlib.closing(transport):
         try:
-            patient = gather(transport, measure_s)
+            found = gather(transport, measure_s)
         except TailbeatError as error:
             return [*findings, Finding("link", PROBLEM, error.message, error.remedy)]
-        return findings + [check(patient) for check in checks.CHECKS]
+        return findings + [check(found) for check in checks.CHECKS]
 
 
 def look_at(fish: Fish, measure_s: float = 1.0) -> list[Finding]:
     """Link, IMU and battery of a connected fish: what matters before it swims."""
-    from tailbeat.board.diagnostics.evidence import of_connected
 
-    patient = of_connected(fish, measure_s)
-    return [check(patient) for check in checks.BEFORE_A_SWIM]
+    found = of_connected(fish, measure_s)
+    return [check(found) for check in checks.BEFORE_A_SWIM]

@@ -47,14 +47,14 @@ _VERSION_REMEDY = (
 )
 
 
-def _firmware(patient: BoardEvidence) -> Finding:
+def _firmware(evidence: BoardEvidence) -> Finding:
     """Whether board and tool are of one version."""
     ours, build = tool_version(), _text(lib.link_build_id())
-    measured: Figures = {"tool": ours, "tool_build": build, "board_build": patient.build_id}
-    if "AUTOPILOT_VERSION" in patient.untold:
+    measured: Figures = {"tool": ours, "tool_build": build, "board_build": evidence.build_id}
+    if "AUTOPILOT_VERSION" in evidence.untold:
         return _untold("firmware", measured)
-    if patient.unanswered:
-        what = ", ".join(patient.unanswered)
+    if evidence.unanswered:
+        what = ", ".join(evidence.unanswered)
         return Finding(
             "firmware",
             PROBLEM,
@@ -62,26 +62,28 @@ def _firmware(patient: BoardEvidence) -> Finding:
             _VERSION_REMEDY,
             measured,
         )
-    packed = 0 if patient.version is None else patient.version.flight_sw_version
+    packed = 0 if evidence.version is None else evidence.version.flight_sw_version
     theirs = f"{packed >> 24 & 255}.{packed >> 16 & 255}.{packed >> 8 & 255}"
     measured["board"] = theirs
     if theirs != ours:
         text = f"the board has version {theirs}, this tool is {ours}"
         return Finding("firmware", PROBLEM, text, _VERSION_REMEDY, measured)
-    if patient.build_id and not _same_build(build, patient.build_id):
-        text = f"both are version {ours}, but the board's build is {patient.build_id}, ours {build}"
+    if evidence.build_id and not _same_build(build, evidence.build_id):
+        text = (
+            f"both are version {ours}, but the board's build is {evidence.build_id}, ours {build}"
+        )
         return Finding("firmware", WARNING, text, _VERSION_REMEDY, measured)
-    return Finding("firmware", OK, f"{patient.kind} board, {build}, as this tool", "", measured)
+    return Finding("firmware", OK, f"{evidence.kind} board, {build}, as this tool", "", measured)
 
 
-def _link(patient: BoardEvidence) -> Finding:
+def _link(evidence: BoardEvidence) -> Finding:
     """Round trip, losses, damage and speed."""
-    pings, burst = patient.pings, patient.burst
+    pings, burst = evidence.pings, evidence.burst
     measured: Figures = {
         "asked": pings.asked,
         "lost": pings.lost,
-        "damaged_from_board": patient.damaged_here,
-        "damaged_to_board": patient.damaged_there,
+        "damaged_from_board": evidence.damaged_here,
+        "damaged_to_board": evidence.damaged_there,
         "bytes_per_s": None if burst is None else burst.bytes_per_s,
         "burst_frames": None if burst is None else burst.frames,
         "burst_missing": None if burst is None else burst.missing,
@@ -94,17 +96,17 @@ def _link(patient: BoardEvidence) -> Finding:
     parts.append(f"{pings.lost} of {pings.asked} requests lost")
     if burst is not None and burst.missing:
         parts.append(f"{burst.missing} of {burst.frames + burst.missing} frames of a list lost")
-    if patient.damaged_here or patient.damaged_there:
-        parts.append(f"damaged frames: {patient.damaged_here} in, {patient.damaged_there} out")
+    if evidence.damaged_here or evidence.damaged_there:
+        parts.append(f"damaged frames: {evidence.damaged_here} in, {evidence.damaged_there} out")
     rate = None if burst is None else burst.bytes_per_s
     if rate is not None:
         parts.append(f"{rate:.0f} bytes/s")
-    status, remedy = _judge_link(patient, rate)
+    status, remedy = _judge_link(evidence, rate)
     return Finding("link", status, ", ".join(parts), remedy, measured)
 
 
-def _judge_link(patient: BoardEvidence, rate: float | None) -> tuple[str, str]:
-    pings, burst = patient.pings, patient.burst
+def _judge_link(evidence: BoardEvidence, rate: float | None) -> tuple[str, str]:
+    pings, burst = evidence.pings, evidence.burst
     asked, missing = pings.asked, pings.lost
     if burst is not None:
         asked, missing = asked + burst.frames + burst.missing, missing + burst.missing
@@ -114,17 +116,17 @@ def _judge_link(patient: BoardEvidence, rate: float | None) -> tuple[str, str]:
     if lost > _LOST_PROBLEM or pings.median_s > _SLOW_PROBLEM_S:
         return PROBLEM, _RADIO_REMEDY
     # What another version sends looks damaged, too.
-    damaged = patient.damaged_here + patient.damaged_there > 0 and not patient.unanswered
+    damaged = evidence.damaged_here + evidence.damaged_there > 0 and not evidence.unanswered
     slow = pings.median_s > _SLOW_WARNING_S or (rate is not None and rate < _RATE_WARNING)
     if lost > _LOST_WARNING or slow or damaged:
         return WARNING, _RADIO_REMEDY
     return OK, ""
 
 
-def _imu(patient: BoardEvidence) -> Finding:
+def _imu(evidence: BoardEvidence) -> Finding:
     """Whether the IMU streams, and whether that matters."""
-    imu = patient.imu
-    if "TAILBEAT_IMU_INFO" in patient.untold:
+    imu = evidence.imu
+    if "TAILBEAT_IMU_INFO" in evidence.untold:
         return _untold("imu")
     if imu is None:
         return _unknown("imu")
@@ -133,9 +135,9 @@ def _imu(patient: BoardEvidence) -> Finding:
     if problem.well:
         text = f"{imu.model}, {imu.rate_hz} Hz at {imu.baud} baud"
         return Finding("imu", OK, text, "", measured)
-    seen = bool(patient.health and patient.health["imu_frames"])
-    needed = patient.parameters.get("SPD_SOURCE", 0) >= 2 or (
-        patient.parameters.get("IMU_TIMEOUT_S", 0) > 0
+    seen = bool(evidence.health and evidence.health["imu_frames"])
+    needed = evidence.parameters.get("SPD_SOURCE", 0) >= 2 or (
+        evidence.parameters.get("IMU_TIMEOUT_S", 0) > 0
     )
     absent = problem.number == IMU_SILENT and not seen and not needed
     mild = absent or problem.number in (IMU_STARTING, IMU_NOISY, IMU_NEEDS_SAVE)
@@ -145,21 +147,21 @@ def _imu(patient: BoardEvidence) -> Finding:
     return Finding("imu", WARNING if mild else PROBLEM, problem.meaning, remedy, measured)
 
 
-def _battery(patient: BoardEvidence) -> Finding:
+def _battery(evidence: BoardEvidence) -> Finding:
     """Against the limits the board holds."""
-    if patient.status is None:
+    if evidence.status is None:
         return _unknown("battery")
-    volts = patient.status.battery_v
-    low, critical = (patient.parameters.get(n, 0.0) for n in ("BATT_LOW_V", "BATT_CRIT_V"))
+    volts = evidence.status.battery_v
+    low, critical = (evidence.parameters.get(n, 0.0) for n in ("BATT_LOW_V", "BATT_CRIT_V"))
     measured: Figures = {"battery_v": volts, "low_v": low, "critical_v": critical}
-    measured["at_limit"] = patient.status.battery_at_limit
+    measured["at_limit"] = evidence.status.battery_at_limit
     if low <= 0 and critical <= 0:
         text = f"{volts:.2f} V, not checked: BATT_LOW_V and BATT_CRIT_V are 0"
         return Finding("battery", OK, text, "", measured)
-    if patient.status.battery_at_limit:
+    if evidence.status.battery_at_limit:
         sense = fault_info(BATTERY_SENSE)
         refused = "arming is refused" if low > 0 else "trials are stopped"
-        text = f"{patient.status.battery_text}: {refused}"
+        text = f"{evidence.status.battery_text}: {refused}"
         return Finding("battery", PROBLEM, text, sense.remedy, measured)
     remedy = "Charge or change the battery."
     if volts < min(1.0, low):
@@ -178,11 +180,11 @@ def _battery(patient: BoardEvidence) -> Finding:
     return Finding("battery", OK, f"{volts:.2f} V", "", measured)
 
 
-def _storage(patient: BoardEvidence) -> Finding:
+def _storage(evidence: BoardEvidence) -> Finding:
     """Room, and writes that failed."""
-    if patient.health is None:
+    if evidence.health is None:
         return _unknown("storage")
-    free, failures = (int(patient.health[n]) for n in ("store_free_bytes", "store_failures"))
+    free, failures = (int(evidence.health[n]) for n in ("store_free_bytes", "store_failures"))
     measured: Figures = {"free_bytes": free, "failures": failures}
     if failures:
         text = f"{failures} writes failed since its start"
@@ -197,9 +199,9 @@ def _storage(patient: BoardEvidence) -> Finding:
     return Finding("storage", OK, text, "", measured)
 
 
-def _key(patient: BoardEvidence) -> Finding:
-    """Whether strangers can move the tail, and whether we can."""
-    key = patient.key
+def _key(evidence: BoardEvidence) -> Finding:
+    """Whether unauthenticated hosts can move the tail, and whether this one can."""
+    key = evidence.key
     if key is None:
         return _unknown("key")
     measured: Figures = {"trust": key.trust, **key.refused}
@@ -222,21 +224,21 @@ def _key(patient: BoardEvidence) -> Finding:
             measured,
         )
     if key.trust == HELD and key.held is not None:
-        strangers = key.refused.get("refused_wrong", 0)
+        foreign = key.refused.get("refused_wrong", 0)
         text = f"the board signs with {key.held.fingerprint}, which this computer has"
-        if strangers:
-            text += f"; it turned {strangers} frames away that others signed"
-        return Finding("key", WARNING if strangers else OK, text, "", measured)
-    if patient.in_process:
+        if foreign:
+            text += f"; it rejected {foreign} frames that others signed"
+        return Finding("key", WARNING if foreign else OK, text, "", measured)
+    if evidence.in_process:
         return Finding("key", OK, "none; nobody else reaches a board in this process", "", measured)
     remedy = "Set one over the wired port: tailbeat board key set"
     text = "none: anyone in radio range can move this tail"
     return Finding("key", WARNING, text, remedy, measured)
 
 
-def _clock(patient: BoardEvidence) -> Finding:
+def _clock(evidence: BoardEvidence) -> Finding:
     """Offset and drift."""
-    reading = patient.pings.clock()
+    reading = evidence.pings.clock()
     if reading is None:
         return _unknown("clock")
     offset_s, drift = reading.board_s - reading.host_s, reading.rate - 1.0
@@ -252,7 +254,7 @@ def _clock(patient: BoardEvidence) -> Finding:
         return Finding("clock", PROBLEM, text, _RADIO_REMEDY, measured)
     if abs(drift) - reading.rate_error > _CLOCK_OFF:
         text = f"the board's clock runs {reading.rate:.2f} times as fast as ours, {sigma}"
-        if patient.kind != "fish":
+        if evidence.kind != "fish":
             return Finding("clock", OK, text, "", measured)
         remedy = "Its crystal is dead, or this computer's clock is: compare with another one."
         return Finding("clock", PROBLEM, text, remedy, measured)
@@ -260,9 +262,9 @@ def _clock(patient: BoardEvidence) -> Finding:
     return Finding("clock", OK, f"{text} (+- {reading.rate_error * 100:.2f})", "", measured)
 
 
-def _state(patient: BoardEvidence) -> Finding:
+def _state(evidence: BoardEvidence) -> Finding:
     """Whether it is stopped, and why."""
-    status = patient.status
+    status = evidence.status
     if status is None:
         return _unknown("state")
     measured: Figures = {
@@ -277,12 +279,12 @@ def _state(patient: BoardEvidence) -> Finding:
     return Finding("state", OK, status.state + waiting, "", measured)
 
 
-def _restart(patient: BoardEvidence) -> Finding:
+def _restart(evidence: BoardEvidence) -> Finding:
     """Why it last started, and how it last crashed."""
-    if patient.health is None:
+    if evidence.health is None:
         return _unknown("restart")
-    cause = str(patient.health["reset_cause"])
-    crash = patient.crash
+    cause = str(evidence.health["reset_cause"])
+    crash = evidence.crash
     measured: Figures = {"cause": cause, "crash": None if crash is None else crash.kind}
     if cause == RESET_CAUSES[2]:
         hung = fault_info(WATCHDOG)
@@ -291,21 +293,21 @@ def _restart(patient: BoardEvidence) -> Finding:
         words = fault_info(CRASH)
         where = ", ".join(filter(None, [crash.kind, crash.where]))
         text = f"{words.meaning} once: {where} (firmware {crash.build_id})"
-        fresh = patient.status is not None and patient.status.fault.number == CRASH
+        fresh = evidence.status is not None and evidence.status.fault.number == CRASH
         return Finding("restart", PROBLEM if fresh else WARNING, text, words.remedy, measured)
     return Finding("restart", OK, f"last start: {cause}; no crash on record", "", measured)
 
 
-def _radio(patient: BoardEvidence) -> Finding:
+def _radio(evidence: BoardEvidence) -> Finding:
     """Whether something at another speed talks into the radio's port."""
-    if patient.health is None or "radio_framing" not in patient.health:
+    if evidence.health is None or "radio_framing" not in evidence.health:
         return _unknown("radio")
-    bad = int(patient.health["radio_framing"])
+    bad = int(evidence.health["radio_framing"])
     measured: Figures = {"framing_errors": bad}
     text = f"{bad} bytes with a bad stop bit on the radio's port"
     if bad < _FRAMING_MANY:
         return Finding("radio", OK, text, "", measured)
-    if patient.by_radio:
+    if evidence.by_radio:
         remedy = "Check ground and wires between board and module."
         return Finding("radio", WARNING, text, remedy, measured)
     text += ": the radio module there talks at another speed"
@@ -346,8 +348,10 @@ def _unknown(name: str) -> Finding:
 
 
 def _untold(name: str, measured: Figures | None = None) -> Finding:
-    """The board has a key, and we have not."""
-    return Finding(name, WARNING, "not told to strangers", "See what 'key' says.", measured or {})
+    """The board has a key, and this computer has not."""
+    return Finding(
+        name, WARNING, "only for authenticated hosts", "See what 'key' says.", measured or {}
+    )
 
 
 def _text(pointer: object) -> str:

@@ -283,77 +283,77 @@ def gather(transport: Transport, measure_s: float) -> BoardEvidence:
     fish = Fish(transport)
     fish.clock.sync()
     link = fish.link
-    # A stranger would have to wait for it twice.
+    # An unauthenticated host would have to wait for it twice.
     before = None if link.signing.locked else _ask(link, "TAILBEAT_HEALTH")
     damaged = link.framer.bad_frames
-    patient = BoardEvidence(by_radio(transport), in_process(transport) is not None, Pings(0, []))
-    patient.pings = ping(link, measure_s)
-    _read(patient, link)
-    if not patient.busy:
-        patient.burst, patient.parameters = burst(link)
-    patient.damaged_here = link.framer.bad_frames - damaged
-    if before is not None and patient.health is not None:
-        there = int(patient.health["link_bad_frames"]) - before.link_bad_frames
-        patient.damaged_there = max(0, there)
-    _look_further(patient, fish)
-    return patient
+    board = BoardEvidence(by_radio(transport), in_process(transport) is not None, Pings(0, []))
+    board.pings = ping(link, measure_s)
+    _read(board, link)
+    if not board.busy:
+        board.burst, board.parameters = burst(link)
+    board.damaged_here = link.framer.bad_frames - damaged
+    if before is not None and board.health is not None:
+        there = int(board.health["link_bad_frames"]) - before.link_bad_frames
+        board.damaged_there = max(0, there)
+    _look_further(board, fish)
+    return board
 
 
 def of_connected(fish: Fish, measure_s: float) -> BoardEvidence:
     """What matters before a swim, of a fish that is connected: link, battery, IMU."""
     link = fish.link
-    patient = BoardEvidence(
+    board = BoardEvidence(
         by_radio(fish.transport), in_process(fish.transport) is not None, ping(link, measure_s)
     )
-    patient.status = fish.status()
-    patient.health = fish.health()
-    patient.imu = fish.imu_verdict()
-    patient.parameters = {name: fish.params.get(name).value for name in PARAMETERS}
-    return patient
+    board.status = fish.status()
+    board.health = fish.health()
+    board.imu = fish.imu_verdict()
+    board.parameters = {name: fish.params.get(name).value for name in PARAMETERS}
+    return board
 
 
-def _read(patient: BoardEvidence, link: Link) -> None:
-    tries = _TRIES_LOSSY if patient.pings.lost else _TRIES
+def _read(board: BoardEvidence, link: Link) -> None:
+    tries = _TRIES_LOSSY if board.pings.lost else _TRIES
     messages: dict[str, Message | None] = dict.fromkeys(ASKED)
     for kind in ASKED:
         try:
             messages[kind] = _ask(link, kind, tries)
         except Refused:
-            patient.untold.append(kind)
+            board.untold.append(kind)
     silent = [kind for kind, message in messages.items() if message is None]
-    patient.unanswered = [kind for kind in silent if kind not in patient.untold]
-    if len(patient.unanswered) == len(ASKED):
+    board.unanswered = [kind for kind in silent if kind not in board.untold]
+    if len(board.unanswered) == len(ASKED):
         raise link.lost(tries, tries * _REPLY_S)
     status, health, imu, version = (messages[kind] for kind in ASKED)
     if version is not None:
-        patient.version = version
-        patient.build_id = _build_id(link) or text_of(bytes(version.flight_custom_version))
+        board.version = version
+        board.build_id = _build_id(link) or text_of(bytes(version.flight_custom_version))
     if status is not None:
-        patient.status = BoardStatus.of(status)
+        board.status = BoardStatus.of(status)
     if health is not None:
-        patient.health = results.health_dict(health)
+        board.health = results.health_dict(health)
     if imu is not None:
-        patient.imu = ImuInfo.of(imu)
+        board.imu = ImuInfo.of(imu)
 
 
-def _look_further(patient: BoardEvidence, fish: Fish) -> None:
+def _look_further(board: BoardEvidence, fish: Fish) -> None:
     for name in PARAMETERS:
-        if name not in patient.parameters:
+        if name not in board.parameters:
             with contextlib.suppress(TailbeatError):
-                patient.parameters[name] = fish.params.get(name).value
-    if patient.imu is not None:
-        patient.imu = fish.imu_verdict()
-    if not patient.busy:
+                board.parameters[name] = fish.params.get(name).value
+    if board.imu is not None:
+        board.imu = fish.imu_verdict()
+    if not board.busy:
         with contextlib.suppress(TailbeatError):
-            patient.crash = fish.crash_report()
-    told = patient.version is not None and patient.health is not None
+            board.crash = fish.crash_report()
+    told = board.version is not None and board.health is not None
     if told or trust_of(fish) == MISSING:
-        patient.key = key_status(fish, patient.health or {})
+        board.key = key_status(fish, board.health or {})
 
 
 def _ask(link: Link, kind: str, tries: int = _TRIES) -> Message | None:
     """A message, with less patience than link.request: it may be one that never comes. Raises
-    Refused when the board does not tell it to strangers, which we are."""
+    Refused when the board tells it to authenticated hosts only."""
     if link.signing.locked:
         return _overhear(link, kind)
     number = next(n for n, message in mavlink.mavlink_map.items() if message.msgname == kind)

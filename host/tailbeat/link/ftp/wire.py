@@ -1,7 +1,4 @@
-"""Requests under way: which are to be said again, and when to give up.
-
-MAVLink FTP on the wire: operations, errors, payloads.
-"""
+"""MAVLink FTP on the wire: operations, errors, payloads, and the requests under way."""
 
 from __future__ import annotations
 

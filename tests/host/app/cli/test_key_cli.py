@@ -194,7 +194,7 @@ def test_a_second_set_replaces(owner: Laptop) -> None:
         owner.json("board", "key", "status", "--connect", "radio")["held"]["key"]
         == second.fingerprint
     )
-    KeyStore(owner.folder).forget(second)
+    KeyStore(owner.folder).delete(second)
     KeyStore(owner.folder).save(first)
     assert REFUSED in owner.fails("params", "set", "ILC_LEAD", "1", "--connect", "radio")
 
