@@ -1,3 +1,3 @@
 """Monte Carlo over plants, laws and noise: ``recipe`` (what), ``cell`` (one piece of work),
-``runner`` (all cores, or a Dask cluster), ``results`` (Parquet), ``shoal`` (many fish in C).
+``runner`` (all cores, or a Dask cluster), ``results`` (Parquet), ``batch`` (many fish in C).
 """

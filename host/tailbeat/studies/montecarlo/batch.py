@@ -1,6 +1,6 @@
 """Many simulated fish side by side: the simulator's water, tail and camera, without board and wire.
 
-Each fish swims exactly as ``hal/sim``'s would with the same settings, seed and swim number; its
+Each fish moves exactly as ``hal/sim``'s would with the same settings, seed and trial number; its
 speeds are measured from its camera's noisy pictures by a line over each beat (hal/sim/shoal.h).
 """
 
@@ -59,8 +59,8 @@ class FishBatch:
     def run(
         self, amplitude_rad: F64, number: int | NDArray[np.uint32], beat_s: float = 1.0
     ) -> BatchTrials:
-        """All of them swim once, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
-        noise (1 = the first swim), one for all or one for each. Raises InputError when a value
+        """One trial of each, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
+        noise (1 = the first trial), one for all or one for each. Raises InputError when a value
         makes no sense."""
         amplitude = np.ascontiguousarray(amplitude_rad, dtype=np.float64)
         if amplitude.ndim != 2 or len(amplitude) != self._count:

@@ -41,7 +41,7 @@ _BOUNDS = (
     "amplitude_min_rad", "amplitude_max_rad", "step_rad",
     "true_min_m_s", "true_max_m_s", "travel_m",
 )  # fmt: skip
-_ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that swim, but not them
+_ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that learn, but not them
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def cells(recipe: Recipe) -> list[Cell]:
 def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
     """A table of ``results.schema()``: a row per fish and iteration, fish by fish.
 
-    A fish that cannot be identified or taught does not end a sweep: its rows are NaN, their verdict
+    A fish that cannot be identified or taught does not end a study: its rows are NaN, their verdict
     is ``FAILED`` and ``failure`` says why. Raises InputError when there is no such reference.
     """
     names = [(recipe.reference, recipe.iterations)]
@@ -97,7 +97,7 @@ def run_cell(recipe: Recipe, cell: Cell) -> pa.Table:
 def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     """All of its fish; one by one when something is wrong with one of them."""
     try:
-        return _swim(recipe, cell, phases)
+        return _trials(recipe, cell, phases)
     except (TailbeatError, ArithmeticError, ValueError) as error:
         if len(cell.seeds) > 1:
             alone = [_run(recipe, replace(cell, seeds=(seed,)), phases) for seed in cell.seeds]
@@ -108,7 +108,7 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
         raise
 
 
-def _swim(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
+def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
     batch = FishBatch(cell.plant.plant, fish)
     rows = _Rows(cell)

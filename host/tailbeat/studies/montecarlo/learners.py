@@ -1,4 +1,4 @@
-"""The laws of a sweep, each for a chunk of fish at once.
+"""The laws of a Monte Carlo study, each for a chunk of fish at once.
 
 The board's law learns in C for all of them (host/native/learn_batch.h); learning with the model is
 one fish after the other, by the very functions that a real fish is taught with.
@@ -35,10 +35,10 @@ FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of tri
 
 @dataclass
 class BatchReport:
-    """What a law says of one swim; arrays (fish,), NaN or "" where it says nothing."""
+    """What a law reports of one trial; arrays (fish,), NaN or "" where it says nothing."""
 
     predicted_m_s: F64  # max|e|: 5 %, median, 95 %; shape (3, fish)
-    ratio: F64  # (2, fish): the predicted range of max|e| over that of the swim before
+    ratio: F64  # (2, fish): the predicted range of max|e| over that of the trial before
     gain_rad_s_m: F64
     lead_beats: F64
     law: str | list[str]
@@ -57,7 +57,7 @@ class BatchReport:
 class BatchLearner(Protocol):
     """A law at work: ``begin``, then ``following`` and ``learn`` in turn. ``following``: the
     amplitudes of the next iteration, (fish, beats), rad, as the tail does them; ``learn`` takes the
-    swim of them and tells what the law said of it."""
+    trial of them and returns what the law reports of it."""
 
     floor_m_s: F64  # (fish,): max|e| of the least-squares optimum by what is known of the fish
 
@@ -136,7 +136,7 @@ class BoardLaw:
         )  # fmt: skip
 
     def following(self) -> F64:
-        """As the board will swim it."""
+        """As the board executes it."""
         return self._applied
 
     def learn(self, swims: BatchTrials) -> BatchReport:
@@ -202,7 +202,7 @@ class DesignedLaw:
         self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
 
     def following(self) -> F64:
-        """As the board will swim it; predicts what that will change."""
+        """As the board executes it; predicts what that will change."""
 
         self._amplitude = self._board.following()
         ranges = [
@@ -275,7 +275,7 @@ class ConvergenceJudge:
     scores: list[Score] = field(default_factory=list)
 
     def verdict(self, swim: Swim) -> str:
-        """The kind of verdict on a swim."""
+        """The kind of assessment of a trial."""
         error = self.reference.speed_m_s - swim.speed_m_s
         largest = float(np.nanmax(np.abs(error))) if swim.measured.any() else float("nan")
         number = len(self.scores) + 1
@@ -293,7 +293,7 @@ class ConvergenceJudge:
 
 
 def verdicts(judges: Sequence[ConvergenceJudge], swims: Sequence[Swim]) -> list[str]:
-    """Of one swim of every fish."""
+    """Of one trial of every fish."""
     return [judge.verdict(swim) for judge, swim in zip(judges, swims, strict=True)]
 
 

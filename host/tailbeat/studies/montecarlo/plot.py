@@ -1,4 +1,4 @@
-"""The picture of a sweep: true max|e| over the iterations, median and (of few laws) 90 % band."""
+"""The figure of a Monte Carlo study: true max|e| over the iterations, with a 90 % band."""
 
 from __future__ import annotations
 

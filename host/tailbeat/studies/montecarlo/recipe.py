@@ -1,4 +1,4 @@
-"""Recipes: which fish swim with which laws in which noise, and what that is to show. TOML files.
+"""Recipes: which fish learn with which laws in which noise, and what that is to show. TOML files.
 
 A recipe is the product of its ``[[plant]]``, ``[[law]]``, ``[[noise]]`` and corners, each for
 ``seeds`` seeds. ``[[claim]]`` says in figures what the result must hold to (``claims``).

@@ -65,7 +65,7 @@ def schema() -> pa.Schema:
 
 @cache
 def identity() -> dict[str, str]:
-    """What must be the same wherever cells of one sweep are computed."""
+    """What must be the same wherever cells of one study are computed."""
     import numpy
     import scipy
 

@@ -1,6 +1,6 @@
 """Computes the cells of a recipe on all cores of this computer, or on a Dask cluster.
 
-Every finished cell is on disk at once, so that whatever stops a sweep, the same command goes on
+Every finished cell is on disk at once, so that whatever stops a study, the same command goes on
 from there. Who computes a cell, and when, changes no bit of the results.
 
 ``OUT/sweep.json`` and ``OUT/recipe.toml`` say of what the results are; ``OUT/parts/NNNNN-….part``
@@ -63,7 +63,7 @@ class StudyFolder:
 
     @property
     def results(self) -> Path:
-        """The file with everything; there only when the sweep is complete."""
+        """The file with everything; there only when the study is complete."""
         return self.folder / RESULTS
 
     def open(self, recipe: Recipe) -> None:

@@ -79,7 +79,7 @@ def run_series(
     Raises:
         LearnerRefused: when the law does not fit the trial.
     """
-    return _SeriesRunner(task, lengths, iterations, precision).swim(keep)
+    return _SeriesRunner(task, lengths, iterations, precision).run(keep)
 
 
 @lru_cache(maxsize=4096)
@@ -111,7 +111,7 @@ class _SeriesRunner:
         self._diverged = np.full(len(lengths), -1)
         self._inputs = np.zeros((len(lengths), samples))
 
-    def swim(self, keep: Collection[int]) -> SeriesOutcome:
+    def run(self, keep: Collection[int]) -> SeriesOutcome:
         kept = {}
         for i in range(self._errors.shape[1]):
             alive = np.flatnonzero(self._diverged < 0)

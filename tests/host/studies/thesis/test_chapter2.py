@@ -165,7 +165,7 @@ def check_means(
 
 
 def test_random_lengths_n5() -> None:
-    found = EXAMPLE1.swim(range(1, SEEDS + 1), 100)
+    found = EXAMPLE1.series(range(1, SEEDS + 1), 100)
     check_means("N=5", found.max_abs_error, MEAN_N5, ROWS)
     first = first_within(found.max_abs_error, 0.0098)
     executed = first_within(found.executed, 0.0098)
@@ -176,14 +176,14 @@ def test_random_lengths_n5() -> None:
 
 
 def test_random_lengths_n30() -> None:
-    found = EXAMPLE1_N30.swim(range(1, SEEDS + 1), 200).max_abs_error
+    found = EXAMPLE1_N30.series(range(1, SEEDS + 1), 200).max_abs_error
     check_means("N=30", found, MEAN_N30, ROWS)
     assert 55 <= np.median(first_within(found, 0.0097)) <= 63
     assert 62 <= np.median(stays_within(found, 0.0097)) <= 74
 
 
 def test_p_type_with_zero_fill() -> None:
-    found = EXAMPLE1.swim(range(1, SEEDS + 1), 60, past="last").max_abs_error
+    found = EXAMPLE1.series(range(1, SEEDS + 1), 60, past="last").max_abs_error
     check_means("P", found, MEAN_P, ROWS[:9])
 
 
@@ -191,7 +191,7 @@ def test_random_start() -> None:
     """What a single series expects of its next trial: 0.451 by the average, 0.446 by P."""
     claims = chapter2_claims
     for past, golden in (("mean", 0.451), ("last", 0.446)):
-        found = EXAMPLE1.swim(range(1, 41), 200, past, random_start=True, keep=(200,))
+        found = EXAMPLE1.series(range(1, 41), 200, past, random_start=True, keep=(200,))
         value = claims._expected(found, 200)
         print(past, value, "golden", golden, "within 0.04")
         assert abs(value - golden) < 0.04
@@ -322,4 +322,4 @@ def test_random_lengths_of_as_many_seeds_as_the_table() -> None:
     for setting, past, golden in (
         (EXAMPLE1, "mean", MEAN_N5), (EXAMPLE1_N30, "mean", MEAN_N30), (EXAMPLE1, "last", MEAN_P),
     ):  # fmt: skip
-        check_means(past, setting.swim(seeds, 100, past).max_abs_error, golden, ROWS)
+        check_means(past, setting.series(seeds, 100, past).max_abs_error, golden, ROWS)

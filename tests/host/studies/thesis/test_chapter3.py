@@ -221,7 +221,7 @@ def check_medians(name: str, found: np.ndarray, golden: tuple[float, ...]) -> No
 
 
 def test_example1_random_lengths() -> None:
-    found = EXAMPLE1.swim(range(1, SEEDS + 1), 20)
+    found = EXAMPLE1.series(range(1, SEEDS + 1), 20)
     check_means("m=4", found.max_abs_error, M4_MEAN)
     check_medians("m=4", found.max_abs_error, M4_MEDIAN)
     check_medians("m=4, executed", found.executed, M4_EXECUTED)
@@ -232,7 +232,7 @@ def test_example1_random_lengths_with_other_m_and_a_total_gain_of_1(
     m: int, golden: tuple[float, ...]
 ) -> None:
     setting = replace(EXAMPLE1, m=m, beta=1 / (m + 1))
-    found = setting.swim(range(1, SEEDS + 1), 20).max_abs_error
+    found = setting.series(range(1, SEEDS + 1), 20).max_abs_error
     check_means(f"m={m}", found, golden)
 
 
@@ -241,7 +241,7 @@ def test_example1_as_many_seeds_and_iterations_as_the_table() -> None:
     seeds = range(1001, 1001 + GOLDEN_SEEDS)
     for m, golden in ((0, M0_MEAN), (4, M4_MEAN), (5, M5_MEAN)):
         setting = replace(EXAMPLE1, m=m, beta=1 / (m + 1))
-        check_means(f"m={m}", setting.swim(seeds, 40).max_abs_error, golden)
+        check_means(f"m={m}", setting.series(seeds, 40).max_abs_error, golden)
 
 
 def test_fish_ratio() -> None:
@@ -285,7 +285,7 @@ def test_fish_gains(kp: float, wanted: float) -> None:
 
 @pytest.mark.soak
 def test_fish_random_lengths() -> None:
-    found = FISH.swim(range(1, 201), 30).max_abs_error
+    found = FISH.series(range(1, 201), 30).max_abs_error
     ratios = found[:, 0] / found[:, 30]
     assert np.median(ratios) == pytest.approx(113.6, abs=0.1)
     assert (ratios > 90).mean() >= 0.96
@@ -294,7 +294,7 @@ def test_fish_random_lengths() -> None:
 
 
 def test_printed_drag_escapes_in_the_first_learned_trial() -> None:
-    found = replace(FISH, rate=fish_rate_printed, step=0.1).swim(range(1, 21), 2)
+    found = replace(FISH, rate=fish_rate_printed, step=0.1).series(range(1, 21), 2)
     assert (found.diverged == 1).all()
     assert np.isnan(found.max_abs_error[:, 1:]).all()
     run = found.run()

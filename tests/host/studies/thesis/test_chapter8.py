@@ -155,9 +155,9 @@ def test_rows_that_are_in_no_table(gain: float, step: float | None, iterations: 
 def test_the_plant_is_the_simulators() -> None:
     fish = CruisePlant(1.0)
     amplitude = np.random.default_rng(8).uniform(0, 0.9, 40)
-    _, mean = fish.swim(amplitude)
+    _, mean = fish.speeds(amplitude)
     np.testing.assert_allclose(mean, plant_beats(fish.config, amplitude, 1.0), rtol=1e-6)
-    _, fine = CruisePlant(0.01).swim(np.repeat(amplitude, 100))
+    _, fine = CruisePlant(0.01).speeds(np.repeat(amplitude, 100))
     np.testing.assert_allclose(fine.reshape(40, 100).mean(axis=1), mean, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(wanted_beats(), thesis().speed_m_s, rtol=1e-7)
     steady = fish.steady_m_s(np.array([angle for angle, _ in TABLE_8_1]))

@@ -36,15 +36,15 @@ def _median(values: F64) -> float:
 
 
 def example1(study: Study) -> list[Claim]:
-    found = EXAMPLE1.swim(SEEDS, LATE)
+    found = EXAMPLE1.series(SEEDS, LATE)
     study.tick(0.2)
     condition = _condition(
         "sup |1 - p(t) L CB| is about 0.7273", "2.4, example 1", 0.7273, EXAMPLE1
     )
     speed = _error_within(study, found, 1.801, 0.0098, 42)
-    average = EXAMPLE1.swim(_START_SEEDS, LATE, random_start=True, keep=_KEPT)
+    average = EXAMPLE1.series(_START_SEEDS, LATE, random_start=True, keep=_KEPT)
     study.tick(0.6)
-    classic = EXAMPLE1.swim(_START_SEEDS, LATE, past="last", random_start=True, keep=_KEPT)
+    classic = EXAMPLE1.series(_START_SEEDS, LATE, past="last", random_start=True, keep=_KEPT)
     return [
         condition, speed, _random_start_mean(average), _random_start_better(average, classic),
     ]  # fmt: skip
@@ -123,9 +123,9 @@ def _expected(found: SeriesOutcome, iteration: int) -> float:
 
 def example1_n30(study: Study) -> list[Claim]:
     bound, iterations = 0.0097, 60
-    wide = EXAMPLE1_N30.swim(SEEDS, LATE).max_abs_error
+    wide = EXAMPLE1_N30.series(SEEDS, LATE).max_abs_error
     study.tick(0.5)
-    narrow = EXAMPLE1.swim(SEEDS, LATE).max_abs_error
+    narrow = EXAMPLE1.series(SEEDS, LATE).max_abs_error
     reaches = _median(first_within(wide, bound))
     stays = _median(stays_within(wide, bound))
     narrow_reaches = _median(first_within(narrow, bound))
@@ -178,7 +178,7 @@ def _printed_binomial() -> list[float]:
 
 
 def substitute(study: Study) -> list[Claim]:
-    found = SUBSTITUTE.swim(SEEDS, LATE)
+    found = SUBSTITUTE.series(SEEDS, LATE)
     study.tick(0.9)
     whole = _median(first_within(found.max_abs_error, 0.0058))
     condition = SUBSTITUTE.condition()

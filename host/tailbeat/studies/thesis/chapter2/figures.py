@@ -34,7 +34,7 @@ def _error_axes(axes: Axes) -> None:
 
 
 def _band(axes: Axes, setting: Average, name: str, line: int) -> None:
-    errors = setting.swim(_SEEDS, _LAST).max_abs_error
+    errors = setting.series(_SEEDS, _LAST).max_abs_error
     low, median, high = np.quantile(errors, (0.1, 0.5, 0.9), axis=0)
     at = np.arange(_LAST + 1)
     axes.fill_between(at, low, high, color="0.88", lw=0, zorder=0)
@@ -107,7 +107,7 @@ def example1_n30(study: Study, folder: Path) -> list[Figure]:
     path = folder / "ch2-ex1-n30-error.png"
     with picture(path) as (axes,):
         _band(axes, EXAMPLE1_N30, "N = 30: median, 80 % of 100 seeds (grey)", 0)
-        errors = np.median(EXAMPLE1.swim(_SEEDS, _LAST).max_abs_error, axis=0)
+        errors = np.median(EXAMPLE1.series(_SEEDS, _LAST).max_abs_error, axis=0)
         axes.plot(np.arange(_LAST + 1), errors, label="N = 5: median", **LINES[1])
         _bound(axes, 0.0097)
         _error_axes(axes)

@@ -145,7 +145,7 @@ class Average:
 
         return LearningProblem(TIMES.astype(np.float64), WANTED, respond, self.law(past), self.draw)
 
-    def swim(
+    def series(
         self,
         seeds: range,
         iterations: int,

@@ -32,7 +32,7 @@ _M_LAST = 5
 
 
 def example1(study: Study) -> list[Claim]:
-    random = EXAMPLE1.swim(SEEDS, _ITERATIONS1)
+    random = EXAMPLE1.series(SEEDS, _ITERATIONS1)
     study.tick(0.4)
     return [_eta(), _bounds(), _example1_error(study, random), _more_memory(study)]
 
@@ -81,7 +81,7 @@ def _sweep(total: bool) -> tuple[list[float], list[float]]:
     for m in range(_M_LAST + 1):
         setting = replace(EXAMPLE1, m=m, beta=1.0 / (m + 1) if total else EXAMPLE1.beta)
         uncut.append(_uncut(setting, _ITERATIONS1)[-1])
-        errors = setting.swim(_SWEEP_SEEDS, _ITERATIONS1).max_abs_error
+        errors = setting.series(_SWEEP_SEEDS, _ITERATIONS1).max_abs_error
         random.append(float(np.median(errors[:, -1])))
     return uncut, random
 
@@ -119,9 +119,9 @@ def fish(study: Study) -> list[Claim]:
     escaped = _diverged(printed)
     escaped_u0 = _diverged(replace(printed, history="first"))
     study.tick(0.2)
-    zero = _ratios(FISH.swim(SEEDS, _ITERATIONS2))
+    zero = _ratios(FISH.series(SEEDS, _ITERATIONS2))
     study.tick(0.6)
-    first = _ratios(replace(FISH, history="first").swim(SEEDS, _ITERATIONS2))
+    first = _ratios(replace(FISH, history="first").series(SEEDS, _ITERATIONS2))
     study.tick(0.9)
     pushing = _uncut(replace(FISH, low=0.0), _ITERATIONS2)
     return [
@@ -137,7 +137,7 @@ def _ratios(found: SeriesOutcome) -> F64:
 
 
 def _diverged(setting: Moving) -> float:
-    found = setting.swim(_ESCAPE_SEEDS, _ITERATIONS2)
+    found = setting.series(_ESCAPE_SEEDS, _ITERATIONS2)
     return float((found.diverged >= 0).mean())
 
 

@@ -28,7 +28,7 @@ def _uncut(axes: Axes, setting: Moving, last: int, name: str, line: int) -> None
 
 
 def _band(axes: Axes, setting: Moving, last: int, name: str) -> None:
-    errors = setting.swim(_SEEDS, last).max_abs_error
+    errors = setting.series(_SEEDS, last).max_abs_error
     low, median, high = np.quantile(errors, (0.1, 0.5, 0.9), axis=0)
     at = np.arange(last + 1)
     axes.fill_between(at, low, high, color="0.88", lw=0, zorder=0)

@@ -145,7 +145,7 @@ class Moving:
             times, self.wanted(times), respond, self.law(), self.draw, self.first_input
         )
 
-    def swim(
+    def series(
         self, seeds: Sequence[int], iterations: int, keep: tuple[int, ...] = ()
     ) -> SeriesOutcome:
         """One series per seed, of random lengths."""

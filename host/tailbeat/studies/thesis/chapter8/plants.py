@@ -46,7 +46,7 @@ class CruisePlant:
         self.step_s = step_s / self._parts
         self.config: Any = plant_config("thesis", {})
 
-    def swim(self, amplitude_rad: F64) -> tuple[F64, F64]:
+    def speeds(self, amplitude_rad: F64) -> tuple[F64, F64]:
         """(speed at the end of each sample, mean speed over it), m/s."""
         h1, h2 = self.thrust(self._tail(np.repeat(amplitude_rad, self._parts)))
         h1 = _lagged(h1, self.lags.thrust_s, self.step_s)
@@ -159,7 +159,7 @@ def trials(task: FishTask) -> Iterator[FishTrial]:
     wanted = wanted_beats() if beats else wanted_at(ends)
     for iteration in range(task.iterations + 1):
         amplitude = np.clip(learner.input(), 0.0, AMPLITUDE_MAX_RAD)
-        at_end, mean = fish.swim(amplitude)
+        at_end, mean = fish.speeds(amplitude)
         speed = mean if beats else at_end
         target = wanted * (task.target(iteration) if task.target else 1.0)
         error = target - speed
