@@ -112,7 +112,8 @@ class LazyGroup(TyperGroup):
     @classmethod
     def of(cls, name: str, entry: Entry, hidden: bool = False) -> LazyGroup:
         """A group without commands yet."""
-        default = f"\n\nWithout a command it runs '{entry.default}'." if entry.default else ""
+        default = f"\n\nWithout a command it runs '{entry.default}'; see '{name} {entry.default}"
+        default = f"{default} --help'." if entry.default else ""
         group = cls(
             name=name,
             help=f"{entry.help}.{default}",

@@ -48,7 +48,7 @@ COMMANDS = {
     "board imu record": Entry("Write the IMU's raw frames to a CSV file", "imu:record"),
     "board imu decode": Entry("Decode a VN-100's recording, or listen to one", "imu:decode_imu"),
     "session commission": Entry(
-        "Check, trim, identify and design for a new fish; raise its limits",
+        "Check, trim, identify and design for a new fish",
         "session:commission", SET_UP,
     ),
     "session trim": Entry("Find the servo's centre in two short trials", "session:trim", SET_UP),

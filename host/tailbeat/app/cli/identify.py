@@ -42,6 +42,48 @@ if TYPE_CHECKING:
 _FISH = "With --table: the fish's "
 
 
+@dataclass(frozen=True)
+class Outputs:
+    """Where the result goes, besides the board and the fish's trial library."""
+
+    out: Annotated[Path | None, typer.Option("--out", help="Write what was found there.")] = None
+    library: Library = None
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="PNG", help="Draw map, runs and residuals.")
+    ] = None
+
+    def check(self) -> None:
+        """Raises InputError for a folder that is not there."""
+        for option, path in (("--out", self.out), ("--plot", self.plot)):
+            if path is not None and not path.parent.is_dir():
+                raise InputError(
+                    f"{option}: there is no folder {path.parent}.", "Make it, then again."
+                )
+
+
+@dataclass(frozen=True)
+class TableFish:
+    """The fish that a table of steady speeds is of."""
+
+    mass_kg: Annotated[float, typer.Option("--mass", help=_FISH + "mass, kg.")] = 0.4
+    length_m: Annotated[float, typer.Option("--length", help=_FISH + "length, m.")] = 0.36
+    density_kg_m3: Annotated[
+        float, typer.Option("--density", help="With --table: the water's, kg/m3.")
+    ] = 1000.0
+    tail_area_m2: Annotated[
+        float | None,
+        typer.Option("--area", help=_FISH + "tail area, m2; default pi*0.165^2/4."),
+    ] = None
+
+    def known(self) -> ThesisFish:
+        """For the thesis's equations."""
+        area = ThesisFish.tail_area_m2 if self.tail_area_m2 is None else self.tail_area_m2
+        return ThesisFish(self.mass_kg, self.length_m, self.density_kg_m3, area)
+
+
+_OUTPUTS, _TABLE_FISH = Outputs(), TableFish()
+
+
 def identify(
     files: Annotated[
         list[Path] | None, typer.Argument(metavar="FILE", help="More files for --trials.")
@@ -62,27 +104,15 @@ def identify(
             "--experiment", metavar="DIR", help="Its trials are used; the fish does not swim."
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Write what was found there.")] = None,
-    library: Library = None,
+    outputs: Outputs = _OUTPUTS,
     params: Annotated[
         bool, typer.Option("--params/--no-params", help="Set the board's MDL_... and save them.")
     ] = True,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="PNG", help="Draw map, runs and residuals.")
-    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Neither wait nor ask before a run.")] = False,
     margin_m: Annotated[
         float, typer.Option("--margin", min=0.0, help="Of the tank's length, left free, m.")
     ] = 0.15,
-    mass_kg: Annotated[float, typer.Option("--mass", help=_FISH + "mass, kg.")] = 0.4,
-    length_m: Annotated[float, typer.Option("--length", help=_FISH + "length, m.")] = 0.36,
-    density_kg_m3: Annotated[
-        float, typer.Option("--density", help="With --table: the water's, kg/m3.")
-    ] = 1000.0,
-    tail_area_m2: Annotated[
-        float | None,
-        typer.Option("--area", help=_FISH + "tail area, m2; default pi*0.165^2/4."),
-    ] = None,
+    table_fish: TableFish = _TABLE_FISH,
     rest: Annotated[
         float,
         typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each run."),
@@ -103,29 +133,24 @@ def identify(
     sources = [table_ is not None, bool(trials or files), experiment is not None]
     if sum(sources) > 1:
         raise typer.BadParameter("--table, --trials and --experiment exclude each other")
-    for option, path in (("--out", out), ("--plot", plot)):
-        if path is not None and not path.parent.is_dir():
-            raise InputError(f"{option}: there is no folder {path.parent}.", "Make it, then again.")
+    outputs.check()
     if table_ is not None:
-        area = ThesisFish.tail_area_m2 if tail_area_m2 is None else tail_area_m2
-        about = ThesisFish(mass_kg, length_m, density_kg_m3, area)
-        _from_table(table_, about, out, plot, json)
+        _from_table(table_, table_fish.known(), outputs, json)
     elif any(sources):
-        _from_trials([*(trials or []), *(files or [])], experiment, out, library, plot, json)
+        _from_trials([*(trials or []), *(files or [])], experiment, outputs, json)
     else:
-        options = camera.live().check()
-        asked = RunOptions(yes, json, margin_m, rest, options)
-        _swum(connect, asked, out, library, params, plot)
+        asked = RunOptions(yes, json, margin_m, rest, camera.live().check())
+        _from_runs(connect, asked, outputs, params)
 
 
-def _from_table(path: Path, about: Any, out: Path | None, plot: Path | None, json: bool) -> None:
-    found = from_table(path, about)
-    if out is not None:
-        found.identified.save(out)
-    if plot is not None:
-        draw_table(found, plot)
-    document = found.as_dict() | {"saved": out, "plot": plot}
-    say(json, document, lambda: _table_text(found, out))
+def _from_table(path: Path, fish: ThesisFish, outputs: Outputs, json: bool) -> None:
+    found = from_table(path, fish)
+    if outputs.out is not None:
+        found.identified.save(outputs.out)
+    if outputs.plot is not None:
+        draw_table(found, outputs.plot)
+    document = found.as_dict() | {"saved": outputs.out, "plot": outputs.plot}
+    say(json, document, lambda: _table_text(found, outputs.out))
 
 
 def _table_text(found: Table, out: Path | None) -> str:
@@ -149,26 +174,19 @@ def _table_text(found: Table, out: Path | None) -> str:
     return "\n".join([*lines, *([f"saved in {out}"] if out else [])])
 
 
-def _from_trials(
-    files: list[Path],
-    experiment: Path | None,
-    out: Path | None,
-    logbook: Path | None,
-    plot: Path | None,
-    json: bool,
-) -> None:
+def _from_trials(files: list[Path], experiment: Path | None, outputs: Outputs, json: bool) -> None:
     if experiment is not None:
         files = sorted(Experiment.open(experiment).raw.glob("*.ulg"))
     identified, simulated = from_trials(files)
     book = None
-    if logbook is not None or not simulated:
-        book = Logbook.of(identified.unique_id, logbook)
-    _finish(account_of(identified), None, book, out, plot, simulated, None, json)
+    if outputs.library is not None or not simulated:
+        book = Logbook.of(identified.unique_id, outputs.library)
+    _finish(account_of(identified), None, book, outputs, simulated, None, json)
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What was given on the command line for the swims."""
+    """What was given on the command line for the runs."""
 
     yes: bool
     json: bool
@@ -182,17 +200,10 @@ class RunOptions:
         return self.yes or self.json
 
 
-def _swum(
-    connect: str | None,
-    asked: RunOptions,
-    out: Path | None,
-    logbook: Path | None,
-    params: bool,
-    plot: Path | None,
-) -> None:
+def _from_runs(connect: str | None, asked: RunOptions, outputs: Outputs, params: bool) -> None:
     with connected(connect) as fish, live_camera(fish, asked.camera) as live:
         simulated = fish.info().simulated
-        book = logbook_of(fish, logbook)
+        book = logbook_of(fish, outputs.library)
         restore_interrupted(fish, preserve_folder(book), _note)
         values = {name: p.value for name, p in fish.params.list().items()}
         limits = replace(Limits.from_params(values), margin_m=asked.margin_m)
@@ -201,7 +212,7 @@ def _swum(
         held = set_params(fish, identified) if params else None
         bare = board_reference(fish) is None
     account = account_of(identified, prior_of(values))
-    _finish(account, held, book, out, plot, simulated, limits, asked.json, bare)
+    _finish(account, held, book, outputs, simulated, limits, asked.json, bare)
 
 
 def _found(
@@ -337,8 +348,7 @@ def _finish(
     account: Account,
     held: dict[str, float] | None,
     book: Logbook | None,
-    out: Path | None,
-    plot: Path | None,
+    outputs: Outputs,
     simulated: bool,
     limits: Limits | None,
     json: bool,
@@ -348,12 +358,12 @@ def _finish(
     saved = []
     if book is not None:
         saved.append(book.set_identified(account.identified))
-    if out is not None:
-        account.identified.save(out)
-        saved.append(out)
-    if plot is not None:
-        draw_account(account, plot, simulated)
-    document = account.as_dict() | {"params": held, "saved": saved, "plot": plot}
+    if outputs.out is not None:
+        account.identified.save(outputs.out)
+        saved.append(outputs.out)
+    if outputs.plot is not None:
+        draw_account(account, outputs.plot, simulated)
+    document = account.as_dict() | {"params": held, "saved": saved, "plot": outputs.plot}
     document["usable_m"] = limits.usable_m if limits else None
     say(json, document, lambda: _text(account, held, saved, bare))
 
