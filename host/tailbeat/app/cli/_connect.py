@@ -18,30 +18,30 @@ from tailbeat.experiment.library import logbook_of
 @contextmanager
 def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
     """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
-    tell on stderr when its key is missing; that it has none once a day."""
+    report on stderr when its key is missing; once a day that it has none."""
     with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
-        if notice and (line := notice_today(fish)):
+        if notice and (line := new_notice(fish)):
             echo(f"tailbeat: {line}", err=True)
         yield fish
 
 
-_TOLD = "no-key-told"  # in the logbook of the fish: the day
+_REPORTED = "no-key-told"  # in the trial library of the fish: the day
 
 
-def notice_today(fish: Fish) -> str | None:
+def new_notice(fish: Fish) -> str | None:
     """As ``connect_notice``; that nobody has set a key yet once per board and day. A key that is
-    missing, or was lost, is told every time."""
+    missing, or was lost, is reported every time."""
     line = connect_notice(fish)
-    return None if line == NO_KEY and _told_before(fish) else line
+    return None if line == NO_KEY and _reported_today(fish) else line
 
 
-def _told_before(fish: Fish) -> bool:
-    """Whether it was told today; from now on it was. A logbook that cannot say: not told."""
+def _reported_today(fish: Fish) -> bool:
+    """Whether it was reported today; from now on it was. Without a trial library: not."""
     today = date.today().isoformat()
     try:
         if (book := logbook_of(fish)) is None:
             return False
-        path = book.folder / _TOLD
+        path = book.folder / _REPORTED
         if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == today:
             return True
         path.parent.mkdir(parents=True, exist_ok=True)

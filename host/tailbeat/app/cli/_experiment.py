@@ -160,8 +160,8 @@ def replay_text(found: Replay) -> str:
     return "\n".join(lines)
 
 
-def keep_in_logbook(fish: Fish, path: Path) -> None:
-    """Keeps a pulled trial; a logbook that cannot take it is told on stderr and no reason to
+def keep_in_library(fish: Fish, path: Path) -> None:
+    """Keeps a pulled trial; a library that cannot take it is reported on stderr and no reason to
     fail."""
     try:
         if (book := logbook_of(fish)) is not None:
@@ -174,7 +174,7 @@ def discard_and_keep(
     fish: Fish, number: int | None, repeat: bool, quiet: bool, reason: str = ""
 ) -> None:
     """Keeps the pending trial, then drops it without learning; only a ``repeat`` counts later. A
-    trial that the logbook cannot keep (told on stderr) is dropped all the same; one that belongs to
+    trial that the library cannot keep (see stderr) is dropped all the same; one that belongs to
     an experiment only once it is there, with the ``reason``. Raises InputError (disk full), and
     Refused of a stopped board before anything is written."""
     pending = pending_of(fish, number, f"trial discard{_given(number, repeat, reason)}")
@@ -207,9 +207,9 @@ def _given(number: int | None, repeat: bool, reason: str) -> str:
 def verdict_after_learning(
     fish: Fish, number: int, rolled_back: bool, quiet: bool, kept: Path | None = None
 ) -> Verdict | None:
-    """Judges the trial by what the logbook has; fetches it unless it is ``kept`` there already.
-    None without a logbook, or when the trial cannot be had (told on stderr): the board has learned
-    all the same."""
+    """Assesses the trial by what the library has; fetches it unless it is ``kept`` there already.
+    None without a library, or when the trial cannot be had (reported on stderr): the board has
+    learned all the same."""
     try:
         book = logbook_of(fish)
         if book is None:
@@ -235,14 +235,14 @@ def _judged(book: Logbook, kept: Path, rolled_back: bool) -> Verdict | None:
     return progress_of(trials, None, sound_identified(book), (), rolled_back).verdict
 
 
-def told_if_another(identified: Identified, unique_id: str) -> None:
-    """Tells on stderr that the fish connected is not the one identified."""
+def warn_if_another(identified: Identified, unique_id: str) -> None:
+    """Warns on stderr that the fish connected is not the one identified."""
     if identified.unique_id and identified.unique_id != unique_id:
         echo(f"tailbeat: identified on another fish ({identified.unique_id})", err=True)
 
 
 def sound_identified(book: Logbook) -> Identified | None:
-    """What was identified; a damaged file is told on stderr, and one does without."""
+    """What was identified; None also for a damaged file, which is reported on stderr."""
     try:
         return book.identified()
     except TailbeatError as error:

@@ -84,7 +84,7 @@ def info(connect: Connect = None, json: Json = False) -> None:
     """
     with connected(connect) as fish:
         if trust_of(fish) == MISSING:
-            document, text = _info_of_a_stranger(fish)
+            document, text = _info_unauthenticated(fish)
         else:
             document, text = _info(fish)
     say(json, document, text)
@@ -99,8 +99,8 @@ def _info(fish: Fish) -> tuple[dict[str, Any], str]:
     return document, text + (f"\nlearned    {missing}" if missing else "")
 
 
-def _info_of_a_stranger(fish: Fish) -> tuple[dict[str, Any], str]:
-    """A board whose key we have not tells no more than it tells by itself."""
+def _info_unauthenticated(fish: Fish) -> tuple[dict[str, Any], str]:
+    """Of a board whose key is not here: what it sends without authentication."""
     status, health, name = fish.status(), fish.health(), fish.transport.name
     document: dict[str, Any] = dict.fromkeys(field.name for field in fields(BoardInfo))
     document |= {"connection": name, "status": status, "imu": None, "health": health}

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._experiment import told_if_another, verdict_after_learning, verdict_text
+from tailbeat.app.cli._experiment import verdict_after_learning, verdict_text, warn_if_another
 from tailbeat.app.cli._options import Connect, IdentifiedFile, Json
 from tailbeat.app.cli._terminal import TRIAL_MAX, echo, mm, progress_bar, say
 from tailbeat.board.fish import Fish
@@ -133,7 +133,7 @@ def learn_with_model(
     unique_id = fish.unique_id()
     book = logbook_of(fish)
     identified = _identified(book, identified_file)
-    told_if_another(identified, unique_id)
+    warn_if_another(identified, unique_id)
     setting = setting_of(fish)
     every, kept = _swims(fish, pending, book, dry_run, json)
     swims = swims_since(identified, every, unique_id)
@@ -174,7 +174,7 @@ def _identified(book: Logbook | None, file: Path | None) -> Identified:
 def _swims(
     fish: Fish, pending: int | None, book: Logbook | None, dry_run: bool, json: bool
 ) -> tuple[list[Swim], Path | None]:
-    """All in the logbook and the pending one, which is kept there unless it is a dry run; and where
+    """All in the library and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""
     if pending is None:
         return book.swims() if book is not None else [], None

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._experiment import sound_identified, told_if_another
+from tailbeat.app.cli._experiment import sound_identified, warn_if_another
 from tailbeat.app.cli._options import Connect, IdentifiedFile, Json, reference_names
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
 from tailbeat.board.fish import Fish
@@ -28,10 +28,10 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
 from tailbeat.session.transfer import Plan, carry, plan
 
-_FLOOR_FINE_M_S = 0.002
+_BOUND_FINE_M_S = 0.002
 
 
-def floor_document(band: Band) -> dict[str, Any]:
+def bound_document(band: Band) -> dict[str, Any]:
     """Keys of ``reference check --json`` under ``floor``."""
     found = band.floor
     return {
@@ -45,9 +45,9 @@ def floor_document(band: Band) -> dict[str, Any]:
     }
 
 
-def floor_text(band: Band, assumed: Sequence[str] = ()) -> str:
+def bound_text(band: Band, assumed: Sequence[str] = ()) -> str:
     """One line, and one for each place where the reference cannot be reached. ``assumed``: what of
-    the fish no run has told."""
+    the fish was not identified."""
     found, (low, high) = band.floor, band.lsq_max_abs_m_s
     lines = [
         f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by "
@@ -70,8 +70,8 @@ def _spot_text(spot: Spot) -> str:
 
 
 def advice(band: Band, what: str) -> str:
-    """What to do about a floor of the reference ``what``; empty when it is fine."""
-    if band.floor.lsq_max_abs_m_s <= _FLOOR_FINE_M_S:
+    """What to do about the error bound of the reference ``what``; empty when it is fine."""
+    if band.floor.lsq_max_abs_m_s <= _BOUND_FINE_M_S:
         return ""
     return f"a reference this fish can follow: tailbeat reference check {what} --suggest"
 
@@ -120,7 +120,7 @@ def upload_warm(
         identified = Identified.load(identified_file)
     unique_id = fish.unique_id()
     if identified is not None:
-        told_if_another(identified, unique_id)
+        warn_if_another(identified, unique_id)
     found = plan(fish, old, reference, identified, book)
     if found.learned.unique_id not in ("", unique_id):
         echo(f"tailbeat: learned by another fish ({found.learned.unique_id})", err=True)
@@ -312,14 +312,14 @@ def check(
     problems = reference.check(known.limits)
     found = known.identified and band(known.identified, reference, known.amplitude_max_rad, slew)
     document = _document(reference, reference.crc, problems)
-    document["floor"] = floor_document(found) if found else None
+    document["floor"] = bound_document(found) if found else None
     saturation = _expected(known, reference)
     document["saturation"] = saturation
     lines = [f"fits: {_line(reference)}"] if not problems else [str(p) for p in problems]
     if saturation is not None:
         lines.append(saturation.text)
     if found and known.identified:
-        lines.append(floor_text(found, known.identified.assumed))
+        lines.append(bound_text(found, known.identified.assumed))
     else:
         lines.append(_UNKNOWN)
     if suggest:

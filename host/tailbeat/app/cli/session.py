@@ -75,7 +75,7 @@ def commission(
             steps.append(step)
         limits = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
     well = steps[-1].done
-    say(json, {"ok": well, "steps": steps, "params": limits}, _last_words(steps, limits))
+    say(json, {"ok": well, "steps": steps, "params": limits}, _end_text(steps, limits))
     if not well:
         raise typer.Exit(1)
 
@@ -111,7 +111,7 @@ def resume(
         if (experiment := _to_resume(fish, into)) is None:
             if another_board:
                 raise _in_none(fish)
-            _put_back_alone(fish, json)
+            _restore_without_experiment(fish, json)
             return
         restored = restore(fish, experiment, another_board)
         for line in _restored_lines(restored, experiment):
@@ -181,8 +181,8 @@ def _in_none(fish: Fish) -> InputError:
     )
 
 
-def _put_back_alone(fish: Fish, json: bool) -> None:
-    """A fish that swims for no experiment: what a trim or an identification has left can be put
+def _restore_without_experiment(fish: Fish, json: bool) -> None:
+    """A fish that is in no experiment: what a trim or an identification has left can be put
     back, and what commands have set."""
     notes: list[str] = []
     put_back = restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
@@ -223,7 +223,7 @@ def _step_text(step: Step) -> str:
     return f"{'ok' if step.done else '--'}  {step.name}: {step.words}"
 
 
-def _last_words(steps: list[Step], limits: dict[str, float]) -> str:
+def _end_text(steps: list[Step], limits: dict[str, float]) -> str:
     last = steps[-1]
     if not last.done:
         return f"ended at {last.name}; AMP_MAX_RAD is {limits['AMP_MAX_RAD']:.2f}"

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._experiment import discard_and_keep, keep_in_logbook, sound_identified
+from tailbeat.app.cli._experiment import discard_and_keep, keep_in_library, sound_identified
 from tailbeat.app.cli._options import Connect, Json
 from tailbeat.app.cli._terminal import TRIAL_MAX, mm, progress_bar, say, table
 from tailbeat.board.fish import Fish
@@ -86,7 +86,7 @@ def pull(
         numbers = [t.number for t in fish.trials()] if every else [_which(fish, number)]
         paths = [_pull(fish, wanted, into, json) for wanted in numbers]
         for path in paths:
-            keep_in_logbook(fish, path)
+            keep_in_library(fish, path)
     say(json, {"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
 
 

@@ -89,15 +89,15 @@ def run(
     options = camera.live(video).check()
     given = GuideOptions(guide, rest, until, into, then, reason, learn)
     guided = given.wanted()
-    with _ctrl_c_told(), connected(connect) as fish, live_camera(fish, options) as live:
+    with _interrupt_reported(), connected(connect) as fish, live_camera(fish, options) as live:
         if guided:
             run_guided(fish, live, given, json)
             return
-        guard = _with_room(fish, live.guard)
+        guard = _guarded(fish, live.guard)
         with progress_bar(json, "swimming") as show:
             outcome = run_trial(fish, live.camera, _follower(fish, live, show), guard)
         report = camera_report(fish, live.video, outcome.number) if live.video else None
-        document, text = _told(outcome, report, _saturation(fish, outcome))
+        document, text = _document_and_text(outcome, report, _saturation(fish, outcome))
         say(json, document, text)
     if report and (warning := lateness_warning(report, camera.latency)):
         echo(f"tailbeat: {warning}", err=True)
@@ -108,8 +108,8 @@ def run(
 
 
 @contextmanager
-def _ctrl_c_told() -> Iterator[None]:
-    """Also before anything swims, and when somebody is impatient."""
+def _interrupt_reported() -> Iterator[None]:
+    """Also before a trial begins, and when Ctrl-C comes twice."""
     try:
         yield
     except KeyboardInterrupt as interrupt:
@@ -118,8 +118,8 @@ def _ctrl_c_told() -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
-def _with_room(fish: Fish, guard: Guard | None) -> Guard:
-    """Refuses a swim along what is not the fish's own or with parameters nobody meant, and one that
+def _guarded(fish: Fish, guard: Guard | None) -> Guard:
+    """Refuses a trial along what is not the fish's own or with unexpected parameters, and one that
     the tank has no room for; ends one that comes farther."""
     require_own(fish)
     require_meant_here(fish)
@@ -146,10 +146,10 @@ def _follower(
     return follow
 
 
-def _told(
+def _document_and_text(
     outcome: TrialOutcome, report: dict[str, float] | None, saturation: Saturation | None
 ) -> tuple[Any, str]:
-    """A swim as a document and in words."""
+    """A trial as a document and in words."""
     document = plain(outcome) | {"saturation": saturation}
     lines = [_outcome_text(outcome)]
     if saturation is not None:
