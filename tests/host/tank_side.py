@@ -13,6 +13,7 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.session.collect import Swum
+from tailbeat.session.events import Notice, StepProgress
 from tailbeat.session.operator import Decision, Event
 
 Way = Callable[[float], tuple[float, float, float]]
@@ -59,19 +60,19 @@ class Script:
 
     def texts(self, step: str) -> list[str]:
         """What was told of a step."""
-        return [e["text"] for e in self.told if e["event"] == "step" and e["step"] == step]
+        return [e.text for e in self.told if isinstance(e, StepProgress) and e.step == step]
 
     def passed(self) -> list[str]:
         """Steps that were made, in order."""
-        return [e["step"] for e in self.told if e["event"] == "step" and e["ok"]]
+        return [e.step for e in self.told if isinstance(e, StepProgress) and e.ok]
 
     def refused(self) -> list[str]:
         """Steps that were not."""
-        return [e["step"] for e in self.told if e["event"] == "step" and e["ok"] is False]
+        return [e.step for e in self.told if isinstance(e, StepProgress) and e.ok is False]
 
     def notices(self) -> str:
         """All of them."""
-        return "\n".join(e["text"] for e in self.told if e["event"] == "notice")
+        return "\n".join(e.text for e in self.told if isinstance(e, Notice))
 
 
 class Overhead:

@@ -11,7 +11,9 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import LinkLostError
+from tailbeat.link.messages import BeatEvent
 from tailbeat.link.sockets import TcpTransport
+from tailbeat.session.events import Event, LinkLost, LinkRestored
 from tailbeat.session.trial import run_trial
 
 
@@ -60,16 +62,16 @@ def test_cut_in_the_middle_of_a_pull(address: str, tmp_path: Path) -> None:
 def test_cut_in_the_middle_of_a_trial(address: str) -> None:
     with Fish.connect(address) as fish:
         with_reference(fish, 30)
-        events: list[str] = []
+        events: list[type] = []
 
-        def follow(event: dict) -> None:
-            if event["event"] == "beat" and event["beat"] == 3 and "link_lost" not in events:
+        def follow(event: Event) -> None:
+            if isinstance(event, BeatEvent) and event.beat == 3 and LinkLost not in events:
                 cut(fish)
-            events.append(event["event"])
+            events.append(type(event))
 
         outcome = run_trial(fish, on_event=follow)
-        assert "link_lost" in events
-        assert "link_back" in events
+        assert LinkLost in events
+        assert LinkRestored in events
         # Back within the board's patience it goes on; later it has stopped by itself.
         assert outcome.end in ("complete", "aborted:LINK_LOST")
         assert fish.status().pending_trial == outcome.number
@@ -80,8 +82,8 @@ def test_the_simulator_goes_away_for_good(simulator) -> None:
     with simulator(20) as (listen, server), Fish.connect(listen) as fish:
         with_reference(fish, 30)
 
-        def follow(event: dict) -> None:
-            if event["event"] == "beat":
+        def follow(event: Event) -> None:
+            if isinstance(event, BeatEvent):
                 server.kill()
 
         with pytest.raises(LinkLostError) as lost:

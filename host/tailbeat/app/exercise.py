@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Literal
 from urllib.parse import urlencode
 
 import numpy as np
@@ -21,11 +21,12 @@ from tailbeat.core.files import replacing_text
 from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import read_trial
-from tailbeat.link.messages import SPEED_SOURCES, TrialOutcome
+from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
 from tailbeat.sensors.camera.render.painter import Painter
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.render.source import picture_index, truth_of
 from tailbeat.sensors.camera.source.film import FilmWriter
+from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.world import CameraFrame
@@ -164,13 +165,13 @@ def _swim(options: ExerciseOptions, log_file: Path, progress: Progress) -> tuple
         return _Swim(kept, watcher.speed(), number, begin_s, true), watcher.fps
 
 
-def _follower(beats: int, progress: Progress) -> Callable[[dict[str, Any]], None]:
+def _follower(beats: int, progress: Progress) -> OnEvent:
     reached = 0
 
-    def follow(event: dict[str, Any]) -> None:
+    def follow(event: Event) -> None:
         nonlocal reached
-        if event["event"] == "beat" and event["beat"] >= reached:  # each is told twice
-            reached = event["beat"] + 1
+        if isinstance(event, BeatEvent) and event.beat >= reached:  # each is told twice
+            reached = event.beat + 1
             progress(_SWIM_SHARE * reached / beats, f"swimming, beat {reached} of {beats}")
 
     return follow

@@ -84,10 +84,6 @@ _NAME = "tailbeat "
 _STOPPED = ("ABORTED", "FAULT")
 
 Event = dict[str, Any]
-OnEvent = Callable[[Event], None]
-Guard = Callable[[object], str | None]
-"""Sees camera.base.Frame, Unseen, Afresh and CameraGone and results.BeatEvent as they come (ignore
-what you do not know); a reason aborts the trial."""
 
 
 class HasRecord(Protocol):

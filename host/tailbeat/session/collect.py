@@ -28,7 +28,7 @@ from tailbeat.learning.convergence import score_of
 from tailbeat.learning.disturbance import bump_of
 from tailbeat.learning.fish_model import swim_of
 from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
-from tailbeat.session.guards import BY_HAND
+from tailbeat.session.events import BY_HAND, StopKind, StopReason
 from tailbeat.session.operator import Decision
 from tailbeat.session.positions import as_csv, stash_of
 
@@ -110,7 +110,8 @@ class Swum:
     """``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``:
     what the ritual found; None = there was none. ``measured_beats``: of ``beats`` of the reference.
     ``problems``: what speaks against keeping it, in words (few speeds, not straight). ``judged``:
-    enough of its beats are measured (verdict.Score)."""
+    enough of its beats are measured (verdict.Score). ``stopped``: why this program stopped it; None
+    = it did not."""
 
     outcome: TrialOutcome
     file: Path
@@ -124,6 +125,12 @@ class Swum:
     battery_end_v: float | None
     problems: tuple[str, ...] = ()
     judged: bool = False
+    stopped: StopReason | None = None
+
+    @property
+    def other_problems(self) -> tuple[str, ...]:
+        """Without the first one of a trial that was not executed to its end: how it ended."""
+        return self.problems if self.outcome.end == "complete" else self.problems[1:]
 
 
 NO_SPEED = "beats have no speed"
@@ -163,12 +170,14 @@ def _longest_hole_s(trial: Trial, missing: np.ndarray[tuple[int], np.dtype[np.in
     return longest if longest > allowed_s else 0.0
 
 
-NOT_COMPLETE = "not complete:"
+_NOT_COMPLETE = "not complete:"
 
 
-def swum_of(outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: str = "") -> Swum:
-    """``stopped``: the reason of whoever stopped it from here; empty = nobody, or what the journal
-    says."""
+def swum_of(
+    outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: StopReason | None = None
+) -> Swum:
+    """``stopped``: why this program stopped it; None = it did not, or what the event log says."""
+    stopped = stopped or log.stopped
     trial = log.trial
     measured = int(np.isfinite(trial.beats.speed_m_s).sum())
     volts = [volt for t_s, volt in trial.battery_v if t_s >= 0] or [
@@ -185,16 +194,19 @@ def swum_of(outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: str =
         beats=len(trial.beats.samples),
         battery_start_v=ready.battery_v if ready else (volts[0] if volts else None),
         battery_end_v=volts[-1] if volts else None,
-        problems=tuple(_problems(outcome, log, measured, stopped or log.stopped)),
+        problems=tuple(_problems(outcome, log, measured, stopped)),
         judged=score_of(trial).judged,
+        stopped=stopped,
     )
 
 
-def _problems(outcome: TrialOutcome, log: Log, measured: int, stopped: str) -> list[str]:
+def _problems(
+    outcome: TrialOutcome, log: Log, measured: int, stopped: StopReason | None
+) -> list[str]:
     trial, problems = log.trial, []
     if outcome.end != "complete":
         by = f" ({stopped})" if stopped else ""
-        problems.append(f"{NOT_COMPLETE} {outcome.end}{by}")
+        problems.append(f"{_NOT_COMPLETE} {outcome.end}{by}")
     problems += _unmeasured(trial, measured)
     if log.straight is not None and log.straight.crooked:
         off_deg = math.degrees(log.straight.worst_yaw_rad)
@@ -218,25 +230,15 @@ def is_good(swum: Swum) -> bool:
     return swum.outcome.end == "complete" and not others
 
 
-def stopped_by(problems: Iterable[str]) -> str:
-    """The reason of whoever stopped a swim from here, out of what was said of it; empty = nobody
-    did, or nobody said."""
-    for problem in problems:
-        if problem.startswith(NOT_COMPLETE) and problem.endswith(")"):
-            return problem.partition(" (")[2].removesuffix(")")
-    return ""
-
-
 def proposed(swum: Swum) -> Decision:
     """What a careful person would say; the one who is there decides. It follows from the swim's
     end and its problems, which are in its log and in the journal: asked again later it is the
     same."""
-    stopped = stopped_by(swum.problems)
     if swum.outcome.end == _ended(WALL):
         return Decision("discard", "too close to the wall")
-    if stopped == BY_HAND:
-        return Decision("discard", BY_HAND)
-    if swum.outcome.end == _ended(ABORT_COMMAND) and not stopped:  # no guard of this program's
+    if swum.stopped == BY_HAND:
+        return Decision("discard", BY_HAND.text)
+    if swum.outcome.end == _ended(ABORT_COMMAND) and not swum.stopped:  # no guard of this program's
         return Decision("discard", "stopped by a command")
     if swum.measured_beats == 0:
         return Decision("discard", "no speeds")
@@ -250,12 +252,12 @@ def _ended(fault: int) -> str:
 @dataclass(frozen=True)
 class Log:
     """A swim's raw file, and what is in it and beside it. ``stopped``: why this program stopped it,
-    as the journal has it; empty = it did not, or the journal does not know the swim yet."""
+    as the journal has it; None = it did not, or the journal does not know the swim yet."""
 
     path: Path
     trial: Trial
     straight: HeadingDrift | None
-    stopped: str = ""
+    stopped: StopReason | None = None
 
 
 @contextlib.contextmanager
@@ -308,9 +310,22 @@ def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
     return Log(kept, trial, _straight(trial, frames), _stopped(experiment, kept))
 
 
-def _stopped(experiment: Experiment, kept: Path) -> str:
+def _stopped(experiment: Experiment, kept: Path) -> StopReason | None:
     told = [entry for entry in experiment.journal.entries("swum") if entry.get("file") == kept.name]
-    return stopped_by(map(str, told[-1].get("problems") or ())) if told else ""
+    if not told:
+        return None
+    if (stopped := told[-1].get("stopped")) is not None:
+        return StopReason(StopKind(stopped["kind"]), str(stopped["text"]))
+    return _stopped_before(map(str, told[-1].get("problems") or ()))
+
+
+def _stopped_before(problems: Iterable[str]) -> StopReason | None:
+    """Of an entry of an older version, which has the reason in the words of a problem alone."""
+    for problem in problems:
+        if problem.startswith(_NOT_COMPLETE) and problem.endswith(")"):
+            text = problem.partition(" (")[2].removesuffix(")")
+            return BY_HAND if text == BY_HAND.text else StopReason(StopKind.CALLER, text)
+    return None
 
 
 def _straight(trial: Trial, frames: Sequence[Frame]) -> HeadingDrift | None:

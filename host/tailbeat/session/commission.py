@@ -23,6 +23,7 @@ from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserv
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.messages import SPEED_SOURCES
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
+from tailbeat.session.events import Notice
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import GivenUp, Wanted
@@ -30,7 +31,7 @@ from tailbeat.session.trial_camera import default_camera
 from tailbeat.session.trim import apply, find_centre
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.core.law import Law
     from tailbeat.core.reference import Reference
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from tailbeat.experiment.library import Logbook
     from tailbeat.learning.identification import Identified
     from tailbeat.learning.identification_runs import Run
+    from tailbeat.session.guards import Guard
     from tailbeat.session.identify import Attendant
     from tailbeat.session.operator import Person
 
@@ -255,7 +257,7 @@ class _Session:
         )
 
     def _note(self, text: str) -> None:
-        self.person.tell({"event": "notice", "text": text})
+        self.person.tell(Notice(text))
 
     def _keep(self, path: Path, book: Logbook | None) -> None:
         self.straight = heading_drift(read_trial(path)) or self.straight

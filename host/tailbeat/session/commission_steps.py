@@ -29,7 +29,8 @@ from tailbeat.learning.saturation import (
     servo_rad,
     up_to_grain,
 )
-from tailbeat.session.guards import BY_HAND, RoomGuard, together, when
+from tailbeat.session.events import BY_HAND, Notice
+from tailbeat.session.guards import RoomGuard, together, when
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.room import travel_of
@@ -37,12 +38,13 @@ from tailbeat.session.shift import slope_of
 from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.core.reference import Reference
     from tailbeat.core.trial_file import Trial
     from tailbeat.learning.identification import Identified
     from tailbeat.link.messages import TrialOutcome
+    from tailbeat.session.guards import Guard
     from tailbeat.session.operator import Person
     from tailbeat.session.preflight.step import Wanted
     from tailbeat.session.room import Travel
@@ -186,7 +188,7 @@ def prove(
     book = logbook_of(fish)
 
     def note(text: str) -> None:
-        person.tell({"event": "notice", "text": text})
+        person.tell(Notice(text))
 
     def keep(path: Path) -> None:
         if book is not None:

@@ -27,6 +27,7 @@ from tailbeat.session.collect import (
     stop_words,
     swum_of,
 )
+from tailbeat.session.events import Notice, TrialDecided
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision
 
@@ -200,8 +201,7 @@ class Office:
             decision = self._of_itself(swum) or self.person.decide(swum)
             self._require_possible(swum, decision)
             self.account.decided(swum, decision)
-        told = {"trial": swum.outcome.number, "decision": decision.kind, "reason": decision.reason}
-        self.person.tell({"event": "decided", **told})
+        self.person.tell(TrialDecided(swum.outcome.number, decision))
         return decision
 
     def carry_out(self, swum: Swum, decision: Decision) -> Done:
@@ -232,9 +232,9 @@ class Office:
     def write_down(self, report: LearnReport) -> None:
         """What the board has learned: journalled and told."""
         self.account.journal.add("learned", **asdict(report))
-        self.person.tell({"event": "learned", **asdict(report)})
+        self.person.tell(report)
         if report.rolled_back:
-            self.person.tell({"event": "notice", "text": _ROLLED_BACK})
+            self.person.tell(Notice(_ROLLED_BACK))
 
     def _of_itself(self, swum: Swum) -> Decision | None:
         """Of a swim without a speed that the board does not hold: nobody can bring it any."""
@@ -242,7 +242,7 @@ class Office:
         if swum.measured_beats or self.fish.status().pending_trial == number:
             return None
         text = f"trial {number} ({end}) has no speeds: discarded, it counts for nothing"
-        self.person.tell({"event": "notice", "text": text})
+        self.person.tell(Notice(text))
         return Decision("discard", f"{end}, no speeds")
 
     def _require_possible(self, swum: Swum, decision: Decision) -> None:
@@ -281,7 +281,7 @@ class Office:
             if (book := logbook_of(self.fish)) is not None:
                 book.keep(swum.file, DISCARDED if decision.kind == "discard" else "")
         except TailbeatError as error:
-            self.person.tell({"event": "notice", "text": f"not kept in the logbook: {error}"})
+            self.person.tell(Notice(f"not kept in the logbook: {error}"))
 
     def _on_board(self, swum: Swum, decision: Decision, status: BoardStatus) -> LearnReport | None:
         number = swum.outcome.number

@@ -6,27 +6,37 @@ One swim of a series: the guards around it, and the live view while it goes on.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.experiment.library import logbook_of
 from tailbeat.link.messages import SIMULATED_FISH
 from tailbeat.session.collect import trial_is_safe
-from tailbeat.session.guards import BY_HAND, Seen, together, when
+from tailbeat.session.events import (
+    BY_HAND,
+    Assessed,
+    Event,
+    LiveValues,
+    Notice,
+    StopReason,
+    TrialStopped,
+)
+from tailbeat.session.guards import Seen, together, when
 from tailbeat.session.positions import stash_of
 from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.convergence import Verdict
     from tailbeat.learning.identification import Identified
     from tailbeat.link.mavlink import Message
     from tailbeat.link.messages import TrialOutcome
+    from tailbeat.session.guards import Guard
     from tailbeat.session.log import Account
-    from tailbeat.session.operator import Event, Person
+    from tailbeat.session.operator import Person
 
 
 def judged(account: Account, around: Around, rolled_back: bool) -> Verdict | None:
@@ -38,7 +48,7 @@ def judged(account: Account, around: Around, rolled_back: bool) -> Verdict | Non
         trials = account.counting()
         return progress_of(trials, None, _identified(around.fish), (), rolled_back).verdict
     except TailbeatError as error:
-        around.person.tell({"event": "notice", "text": f"no verdict: {error}"})
+        around.person.tell(Notice(f"no verdict: {error}"))
         return None
 
 
@@ -46,10 +56,10 @@ def told(person: Person, verdict: Verdict | None) -> None:
     """Tells it."""
     if verdict is None:
         return
-    values = ("words", "stop", "stop_reason", "advice")
     saturated = "" if verdict.saturation is None else verdict.saturation.text
-    event = {name: getattr(verdict, name) for name in values}
-    person.tell({"event": "verdict", **event, "saturation": saturated})
+    person.tell(
+        Assessed(verdict.words, verdict.stop, verdict.stop_reason, verdict.advice, saturated)
+    )
 
 
 def _identified(fish: Fish) -> Identified | None:
@@ -69,39 +79,28 @@ class Live:
     fish: Fish
     person: Person
     simulated: bool
-    _event: Event = field(default_factory=dict, init=False)
+    _values: LiveValues = field(init=False)
     _told_s: float = field(default=-math.inf, init=False)
     _running: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self._event = {
-            "event": "live",
-            "beat": None,
-            "beats": None,
-            "speed_m_s": None,
-            "reference_m_s": None,
-            "amplitude_rad": None,
-            "battery_v": None,
-            "silent_s": None,
-            "simulated": self.simulated,
-        }
+        self._values = LiveValues(self.simulated)
 
     def hear(self, message: Message) -> None:
         """A message of the board's."""
-        kind, event = message.get_type(), self._event
+        kind, changes = message.get_type(), dict[str, Any]()
         if kind == "TAILBEAT_STATUS":
-            event |= {"beats": message.beats, "battery_v": message.battery_mv * 1e-3}
+            changes |= {"beats": message.beats, "battery_v": message.battery_mv * 1e-3}
             self._running = message.state == _RUNNING
             if self._running:
-                event["beat"] = message.beat
+                changes["beat"] = message.beat
         elif kind == "TAILBEAT_LIVE" and self._running:
-            event |= {"beat": message.beat, "amplitude_rad": message.amplitude_rad}
-            if math.isfinite(message.speed_m_s):
-                event["speed_m_s"] = message.speed_m_s
+            changes |= {"beat": message.beat, "amplitude_rad": message.amplitude_rad}
         elif kind == "TAILBEAT_BEAT":
-            event["reference_m_s"] = message.reference_m_s
-            if math.isfinite(message.speed_m_s):
-                event["speed_m_s"] = message.speed_m_s
+            changes["reference_m_s"] = message.reference_m_s
+        if changes and math.isfinite(speed_m_s := getattr(message, "speed_m_s", math.nan)):
+            changes["speed_m_s"] = speed_m_s
+        self._values = replace(self._values, **changes)
 
     def __call__(self, _: object) -> None:
         """Tells, when it is time to."""
@@ -111,7 +110,7 @@ class Live:
             return
         self._told_s = now_s
         silent_s = (now_s - link.last_heard_s) * self.fish.clock.rate
-        self.person.tell(self._event | {"silent_s": silent_s})
+        self.person.tell(replace(self._values, silent_s=silent_s))
 
 
 @dataclass(frozen=True)
@@ -127,10 +126,10 @@ class Around:
 
 @dataclass(frozen=True)
 class Swim:
-    """How it went. ``stopped``: why something here stopped it; empty = nothing did."""
+    """How it went. ``stopped``: why something here stopped it; None = nothing did."""
 
     outcome: TrialOutcome
-    stopped: str
+    stopped: StopReason | None
 
 
 def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float) -> Swim:
@@ -138,11 +137,11 @@ def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float
     run_trial raises."""
     fish, person = around.fish, around.person
     live = Live(fish, person, fish.info().board in SIMULATED_FISH)
-    stopped: list[str] = []
+    stopped: list[StopReason] = []
 
     def on_event(event: Event) -> None:
-        if event["event"] == "guard":
-            stopped.append(event["reason"])
+        if isinstance(event, TrialStopped):
+            stopped.append(event.reason)
         person.tell(event)
 
     seen, camera = Seen(), around.camera
@@ -157,4 +156,4 @@ def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float
                 stash_of(experiment, outcome.number).put(seen.frames, camera, fish.clock)
     finally:
         stop_listening()
-    return Swim(outcome, stopped[0] if stopped else "")
+    return Swim(outcome, stopped[0] if stopped else None)

@@ -17,11 +17,14 @@ from numpy.typing import ArrayLike
 from tailbeat.core.arrays import F64
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import StopKind, StopReason
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Guard
     from tailbeat.sensors.camera.calibration.file import Calibration
 
+Guard = Callable[[object], StopReason | None]
+"""Sees every Frame, Unseen, Afresh, CameraGone and BeatEvent as they come (ignore what you do not
+know); a reason aborts the trial."""
 
 CRUISE_M_S = 0.08
 STOP_S = 0.5  # before the tail rests: picture, radio, and thrust that is under way
@@ -29,7 +32,6 @@ KAPPA_PER_M = 10.0
 TOUCH_M_S = 0.01  # what comes slower than this does no harm
 NOSE_M = 0.20  # from the marker's centre to the tip of the head of a 36 cm fish
 LENGTH_M = 0.36
-HIT = "wall:"
 
 _WINDOW_S = 1.0  # or the nearest number of whole beats
 _WINDOW_MIN_S = 0.5
@@ -100,8 +102,8 @@ class WallGuard:
         self._reckoned_s = 0.0  # how far in time, and where to since it was seen
         self._ahead_m = np.zeros(2)
 
-    def __call__(self, what: object) -> str | None:
-        """The reason to abort, starting with HIT when it is a wall, or None. ``what``: a Frame,
+    def __call__(self, what: object) -> StopReason | None:
+        """The reason to abort, or None. ``what``: a Frame,
         Unseen, a BeatEvent, Afresh, CameraGone; all else is ignored."""
         if self._walls is None:
             return None
@@ -114,10 +116,10 @@ class WallGuard:
         if isinstance(what, TrackReset):
             self._begin()
         if isinstance(what, CameraGone):
-            return "the camera that guards the walls is gone"
+            return StopReason(StopKind.CAMERA, "the camera that guards the walls is gone")
         return None
 
-    def _look(self, frame: Frame) -> str | None:
+    def _look(self, frame: Frame) -> StopReason | None:
         if not self._believed(frame):
             return self._reckon(frame.t_s)
         self._velocity = self._fitted()
@@ -171,14 +173,15 @@ class WallGuard:
             velocity += _beside_sway(t, xy @ across, self._beat_s) * across
         return velocity
 
-    def _reckon(self, now_s: float) -> str | None:
+    def _reckon(self, now_s: float) -> StopReason | None:
         """Where a fish that is not seen has come to."""
         if not math.isfinite(now_s):
             return None
         if not self._seen:
             self._since_s = now_s if math.isnan(self._since_s) else self._since_s
             blind = now_s - self._since_s > _BLIND_S
-            return "the camera that guards the walls does not see the fish" if blind else None
+            text = "the camera that guards the walls does not see the fish"
+            return StopReason(StopKind.CAMERA, text) if blind else None
         last = self._seen[-1]
         if now_s <= self._reckoned_s:
             return None
@@ -210,7 +213,7 @@ class WallGuard:
             return self._zone_s * towards_m_s
         return np.array([stopping_m(float(v), self._kappa_per_m) for v in towards_m_s])
 
-    def _judge(self, place: F64, velocity: F64, how: str) -> str | None:
+    def _judge(self, place: F64, velocity: F64, how: str) -> StopReason | None:
         assert self._walls is not None
         inward, offset = self._walls
         left_m = (place @ inward.T - offset).min(axis=0)
@@ -219,7 +222,8 @@ class WallGuard:
         if not near.any():
             return None
         worst = int(np.argmin(np.where(near, left_m, np.inf)))
-        return f"{HIT} {max(left_m[worst], 0):.2f} m away at {towards_m_s[worst]:.3f} m/s{how}"
+        text = f"wall: {max(left_m[worst], 0):.2f} m away at {towards_m_s[worst]:.3f} m/s{how}"
+        return StopReason(StopKind.WALL, text)
 
 
 def _beside_sway(t_s: F64, y_m: F64, beat_s: float) -> float:
@@ -241,9 +245,6 @@ def _inward(corners: F64) -> tuple[F64, F64]:
     return inward, offset
 
 
-TOO_FAR = "room:"  # how its reasons begin
-BY_HAND = "stopped by hand"  # the reason of a person who wants it to end
-
 _LATE_S = 2.0  # SPD_LATE_S + SPD_GAP_S as they are by default
 _STOP_S = 0.5  # radio, the coast to the centre, thrust that is under way
 _LOOK_BACK = 4  # beats
@@ -255,7 +256,7 @@ def together(*guards: Guard | None) -> Guard:
     """Asks every guard (all see everything); the first reason counts."""
     there = [guard for guard in guards if guard is not None]
 
-    def ask(seen: object) -> str | None:
+    def ask(seen: object) -> StopReason | None:
         reasons = [guard(seen) for guard in there]
         return next((reason for reason in reasons if reason), None)
 
@@ -305,7 +306,7 @@ class RoomGuard:
         self._speeds: list[float] = []
         self._measured: list[bool] = []
 
-    def __call__(self, seen: object) -> str | None:
+    def __call__(self, seen: object) -> StopReason | None:
         """Looks at results.BeatEvent, and at Afresh, which begins anew."""
         if isinstance(seen, TrackReset):
             self._begin()
@@ -331,7 +332,7 @@ class RoomGuard:
         beat = len(self._speeds)
         return self._ratio() * float(self._planned[beat]) if beat < len(self._planned) else last
 
-    def _judge(self) -> str | None:
+    def _judge(self) -> StopReason | None:
         """Whether now is the last moment: a beat later, with what is under way, would be too late
         to stop."""
         at_m_s = max(self._ahead_m_s(), 0.0)
@@ -339,9 +340,10 @@ class RoomGuard:
         reach_m = self.way_m + under_way_m + coast_m(at_m_s, self.kappa_per_m)
         if reach_m < self.room_m or self._will_rest_in_time():
             return None
-        return (
-            f"{TOO_FAR} it has swum {self.way_m:.2f} m and needs to "
-            f"{min(reach_m, 9.99):.2f} m to stop; there are {self.room_m:.2f} m"
+        return StopReason(
+            StopKind.DISTANCE,
+            f"room: it has swum {self.way_m:.2f} m and needs to "
+            f"{min(reach_m, 9.99):.2f} m to stop; there are {self.room_m:.2f} m",
         )
 
     def _ahead_m_s(self) -> float:
@@ -375,7 +377,7 @@ class RoomGuard:
         return self.way_m + self._ratio() * left_m < self.room_m
 
 
-def when(wanted: Callable[[], bool], reason: str) -> Guard:
+def when(wanted: Callable[[], bool], reason: StopReason) -> Guard:
     """Aborts with ``reason`` as soon as ``wanted()``."""
     return lambda _: reason if wanted() else None
 
@@ -386,10 +388,9 @@ class Seen:
 
     frames: list[Frame] = field(default_factory=list)
 
-    def __call__(self, seen: object) -> str | None:
+    def __call__(self, seen: object) -> None:
         """Takes frames, and forgets them on Afresh."""
         if isinstance(seen, TrackReset):
             self.frames.clear()
         elif isinstance(seen, Frame):
             self.frames.append(seen)
-        return None

@@ -21,12 +21,15 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, Run, identify_runs
 from tailbeat.link.messages import SPEED_SOURCES, TrialOutcome
-from tailbeat.session.guards import BY_HAND, RoomGuard, together, when
+from tailbeat.session.events import BY_HAND
+from tailbeat.session.guards import RoomGuard, together, when
 from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Event, Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
+    from tailbeat.session.events import Event
+    from tailbeat.session.guards import Guard
 
 
 MODEL_PARAMS = {

@@ -11,6 +11,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.session.battery import Drain
+from tailbeat.session.events import StopReason
 from tailbeat.session.operator import KINDS, Decision
 
 if TYPE_CHECKING:
@@ -104,6 +105,7 @@ class Account:
             battery_end_v=swum.battery_end_v,
             straight=None if swum.straight is None else asdict(swum.straight),
             problems=list(swum.problems),
+            stopped=None if swum.stopped is None else _stop_entry(swum.stopped),
         )
 
     def decided(self, swum: Swum, decision: Decision) -> None:
@@ -179,6 +181,10 @@ class Account:
             if entry["what"] in kinds:
                 found = entry
         return found
+
+
+def _stop_entry(stopped: StopReason) -> Entry:
+    return {"kind": stopped.kind.value, "text": stopped.text}
 
 
 def _found(ready: Ready | None) -> Entry:

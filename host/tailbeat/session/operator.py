@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from tailbeat.core.errors import InputError
+from tailbeat.session.events import Event
 
 if TYPE_CHECKING:
     from tailbeat.session.collect import Swum
-
-Event = dict[str, Any]
-"""``event`` names it. Besides those of run_trial:
-
-``step``: {step, text, ok, left_s} of the ritual; ``ok`` None = under way, ``left_s`` None = unknown
-``countdown``: {left_s}, whole seconds, 0 = it swims
-``live``: {beat, beats, speed_m_s, reference_m_s, amplitude_rad, battery_v, silent_s, simulated};
-None = not known
-``swum``: {trial, ...} the fields of Swum; ``decided``: {trial, decision, reason}
-``learned``: the fields of LearnReport; ``verdict``: {words, stop, stop_reason, advice, saturation}
-``notice``: {text}, something to know that stops nothing
-"""
 
 DecisionKind = Literal["keep", "repeat", "discard"]
 KINDS: tuple[DecisionKind, ...] = ("keep", "repeat", "discard")

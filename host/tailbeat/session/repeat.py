@@ -28,20 +28,23 @@ from tailbeat.session.collect import (
     settled,
     swum_of,
 )
+from tailbeat.session.events import Notice, TrialRecorded
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision
 from tailbeat.session.series import Until, swim_series
 from tailbeat.session.shift import Shift, require_best, shift_of
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.fish_model import FishModel
     from tailbeat.learning.identification import Identified
     from tailbeat.session.collect import Swum
-    from tailbeat.session.operator import Event, Person
+    from tailbeat.session.events import Event
+    from tailbeat.session.guards import Guard
+    from tailbeat.session.operator import Person
     from tailbeat.session.series import Options
 
 __all__ = ["Shift", "end_repeat", "held_before", "idle", "repeat_best", "write_held"]
@@ -201,11 +204,11 @@ def _left_over(fish: Fish, experiment: Experiment, account: Account, person: Per
     number = fish.status().pending_trial
     assert number is not None
     text = f"trial {number} is the repeat of an earlier call; it is not swum again"
-    person.tell({"event": "notice", "text": text})
+    person.tell(Notice(text))
     log = keep_log(fish, experiment, number)
     swum = swum_of(outcome_of(log.trial), log, None)
     account.swum(swum)
-    person.tell({"event": "swum", "trial": number, **vars(swum)})
+    person.tell(TrialRecorded(swum))
     decision = account.decision_on(swum.file)
     if decision is None:
         decision = _Repeating(person).decide(swum)

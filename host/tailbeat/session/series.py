@@ -32,8 +32,8 @@ from tailbeat.session.collect import (
     swum_of,
 )
 from tailbeat.session.decide import Done, Office
+from tailbeat.session.events import BY_HAND, Notice, TrialRecorded
 from tailbeat.session.execute import Around, judged, swim, told
-from tailbeat.session.guards import BY_HAND
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision
 from tailbeat.session.preflight.checklist import prepare
@@ -43,12 +43,13 @@ from tailbeat.session.room import room_guard, travel_next
 from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.convergence import Verdict
     from tailbeat.link.messages import LearnReport
     from tailbeat.session.collect import Swum
+    from tailbeat.session.guards import Guard
     from tailbeat.session.operator import DecisionKind, Person
     from tailbeat.session.preflight.step import Ready
 
@@ -427,8 +428,7 @@ class _Series:
 
     def _take(self, swum: Swum) -> None:
         self.account.swum(swum)
-        event = {"event": "swum", "trial": swum.outcome.number, **vars(swum)}
-        self.around.person.tell(event)
+        self.around.person.tell(TrialRecorded(swum))
 
     def _settle(self, swum: Swum, decision: Decision, counts: bool) -> SeriesEnd | None:
         """Carries the decision out. An end when the board is left as it stopped."""
@@ -445,7 +445,7 @@ class _Series:
         return self.end("stopped", f"{done.left} Then: {then}")
 
     def _notice(self, text: str) -> None:
-        self.around.person.tell({"event": "notice", "text": text})
+        self.around.person.tell(Notice(text))
 
 
 def _restart_words(number: int) -> str:

@@ -18,13 +18,27 @@ from tailbeat.core.faults import (
 )
 from tailbeat.core.frames import Camera, TrackReset, Unseen
 from tailbeat.link import _dialect as mavlink
-from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message, text_of
 from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
-from tailbeat.session.guards import HIT
+from tailbeat.session.events import (
+    BoardText,
+    HoldRequest,
+    InterruptRequested,
+    LinkLost,
+    LinkRestored,
+    StopKind,
+    StopReason,
+    TrialEnded,
+    TrialStarted,
+    TrialStopped,
+    TrialWarning,
+)
 from tailbeat.session.trial_camera import TrialCamera, default_camera
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard, OnEvent
+    from tailbeat.board.fish import Fish
+    from tailbeat.session.events import OnEvent
+    from tailbeat.session.guards import Guard
 
 SOURCE_VISION, SOURCE_IMU = SPEED_SOURCES.index("vision"), SPEED_SOURCES.index("imu")
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
@@ -56,7 +70,7 @@ class _Run:
     beats: dict[int, BeatEvent] = field(default_factory=dict)
     status: BoardStatus | None = None
     stopped_at_s: float | None = None
-    abort_reason: str | None = None
+    abort_reason: StopReason | None = None
     abort_wanted: bool = False
     at_wall: bool = False
     progress: tuple[str, int] | None = None
@@ -81,7 +95,7 @@ def run_trial(
     speeds along ``direction_rad`` (of the fish at its start, in the tank's frame; 0 = along x) go
     to the board as they come. ``guard`` sees every frame and beat, how time passes
     without a frame (camera.base.Unseen), the beginning (Afresh) and the end (CameraGone), until the
-    last beat is swum; it aborts the trial by returning a reason; one that begins with wall.HIT
+    last beat is swum; it aborts the trial by returning a reason; one of kind WALL
     leaves the last beats unmeasured. When the camera sees what makes no sense (two fish), the trial
     is aborted and that is raised at the end. Whatever else is raised stops the tail first.
     Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
@@ -140,7 +154,7 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
     run.source = round(fish.params.get("SPD_SOURCE").value)
     if camera is None and run.source == SOURCE_VISION:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
-        run.emit({"event": "warning", "text": text})
+        run.emit(TrialWarning(text))
     if camera is not None:
         run.camera = TrialCamera(
             fish,
@@ -180,7 +194,7 @@ def _command_start(run: _Run) -> None:
     run.iteration = status.iteration
     _send_start(run)
     run.progress_at_s = fish.transport.now_s()
-    run.emit({"event": "started", "trial": run.number, "iteration": run.iteration})
+    run.emit(TrialStarted(run.number, run.iteration))
 
 
 def _send_start(run: _Run) -> None:
@@ -272,7 +286,7 @@ def _wait_until_still(run: _Run) -> None:
 def _ask_to_hold(run: _Run, text: str) -> None:
     if text not in run.asked:
         run.asked.add(text)
-        run.emit({"event": "hold", "text": text})
+        run.emit(HoldRequest(text))
 
 
 def _hear(run: _Run, message: Message) -> None:
@@ -284,15 +298,13 @@ def _hear(run: _Run, message: Message) -> None:
         known = run.beats.get(beat.beat)
         if known is None or (known.provisional and not beat.provisional):
             run.beats[beat.beat] = beat
-            run.emit({"event": "beat", **vars(beat)})
+            run.emit(beat)
         if known is None:
             if run.camera is not None:
                 run.camera.hear(beat)
             _consult(run, beat)
     elif kind == "STATUSTEXT" and run.number:
-        from tailbeat.board.fish import text_event
-
-        run.emit(text_event(message))
+        run.emit(BoardText(message.severity, text_of(message.text)))
 
 
 def _take_status(run: _Run, status: BoardStatus) -> None:
@@ -308,11 +320,11 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
 
 def _consult(run: _Run, what: object) -> None:
     if run.guard is not None and run.abort_reason is None and not _has_swum(run):
-        run.abort_reason = run.guard(what) or None
+        run.abort_reason = run.guard(what)
         if run.abort_reason is not None:
-            run.at_wall = run.abort_reason.startswith(HIT)
+            run.at_wall = run.abort_reason.kind is StopKind.WALL
             _want_abort(run)
-            run.emit({"event": "guard", "reason": run.abort_reason})
+            run.emit(TrialStopped(run.abort_reason))
 
 
 def _has_swum(run: _Run) -> bool:
@@ -382,13 +394,13 @@ def _interrupt(run: _Run) -> None:
     if run.interrupted:
         raise KeyboardInterrupt
     run.interrupted = run.abort_wanted = True
-    run.emit({"event": "interrupted"})
+    run.emit(InterruptRequested())
 
 
 def _reconnect(run: _Run) -> None:
     """Gets the link back, within bounds, and asks how things stand."""
     link = run.fish.link
-    run.emit({"event": "link_lost"})
+    run.emit(LinkLost())
     deadline = link.transport.now_s() + run.reconnect_s
     retry_s = _RETRY_S
     while link.transport.now_s() < deadline:
@@ -406,7 +418,7 @@ def _reconnect(run: _Run) -> None:
         if run.camera is not None:
             run.camera.fit.reset()
         run.progress_at_s = link.transport.now_s()
-        run.emit({"event": "link_back", "state": status.state})
+        run.emit(LinkRestored(status.state))
         return
     why = link.signing.why_silent()
     raise LinkLostError(
@@ -452,7 +464,7 @@ def _outcome(run: _Run) -> TrialOutcome:
         [run.beats[k] for k in sorted(run.beats)],
         run.interrupted,
     )
-    run.emit({"event": "ended", "trial": outcome.number, "end": outcome.end})
+    run.emit(TrialEnded(outcome.number, outcome.end))
     return outcome
 
 

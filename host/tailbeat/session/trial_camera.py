@@ -17,9 +17,11 @@ from tailbeat.link.sockets import TcpTransport
 from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
 from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
 from tailbeat.sensors.camera.tracking.tracker import Repeats, is_computed
+from tailbeat.session.events import TrialWarning
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, OnEvent
+    from tailbeat.board.fish import Fish
+    from tailbeat.session.events import OnEvent
 
 _BLIND_S = 1.0  # of board time without a picture, after which somebody should look
 _STAMP_MAX_S = 1e6  # of board time: eleven days
@@ -138,7 +140,7 @@ class TrialCamera:
     def _fail(self, error: Exception) -> None:
         self._gone, self.failure = True, error
         self._abort()
-        self._emit({"event": "warning", "text": f"{error}"})
+        self._emit(TrialWarning(f"{error}"))
 
     def _frames(self) -> list[Frame]:
         if self._gone:
@@ -152,7 +154,7 @@ class TrialCamera:
         return []
 
     def _mourn(self, gone: CameraGone) -> None:
-        self._emit({"event": "warning", "text": f"{gone} The swim has no camera any more."})
+        self._emit(TrialWarning(f"{gone} The swim has no camera any more."))
         self._consult(gone)
         if not self._dispensable:
             self._abort()
@@ -165,12 +167,12 @@ class TrialCamera:
         blind = (now_s - self._seen_at_s) * self._fish.clock.rate > _BLIND_S
         if blind and not self._blind:
             words = getattr(self._camera, "blind_words", "the camera sends no pictures")
-            self._emit({"event": "warning", "text": f"{words}; beats go unmeasured"})
+            self._emit(TrialWarning(f"{words}; beats go unmeasured"))
         self._blind = blind
         if self._repeats.frozen and swimming and not self._frozen:
             self._frozen = True
             text = "the camera's picture stands still; beats go unmeasured"
-            self._emit({"event": "warning", "text": text})
+            self._emit(TrialWarning(text))
 
 
 def vision_message(board_s: float, sample: SpeedSample) -> Message:

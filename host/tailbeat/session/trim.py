@@ -22,7 +22,8 @@ from tailbeat.core.trial_checks import (
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
 from tailbeat.learning.fit import Scatter
-from tailbeat.session.guards import BY_HAND, RoomGuard, Seen, together, when
+from tailbeat.session.events import BY_HAND, Notice, StepProgress
+from tailbeat.session.guards import RoomGuard, Seen, together, when
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.room import Belief, Travel, belief_of, last_measured, travel_by
 from tailbeat.session.trial import run_trial
@@ -32,11 +33,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera, Frame
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.library import Logbook
     from tailbeat.link.messages import TrialOutcome
+    from tailbeat.session.guards import Guard
     from tailbeat.session.operator import Person
     from tailbeat.session.preflight.step import Wanted
 
@@ -199,7 +201,7 @@ def find_centre(
     belief = _belief(fish, book)
 
     def note(text: str) -> None:
-        person.tell({"event": "notice", "text": text})
+        person.tell(Notice(text))
 
     with ExitStack() as stack:
         if camera is None and (own := default_camera(fish)) is not None:
@@ -274,9 +276,7 @@ class _Swimmer:
             f"{len(planned.amplitude_rad)} beats, up to {planned.amplitude_rad.max():.2f} rad; "
             f"{planned.travel.text()}"
         )
-        self.person.tell(
-            {"event": "step", "step": f"trim {number}", "text": text, "ok": True, "left_s": None}
-        )
+        self.person.tell(StepProgress(f"trim {number}", text, ok=True))
         if not self.person.confirm("Is the fish at its start, free on both sides? Swim?"):
             raise GivenUp("the trim was not wanted", _NOTHING)
         if self.wanted is not None:

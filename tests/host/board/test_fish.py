@@ -16,8 +16,22 @@ from tailbeat.core.frames import Frame
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import (
+    Event,
+    LinkLost,
+    LinkRestored,
+    StopKind,
+    StopReason,
+    TrialEnded,
+    TrialStarted,
+    TrialStopped,
+    TrialWarning,
+)
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
+
+ENOUGH = StopReason(StopKind.CALLER, "enough")
+TOO_CLOSE = StopReason(StopKind.DISTANCE, "too close to the wall")
 
 
 def test_who_it_is(fish: Fish) -> None:
@@ -119,8 +133,8 @@ def test_speeds_may_come_after_the_swim(ready: Fish) -> None:
 
 
 def test_learning_from_a_stopped_board_says_what_comes_first(ready: Fish) -> None:
-    def guard(what: object) -> str | None:
-        return "enough" if isinstance(what, BeatEvent) and what.beat == 2 else None
+    def guard(what: object) -> StopReason | None:
+        return ENOUGH if isinstance(what, BeatEvent) and what.beat == 2 else None
 
     run_trial(ready, guard=guard)
     with pytest.raises(Refused, match="stopped") as refused:
@@ -134,15 +148,15 @@ def test_a_guard_aborts(ready: Fish) -> None:
     events = []
     seen: list[object] = []
 
-    def guard(what: Frame | BeatEvent) -> str | None:
+    def guard(what: Frame | BeatEvent) -> StopReason | None:
         seen.append(what)
-        return "too close to the wall" if isinstance(what, BeatEvent) and what.beat == 2 else None
+        return TOO_CLOSE if isinstance(what, BeatEvent) and what.beat == 2 else None
 
     outcome = run_trial(ready, on_event=events.append, guard=guard)
     assert outcome.end == "aborted:ABORT_COMMAND"
     assert not outcome.interrupted
     assert 3 <= outcome.executed_beats < 8
-    assert {"event": "guard", "reason": "too close to the wall"} in events
+    assert TrialStopped(TOO_CLOSE) in events
     assert any(isinstance(s, Frame) for s in seen)
     ready.clear()
     assert ready.status().state == "IDLE"
@@ -152,8 +166,8 @@ def test_a_guard_aborts(ready: Fish) -> None:
 def test_ctrl_c_stops_the_tail(ready: Fish) -> None:
     assert ready.sim is not None
 
-    def press(event: dict) -> None:
-        if event["event"] == "beat" and event["beat"] == 1 and event["provisional"]:
+    def press(event: Event) -> None:
+        if isinstance(event, BeatEvent) and event.beat == 1 and event.provisional:
             raise KeyboardInterrupt
 
     outcome = run_trial(ready, on_event=press)
@@ -167,8 +181,8 @@ def test_a_short_hole_in_the_radio_changes_nothing(ready: Fish) -> None:
     assert ready.sim is not None
     board, todo = ready.sim, ["off"]
 
-    def follow(event: dict) -> None:
-        if event["event"] == "beat" and event["beat"] == 1 and todo:
+    def follow(event: Event) -> None:
+        if isinstance(event, BeatEvent) and event.beat == 1 and todo:
             todo.clear()
             board.world.set_radio(False)
             board.run(1.5)
@@ -183,26 +197,26 @@ def test_a_long_hole_ends_the_trial_and_is_told(ready: Fish) -> None:
     ready.upload_reference(records.encode_reference(1.0, [0.03] * 20))
     board, events, todo = ready.sim, [], ["off"]
 
-    def follow(event: dict) -> None:
-        events.append(event["event"])
-        if event["event"] == "beat" and event["beat"] == 1 and todo:
+    def follow(event: Event) -> None:
+        events.append(type(event))
+        if isinstance(event, BeatEvent) and event.beat == 1 and todo:
             todo.clear()
             board.world.set_radio(False)
-        if event["event"] == "link_lost":
+        if isinstance(event, LinkLost):
             board.run(8.0)
             board.world.set_radio(True)
 
     outcome = run_trial(ready, on_event=follow)
     assert outcome.end == "aborted:LINK_LOST"
-    assert events.index("link_lost") < events.index("link_back") < events.index("ended")
+    assert events.index(LinkLost) < events.index(LinkRestored) < events.index(TrialEnded)
 
 
 def test_a_link_that_stays_away_is_an_error_in_bounded_time(ready: Fish) -> None:
     assert ready.sim is not None
     board = ready.sim
 
-    def follow(event: dict) -> None:
-        if event["event"] == "beat":
+    def follow(event: Event) -> None:
+        if isinstance(event, BeatEvent):
             board.world.set_radio(False)
 
     begin = ready.transport.now_s()
@@ -217,8 +231,8 @@ def test_power_lost_in_the_middle(ready: Fish) -> None:
     assert ready.sim is not None
     board, todo = ready.sim, ["cut"]
 
-    def follow(event: dict) -> None:
-        if event["event"] == "beat" and event["beat"] == 3 and todo:
+    def follow(event: Event) -> None:
+        if isinstance(event, BeatEvent) and event.beat == 3 and todo:
             todo.clear()
             board.world.power_cycle()
 
@@ -229,22 +243,22 @@ def test_power_lost_in_the_middle(ready: Fish) -> None:
 
 def test_a_trial_without_camera_warns(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tailbeat.session.trial_camera.SimulatedCamera", lambda _: None)
-    events: list[dict] = []
+    events: list[Event] = []
     outcome = run_trial(ready, on_event=events.append)
-    assert events[0]["event"] == "warning"
+    assert isinstance(events[0], TrialWarning)
     assert all(b.speed_m_s is None for b in outcome.beats)
 
 
 def test_a_camera_that_dies_in_the_middle_is_told_once(ready: Fish) -> None:
-    events: list[dict] = []
+    events: list[Event] = []
 
-    def follow(event: dict) -> None:
+    def follow(event: Event) -> None:
         events.append(event)
-        if event["event"] == "beat" and event["beat"] == 2:
+        if isinstance(event, BeatEvent) and event.beat == 2:
             ready.sim.world.set_camera(False)
 
     outcome = run_trial(ready, on_event=follow)
-    warnings = [e["text"] for e in events if e["event"] == "warning"]
+    warnings = [e.text for e in events if isinstance(e, TrialWarning)]
     assert warnings == ["the camera sends no pictures; beats go unmeasured"]
     assert outcome.end == "complete"
     assert outcome.beats[1].speed_m_s is not None
@@ -297,7 +311,7 @@ def test_an_abort_the_link_swallowed_is_said_again(
         abort()
 
     monkeypatch.setattr(ready, "abort", first_one_lost)
-    outcome = run_trial(ready, guard=lambda what: "wall" if isinstance(what, BeatEvent) else None)
+    outcome = run_trial(ready, guard=lambda what: ENOUGH if isinstance(what, BeatEvent) else None)
     assert outcome.end == "aborted:ABORT_COMMAND"
     assert len(said) == 2
 
@@ -321,17 +335,17 @@ def test_ctrl_c_before_the_start_is_acknowledged_stops_the_tail(
 
 
 def test_a_second_ctrl_c_ends_the_waiting(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
-    def press(event: dict) -> None:
-        if event["event"] in ("started", "link_lost"):
+    def press(event: Event) -> None:
+        if isinstance(event, TrialStarted | LinkLost):
             raise KeyboardInterrupt
 
     def lost() -> None:
         raise LinkLostError("the link broke")
 
     monkeypatch.setattr(ready, "abort", lost)
-    monkeypatch.setattr(ready.clock, "keep", lambda: press({"event": "started"}))
+    monkeypatch.setattr(ready.clock, "keep", lambda: press(TrialStarted(1, 1)))
     with pytest.raises(KeyboardInterrupt):
-        run_trial(ready, on_event=lambda e: press(e) if e["event"] == "link_lost" else None)
+        run_trial(ready, on_event=lambda e: press(e) if isinstance(e, LinkLost) else None)
 
 
 def test_a_trial_that_never_ends_is_given_up(ready: Fish, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,11 +363,11 @@ def test_a_link_that_breaks_again_while_coming_back_gets_its_time(
     assert ready.sim is not None
     board, sync, state = ready.sim, ready.clock.sync, {"cut": False, "failed": False}
 
-    def follow(event: dict) -> None:
-        if event["event"] == "beat" and not state["cut"]:
+    def follow(event: Event) -> None:
+        if isinstance(event, BeatEvent) and not state["cut"]:
             state["cut"] = True
             board.world.set_radio(False)
-        if event["event"] == "link_lost":
+        if isinstance(event, LinkLost):
             board.world.set_radio(True)
 
     def sync_once_lost() -> None:

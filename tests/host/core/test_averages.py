@@ -15,6 +15,7 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
 from tailbeat.core.law import MEAN, WINDOW, Averaging, Law, Memory, PastTrial
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -26,6 +27,9 @@ ZERO_INPUT_ERROR_M_S = 0.0791
 UPLOAD = 1  # SPD_SOURCE
 
 
+ENOUGH = StopReason(StopKind.CALLER, "enough")
+
+
 def prepare(fish: Fish, kind: int, **params: float) -> None:
     for name, value in {"ILC_KIND": kind, "ROLLBACK_RATIO": 0, **params}.items():
         fish.params.set(name, value)
@@ -34,7 +38,7 @@ def prepare(fish: Fish, kind: int, **params: float) -> None:
 
 def swim(fish: Fish, cut: bool = False) -> None:
     frames = iter(range(100000))
-    run_trial(fish, guard=lambda _: "wall" if cut and next(frames) > 200 else None)
+    run_trial(fish, guard=lambda _: ENOUGH if cut and next(frames) > 200 else None)
     if cut:
         fish.clear()
 

@@ -16,7 +16,7 @@ from tailbeat.core import records
 from tailbeat.core.arrays import F32
 from tailbeat.core.trial_checks import never_corrected, never_measured, not_reached, spans
 from tailbeat.core.trial_file import read_trial
-from tailbeat.link.messages import TrialOutcome
+from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -132,7 +132,7 @@ def test_power_lost_in_mid_swim_teaches_nothing_and_costs_nothing(tmp_path: Path
         todo = ["cut"]
 
         def cut(event: dict) -> None:
-            if event["event"] == "beat" and event["beat"] == 7 and todo:
+            if isinstance(event, BeatEvent) and event.beat == 7 and todo:
                 todo.clear()
                 board.world.power_cycle()
 

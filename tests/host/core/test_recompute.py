@@ -13,7 +13,7 @@ from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.session.guards import HIT
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 
 BEATS = 12
@@ -26,11 +26,11 @@ def swum(
     source: int,
     beat_s: float = 1.0,
     abort_at: int | None = None,
-    why: str = "enough",
+    why: StopKind = StopKind.CALLER,
     guard_beats: int = 1,
 ) -> Trial:
-    def guard(what: object) -> str | None:
-        return why if getattr(what, "beat", -1) == abort_at else None
+    def guard(what: object) -> StopReason | None:
+        return StopReason(why, "enough") if getattr(what, "beat", -1) == abort_at else None
 
     with Fish.connect("sim:tank", seed=7, camera_lost=0.1, beat_s=beat_s) as fish:
         fish.params.set("SPD_SOURCE", source)
@@ -70,7 +70,7 @@ def test_the_same_bits_of_an_aborted_trial(source: int, tmp_path: Path) -> None:
 def test_the_same_bits_of_a_trial_that_ended_at_a_wall(
     source: int, guard_beats: int, tmp_path: Path
 ) -> None:
-    trial = swum(tmp_path, source, abort_at=4, why=HIT, guard_beats=guard_beats)
+    trial = swum(tmp_path, source, abort_at=4, why=StopKind.WALL, guard_beats=guard_beats)
     assert trial.end == "aborted:WALL"
     assert 4 < trial.executed_beats < BEATS
     speed, sigma = recompute_beats(trial)
@@ -82,7 +82,7 @@ def test_the_same_bits_of_a_trial_that_ended_at_a_wall(
 
 
 def test_a_damaged_guard_is_none(tmp_path: Path) -> None:
-    trial = swum(tmp_path, VISION, abort_at=4, why=HIT)
+    trial = swum(tmp_path, VISION, abort_at=4, why=StopKind.WALL)
     speed, _ = recompute_beats(trial)
     for value in (float("nan"), float("inf"), -3.0, 1e9, 1.5):
         damaged = replace(trial, params=trial.params | {"GUARD_BEATS": value})

@@ -21,7 +21,7 @@ from tailbeat.core.trial_file import (
     parse_trial,
     read_trial,
 )
-from tailbeat.session.guards import HIT
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import in_process
 
@@ -46,9 +46,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         fish.learn()
         beats_seen: list[int] = []
 
-        def guard(what: object) -> str | None:
+        def guard(what: object) -> StopReason | None:
             beats_seen.append(getattr(what, "beat", -1))
-            return "enough" if max(beats_seen) >= 3 else None
+            return StopReason(StopKind.CALLER, "enough") if max(beats_seen) >= 3 else None
 
         run_trial(fish, guard=guard)
         cut = fish.pull_trial(2, folder)
@@ -97,7 +97,12 @@ def test_a_wall_leaves_the_last_beats_unmeasured(tmp_path: Path) -> None:
     with Fish.connect("sim:tank", seed=3) as fish:
         fish.params.set("GUARD_BEATS", 2)
         fish.upload_reference(reference.trapezoid(0.06, 3, BEATS - 6))
-        near = run_trial(fish, guard=lambda what: HIT if getattr(what, "beat", -1) == 4 else None)
+        near = run_trial(
+            fish,
+            guard=lambda what: (
+                StopReason(StopKind.WALL, "wall") if getattr(what, "beat", -1) == 4 else None
+            ),
+        )
         found = read_trial(fish.pull_trial(1, tmp_path))
     swum = near.executed_beats
     assert (near.end, found.end, found.executed_beats) == ("aborted:WALL", "aborted:WALL", swum)

@@ -31,7 +31,7 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.fit_quality import account_of, from_trials
 from tailbeat.learning.identification_runs import Course, Limits, Run, identify_runs
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.guards import HIT
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.identify import Attendant, identify_fish, set_params
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
@@ -300,7 +300,7 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
     pressed: list[Event] = []
 
     def event(event: Event) -> None:
-        if event["event"] == "beat" and event["beat"] == 3:
+        if isinstance(event, BeatEvent) and event.beat == 3:
             pressed.append(event)
 
     attendant = Attendant(event=event, wants_abort=lambda: bool(pressed))
@@ -315,10 +315,14 @@ def test_the_wall_guard_is_asked(learned: Fish) -> None:
     seen: list[object] = []
     runs: list[Run] = []
 
-    def guard(what: object) -> str | None:
+    def guard(what: object) -> StopReason | None:
         seen.append(what)
         beats = sum(isinstance(one, BeatEvent) for one in seen)
-        return f"{HIT} 0.2 m left" if len(runs) == 1 and beats >= 20 else None
+        return (
+            StopReason(StopKind.WALL, "wall: 0.2 m left")
+            if len(runs) == 1 and beats >= 20
+            else None
+        )
 
     identified = identify_fish(learned, Attendant(before=runs.append, guard=guard), quick=True)
     assert any(isinstance(one, Frame) for one in seen)

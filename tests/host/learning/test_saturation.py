@@ -24,6 +24,7 @@ from tailbeat.learning.saturation import (
 )
 from tailbeat.learning.verdict import progress_of
 from tailbeat.link.params import known_parameters
+from tailbeat.session.events import Event
 from tailbeat.session.execute import told
 from tailbeat.session.trial import run_trial
 
@@ -137,7 +138,7 @@ def test_the_page_shows_the_words(series: list[Trial]) -> None:
         def __init__(self) -> None:
             self.now = Snapshot()
 
-        def tell(self, event: dict[str, object]) -> None:
+        def tell(self, event: Event) -> None:
             self.now = after(self.now, event, "12:00")
 
     page = Listener()

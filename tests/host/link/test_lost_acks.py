@@ -13,6 +13,7 @@ from tailbeat.core.errors import Refused
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.impaired import Cut, Delay, Duplicate, ImpairedLine
 from tailbeat.link.mavlink import Framer, Message
+from tailbeat.session.events import LinkLost, LinkRestored, TrialEnded
 from tailbeat.session.trial import run_trial
 
 
@@ -164,7 +165,7 @@ def test_a_trial_over_a_cut_goes_on(ready: Fish) -> None:
     begin_s = ready.transport.now_s()
     cut = Cut(at_s=begin_s + 5.0, closed_s=1.5)
     ready.link.transport = ImpairedLine(ready.transport, [cut])
-    events: list[str] = []
-    outcome = run_trial(ready, on_event=lambda event: events.append(event["event"]))
+    events: list[type] = []
+    outcome = run_trial(ready, on_event=lambda event: events.append(type(event)))
     assert outcome.end == "complete"
-    assert events.index("link_lost") < events.index("link_back") < events.index("ended")
+    assert events.index(LinkLost) < events.index(LinkRestored) < events.index(TrialEnded)

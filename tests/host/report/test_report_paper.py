@@ -38,6 +38,7 @@ from tailbeat.report.figures import comparison, contraction, learning, trials
 from tailbeat.report.page import Material, Picture, headline, page
 from tailbeat.report.paper import FIGURES, Drawing, write_report
 from tailbeat.report.style import LOOKS, PAGE, PAPER, labels, save, written
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 
 from .. import made_analyses as made
@@ -82,10 +83,10 @@ def swim_a_day(root: Path, seed: int, gain: float, day: Sequence[str]) -> Experi
 def swim_once(fish: Fish, experiment: Experiment, what: str, now: datetime) -> None:
     beats = 0
 
-    def hand(seen: object) -> str | None:
+    def hand(seen: object) -> StopReason | None:
         nonlocal beats
         beats = max(beats, getattr(seen, "beat", 0) or 0)
-        return "a hand" if what == "abort" and beats >= 5 else None
+        return StopReason(StopKind.CALLER, "a hand") if what == "abort" and beats >= 5 else None
 
     fish.arm()
     swum = run_trial(fish, guard=hand)

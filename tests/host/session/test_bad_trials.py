@@ -25,6 +25,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import LearnReport
 from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.native import SimBoard
 
@@ -95,9 +96,9 @@ class SpoiltCamera(SimulatedCamera):
         pictures = [self.trouble.see(f.t_s - self.start_s, f) for f in seen]
         return [picture for picture in pictures if picture is not None]
 
-    def guard(self, what: object) -> str | None:
+    def guard(self, what: object) -> StopReason | None:
         """For run_trial: presses stop."""
-        return "stop" if self.t_s() >= self.trouble.stop_s else None
+        return StopReason(StopKind.CALLER, "stop") if self.t_s() >= self.trouble.stop_s else None
 
 
 class Session:

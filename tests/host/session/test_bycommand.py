@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,8 +21,10 @@ from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.current import begin
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.relearn import relearn
+from tailbeat.link.messages import BeatEvent
 from tailbeat.session.collect import keep_log, outcome_of, proposed, swum_of
-from tailbeat.session.guards import BY_HAND, when
+from tailbeat.session.events import BY_HAND, Event, StopKind, StopReason
+from tailbeat.session.guards import when
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision
 from tailbeat.session.trial import run_trial
@@ -57,9 +60,9 @@ def swims(fish: Fish, until_beat: int | None = None) -> int:
     fish.arm()
     reached = False
 
-    def hear(event: dict[str, object]) -> None:
+    def hear(event: Event) -> None:
         nonlocal reached
-        reached = reached or (event["event"] == "beat" and event["beat"] == until_beat)
+        reached = reached or (isinstance(event, BeatEvent) and event.beat == until_beat)
 
     return run_trial(fish, on_event=hear, guard=when(lambda: reached, BY_HAND)).number
 
@@ -220,22 +223,30 @@ def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
     log = keep_log(fish, experiment, swims(fish, until_beat=1))
     now = swum_of(outcome_of(log.trial), log, None, BY_HAND)
     later = swum_of(outcome_of(log.trial), log, None)
-    assert proposed(now) == Decision("discard", BY_HAND)
+    assert proposed(now) == Decision("discard", BY_HAND.text)
     assert proposed(later).kind == "discard"
 
 
+@pytest.mark.parametrize("written", ["now", "by an older version"])
 @pytest.mark.parametrize(
     ("stopped", "wanted"),
-    [(BY_HAND, Decision("discard", BY_HAND)), ("room: it has swum 1.9 m", Decision("keep"))],
+    [
+        (BY_HAND, Decision("discard", BY_HAND.text)),
+        (StopReason(StopKind.DISTANCE, "room: it has swum 1.9 m"), Decision("keep")),
+    ],
 )
 def test_who_stopped_it_is_known_after_a_restart(
-    fish: Fish, experiment: Experiment, stopped: str, wanted: Decision
+    fish: Fish, experiment: Experiment, written: str, stopped: StopReason, wanted: Decision
 ) -> None:
     """The room's guard ends a swim with the same command as a key."""
     number = swims(fish, until_beat=1)
     log = keep_log(fish, experiment, number)
     at_once = swum_of(outcome_of(log.trial), log, None, stopped)
     Account(experiment, experiment.journal).swum(at_once)
+    if written == "by an older version":
+        path = experiment.journal.path
+        path.write_text(re.sub(r', "stopped": \{[^}]*\}', "", path.read_text()))
+        assert "stopped" not in experiment.journal.entries("swum")[-1]
     again = keep_log(fish, experiment, number)
     later = swum_of(outcome_of(again.trial), again, None)
     assert proposed(at_once) == proposed(later) == wanted

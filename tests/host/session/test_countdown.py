@@ -20,6 +20,7 @@ from tailbeat.sensors.camera.simulated import SimulatedCamera
 from tailbeat.sensors.camera.sync.led import read_led
 from tailbeat.sensors.camera.tracking.track import SEEN, Track
 from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
+from tailbeat.session.events import Countdown
 from tailbeat.session.operator import Event
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import GivenUp, NotReady, Wanted
@@ -35,7 +36,7 @@ WANTED = Wanted()
 
 
 def counted(person: Script) -> list[int]:
-    return [event["left_s"] for event in person.told if event["event"] == "countdown"]
+    return [event.left_s for event in person.told if isinstance(event, Countdown)]
 
 
 def test_it_counts_whole_seconds_and_returns_armed(ready: Fish) -> None:
@@ -73,7 +74,7 @@ def test_a_long_one_keeps_the_heartbeats_up(ready: Fish) -> None:
 @pytest.mark.parametrize("second", [5, 3, 1])
 def test_giving_up_disarms(ready: Fish, second: int) -> None:
     def enough(told: list[Event]) -> bool:
-        return any(event.get("left_s") == second for event in told)
+        return any(event == Countdown(second) for event in told)
 
     person = Script(aborts=enough)
     with pytest.raises(GivenUp):
@@ -86,7 +87,7 @@ def test_giving_up_disarms(ready: Fish, second: int) -> None:
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_whatever_ends_it_disarms(ready: Fish, error: type[BaseException], second: int) -> None:
     def burst(event: Event) -> None:
-        if event.get("left_s") == second:
+        if event == Countdown(second):
             raise error
 
     with pytest.raises(error):
@@ -118,7 +119,7 @@ def test_ctrl_c_while_the_board_says_yes(ready: Fish, spoil: Callable[..., BadRa
 def test_a_lost_link_is_told_and_the_board_disarms_itself(ready: Fish) -> None:
     def cut(event: Event) -> None:
         assert ready.sim is not None
-        if event.get("left_s") == 3:
+        if event == Countdown(3):
             ready.sim.world.set_radio(False)
 
     person = Script(on_tell=cut)
@@ -136,12 +137,10 @@ def test_a_lost_link_is_told_and_the_board_disarms_itself(ready: Fish) -> None:
 def test_giving_up_without_a_link_is_bounded(ready: Fish) -> None:
     def cut(event: Event) -> None:
         assert ready.sim is not None
-        if event.get("left_s") == 3:
+        if event == Countdown(3):
             ready.sim.world.set_radio(False)
 
-    person = Script(
-        aborts=lambda told: any(event.get("left_s") == 2 for event in told), on_tell=cut
-    )
+    person = Script(aborts=lambda told: any(event == Countdown(2) for event in told), on_tell=cut)
     begin_s = ready.transport.now_s()
     with pytest.raises(GivenUp):
         countdown(ready, WANTED, person)
@@ -151,7 +150,7 @@ def test_giving_up_without_a_link_is_bounded(ready: Fish) -> None:
 
 def test_a_board_that_somebody_else_disarms(ready: Fish) -> None:
     def other(event: Event) -> None:
-        if event.get("left_s") == 4:
+        if event == Countdown(4):
             ready.disarm()
 
     person = Script(on_tell=other)

@@ -7,7 +7,10 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.session.dry_run import dry_run
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
+
+ENOUGH = StopReason(StopKind.CALLER, "enough")
 
 
 def swim_and_compare(fish: Fish) -> bool:
@@ -57,7 +60,7 @@ def test_an_aborted_trial_is_foretold(fish: Fish) -> None:
     swim_and_compare(fish)
     visited = fish.visits()
     frames = iter(range(1000))
-    outcome = run_trial(fish, guard=lambda _: "wall" if next(frames) > 200 else None)
+    outcome = run_trial(fish, guard=lambda _: ENOUGH if next(frames) > 200 else None)
     assert outcome.end == "aborted:ABORT_COMMAND"
     fish.clear()
     foretold = dry_run(fish)

@@ -29,6 +29,7 @@ from tailbeat.session.battery import Drain
 from tailbeat.session.collect import Swum
 from tailbeat.session.commission import Step, first_session
 from tailbeat.session.commission_steps import Raise, next_raise
+from tailbeat.session.events import Countdown, StepProgress, TrialStarted
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.status import fall_per_swim, standing_of, swims_left, words
 from tailbeat.session.trial import run_trial
@@ -213,11 +214,13 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         steps = list(first_session(fish, THESIS, somebody))
         assert [step.name for step in steps[:4]] == ["look", "trim", "identify", "design"]
         assert all(step.done for step in steps), steps
-        counted = sum(e["event"] == "countdown" and e["left_s"] == 0 for e in somebody.told)
-        swims = sum(e["event"] == "started" for e in somebody.told)
-        rests = sum(e.get("step") == "rest" and e["ok"] is True for e in somebody.told)
+        counted = sum(isinstance(e, Countdown) and e.left_s == 0 for e in somebody.told)
+        swims = sum(isinstance(e, TrialStarted) for e in somebody.told)
+        rests = sum(
+            isinstance(e, StepProgress) and e.step == "rest" and e.ok is True for e in somebody.told
+        )
         assert swims >= 8 and counted == rests == swims  # the ritual goes before every one
-        blind = [e for e in somebody.told if "not checked" in str(e.get("text"))]
+        blind = [e for e in somebody.told if "not checked" in str(getattr(e, "text", ""))]
         assert blind == [], "its camera looks at every start"
         raises = [one for step in steps for one in step.raises]
         assert [one.was for one in raises] == pytest.approx([0.5, 0.6])

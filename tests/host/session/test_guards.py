@@ -11,6 +11,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import BY_HAND, StopKind, StopReason
 from tailbeat.session.guards import RoomGuard, Seen, together, when
 from tailbeat.session.room import room_guard, travel_next
 from tailbeat.session.trial import run_trial
@@ -48,7 +49,7 @@ def test_less_drag_and_later_speeds_stop_it_earlier() -> None:
 def test_the_reason_says_how_far() -> None:
     guard = RoomGuard(1.0)
     reason = next(r for k in range(20) if (r := guard(beat(k, 0.1))))
-    assert reason.startswith("room:") and "1.00 m" in reason
+    assert reason.kind is StopKind.DISTANCE and "1.00 m" in reason.text
 
 
 @pytest.mark.parametrize("room_m", [0.0, math.inf])
@@ -103,21 +104,22 @@ def test_a_plan_that_rises_stops_it_before_it_is_fast() -> None:
 def test_together_all_see_everything_and_the_first_reason_counts() -> None:
     seen: list[object] = []
 
-    def look(what: object) -> str | None:
+    def look(what: object) -> StopReason | None:
         seen.append(what)
         return None
 
-    guard = together(None, lambda _: "one", look, lambda _: "two")
-    assert guard("x") == "one" and seen == ["x"]
+    one, two = StopReason(StopKind.CALLER, "one"), StopReason(StopKind.CALLER, "two")
+    guard = together(None, lambda _: one, look, lambda _: two)
+    assert guard("x") == one and seen == ["x"]
     assert together(None, None)("x") is None
 
 
 def test_when() -> None:
     pressed = [False]
-    guard = when(lambda: pressed[0], "a key")
+    guard = when(lambda: pressed[0], BY_HAND)
     assert guard("x") is None
     pressed[0] = True
-    assert guard("x") == "a key"
+    assert guard("x") == BY_HAND
 
 
 def test_seen_keeps_the_frames_of_this_swim() -> None:

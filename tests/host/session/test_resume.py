@@ -27,7 +27,9 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current, is_interrupted, note_set, strayed, use
 from tailbeat.experiment.folder import Experiment
+from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.session.collect import Swum, keep_log, outcome_of, swum_of
+from tailbeat.session.events import TrialStarted
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import Account
 from tailbeat.session.operator import Decision, Event
@@ -67,8 +69,8 @@ class Somebody:
     def confirm(self, question: str) -> bool:
         return True
 
-    def count(self, kind: str) -> int:
-        return sum(event["event"] == kind for event in self.events)
+    def count(self, kind: type) -> int:
+        return sum(isinstance(event, kind) for event in self.events)
 
 
 class Pool:
@@ -336,7 +338,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
 
     class Dying(Somebody):
         def tell(self, event: Event) -> None:
-            if event["event"] == "beat" and event["beat"] == 2:
+            if isinstance(event, BeatEvent) and event.beat == 2:
                 raise Killed
 
     restore(swapped, experiment)
@@ -415,7 +417,7 @@ def test_the_repeat_is_a_repeat_and_nothing_is_learned(
     held = held_state(experiment)
     assert held is not None and held.learned == pool.learned
     assert experiment.journal.entries("shifted")[-1]["within"] == shift.within
-    assert somebody.count("learned") == 0
+    assert somebody.count(LearnReport) == 0
     again = swim_series(swapped, experiment, Somebody(), ONE)  # learning goes on where it was
     assert again.swums[0].outcome.iteration == 5
 
@@ -596,7 +598,7 @@ def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, p
     assert swapped.status().pending_trial == 5
     somebody = Somebody()
     swum, shift = repeat_best(swapped, experiment, somebody, ONE)
-    assert swum.outcome.number == 5 and somebody.count("started") == 0
+    assert swum.outcome.number == 5 and somebody.count(TrialStarted) == 0
     assert len(_decided(experiment, 5)) == 1
     assert shift.best_trial in (1, 2, 3, 4)
     assert swapped.learned_record() == pool.learned
@@ -673,7 +675,7 @@ def test_the_link_breaks_in_the_repeat(swapped: Fish, experiment: Experiment, po
     class Cutter(Somebody):
         def tell(self, event: Event) -> None:
             super().tell(event)
-            if event["event"] == "beat" and event["beat"] == 3:
+            if isinstance(event, BeatEvent) and event.beat == 3:
                 radio(False)
 
     options = Options(until=Until(1), wanted=None, reconnect_s=20.0)

@@ -15,6 +15,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, Refused
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.link import _dialect as mavlink
+from tailbeat.session.events import StepProgress, StopKind, StopReason
 from tailbeat.session.operator import Event
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.pose import Sight
@@ -66,7 +67,7 @@ def swim(fish: Fish, beats: int = 8) -> None:
 
 
 def countdown_of(person: Script, step: str) -> list[int]:
-    told = [e["left_s"] for e in person.told if e["event"] == "step" and e["step"] == step]
+    told = [e.left_s for e in person.told if isinstance(e, StepProgress) and e.step == step]
     return [left for left in told if left is not None]
 
 
@@ -500,7 +501,7 @@ def test_an_empty_battery_is_told_at_once(ready: Fish) -> None:
 def test_a_battery_that_gets_empty_meanwhile(ready: Fish) -> None:
     def sag(event: Event) -> None:
         assert ready.sim is not None
-        if event.get("step") == "still":
+        if isinstance(event, StepProgress) and event.step == "still":
             ready.sim.world.set_battery_v(6.5)
 
     with pytest.raises(NotReady, match="Swap the battery"):
@@ -520,9 +521,9 @@ def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
     ready.upload_amplitudes(np.full(8, 0.3))
     seen: list[object] = []
 
-    def wall(what: object) -> str | None:
+    def wall(what: object) -> StopReason | None:
         seen.append(what)
-        return "wall: near" if len(seen) > 60 else None
+        return StopReason(StopKind.WALL, "wall: near") if len(seen) > 60 else None
 
     run_trial(ready, guard=wall)
     assert state_of(ready) == "ABORTED"
@@ -546,7 +547,11 @@ def test_a_board_that_is_armed_is_disarmed_first(ready: Fish) -> None:
 def test_a_board_that_restarts_meanwhile(ready: Fish) -> None:
     def swap(event: Event) -> None:
         assert ready.sim is not None
-        if event.get("step") == "still" and ready.sim.board_time_s > 9.0:
+        if (
+            isinstance(event, StepProgress)
+            and event.step == "still"
+            and ready.sim.board_time_s > 9.0
+        ):
             ready.sim.world.power_cycle()
 
     ready.link.run(20.0)
@@ -558,7 +563,9 @@ def test_a_board_that_restarts_meanwhile(ready: Fish) -> None:
 
 
 def at(step: str) -> Callable[[list[Event]], bool]:
-    return lambda told: any(e.get("step") == step and e["ok"] is None for e in told)
+    return lambda told: any(
+        isinstance(e, StepProgress) and e.step == step and e.ok is None for e in told
+    )
 
 
 @pytest.mark.parametrize("step", ["rest", "pose", "still"])
@@ -590,7 +597,7 @@ def test_a_camera_that_dies_in_each_step(ready: Fish, step: str, gone_s: float) 
 def test_a_link_that_is_lost_in_each_step(ready: Fish, step: str) -> None:
     def cut(event: Event) -> None:
         assert ready.sim is not None
-        if event.get("step") == step and event["ok"] is None:
+        if isinstance(event, StepProgress) and event.step == step and event.ok is None:
             ready.sim.world.set_radio(False)
 
     swim(ready)

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -20,10 +20,25 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import begin, note_set
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import DISCARDED, Logbook
+from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.sensors.camera.simulated import SimulatedCamera
 from tailbeat.session import series as series_module
 from tailbeat.session.battery import Drain, forecast, too_low
 from tailbeat.session.collect import Swum
+from tailbeat.session.events import (
+    Assessed,
+    Countdown,
+    InterruptRequested,
+    LinkLost,
+    LinkRestored,
+    LiveValues,
+    Notice,
+    TrialDecided,
+    TrialEnded,
+    TrialRecorded,
+    TrialStarted,
+    TrialWarning,
+)
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.series import Options, SeriesEnd, Until, swim_series
@@ -34,6 +49,9 @@ from tailbeat.sim.native import SimBoard
 KEEP, AGAIN = Decision("keep"), Decision("repeat", "once more")
 BUMPED = Decision("discard", "bumped the wall")
 SPEEDS = 0.07 * np.sin(np.linspace(0.2, 2.9, 6))
+
+
+E = TypeVar("E")
 
 
 class Script:
@@ -50,9 +68,9 @@ class Script:
 
     def tell(self, event: Event) -> None:
         self.told.append(event)
-        if event["event"] == "beat":
-            self._beat = event["beat"]
-        elif event["event"] == "swum":
+        if isinstance(event, BeatEvent):
+            self._beat = event.beat
+        elif isinstance(event, TrialRecorded):
             self._beat = -1
 
     def wants_abort(self) -> bool:
@@ -68,8 +86,8 @@ class Script:
         self.questions.append(question)
         return self.yes
 
-    def of(self, kind: str) -> list[Event]:
-        return [event for event in self.told if event["event"] == kind]
+    def of(self, kind: type[E]) -> list[E]:
+        return [event for event in self.told if isinstance(event, kind)]
 
 
 @pytest.fixture
@@ -173,9 +191,9 @@ def test_a_kept_swim_is_in_the_raw_files_the_journal_the_logbook_and_learned(
     report = end.rounds[0].learned
     assert report is not None
     assert report.max_abs_error_m_s == pytest.approx(end.swums[0].max_abs_error_m_s, rel=1e-5)
-    told = [event["event"] for event in person.told]
-    assert "live" in told
-    order = ["started", "ended", "swum", "decided", "learned", "verdict"]
+    told = [type(event) for event in person.told]
+    assert LiveValues in told
+    order = [TrialStarted, TrialEnded, TrialRecorded, TrialDecided, LearnReport, Assessed]
     assert [told.index(kind) for kind in order] == sorted(told.index(kind) for kind in order)
 
 
@@ -279,8 +297,8 @@ def test_a_series_at_the_amplitude_limit_is_not_called_converged(
     found = end.verdict.saturation
     assert found is not None and found.needed_rad is not None and found.needed_rad > 0.45
     assert found.words in end.words and "tailbeat params set AMP_MAX_RAD" in end.words
-    last = [event for event in person.told if event["event"] == "verdict"][-1]
-    assert last["saturation"] == found.text
+    last = [event for event in person.told if isinstance(event, Assessed)][-1]
+    assert last.saturation == found.text
     trials = [read_trial(path) for path in sorted(end.rounds[-1].swum.file.parent.glob("*.ulg"))]
     assert found.beats == sum(trials[-1].beats.applied_rad >= np.float32(0.4)) > 0
 
@@ -314,7 +332,7 @@ def test_the_board_s_own_stop_is_left_as_it_is(
     class Rolls(Script):
         def tell(self, event: Event) -> None:
             super().tell(event)
-            if event["event"] == "beat" and event["beat"] == 2:
+            if isinstance(event, BeatEvent) and event.beat == 2:
                 board.world.set_tilt_rad(1.4)
 
     set_meant(fish, experiment, "TILT_MAX_RAD", 0.5)
@@ -353,10 +371,10 @@ def test_rollback_is_told_with_what_it_means(
     for _ in range(3):
         board.world.set_start(0.15)
         swim(person)
-    learned = person.of("learned")
-    if not any(event["rolled_back"] for event in learned):
+    learned = person.of(LearnReport)
+    if not any(event.rolled_back for event in learned):
         pytest.fail(f"the set-up makes nothing worse: {learned}")
-    loud = [event["text"] for event in person.of("notice")]
+    loud = [event.text for event in person.of(Notice)]
     assert any(text.startswith("ROLLED BACK") and "best amplitudes" in text for text in loud)
 
 
@@ -393,7 +411,7 @@ def test_a_fish_that_swims_is_left_alone(
     seen: list[bool] = []
 
     def meddle(event: Event) -> None:
-        if event["event"] == "beat" and event["beat"] == 1 and not seen:
+        if isinstance(event, BeatEvent) and event.beat == 1 and not seen:
             with pytest.raises(TailbeatError, match="swims already"):
                 swim(Script())
             seen.append(board.world.truth().swimming)
@@ -626,8 +644,8 @@ def test_ctrl_c_twice_in_mid_swim(
     class Impatient(Script):
         def tell(self, event: Event) -> None:
             super().tell(event)
-            beat = event["event"] == "beat" and event["beat"] == 1
-            if beat or event["event"] == "interrupted":
+            beat = isinstance(event, BeatEvent) and event.beat == 1
+            if beat or isinstance(event, InterruptRequested):
                 raise KeyboardInterrupt
 
     end = swim(Impatient())
@@ -713,7 +731,7 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
 
         def tell(self, event: Event) -> None:
             super().tell(event)
-            if event["event"] == "beat" and event["beat"] == 1 and math.isinf(self.cut_at_s):
+            if isinstance(event, BeatEvent) and event.beat == 1 and math.isinf(self.cut_at_s):
                 self.cut_at_s = board.time_s
                 board.world.set_radio(False)
 
@@ -728,10 +746,10 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
     fish.link.transport.wait = wait  # type: ignore[method-assign]
     options = Options(until=Until(2), wanted=None)
     end = swim_series(fish, experiment, person, options)
-    assert len(person.of("link_lost")) >= 1 and len(person.of("link_back")) == 1
+    assert len(person.of(LinkLost)) >= 1 and len(person.of(LinkRestored)) == 1
     assert [swum.outcome.end for swum in end.swums] == ["aborted:LINK_LOST", "complete"]
     assert [one.learned is not None for one in end.rounds] == [True, True]
-    assert max(event["silent_s"] for event in person.of("live")) > 2.0
+    assert max(event.silent_s for event in person.of(LiveValues)) > 2.0
     require_nothing_lost(fish, experiment)
 
 
@@ -741,7 +759,7 @@ def test_a_link_that_does_not_come_back(
     class Cuts(Script):
         def tell(self, event: Event) -> None:
             super().tell(event)
-            if event["event"] == "beat":
+            if isinstance(event, BeatEvent):
                 board.world.set_radio(False)
 
     with pytest.raises(TailbeatError, match="link broke"):
@@ -768,7 +786,7 @@ def test_a_camera_that_dies(
     options = Options(until=Until(1), wanted=None, counts=("discard",))
     end = swim_series(fish, experiment, person, options, camera)
     assert end.swums[0].outcome.end == "aborted:ABORT_COMMAND"
-    assert any("unplugged" in event["text"] for event in person.of("warning"))
+    assert any("unplugged" in event.text for event in person.of(TrialWarning))
     require_goes_on(fish, board, experiment, swim, 0)
 
 
@@ -807,7 +825,7 @@ def test_a_battery_that_falls_is_told_and_journalled(
         fish.link.run(3.0)
         person = Script()
         swim(person)
-    assert any("after this one" in event["text"] for event in person.of("notice"))
+    assert any("after this one" in event.text for event in person.of(Notice))
     starts = [entry["battery_start_v"] for entry in experiment.journal.entries("swum")]
     assert starts == pytest.approx([7.2, 6.95, 6.7], abs=0.15)
 
@@ -840,7 +858,7 @@ def test_with_the_ritual(
 
     person = Script()
     end = swim(person, swims=2, wanted=Wanted(rest_s=20.0, still_s=4.0, countdown_s=3.0))
-    assert end.why == "swims" and len(person.of("countdown")) == 2 * 4
+    assert end.why == "swims" and len(person.of(Countdown)) == 2 * 4
     ready = end.swums[1].ready
     assert ready is not None and ready.rested_s is not None and ready.rested_s >= 20.0
     last = experiment.journal.entries("swum")[-1]

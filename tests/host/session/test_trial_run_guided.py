@@ -23,6 +23,14 @@ from tailbeat.core import records
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.collect import Swum
+from tailbeat.session.events import (
+    BY_HAND,
+    Countdown,
+    StepProgress,
+    StopKind,
+    StopReason,
+    TrialStarted,
+)
 from tailbeat.session.operator import Decision
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -253,6 +261,11 @@ def swum(end: str = "complete", measured: int = 5, *problems: str) -> Swum:
     return Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, measured, 5, 8.0, 7.9, problems)
 
 
+def stopped(by: StopReason) -> Swum:
+    end = "aborted:ABORT_COMMAND"
+    return replace(swum(end, 3, f"not complete: {end} ({by})"), stopped=by)
+
+
 @pytest.mark.parametrize(
     ("keys", "lines", "wanted"),
     [
@@ -274,14 +287,12 @@ def test_keys_decide(keys: str, lines: tuple[str, ...], wanted: Decision) -> Non
 
 def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
     wall = swum("aborted:WALL", 3, "not complete: aborted:WALL")
-    by_hand = swum(
-        "aborted:ABORT_COMMAND", 3, "not complete: aborted:ABORT_COMMAND (stopped by hand)"
-    )
+    by_hand = stopped(BY_HAND)
     for one, reason in ((wall, "too close to the wall"), (by_hand, "stopped by hand")):
         person = TerminalPerson(Display(), Typed("\n", ("",)))
         assert person.decide(one) == Decision("discard", reason)
         assert "Enter = discard" in capsys.readouterr().err
-    room = swum("aborted:ABORT_COMMAND", 3, "not complete: aborted:ABORT_COMMAND (room: 2 m)")
+    room = stopped(StopReason(StopKind.DISTANCE, "room: 2 m"))
     assert TerminalPerson(Display(), Typed("\n")).decide(room) == Decision("keep")
 
 
@@ -307,9 +318,7 @@ def test_escape_puts_it_off() -> None:
 
 def test_the_answer_given_beforehand() -> None:
     nobody = TerminalPerson(Display(), None, Decision("keep"))
-    by_hand = swum(
-        "aborted:ABORT_COMMAND", 3, "not complete: aborted:ABORT_COMMAND (stopped by hand)"
-    )
+    by_hand = stopped(BY_HAND)
     assert nobody.decide(by_hand) == Decision("keep")
     somebody = TerminalPerson(Display(), Typed("d", ("bumped",)), Decision("keep"))
     assert somebody.decide(swum()) == Decision("keep")
@@ -329,8 +338,8 @@ def test_the_enter_after_a_letter_stops_nothing() -> None:
     for letter, events, typed_later, stops in (
         ("k", [], "\n", False),
         ("k", [], "x", True),
-        ("k", [{"event": "countdown", "left_s": 5}], "\n", True),
-        ("k", [{"event": "started", "trial": 8}], "\n", True),
+        ("k", [Countdown(5)], "\n", True),
+        ("k", [TrialStarted(8, 1)], "\n", True),
         ("\n", [], "\n", True),
     ):
         keys = Typing(letter)
@@ -348,9 +357,7 @@ def test_the_enter_after_a_letter_stops_nothing() -> None:
 
 def test_what_was_typed_before_the_ritual_is_forgotten() -> None:
     keys = Typed("")
-    TerminalPerson(Display(), keys).tell(
-        {"event": "step", "step": "board", "text": "idle", "ok": True, "left_s": None}
-    )
+    TerminalPerson(Display(), keys).tell(StepProgress("board", "idle", True, None))
     assert keys.forgotten == 1
 
 

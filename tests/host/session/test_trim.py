@@ -22,9 +22,11 @@ from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, Logbook, preserve_folder
+from tailbeat.link.messages import BeatEvent
 from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
 from tailbeat.session.collect import Swum
+from tailbeat.session.events import Notice, StepProgress, TrialStarted
 from tailbeat.session.operator import Decision, Event
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.room import belief_of
@@ -153,9 +155,9 @@ def test_without_speeds_the_way_is_the_model_s() -> None:
 def test_it_says_how_far_before_it_swims(learned: Fish) -> None:
     somebody = Somebody()
     find_centre(learned, somebody)
-    order = [e["event"] for e in somebody.events if e["event"] in ("step", "started")]
-    assert order == ["step", "started"] * 2
-    told = [e["text"] for e in somebody.events if e["event"] == "step"]
+    order = [type(e) for e in somebody.events if isinstance(e, StepProgress | TrialStarted)]
+    assert order == [StepProgress, TrialStarted] * 2
+    told = [e.text for e in somebody.events if isinstance(e, StepProgress)]
     assert all(" m, at worst " in text and "of 2.64 m" in text for text in told)
 
 
@@ -194,7 +196,7 @@ def test_after_a_failure_too(learned: Fish, at: int, error: BaseException) -> No
 
 def test_stopped_by_hand(learned: Fish) -> None:
     before = state(learned)
-    somebody = Somebody(lambda event: event["event"] == "beat" and event["beat"] == 4)
+    somebody = Somebody(lambda event: isinstance(event, BeatEvent) and event.beat == 4)
     with pytest.raises(GivenUp, match="stopped by hand"):
         find_centre(learned, somebody)
     assert state(learned) == before
@@ -214,7 +216,7 @@ def test_a_trim_that_was_broken_off_is_put_back_by_the_next(
     before = state(learned)
 
     def fail(event: Event) -> None:
-        if event["event"] == "beat":
+        if isinstance(event, BeatEvent):
             raise Killed
 
     with monkeypatch.context() as patch:
@@ -231,7 +233,7 @@ def test_a_trim_that_was_broken_off_is_put_back_by_the_next(
     somebody = Somebody()
     found = find_centre(learned, somebody)
     assert found.was_us == 1500  # what was set before the first one, not what it left
-    assert any("broken off" in e["text"] for e in somebody.events if e["event"] == "notice")
+    assert any("broken off" in e.text for e in somebody.events if isinstance(e, Notice))
     assert state(learned) == before
 
 

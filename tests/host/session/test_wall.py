@@ -15,7 +15,8 @@ from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.session.guards import HIT, LENGTH_M, NOSE_M, TOUCH_M_S, WallGuard
+from tailbeat.session.events import Event, StopKind, StopReason, TrialStopped
+from tailbeat.session.guards import LENGTH_M, NOSE_M, TOUCH_M_S, WallGuard
 from tailbeat.session.trial import run_trial
 
 FPS = 25.0
@@ -65,7 +66,7 @@ def stopping(speed_m_s: float, kappa_per_m: float = 10.0) -> float:
     return way_m
 
 
-def stop(guard: WallGuard, frames: list[Frame]) -> tuple[Frame, str] | None:
+def stop(guard: WallGuard, frames: list[Frame]) -> tuple[Frame, StopReason] | None:
     for frame in frames:
         if reason := guard(frame):
             return frame, reason
@@ -81,7 +82,7 @@ def test_the_nose_stops_where_it_can_just_still_stop(speed: float, kappa_per_m: 
     frame, reason = found
     left_m = 2.5 - (frame.x_m + NOSE_M)
     assert left_m == pytest.approx(stopping(speed, kappa_per_m), abs=0.02)
-    assert reason.startswith(HIT)
+    assert reason.kind is StopKind.WALL
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.04, 0.08, 0.12])
@@ -199,8 +200,8 @@ def test_an_unseen_fish_is_taken_to_swim_on(beat_s: float) -> None:
     assert stop(guard, frames) is None  # the nose at 1.2 m: 1.05 m to the zone, 13.1 s
     found = unseen(guard, 0.05, frames[-1].t_s, beat_s)
     assert found is not None
-    assert found[0] == pytest.approx(13.1, abs=0.3) and found[1].startswith(HIT)
-    assert "not seen" in found[1]
+    assert found[0] == pytest.approx(13.1, abs=0.3) and found[1].kind is StopKind.WALL
+    assert "not seen" in found[1].text
 
 
 def test_with_slow_beats_an_unseen_fish_does_not_come_closer_than_a_seen_one() -> None:
@@ -270,10 +271,10 @@ def test_a_guard_that_sees_nothing_is_none(beat_s: float) -> None:
     reasons = [guard(Unseen(50.0 + k * 0.1)) for k in range(30)]
     blind = next(k for k, reason in enumerate(reasons) if reason)
     assert blind == pytest.approx(20, abs=1)
-    assert (reasons[blind] or "").startswith("the camera that guards the walls")
+    assert reasons[blind].kind is StopKind.CAMERA
     assert guard(Unseen(math.nan)) is None
     gone = WallGuard(calibration())(CameraGone("unplugged"))
-    assert gone is not None and not gone.startswith(HIT)
+    assert gone is not None and gone.kind is StopKind.CAMERA
 
 
 @pytest.mark.parametrize("beat_s", [0.3, 1.0, 2.0, 4.0])
@@ -313,12 +314,12 @@ def test_the_fish_is_stopped_and_hardly_touches(kappa_per_m: float, tmp_path: Pa
     with Fish.connect("sim:tank", seed=2, kappa_per_m=kappa_per_m, caught_after_s=90) as fish:
         assert fish.sim is not None
         set_out(fish, FAST)
-        events: list[dict] = []
+        events: list[Event] = []
         guard = WallGuard(calibration(room), kappa_per_m=kappa_per_m)
         outcome = run_trial(fish, on_event=events.append, guard=guard)
         assert outcome.end == "aborted:WALL"
-        reasons = [event["reason"] for event in events if event["event"] == "guard"]
-        assert len(reasons) == 1 and reasons[0].startswith(HIT)
+        reasons = [event.reason for event in events if isinstance(event, TrialStopped)]
+        assert len(reasons) == 1 and reasons[0].kind is StopKind.WALL
         while (truth := fish.sim.world.truth()).x_m + NOSE_M < 1.5 and truth.v_m_s > 0.004:
             fish.sim.run(0.1)
         assert truth.v_m_s < touch_m_s
@@ -339,7 +340,7 @@ def test_the_tail_stops_within_a_beat() -> None:
         set_out(fish, FAST)
         guard, since = WallGuard(calibration(((-0.5, -1), (1.2, -1), (1.2, 1), (-0.5, 1)))), []
 
-        def watch(what: object) -> str | None:
+        def watch(what: object) -> StopReason | None:
             reason = guard(what)
             if reason and not since:
                 since.append(board.time_s)
@@ -360,6 +361,6 @@ def test_the_thesis_s_own_swim_fits_into_its_tank() -> None:
     for scale in (1.0, 1.15):
         with Fish.connect("sim:tank", seed=1) as fish:
             set_out(fish, thesis().speed_m_s * scale)
-            events: list[dict] = []
+            events: list[Event] = []
             outcome = run_trial(fish, on_event=events.append, guard=WallGuard(calibration()))
             assert outcome.end == "complete", events

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from tailbeat.board.connect import tcp_address
-from tailbeat.board.fish import Fish, Guard
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
@@ -29,7 +29,7 @@ from tailbeat.sensors.camera.sync.sync import sync_by_led
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import Tracker
-from tailbeat.session.guards import WallGuard
+from tailbeat.session.guards import Guard, WallGuard
 from tailbeat.session.trial_camera import default_camera
 
 RENDERED = "rendered"

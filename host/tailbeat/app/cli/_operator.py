@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from tailbeat.app.cli._display import ended
-from tailbeat.app.cli._words import (
-    countdown_text,
-    decided_text,
-    learned_text,
-    link_news,
-    live_text,
-    loud,
-    step_text,
-    swum_lines,
-)
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import ABORT_COMMAND, fault_info
 from tailbeat.session.collect import is_good, proposed
-from tailbeat.session.guards import BY_HAND
+from tailbeat.session.events import (
+    BY_HAND,
+    Assessed,
+    BoardText,
+    Countdown,
+    Event,
+    LiveValues,
+    StepProgress,
+    TrialRecorded,
+    TrialStarted,
+    TrialStopped,
+)
 from tailbeat.session.operator import Decision
+from tailbeat.session.presenter import alert, countdown_text, mm, record_lines, result, step_text
 
 if TYPE_CHECKING:
     from tailbeat.app.cli._display import Display
     from tailbeat.app.cli._keyboard import Keys
     from tailbeat.session.collect import Swum
-    from tailbeat.session.operator import Event
 
 _LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
 KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}
@@ -62,36 +64,41 @@ class TerminalPerson:
 
     def tell(self, event: Event) -> None:
         """Shows it."""
-        kind, display = event["event"], self._display
-        if self._keys is not None and kind == "step" and event["step"] == _FIRST_STEP:
-            self._keys.forget()
-        if kind in ("countdown", "started"):
-            self._enter_may_follow = self._stopped_by_hand = False
-        if kind == "guard" and event["reason"] == BY_HAND:
+        display = self._display
+        match event:
+            case StepProgress():
+                if self._keys is not None and event.step == _FIRST_STEP:
+                    self._keys.forget()
+                line = step_text(event)
+                display.show(line) if event.ok is None else display.keep(line)
+            case Countdown():
+                self._enter_may_follow = self._stopped_by_hand = False
+                display.bell()
+                display.show(countdown_text(event))
+            case TrialStarted():
+                self._enter_may_follow = self._stopped_by_hand = False
+            case LiveValues():
+                display.show(live_text(event, self._keys is not None, display.width))
+            case TrialRecorded(record):
+                for line in record_lines(record):
+                    display.keep(line)
+                for problem in record.other_problems:
+                    display.keep(f"  ! {problem}")
+            case BoardText(_, text) if self._stopped_by_hand and text == _ABORTED:
+                pass  # whoever pressed the key knows
+            case _:
+                self._keep(event)
+
+    def _keep(self, event: Event) -> None:
+        """Lines that stay."""
+        if isinstance(event, TrialStopped) and event.reason == BY_HAND:
             self._stopped_by_hand = True
-        if kind == "text" and self._stopped_by_hand and event["text"] == _ABORTED:
-            return  # whoever pressed the key knows
-        if kind == "step":
-            line = step_text(event)
-            display.show(line) if event["ok"] is None else display.keep(line)
-        elif kind == "countdown":
-            display.bell()
-            display.show(countdown_text(event))
-        elif kind == "live":
-            display.show(live_text(event, self._keys is not None, display.width))
-        elif kind == "swum":
-            for line in swum_lines(event):
-                display.keep(line)
-        elif kind == "decided":
-            display.keep(decided_text(event))
-        elif kind == "learned":
-            display.keep(learned_text(event))
-        elif kind == "verdict":
-            display.keep(event["words"])
-            if event["saturation"] and not event["stop"]:
-                display.keep(event["saturation"])
-        elif (words := link_news(event) or loud(event)) is not None:
-            display.keep(f"tailbeat: {words}", loud=True)
+        if words := alert(event):
+            self._display.keep(f"tailbeat: {words}", loud=True)
+        elif words := result(event):
+            self._display.keep(words)
+        if isinstance(event, Assessed) and event.saturation and not event.stop:
+            self._display.keep(event.saturation)
 
     def wants_abort(self) -> bool:
         """Any key, but for the Enter after an answer."""
@@ -177,3 +184,51 @@ def _named(keys: tuple[str, ...]) -> str:
     names = [key for key in keys if key not in _ENTER]
     names += ["Enter"] if len(names) < len(keys) else []
     return f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+_SILENT_S = 1.5  # of board time: it says something every second
+_SHORTER = (  # the first first
+    "amplitude", "speed", "beat", "amplitude", "battery", "link", "speed", "speed"
+)  # fmt: skip
+
+
+def live_text(event: LiveValues, keys: bool, width: int) -> str:
+    """The line while it swims, in ``width`` columns: of what has no room the least needed is
+    shortened, or goes, first. What it is, how to stop it and the link stay."""
+    parts = _live_parts(event)
+    fixed = ["simulated"] if event.simulated else []
+    fixed += ["any key stops"] if keys else []
+    used = dict.fromkeys(parts, 0)
+
+    def line() -> str:
+        chosen = [forms[used[name]] for name, forms in parts.items()]
+        return "  ".join(part for part in (*fixed, *chosen) if part)
+
+    for name in _SHORTER:
+        if len(line()) <= width:
+            break
+        used[name] = min(used[name] + 1, len(parts[name]) - 1)
+    return line()
+
+
+def _live_parts(event: LiveValues) -> dict[str, tuple[str, ...]]:
+    """In order on the line, each from its long form to its short one."""
+    at, of = event.beat, event.beats
+    beat = (f"beat {at + 1}/{of}", f"{at + 1}/{of}") if at is not None and of else ("starting",)
+    speed, wanted = mm(event.speed_m_s), mm(event.reference_m_s)
+    silent_s, volts, angle_rad = event.silent_s, event.battery_v, event.amplitude_rad
+    silent = silent_s is not None and silent_s > _SILENT_S
+    late = (f"link silent {silent_s:.0f} s", f"silent {silent_s:.0f} s") if silent else ("link ok",)
+    angle = "" if angle_rad is None else f"{math.degrees(angle_rad):.1f} deg"
+    return {
+        "link": late,
+        "beat": beat,
+        "speed": (
+            f"v {speed} mm/s  wanted {wanted}",
+            f"{speed} of {wanted} mm/s",
+            f"{speed}/{wanted} mm/s",
+            f"{speed}/{wanted}",
+        ),
+        "amplitude": (f"amplitude {angle}" if angle else "", angle, ""),
+        "battery": ("" if volts is None else f"{volts:.2f} V", ""),
+    }

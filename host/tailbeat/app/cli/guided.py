@@ -12,6 +12,7 @@ import typer
 
 from tailbeat.app.cli._terminal import command_typed, echo, mm, say
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.session.events import TrialRecorded, TrialStarted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.experiment.folder import Experiment
     from tailbeat.session.collect import Swum
-    from tailbeat.session.operator import Decision, Event, Person
+    from tailbeat.session.events import Event
+    from tailbeat.session.operator import Decision, Person
     from tailbeat.session.series import Options, Round, SeriesEnd, Until
 
 _ROOT = Path("experiments")
@@ -166,8 +168,8 @@ class _Filming:
 
     def tell(self, event: Event) -> None:
         """Passes it on."""
-        if event["event"] in ("started", "swum") and self.live.recorder is not None:
-            self.live.recorder.wanted = event["event"] == "started"
+        if isinstance(event, TrialStarted | TrialRecorded) and self.live.recorder is not None:
+            self.live.recorder.wanted = isinstance(event, TrialStarted)
         self.person.tell(event)
 
     def wants_abort(self) -> bool:

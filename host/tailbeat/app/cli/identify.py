@@ -28,12 +28,14 @@ from tailbeat.learning.fit_quality import NAMES, Account, account_of, from_trial
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import FRACTIONS, Limits, Run
 from tailbeat.learning.speed_table import Table, ThesisFish, from_table
-from tailbeat.link.messages import SPEED_SOURCES
+from tailbeat.link.messages import SPEED_SOURCES, BeatEvent
 from tailbeat.report.figures.identification import draw_account, draw_table
+from tailbeat.session.events import Event, HoldRequest, TrialStopped, TrialWarning
 from tailbeat.session.identify import Attendant, identify_fish, prior_of, set_params
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.step import GivenUp, Wanted
+from tailbeat.session.presenter import alert
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -268,11 +270,11 @@ class _There:
         prepare(self.fish, wanted, self.live.camera, self.person)
         countdown(self.fish, wanted, self.person)
 
-    def follow(self, event: dict[str, Any], run: Run) -> None:
+    def follow(self, event: Event, run: Run) -> None:
         """Shows it."""
-        if event["event"] == "beat":
+        if isinstance(event, BeatEvent):
             stops = "; any key stops it" if self.keys else ""
-            self.display.show(f"run {run.number}, beat {event['beat'] + 1}{stops}")
+            self.display.show(f"run {run.number}, beat {event.beat + 1}{stops}")
         else:
             self.person.tell(event)
 
@@ -310,14 +312,14 @@ def _attendant(
         else:
             _wait_for_enter(wait)
 
-    def follow(event: dict[str, Any]) -> None:
+    def follow(event: Event) -> None:
         if there is not None and not alone:
             there.follow(event, now[-1])
-        elif event["event"] == "beat" and now:
-            done = (len(now) - 1 + (event["beat"] + 1) / now[-1].beats) / (len(FRACTIONS) + 1)
-            show(min(done, 1.0), f"run {now[-1].number}, beat {event['beat'] + 1}")
-        elif event["event"] in ("warning", "hold", "guard"):
-            _note(event.get("text") or event.get("reason") or "")
+        elif isinstance(event, BeatEvent) and now:
+            done = (len(now) - 1 + (event.beat + 1) / now[-1].beats) / (len(FRACTIONS) + 1)
+            show(min(done, 1.0), f"run {now[-1].number}, beat {event.beat + 1}")
+        elif isinstance(event, TrialWarning | HoldRequest | TrialStopped):
+            _note(alert(event))
 
     def speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
         while True:

@@ -21,16 +21,17 @@ from tailbeat.app.cli._camera import (
 from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._options import Connect, Into, Json, Rest
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
-from tailbeat.app.cli._words import link_news, loud
 from tailbeat.app.cli.guided import GuideOptions, run_guided
-from tailbeat.board.fish import Fish, Guard
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.files import plain
 from tailbeat.experiment.current import require_meant_here, require_own
 from tailbeat.experiment.library import logbook_of
 from tailbeat.learning.saturation import Saturation, saturation_next
-from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.guards import together
+from tailbeat.link.messages import BeatEvent, TrialOutcome
+from tailbeat.session.events import Event, OnEvent, TrialStarted
+from tailbeat.session.guards import Guard, together
+from tailbeat.session.presenter import alert
 from tailbeat.session.room import room_guard, travel_next
 from tailbeat.session.trial import run_trial
 
@@ -128,19 +129,17 @@ def _guarded(fish: Fish, guard: Guard | None) -> Guard:
     return together(guard, room_guard(fish, book))
 
 
-def _follower(
-    fish: Fish, live: LiveCamera, show: Callable[[float, str], None]
-) -> Callable[[dict[str, Any]], None]:
+def _follower(fish: Fish, live: LiveCamera, show: Callable[[float, str], None]) -> OnEvent:
     """Shows what happens while it happens."""
     beats = max(fish.status().beats, 1)
 
-    def follow(event: dict[str, Any]) -> None:
-        if event["event"] == "started" and live.recorder is not None:
+    def follow(event: Event) -> None:
+        if isinstance(event, TrialStarted) and live.recorder is not None:
             live.recorder.wanted = True
-        if event["event"] == "beat":
-            speed = mm(event.get("speed_m_s"))
-            show((event["beat"] + 1) / beats, f"beat {event['beat'] + 1}: {speed} mm/s")
-        elif (words := link_news(event) or loud(event)) is not None:
+        if isinstance(event, BeatEvent):
+            speed = mm(event.speed_m_s)
+            show((event.beat + 1) / beats, f"beat {event.beat + 1}: {speed} mm/s")
+        elif words := alert(event):
             echo(f"tailbeat: {words}", err=True)
 
     return follow

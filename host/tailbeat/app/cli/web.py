@@ -16,8 +16,9 @@ from tailbeat.app.cli._terminal import echo, json_line
 from tailbeat.app.web.server import listen, serve
 from tailbeat.app.web.worker import Conductor, Eyes, no_eyes
 from tailbeat.board.connect import open_transport
-from tailbeat.board.fish import Fish, Guard
+from tailbeat.board.fish import Fish
 from tailbeat.core.frames import Camera
+from tailbeat.session.guards import Guard
 from tailbeat.sim.board import in_process
 from tailbeat.sim.server import SimServer
 

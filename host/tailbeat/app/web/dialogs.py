@@ -8,6 +8,8 @@ from nicegui import ui
 
 from tailbeat.app.web import words
 from tailbeat.app.web.status import refused
+from tailbeat.session.collect import proposed
+from tailbeat.session.presenter import record_lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,13 +101,11 @@ class Deciding:
         self._dialog.open()
 
     def _fill(self, swum: Swum) -> None:
-        from tailbeat.session.collect import proposed
-
         self._refusal.show("")
         self._title.set_text(f"What becomes of trial {swum.outcome.number}?")
         self._facts.clear()
         with self._facts:
-            for line in words.swum_lines(swum):
+            for line in record_lines(swum):
                 ui.label(line)
             for problem in swum.problems:
                 ui.label(problem).classes("banner problem").style("width:100%")

@@ -13,11 +13,13 @@ from nicegui import ui
 
 from tailbeat.app.web import words
 from tailbeat.core.errors import InputError
+from tailbeat.session.presenter import mm
 
 if TYPE_CHECKING:
-    from tailbeat.app.web.view import Snapshot, Step
+    from tailbeat.app.web.view import Snapshot
     from tailbeat.app.web.worker import Conductor
     from tailbeat.experiment.analysis import TrialRow
+    from tailbeat.session.events import StepProgress
 
 UNTIL = {
     "1": "one swim",
@@ -80,7 +82,7 @@ class Status:
 
     def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor
-        self._steps_shown: tuple[Step, ...] | None = None
+        self._steps_shown: tuple[StepProgress, ...] | None = None
         with ui.element("section").classes("card now"):
             self._headline = ui.label().classes("headline")
             self._live = ui.label().classes("figures live")
@@ -127,7 +129,7 @@ class Status:
         ready = now.phase == "idle" and bool(now.reference_m_s)
         self._start.set_enabled(ready)
 
-    def _show_steps(self, steps: tuple[Step, ...]) -> None:
+    def _show_steps(self, steps: tuple[StepProgress, ...]) -> None:
         if steps == self._steps_shown:
             return
         self._steps_shown = steps
@@ -174,7 +176,7 @@ def _row(row: TrialRow) -> None:
             ui.label(str(row.trial))
             ui.label(f"iteration {row.iteration}").classes("iteration")
         with ui.element("div").classes("errors"):
-            ui.label(f"max {words.mm(row.max_abs_error_m_s)} · RMS {words.mm(row.rms_error_m_s)}")
+            ui.label(f"max {mm(row.max_abs_error_m_s)} · RMS {mm(row.rms_error_m_s)}")
         with ui.element("div").classes("words"):
             ui.label(words.row_line(row))
             if text := words.straight(row):

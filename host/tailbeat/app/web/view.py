@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from tailbeat.core.printable import printable
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import (
+    Assessed,
+    Countdown,
+    Event,
+    LiveValues,
+    StepProgress,
+    TrialStarted,
+)
+from tailbeat.session.presenter import log_line
 
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import TrialRow
-    from tailbeat.link.messages import BeatEvent, BoardStatus
+    from tailbeat.link.messages import BoardStatus
     from tailbeat.session.collect import Swum
-    from tailbeat.session.operator import Event
 
 Phase = Literal[
     "connecting", "idle", "working", "ritual", "countdown", "swimming", "deciding", "asking",
@@ -23,23 +31,6 @@ MOVING: tuple[Phase, ...] = ("ritual", "countdown", "swimming")
 
 STOPPED = ("ABORTED", "FAULT")
 LOG_LINES = 200
-_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
-
-_NEWS = {
-    "link_lost": "the link broke; trying to get it back (without it the fish stops by itself)",
-    "link_back": "the link is back",
-    "interrupted": "stopping",
-}
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the ritual. ``ok`` None = under way; ``left_s`` None = unknown."""
-
-    name: str
-    text: str
-    ok: bool | None
-    left_s: float | None
 
 
 @dataclass(frozen=True)
@@ -71,7 +62,7 @@ class Snapshot:
     beat_s: float = 1.0
     beat: int | None = None
     step: str = ""
-    steps: tuple[Step, ...] = ()
+    steps: tuple[StepProgress, ...] = ()
     left_s: float | None = None
     amplitude_max_rad: float | None = None
     reference_m_s: tuple[float, ...] = ()
@@ -117,18 +108,32 @@ def by_beat(now: Snapshot, beat: BeatEvent) -> Snapshot:
     """A beat that has been swum, of a swim that somebody else may have started."""
     if beat.trial != now.trial:
         now = _cleared(now, beat.trial)
-    values = {"speed_m_s": beat.speed_m_s, "amplitude_rad": beat.amplitude_rad}
-    return _with_beat(now, beat.beat, values)
+    return _with_beat(now, beat)
 
 
 def after(now: Snapshot, event: Event, clock: str) -> Snapshot:
-    """The snapshot after one event of a series, see person.Event."""
-    kind = str(event["event"])
-    change = _CHANGES.get(kind)
-    if change is not None:
-        now = change(now, event)
-    text = _words(kind, event)
+    """The snapshot after one event of a series."""
+    now = _changed(now, event)
+    text = log_line(event)
     return logged(now, text, clock) if text else now
+
+
+def _changed(now: Snapshot, event: Event) -> Snapshot:
+    match event:
+        case StepProgress():
+            return _step(now, event)
+        case Countdown(left_s):
+            return replace(now, phase="countdown", left_s=left_s, step="hands out of the water")
+        case TrialStarted(trial):
+            return replace(_cleared(now, trial), phase="swimming", step="", left_s=None)
+        case BeatEvent():
+            return _with_beat(now, event)
+        case LiveValues():
+            battery_v = now.battery_v if event.battery_v is None else event.battery_v
+            return replace(now, beat=event.beat, battery_v=battery_v)
+        case Assessed():
+            return replace(now, verdict=_assessment(event))
+    return now
 
 
 def _cleared(now: Snapshot, trial: int) -> Snapshot:
@@ -136,94 +141,24 @@ def _cleared(now: Snapshot, trial: int) -> Snapshot:
     return replace(now, trial=trial, speed_m_s=none, amplitude_rad=none, swum=None)
 
 
-def _step(now: Snapshot, event: Event) -> Snapshot:
-    step = Step(str(event["step"]), str(event["text"]), event.get("ok"), event.get("left_s"))
-    others = [s for s in now.steps if s.name != step.name]
-    at = next((i for i, s in enumerate(now.steps) if s.name == step.name), len(others))
-    steps = (*others[:at], step, *others[at:])
-    return replace(now, phase="ritual", step=step.text, left_s=step.left_s, steps=steps)
+def _step(now: Snapshot, event: StepProgress) -> Snapshot:
+    others = [s for s in now.steps if s.step != event.step]
+    at = next((i for i, s in enumerate(now.steps) if s.step == event.step), len(others))
+    steps = (*others[:at], event, *others[at:])
+    return replace(now, phase="ritual", step=event.text, left_s=event.left_s, steps=steps)
 
 
-def _countdown(now: Snapshot, event: Event) -> Snapshot:
-    return replace(now, phase="countdown", left_s=event["left_s"], step="hands out of the water")
-
-
-def _started(now: Snapshot, event: Event) -> Snapshot:
-    now = _cleared(now, int(event["trial"]))
-    return replace(now, phase="swimming", step="", left_s=None)
-
-
-def _beat(now: Snapshot, event: Event) -> Snapshot:
-    values = {name: event.get(name) for name in ("speed_m_s", "amplitude_rad")}
-    return _with_beat(now, int(event["beat"]), values)
-
-
-def _with_beat(now: Snapshot, beat: int, values: dict[str, float | None]) -> Snapshot:
+def _with_beat(now: Snapshot, beat: BeatEvent) -> Snapshot:
     changes: dict[str, Any] = {}
-    for name, value in values.items():
+    for name in ("speed_m_s", "amplitude_rad"):
         old: tuple[float | None, ...] = getattr(now, name)
-        if 0 <= beat < len(old) and value is not None:
-            changes[name] = (*old[:beat], value, *old[beat + 1 :])
+        value = getattr(beat, name)
+        if 0 <= beat.beat < len(old) and value is not None:
+            changes[name] = (*old[: beat.beat], value, *old[beat.beat + 1 :])
     return replace(now, **changes)
 
 
-def _live(now: Snapshot, event: Event) -> Snapshot:
-    battery_v = event.get("battery_v")
-    return replace(
-        now,
-        beat=event.get("beat", now.beat),
-        battery_v=now.battery_v if battery_v is None else battery_v,
-    )
-
-
-def _verdict(now: Snapshot, event: Event) -> Snapshot:
-    words = str(event["words"])
-    if event.get("stop"):
-        words = f"{words} Stop: {event['stop_reason']}. {event['advice']}"
-    elif event.get("saturation"):
-        words = f"{words} {event['saturation']}"
-    return replace(now, verdict=words)
-
-
-_CHANGES: dict[str, Callable[[Snapshot, Any], Snapshot]] = {
-    "step": _step,
-    "countdown": _countdown,
-    "started": _started,
-    "beat": _beat,
-    "live": _live,
-    "verdict": _verdict,
-}
-
-
-def _words(kind: str, event: Event) -> str:
-    """The line in the log; empty = none."""
-    if kind in _NEWS:
-        return _NEWS[kind]
-    if kind in ("notice", "warning", "hold"):
-        return str(event["text"])
-    if kind == "text":
-        return str(event["text"]) if event["severity"] <= _WARNING else ""
-    if kind == "step":
-        return f"{event['step']}: {event['text']}" if event.get("ok") is not None else ""
-    words = _SAID.get(kind)
-    return words(event) if words else ""
-
-
-def _learned(event: Event) -> str:
-    back = "; the best amplitudes so far swim again (it was much worse twice)"
-    return f"learned from trial {event['trial']}" + (back if event.get("rolled_back") else "")
-
-
-def _decided(event: Event) -> str:
-    why = f" ({event['reason']})" if event.get("reason") else ""
-    return f"trial {event['trial']}: {event['decision']}{why}"
-
-
-_SAID: dict[str, Callable[[Event], str]] = {
-    "started": lambda e: f"trial {e['trial']} swims, iteration {e['iteration']}",
-    "ended": lambda e: f"trial {e['trial']} has ended: {e['end']}",
-    "guard": lambda e: f"stopped: {e['reason']}",
-    "decided": _decided,
-    "learned": _learned,
-    "verdict": lambda e: str(e["words"]),
-}
+def _assessment(event: Assessed) -> str:
+    if event.stop:
+        return f"{event.words} Stop: {event.stop_reason}. {event.advice}"
+    return f"{event.words} {event.saturation}" if event.saturation else event.words

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from tailbeat.session.presenter import mm
+
 if TYPE_CHECKING:
     from tailbeat.app.web.view import Snapshot
     from tailbeat.experiment.analysis import TrialRow
-    from tailbeat.session.collect import Swum
     from tailbeat.session.room import Travel
 
 SILENT_S = 3.0
@@ -134,13 +135,6 @@ def is_stale(now: Snapshot, silent_s: float | None) -> bool:
     return now.phase == "connecting" or silent_s is None or silent_s >= SILENT_S
 
 
-def mm(value_m_s: float | None) -> str:
-    """A speed in mm/s, or a dash."""
-    if value_m_s is None or not math.isfinite(value_m_s):
-        return "–"
-    return f"{value_m_s * 1e3:.1f}"
-
-
 def straight(row: TrialRow) -> str:
     """Whether it swam straight; empty = not known."""
     found = row.straight
@@ -161,14 +155,3 @@ def row_line(row: TrialRow) -> str:
     if row.rolled_back:
         parts.append("rolled back")
     return "; ".join(parts)
-
-
-def swum_lines(swum: Swum) -> list[str]:
-    """What is to be known before deciding."""
-    lines = [
-        f"{swum.measured_beats} of {swum.beats} beats measured; largest error"
-        f" {mm(swum.max_abs_error_m_s)} mm/s, typical (RMS) {mm(swum.rms_error_m_s)} mm/s"
-    ]
-    if swum.battery_start_v is not None and swum.battery_end_v is not None:
-        lines.append(f"battery {swum.battery_start_v:.2f} to {swum.battery_end_v:.2f} V")
-    return lines

@@ -23,17 +23,21 @@ from tailbeat.app.web.view import Phase, Snapshot, after, by_beat, by_status, lo
 from tailbeat.app.web.words import travel_line
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, TailbeatError, reason
 from tailbeat.experiment.library import name_reference
-from tailbeat.link.messages import BeatEvent, BoardStatus, imu_health
+from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
+from tailbeat.session.events import TrialDecided
+from tailbeat.session.operator import Decision
 from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish, Guard
+    from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.core.reference import Reference
     from tailbeat.experiment.folder import Experiment
     from tailbeat.link.mavlink import Message
     from tailbeat.session.collect import Swum
-    from tailbeat.session.operator import Decision, Event
+    from tailbeat.session.events import Event
+    from tailbeat.session.guards import Guard
+    from tailbeat.session.operator import Decision
     from tailbeat.session.preflight.step import Wanted
 
 Eyes = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
@@ -500,9 +504,9 @@ class _AtThePage:
         """Shown at once."""
         conductor = self.conductor
         conductor._show(after(conductor.now, event, _clock()))
-        kept = event.get("decision") == "keep"
-        if event["event"] == "learned" or (event["event"] == "decided" and not kept):
-            conductor._look_at_trials()
+        match event:
+            case LearnReport() | TrialDecided(_, Decision("repeat" | "discard")):
+                conductor._look_at_trials()
 
     def wants_abort(self) -> bool:
         """The flag itself."""
@@ -510,12 +514,10 @@ class _AtThePage:
 
     def decide(self, swum: Swum) -> Decision:
         """Whoever decides first decides."""
-        from tailbeat.session.operator import Decision as Made
-
         self.conductor._look_at_trials()
         ask = self.conductor._answered(self.fish, "decide", swum=swum, step="", left_s=None)
         self.conductor._phase("working", "note", swum=None, steps=())
-        return Made(ask.values["kind"], ask.values["reason"])
+        return Decision(ask.values["kind"], ask.values["reason"])
 
     def confirm(self, question: str) -> bool:
         """Likewise."""
@@ -540,9 +542,7 @@ def _sensible(what: str, values: dict[str, Any]) -> Ask:
         Until.parse(until)
         return Ask(what, {"until": until, "ritual": bool(values.get("ritual", True))})
     if what == "decide":
-        from tailbeat.session.operator import Decision as Made
-
-        made = Made(values["kind"], str(values.get("reason", "")).strip())
+        made = Decision(values["kind"], str(values.get("reason", "")).strip())
         return Ask(what, {"kind": made.kind, "reason": made.reason})
     if what == "note":
         text = " ".join(str(values["text"]).split())

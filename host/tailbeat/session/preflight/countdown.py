@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BoardStatus
+from tailbeat.session.events import Countdown, Notice
 from tailbeat.session.preflight.step import GivenUp, NotReady, Wanted
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def _count(fish: Fish, countdown_s: float, person: Person, heard: list[BoardStat
             _require_armed(fish.status())
         if whole_s != told:
             told = whole_s
-            person.tell({"event": "countdown", "left_s": whole_s})
+            person.tell(Countdown(whole_s))
         if whole_s == 0:
             return
         step_s = min(_LOOK_S, left_s) / max(fish.clock.rate, 1e-3)
@@ -101,4 +102,4 @@ def _disarm(fish: Fish, person: Person, error: BaseException) -> None:
             " itself after LINK_TIMEOUT_S; if that is 0, switch it off"
         )
         with contextlib.suppress(Exception):
-            person.tell({"event": "notice", "text": text})
+            person.tell(Notice(text))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import TailbeatError
+from tailbeat.session.events import Notice, StepProgress
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
@@ -114,13 +115,11 @@ class Step:
         if now == self._told or (same_second and self.elapsed_s - self._told_at_s < _TELL_S):
             return
         self._told, self._told_at_s = now, self.elapsed_s
-        self._person.tell(
-            {"event": "step", "step": self._name, "text": text, "ok": ok, "left_s": whole_s}
-        )
+        self._person.tell(StepProgress(self._name, text, ok, whole_s))
 
     def notice(self, text: str) -> None:
         """Something to know that stops nothing."""
-        self._person.tell({"event": "notice", "text": text})
+        self._person.tell(Notice(text))
 
     def refuse(self, what: str, remedy: str) -> NotReady:
         """The error to raise, told."""

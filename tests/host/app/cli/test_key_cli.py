@@ -27,6 +27,7 @@ from tailbeat.core.errors import LinkLostError, Refused
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.keystore import KeyStore, StoredKey
 from tailbeat.link.mavlink import Framer
+from tailbeat.link.messages import BeatEvent
 from tailbeat.session.trial import run_trial
 from tailbeat.sim import emulated
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
@@ -700,7 +701,7 @@ def test_a_trial_whose_board_comes_back_without_its_key(owner: Laptop) -> None:
         cut_at_s: list[float] = []
 
         def erase(event: dict[str, Any]) -> None:
-            if event["event"] == "beat" and not cut_at_s:
+            if isinstance(event, BeatEvent) and not cut_at_s:
                 cut_at_s.append(owner.board.time_s)
                 owner.board.flash = b"\xff" * FLASH_BYTES
                 owner.board.world.power_cycle()
@@ -730,7 +731,7 @@ def test_frames_of_others_do_not_end_the_waiting(owner: Laptop, hole_s: float) -
             return forged
 
         def begin(event: dict[str, Any]) -> None:
-            if event["event"] == "beat" and not hole:
+            if isinstance(event, BeatEvent) and not hole:
                 hole.append(owner.board.time_s)
 
         radio.on_read = read

@@ -3,40 +3,39 @@ leaves."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tailbeat.app.cli._display import Display
-from tailbeat.app.cli._operator import TerminalPerson
-from tailbeat.app.cli._words import live_text
+from tailbeat.app.cli._operator import TerminalPerson, live_text
 from tailbeat.core.errors import InputError
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.collect import Swum
+from tailbeat.session.events import (
+    BY_HAND,
+    BoardText,
+    Event,
+    LiveValues,
+    StopKind,
+    StopReason,
+    TrialRecorded,
+    TrialStarted,
+    TrialStopped,
+)
 from tailbeat.session.operator import Decision
 
 from ...session.test_trial_run_guided import Typed
 
-LIVE: dict[str, Any] = {
-    "event": "live",
-    "beat": 98,
-    "beats": 100,
-    "speed_m_s": 0.1633,
-    "reference_m_s": 0.17,
-    "amplitude_rad": 0.7,
-    "battery_v": 7.92,
-    "silent_s": 0.4,
-    "simulated": True,
-}
-FEW: dict[str, Any] = {"beat": None, "speed_m_s": None, "reference_m_s": None}
-FEW |= {"amplitude_rad": None, "battery_v": None, "silent_s": None, "simulated": False}
+LIVE = LiveValues(True, 98, 100, 0.1633, 0.17, 0.7, 7.92, 0.4)
+UNKNOWN = LiveValues(False, beats=100)
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 @pytest.mark.parametrize("link", [{"silent_s": 0.4}, {"silent_s": 12.0}])
 def test_the_words_that_matter_stay(width: int, link: dict[str, float]) -> None:
-    line = live_text(LIVE | link, True, width)
+    line = live_text(replace(LIVE, **link), True, width)
     assert len(line) <= width
     late = "silent 12 s" in line
     assert late == (link["silent_s"] > 5) and (late or "link ok" in line)
@@ -52,7 +51,7 @@ def test_where_nothing_fits_the_stop_is_what_is_left() -> None:
 
 
 def test_the_line_without_a_key_and_of_what_is_not_known() -> None:
-    assert live_text(LIVE | FEW, False, 80) == "link ok  starting  v - mm/s  wanted -"
+    assert live_text(UNKNOWN, False, 80) == "link ok  starting  v - mm/s  wanted -"
 
 
 def test_the_line_is_as_wide_as_the_window(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,24 +67,26 @@ def test_the_line_is_as_wide_as_the_window(monkeypatch: pytest.MonkeyPatch) -> N
     assert 50 < len(narrow) <= 60 < len(wide) <= 120
 
 
-def told(person: TerminalPerson, *events: dict[str, Any]) -> None:
+def told(person: TerminalPerson, *events: Event) -> None:
     for event in events:
         person.tell(event)
 
 
-def swum_event() -> dict[str, Any]:
+def swum_event() -> TrialRecorded:
     outcome = TrialOutcome(7, 2, "aborted:ABORT_COMMAND", 5)
     problems = ("not complete: aborted:ABORT_COMMAND (stopped by hand)", "not straight")
-    swum = Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, 3, 5, 8.0, 7.9, problems)
-    return {"event": "swum", "trial": 7, **vars(swum)}
+    swum = Swum(
+        outcome, Path("7.ulg"), None, None, 0.01, 0.01, 3, 5, 8.0, 7.9, problems, False, BY_HAND
+    )
+    return TrialRecorded(swum)
 
 
-ABORTED = {"event": "text", "severity": 4, "text": "trial aborted by command"}
+ABORTED = BoardText(4, "trial aborted by command")
 
 
 def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str]) -> None:
     person = TerminalPerson(Display(), Typed(""))
-    told(person, {"event": "guard", "reason": "stopped by hand"}, ABORTED, swum_event())
+    told(person, TrialStopped(BY_HAND), ABORTED, swum_event())
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "tailbeat: stopped by hand"
     assert lines[1] == (
@@ -98,11 +99,11 @@ def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str])
 def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """Also in the swim after one that was stopped by a key."""
     person = TerminalPerson(Display(), Typed(""))
-    told(person, {"event": "guard", "reason": "stopped by hand"})
-    told(person, {"event": "started", "trial": 8}, ABORTED)
-    told(person, {"event": "guard", "reason": "room: 2 m"}, ABORTED)
-    told(person, {"event": "guard", "reason": "stopped by hand"})
-    told(person, ABORTED | {"text": "battery critical"})
+    told(person, TrialStopped(BY_HAND))
+    told(person, TrialStarted(8, 1), ABORTED)
+    told(person, TrialStopped(StopReason(StopKind.DISTANCE, "room: 2 m")), ABORTED)
+    told(person, TrialStopped(BY_HAND))
+    told(person, BoardText(4, "battery critical"))
     assert capsys.readouterr().err.splitlines() == [
         "tailbeat: stopped by hand",
         "tailbeat: trial aborted by command",

@@ -18,6 +18,7 @@ from tailbeat.core import reference as references
 from tailbeat.core.errors import LinkLostError
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.transfer import likeness, transfer
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.transfer import carry, plan
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
@@ -28,6 +29,9 @@ SLOWER = "trapezoid:0.048,5,7.5"
 QUIET = {"gain_sigma": 0, "flow_sigma_m_s": 0, "start_sigma_m_s": 0, "camera_noise_m": 0}
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)
 UPLOADED = 2
+
+
+ENOUGH = StopReason(StopKind.CALLER, "enough")
 
 
 @pytest.fixture
@@ -219,7 +223,9 @@ def test_a_pending_trial_comes_first(learned: Fish, shell: Shell) -> None:
 
 def test_a_cut_trial_is_not_a_whole_one(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     learned.arm()
-    outcome = run_trial(learned, guard=lambda seen: "x" if getattr(seen, "beat", 0) > 6 else None)
+    outcome = run_trial(
+        learned, guard=lambda seen: ENOUGH if getattr(seen, "beat", 0) > 6 else None
+    )
     assert outcome.end.startswith("aborted")
     path = learned.pull_trial(outcome.number, tmp_path)
     learned.clear()

@@ -82,7 +82,11 @@ class Tank:
         """Until it is done, or something has to be decided first."""
         done, was = self.conductor.now.done, self.conductor.now.swum
         self.conductor.ask(what, **values)
-        return self.wait(lambda now: now.done > done or (now.swum is not None and was is None))
+        return self.wait(
+            lambda now: (
+                now.done > done or (now.swum is not None and was is None) or now.phase == "failed"
+            )
+        )
 
     def decide(self, kind: str, reason: str = "") -> Snapshot:
         return self.ask("decide", kind=kind, reason=reason)
@@ -133,7 +137,7 @@ def test_a_swim_from_the_ritual_to_what_was_learned(ready: Tank) -> None:
 
 def test_steps_of_the_ritual_are_shown_in_their_order(ready: Tank) -> None:
     seen: list[tuple[str, ...]] = []
-    ready.on_beat = lambda beat: seen.append(tuple(s.name for s in ready.conductor.now.steps))
+    ready.on_beat = lambda beat: seen.append(tuple(s.step for s in ready.conductor.now.steps))
     ready.ask("swim", until="1", ritual=True)
     assert seen[0] == tuple(dict.fromkeys(seen[0]))
     assert {"rest", "room", "pose"} <= set(seen[0]) or len(seen[0]) >= 3

@@ -11,6 +11,8 @@ from tailbeat.app.web import charts, words
 from tailbeat.app.web.view import LOG_LINES, Snapshot, after, logged
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.analysis import TrialRow
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import StepProgress, TrialStarted
 
 NOW = Snapshot(
     phase="idle",
@@ -127,20 +129,20 @@ def test_rows_in_words() -> None:
 def test_steps_keep_their_places() -> None:
     now = NOW
     for name, ok in (("rest", None), ("pose", None), ("rest", True), ("still", None)):
-        now = after(now, {"event": "step", "step": name, "text": name, "ok": ok}, "12:00:00")
-    assert [(step.name, step.ok) for step in now.steps] == [
+        now = after(now, StepProgress(name, name, ok, None), "12:00:00")
+    assert [(step.step, step.ok) for step in now.steps] == [
         ("rest", True), ("pose", None), ("still", None),
     ]  # fmt: skip
     assert now.phase == "ritual"
 
 
 def test_a_new_swim_wipes_the_old_one() -> None:
-    now = after(NOW, {"event": "started", "trial": 4, "iteration": 3}, "12:00:00")
+    now = after(NOW, TrialStarted(4, 3), "12:00:00")
     assert (now.phase, set(now.speed_m_s), set(now.amplitude_rad)) == ("swimming", {None}, {None})
-    beat = {"event": "beat", "beat": 1, "speed_m_s": 0.03, "amplitude_rad": 0.2}
+    beat = BeatEvent(4, 1, 0.2, 0.05, 0.03, 0.001, 9, False, False)
     now = after(now, beat, "12:00:01")
     assert now.speed_m_s == (None, 0.03, None, None)
-    late = {"event": "beat", "beat": 9, "speed_m_s": 0.03, "amplitude_rad": 0.2}
+    late = replace(beat, beat=9)
     assert after(now, late, "12:00:01").speed_m_s == now.speed_m_s
     assert words.live_line(now) == "30.0 mm/s, wanted 50.0; tail ±11°"
 

@@ -21,6 +21,15 @@ from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN
 from tailbeat.sensors.camera.tracking.tracker import Place, Repeats
 from tailbeat.session import trial as trialrun
+from tailbeat.session.events import (
+    Event,
+    StopKind,
+    StopReason,
+    TrialEnded,
+    TrialStarted,
+    TrialStopped,
+    TrialWarning,
+)
 from tailbeat.session.guards import WallGuard
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
@@ -277,9 +286,9 @@ def swim(
     fish.params.set("SPD_SOURCE", source)
     warnings: list[str] = []
 
-    def follow(event: dict[str, Any]) -> None:
-        if event["event"] == "warning":
-            warnings.append(event["text"])
+    def follow(event: Event) -> None:
+        if isinstance(event, TrialWarning):
+            warnings.append(event.text)
 
     return warnings, lambda: run_trial(fish, Trouble(fish, 4.0, error), follow, guard)
 
@@ -353,7 +362,7 @@ def stopped(fish: Fish) -> bool:
 
 @pytest.mark.parametrize("kind", [Frame, BeatEvent, Unseen])
 def test_a_guard_that_breaks_stops_the_tail(ready: Fish, kind: type) -> None:
-    def guard(what: object) -> str | None:
+    def guard(what: object) -> StopReason | None:
         assert ready.sim is not None
         if isinstance(what, kind) and ready.sim.world.truth().swimming:
             raise RuntimeError("a bug in the guard")
@@ -364,10 +373,10 @@ def test_a_guard_that_breaks_stops_the_tail(ready: Fish, kind: type) -> None:
     assert stopped(ready)
 
 
-@pytest.mark.parametrize("event", ["started", "beat", "warning"])
-def test_a_listener_that_breaks_stops_the_tail(ready: Fish, event: str) -> None:
-    def follow(told: dict[str, Any]) -> None:
-        if told["event"] == event:
+@pytest.mark.parametrize("event", [TrialStarted, BeatEvent, TrialWarning])
+def test_a_listener_that_breaks_stops_the_tail(ready: Fish, event: type) -> None:
+    def follow(told: Event) -> None:
+        if isinstance(told, event):
             raise BrokenPipeError("nobody reads")
 
     with pytest.raises(BrokenPipeError):
@@ -378,8 +387,8 @@ def test_a_listener_that_breaks_stops_the_tail(ready: Fish, event: str) -> None:
 def test_what_breaks_before_the_start_or_after_the_end_stops_nothing(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def follow(told: dict[str, Any]) -> None:
-        if told["event"] == "ended":
+    def follow(told: Event) -> None:
+        if isinstance(told, TrialEnded):
             raise BrokenPipeError("nobody reads")
 
     def abort(wall: bool = False) -> None:
@@ -413,23 +422,27 @@ def test_a_stream_of_absurd_stamps_ends_nothing(ready: Fish) -> None:
 
 
 def test_after_the_swim_the_guard_is_not_asked(ready: Fish) -> None:
-    told: list[dict[str, Any]] = []
+    told: list[Event] = []
     swimming: list[bool] = []
 
-    def guard(what: object) -> str | None:
+    def guard(what: object) -> StopReason | None:
         assert ready.sim is not None
         swimming.append(ready.sim.world.truth().swimming)
-        return "too late" if True in swimming and not swimming[-1] else None
+        return (
+            StopReason(StopKind.CALLER, "too late")
+            if True in swimming and not swimming[-1]
+            else None
+        )
 
     assert run_trial(ready, on_event=told.append, guard=guard).end == "complete"
-    assert True in swimming and not [event for event in told if event["event"] == "guard"]
+    assert True in swimming and not [event for event in told if isinstance(event, TrialStopped)]
 
 
 def test_a_lost_word_of_the_end_does_not_have_the_guard_asked(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The last beat says it, too."""
-    told: list[dict[str, Any]] = []
+    told: list[Event] = []
     lost: list[BoardStatus] = []
     take = trialrun._take_status
 
@@ -439,13 +452,13 @@ def test_a_lost_word_of_the_end_does_not_have_the_guard_asked(
         else:
             take(run, status)
 
-    def guard(_: object) -> str | None:
-        last = [event for event in told if event["event"] == "beat" and event["beat"] == 7]
-        return "too late" if last else None
+    def guard(_: object) -> StopReason | None:
+        last = [event for event in told if isinstance(event, BeatEvent) and event.beat == 7]
+        return StopReason(StopKind.CALLER, "too late") if last else None
 
     monkeypatch.setattr(trialrun, "_take_status", lose)
     assert run_trial(ready, on_event=told.append, guard=guard).end == "complete"
-    assert lost and not [event for event in told if event["event"] == "guard"]
+    assert lost and not [event for event in told if isinstance(event, TrialStopped)]
 
 
 @pytest.mark.parametrize("beat_s", [1.0, 4.0])
@@ -480,9 +493,9 @@ def freeze(fish: Fish, after_s: float) -> Spoilt:
 def test_a_picture_that_stands_still_shows_no_fish(ready: Fish) -> None:
     warnings: list[str] = []
 
-    def follow(event: dict[str, Any]) -> None:
-        if event["event"] == "warning":
-            warnings.append(event["text"])
+    def follow(event: Event) -> None:
+        if isinstance(event, TrialWarning):
+            warnings.append(event.text)
 
     outcome = run_trial(ready, freeze(ready, 5.0), follow)
     assert outcome.end == "complete"
@@ -497,9 +510,9 @@ def test_a_picture_that_stands_still_from_the_start_is_told(ready: Fish) -> None
     ready.upload_amplitudes(np.full(8, 0.5, dtype=np.float32))
     warnings: list[str] = []
 
-    def follow(event: dict[str, Any]) -> None:
-        if event["event"] == "warning":
-            warnings.append(event["text"])
+    def follow(event: Event) -> None:
+        if isinstance(event, TrialWarning):
+            warnings.append(event.text)
 
     run_trial(ready, freeze(ready, 0.0), follow)
     assert warnings == ["the camera's picture stands still; beats go unmeasured"]
@@ -522,10 +535,10 @@ def test_a_fish_at_rest_before_a_camera_without_noise_is_no_frozen_picture() -> 
         fish.params.set("DU_MAX_RAD", 0)
         fish.upload_reference(records.encode_reference(1.0, np.full(8, 0.03)))
         fish.upload_amplitudes(np.array([0, 0, 0, 0, 0.1, 0.4, 0.4, 0.4], dtype=np.float32))
-        events: list[dict[str, Any]] = []
+        events: list[Event] = []
         outcome = run_trial(fish, on_event=events.append, guard=WallGuard(area(0.5, 2.5)))
         assert outcome.end == "complete"
-        assert not [event for event in events if event["event"] in ("warning", "guard")]
+        assert not [event for event in events if isinstance(event, TrialWarning | TrialStopped)]
         assert all(beat.speed_m_s is not None for beat in outcome.beats[1:])
 
 

@@ -12,6 +12,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import BoardText, HoldRequest
 from tailbeat.session.trial import run_trial
 
 VISION, _, IMU, MODEL = range(4)
@@ -119,7 +121,7 @@ def test_an_imu_that_restarts_in_mid_swim_spoils_nothing(source: int, tmp_path: 
     """What it says afterwards is not believed: nobody knows how the body turned meanwhile."""
 
     def restart(event: dict) -> None:
-        if event["event"] == "beat" and event["beat"] == 5 and event["provisional"]:
+        if isinstance(event, BeatEvent) and event.beat == 5 and event.provisional:
             fish.sim.world.reboot_imu()
 
     with Fish.connect("sim:tank", seed=2) as fish:
@@ -144,9 +146,9 @@ def test_an_imu_that_falls_silent_after_the_swim_ends_the_waiting(tmp_path: Path
     texts: list[str] = []
 
     def wedge(event: dict) -> None:
-        if event["event"] == "text":
-            texts.append(event["text"])
-        if event["event"] == "hold":
+        if isinstance(event, BoardText):
+            texts.append(event.text)
+        if isinstance(event, HoldRequest):
             fish.sim.world.wedge_imu()
 
     with Fish.connect("sim:tank", seed=2) as fish:

@@ -1,0 +1,192 @@
+"""What a session reports while it goes on: one class per event, ``Event`` is any of them.
+
+The terminal, the page, the film and the event log match on the class. A beat is reported as
+``BeatEvent``, a learning step as ``LearnReport``, both as the link decodes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from tailbeat.link.messages import BeatEvent, LearnReport
+
+if TYPE_CHECKING:
+    from tailbeat.session.collect import Swum
+    from tailbeat.session.operator import Decision
+
+
+class StopKind(Enum):
+    """What stopped a trial from the host."""
+
+    WALL = "wall"
+    DISTANCE = "distance"
+    CAMERA = "camera"
+    OPERATOR = "operator"
+    CALLER = "caller"
+
+
+@dataclass(frozen=True)
+class StopReason:
+    """Why a guard stops the tail. A ``WALL`` leaves the last beats unmeasured."""
+
+    kind: StopKind
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+BY_HAND = StopReason(StopKind.OPERATOR, "stopped by hand")
+
+
+@dataclass(frozen=True)
+class StepProgress:
+    """A preflight step. ``ok`` None: under way; ``left_s`` None: not known."""
+
+    step: str
+    text: str
+    ok: bool | None = None
+    left_s: int | None = None
+
+
+@dataclass(frozen=True)
+class Countdown:
+    """Whole seconds until the tail starts; 0: it starts."""
+
+    left_s: int
+
+
+@dataclass(frozen=True)
+class TrialStarted:
+    """The board executes the trial."""
+
+    trial: int
+    iteration: int
+
+
+@dataclass(frozen=True)
+class LiveValues:
+    """Values of a running trial, about ten times a second; None: not known. ``silent_s``: since the
+    last message of the board."""
+
+    simulated: bool
+    beat: int | None = None
+    beats: int | None = None
+    speed_m_s: float | None = None
+    reference_m_s: float | None = None
+    amplitude_rad: float | None = None
+    battery_v: float | None = None
+    silent_s: float | None = None
+
+
+@dataclass(frozen=True)
+class TrialStopped:
+    """A guard stops the trial."""
+
+    reason: StopReason
+
+
+@dataclass(frozen=True)
+class InterruptRequested:
+    """Ctrl-C: the tail is being stopped."""
+
+
+@dataclass(frozen=True)
+class LinkLost:
+    """The link broke; reconnecting."""
+
+
+@dataclass(frozen=True)
+class LinkRestored:
+    """The link works again; ``state`` of the board."""
+
+    state: str
+
+
+@dataclass(frozen=True)
+class TrialEnded:
+    """The tail rests and the board has stored the trial."""
+
+    trial: int
+    end: str
+
+
+@dataclass(frozen=True)
+class TrialRecorded:
+    """The trial's log is in the experiment; a decision follows."""
+
+    record: Swum
+
+
+@dataclass(frozen=True)
+class TrialDecided:
+    """What becomes of a trial."""
+
+    trial: int
+    decision: Decision
+
+
+@dataclass(frozen=True)
+class Assessed:
+    """The convergence assessment after a learning step; ``saturation`` empty: none."""
+
+    words: str
+    stop: bool
+    stop_reason: str
+    advice: str
+    saturation: str = ""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Information that stops nothing."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class TrialWarning:
+    """Something is wrong with the running trial; it goes on."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class HoldRequest:
+    """The operator has to hold the fish still."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class BoardText:
+    """A line of text of the board; ``severity`` as MAV_SEVERITY, lower is worse."""
+
+    severity: int
+    text: str
+
+
+Event = (
+    StepProgress
+    | Countdown
+    | TrialStarted
+    | LiveValues
+    | BeatEvent
+    | TrialStopped
+    | InterruptRequested
+    | LinkLost
+    | LinkRestored
+    | TrialEnded
+    | TrialRecorded
+    | TrialDecided
+    | LearnReport
+    | Assessed
+    | Notice
+    | TrialWarning
+    | HoldRequest
+    | BoardText
+)
+OnEvent = Callable[[Event], None]

@@ -1,0 +1,135 @@
+"""The words for the events of a session, for the terminal and the page alike."""
+
+from __future__ import annotations
+
+import math
+
+from tailbeat.core.trial_checks import HeadingDrift
+from tailbeat.link.messages import LearnReport
+from tailbeat.session.collect import Swum
+from tailbeat.session.events import (
+    Assessed,
+    BoardText,
+    Countdown,
+    Event,
+    HoldRequest,
+    InterruptRequested,
+    LinkLost,
+    LinkRestored,
+    Notice,
+    StepProgress,
+    StopKind,
+    StopReason,
+    TrialDecided,
+    TrialEnded,
+    TrialStarted,
+    TrialStopped,
+    TrialWarning,
+)
+
+SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
+_MARKS = {True: "ok", False: "no", None: ".."}
+_DECIDED = {
+    "keep": "kept",
+    "repeat": "counts as a repeat, nothing is learned; the same amplitudes swim again",
+    "discard": "discarded, counts for nothing; the same amplitudes swim again",
+}
+
+
+def mm(value_m_s: float | None, unknown: str = "-") -> str:
+    """A speed in mm/s."""
+    if value_m_s is None or not math.isfinite(value_m_s):
+        return unknown
+    return f"{value_m_s * 1e3:.1f}"
+
+
+def alert(event: Event) -> str:
+    """What must be told whatever else is kept quiet; empty for everything else."""
+    match event:
+        case LinkLost():
+            return "the link broke; trying to get it back (without it the board stops by itself)"
+        case LinkRestored(state):
+            swims = state == "RUNNING"
+            then = "it swims on" if swims else "the board has stopped the tail meanwhile"
+            return f"the link is back; {then}"
+        case InterruptRequested():
+            return "Ctrl-C: the tail is being stopped"
+        case Notice(text) | TrialWarning(text) | HoldRequest(text):
+            return text
+        case BoardText(severity, text):
+            return text if severity <= SEVERITY_WARNING else ""
+        case TrialStopped(StopReason(StopKind.OPERATOR, text)):
+            return text
+        case TrialStopped(reason):
+            return f"stopped: {reason}"
+    return ""
+
+
+def result(event: Event) -> str:
+    """What a trial came to; empty for everything else."""
+    match event:
+        case TrialDecided(trial, decision):
+            reason = f" ({decision.reason})" if decision.reason else ""
+            return f"trial {trial}: {_DECIDED[decision.kind]}{reason}"
+        case LearnReport():
+            best = ", the best so far" if event.improved else ""
+            return (
+                f"learned from trial {event.trial}: max|e| {mm(event.max_abs_error_m_s)} mm/s,"
+                f" RMS {mm(event.rms_error_m_s)}{best}"
+            )
+        case Assessed():
+            return event.words
+    return ""
+
+
+def log_line(event: Event) -> str:
+    """The line in a log of a session; empty: none."""
+    match event:
+        case StepProgress(step, text, ok):
+            return "" if ok is None else f"{step}: {text}"
+        case TrialStarted(trial, iteration):
+            return f"trial {trial} swims, iteration {iteration}"
+        case TrialEnded(trial, end):
+            return f"trial {trial} has ended: {end}"
+    return alert(event) or result(event)
+
+
+def step_text(event: StepProgress) -> str:
+    """One preflight step."""
+    left = f" ({event.left_s} s)" if event.left_s and event.ok is None else ""
+    return f"{_MARKS[event.ok]:>2}  {event.step}: {event.text}{left}"
+
+
+def countdown_text(event: Countdown) -> str:
+    """Hands out of the water."""
+    left_s = event.left_s
+    return f"it swims in {left_s} s: hands out (any key stops)" if left_s > 0 else "it swims"
+
+
+def record_lines(record: Swum) -> list[str]:
+    """What a person needs to decide on a trial."""
+    outcome = record.outcome
+    stopped = f" ({record.stopped})" if record.stopped else ""
+    measured = f"{record.measured_beats} of {record.beats} beats measured"
+    return [
+        f"trial {outcome.number}, iteration {outcome.iteration}: {outcome.end}{stopped}, "
+        f"{outcome.executed_beats} beats, {measured}",
+        f"  max|e| {mm(record.max_abs_error_m_s)} mm/s, RMS {mm(record.rms_error_m_s)}; "
+        f"{_straight_text(record.straight)}; {_battery_text(record)}",
+    ]
+
+
+def _straight_text(straight: HeadingDrift | None) -> str:
+    if straight is None:
+        return "straightness not known"
+    mean_deg = math.degrees(straight.mean_yaw_rad)
+    worst_deg = math.degrees(straight.worst_yaw_rad)
+    word = "NOT straight" if straight.crooked else "straight"
+    return f"{word} (yaw {mean_deg:+.1f} deg, {worst_deg:+.1f} at worst)"
+
+
+def _battery_text(record: Swum) -> str:
+    start_v, end_v = record.battery_start_v, record.battery_end_v
+    if start_v is None or end_v is None:
+        return "battery not known"
+    return f"battery {start_v:.2f} to {end_v:.2f} V"
