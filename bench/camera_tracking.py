@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 
 from tailbeat.sensors.camera.marker.detector import Marker, detector_for
-from tailbeat.sensors.camera.marker.tags import Window
-from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.marker.tags import SearchWindow
+from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.film import Film, FilmWriter
 from tailbeat.sensors.camera.tracking.tracker import Tracker
@@ -67,7 +67,7 @@ def draw(path: Path, film_s: float) -> None:
         for k in range(int(FPS * film_s)):
             t_s = k / FPS
             wag = math.sin(2 * math.pi * t_s)
-            truth = Truth(t_s, 0.1 * t_s, 0.0, 0.1 * wag, 0.5 * wag, 0.0, 0.1)
+            truth = DrawnPose(t_s, 0.1 * t_s, 0.0, 0.1 * wag, 0.5 * wag, 0.0, 0.1)
             writer.add(painter.paint(truth, k), t_s)
 
 
@@ -101,7 +101,7 @@ def search_ms(path: Path, turns: int) -> tuple[float, float]:
     detector = detector_for(MARKER)
     (fish,) = detector.find(picture.image)
     u, v = np.rint(fish.centre_px).astype(int)
-    window = Window(
+    window = SearchWindow(
         int(u) - HALF_WINDOW_PX,
         int(v) - HALF_WINDOW_PX,
         int(u) + HALF_WINDOW_PX,

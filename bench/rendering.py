@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 
-from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Scene
 
 
@@ -35,7 +35,7 @@ def times_ms(scene: Scene, pictures: int) -> list[float]:
     taken = []
     for index in range(pictures):
         t_s = index / 25
-        truth = Truth(t_s, 0.08 * t_s, 0.01, 0.1, 0.4, 1.0, 0.08, 0.5)
+        truth = DrawnPose(t_s, 0.08 * t_s, 0.01, 0.1, 0.4, 1.0, 0.08, 0.5)
         begin_s = time.process_time()
         painter.paint(truth, index)
         taken.append(1000 * (time.process_time() - begin_s))

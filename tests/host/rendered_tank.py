@@ -15,8 +15,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.render.source import RenderedDevice
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import RenderedDevice, SimulatedCamera
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import Tracker

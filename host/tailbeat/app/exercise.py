@@ -24,7 +24,7 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
 from tailbeat.sensors.camera.render.painter import Painter
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.render.source import picture_index, truth_of
+from tailbeat.sensors.camera.render.source import drawn_pose_of, picture_index
 from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.trial import run_trial
@@ -221,7 +221,7 @@ def _draw(path: Path, swim: _Swim, scene: Scene, fps: float, progress: Progress)
     with FilmWriter(path, scene.size_px, fps) as writer:
         before: CameraFrame | None = None
         for done, frame in enumerate(swim.frames, 1):
-            image = painter.paint(truth_of(frame, before), picture_index(frame, fps))
+            image = painter.paint(drawn_pose_of(frame, before), picture_index(frame, fps))
             writer.add(image, frame.time_s)
             before = frame
             part = _SWIM_SHARE + (1 - _SWIM_SHARE) * done / count

@@ -14,9 +14,9 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent
 from tailbeat.link.sockets import TcpTransport
-from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
-from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
-from tailbeat.sensors.camera.tracking.tracker import Repeats, is_computed
+from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
+from tailbeat.sensors.camera.speed.smoother import BeatFit, SpeedSample
+from tailbeat.sensors.camera.tracking.tracker import RepeatFilter, is_computed
 from tailbeat.session.events import TrialWarning
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class TrialCamera:
         self.failure: Exception | None = None
         self._fish, self._camera, self._dispensable = fish, camera, dispensable
         self._emit, self._consult, self._abort = emit, consult, abort
-        self._repeats = Repeats(camera)
+        self._repeats = RepeatFilter(camera)
         self._gone = self._blind = self._frozen = False
         self._seen_at_s = 0.0
 

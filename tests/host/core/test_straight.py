@@ -23,7 +23,7 @@ from tailbeat.core.trial_checks import (
     heading_drift_of_frames,
 )
 from tailbeat.core.trial_file import NO_MOTION, Beats, Rest, Slots, Trial, read_trial
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.guards import Seen
 from tailbeat.session.trial import run_trial
 

@@ -18,7 +18,7 @@ from tailbeat.core.frames import CameraGone
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.transport import Transport
-from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 

@@ -33,7 +33,7 @@ from tailbeat.core import records
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.experiment.current import begin, set_and_save
 from tailbeat.experiment.folder import Experiment
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.collect import Swum
 from tailbeat.session.operator import Decision
 from tailbeat.sim.board import CONSOLE, SimTransport

@@ -21,7 +21,7 @@ from tailbeat.experiment.current import begin, note_set
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import DISCARDED, Logbook
 from tailbeat.link.messages import BeatEvent, LearnReport
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session import series as series_module
 from tailbeat.session.battery import Drain, forecast, too_low
 from tailbeat.session.collect import Swum

@@ -16,7 +16,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport, SimulatedBoard
 from tailbeat.sim.native import SimBoard

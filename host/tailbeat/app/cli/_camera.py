@@ -20,8 +20,12 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import logbook_of
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, Marker
-from tailbeat.sensors.camera.render.source import RenderedDevice, scene_of
-from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sensors.camera.render.source import (
+    RemoteCamera,
+    RenderedDevice,
+    SimulatedCamera,
+    scene_of,
+)
 from tailbeat.sensors.camera.source.device import Device
 from tailbeat.sensors.camera.source.film import Recorder
 from tailbeat.sensors.camera.source.picture import PictureSource

@@ -19,7 +19,7 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import named_reference
 from tailbeat.report.figures.track import draw_track
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
-from tailbeat.sensors.camera.film_to_speed import Analysis, analyse, new_folder, write_analysis
+from tailbeat.sensors.camera.film_to_speed import FilmAnalysis, analyse, new_folder, write_analysis
 from tailbeat.sensors.camera.marker.detector import KINDS
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.open import open_source
@@ -221,7 +221,7 @@ def _progress(show: Any, pictures: PictureSource, seconds: float | None) -> Prog
     return follow
 
 
-def _text_camera_track(found: Analysis, document: dict[str, Any], folder: Path) -> str:
+def _text_camera_track(found: FilmAnalysis, document: dict[str, Any], folder: Path) -> str:
     lines = [
         f"{found.track.name}: {document['pictures']} pictures, the fish seen in "
         f"{document['seen'] / document['pictures']:.1%}; "
@@ -245,7 +245,7 @@ def _text_camera_track(found: Analysis, document: dict[str, Any], folder: Path) 
     return "\n".join(lines)
 
 
-def _straight_text(found: Analysis) -> str:
+def _straight_text(found: FilmAnalysis) -> str:
     straight = found.straight()
     if straight is None:
         return "straightness not known: too little was seen of it"
@@ -272,7 +272,7 @@ def _fine_mm(value_m_s: float | None) -> str:
     return "-" if value_m_s is None else f"{value_m_s * 1e3:.2f}"
 
 
-def _sync_text(found: Analysis) -> str:
+def _sync_text(found: FilmAnalysis) -> str:
     sync = found.sync
     if sync is None:
         return "in time with no trial: give --trial FILE.ulg"

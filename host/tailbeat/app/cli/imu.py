@@ -25,17 +25,18 @@ from tailbeat.core.files import plain
 from tailbeat.core.printable import printable
 from tailbeat.link.messages import ImuFrame, ImuInfo, imu_health
 from tailbeat.sensors.vn100 import decode
-from tailbeat.sensors.vn100.decode import Line, Message, Reader
-from tailbeat.sensors.vn100.driver import Driver, Setup
+from tailbeat.sensors.vn100.decode import AsciiLine, Message, Reader
 from tailbeat.sensors.vn100.live import (
     DEFAULT_BAUD,
-    Live,
+    Driver,
+    LiveSensor,
+    Setup,
     configure,
     find_baud,
     is_port,
     open_source,
 )
-from tailbeat.sensors.vn100.summary import CsvFiles, Summary, plain_values
+from tailbeat.sensors.vn100.summary import CsvFiles, StreamSummary, plain_values
 
 _COLUMNS = [
     "sequence",
@@ -267,7 +268,7 @@ class ListenOptions:
 
 
 def _recording(name: str, csv: Path | None, as_json: bool) -> None:
-    reader, summary = Reader(), Summary()
+    reader, summary = Reader(), StreamSummary()
     with _csv_files(csv, live=False) as files:
         for message in decode(_chunks(name), reader):
             summary.add(message)
@@ -313,12 +314,12 @@ def _listen(name: str, csv: Path | None, options: ListenOptions, as_json: bool) 
     baud = options.baud or DEFAULT_BAUD
     with contextlib.closing(open_source(name, baud)) as source:
         driver = Driver(baud, options.rate, source.now_s()) if options.config else None
-        live = Live(source, driver)
+        live = LiveSensor(source, driver)
         _begin(live, options, as_json)
         _follow(live, csv, options.seconds, as_json)
 
 
-def _begin(live: Live, options: ListenOptions, as_json: bool) -> None:
+def _begin(live: LiveSensor, options: ListenOptions, as_json: bool) -> None:
     if live.driver is None:
         baud = find_baud(live, options.baud)
         if as_json:
@@ -344,9 +345,9 @@ def _setup_text(name: str, setup: Setup) -> str:
     return "\n".join(lines)
 
 
-def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) -> None:
+def _follow(live: LiveSensor, csv: Path | None, seconds: float | None, as_json: bool) -> None:
     lost: LinkLostError | None = None
-    summary = Summary()
+    summary = StreamSummary()
     begin_s = live.source.now_s()
     show = _quiet_line(live, summary, as_json)
     with _csv_files(csv, live=True) as files:
@@ -387,12 +388,12 @@ def _follow(live: Live, csv: Path | None, seconds: float | None, as_json: bool) 
 
 def _message_document(message: Message, time_s: float) -> dict[str, Any]:
     document = {"event": "message", "t_s": round(time_s, 6), "kind": message.kind}
-    if message.values or not isinstance(message, Line):
+    if message.values or not isinstance(message, AsciiLine):
         return document | {"values": plain_values(message.values)}
     return document | {"line": ",".join(message.fields)}
 
 
-def _quiet_line(live: Live, summary: Summary, as_json: bool) -> Callable[[], None]:
+def _quiet_line(live: LiveSensor, summary: StreamSummary, as_json: bool) -> Callable[[], None]:
     """Gives ``show()``: keeps one line up to date when a person watches."""
     if as_json or not sys.stderr.isatty():
         return lambda: None

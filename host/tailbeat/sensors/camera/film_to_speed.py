@@ -43,7 +43,7 @@ _FORMAT = "tailbeat camera track"
 
 
 @dataclass(frozen=True)
-class Analysis:
+class FilmAnalysis:
     """What came of a film. ``sync`` None = not known when the swim began. ``trial`` None = not
     paired with one; then ``sync.trial`` is the number the LED shows."""
 
@@ -112,7 +112,7 @@ def analyse(
     beat_s: float = 1.0,
     progress: Progress | None = None,
     on_place: Callable[..., None] | None = None,
-) -> Analysis:
+) -> FilmAnalysis:
     """All of ``source``: track, begin of the swim (``start_s`` if given, else by LED or wobble when
     there is a trial) and speed; with a trial its sigma holds that of the begin. ``beat_s`` counts
     without a trial only.
@@ -127,7 +127,7 @@ def analyse(
         assert found is not None
         curve = swim_speed(seen, trial.beat_s, found.start_s, beats=trial.executed_beats)
         curve = curve.with_begin_sigma(found.sigma_s)
-    return Analysis(seen, curve, found, trial, calibration)
+    return FilmAnalysis(seen, curve, found, trial, calibration)
 
 
 def begin_of(seen: Track, trial: Trial | None, start_s: float | None = None) -> Sync | None:
@@ -188,7 +188,7 @@ def _is_ours(folder: Path) -> bool:
         return False
 
 
-def write_analysis(found: Analysis, folder: Path) -> None:
+def write_analysis(found: FilmAnalysis, folder: Path) -> None:
     """track.csv, speed.csv, summary.json and, with a trial, beats.csv into ``folder``."""
     write_track(found.track, folder / "track.csv")
     write_speeds(found.curve, folder / "speed.csv", found.trial.number if found.trial else None)

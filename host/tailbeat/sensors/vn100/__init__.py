@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tailbeat.sensors.vn100.decode import Binary, Line, Message, Reader, decode
-from tailbeat.sensors.vn100.summary import Summary
+from tailbeat.sensors.vn100.decode import AsciiLine, Binary, Message, Reader, decode
+from tailbeat.sensors.vn100.summary import StreamSummary
 
-__all__ = ["Binary", "Line", "Message", "Reader", "Summary", "decode"]
+__all__ = ["AsciiLine", "Binary", "Message", "Reader", "StreamSummary", "decode"]

@@ -62,7 +62,7 @@ class Binary:
 
 
 @dataclass(frozen=True)
-class Line:
+class AsciiLine:
     """One checked ASCII line. ``fields``: the texts between the commas, the type first;
     ``values``: empty when it is no measurement; ``error``: $VNERR's code, otherwise 0."""
 
@@ -85,7 +85,7 @@ class Line:
         return self.fields[0]
 
 
-Message = Binary | Line
+Message = Binary | AsciiLine
 
 _SUFFIXES = {"serial_count": "T", "vpe_status": "S"}
 
@@ -203,14 +203,14 @@ def _field_place(header: bytes, group: int, bit: int) -> tuple[int, Field] | Non
     return int(offset[0]), field
 
 
-def _line(offset: int, data: bytes, message: Any) -> Line:
+def _line(offset: int, data: bytes, message: Any) -> AsciiLine:
     body = lib.imu_line_body(message)
     count = lib.imu_line_fields(body)
     texts = [lib.imu_line_field(body, number) for number in range(count)]
     fields = tuple(_chars(text) for text in texts)
     wide = lib.imu_line_check(message) == lib.IMU_CHECK_CRC16
     digits = data.rpartition(b"*")[2][: 4 if wide else 2]
-    return Line(
+    return AsciiLine(
         offset,
         data,
         fields,

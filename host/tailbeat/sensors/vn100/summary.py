@@ -16,7 +16,7 @@ from typing import IO, Any
 import numpy as np
 
 from tailbeat.core.imu_fields import error_words
-from tailbeat.sensors.vn100.decode import Binary, Counters, Line, Message, Values
+from tailbeat.sensors.vn100.decode import AsciiLine, Binary, Counters, Message, Values
 
 BITS_PER_BYTE = 10  # 8N1
 
@@ -106,7 +106,7 @@ def _count(which: Any) -> int:
     return int(np.count_nonzero(which))
 
 
-class Summary:
+class StreamSummary:
     """Collects messages; keeps 16 bytes per frame that has a time."""
 
     def __init__(self) -> None:
@@ -129,7 +129,7 @@ class Summary:
         else:
             self._add_line(message)
 
-    def _add_line(self, line: Line) -> None:
+    def _add_line(self, line: AsciiLine) -> None:
         self.ascii_valid += 1
         self._check_chain = _chained(self._check_chain, line.check)
         self.ascii_types[line.type] = self.ascii_types.get(line.type, 0) + 1
@@ -184,7 +184,7 @@ class Summary:
 
 
 def hints(
-    summary: Summary, streams: list[StreamReport], counters: Counters, size_bytes: int
+    summary: StreamSummary, streams: list[StreamReport], counters: Counters, size_bytes: int
 ) -> list[str]:
     """What a person should know or do, one sentence or two each."""
     found = [
@@ -217,7 +217,7 @@ def _damage(counters: Counters, messages: int) -> list[str]:
     ]
 
 
-def _strangers(summary: Summary, counters: Counters, size_bytes: int) -> list[str]:
+def _strangers(summary: StreamSummary, counters: Counters, size_bytes: int) -> list[str]:
     tail = size_bytes - summary.end_of_last
     inside = counters.skipped_bytes - tail
     found = []
@@ -314,7 +314,7 @@ class CsvFiles:
 
 def _word(message: Message) -> str:
     """The kind, as file names like it."""
-    if isinstance(message, Line):
+    if isinstance(message, AsciiLine):
         return message.kind
     return "_".join(re.findall(r"\b[0-9A-F]{2,4}\b", message.kind))
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import IMU_STARTING
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.sensors.camera.tracking.tracker import Repeats
+from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
 from tailbeat.session.preflight.step import Pose, Wanted
 
 if TYPE_CHECKING:
@@ -249,7 +249,7 @@ class Sight:
         self.frames: deque[Frame] = deque()
         self._fish, self._camera = fish, camera
         self._keep_s = keep_s + _KEPT_MORE_S
-        self._repeats = Repeats(camera)
+        self._repeats = RepeatFilter(camera)
         self._doubted: list[Frame] = []
         self._seen_at_s = fish.transport.now_s()
         camera.frames()  # what it saw before does not count

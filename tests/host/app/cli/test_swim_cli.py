@@ -19,10 +19,10 @@ from tailbeat.core.frames import Frame
 from tailbeat.core.trial_file import read_trial
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.source.film import Film
-from tailbeat.sensors.camera.source.picture import Picture
+from tailbeat.sensors.camera.source.picture import TimedImage
 from tailbeat.sensors.camera.sync.sync import Sync
 from tailbeat.sensors.camera.tracking.live import VideoCamera
-from tailbeat.sensors.camera.tracking.tracker import Place
+from tailbeat.sensors.camera.tracking.tracker import TrackedImage
 from tailbeat.sim.board import SimTransport, SimulatedBoard
 from tailbeat.sim.native import SimBoard
 from tailbeat.sim.world import CameraFrame
@@ -45,7 +45,7 @@ class Device:
         self.latency_s = latency_s
         self.fails_at_s = np.inf
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         self._due += self._board.camera_frames()
         if self._board.time_s > self.fails_at_s:
             raise InputError("cam was unplugged", "Plug it in.")
@@ -54,7 +54,7 @@ class Device:
         at = self._due.popleft()
         index = round(at.time_s * 25)
         SEEN[index] = at
-        return Picture(index, at.time_s - self.latency_s, np.zeros(SIZE[::-1], np.uint8))
+        return TimedImage(index, at.time_s - self.latency_s, np.zeros(SIZE[::-1], np.uint8))
 
     def close(self) -> None:
         self.closed = True
@@ -66,10 +66,10 @@ class Eyes:
     def __init__(self, marker: Any, calibration: Any, name: str, glow: bool = False) -> None:
         pass
 
-    def look(self, picture: Picture) -> Place:
+    def look(self, picture: TimedImage) -> TrackedImage:
         at = SEEN[picture.index]
         frame = Frame(picture.t_s, at.x_m, at.y_m, at.heading_rad)
-        return Place(picture.index, picture.t_s, frame, None, None)
+        return TrackedImage(picture.index, picture.t_s, frame, None, None)
 
 
 @pytest.fixture

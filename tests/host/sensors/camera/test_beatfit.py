@@ -10,7 +10,7 @@ import pytest
 
 from tailbeat.core.native import lib
 from tailbeat.core.reference import thesis
-from tailbeat.sensors.camera.speed.line_fit import BeatFit, SpeedSample
+from tailbeat.sensors.camera.speed.smoother import BeatFit, SpeedSample
 from tailbeat.sim.world import Wires
 
 

@@ -35,7 +35,6 @@ from tailbeat.sensors.camera.calibration.calibrate import (
 from tailbeat.sensors.camera.calibration.file import load_calibration
 from tailbeat.sensors.camera.calibration.intrinsics import View, Viewer, find_intrinsics
 from tailbeat.sensors.camera.calibration.points import TankPoint, read_points, rectangle
-from tailbeat.sensors.camera.marker.printed import board, find_markers
 from tailbeat.sensors.camera.marker.sheets import (
     PAPERS_MM,
     Sheet,
@@ -46,6 +45,7 @@ from tailbeat.sensors.camera.marker.sheets import (
     ruler_sheet,
     write_sheet,
 )
+from tailbeat.sensors.camera.marker.tags import board, find_markers
 from tailbeat.sensors.camera.source.open import read_all, read_grey
 
 cv2: Any = opencv

@@ -19,7 +19,7 @@ from tailbeat.core.lazy import LazyModule  # noqa: E402
 from tailbeat.sensors.camera.opencv import require_av  # noqa: E402
 from tailbeat.sensors.camera.source import film as filmfile  # noqa: E402
 from tailbeat.sensors.camera.source.film import Film, FilmWriter  # noqa: E402
-from tailbeat.sensors.camera.source.picture import Image, Picture  # noqa: E402
+from tailbeat.sensors.camera.source.picture import Image, TimedImage  # noqa: E402
 
 SIZE = (96, 64)
 COUNT = 40
@@ -79,7 +79,7 @@ def written(path: Path, times_s: Sequence[float], size: tuple[int, int] = SIZE) 
     return path
 
 
-def pictures(film: Film) -> tuple[list[Picture], InputError | None]:
+def pictures(film: Film) -> tuple[list[TimedImage], InputError | None]:
     """All it gives, and what ended it."""
     found = []
     try:
@@ -90,7 +90,7 @@ def pictures(film: Film) -> tuple[list[Picture], InputError | None]:
     return found, None
 
 
-def seen(path: Path) -> list[Picture]:
+def seen(path: Path) -> list[TimedImage]:
     found, error = pictures(Film(path))
     assert error is None, error
     return found

@@ -16,10 +16,10 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.frames import CameraGone, Frame, Unseen
 from tailbeat.link.messages import BeatEvent, BoardStatus
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.sensors.camera.source.picture import Picture
+from tailbeat.sensors.camera.source.picture import TimedImage
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN
-from tailbeat.sensors.camera.tracking.tracker import Place, Repeats
+from tailbeat.sensors.camera.tracking.tracker import RepeatFilter, TrackedImage
 from tailbeat.session import trial as trialrun
 from tailbeat.session.events import (
     Event,
@@ -38,8 +38,8 @@ GRACE_S = 600.0  # after which a thread hangs; nothing waits so long otherwise
 IMAGE = np.zeros((4, 6), dtype=np.uint8)
 
 
-def picture(index: int) -> Picture:
-    return Picture(index, index / 25, IMAGE)
+def picture(index: int) -> TimedImage:
+    return TimedImage(index, index / 25, IMAGE)
 
 
 class Device:
@@ -47,15 +47,15 @@ class Device:
 
     def __init__(self, clock: Any = "host") -> None:
         self.name, self.clock, self.fps, self.size_px = "a device", clock, 25.0, (6, 4)
-        self.coming: Queue[Picture | Exception | None] = Queue()
+        self.coming: Queue[TimedImage | Exception | None] = Queue()
         self.ended = False
         self.closed = threading.Event()
 
-    def put(self, *what: Picture | Exception | None) -> None:
+    def put(self, *what: TimedImage | Exception | None) -> None:
         for each in what:
             self.coming.put(each)
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         what = self.coming.get(timeout=GRACE_S)
         if isinstance(what, Exception):
             raise what
@@ -78,13 +78,13 @@ class Eyes:
         if go:
             self.go.set()
 
-    def look(self, picture: Picture) -> Place:
+    def look(self, picture: TimedImage) -> TrackedImage:
         self.looking.put(picture.index)
         assert self.go.wait(GRACE_S)
         if picture.index in self.trouble:
             raise self.trouble[picture.index]
         frame = None if picture.index in self.hidden else Frame(picture.t_s, picture.index * 1e-3)
-        return Place(picture.index, picture.t_s, frame, None, None)
+        return TrackedImage(picture.index, picture.t_s, frame, None, None)
 
     def wait_for(self, index: int) -> None:
         """Until that picture is being looked at; all before it are done then."""
@@ -223,7 +223,7 @@ def test_a_film_is_no_camera() -> None:
 class InStep(Device):
     """A device in virtual time: what is not there yet does not come by waiting."""
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         if self.coming.empty():
             return None
         what = self.coming.get_nowait()
@@ -548,14 +548,14 @@ def positions(*x_m: float, begin_s: float = 0.0) -> list[Frame]:
 
 def test_a_coarse_camera_loses_nothing() -> None:
     """Positions in steps that last less than a second come late, but come."""
-    repeats = Repeats()
+    repeats = RepeatFilter()
     frames = positions(*(0.01 * (k // 20) for k in range(200)))
     believed = [frame for each in frames for frame in repeats.new([each])]
     assert believed == frames[:181] and not repeats.frozen
 
 
 def test_a_picture_that_moves_again_is_believed_again() -> None:
-    repeats = Repeats()
+    repeats = RepeatFilter()
     moving = positions(*(0.01 * k for k in range(50)))
     still = positions(*[0.49] * 50, begin_s=2.0)
     again = positions(*(0.6 + 0.01 * k for k in range(50)), begin_s=4.0)

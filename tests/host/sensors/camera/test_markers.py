@@ -17,7 +17,7 @@ import pytest
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.marker.detector import Marker, detector_for
-from tailbeat.sensors.camera.marker.tags import Sighting, Window
+from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow
 from tailbeat.sensors.camera.source.picture import Image
 
 Floats = F64
@@ -89,7 +89,7 @@ def pictures(kind: str, side_px: float, count: int, seed: int) -> list[tuple[Flo
     return [(corners, drawn(kind, 7, corners, rng)) for corners in truths]
 
 
-def seen(kind: str, image: Image, window: Window | None = None) -> Sighting:
+def seen(kind: str, image: Image, window: SearchWindow | None = None) -> Detection:
     (sighting,) = detector_for(Marker(kind)).find(image, window)  # type: ignore[arg-type]
     return sighting
 
@@ -156,14 +156,14 @@ def test_opencv_in_the_whole_picture_agrees_with_the_window(kind: str) -> None:
     corners = askew(rng, 48)
     left, top = 301, 199
     wide[top : top + SIZE_PX[1], left : left + SIZE_PX[0]] = drawn(kind, 7, corners, rng)
-    window = Window(left + 3, top + 2, left + SIZE_PX[0] - 5, top + SIZE_PX[1])
+    window = SearchWindow(left + 3, top + 2, left + SIZE_PX[0] - 5, top + SIZE_PX[1])
     whole, part = seen(kind, wide), seen(kind, wide, window)
     assert part.centre_px == pytest.approx(whole.centre_px, abs=0.01)
     assert part.corners_px == pytest.approx(whole.corners_px, abs=0.02)
     theirs = opencv_corners(kind, wide, cv2.aruco.CORNER_REFINE_SUBPIX)
     assert theirs is not None
     assert np.abs(theirs - part.corners_px).max() < 1.0  # front left first, clockwise, as OpenCV
-    away = Window(0, 0, 200, 200)
+    away = SearchWindow(0, 0, 200, 200)
     assert detector_for(Marker(kind)).find(wide, away) == []  # type: ignore[arg-type]
 
 

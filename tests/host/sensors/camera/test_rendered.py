@@ -17,12 +17,10 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import read_trial
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
 from tailbeat.sensors.camera.marker.detector import Marker
-from tailbeat.sensors.camera.render.canvas import Canvas, stamp
-from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Optics, Scene
-from tailbeat.sensors.camera.render.source import RenderedDevice
-from tailbeat.sensors.camera.render.sprites import Body
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import RenderedDevice, SimulatedCamera
+from tailbeat.sensors.camera.render.sprites import Body, Canvas, stamp
 from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.picture import Image
 from tailbeat.sensors.camera.sync.sync import sync, sync_by_yaw
@@ -36,7 +34,7 @@ SEED = 5
 CLEAN = Scene(pixel_noise=0, ripples=0)
 CLOSE = replace(CLEAN, tank_m=(1.2, 0.7), height_m=1.0)  # the marker has 54 pixels
 SMALL = replace(CLEAN, size_px=(640, 360))
-HERE = Truth(t_s=3.0, x_m=0.8, y_m=0.1, heading_rad=0.15, tail_rad=0.0, led=0.0)
+HERE = DrawnPose(t_s=3.0, x_m=0.8, y_m=0.1, heading_rad=0.15, tail_rad=0.0, led=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +47,11 @@ def small() -> Painter:
     return Painter(SMALL)
 
 
-def random_places(count: int) -> list[Truth]:
+def random_places(count: int) -> list[DrawnPose]:
     chances = np.random.default_rng(SEED)
     low, high = (0.0, -0.3, -0.7, -math.pi, -0.8), (40.0, 2.3, 0.7, math.pi, 0.8)
     drawn = chances.uniform(low, high, (count, 5))
-    return [Truth(*map(float, row), led=0.0) for row in drawn]
+    return [DrawnPose(*map(float, row), led=0.0) for row in drawn]
 
 
 def detected(image: Image, dictionary: int = cv2.aruco.DICT_4X4_50) -> list[tuple[int, Any]]:
@@ -71,7 +69,7 @@ def fish_in(image: Image, number: int = 7) -> list[Any]:
     return [corners for found, corners in detected(image) if found == number]
 
 
-def around(scene: Scene, truth: Truth, ahead_m: float, aside_m: float = 0.0) -> tuple[int, int]:
+def around(scene: Scene, truth: DrawnPose, ahead_m: float, aside_m: float = 0.0) -> tuple[int, int]:
     """The pixel (v, u) so far from the marker, in the fish's own directions."""
     c, s = math.cos(truth.heading_rad), math.sin(truth.heading_rad)
     place = truth.x_m + c * ahead_m - s * aside_m, truth.y_m + s * ahead_m + c * aside_m
@@ -361,7 +359,7 @@ def test_its_truth_is_that_of_the_film(exercise: Exercise) -> None:
         times.append(picture.t_s)
         row = rows[count]
         names = ("x_m", "y_m", "heading_rad", "tail_rad", "led")
-        here = Truth(picture.t_s, *(row[name] for name in names))
+        here = DrawnPose(picture.t_s, *(row[name] for name in names))
         difference = painter.paint(here, 0).astype(float) - picture.image
         assert np.abs(difference).mean() < 3
         v, u = around(SWIM.scene, here, 0.0)

@@ -17,7 +17,7 @@ from tailbeat.core import records
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.core.native import lib
-from tailbeat.sensors.camera.simulated import RemoteCamera, SimulatedCamera
+from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.world import FRAME_US, CameraFrame, Wires, World

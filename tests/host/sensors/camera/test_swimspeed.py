@@ -13,7 +13,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference, thesis
-from tailbeat.sensors.camera.simulated import SimulatedCamera
+from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.sensors.camera.speed import ripple_filter
 from tailbeat.sensors.camera.speed.smoother import (
     COLUMNS,

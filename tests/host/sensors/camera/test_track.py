@@ -16,9 +16,9 @@ from tailbeat.core.frames import Frame
 from tailbeat.report.figures.track import draw_track
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker
-from tailbeat.sensors.camera.marker.tags import Sighting
+from tailbeat.sensors.camera.marker.tags import Detection
 from tailbeat.sensors.camera.source.film import Film
-from tailbeat.sensors.camera.source.picture import Picture
+from tailbeat.sensors.camera.source.picture import TimedImage
 from tailbeat.sensors.camera.speed.smoother import SpeedCurve
 from tailbeat.sensors.camera.tracking import track as tracks
 from tailbeat.sensors.camera.tracking.overlay import Overlay
@@ -34,7 +34,7 @@ from tailbeat.sensors.camera.tracking.track import (
     track_of,
     write_track,
 )
-from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Place
+from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, TrackedImage
 
 cv2 = pytest.importorskip("cv2")
 pytest.importorskip("av")
@@ -56,11 +56,11 @@ class Source:
         self._fails = fails or {}
         self._next = iter(enumerate(times_s))
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         index, t_s = next(self._next, (-1, 0.0))
         if index in self._fails:
             raise self._fails[index]
-        return None if index < 0 else Picture(index, t_s, np.zeros((8, 8), np.uint8))
+        return None if index < 0 else TimedImage(index, t_s, np.zeros((8, 8), np.uint8))
 
     def close(self) -> None:
         pass
@@ -71,14 +71,14 @@ def swims(t_s: float) -> Frame:
     return Frame(t_s, 0.08 * t_s, 0.01 * t_s, math.remainder(2.5 * t_s, 2 * math.pi))
 
 
-def place(index: int, t_s: float, seen: bool = True, glow: int | None = None) -> Place:
+def place(index: int, t_s: float, seen: bool = True, glow: int | None = None) -> TrackedImage:
     if not seen:
-        return Place(index, t_s, None, None, None)
+        return TrackedImage(index, t_s, None, None, None)
     patch = None if glow is None else np.full(GLOW_SHAPE, glow, np.uint8)
-    return Place(index, t_s, swims(t_s), Sighting((1.0, 1.0), (2.0, 1.0), 3.0, 0.75), patch)
+    return TrackedImage(index, t_s, swims(t_s), Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.75), patch)
 
 
-def places(times_s: list[float], unseen: Set[int] = frozenset()) -> list[Place]:
+def places(times_s: list[float], unseen: Set[int] = frozenset()) -> list[TrackedImage]:
     return [place(i, t, i not in unseen) for i, t in enumerate(times_s)]
 
 
@@ -94,7 +94,7 @@ def fake_tracker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None
             def __init__(self, marker: Marker, calibration: Any, name: str, glow: bool) -> None:
                 self.glow = 9 if glow else None
 
-            def look(self, picture: Picture) -> Place:
+            def look(self, picture: TimedImage) -> TrackedImage:
                 return place(picture.index, picture.t_s, picture.index not in unseen, self.glow)
 
         monkeypatch.setattr(tracks, "Tracker", Fake)
@@ -230,11 +230,11 @@ def test_what_came_before_the_head_was_known_is_turned_around() -> None:
     """A blob whose detector takes the other end for the head in picture 30, and again in 60."""
     patch, turned = (np.full(GLOW_SHAPE, n, np.uint8) for n in (7, 8))
 
-    def seen(index: int, t_s: float, turns: int) -> Place:
+    def seen(index: int, t_s: float, turns: int) -> TrackedImage:
         heading = 0.1 * math.sin(t_s) + math.pi * (turns != 1)
-        sighting = Sighting((1.0, 1.0), (2.0, 1.0), 3.0, 0.5, turns=turns)
+        sighting = Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.5, turns=turns)
         frame = Frame(t_s, 0.1 * t_s, 0.0, math.remainder(heading, 2 * math.pi))
-        return Place(index, t_s, frame, sighting, patch, turned)
+        return TrackedImage(index, t_s, frame, sighting, patch, turned)
 
     once = [seen(i, t, int(i >= 30)) for i, t in enumerate(EVEN_S[:60])]
     once[10] = place(10, EVEN_S[10], seen=False)
@@ -386,7 +386,7 @@ GREY = 90
 CORNERS = np.array([[60.0, 40.0], [60.0, 60.0], [40.0, 60.0], [40.0, 40.0]])  # looks to the right
 
 
-def drawn(path: Path, seen: list[bool], colour: bool = False) -> list[Picture]:
+def drawn(path: Path, seen: list[bool], colour: bool = False) -> list[TimedImage]:
     """What an overlay made of pictures in which a marker goes down by 20 pixels each."""
     shape = (240, 320, 3) if colour else (240, 320)
     with Overlay(path, (320, 240), 2) as overlay:
@@ -394,18 +394,18 @@ def drawn(path: Path, seen: list[bool], colour: bool = False) -> list[Picture]:
             t_s = 0.5 * index
             image = np.full(shape, GREY, np.uint8)
             down = np.array([100.0, 40.0 + 20 * index])
-            sighting = Sighting(
+            sighting = Detection(
                 (50 + down[0], 50 + down[1]), (60 + down[0], 50 + down[1]), 20, 0.5, CORNERS + down
             )
-            where = Place(index, t_s, swims(t_s), sighting, None)
-            gone = Place(index, t_s, None, None, None)
-            overlay(Picture(index, t_s, image), where if there else gone, 0.081)
+            where = TrackedImage(index, t_s, swims(t_s), sighting, None)
+            gone = TrackedImage(index, t_s, None, None, None)
+            overlay(TimedImage(index, t_s, image), where if there else gone, 0.081)
             assert (image == GREY).all()  # the picture is its holder's
     film = Film(path, colour=True)
     return list(iter(film.read, None))
 
 
-def coloured(picture: Picture, u: float, v: float, bgr: tuple[int, int, int]) -> bool:
+def coloured(picture: TimedImage, u: float, v: float, bgr: tuple[int, int, int]) -> bool:
     """Whether about that colour is at most 2 pixels away; films have little of it."""
     around = picture.image[round(v) - 2 : round(v) + 3, round(u) - 2 : round(u) + 3].astype(int)
     return bool((np.abs(around - bgr).max(axis=2) < 90).any())
@@ -441,10 +441,10 @@ def test_overlay_forgets_the_way(tmp_path: Path) -> None:
 
 def test_overlay_of_a_blob(tmp_path: Path) -> None:
     path = tmp_path / "o.mp4"
-    blob = Sighting((150.0, 120.0), (190.0, 120.0), 30.0, 0.5)
+    blob = Detection((150.0, 120.0), (190.0, 120.0), 30.0, 0.5)
     with Overlay(path, (320, 240), 25) as overlay:
-        picture = Picture(0, 0.0, np.full((240, 320), GREY, np.uint8))
-        overlay(picture, Place(0, 0.0, swims(0.0), blob, None))
+        picture = TimedImage(0, 0.0, np.full((240, 320), GREY, np.uint8))
+        overlay(picture, TrackedImage(0, 0.0, swims(0.0), blob, None))
     first = Film(path, colour=True).read()
     assert first is not None
     for u, v in ((190, 105), (190, 135), (110, 105), (110, 135)):
@@ -501,7 +501,9 @@ def test_picture(tmp_path: Path) -> None:
 
 def test_picture_is_to_scale(tmp_path: Path) -> None:
     """A square basin is a square, and y goes down, as in the camera's pictures."""
-    found = track_of([Place(i, t, Frame(t, t, 0.2 * t), None, None) for i, t in enumerate(EVEN_S)])
+    found = track_of(
+        [TrackedImage(i, t, Frame(t, t, 0.2 * t), None, None) for i, t in enumerate(EVEN_S)]
+    )
     area = np.array([[-1.0, -2.5], [5.0, -2.5], [5.0, 3.5], [-1.0, 3.5]])
     calibration = Calibration((640, 480), np.eye(3), np.zeros(5), np.eye(3), area_m=area)
     path = tmp_path / "a.png"
@@ -523,7 +525,9 @@ def test_labels_on_a_short_way_do_not_lie_on_each_other(tmp_path: Path) -> None:
     calibration = Calibration((640, 480), np.eye(3), np.zeros(5), np.eye(3), area_m=area)
     ink = {}
     for name, speed, count in (("brief", 0.0, 10), ("short", 1e-3, 150), ("long", 1.0, 150)):
-        way = [Place(i, i / 25, Frame(i / 25, speed * i / 25), None, None) for i in range(count)]
+        way = [
+            TrackedImage(i, i / 25, Frame(i / 25, speed * i / 25), None, None) for i in range(count)
+        ]
         path = tmp_path / f"{name}.png"
         draw_track(track_of(way), None, path, calibration)
         dark = cv2.imread(str(path))[330:392, 120:1340].max(axis=2) < 90  # above the way

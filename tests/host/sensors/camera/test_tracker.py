@@ -16,17 +16,17 @@ from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.blob import BlobDetector
 from tailbeat.sensors.camera.marker.detector import Marker
-from tailbeat.sensors.camera.marker.tags import Sighting, Window
-from tailbeat.sensors.camera.render.painter import Painter, Truth
+from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow
+from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.source.picture import Image, Picture
+from tailbeat.sensors.camera.source.picture import Image, TimedImage
 from tailbeat.sensors.camera.tracking.tracker import (
     GLOW_CELL_M,
     GLOW_HALF_WIDTH_M,
     GLOW_LEFT_M,
     GLOW_RIGHT_M,
     GLOW_SHAPE,
-    Place,
+    TrackedImage,
     Tracker,
     glow_around,
 )
@@ -40,26 +40,26 @@ def painter(scene: Scene) -> Painter:
     return Painter(scene)
 
 
-def swum(t_s: float) -> Truth:
+def swum(t_s: float) -> DrawnPose:
     """Rests half a second, then swims at 0.1 m/s, heading and tail wagging once a second."""
     swims = t_s >= 0.5
     wag = math.sin(2 * math.pi * (t_s - 0.5)) if swims else 0.0
     x_m = 0.1 * (t_s - 0.5) if swims else 0.0
-    return Truth(t_s, x_m, 0.05, 0.1 * wag, 0.5 * wag, 0.0, 0.1 * swims)
+    return DrawnPose(t_s, x_m, 0.05, 0.1 * wag, 0.5 * wag, 0.0, 0.1 * swims)
 
 
 def film(
-    scene: Scene, times: Iterable[float], where: Callable[[float], Truth] = swum
-) -> list[tuple[Truth, Picture]]:
+    scene: Scene, times: Iterable[float], where: Callable[[float], DrawnPose] = swum
+) -> list[tuple[DrawnPose, TimedImage]]:
     draw = painter(scene).paint
-    return [(where(t), Picture(k, t, draw(where(t), k))) for k, t in enumerate(times)]
+    return [(where(t), TimedImage(k, t, draw(where(t), k))) for k, t in enumerate(times)]
 
 
 def even(count: int, fps: float = FPS) -> list[float]:
     return [k / fps for k in range(count)]
 
 
-def follow(tracker: Tracker, pictures: list[tuple[Truth, Picture]]) -> list[Place]:
+def follow(tracker: Tracker, pictures: list[tuple[DrawnPose, TimedImage]]) -> list[TrackedImage]:
     return [tracker.look(picture) for _, picture in pictures]
 
 
@@ -144,7 +144,7 @@ def test_a_marker_of_another_size_says_that_the_scale_is_wrong(side_m: float, wr
 def test_pictures_of_another_size() -> None:
     tracker = Tracker(ARUCO, Scene().calibration(), "a film")
     with pytest.raises(InputError, match=r"640x480.*1280x720"):
-        tracker.look(Picture(0, 0.0, np.zeros((480, 640), np.uint8)))
+        tracker.look(TimedImage(0, 0.0, np.zeros((480, 640), np.uint8)))
 
 
 @pytest.mark.parametrize("kind", ["aruco", "apriltag"])
@@ -168,17 +168,17 @@ def test_the_led_stays_in_its_cell_while_the_fish_turns() -> None:
     row = math.floor((right_m + GLOW_HALF_WIDTH_M) / GLOW_CELL_M)
     column = math.floor((behind_m - GLOW_LEFT_M) / GLOW_CELL_M)
     for k, heading in enumerate(np.linspace(-math.pi, math.pi, 9)):
-        truth = Truth(0.0, 0.9 + 0.1 * k, 0.1 * (k - 4), float(heading), 0.0, 0.0)
+        truth = DrawnPose(0.0, 0.9 + 0.1 * k, 0.1 * (k - 4), float(heading), 0.0, 0.0)
         image = painter(scene).paint(truth, k)
         tracker = Tracker(ARUCO, calibration, "a film", glow=True)
-        dark = tracker.look(Picture(0, 0.0, image)).glow
+        dark = tracker.look(TimedImage(0, 0.0, image)).glow
         ahead = np.array([math.cos(heading), math.sin(heading)])
         aside = np.array([-ahead[1], ahead[0]])
         dot = np.array([truth.x_m, truth.y_m]) + behind_m * ahead + right_m * aside
         (u, v) = np.rint(calibration.to_pixels(dot[None])[0]).astype(int)
         lit_image = image.copy()
         lit_image[v, u] = 255
-        lit = tracker.look(Picture(1, 0.04, lit_image)).glow
+        lit = tracker.look(TimedImage(1, 0.04, lit_image)).glow
         assert dark is not None
         assert lit is not None
         assert dark.shape == GLOW_SHAPE
@@ -208,9 +208,9 @@ class Told:
 
     def __init__(self) -> None:
         self.places: list[tuple[float, float]] = []
-        self.windows: list[Window | None] = []
+        self.windows: list[SearchWindow | None] = []
 
-    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+    def find(self, grey: Image, window: SearchWindow | None = None) -> list[Detection]:
         self.windows.append(window)
         pixels = [(x * PX_PER_M, y * PX_PER_M) for x, y in self.places]
         seen = [
@@ -219,7 +219,7 @@ class Told:
             if window is None
             or (window.left <= u < window.right and window.top <= v < window.bottom)
         ]
-        return [Sighting((u, v), (u + 7.5, v), 15.0, 1.0) for u, v in seen]
+        return [Detection((u, v), (u + 7.5, v), 15.0, 1.0) for u, v in seen]
 
 
 @pytest.fixture
@@ -237,7 +237,7 @@ NOTHING = np.zeros((600, 800), np.uint8)
 
 def seen_at(tracker: Tracker, told: Told, t_s: float, *places: tuple[float, float]) -> float | None:
     told.places = list(places)
-    frame = tracker.look(Picture(round(t_s * FPS), t_s, NOTHING)).frame
+    frame = tracker.look(TimedImage(round(t_s * FPS), t_s, NOTHING)).frame
     return None if frame is None else frame.x_m
 
 
@@ -314,9 +314,9 @@ def test_the_heading_turns_clockwise_as_seen_from_above(told: Told) -> None:
     calibration = straight_down()
     tracker = Tracker(Marker(), calibration, "a film")
     told.places = [(1.0, 1.0)]
-    down = Sighting((250.0, 250.0), (250.0, 257.5), 15.0, 1.0)
+    down = Detection((250.0, 250.0), (250.0, 257.5), 15.0, 1.0)
     told.find = lambda grey, window=None: [down]  # type: ignore[method-assign]
-    frame = tracker.look(Picture(0, 0.0, NOTHING)).frame
+    frame = tracker.look(TimedImage(0, 0.0, NOTHING)).frame
     assert frame is not None
     assert frame.heading_rad == pytest.approx(math.pi / 2)
 
@@ -346,9 +346,9 @@ def test_a_small_blobs_head_is_where_its_tail_is_not_and_its_heading_the_bodys()
     """Lies still at first, so that only its shape tells; 22 pixels wide, its tail wags by 0.4 rad
     against a body that turns by 0.1."""
 
-    def wags(t_s: float) -> Truth:
+    def wags(t_s: float) -> DrawnPose:
         wag = math.sin(2 * math.pi * t_s)
-        return Truth(t_s, 0.0, 0.05, 0.1 * wag, -0.4 * wag, 0.0)
+        return DrawnPose(t_s, 0.0, 0.05, 0.1 * wag, -0.4 * wag, 0.0)
 
     scene = Scene(marker="blob", size_px=(960, 540))
     tracker = Tracker(Marker("blob"), scene.calibration(), "a film")
@@ -369,7 +369,7 @@ def test_a_blobs_glow_is_also_that_of_a_fish_the_other_way_round() -> None:
     scene = Scene(marker="blob")
     image = painter(scene).paint(replace(swum(0.0), x_m=0.3, heading_rad=0.4), 0)
     tracker = Tracker(Marker("blob"), scene.calibration(), "a film", glow=True)
-    place = tracker.look(Picture(0, 0.0, image))
+    place = tracker.look(TimedImage(0, 0.0, image))
     turned = place.turned()
     assert place.frame is not None and turned.frame is not None
     assert turned.frame.heading_rad - place.frame.heading_rad == pytest.approx(math.pi)

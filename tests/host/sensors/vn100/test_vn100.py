@@ -22,8 +22,8 @@ from tailbeat.core.faults import all_problems, problem_info
 from tailbeat.core.imu_fields import ASCII, BINARY
 from tailbeat.core.native import ffi, lib
 from tailbeat.sensors.vn100 import decode
-from tailbeat.sensors.vn100.decode import Binary, Line, Message, Reader
-from tailbeat.sensors.vn100.summary import Summary
+from tailbeat.sensors.vn100.decode import AsciiLine, Binary, Message, Reader
+from tailbeat.sensors.vn100.summary import StreamSummary
 
 ROOT = Path(__file__).resolve().parents[4]
 RECORDINGS = Path(os.environ.get("TAILBEAT_RECORDINGS", ROOT.parent / "shared/data/vn100"))
@@ -92,7 +92,7 @@ def read(data: bytes, chunk: int = EVERYTHING) -> tuple[list[Message], Reader]:
 
 def document(data: bytes, chunk: int = EVERYTHING) -> dict[str, Any]:
     messages, reader = read(data, chunk)
-    summary = Summary()
+    summary = StreamSummary()
     for message in messages:
         summary.add(message)
     return summary.document(reader.counters, reader.bytes)
@@ -122,7 +122,7 @@ def test_first_and_last_messages(name: str) -> None:
     want = expected(name)
     messages, _ = read((RECORDINGS / name).read_bytes(), 7)
     frames = [m for m in messages if isinstance(m, Binary)]
-    lines = [m for m in messages if isinstance(m, Line)]
+    lines = [m for m in messages if isinstance(m, AsciiLine)]
     for key, index in (("first_ascii", 0), ("last_ascii", -1)):
         if key in want:
             assert lines[index].offset == want[key]["offset"]
@@ -202,7 +202,7 @@ def test_vectors(vector: dict[str, str], chunk: int) -> None:
         assert reader.counters.skipped_bytes == len(data)
         return
     assert [m.data for m in messages] == [data]
-    assert isinstance(messages[0], Binary if binary else Line)
+    assert isinstance(messages[0], Binary if binary else AsciiLine)
     if binary:
         same_values(messages[0], vector["expected"])
     else:
@@ -248,7 +248,7 @@ def same_values(frame: Message, text: str) -> None:
 
 
 def same_line(message: Message, content: str, vector: dict[str, str]) -> None:
-    assert isinstance(message, Line)
+    assert isinstance(message, AsciiLine)
     body, _, check = content[1:].partition("*")
     assert message.fields == tuple(body.split(","))
     assert message.check == int(check, 16)
@@ -335,8 +335,8 @@ def test_columns_of_ascii_types(kind: str, columns: str) -> None:
 
 def test_lines_that_are_no_measurement() -> None:
     (reply, error), _ = read(line("VNRRG,01,VN-100S-CR") + line("VNERR,0A"))
-    assert isinstance(reply, Line)
-    assert isinstance(error, Line)
+    assert isinstance(reply, AsciiLine)
+    assert isinstance(error, AsciiLine)
     assert (reply.type, reply.values, reply.fields[2]) == ("VNRRG", {}, "VN-100S-CR")
     assert error.error == 10
 

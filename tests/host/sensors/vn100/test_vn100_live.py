@@ -20,8 +20,15 @@ from tailbeat.app.cli import run
 from tailbeat.core.errors import InputError, LinkLostError
 from tailbeat.core.native import ffi, lib
 from tailbeat.sensors.vn100.decode import Reader
-from tailbeat.sensors.vn100.driver import Driver
-from tailbeat.sensors.vn100.live import BAUDS, Live, SensorError, SerialSource, configure, find_baud
+from tailbeat.sensors.vn100.live import (
+    BAUDS,
+    Driver,
+    LiveSensor,
+    SensorError,
+    SerialSource,
+    configure,
+    find_baud,
+)
 
 YMR = (
     b"$VNYMR,+100.949,-007.330,+000.715,-00.0049,-00.2449,+00.5397,-01.258,-00.100,-09.701,"
@@ -208,7 +215,7 @@ def test_listens_at_the_usual_rate_first(
 
 def test_finds_another_rate() -> None:
     source = ScriptedSource(lambda now_s: YMR, right_baud=921600)
-    assert find_baud(Live(source)) == 921600
+    assert find_baud(LiveSensor(source)) == 921600
     assert source.bauds == list(BAUDS[: BAUDS.index(921600) + 1])
 
 
@@ -299,7 +306,7 @@ def test_a_half_message_is_given_up_in_a_silence() -> None:
 
     source = ScriptedSource(make)
     source.set_baud(115200)
-    live = Live(source)
+    live = LiveSensor(source)
     assert sum(map(len, live.batches(1.0))) >= 20
     assert live.reader.counters.crc_failed == 0
     assert live.reader.counters.dropped == 1
@@ -337,7 +344,7 @@ def test_a_serial_port(capsys: pytest.CaptureFixture[str], pty_port: str) -> Non
 @pytest.mark.parametrize(("port", "baud", "rate"), [(1, 115200, 100), (2, 230400, 200)])
 def test_sets_the_simulated_sensor_up(firmware: int, port: int, baud: int, rate: int) -> None:
     sensor = SimulatedSensor(imu_firmware=firmware, imu_port=port, imu_noise=1.0)
-    live = Live(sensor, Driver(baud, rate, sensor.now_s()))
+    live = LiveSensor(sensor, Driver(baud, rate, sensor.now_s()))
     setup = configure(live)
     assert sensor.now_s() < 5
     assert setup.model.startswith("VN-100")
@@ -375,16 +382,16 @@ def test_config_says_what_is_wrong() -> None:
     unplugged = SimulatedSensor()
     unplugged.plug(False)
     with pytest.raises(SensorError, match=r"nothing comes.*pins 8"):
-        configure(Live(unplugged, Driver(115200, 100, 0.0)))
+        configure(LiveSensor(unplugged, Driver(115200, 100, 0.0)))
     assert unplugged.now_s() < 6
     talking = ScriptedSource(lambda now_s: YMR)
     with pytest.raises(SensorError, match="answers no command"):
-        configure(Live(talking, Driver(115200, 100, talking.now_s())))
+        configure(LiveSensor(talking, Driver(115200, 100, talking.now_s())))
 
 
 def test_a_restarted_sensor_is_set_up_again() -> None:
     sensor = SimulatedSensor()
-    live = Live(sensor, Driver(115200, 100, sensor.now_s()))
+    live = LiveSensor(sensor, Driver(115200, 100, sensor.now_s()))
     configure(live)
     list(live.batches(1.0))
     sensor.reboot()
@@ -397,7 +404,7 @@ def test_a_restarted_sensor_is_set_up_again() -> None:
 def test_a_clock_that_falls_is_a_restart() -> None:
     sensor = SimulatedSensor()
     driver = Driver(115200, 100, sensor.now_s())
-    configure(Live(sensor, driver))
+    configure(LiveSensor(sensor, driver))
     (message,) = Reader().push(fish_frame(10**15))
     driver.take(message, sensor.now_s())
     assert driver.state == "streaming"

@@ -32,7 +32,7 @@ from tailbeat.sensors.camera.calibration.points import (
     located,
     tank_anchors,
 )
-from tailbeat.sensors.camera.marker.printed import RULER_IDS, anchors_of, find_markers
+from tailbeat.sensors.camera.marker.tags import RULER_IDS, anchors_of, find_markers
 from tailbeat.sensors.camera.source.picture import Image
 
 END_SIGMA_PX = 0.2

@@ -122,16 +122,12 @@ class Calibration:
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all. Raises InputError when the calibration makes no
         sense or the file cannot be written."""
-        pass
-
         check_sense(self, "this calibration")
         write_whole(path, json.dumps(_document(self), indent=1, allow_nan=False) + "\n")
 
 
 def load_calibration(path: Path) -> Calibration:
     """Reads a file of ``save``. Raises InputError when it is none or makes no sense."""
-    pass
-
     try:
         with path.open("rb") as file:
             data = file.read(_BYTES_MAX + 1)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
-from tailbeat.sensors.camera.marker.printed import BOARD_SQUARES, board
+from tailbeat.sensors.camera.marker.tags import BOARD_SQUARES, board
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
@@ -157,7 +157,7 @@ def find_intrinsics(
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _LensFit:
     rms_px: float
     matrix: F64
     distortion: F64
@@ -203,7 +203,7 @@ def _check_enough(views: list[View], dropped: dict[str, str]) -> None:
 
 def _fit_without_outliers(
     views: list[View], size_px: tuple[int, int], dropped: dict[str, str]
-) -> tuple[_Fit, list[View]]:
+) -> tuple[_LensFit, list[View]]:
     """A picture that fits far worse than the others was taken while something moved."""
     found = _fit(views, size_px)
     limit = max(_ERROR_FINE_PX, _ERROR_OVER_MEDIAN * float(np.median(found.errors_px)))
@@ -217,7 +217,7 @@ def _fit_without_outliers(
     return _fit(kept, size_px), kept
 
 
-def _fit(views: list[View], size_px: tuple[int, int]) -> _Fit:
+def _fit(views: list[View], size_px: tuple[int, int]) -> _LensFit:
     """With the third radial coefficient only where it is needed: it is ill determined, and wild
     outside the corners seen."""
     plain = _calibrated(views, size_px, cv2.CALIB_FIX_K3)
@@ -225,7 +225,7 @@ def _fit(views: list[View], size_px: tuple[int, int]) -> _Fit:
     return free if free.rms_px < _K3_GAIN * plain.rms_px else plain
 
 
-def _calibrated(views: list[View], size_px: tuple[int, int], flags: int) -> _Fit:
+def _calibrated(views: list[View], size_px: tuple[int, int], flags: int) -> _LensFit:
     try:
         rms, matrix, distortion, turns, _, sigma, _, errors = cv2.calibrateCameraExtended(
             [view.board_points for view in views],
@@ -239,11 +239,13 @@ def _calibrated(views: list[View], size_px: tuple[int, int], flags: int) -> _Fit
         raise InputError("no camera fits these pictures of the board", _MORE) from error
     focal_sigma = float(np.max(np.ravel(sigma)[:2] / matrix[[0, 1], [0, 1]]))
     tilts = np.array([np.arccos(abs(cv2.Rodrigues(turn)[0][2, 2])) for turn in turns])
-    return _Fit(float(rms), matrix, np.ravel(distortion)[:5], focal_sigma, np.ravel(errors), tilts)
+    return _LensFit(
+        float(rms), matrix, np.ravel(distortion)[:5], focal_sigma, np.ravel(errors), tilts
+    )
 
 
 def _judged(
-    found: _Fit, views: list[View], size_px: tuple[int, int], dropped: dict[str, str]
+    found: _LensFit, views: list[View], size_px: tuple[int, int], dropped: dict[str, str]
 ) -> Intrinsics:
     if not found.rms_px <= RMS_MAX_PX:
         raise InputError(

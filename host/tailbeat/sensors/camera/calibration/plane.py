@@ -25,7 +25,7 @@ _CLEARLY = 1.5
 
 
 @dataclass(frozen=True)
-class Fit:
+class PlaneFit:
     """A way to fit points. ``off_m(flat, places, used)``: how far each point (n,) is off when only
     those at the indices ``used`` are fitted; None = these tell nothing. ``rms_max_m``: of the
     points used. ``rigid``: only the camera's place is free, so that a wrong point cannot be made up
@@ -53,7 +53,7 @@ class _Without:
     good: bool
 
 
-def used_points(flat: F64, places: F64, names: list[str], fit: Fit) -> NDArray[np.intp]:
+def used_points(flat: F64, places: F64, names: list[str], fit: PlaneFit) -> NDArray[np.intp]:
     """Indices of the points that fit each other, all but at most a third; all when there is no such
     set or there are fewer than six. Raises InputError when it cannot be told which point is wrong.
 
@@ -73,7 +73,7 @@ def used_points(flat: F64, places: F64, names: list[str], fit: Fit) -> NDArray[n
     return used if off is not None and fit.good(off[used]) else everything
 
 
-def suspects(flat: F64, places: F64, fit: Fit) -> list[int]:
+def suspects(flat: F64, places: F64, fit: PlaneFit) -> list[int]:
     """Points without any one of which the others would fit; with fewer than five none, for four
     tell too little."""
     if len(flat) < _LEFT_MIN:
@@ -81,7 +81,7 @@ def suspects(flat: F64, places: F64, fit: Fit) -> list[int]:
     return [way.left_out for way in _ways(flat, places, np.arange(len(flat)), fit) if way.good]
 
 
-def _ways(flat: F64, places: F64, used: NDArray[np.intp], fit: Fit) -> list[_Without]:
+def _ways(flat: F64, places: F64, used: NDArray[np.intp], fit: PlaneFit) -> list[_Without]:
     """To leave out one more, the best first."""
     ways = []
     for i in used:
@@ -94,7 +94,7 @@ def _ways(flat: F64, places: F64, used: NDArray[np.intp], fit: Fit) -> list[_Wit
     return sorted(ways, key=lambda way: way.rms_m)
 
 
-def _check_unambiguous(ways: list[_Without], names: list[str], fit: Fit) -> None:
+def _check_unambiguous(ways: list[_Without], names: list[str], fit: PlaneFit) -> None:
     near = [way for way in ways if way.good]
     if fit.rigid and near:
         near = [way for way in near if way.rms_m < _CLEARLY * ways[0].rms_m or way is ways[0]]
@@ -220,7 +220,7 @@ def _seen_by(lens: Lens, rotation: F64, shift: F64) -> F64:
     return np.asarray(np.linalg.inv(from_tank), dtype=np.float64)
 
 
-def _fit(lens: Lens | None) -> Fit:
+def _fit(lens: Lens | None) -> PlaneFit:
     """With the camera's intrinsics only its place is free, without them any homography."""
 
     def off_m(flat: F64, places: F64, used: NDArray[np.intp]) -> F64 | None:
@@ -232,7 +232,7 @@ def _fit(lens: Lens | None) -> Fit:
             matrix = _seen_by(lens, *_pose(lens, flat[used], places[used]))
         return np.asarray(np.linalg.norm(_mapped(matrix, flat) - places, axis=1))
 
-    return Fit(off_m, RMS_MAX_M if lens is None else POSE_RMS_MAX_M, lens is not None)
+    return PlaneFit(off_m, RMS_MAX_M if lens is None else POSE_RMS_MAX_M, lens is not None)
 
 
 def raised(tank_from_image: F64, camera: CameraPlace, raise_m: float) -> F64:

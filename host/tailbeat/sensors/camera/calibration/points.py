@@ -15,7 +15,7 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
 from tailbeat.sensors.camera.calibration.file import Calibration, check_area
-from tailbeat.sensors.camera.marker.printed import anchors_of
+from tailbeat.sensors.camera.marker.tags import anchors_of
 from tailbeat.sensors.camera.opencv import cv2
 
 _LARGER_MAX = 2.0  # than what the picture shows

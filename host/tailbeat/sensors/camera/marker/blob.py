@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
-from tailbeat.sensors.camera.marker.tags import Sighting, Window
+from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
@@ -134,7 +134,7 @@ class BlobDetector:
         self._vote = 0.0
         self._turns = 0
 
-    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+    def find(self, grey: Image, window: SearchWindow | None = None) -> list[Detection]:
         """Everything that could be the fish, the clearest first. A ``window`` saves no time."""
         small = _shrunk(grey, self._shrink)
         if self._background is None:
@@ -184,13 +184,13 @@ class BlobDetector:
             return region.area_px <= _AREAS[1] * picture_px
         return _WIDTHS[0] <= region.width_px / self._width_px <= _WIDTHS[1]
 
-    def _sighting(self, region: _Region, first: bool) -> Sighting:
+    def _sighting(self, region: _Region, first: bool) -> Detection:
         axis = self._towards_head(region) if first else region.axis
         front = region.middle + axis * region.length_px / 2
         centre = (region.middle + 0.5) * self._shrink - 0.5
         front = (front + 0.5) * self._shrink - 0.5
         quality = _QUALITY_MAX * float(np.clip(region.contrast / _CONTRAST_GOOD, 0, 1))
-        return Sighting(
+        return Detection(
             (float(centre[0]), float(centre[1])),
             (float(front[0]), float(front[1])),
             region.width_px * self._shrink,
@@ -281,6 +281,6 @@ def _shrunk(image: Image, by: int) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _inside(one: Sighting, window: Window) -> bool:
+def _inside(one: Detection, window: SearchWindow) -> bool:
     u, v = one.centre_px
     return window.left <= u < window.right and window.top <= v < window.bottom

@@ -9,7 +9,8 @@ import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
-from tailbeat.sensors.camera.marker.tags import Detector
+from tailbeat.sensors.camera.marker.blob import BlobDetector
+from tailbeat.sensors.camera.marker.tags import Detector, TagDetector
 from tailbeat.sensors.camera.opencv import cv2, require_cv2
 
 MarkerKind = Literal["aruco", "apriltag", "blob"]
@@ -43,10 +44,7 @@ def detector_for(marker: Marker, calibration: Calibration | None = None) -> Dete
             "Give the length of the printed black square's side: --marker-side, in metres.",
         )
     if marker.kind == "blob":
-        from tailbeat.sensors.camera.marker.blob import BlobDetector
-
         return BlobDetector() if calibration is None else _blob_detector(marker, calibration)
-    from tailbeat.sensors.camera.marker.tags import TagDetector
 
     _check_id(marker)
     return TagDetector(marker.kind, lambda number: _may_be(marker, number))
@@ -71,7 +69,6 @@ def _check_id(marker: Marker) -> None:
 
 
 def _blob_detector(marker: Marker, calibration: Calibration) -> Detector:
-    from tailbeat.sensors.camera.marker.blob import BlobDetector
 
     middle_px = np.array(calibration.size_px) / 2
     places = calibration.to_tank(middle_px + np.array([[0.0, 0.0], [1.0, 0.0]]))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN
-from tailbeat.sensors.camera.marker.printed import (
+from tailbeat.sensors.camera.marker.tags import (
     ANCHOR_IDS,
     BOARD_MARKER,
     BOARD_SQUARES,

@@ -1,14 +1,13 @@
-"""What a detector finds in one picture.
+"""Printed markers (ArUco, AprilTag, the ChArUco board) and where they are in a picture.
 
-Where a marker's black square ends, far below a pixel: a straight line through each of its sides.
+OpenCV finds and decodes them. A marker's black square is measured by a robust straight line
+through each of its sides.
 
 Every side is crossed by 24 short profiles. The middle of a profile's rise from black to white is a
 point of the side; a line that does not mind a few bad points goes through all of a side, and lines
 meet in corners. Centre of a 25 pixel marker on pictures of known truth (tests/host/test_markers.py
 draws them; noise 2 of 255, blur 0.6 px), RMS over 150: this 0.02 px, OpenCV's CORNER_REFINE_CONTOUR
 0.11, SUBPIX 0.23, NONE 0.34, APRILTAG 0.65 (most of that a shift of 0.45 px in u and in v).
-
-Printed markers: ArUco and AprilTag, found and decoded by OpenCV, measured by edges.py.
 
 The marker is glued with its top towards the fish's head: the top of what OpenCV draws
 (cv2.aruco.generateImageMarker). For AprilTags pupil-apriltags, with AprilRobotics' own code inside,
@@ -19,17 +18,52 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.sensors.camera.opencv import cv2
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN
+from tailbeat.sensors.camera.opencv import cv2, require_cv2
 from tailbeat.sensors.camera.source.picture import Image
+
+RULER_IDS = (30, 31)  # of ArUco DICT_4X4_50
+ANCHOR_IDS = (40, 41, 42, 43)
+BOARD_SQUARES = (6, 8)  # columns, rows
+BOARD_MARKER = 0.75  # side of a board's marker over that of its square
+
+
+def board(square_m: float = 1.0) -> Any:
+    """The ChArUco board (cv2.aruco.CharucoBoard). Its markers are of another dictionary than
+    those at the tank, so that neither is taken for the other."""
+    aruco = cv2.aruco
+    words = aruco.getPredefinedDictionary(aruco.DICT_5X5_100)
+    return aruco.CharucoBoard(BOARD_SQUARES, square_m, square_m * BOARD_MARKER, words)
+
+
+def anchors_of(markers: dict[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
+    """Those that are fixed at the tank."""
+    return {i: place for i, place in markers.items() if i >= ANCHOR_ID_MIN}
+
+
+def find_markers(grey: Image, name: str) -> dict[int, tuple[float, float]]:
+    """ArUco DICT_4X4_50 markers in a picture: id -> centre in pixels. Raises InputError when two
+    have the same id."""
+    require_cv2()
+    found: dict[int, tuple[float, float]] = {}
+    for tag in TagReader("aruco").read(grey, wanted=lambda tag: False):  # the thorough search
+        if tag.id in found:
+            raise InputError(
+                f"{name} shows marker {tag.id} twice",
+                "Each id once: cover one of them, or print another.",
+            )
+        found[tag.id] = centre_of(tag.square)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class Detection:
     """A marker, in pixels of the distorted picture: u to the right, v down, (0, 0) in the middle of
     the first pixel.
 
@@ -49,7 +83,7 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class SearchWindow:
     """Part of a picture: pixels left <= u < right, top <= v < bottom, inside the picture."""
 
     left: int
@@ -61,7 +95,7 @@ class Window:
 class Detector(Protocol):
     """Finds the fish's marker. May keep state between pictures (a background)."""
 
-    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+    def find(self, grey: Image, window: SearchWindow | None = None) -> list[Detection]:
         """All markers of the wanted kind in ``grey``, shape (height, width), or in its ``window``;
         positions count in the whole picture. Best first; [] = none."""
 
@@ -218,14 +252,14 @@ class TagReader:
     def read(
         self,
         grey: Image,
-        window: Window | None = None,
+        window: SearchWindow | None = None,
         wanted: Callable[[Tag], bool] = lambda tag: True,
     ) -> list[Tag]:
         """All markers in ``grey`` or its ``window``; searches harder when none is ``wanted``."""
         if window is not None:
             small = max(window.right - window.left, window.bottom - window.top)
             return self._read(grey, window, 2 if small <= _SMALL_WINDOW_PX else 1)
-        whole = Window(0, 0, grey.shape[1], grey.shape[0])
+        whole = SearchWindow(0, 0, grey.shape[1], grey.shape[0])
         tags = self._read(grey, whole, 1)
         if any(wanted(tag) for tag in tags):
             self._fruitless = 0
@@ -233,7 +267,7 @@ class TagReader:
         self._fruitless += 1
         return tags if self._fruitless % _DEEP_EVERY != 1 else self._read(grey, whole, 2)
 
-    def _read(self, grey: Image, window: Window, zoom: int) -> list[Tag]:
+    def _read(self, grey: Image, window: SearchWindow, zoom: int) -> list[Tag]:
         part = grey[window.top : window.bottom, window.left : window.right]
         if min(part.shape) < _SIDE_MIN_PX:
             return []
@@ -266,20 +300,20 @@ class TagDetector:
         self._belongs = belongs
         self.other_ids: set[int] = set()  # of this kind, seen but not the fish's
 
-    def find(self, grey: Image, window: Window | None = None) -> list[Sighting]:
+    def find(self, grey: Image, window: SearchWindow | None = None) -> list[Detection]:
         """All of the fish's markers, best first."""
         tags = self._reader.read(grey, window, lambda tag: self._belongs(tag.id))
         self.other_ids.update(tag.id for tag in tags if not self._belongs(tag.id))
-        mine = [sighting_of(tag.square, self._cells) for tag in tags if self._belongs(tag.id)]
+        mine = [detection_of(tag.square, self._cells) for tag in tags if self._belongs(tag.id)]
         return _once(sorted(mine, key=lambda sighting: -sighting.quality))
 
 
-def sighting_of(square: Square, cells: int) -> Sighting:
+def detection_of(square: Square, cells: int) -> Detection:
     """The square as a sighting; its front edge is between the first two corners."""
     corners = square.corners
     side_px = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
     centre, front = _middles(corners)
-    return Sighting(centre, front, side_px, quality(square, side_px / cells), corners)
+    return Detection(centre, front, side_px, quality(square, side_px / cells), corners)
 
 
 def centre_of(square: Square) -> tuple[float, float]:
@@ -310,14 +344,14 @@ def _middles(corners: F64) -> tuple[tuple[float, float], tuple[float, float]]:
     return (float(centre[0]), float(centre[1])), (float(front[0]), float(front[1]))
 
 
-def _once(sightings: list[Sighting]) -> list[Sighting]:
+def _once(sightings: list[Detection]) -> list[Detection]:
     """Without those that lie on a better one."""
-    kept: list[Sighting] = []
+    kept: list[Detection] = []
     for one in sightings:
         if all(_apart(one, other) > max(one.side_px, other.side_px) / 2 for other in kept):
             kept.append(one)
     return kept
 
 
-def _apart(one: Sighting, other: Sighting) -> float:
+def _apart(one: Detection, other: Detection) -> float:
     return float(np.hypot(*np.subtract(one.centre_px, other.centre_px)))

@@ -13,9 +13,16 @@ import numpy as np
 from tailbeat.core.arrays import F32, F64
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render import sprites
-from tailbeat.sensors.camera.render.canvas import FINER, Sprite, stamp, whole_elements
 from tailbeat.sensors.camera.render.scene import Optics, Scene, chance
-from tailbeat.sensors.camera.render.sprites import backdrop, dimming, water
+from tailbeat.sensors.camera.render.sprites import (
+    FINER,
+    Sprite,
+    backdrop,
+    dimming,
+    stamp,
+    water,
+    whole_elements,
+)
 from tailbeat.sensors.camera.source.picture import Image
 
 _COARSE = 8  # pixels per element of the waves
@@ -151,7 +158,7 @@ _STEPS_MAX = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class DrawnPose:
     """The fish in the middle of an exposure: marker's centre and heading in the tank's frame, tail
     angle against the body (positive to the right), part of the exposure the LED was on; speed along
     x and turn of the heading, which blur the picture."""
@@ -180,7 +187,7 @@ class Painter:
         self._noise = Noise(scene)
         self._parts = _Parts(scene, FINER * optics.px_per_m)
 
-    def paint(self, truth: Truth, index: int) -> Image:
+    def paint(self, truth: DrawnPose, index: int) -> Image:
         """Grey, shape (height, width), a fresh array."""
         image = self._waves.add_to(self._backdrop, truth.t_s)
         if self._scene.fish > 1:
@@ -193,19 +200,19 @@ class Painter:
         self._noise.add_to(image, index)
         return image
 
-    def _draw(self, image: Image, truth: Truth) -> None:
+    def _draw(self, image: Image, truth: DrawnPose) -> None:
         poses = self._poses(truth)
         hinge = _turned(-truth.tail_rad, self._parts.where.hinge_m)
         blur_px, gain = self._scene.blur_px, self._gain(poses[0])
         stamp(image, self._parts.tail, [pose @ hinge for pose in poses], blur_px, gain)
         stamp(image, self._parts.body(truth.led), poses, blur_px, gain)
 
-    def _hide(self, image: Image, truth: Truth, index: int) -> None:
+    def _hide(self, image: Image, truth: DrawnPose, index: int) -> None:
         quarter = math.floor(4 * chance(self._scene.seed, "half", index))
         pose = self._pose(truth, 0.0) @ _turned(quarter * math.pi / 2, 0.0)
         stamp(image, self._parts.foam, [pose], self._scene.blur_px, self._gain(pose))
 
-    def _poses(self, truth: Truth) -> list[F64]:
+    def _poses(self, truth: DrawnPose) -> list[F64]:
         """The fish's places during the exposure, evenly spread around its middle."""
         exposure_s = self._scene.exposure_s
         reach_m = abs(truth.speed_m_s) + abs(truth.turn_rad_s) * self._scene.marker_side_m / 2
@@ -215,7 +222,7 @@ class Painter:
             self._pose(truth, ((step + 0.5) / steps - 0.5) * exposure_s) for step in range(steps)
         ]
 
-    def _pose(self, truth: Truth, later_s: float) -> F64:
+    def _pose(self, truth: DrawnPose, later_s: float) -> F64:
         centre = truth.x_m + truth.speed_m_s * later_s, truth.y_m
         heading = truth.heading_rad + truth.turn_rad_s * later_s
         return self._optics.near(centre, heading, self._scene.marker_side_m)
@@ -251,7 +258,7 @@ def _turned(angle_rad: float, ahead_m: float) -> F64:
     return np.array([[c, -s, ahead_m], [s, c, 0], [0, 0, 1.0]])
 
 
-def _beside(truth: Truth) -> Truth:
+def _beside(truth: DrawnPose) -> DrawnPose:
     """The second fish: out of step, without LED."""
     return replace(
         truth,

@@ -75,8 +75,6 @@ class Scene:
 
     def calibration(self) -> Calibration:
         """The true one, with area, anchors (four markers at the corners) and scale error 0."""
-        pass
-
         return true_calibration(self)
 
 

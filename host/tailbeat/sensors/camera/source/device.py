@@ -21,7 +21,7 @@ import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image, Picture
+from tailbeat.sensors.camera.source.picture import Image, TimedImage
 
 _KEPT = 16  # pictures nobody has asked for yet; older ones go
 _FAILURES_MAX = 3
@@ -174,14 +174,14 @@ class Device:
         told = self._capture.fps
         self.fps = told if 1 <= told <= 1000 else fps or _FPS_USUAL
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         """Waits for the next picture, 2 s at most; None = closed."""
         while not self._ended:
             shot = self._ahead.popleft() if self._ahead else self._next()
             t_s = self._stamp(shot)
             if t_s is not None:
                 self._last_s = t_s
-                return Picture(shot.index, t_s, shot.image)
+                return TimedImage(shot.index, t_s, shot.image)
         return None
 
     @property

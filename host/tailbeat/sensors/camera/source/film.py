@@ -19,7 +19,7 @@ import numpy as np
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import temporary_beside
 from tailbeat.sensors.camera.opencv import av, cv2
-from tailbeat.sensors.camera.source.picture import Image, Picture
+from tailbeat.sensors.camera.source.picture import Image, TimedImage
 
 _GIVE_A_FILM = "Give a film: .mp4, .mkv, .mov or .avi."
 _SHORT_PERIODS = 1.5
@@ -186,7 +186,7 @@ class Film:
         """How many it should have, about, by its header; None = not told."""
         return self._pictures
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         """The next picture; None at the end."""
         if self._frames is None:
             return None
@@ -203,7 +203,7 @@ class Film:
         t_s = self._since_first_s(frame.pts)
         self._last_pts = frame.pts
         self._given += 1
-        return Picture(self._given - 1, t_s, self._pixels(frame))
+        return TimedImage(self._given - 1, t_s, self._pixels(frame))
 
     @property
     def ended(self) -> bool:
@@ -377,7 +377,7 @@ class Recorder:
         self._error: Exception | None = None
         self._pictures = 0
 
-    def __call__(self, picture: Picture) -> None:
+    def __call__(self, picture: TimedImage) -> None:
         """The next picture."""
         if self._error is not None:
             return

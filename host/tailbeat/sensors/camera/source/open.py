@@ -13,7 +13,9 @@ import numpy as np
 
 from tailbeat.core.errors import InputError, reason
 from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image, Picture, PictureSource
+from tailbeat.sensors.camera.source.device import Device
+from tailbeat.sensors.camera.source.film import Film
+from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 
 DEVICE_S = 60.0
 
@@ -28,10 +30,7 @@ def open_source(
     ``size_px``. ``seconds``: so much of it from its first picture on; None = all of a film,
     DEVICE_S of a device. Raises InputError."""
     if _is_device(what):
-        from tailbeat.sensors.camera.source.device import Device
-
         return Beginning(Device(what, size_px, latency_s=latency_s), seconds or DEVICE_S)
-    from tailbeat.sensors.camera.source.film import Film
 
     film = Film(Path(what))
     return film if seconds is None else Beginning(film, seconds)
@@ -54,7 +53,7 @@ class Beginning:
         self.name, self.clock = source.name, source.clock
         self.fps, self.size_px = source.fps, source.size_px
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         """The next picture."""
         picture = None if self._over else self._source.read()
         if picture is None:
@@ -120,7 +119,6 @@ def read_grey(path: Path) -> Image:
 
 
 def _first_of_film(path: Path) -> Image:
-    from tailbeat.sensors.camera.source.film import Film
 
     film = Film(path)
     try:
@@ -134,7 +132,6 @@ def _first_of_film(path: Path) -> Image:
 
 def _sharpest_of_film(path: Path) -> Iterator[tuple[str, Image]]:
     """A film is cut into parts of the same length; the sharpest picture of each."""
-    from tailbeat.sensors.camera.source.film import Film
 
     film = Film(path)
     part = max(1, -(-(film.pictures or _USUAL_PICTURES) // _FROM_FILM))

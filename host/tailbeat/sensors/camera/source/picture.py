@@ -12,7 +12,7 @@ Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class TimedImage:
     """One picture. ``image`` is grey, shape (height, width), or BGR, shape (height, width, 3); it
     belongs to whoever holds the picture. ``index`` counts pictures taken, lost ones included where
     that is known. ``t_s`` is the time stamp of this very picture, never index/fps."""
@@ -34,7 +34,7 @@ class PictureSource(Protocol):
     fps: float
     size_px: tuple[int, int]  # width, height
 
-    def read(self) -> Picture | None:
+    def read(self) -> TimedImage | None:
         """The next picture; None = none now (a device in virtual time) or none ever (``ended``).
         A real device blocks until its next picture, 2 s at most."""
 

@@ -1,6 +1,4 @@
-"""How large noise, jerk and ripple of a film are: those that make it likeliest.
-
-Speed from a whole film: a smoother that knows what a tail does to the body, forward and back.
+"""Speed from positions: a line fitted over one beat (live), and a smoother of a whole film.
 
 Positions along the swim direction are a trend (acceleration is a Wiener process) plus the beat's
 own ripple at once and twice the beat frequency, whose size drifts slowly, plus white noise; the
@@ -13,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
@@ -33,6 +32,93 @@ from tailbeat.sensors.camera.speed.ripple_filter import (
     smooth,
 )
 from tailbeat.sensors.camera.tracking.track import BRIDGED_IN_A_ROW_MAX, Track
+
+LOST_IN_A_ROW_MAX = 5
+COVERAGE_MIN = 0.6
+_SPAN_SLACK_FRAMES = 0.6
+_SIGMA_MIN_M_S = 1e-5
+_PLAUSIBLE_M_S = 1.0
+_JUMP_M = 0.01  # ten times the noise of a good camera
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSample:
+    """Mean speed over a window of one beat whose middle is ``t_s``; ``sigma_m_s`` > 0."""
+
+    t_s: float
+    speed_m_s: float
+    sigma_m_s: float
+
+
+class BeatFit:
+    """Feed it positions; it gives a speed for every frame that closes a whole beat.
+
+    The window is one beat long by the frames' time stamps, both ends included (26 frames at
+    25 frames/s), within 0.6 of a frame. Nothing comes out of a window with more than 5 frames
+    missing in a row or with fewer than 60 % of its frames; a jump no fish can swim (somebody
+    carried it back) begins a new window. With ``position_noise_m`` the standard
+    deviation follows from it, otherwise from the scatter about the line.
+    """
+
+    def __init__(
+        self, beat_s: float = 1.0, fps: float = 25.0, position_noise_m: float | None = None
+    ) -> None:
+        self._beat_s = beat_s
+        self._frame_s = 1.0 / fps
+        self._noise_m = position_noise_m
+        self._frames_min = max(3, math.ceil(COVERAGE_MIN * (round(beat_s * fps) + 1)))
+        self._window: deque[tuple[float, float]] = deque()
+
+    def reset(self) -> None:
+        """Forgets all positions."""
+        self._window.clear()
+
+    def add(self, t_s: float, x_m: float) -> SpeedSample | None:
+        """Takes one position; frames that are not newer than the last are dropped."""
+        window = self._window
+        if not (math.isfinite(t_s) and math.isfinite(x_m)):
+            return None
+        if window and t_s <= window[-1][0]:
+            return None
+        if window and abs(x_m - window[-1][1]) > _PLAUSIBLE_M_S * (t_s - window[-1][0]) + _JUMP_M:
+            window.clear()
+        window.append((t_s, x_m))
+        slack_s = _SPAN_SLACK_FRAMES * self._frame_s
+        while t_s - window[0][0] > self._beat_s + slack_s:
+            window.popleft()
+        if len(window) < self._frames_min or t_s - window[0][0] < self._beat_s - slack_s:
+            return None
+        return self._fit()
+
+    def _fit(self) -> SpeedSample | None:
+        """Least squares about the middle; sums of about 26 terms are cheaper than keeping them."""
+        window = self._window
+        count = len(window)
+        begin_s, x0 = window[0]
+        gap_max_s = (LOST_IN_A_ROW_MAX + 1.5) * self._frame_s
+        st = sx = stt = stx = sxx = last = 0.0
+        for t_s, x_m in window:
+            t = t_s - begin_s
+            x = x_m - x0
+            if t - last > gap_max_s:
+                return None
+            last = t
+            st += t
+            sx += x
+            stt += t * t
+            stx += t * x
+            sxx += x * x
+        vtt = stt - st * st / count
+        vtx = stx - st * sx / count
+        speed = vtx / vtt
+        if self._noise_m is None:
+            scatter = max(0.0, sxx - sx * sx / count - speed * vtx)
+            variance = scatter / (count - 2)
+        else:
+            variance = self._noise_m**2
+        sigma = max(math.sqrt(variance / vtt), _SIGMA_MIN_M_S)
+        return SpeedSample(begin_s + last / 2, speed, sigma)
+
 
 _TUNING_PICTURES = 1500
 _NOISE_MIN_M = 1e-6  # places of drawn or frozen pictures are exactly equal
@@ -79,12 +165,12 @@ def _rough_noise_m(way_m: F64) -> float:
 
 STEPS_PER_BEAT = 10
 COLUMNS = ("t_s", "v_m_s", "sigma_m_s", "window_s", "trial")
-COVERAGE_MIN = 0.6
+
 _WAY_MIN_M = 0.3
 _OUTLIER_SIGMA = 5.0
 _OUTLIER_ROUNDS = 3
-_SIGMA_MIN_M_S = 1e-5  # below what a speed.csv can tell
-_JUMP_M_S, _JUMP_M = 1.0, 0.03  # nobody swims so; somebody carried the fish
+# below what a speed.csv can tell
+_CARRIED_M_S, _CARRIED_M = 1.0, 0.03  # nobody swims so; somebody carried the fish
 
 
 @dataclass(frozen=True)
@@ -203,7 +289,7 @@ def _cut(track: Track, begin_s: float, end_s: float) -> Track:
 def _unbroken(t_s: F64, way: F64) -> Iterator[tuple[F64, F64]]:
     """Pieces in which the fish may have swum all the way."""
     dt, dx = np.diff(t_s), np.abs(np.diff(way))
-    ends = np.flatnonzero(dx > _JUMP_M_S * dt + _JUMP_M) + 1
+    ends = np.flatnonzero(dx > _CARRIED_M_S * dt + _CARRIED_M) + 1
     return zip(np.split(t_s, ends), np.split(way, ends), strict=True)
 
 

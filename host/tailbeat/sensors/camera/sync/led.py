@@ -54,7 +54,7 @@ _EDGES_BELIEVED = 12.0
 
 
 @dataclass(frozen=True)
-class Looks:
+class LedBrightness:
     """How bright the place is: dark and lit, with standard deviations; ``hidden`` is the part of
     the pictures in which a lit LED cannot be seen, ``otherwise`` how likely each level is then."""
 
@@ -79,7 +79,7 @@ class Looks:
 
 
 @dataclass(frozen=True)
-class Fit:
+class LedFit:
     """``score``: pictures in which the LED is seen on while it is, less those while it is not."""
 
     begin_s: float
@@ -87,7 +87,7 @@ class Fit:
     score: float
 
 
-def looks_of(bright: NDArray[np.uint8], lit: F64) -> tuple[Looks, float]:
+def looks_of(bright: NDArray[np.uint8], lit: F64) -> tuple[LedBrightness, float]:
     """From pictures whose state is known, with the score."""
     off = bright[lit == 0].astype(float)
     on = bright[lit == 1].astype(float)
@@ -101,11 +101,11 @@ def looks_of(bright: NDArray[np.uint8], lit: F64) -> tuple[Looks, float]:
     otherwise = (1 - _STRAY) * np.convolve(counts, np.ones(7) / 7, "same") + _STRAY / _LEVELS
     score = float(np.mean(on > middle) - np.mean(off > middle))
     hidden = float(np.clip(np.mean(on <= middle), _STRAY, 0.98))
-    return Looks(dark, dark_sigma, level, lit_sigma, hidden, otherwise), score
+    return LedBrightness(dark, dark_sigma, level, lit_sigma, hidden, otherwise), score
 
 
 @dataclass(frozen=True)
-class Grid:
+class LedGrid:
     """Begins (from the first guess) and exposures that are tried."""
 
     reach_s: float
@@ -113,12 +113,12 @@ class Grid:
     exposure_step_s: float
 
 
-ROUGH, FINE = Grid(0.04, 0.004, 0.02), Grid(0.025, 0.001, 0.0025)
+ROUGH, FINE = LedGrid(0.04, 0.004, 0.02), LedGrid(0.025, 0.001, 0.0025)
 
 
 def fit(
-    bright: NDArray[np.uint8], t_s: F64, wave: Waveform, begin_s: float, grid: Grid
-) -> tuple[Fit, Looks] | None:
+    bright: NDArray[np.uint8], t_s: F64, wave: Waveform, begin_s: float, grid: LedGrid
+) -> tuple[LedFit, LedBrightness] | None:
     """The begin near ``begin_s``, which is right within the grid's reach; ``bright``: the LED's
     place, shape (pictures,), at times ``t_s``. None = never both on and off."""
     since_s = t_s - begin_s
@@ -141,7 +141,7 @@ def fit(
     chance = np.exp(logsumexp(fits, axis=1) - logsumexp(fits))
     mean = float(chance @ shifts)
     spread = float(np.sqrt(chance @ (shifts - mean) ** 2 + grid.step_s**2 / 12))
-    return Fit(begin_s + mean, max(spread, _SIGMA_MIN_S), score), looks
+    return LedFit(begin_s + mean, max(spread, _SIGMA_MIN_S), score), looks
 
 
 def _seen_as(lit: F64, from_part: float, to_part: float) -> F64:
@@ -218,7 +218,7 @@ def _reading(
 
 
 def _read_number(
-    bright: NDArray[np.uint8], since_s: F64, length_s: float, looks: Looks
+    bright: NDArray[np.uint8], since_s: F64, length_s: float, looks: LedBrightness
 ) -> tuple[int, float]:
     """The number that the symbols say, and its log likelihood ratio to the next; the numbers of
     swims that began whole blocks earlier or later count as others."""
@@ -240,7 +240,7 @@ def _read_number(
     return number, float(likely[0, number] - others.max())
 
 
-def _length_s(bright: NDArray[np.uint8], since_s: F64, number: int, looks: Looks) -> float:
+def _length_s(bright: NDArray[np.uint8], since_s: F64, number: int, looks: LedBrightness) -> float:
     """How long the code explains the pictures better than a lamp that is on now and then."""
     inside = since_s > 0
     since_s, bright = since_s[inside], bright[inside]

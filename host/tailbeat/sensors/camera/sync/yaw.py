@@ -36,7 +36,7 @@ LATE_SIGMA_S = 0.006
 _BITS_PER_BYTE = 10
 
 
-class Wobble:
+class YawOscillation:
     """The IMU's heading over time since the swim's begin: the sum of its turns at the ends of the
     slots, and a cubic spline through them (ten points per beat). Before the swim, and after it if
     the turns reach to its end, it stands still. The IMU tells it late: by its frame's way over the
@@ -147,7 +147,7 @@ class Headings:
         return np.asarray(series - self._drift @ (self._drift.T @ series))
 
 
-def scan(headings: Headings, wobble: Wobble) -> tuple[F64, F64]:
+def scan(headings: Headings, wobble: YawOscillation) -> tuple[F64, F64]:
     """Begins, and the power of the headings that each explains (rad^2, summed over pictures)."""
     overlap_s = _OVERLAP_MIN_BEATS * wobble.beat_s
     first, last = headings.t_s[0] - wobble.end_s + overlap_s, headings.t_s[-1] - overlap_s
@@ -155,7 +155,7 @@ def scan(headings: Headings, wobble: Wobble) -> tuple[F64, F64]:
     return begins, np.array([explained_power(headings, wobble, begin) for begin in begins])
 
 
-def explained_power(headings: Headings, wobble: Wobble, begin_s: float) -> float:
+def explained_power(headings: Headings, wobble: YawOscillation, begin_s: float) -> float:
     """Of the wobble that begins then, at its best size; 0 when it would have to be turned over."""
     shape = _shape(headings, wobble, begin_s)
     power = float(shape @ shape)
@@ -163,11 +163,11 @@ def explained_power(headings: Headings, wobble: Wobble, begin_s: float) -> float
     return along * abs(along) / power if power > 0 else 0.0
 
 
-def _shape(headings: Headings, wobble: Wobble, begin_s: float) -> F64:
+def _shape(headings: Headings, wobble: YawOscillation, begin_s: float) -> F64:
     return headings.without_drift(wobble.heading_rad(headings.t_s - begin_s))
 
 
-def refine(headings: Headings, wobble: Wobble, begin_s: float) -> float:
+def refine(headings: Headings, wobble: YawOscillation, begin_s: float) -> float:
     """The best begin near that one: the top of a parabola."""
     for reach_s, step_s in ((_FINE_REACH_S, 0.02), (0.03, _FINE_STEP_S)):
         begins = begin_s + np.arange(-reach_s, reach_s + step_s / 2, step_s)
@@ -180,7 +180,7 @@ def refine(headings: Headings, wobble: Wobble, begin_s: float) -> float:
     return begin_s
 
 
-def look(headings: Headings, wobble: Wobble, begins: F64, power: F64, top: float) -> YawFit:
+def look(headings: Headings, wobble: YawOscillation, begins: F64, power: F64, top: float) -> YawFit:
     """How well the begin ``top`` fits; ``begins`` and ``power`` as ``scan`` gave them."""
     since_s = headings.t_s - top
     near = (since_s > -_STILL_BEFORE_S) & (since_s < wobble.end_s + _STILL_AFTER_S)
@@ -216,7 +216,7 @@ def look(headings: Headings, wobble: Wobble, begins: F64, power: F64, top: float
     )
 
 
-def _noise_rad(rest: F64, since_s: F64, wobble: Wobble) -> float:
+def _noise_rad(rest: F64, since_s: F64, wobble: YawOscillation) -> float:
     """Of one heading: what is left when every beat gets the harmonics that fit it best."""
     beat = np.floor(since_s / wobble.beat_s).astype(int)
     squares, free = 0.0, 0
@@ -293,7 +293,7 @@ class Misfit(Exception):
 def read_yaw(track: Track, trial: Trial) -> YawFit:
     """The best begin. Raises InputError when the file holds no turns or the film no wobble, Misfit
     when the two do not belong together or it cannot be said which beat is the first."""
-    wobble = Wobble(trial)
+    wobble = YawOscillation(trial)
     seen = track.seen() & np.isfinite(track.heading_rad)
     seen[seen] = _believed(track.heading_rad[seen])
     if np.count_nonzero(seen) < 2:

@@ -9,11 +9,11 @@ from typing import Literal
 
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.sensors.camera.source.picture import Picture, PictureSource
+from tailbeat.sensors.camera.source.picture import PictureSource, TimedImage
 from tailbeat.sensors.camera.tracking.track import Track, track_of
-from tailbeat.sensors.camera.tracking.tracker import Place, Tracker
+from tailbeat.sensors.camera.tracking.tracker import TrackedImage, Tracker
 
-OnPicture = Callable[[Picture], None]
+OnPicture = Callable[[TimedImage], None]
 
 _QUEUE_S = 0.5
 _KEPT_S = 600.0
@@ -54,9 +54,9 @@ class VideoCamera:
         self.clock, self.fps, self.dropped = source.clock, source.fps, 0
         self._source, self._tracker, self._on_picture = source, tracker, on_picture
         kept = max(1, round(_KEPT_S * source.fps))
-        self._places: deque[Place] = deque(maxlen=kept)
+        self._places: deque[TrackedImage] = deque(maxlen=kept)
         self._frames: deque[Frame] = deque(maxlen=kept)
-        self._waiting: deque[Picture] = deque(maxlen=max(1, round(_QUEUE_S * source.fps)))
+        self._waiting: deque[TimedImage] = deque(maxlen=max(1, round(_QUEUE_S * source.fps)))
         self._error: Exception | None = None
         self._failed = False
         self._reads = True
@@ -130,7 +130,7 @@ class VideoCamera:
         except Exception as error:
             self._fail(error)
 
-    def _read(self) -> Picture | None:
+    def _read(self) -> TimedImage | None:
         try:
             picture = self._source.read()
         except TailbeatError as error:
@@ -143,7 +143,7 @@ class VideoCamera:
             self._on_picture(picture)
         return picture
 
-    def _hand_over(self, picture: Picture) -> None:
+    def _hand_over(self, picture: TimedImage) -> None:
         with self._change:
             if self._failed:
                 return
@@ -151,7 +151,7 @@ class VideoCamera:
             self._waiting.append(picture)  # a full deque drops its oldest
             self._change.notify_all()
 
-    def _next(self) -> Picture | None:
+    def _next(self) -> TimedImage | None:
         with self._change:
             while not self._waiting and self._reads and not self._ending.is_set():
                 self._change.wait()
@@ -159,7 +159,7 @@ class VideoCamera:
                 return None
             return self._waiting.popleft()
 
-    def _look(self, picture: Picture) -> None:
+    def _look(self, picture: TimedImage) -> None:
         place = self._tracker.look(picture)
         with self._change:
             self._places.append(place)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.sensors.camera.marker.tags import Sighting
+from tailbeat.sensors.camera.marker.tags import Detection
 from tailbeat.sensors.camera.opencv import cv2, require_cv2
 from tailbeat.sensors.camera.source.film import FilmWriter
-from tailbeat.sensors.camera.source.picture import Image, Picture
-from tailbeat.sensors.camera.tracking.tracker import Place
+from tailbeat.sensors.camera.source.picture import Image, TimedImage
+from tailbeat.sensors.camera.tracking.tracker import TrackedImage
 
 _TRAIL_S = 2.0
 _DARK, _LIGHT = (30, 30, 30), (255, 255, 255)
@@ -36,7 +36,9 @@ class Overlay:
         self._film = FilmWriter(path, size_px, fps)
         self._trail: deque[tuple[float, tuple[float, float]]] = deque()
 
-    def __call__(self, picture: Picture, place: Place, speed_m_s: float | None = None) -> None:
+    def __call__(
+        self, picture: TimedImage, place: TrackedImage, speed_m_s: float | None = None
+    ) -> None:
         """The next picture. ``speed_m_s`` is written beside the time if given."""
         grey = picture.image.ndim == 2
         image: Image = cv2.cvtColor(picture.image, cv2.COLOR_GRAY2BGR) if grey else (
@@ -67,14 +69,14 @@ class Overlay:
     ) -> None:
         self._film.__exit__(kind, error, trace)
 
-    def _draw_trail(self, image: Image, place: Place) -> None:
+    def _draw_trail(self, image: Image, place: TrackedImage) -> None:
         while self._trail and self._trail[0][0] < place.t_s - _TRAIL_S:
             self._trail.popleft()
         if place.sighting is not None:
             self._trail.append((place.t_s, place.sighting.centre_px))
         self._line(image, [point for _, point in self._trail], _TRAIL, closed=False)
 
-    def _draw_sighting(self, image: Image, sighting: Sighting) -> None:
+    def _draw_sighting(self, image: Image, sighting: Detection) -> None:
         centre, front = np.array(sighting.centre_px), np.array(sighting.front_px)
         if sighting.corners_px is not None:
             self._line(image, sighting.corners_px, _OUTLINE, closed=True)
@@ -89,7 +91,7 @@ class Overlay:
             cv2.LINE_AA, _SHIFT, 0.2,
         )  # fmt: skip
 
-    def _draw_text(self, image: Image, place: Place, speed_m_s: float | None) -> None:
+    def _draw_text(self, image: Image, place: TrackedImage, speed_m_s: float | None) -> None:
         lines = [(f"{place.t_s:.3f} s", _LIGHT)]
         if place.sighting is None:
             lines.append(("not seen", _UNSEEN))

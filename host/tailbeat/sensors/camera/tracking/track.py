@@ -19,9 +19,9 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, Marker
-from tailbeat.sensors.camera.marker.printed import RULER_IDS
+from tailbeat.sensors.camera.marker.tags import RULER_IDS
 from tailbeat.sensors.camera.source.picture import PictureSource
-from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Glow, Place, Tracker
+from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Glow, TrackedImage, Tracker
 
 SEEN, BRIDGED, LOST = 0, 1, 2
 STATES = ("seen", "bridged", "lost")
@@ -84,7 +84,7 @@ def track(
     """
     tracker = Tracker(marker, calibration, source.name, glow)
     expected = getattr(source, "pictures", None)
-    places: list[Place] = []
+    places: list[TrackedImage] = []
     while (picture := source.read()) is not None:
         place = tracker.look(picture)
         places.append(place)
@@ -123,7 +123,7 @@ def _is_tanks(marker: Marker, number: int) -> bool:
     return marker.kind == "aruco" and number >= min(RULER_IDS)
 
 
-def track_of(places: Sequence[Place], name: str = "") -> Track:
+def track_of(places: Sequence[TrackedImage], name: str = "") -> Track:
     """Rows from what was seen picture by picture; none from none. Time stamps rise. A blob's head
     is where it was taken to be last. Raises InputError for a pause of more than ten minutes."""
     places = _one_head(places)
@@ -150,7 +150,7 @@ def track_of(places: Sequence[Place], name: str = "") -> Track:
     return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(taken_s), name, glow)
 
 
-def _one_head(places: Sequence[Place]) -> list[Place]:
+def _one_head(places: Sequence[TrackedImage]) -> list[TrackedImage]:
     """With those turned around that the detector itself turned around later."""
     turns = [0 if place.sighting is None else place.sighting.turns for place in places]
     last = max(turns, default=0)

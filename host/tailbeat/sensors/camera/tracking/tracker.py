@@ -1,25 +1,134 @@
-"""How bright the water and the body around the marker are, cell by cell: there the LED blinks.
+"""Follows one fish from picture to picture.
 
-A picture that a driver repeats with fresh stamps, told apart from a fish that rests.
-
-Follows one fish from picture to picture.
+Checks against a second fish, a wrong marker size and moved anchors; brightness around the marker,
+where the LED blinks; a filter for pictures that a driver repeats with new time stamps.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Camera, Frame
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker, detector_for
-from tailbeat.sensors.camera.marker.tags import Sighting, Window
+from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow, TagReader, centre_of
 from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image, Picture
-from tailbeat.sensors.camera.tracking.checks import PERSISTS, Anchors, MarkerSize, SecondFish
+from tailbeat.sensors.camera.source.picture import Image, TimedImage
+
+PERSISTS = 3  # pictures in a row: nothing is believed on the word of one
+SIZE_ERROR_MAX = 0.05
+_SIZE_AFTER_S = 1.0
+_SIZE_SIGHTINGS_MIN = 5
+_SAME_SIZE = (0.7, 1.4)  # the second fish's marker against the first's
+_ANCHOR_LOOKS = 3
+_ANCHOR_LOOK_EVERY_S = 0.2
+
+
+class SecondFish:
+    """Raises InputError when another fish is seen in three whole pictures in a row."""
+
+    def __init__(self, calibration: Calibration, name: str) -> None:
+        self._calibration = calibration
+        self._name = name
+        self._pictures = 0
+
+    @property
+    def suspected(self) -> bool:
+        """Whether the next picture has to be searched as a whole to know."""
+        return self._pictures > 0
+
+    def look(self, fish: Detection, sightings: list[Detection]) -> None:
+        """``sightings``: all in this picture, the ``fish`` among them."""
+        others = [one for one in sightings if one is not fish and _same_size(one, fish)]
+        self._pictures = self._pictures + 1 if others else 0
+        if self._pictures < PERSISTS:
+            return
+        where = self._calibration.to_tank(np.array([fish.centre_px, others[0].centre_px]))
+        places = " and ".join(f"({x:.2f}, {y:.2f}) m" for x, y in where)
+        raise InputError(
+            f"two fish in {self._name}: at {places} in the tank",
+            "Take one out, or say which marker to follow: --marker-id N",
+        )
+
+
+class MarkerSize:
+    """Raises InputError when the markers of the first second have, in the tank, another size than
+    the marker is said to have, by more than 5 %: speeds would be wrong by as much. ``measured_m``:
+    their median side; None = not known yet."""
+
+    def __init__(self, marker: Marker, calibration: Calibration, name: str) -> None:
+        self.measured_m: float | None = None
+        self._said_m = marker.side_m
+        self._calibration = calibration
+        self._name = name
+        self._sides_m: list[float] = []
+        self._first_s: float | None = None
+
+    def look(self, t_s: float, corners_px: F64 | None) -> None:
+        """``corners_px`` of the fish's marker (4, 2); None for a blob."""
+        if self.measured_m is not None or corners_px is None:
+            return
+        if self._first_s is None:
+            self._first_s = t_s
+        corners = self._calibration.to_tank(corners_px)
+        along = np.roll(corners, -1, axis=0) - corners
+        self._sides_m.append(float(np.linalg.norm(along, axis=1).mean()))
+        if t_s - self._first_s >= _SIZE_AFTER_S and len(self._sides_m) >= _SIZE_SIGHTINGS_MIN:
+            self.measured_m = float(np.median(self._sides_m))
+            if self._said_m is not None:
+                self._judge(self._said_m, self.measured_m)
+
+    def _judge(self, said_m: float, seen_m: float) -> None:
+        if abs(seen_m / said_m - 1) <= SIZE_ERROR_MAX:
+            return
+        raise InputError(
+            f"in {self._name} the marker is {seen_m * 1000:.1f} mm wide, it should be "
+            f"{said_m * 1000:.1f} mm: the calibration, --marker-side or the marker's height over "
+            "the calibrated plane is wrong",
+            "Measure the printed black square; calibrate at the height at which the marker swims.",
+        )
+
+
+class Anchors:
+    """Compares the tank's markers with where they were when the camera was calibrated: in three
+    pictures of the first half second, by their medians, so that one misread marker does no harm."""
+
+    def __init__(self, calibration: Calibration, name: str) -> None:
+        self._calibration = calibration
+        self._name = name
+        self._looks = 0
+        self._next_s = -np.inf
+        self._seen: dict[int, list[tuple[float, float]]] = defaultdict(list)
+
+    def look(self, t_s: float, grey: Image) -> None:
+        """Raises what Calibration.check_anchors raises."""
+        known = self._calibration.anchors
+        if not known or self._looks == _ANCHOR_LOOKS or t_s < self._next_s:
+            return
+
+        for tag in TagReader("aruco").read(grey, wanted=lambda tag: tag.id in known):
+            self._seen[tag.id].append(centre_of(tag.square))
+        self._looks += 1
+        self._next_s = t_s + _ANCHOR_LOOK_EVERY_S
+        if self._looks == _ANCHOR_LOOKS:
+            self._judge()
+
+    def _judge(self) -> None:
+        often = {i: seen for i, seen in self._seen.items() if len(seen) > _ANCHOR_LOOKS // 2}
+        middles = {i: np.median(seen, axis=0) for i, seen in often.items()}
+        seen = {i: (float(u), float(v)) for i, (u, v) in middles.items()}
+        self._calibration.check_anchors(seen, self._name)
+
+
+def _same_size(one: Detection, other: Detection) -> bool:
+    return _SAME_SIZE[0] <= one.side_px / other.side_px <= _SAME_SIZE[1]
+
 
 # A patch of the water around the fish, fixed to its marker: in it the LED stands still.
 GLOW_LEFT_M, GLOW_RIGHT_M = -0.25, 0.15  # along the fish, from the marker's centre; head = +
@@ -70,7 +179,7 @@ def _samples(corners: F64) -> int:
 FROZEN_S = 1.0
 
 
-class Repeats:
+class RepeatFilter:
     """Positions in, those that say something new out.
 
     No two positions of a noisy camera are the same in every bit, nor two of a fish that moves (the
@@ -136,7 +245,7 @@ _WINDOW_M, _WINDOW_M_S = 0.02, 0.5  # and what the prediction can be off
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TrackedImage:
     """What one picture said. ``frame`` None = the fish was not seen. ``glow``: brightest pixel of
     each cell of the patch around the fish, GLOW_SHAPE; None when not seen or not asked for.
     ``glow_turned``: the same if its head is the other end, of a blob."""
@@ -144,11 +253,11 @@ class Place:
     index: int
     t_s: float
     frame: Frame | None
-    sighting: Sighting | None
+    sighting: Detection | None
     glow: Glow | None
     glow_turned: Glow | None = None
 
-    def turned(self) -> Place:
+    def turned(self) -> TrackedImage:
         """The same with the head at the other end (not so in the ``sighting``)."""
         if self.frame is None:
             return self
@@ -158,7 +267,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    sighting: Sighting
+    sighting: Detection
     frame: Frame
 
     @property
@@ -203,7 +312,7 @@ class Tracker:
         None = not known yet, or a blob."""
         return self._size.measured_m
 
-    def look(self, picture: Picture) -> Place:
+    def look(self, picture: TimedImage) -> TrackedImage:
         """The fish in the next picture. Raises InputError for two fish, a picture of another size,
         anchors that are elsewhere (first pictures), a marker whose size contradicts the
         calibration by more than 5 % (median of the first second of sightings)."""
@@ -212,16 +321,16 @@ class Tracker:
         self._anchors.look(picture.t_s, grey)
         sighting = self._find(grey, picture.t_s)
         if sighting is None:
-            return Place(picture.index, picture.t_s, None, None, None)
+            return TrackedImage(picture.index, picture.t_s, None, None, None)
         seen = _Seen(sighting, self._frame(picture.t_s, sighting))
         if not self._believed(seen):
-            return Place(picture.index, picture.t_s, None, None, None)
+            return TrackedImage(picture.index, picture.t_s, None, None, None)
         self._size.look(picture.t_s, sighting.corners_px)
         self._before, self._last = self._last, seen
-        place = Place(picture.index, picture.t_s, seen.frame, sighting, None)
+        place = TrackedImage(picture.index, picture.t_s, seen.frame, sighting, None)
         return self._with_glow(place, grey) if self._glow else place
 
-    def _with_glow(self, place: Place, grey: Image) -> Place:
+    def _with_glow(self, place: TrackedImage, grey: Image) -> TrackedImage:
         assert place.frame is not None
         glow = glow_around(grey, place.frame, self._calibration)
         if not self._blob:
@@ -231,7 +340,7 @@ class Tracker:
         glow_turned = glow_around(grey, other, self._calibration)
         return replace(place, glow=glow, glow_turned=glow_turned)
 
-    def _find(self, grey: Image, t_s: float) -> Sighting | None:
+    def _find(self, grey: Image, t_s: float) -> Detection | None:
         guess = self._prediction(t_s)
         due = t_s >= self._everywhere_s or self._second.suspected or self._blob
         if guess is not None and not due:
@@ -261,7 +370,7 @@ class Tracker:
         step = centre - before.sighting.centre_px
         return np.asarray(centre + step * (t_s - last.t_s) / (last.t_s - before.t_s))
 
-    def _window(self, guess: F64, t_s: float, grey: Image) -> Window:
+    def _window(self, guess: F64, t_s: float, grey: Image) -> SearchWindow:
         assert self._last is not None
         sighting, frame = self._last.sighting, self._last.frame
         front = self._calibration.to_tank(np.array([sighting.front_px]))[0]
@@ -275,9 +384,9 @@ class Tracker:
         height, width = grey.shape
         left, right = np.clip((low[0], high[0]), 0, width)
         top, bottom = np.clip((low[1], high[1]), 0, height)
-        return Window(int(left), int(top), int(right), int(bottom))
+        return SearchWindow(int(left), int(top), int(right), int(bottom))
 
-    def _frame(self, t_s: float, sighting: Sighting) -> Frame:
+    def _frame(self, t_s: float, sighting: Detection) -> Frame:
         pixels = np.array([sighting.centre_px, sighting.front_px])
         (x, y), (front_x, front_y) = self._calibration.to_tank(pixels)
         heading = float(np.arctan2(front_y - y, front_x - x))
@@ -306,7 +415,7 @@ def _can_swim(start: _Seen, end: _Seen) -> bool:
     return bool(apart_m <= SPEED_MAX_M_S * apart_s + JUMP_MAX_M)
 
 
-def _nearest(sightings: list[Sighting], guess: F64) -> Sighting:
+def _nearest(sightings: list[Detection], guess: F64) -> Detection:
     return min(sightings, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
 
 
