@@ -19,7 +19,7 @@ from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import logbook_of
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
-from tailbeat.sensors.camera.marker.detector import KINDS, Marker
+from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker
 from tailbeat.sensors.camera.render.source import (
     RemoteCamera,
     RenderedDevice,
@@ -49,7 +49,7 @@ class MarkerOptions:
         typer.Option("--calibration", metavar="TANK.json", help="What 'camera calibrate' wrote."),
     ] = None
     marker: Annotated[
-        str, typer.Option("--marker", metavar="aruco|apriltag|blob", help="What is on the fish.")
+        str, typer.Option("--marker", metavar="|".join(KINDS), help="What is on the fish.")
     ] = "aruco"
     marker_id: Annotated[
         int | None,
@@ -71,8 +71,10 @@ class MarkerOptions:
             raise typer.BadParameter(f"--marker is {', '.join(KINDS[:-1])} or {KINDS[-1]}")
         if self.marker_side is not None and not 0.001 <= self.marker_side <= 1.0:
             raise typer.BadParameter("--marker-side is in metres, like 0.06")
-        if known == "blob" and (self.marker_id is not None or self.marker_side is not None):
-            raise typer.BadParameter("a blob has neither --marker-id nor --marker-side")
+        if MARKERS[known].family is None and (
+            self.marker_id is not None or self.marker_side is not None
+        ):
+            raise typer.BadParameter(f"a {known} has neither --marker-id nor --marker-side")
         return Marker(known, self.marker_id, self.marker_side)
 
 

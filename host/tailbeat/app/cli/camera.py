@@ -47,7 +47,7 @@ def render(
         str, typer.Option("--size", metavar="WxH", help="Of the picture, pixels.")
     ] = "1280x720",
     marker: Annotated[
-        str, typer.Option("--marker", metavar="aruco|apriltag|blob", help="What the fish carries.")
+        str, typer.Option("--marker", metavar="|".join(KINDS), help="What the fish carries.")
     ] = "aruco",
     lost: Annotated[
         float, typer.Option("--lost", min=0, max=0.9, help="Part of the pictures never taken.")

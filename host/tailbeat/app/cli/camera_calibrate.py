@@ -25,9 +25,9 @@ from tailbeat.sensors.camera.calibration.file import Calibration, load_calibrati
 from tailbeat.sensors.camera.calibration.points import read_points, rectangle
 from tailbeat.sensors.camera.marker import sheets
 from tailbeat.sensors.camera.marker.sheets import Sheet, write_sheet
+from tailbeat.sensors.camera.marker.tags import TagKind
 from tailbeat.sensors.camera.source.open import read_all, read_grey
 
-FishKind = Literal["aruco", "apriltag"]
 Paper = Literal["a4", "a3", "letter"]
 _FISH_ID = 7
 _OPTIONS: dict[str, tuple[str, ...]] = {
@@ -44,7 +44,7 @@ def print_(
         typer.Argument(metavar="WHAT", help="board, marker (the fish's), anchors or ruler."),
     ],
     kind: Annotated[
-        FishKind | None, typer.Option("--kind", help="Of the fish's marker. Default: aruco.")
+        TagKind | None, typer.Option("--kind", help="Of the fish's marker. Default: aruco.")
     ] = None,
     number: Annotated[
         int | None,
@@ -81,7 +81,7 @@ def print_(
 
 
 def _sheet(
-    what: str, kind: FishKind | None, number: int | None, side: float | None, paper: Paper
+    what: str, kind: TagKind | None, number: int | None, side: float | None, paper: Paper
 ) -> Sheet:
     if what == "board":
         return sheets.board_sheet(paper)

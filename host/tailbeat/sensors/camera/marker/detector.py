@@ -1,22 +1,20 @@
-"""The three ways to see the fish: ArUco, AprilTag, and a blob moving before a still background."""
+"""The kinds of marker on a fish: printed tags, and a blob moving before a still background."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
 from tailbeat.sensors.camera.marker.blob import BlobDetector
-from tailbeat.sensors.camera.marker.tags import Detector, TagDetector
+from tailbeat.sensors.camera.marker.tags import TAGS, Detector, TagDetector, TagFamily, TagKind
 from tailbeat.sensors.camera.opencv import cv2, require_cv2
 
-MarkerKind = Literal["aruco", "apriltag", "blob"]
-KINDS: tuple[MarkerKind, ...] = ("aruco", "apriltag", "blob")
-
-APRILTAG_IDS = 587  # of the family 36h11
+MarkerKind = Literal[TagKind, "blob"]
 _BODY_WIDTH_M = 0.09  # of the thesis's fish; half and double are taken as well
 _SIDE_MAX_M = 1.0
 
@@ -43,32 +41,36 @@ def detector_for(marker: Marker, calibration: Calibration | None = None) -> Dete
             f"a marker {marker.side_m * 1000:g} mm wide makes no sense",
             "Give the length of the printed black square's side: --marker-side, in metres.",
         )
-    if marker.kind == "blob":
-        return BlobDetector() if calibration is None else _blob_detector(marker, calibration)
-
-    _check_id(marker)
-    return TagDetector(marker.kind, lambda number: _may_be(marker, number))
+    return MARKERS[marker.kind].make(marker, calibration)
 
 
-def _may_be(marker: Marker, number: int) -> bool:
-    if marker.id is not None:
-        return number == marker.id
-    return marker.kind != "aruco" or number < ANCHOR_ID_MIN
+def _tag_detector(marker: Marker, calibration: Calibration | None) -> Detector:
+    family = TAGS[cast(TagKind, marker.kind)]
+    _check_id(marker.id, family)
+    return TagDetector(
+        cast(TagKind, marker.kind),
+        lambda number: (
+            number == marker.id
+            if marker.id is not None
+            else not family.shared or number < ANCHOR_ID_MIN
+        ),
+    )
 
 
-def _check_id(marker: Marker) -> None:
-    most = {"aruco": ANCHOR_ID_MIN, "apriltag": APRILTAG_IDS}[marker.kind] - 1
-    if marker.id is None or 0 <= marker.id <= most:
+def _check_id(number: int | None, family: TagFamily) -> None:
+    if number is None or 0 <= number < family.detected_ids:
         return
-    name = {"aruco": "ArUco 4x4 markers for the fish", "apriltag": "AprilTags 36h11"}[marker.kind]
-    tank = f" (from {ANCHOR_ID_MIN} on they are the tank's)" if marker.kind == "aruco" else ""
+    tank = f" (from {ANCHOR_ID_MIN} on they are the tank's)" if family.shared else ""
     raise InputError(
-        f"there is no marker {marker.id}: {name} have the ids 0 to {most}{tank}",
+        f"there is no marker {number}: {family.fish_markers} have the ids 0 to "
+        f"{family.detected_ids - 1}{tank}",
         "Print one of those, or leave the id away when there is only one marker in the water.",
     )
 
 
-def _blob_detector(marker: Marker, calibration: Calibration) -> Detector:
+def _blob_detector(marker: Marker, calibration: Calibration | None) -> Detector:
+    if calibration is None:
+        return BlobDetector()
 
     middle_px = np.array(calibration.size_px) / 2
     places = calibration.to_tank(middle_px + np.array([[0.0, 0.0], [1.0, 0.0]]))
@@ -79,3 +81,21 @@ def _blob_detector(marker: Marker, calibration: Calibration) -> Detector:
         outline = np.rint(calibration.to_pixels(calibration.area_m)).astype(np.int32)
         cv2.fillPoly(water, [outline], (255,))
     return BlobDetector((marker.side_m or _BODY_WIDTH_M) / metres_per_px, water)
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerType:
+    """How a kind of marker is detected. ``family`` None = nothing is printed. ``whole_image``: the
+    detector must see each whole image, and it can mistake the tail for the head."""
+
+    make: Callable[[Marker, Calibration | None], Detector]
+    family: TagFamily | None = None
+    whole_image: bool = False
+
+
+# Every kind of marker on a fish; the names are those of --marker.
+MARKERS: dict[MarkerKind, MarkerType] = {
+    **{kind: MarkerType(_tag_detector, family) for kind, family in TAGS.items()},
+    "blob": MarkerType(_blob_detector, whole_image=True),
+}
+KINDS: tuple[MarkerKind, ...] = tuple(MARKERS)

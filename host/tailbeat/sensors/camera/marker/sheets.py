@@ -20,6 +20,8 @@ from tailbeat.sensors.camera.marker.tags import (
     BOARD_MARKER,
     BOARD_SQUARES,
     RULER_IDS,
+    TAGS,
+    TagKind,
     board,
 )
 from tailbeat.sensors.camera.opencv import cv2
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Paper = Literal["a4", "a3", "letter"]
-FishKind = Literal["aruco", "apriltag"]
 PAPERS_MM: dict[Paper, tuple[float, float]] = {
     "a4": (210.0, 297.0),
     "a3": (297.0, 420.0),
@@ -37,7 +38,6 @@ PAPERS_MM: dict[Paper, tuple[float, float]] = {
 }
 SIDE_MM_MIN = 10.0
 ANCHOR_ID_MAX = 49  # the last of DICT_4X4_50
-APRILTAGS = 587  # ids of 36h11
 TANK_SIDE_MM, FISH_SIDE_MM = 70.0, 60.0
 
 _MM_PER_INCH = 25.4
@@ -91,7 +91,7 @@ def board_sheet(paper: Paper = "a4") -> Sheet:
 
 
 def fish_sheet(
-    kind: FishKind = "aruco",
+    kind: TagKind = "aruco",
     number: int = 7,
     side_mm: float = FISH_SIDE_MM,
     paper: Paper = "a4",
@@ -100,10 +100,10 @@ def fish_sheet(
     or does not exist, and a side that does not fit."""
     _check_fish_id(kind, number)
     _check_side(side_mm, paper, 1, 1)
-    family = "ArUco 4x4" if kind == "aruco" else "AprilTag 36h11"
     text = (
-        f"Marker of the fish: {family}, id {number}, black square {side_mm:g} mm. Cut along the "
-        "dashes: the white around it is part of it. The arrow points to the fish's head."
+        f"Marker of the fish: {TAGS[kind].name}, id {number}, black square {side_mm:g} mm. "
+        "Cut along the dashes: the white around it is part of it. The arrow points to the fish's "
+        "head."
     )
 
     def draw(axes: Axes) -> None:
@@ -192,11 +192,11 @@ def _square_mm(paper: Paper) -> float:
     return float(np.floor(fits))
 
 
-def _check_fish_id(kind: str, number: int) -> None:
-    end = min(RULER_IDS) if kind == "aruco" else APRILTAGS
+def _check_fish_id(kind: TagKind, number: int) -> None:
+    end = TAGS[kind].printed_ids
     if 0 <= number < end:
         return
-    why = f" ({end} and up are the ruler's and the tank's)" if kind == "aruco" else ""
+    why = f" ({end} and up are the ruler's and the tank's)" if TAGS[kind].shared else ""
     raise InputError(f"a fish cannot have {kind} id {number}", f"Take one of 0 to {end - 1}{why}.")
 
 
@@ -213,12 +213,10 @@ def _check_side(side_mm: float, paper: Paper, columns: int, rows: int) -> None:
 
 
 def _draw_marker(
-    axes: Axes, kind: str, number: int, side_mm: float, middle: tuple[float, float]
+    axes: Axes, kind: TagKind, number: int, side_mm: float, middle: tuple[float, float]
 ) -> None:
-    aruco = cv2.aruco
-    family = aruco.DICT_4X4_50 if kind == "aruco" else aruco.DICT_APRILTAG_36H11
     corner = (middle[0] - side_mm / 2, middle[1] - side_mm / 2)
-    _draw_cells(axes, _cells(aruco.getPredefinedDictionary(family), number), corner, side_mm)
+    _draw_cells(axes, _cells(TAGS[kind].dictionary(), number), corner, side_mm)
     cut = side_mm * _CUT
     _frame(axes, middle[0] - cut / 2, middle[1] - cut / 2, cut)
     name = f"{kind} {number}"

@@ -33,6 +33,46 @@ ANCHOR_IDS = (40, 41, 42, 43)
 BOARD_SQUARES = (6, 8)  # columns, rows
 BOARD_MARKER = 0.75  # side of a board's marker over that of its square
 
+TagKind = Literal["aruco", "apriltag"]
+
+
+@dataclass(frozen=True, slots=True)
+class TagFamily:
+    """One kind of printed marker.
+
+    ``name_cv2``: its dictionary in cv2.aruco. ``cells``: along a side, black border included.
+    ``shared``: the ruler and the tank use ids of this family, too."""
+
+    name_cv2: str
+    cells: int
+    ids: int
+    shared: bool
+    name: str
+    fish_markers: str  # in messages
+
+    def dictionary(self) -> Any:
+        """OpenCV's (cv2.aruco.Dictionary)."""
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.name_cv2))
+
+    @property
+    def detected_ids(self) -> int:
+        """Ids below this one can be on the fish."""
+        return ANCHOR_ID_MIN if self.shared else self.ids
+
+    @property
+    def printed_ids(self) -> int:
+        """Ids below this one are printed for the fish."""
+        return min(RULER_IDS) if self.shared else self.ids
+
+
+# Every printed marker: detection, sheets and the rendered tank read this table.
+TAGS: dict[TagKind, TagFamily] = {
+    "aruco": TagFamily("DICT_4X4_50", 6, 50, True, "ArUco 4x4", "ArUco 4x4 markers for the fish"),
+    "apriltag": TagFamily(
+        "DICT_APRILTAG_36h11", 8, 587, False, "AprilTag 36h11", "AprilTags 36h11"
+    ),
+}
+
 
 def board(square_m: float = 1.0) -> Any:
     """The ChArUco board (cv2.aruco.CharucoBoard). Its markers are of another dictionary than
@@ -213,11 +253,6 @@ def _meet(points: F64, along: F64) -> F64:
     return np.asarray(before + part[:, None] * direction)
 
 
-TagKind = Literal["aruco", "apriltag"]
-
-_DICTIONARY = {"aruco": "DICT_4X4_50", "apriltag": "DICT_APRILTAG_36h11"}  # names in cv2.aruco
-CELLS = {"aruco": 6, "apriltag": 8}  # along a side, black border included
-
 _SIDE_MIN_PX = 10  # smaller ones are never decoded
 _SMALL_WINDOW_PX = 400  # up to there a window is doubled before it is searched
 _DEEP_EVERY = 10  # fruitless searches of the whole picture
@@ -245,8 +280,8 @@ class TagReader:
     """
 
     def __init__(self, kind: TagKind) -> None:
-        self._dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARY[kind]))
-        self._cells = CELLS[kind]
+        self._dictionary = TAGS[kind].dictionary()
+        self._cells = TAGS[kind].cells
         self._fruitless = 0
 
     def read(
@@ -296,7 +331,7 @@ class TagDetector:
 
     def __init__(self, kind: TagKind, belongs: Callable[[int], bool]) -> None:
         self._reader = TagReader(kind)
-        self._cells = CELLS[kind]
+        self._cells = TAGS[kind].cells
         self._belongs = belongs
         self.other_ids: set[int] = set()  # of this kind, seen but not the fish's
 

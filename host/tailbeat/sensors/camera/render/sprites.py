@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
-from tailbeat.sensors.camera.marker.detector import MarkerKind
+from tailbeat.sensors.camera.marker.detector import MARKERS, MarkerKind
+from tailbeat.sensors.camera.marker.tags import TAGS, TagKind
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render.scene import (
     ANCHOR_SIDE_M,
@@ -116,7 +117,6 @@ _CARD, _INK = 232, 26  # greys of a print
 _SMOOTH = 4  # samples per element while drawing
 _NOTHING = 3  # elements around a sprite
 _BITS = 4  # of fractions in OpenCV's places
-_DICTIONARIES = {"aruco": "DICT_4X4_50", "apriltag": "DICT_APRILTAG_36h11"}
 
 
 def card_m(side_m: float) -> float:
@@ -126,8 +126,8 @@ def card_m(side_m: float) -> float:
 
 def whole_elements(kind: MarkerKind, side_m: float, px_per_m: float) -> float:
     """About ``px_per_m``, so that the squares of the marker fall on whole elements of a sprite."""
-    squares = 6 if kind == "blob" else _dictionary(kind).markerSize + 2
-    return float(max(1, round(side_m / squares * px_per_m)) * squares / side_m)
+    family = MARKERS[kind].family or TAGS["aruco"]
+    return float(max(1, round(side_m / family.cells * px_per_m)) * family.cells / side_m)
 
 
 class Canvas:
@@ -150,11 +150,10 @@ class Canvas:
         cv2.fillPoly(self._value, points, grey, cv2.LINE_8, _BITS)
         cv2.fillPoly(self._cover, points, 1.0, cv2.LINE_8, _BITS)
 
-    def print_marker(self, kind: MarkerKind, number: int, side_m: float) -> None:
+    def print_marker(self, kind: TagKind, number: int, side_m: float) -> None:
         """Marker and card around the origin, the print's top towards x (the head)."""
-        dictionary = _dictionary(kind)
-        squares = dictionary.markerSize + 2
-        tile = cv2.aruco.generateImageMarker(dictionary, number, squares, None, 1)
+        squares = TAGS[kind].cells
+        tile = cv2.aruco.generateImageMarker(TAGS[kind].dictionary(), number, squares, None, 1)
         each = round(side_m / squares * self._px_per_m) * _SMOOTH
         ink = np.kron(np.rot90(tile > 0, -1), np.ones((each, each)))
         margin = round(card_m(side_m) * self._px_per_m) * _SMOOTH - len(ink) // 2
@@ -172,10 +171,6 @@ class Canvas:
         cover = cv2.resize(self._cover, size, interpolation=cv2.INTER_AREA)
         scale = self._px_per_m
         return Sprite(value, cover, scale, self._left / scale, self._top / scale)
-
-
-def _dictionary(kind: MarkerKind) -> Any:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, _DICTIONARIES[kind]))
 
 
 NOSE_M, TAIL_TIP_M = 0.20, -0.16  # from the marker's centre; a fish of 36 cm
@@ -208,7 +203,7 @@ class Body:
         return self.led_m - LED_RING_M
 
 
-def printed(kind: MarkerKind, number: int, side_m: float, px_per_m: float) -> Sprite:
+def printed(kind: TagKind, number: int, side_m: float, px_per_m: float) -> Sprite:
     """The marker on its card, the print's top towards x (the head). ``px_per_m`` as of
     ``whole_elements``."""
     half_m = card_m(side_m)
@@ -228,8 +223,8 @@ def body(scene: Scene, led: float, px_per_m: float) -> Sprite:
         canvas.fill(np.concatenate([np.c_[along, half], np.c_[along, -half][::-1]]), grey)
     for side in (-1, 1):
         canvas.fill(_ring(NOSE_M - 0.03, side * 0.019, 0.004), _EYE)
-    if scene.marker != "blob":
-        canvas.print_marker(scene.marker, scene.marker_id, scene.marker_side_m)
+    if MARKERS[scene.marker].family is not None:
+        canvas.print_marker(cast(TagKind, scene.marker), scene.marker_id, scene.marker_side_m)
     if scene.led:
         canvas.fill(_ring(where.led_m, 0, LED_RING_M), _RING)
         canvas.fill(_ring(where.led_m, 0, LED_RADIUS_M), _LAMP_OFF + led * (255 - _LAMP_OFF))

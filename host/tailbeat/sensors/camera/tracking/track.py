@@ -18,8 +18,7 @@ from tailbeat.core.csv import read_table
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.sensors.camera.marker.detector import KINDS, Marker
-from tailbeat.sensors.camera.marker.tags import RULER_IDS
+from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker
 from tailbeat.sensors.camera.source.picture import PictureSource
 from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Glow, TrackedImage, Tracker
 
@@ -101,7 +100,8 @@ def track(
 
 
 def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -> InputError:
-    if marker.kind == "blob":
+    family = MARKERS[marker.kind].family
+    if family is None:
         return InputError(
             f"{name}: nothing moves in any of {pictures} pictures.",
             "A blob must swim before a background that stands still; with a tag on the fish try "
@@ -109,7 +109,7 @@ def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -
         )
     which = "" if marker.id is None else f" with id {marker.id}"
     message = f"{name}: no {marker.kind} marker{which} in any of {pictures} pictures."
-    fishs = [number for number in other_ids if not _is_tanks(marker, number)]
+    fishs = [number for number in other_ids if not (family.shared and number >= family.printed_ids)]
     if fishs:
         found = ", ".join(map(str, fishs))
         return InputError(message, f"What is there has the id {found}: give that, or none.")
@@ -117,10 +117,6 @@ def _no_marker(name: str, marker: Marker, pictures: int, other_ids: list[int]) -
     return InputError(
         message, f"It must lie flat and sharp in view, 20 pixels wide or more; or try {others}."
     )
-
-
-def _is_tanks(marker: Marker, number: int) -> bool:
-    return marker.kind == "aruco" and number >= min(RULER_IDS)
 
 
 def track_of(places: Sequence[TrackedImage], name: str = "") -> Track:

@@ -16,7 +16,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Camera, Frame
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.sensors.camera.marker.detector import Marker, detector_for
+from tailbeat.sensors.camera.marker.detector import MARKERS, Marker, detector_for
 from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow, TagReader, centre_of
 from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image, TimedImage
@@ -289,7 +289,7 @@ class Tracker:
         """``name``: of the film or device, for messages. Raises what detector_for raises."""
         self._detector = detector_for(marker, calibration)
         # It has to see every picture as a whole, and may take the tail for the head.
-        self._blob = marker.kind == "blob"
+        self._whole_image = MARKERS[marker.kind].whole_image
         self._calibration = calibration
         self._name = name
         self._glow = glow
@@ -333,7 +333,7 @@ class Tracker:
     def _with_glow(self, place: TrackedImage, grey: Image) -> TrackedImage:
         assert place.frame is not None
         glow = glow_around(grey, place.frame, self._calibration)
-        if not self._blob:
+        if not self._whole_image:
             return replace(place, glow=glow)
         other = place.turned().frame
         assert other is not None
@@ -342,7 +342,7 @@ class Tracker:
 
     def _find(self, grey: Image, t_s: float) -> Detection | None:
         guess = self._prediction(t_s)
-        due = t_s >= self._everywhere_s or self._second.suspected or self._blob
+        due = t_s >= self._everywhere_s or self._second.suspected or self._whole_image
         if guess is not None and not due:
             window = self._window(guess, t_s, grey)
             sightings = self._detector.find(grey, window)
