@@ -221,6 +221,17 @@ def test_start_is_quick_because_nothing_heavy_is_imported() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_no_command_loads_scipy_or_matplotlib_before_it_runs() -> None:
+    heavy, studies = ["scipy", "matplotlib", "pyarrow"], ["sim thesis", "sim montecarlo"]
+    code = (
+        "import sys; from tailbeat.app.cli.app import COMMANDS; "
+        f"[one.load() for name, one in COMMANDS.items() if not one.needs and name not in {studies}]"
+        f"; sys.exit(', '.join(m for m in {heavy} if m in sys.modules) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_what_the_system_refuses_is_one_line(alone: Shell, tmp_path: Path) -> None:
     taken = tmp_path / "file"
     taken.write_text("x")

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.lazy import lazy
 from tailbeat.sensors.camera.sync.led_search import (
     BLOCK_SYMBOLS,
     REPEAT_S,
@@ -30,6 +30,8 @@ from tailbeat.sensors.camera.sync.led_search import (
     series_of,
 )
 from tailbeat.sensors.camera.tracking.track import Track
+
+special = lazy("scipy.special")
 
 _EXPOSURE_MIN_S = 0.001
 # What part of the exposure is needed to be seen at all (beside something bright), and what part to
@@ -138,7 +140,7 @@ def fit(
         fits[i] = [float(looks.log_likelihood(bright, part).sum()) for part in looking]
     edges = max(1, int(np.count_nonzero(np.diff(np.round(wave.lit(since_s, TICK_S))))))
     fits *= min(1.0, _EDGES_BELIEVED / edges)
-    chance = np.exp(logsumexp(fits, axis=1) - logsumexp(fits))
+    chance = np.exp(special.logsumexp(fits, axis=1) - special.logsumexp(fits))
     mean = float(chance @ shifts)
     spread = float(np.sqrt(chance @ (shifts - mean) ** 2 + grid.step_s**2 / 12))
     return LedFit(begin_s + mean, max(spread, _SIGMA_MIN_S), score), looks

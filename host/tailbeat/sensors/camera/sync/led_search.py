@@ -13,12 +13,14 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.ndimage import maximum_filter
 
 from tailbeat.core.arrays import F32, F64
+from tailbeat.core.lazy import lazy
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.tracking.tracker import Glow
+
+fft = lazy("scipy.fft")
+ndimage = lazy("scipy.ndimage")
 
 Bools = NDArray[np.bool_]
 
@@ -92,7 +94,8 @@ def series_of(glow: Glow) -> NDArray[np.uint8]:
     and now in the next."""
     cells = glow.astype(np.int16)
     cells -= np.median(cells, axis=0).astype(np.int16) - _USUAL
-    pooled = maximum_filter(np.clip(cells, 0, 255).astype(np.uint8), size=(1, 2, 2))[:, 1:, 1:]
+    bright = np.clip(cells, 0, 255).astype(np.uint8)
+    pooled = ndimage.maximum_filter(bright, size=(1, 2, 2))[:, 1:, 1:]
     return np.ascontiguousarray(pooled.reshape(len(glow), -1).T)
 
 

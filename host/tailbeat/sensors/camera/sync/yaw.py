@@ -16,14 +16,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import median_filter
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.lazy import lazy
 from tailbeat.core.native import lib
 from tailbeat.core.trial_file import SLOT_S, Trial
 from tailbeat.sensors.camera.tracking.track import Track
+
+interpolate = lazy("scipy.interpolate")
+ndimage = lazy("scipy.ndimage")
 
 BEATS_MIN = 5
 # On top of the wire. A VN-100 filters nothing that is late: its output is the mean over just the
@@ -63,7 +65,7 @@ class YawOscillation:
         self._known = np.isfinite(slots)
         self._still_after = self.end_s > swim_s - 1.5 * SLOT_S
         heading = np.concatenate([[0.0], np.cumsum(np.nan_to_num(slots))])
-        self._spline = CubicSpline(np.arange(len(heading)) * SLOT_S, heading)
+        self._spline = interpolate.CubicSpline(np.arange(len(heading)) * SLOT_S, heading)
         wire_s = _BITS_PER_BYTE * int(lib.NATIVE_IMU_FRAME_BYTES) / _baud(trial)
         self._late_s = _LATE_S + wire_s
 
@@ -315,7 +317,7 @@ def read_yaw(track: Track, trial: Trial) -> YawFit:
 
 def _believed(heading_rad: F64) -> NDArray[np.bool_]:
     """Not those far from the median of their five neighbours: a marker seen askew."""
-    off = np.abs(heading_rad - median_filter(heading_rad, 5, mode="nearest"))
+    off = np.abs(heading_rad - ndimage.median_filter(heading_rad, 5, mode="nearest"))
     return np.asarray(off <= max(_OFF_MIN_RAD, _OFF_SIGMAS * 1.4826 * float(np.median(off))))
 
 
