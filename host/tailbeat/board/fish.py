@@ -6,11 +6,9 @@ The fish: everything a person does with a board, as methods.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator
-from dataclasses import replace
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from tailbeat.board import crash
 from tailbeat.board.connect import open_transport, require_board
 from tailbeat.board.crash import CrashReport
+from tailbeat.board.learned import LearnedMemory
 from tailbeat.core import records
 from tailbeat.core.arrays import F32
-from tailbeat.core.errors import Refused, TransferError
+from tailbeat.core.errors import Refused
 from tailbeat.core.faults import (
-    BAD_DATA,
     BAD_FILE,
     IMU_STARTING,
     NO_REFERENCE,
@@ -38,9 +36,10 @@ from tailbeat.link.ftp.client import FtpClient, Progress
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.link.mavlink import Link, Message, text_of
 from tailbeat.link.messages import (
-    BeatEvent,
+    WATCHED,
     BoardInfo,
     BoardStatus,
+    Event,
     ImuFrame,
     ImuInfo,
     LearnReport,
@@ -72,25 +71,9 @@ TRIALS = "/trials"
 LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
 _IMU_VERDICT_S = 6.0  # of board time, after which it knows
 _IMU_LOOK_S = 0.25
-_AMPLITUDES_PER_PIECE = 32
-_NEXT = mavlink.TAILBEAT_AMPLITUDE_SET_NEXT
-_BEST = mavlink.TAILBEAT_AMPLITUDE_SET_BEST
-_VISITS = mavlink.TAILBEAT_AMPLITUDE_SET_VISITS
-_VISITS_MAX = 255
-_PEAKS = mavlink.TAILBEAT_AMPLITUDE_SET_PEAKS
 _FTP_NOT_FOUND = 10
-_STEADY_TRIES = 5
 _NAME = "tailbeat "
 _STOPPED = ("ABORTED", "FAULT")
-
-Event = dict[str, Any]
-
-
-class HasRecord(Protocol):
-    """A reference, as far as uploading it goes."""
-
-    def record(self) -> bytes:
-        """The bytes of the board's file."""
 
 
 class Fish:
@@ -102,11 +85,22 @@ class Fish:
         self.clock = BoardClock(self.link)
         self.params = Parameters(self.link)
         self.ftp = FtpClient(self.link)
-        self._counts_visits: bool | None = None  # None: not asked yet
+        self._memory = LearnedMemory(self.link)
 
     @classmethod
     def connect(cls, url: str | None = None, /, **sim_overrides: float) -> Fish:
-        """Opens ``url`` (None: find the fish) and greets the board. Raises ConnectError."""
+        """Opens the connection and greets the board.
+
+        Parameters
+        ----------
+        url : address as for ``--connect``, for example ``sim:tank?seed=1``; None finds the fish.
+        **sim_overrides : values of the simulator, SI units; only with a simulated board.
+
+        Raises
+        ------
+        ConnectError : no board answers there.
+        InputError : the address makes no sense.
+        """
         transport = open_transport(url, **sim_overrides)
         try:
             if url is not None:
@@ -191,9 +185,19 @@ class Fish:
         return imu_frames(self.link, self.clock, duration_s)
 
     def upload_reference(
-        self, reference: bytes | HasRecord, progress: Progress | None = None
+        self, reference: bytes | Reference, progress: Progress | None = None
     ) -> int:
-        """Makes ``reference`` the board's; its CRC. Does nothing when the board has it already."""
+        """Makes ``reference`` the board's; does nothing when the board has it already.
+
+        Parameters
+        ----------
+        reference : a ``Reference``, or its record (docs/protocol.md).
+        progress : told how many bytes of how many are sent.
+
+        Returns
+        -------
+        The CRC by which the reference is known.
+        """
         record = reference if isinstance(reference, bytes) else reference.record()
         crc = records.record_crc(record)
         if self.status().reference_crc != crc:
@@ -226,7 +230,16 @@ class Fish:
             raise
 
     def upload_amplitudes(self, amplitude_rad: ArrayLike) -> None:
-        """Makes amplitudes computed elsewhere the next ones to swim."""
+        """Makes amplitudes computed elsewhere the input of the next trial.
+
+        Parameters
+        ----------
+        amplitude_rad : shape (beats,), rad, 0 or more, for the board's reference.
+
+        Raises
+        ------
+        Refused : the board has no reference, or does not take them.
+        """
         crc = self.status().reference_crc
         if crc is None:
             raise refusal(NO_REFERENCE)
@@ -247,7 +260,14 @@ class Fish:
         self._upload(records.FILE_LEARNED, record)
 
     def upload_speeds(self, trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> None:
-        """Gives the pending trial its speeds, one per beat; NaN = not measured."""
+        """Gives the pending trial its speeds.
+
+        Parameters
+        ----------
+        trial : its number.
+        speed_m_s : mean speed of each beat, shape (beats,), m/s; NaN = not measured.
+        sigma_m_s : their standard deviations, a scalar or shape (beats,), m/s.
+        """
         record = records.encode_speeds(trial, speed_m_s, sigma_m_s)
         self._upload(records.FILE_SPEEDS, record)
 
@@ -270,7 +290,20 @@ class Fish:
         self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, float(reason), timeout_s=0.3)
 
     def learn(self, trial: int | None = None) -> LearnReport:
-        """Learns from the pending trial (or ``trial``)."""
+        """Learns from the pending trial.
+
+        Parameters
+        ----------
+        trial : its number, if known; another number is refused.
+
+        Returns
+        -------
+        Errors of the trial in m/s, and what the law did with them.
+
+        Raises
+        ------
+        Refused : nothing is pending, or the board is stopped.
+        """
         number = trial if trial is not None else self._pending()
         heard: list[Message] = []
         stop = self.link.subscribe(heard.append)
@@ -304,63 +337,36 @@ class Fish:
         self.link.command(mavlink.TAILBEAT_CMD_RESTORE_BEST)
 
     def amplitudes(self, best: bool = False) -> Amplitudes:
-        """The amplitudes that swim next (unsaturated) or the best so far (as swum), bit for bit."""
-        stored = self._stored(_BEST if best else _NEXT)
-        # 0 is also what a board says that does not tell: one that counts no visits.
-        told = stored.input != 0 or self._tells_input()
-        return stored if told else replace(stored, input=None)
+        """The feedforward input of the next trial or of the best so far, bit for bit.
 
-    def _tells_input(self) -> bool:
-        if self._counts_visits is None:
-            self.visits()
-        return self._counts_visits is True
+        Parameters
+        ----------
+        best : the best input as it was applied, instead of the next one (unsaturated).
+
+        Returns
+        -------
+        Amplitudes, ``values`` of float32, shape (beats,), rad.
+        """
+        return self._memory.amplitudes(best)
 
     def visits(self) -> NDArray[np.uint8] | None:
-        """How many trials have corrected each beat, 255 at most; None when the board does not
-        count them."""
-        try:
-            counts = self._stored(_VISITS).values
-        except Refused as refused:
-            if refused.number != BAD_DATA:
-                raise
-            self._counts_visits = False
-            return None
-        if not ((counts >= 0) & (counts <= _VISITS_MAX)).all():
-            raise TransferError(
-                "the board's update counts are no numbers from 0 to 255",
-                "Its firmware or its storage is damaged: tailbeat board check",
-            )
-        self._counts_visits = True
-        return counts.astype(np.uint8)
+        """How many trials have corrected each beat.
+
+        Returns
+        -------
+        Shape (beats,), at most 255; None when the board does not count them.
+        """
+        return self._memory.visits()
 
     def peaks(self) -> F32 | None:
-        """|e| of the best trial's largest errors at their beats, m/s, and 0 at all others.
+        """The best trial's largest errors.
 
-        Negative where it is an earlier best's, at a beat that the best did not measure. None: the
-        board does not keep them."""
-        try:
-            return self._stored(_PEAKS).values
-        except Refused as refused:
-            if refused.number != BAD_DATA:
-                raise
-            return None
-
-    def _stored(self, kind: int) -> Amplitudes:
-        for _ in range(_STEADY_TRIES):
-            first = self._amplitudes_piece(0, kind)
-            values = list(first.amplitude_rad[: first.count])
-            steady = True
-            while steady and len(values) < first.beats:
-                piece = self._amplitudes_piece(len(values), kind)
-                steady = piece.count > 0 and _same_series(piece, first)
-                values += piece.amplitude_rad[: piece.count]
-            if steady:
-                array = np.array(values, dtype=np.float32)
-                made_by = first.input
-                return Amplitudes(first.iteration, first.beats, first.reference_crc, array, made_by)
-        raise TransferError(
-            "the board's amplitudes change while they are read", "Try again when it is idle."
-        )
+        Returns
+        -------
+        |e| at their beats, m/s, shape (beats,), 0 at all others; negative where it is an earlier
+        best's, at a beat that the best did not measure. None: the board does not keep them.
+        """
+        return self._memory.peaks()
 
     def trials(self) -> list[TrialFile]:
         """Trial logs on the board, oldest first."""
@@ -372,7 +378,18 @@ class Fish:
         return sorted(found, key=lambda trial: trial.number)
 
     def pull_trial(self, number: int, folder: Path, progress: Progress | None = None) -> Path:
-        """Copies a trial's log into ``folder``; resumes what an earlier call began."""
+        """Copies a trial's log; resumes what an earlier call began.
+
+        Parameters
+        ----------
+        number : of the trial.
+        folder : where ``NNNN.ulg`` is written.
+        progress : told how many bytes of how many have come.
+
+        Returns
+        -------
+        The file.
+        """
         name = f"{number:04d}.ulg"
         local = folder / name
         self.ftp.pull(f"{TRIALS}/{name}", local, progress)
@@ -380,11 +397,11 @@ class Fish:
 
     def watch(self) -> Iterator[Event]:
         """Everything the board tells, as it comes, for ever."""
-        kinds = tuple(_WATCHED)
+        kinds = tuple(WATCHED)
         while True:
             message = self.link.recv(kinds, 1.0)
             if message is not None:
-                yield _WATCHED[message.get_type()](message)
+                yield WATCHED[message.get_type()](message)
 
     def _build_id(self) -> str | None:
         """The board says it in a line of text behind its version."""
@@ -422,56 +439,6 @@ class Fish:
             raise
         return True
 
-    def _amplitudes_piece(self, first: int, kind: int) -> Message:
-        return self.link.request(
-            "TAILBEAT_AMPLITUDES",
-            first,
-            kind,
-            where=lambda m: m.first == first and m.set == kind and m.count <= _AMPLITUDES_PER_PIECE,
-        )
-
 
 def _unique_id(version: Message) -> str:
     return bytes(version.uid2)[:16].hex()
-
-
-def _same_series(piece: Message, first: Message) -> bool:
-    return bool(
-        piece.iteration == first.iteration
-        and piece.beats == first.beats
-        and piece.reference_crc == first.reference_crc
-    )
-
-
-def status_event(status: BoardStatus) -> Event:
-    """A status as one event; the fault as number and name."""
-    event: Event = {"event": "status", **vars(status)}
-    event["fault"] = status.fault.number
-    event["fault_name"] = status.fault.name
-    return event
-
-
-def beat_event(beat: BeatEvent) -> Event:
-    """A settled beat as one event."""
-    return {"event": "beat", **vars(beat)}
-
-
-def _live_event(m: Message) -> Event:
-    values = {name: getattr(m, name) for name in m.get_fieldnames() if name != "time_boot_ms"}
-    values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
-    return {"event": "live", "time_s": m.time_boot_ms * 1e-3, **values}
-
-
-def text_event(m: Message) -> Event:
-    """A line of text as one event."""
-    return {"event": "text", "severity": m.severity, "text": text_of(m.text)}
-
-
-_WATCHED: dict[str, Callable[[Message], Event]] = {
-    "TAILBEAT_STATUS": lambda m: status_event(BoardStatus.of(m)),
-    "TAILBEAT_BEAT": lambda m: beat_event(BeatEvent.of(m)),
-    "TAILBEAT_LIVE": _live_event,
-    "TAILBEAT_HEALTH": lambda m: {"event": "health", **messages.health_dict(m)},
-    "TAILBEAT_LEARN_REPORT": lambda m: {"event": "learned", **vars(LearnReport.of(m))},
-    "STATUSTEXT": text_event,
-}

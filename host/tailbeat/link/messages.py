@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import FaultInfo, ImuProblem, fault_info, problem_info
@@ -248,6 +249,44 @@ def _number(value: float) -> float | None:
 
 def _name(names: tuple[str, ...], index: int) -> str:
     return names[index] if 0 <= index < len(names) else str(index)
+
+
+Event = dict[str, Any]
+
+
+def status_event(status: BoardStatus) -> Event:
+    """A status as one event; the fault as number and name."""
+    event: Event = {"event": "status", **vars(status)}
+    event["fault"] = status.fault.number
+    event["fault_name"] = status.fault.name
+    return event
+
+
+def beat_event(beat: BeatEvent) -> Event:
+    """A settled beat as one event."""
+    return {"event": "beat", **vars(beat)}
+
+
+def live_event(m: Message) -> Event:
+    """TAILBEAT_LIVE as one event; None where there is no value."""
+    values = {name: getattr(m, name) for name in m.get_fieldnames() if name != "time_boot_ms"}
+    values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
+    return {"event": "live", "time_s": m.time_boot_ms * 1e-3, **values}
+
+
+def text_event(m: Message) -> Event:
+    """A line of text as one event."""
+    return {"event": "text", "severity": m.severity, "text": text_of(m.text)}
+
+
+WATCHED: dict[str, Callable[[Message], Event]] = {
+    "TAILBEAT_STATUS": lambda m: status_event(BoardStatus.of(m)),
+    "TAILBEAT_BEAT": lambda m: beat_event(BeatEvent.of(m)),
+    "TAILBEAT_LIVE": live_event,
+    "TAILBEAT_HEALTH": lambda m: {"event": "health", **health_dict(m)},
+    "TAILBEAT_LEARN_REPORT": lambda m: {"event": "learned", **vars(LearnReport.of(m))},
+    "STATUSTEXT": text_event,
+}
 
 
 _ALL_FRAMES = 0.0

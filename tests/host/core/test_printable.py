@@ -16,10 +16,11 @@ import tailbeat
 from tailbeat.app.cli import run
 from tailbeat.app.cli._terminal import echo, say, table
 from tailbeat.app.web.view import Snapshot, logged
-from tailbeat.board.fish import Fish, text_event
+from tailbeat.board.fish import Fish
 from tailbeat.core.printable import printable, printable_lines
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.messages import text_event
 from tailbeat.link.params import Parameters
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
