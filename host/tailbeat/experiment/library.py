@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file, sync_folder, write_whole
 from tailbeat.core.locks import locked
-from tailbeat.core.trial_file import Trial, parse_trial
+from tailbeat.core.trial_file import Trial, parse_trial, read_trial
+from tailbeat.learning.saturation import KnownFish, known_fish
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
@@ -320,3 +321,26 @@ def preserve_folder(book: Logbook | None) -> Path | None:
     """Where ``board.preserve`` keeps its copy: one folder for all procedures of a fish, so that an
     interrupted one is found by any other. None for a board without a logbook."""
     return None if book is None else book.folder / _PRESERVED
+
+
+def known_fish_of(library: Logbook | None) -> KnownFish | None:
+    """The model of a fish that its trial library gives; None without a library or a trial."""
+    if library is None:
+        return None
+    identified = library.identified()
+    return known_fish(identified, library.swims() if identified is None else ())
+
+
+def read_trials(folder: Path) -> tuple[list[Kept], list[str]]:
+    """The trial files of a folder by name, or of its ``raw`` (an experiment); and one line for each
+    that cannot be read. Raises InputError when there is no folder."""
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {folder}.", "Name an experiment's folder.")
+    raw = folder / "raw"
+    trials, problems = [], []
+    for path in sorted((raw if raw.is_dir() else folder).glob("*.ulg")):
+        try:
+            trials.append(Kept(read_trial(path), path))
+        except InputError as error:
+            problems.append(str(error))
+    return trials, problems

@@ -7,7 +7,7 @@ overshoots are no saturation: only a limit below the best input's largest amplit
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from tailbeat.core.reference import Reference, thesis
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.library import Logbook
     from tailbeat.learning.fish_model import Swim
     from tailbeat.learning.identification import Identified
 
@@ -114,24 +113,18 @@ def saturation_of(
     return _judged(at, count, reference, trial.params, known, learned=True)
 
 
-def saturation_next(fish: Fish, executed_beats: int, book: Logbook | None) -> Saturation | None:
-    """Of the trial that waits on the board to be learned from, without pulling its file."""
+def saturation_next(
+    fish: Fish, executed_beats: int, known: Callable[[], KnownFish | None]
+) -> Saturation | None:
+    """Of the trial that waits on the board to be learned from, without pulling its file. ``known``
+    is called when beats are at the limit."""
     from tailbeat.board.fish import board_reference
 
     params = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", *_SERVO)}
     count = at_limit(fish.amplitudes().values[:executed_beats], params["AMP_MAX_RAD"])
     if not count or (reference := board_reference(fish)) is None:
         return None
-    known = known_of(book)
-    return _judged(count, executed_beats, reference, params, known, learned=True)
-
-
-def known_of(book: Logbook | None) -> KnownFish | None:
-    """What a fish's trial library says of it."""
-    if book is None:
-        return None
-    identified = book.identified()
-    return known_fish(identified, book.swims() if identified is None else ())
+    return _judged(count, executed_beats, reference, params, known(), learned=True)
 
 
 def expected_saturation(

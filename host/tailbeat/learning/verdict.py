@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_checks import heading_drift
-from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import Kept
+from tailbeat.core.trial_file import Trial
 from tailbeat.learning.convergence import (
     NoiseBand,
     Score,
@@ -75,21 +73,6 @@ class Progress:
     fluctuation: float | None = None
     fade: Fade | None = None
     problems: list[str] = field(default_factory=list)
-
-
-def read_trials(folder: Path) -> tuple[list[Kept], list[str]]:
-    """The trial files of a folder by name, or of its ``raw`` (an experiment); and one line for each
-    that cannot be read. Raises InputError when there is no folder."""
-    if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}.", "Name an experiment's folder.")
-    raw = folder / "raw"
-    trials, problems = [], []
-    for path in sorted((raw if raw.is_dir() else folder).glob("*.ulg")):
-        try:
-            trials.append(Kept(read_trial(path), path))
-        except InputError as error:
-            problems.append(str(error))
-    return trials, problems
 
 
 def progress_of(

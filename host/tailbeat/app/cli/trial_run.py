@@ -26,7 +26,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.files import plain
 from tailbeat.experiment.current import require_meant_here, require_own
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import known_fish_of, logbook_of
 from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent, TrialStarted
@@ -162,7 +162,9 @@ def _document_and_text(
 def _saturation(fish: Fish, outcome: TrialOutcome) -> Saturation | None:
     """None also when the board or the trial library cannot tell: the trial is over all the same."""
     try:
-        return saturation_next(fish, outcome.executed_beats, logbook_of(fish))
+        return saturation_next(
+            fish, outcome.executed_beats, lambda: known_fish_of(logbook_of(fish))
+        )
     except TailbeatError:
         return None
 
