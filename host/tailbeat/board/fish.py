@@ -32,8 +32,8 @@ from tailbeat.core.records import Amplitudes, decode_reference
 from tailbeat.core.reference import Reference
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages
-from tailbeat.link.ftp.client import FtpClient, Progress
-from tailbeat.link.ftp.wire import FtpError
+from tailbeat.link.ftp.client import FtpClient
+from tailbeat.link.ftp.wire import FtpError, Progress
 from tailbeat.link.mavlink import Link, Message, text_of
 from tailbeat.link.messages import (
     WATCHED,

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,17 +25,17 @@ from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift, on_common_beats
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.folder import JUDGING
+from tailbeat.experiment.folder import JUDGING, Experiment
 from tailbeat.experiment.journal import Told, told_of
 from tailbeat.learning.convergence import Score, best_of, comparable, score_of
+from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound_solve import plant_config
+from tailbeat.learning.fish_model import swim_of
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.model_law import swim_crc
 from tailbeat.learning.saturation import at_limit, saturation_of
 from tailbeat.learning.verdict import scores_of
 from tailbeat.link.messages import SIMULATED_FISH
-
-if TYPE_CHECKING:
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.learning.identification import Identified
-
 
 DISCARD = "discard"
 ANALYSIS = "analysis.json"
@@ -323,7 +323,6 @@ def _longest(experiment: Experiment) -> list[tuple[Path, list[str]]]:
 
 def _identified(experiment: Experiment, problems: list[str]) -> Identified | None:
     """The last one: a fish may be identified anew on the way."""
-    from tailbeat.learning.identification import Identified
 
     told = [str(entry.get("file", "")) for entry in experiment.journal.entries("identified")]
     name = Path(told[-1]).name if told else "identified.json"
@@ -367,8 +366,6 @@ def _is_of(
         return False
     if identified is None or identified.source != "runs":
         return True
-    from tailbeat.learning.fish_model import swim_of
-    from tailbeat.learning.model_law import swim_crc
 
     return swim_crc(swim_of(trial)) not in {swim_crc(swim) for swim in identified.swims}
 
@@ -568,8 +565,6 @@ def _floor(
     identified: Identified | None, settings: Mapping[str, Any], held: Reference, limit: float
 ) -> tuple[float, float, str]:
     """(smallest max|e|, max|e| of the least-squares input, of what)."""
-    from tailbeat.learning.error_bound import floor
-    from tailbeat.learning.error_bound_solve import plant_config
 
     simulator = settings.get("simulator")
     if identified is not None:

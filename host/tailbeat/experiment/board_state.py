@@ -10,16 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot, make_folder
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.files import MAKE_ROOM, write_whole
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment
 
 _ASIDE_MAX = 999
 

@@ -16,13 +16,12 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.folder import Experiment
 from tailbeat.learning.convergence import best_of, judge_all, score_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from tailbeat.experiment.analysis import Analysis, TrialRow
-    from tailbeat.experiment.folder import Experiment
 
 
 WHAT = {"max": "max_abs_error_m_s", "rms": "rms_error_m_s"}

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tailbeat.core.errors import InputError
-
-if TYPE_CHECKING:
-    from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment
 
 WATER_TEMPERATURE = "water_temperature_degc"
 WORDS = ("operator", "configuration")

@@ -18,23 +18,23 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import RESTORE_COMMAND, was_interrupted
 from tailbeat.board.snapshot import Differences, board_params, differences, same_value
 from tailbeat.core import decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.law import Averaging, Law
 from tailbeat.core.param_names import with_current_names
+from tailbeat.core.records import record_crc
 from tailbeat.core.reference import Reference, from_text, thesis
 from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.experiment.redo import write_redo
 from tailbeat.sim.config import simulator_settings
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
 
 _CURRENT = "experiment.json"
 _IDENTIFIED = "identified.json"
@@ -129,7 +129,6 @@ def reference_of(experiment: Experiment) -> bytes | None:
 
 def reference_crc(experiment: Experiment) -> int | None:
     """Of ``reference_of``."""
-    from tailbeat.core.records import record_crc
 
     record = reference_of(experiment)
     return None if record is None else record_crc(record)
@@ -163,7 +162,6 @@ def begin(
 def own_reference(fish: Fish) -> Reference:
     """The board's reference, with its name. Raises Refused without one, InputError with one that is
     not its own (``require_own``)."""
-    from tailbeat.board.fish import board_reference
 
     require_own(fish)
     if (held := board_reference(fish)) is None:
@@ -182,7 +180,6 @@ def make(
     """As ``begin``, of a reference that the board may get later. ``words``: what else is to be set:
     operator, configuration. Raises InputError when the board is not as it was set last."""
     pass
-    from tailbeat.core.law import Averaging, Law
 
     require_as_set(fish)
     info = fish.info()

@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +16,8 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.extras import is_installed, need, remedy
 from tailbeat.core.files import write_whole
 from tailbeat.core.trial_file import Trial
-from tailbeat.experiment.analysis import analyse, round_to
+from tailbeat.experiment.analysis import Analysis, TrialRow, analyse, round_to
 from tailbeat.experiment.folder import Experiment
-
-if TYPE_CHECKING:
-    from tailbeat.experiment.analysis import Analysis, TrialRow
 
 PARQUET = "parquet"
 FORMATS = ("csv", "mat", PARQUET)

@@ -17,19 +17,17 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file, sync_folder, write_whole
 from tailbeat.core.locks import locked
+from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, parse_trial, read_trial
+from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, known_fish
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.reference import Reference
-    from tailbeat.learning.fish_model import Swim
-    from tailbeat.learning.identification import Identified
 
 FOLDER_VARIABLE = "TAILBEAT_LOGBOOK"
 DISCARDED = "discarded"
@@ -132,7 +130,6 @@ class Logbook:
 
     def swims(self, latest: Path | None = None) -> list[Swim]:
         """As the model sees them, without those that have no speed or were discarded."""
-        from tailbeat.learning.fish_model import swim_of
 
         counting = [kept.trial for kept in self.kept(latest)[0] if kept.mark != DISCARDED]
         swims = [swim_of(trial) for trial in counting]
@@ -140,7 +137,6 @@ class Logbook:
 
     def identified(self) -> Identified | None:
         """None when the fish has not been identified. Raises InputError: the file is damaged."""
-        from tailbeat.learning.identification import Identified
 
         path = self.folder / _IDENTIFIED
         return Identified.load(path) if path.is_file() else None

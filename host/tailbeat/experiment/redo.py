@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.files import MAKE_ROOM, write_whole
 from tailbeat.core.native import ffi, lib
+from tailbeat.experiment.folder import Experiment
+from tailbeat.sim.config import PLANTS, config_values, make_config
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tailbeat.experiment.folder import Experiment
 
 REDO = "redo.md"
 _UNRECORDED = (
@@ -90,7 +91,6 @@ def _before(settings: Mapping[str, Any]) -> Iterator[str]:
 
 def _simulator(settings: Mapping[str, Any]) -> list[str]:
     """The command that makes the fish: one in the tool itself is new in every command."""
-    from tailbeat.sim.config import PLANTS, config_values, make_config
 
     plant, seed = str(settings["plant"]), settings.get("seed", 1)
     words = ["tailbeat", "sim", "--plant", plant, "--seed", str(seed)]

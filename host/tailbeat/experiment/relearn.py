@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import law as laws
 from tailbeat.core.arrays import F32
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import decode_learned
-
-if TYPE_CHECKING:
-    from tailbeat.board.snapshot import Snapshot
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.analysis import Analysis, TrialRow
-
+from tailbeat.core.trial_file import Trial
+from tailbeat.experiment.analysis import Analysis, TrialRow
 
 _BY_THE_BOARD = ("law", "restored", "first", "")  # what makes a trial's amplitudes; "" = not told
 _NOT_HERE = "what the board had learned before is not in the folder"

@@ -12,20 +12,17 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core import trial_checks as judging
 from tailbeat.core.arrays import F32, F64
-
-if TYPE_CHECKING:
-    from tailbeat.core.reference import Reference
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.learning.identification import Identified
-    from tailbeat.learning.saturation import Saturation
-
+from tailbeat.core.reference import Reference
+from tailbeat.core.trial_file import Trial
+from tailbeat.learning.fish_model import SIGMA_M_S, Conditions
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.saturation import Saturation
 
 SCATTER_M_S = 0.0031  # half of the 95 % interval of repeats on the tank plant, kappa 5 to 20 1/m
 WINDOW = 3  # trials without progress that end a series
@@ -192,8 +189,6 @@ def expected_band(
     """What is expected of an identified fish: its model swims the input 512 times, with gain, flow,
     start and measurement scattering as they do. The same numbers every time."""
     from scipy.stats import norm, qmc
-
-    from tailbeat.learning.fish_model import SIGMA_M_S, Conditions
 
     random = np.random.default_rng(1)
     scatter = identified.scatter

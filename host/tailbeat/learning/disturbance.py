@@ -12,18 +12,14 @@ gone within the beat is not found: at kappa 30 / m and 90 mm/s one of 50 mm/s le
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_checks import spans
+from tailbeat.learning.fish_model import Swim
 from tailbeat.learning.fit import fit
-
-if TYPE_CHECKING:
-    from tailbeat.learning.fish_model import Swim
-
 
 _JUMP_M_S = 0.012  # what people do to a fish is more
 _SCATTERS = 5.0  # of the jumps in this swim; 4.9 is the most that chance made of 200

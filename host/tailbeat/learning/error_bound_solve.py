@@ -22,6 +22,8 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.planner import box_step
+from tailbeat.sim.config import PLANTS, config_field
 
 _DIFFERENCE = 1e-4  # of the largest w
 _TABLE_POINTS = 200
@@ -169,7 +171,6 @@ def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:
 def plant_config(plant: str, overrides: dict[str, float]) -> Any:
     """``sim_config_t *`` of a plant with its disturbances left as they are (the floor ignores
     them)."""
-    from tailbeat.sim.config import PLANTS, config_field
 
     config = ffi.new("sim_config_t *")
     lib.sim_config_default(config, PLANTS[plant])
@@ -264,7 +265,6 @@ def least_squares(task: Task) -> F64:
 
 def _squares_step(task: Task, w: F64, jacobian: F64, error: F64) -> F64:
     """d(w/w_max) of the linearised problem."""
-    from tailbeat.learning.planner import box_step
 
     hessian = jacobian.T @ jacobian
     hessian[np.diag_indices(len(w))] += _RIDGE * (np.trace(hessian) / len(w) + 1.0)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,10 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
-
-if TYPE_CHECKING:
-    from tailbeat.core.trial_file import Trial
-
+from tailbeat.core.trial_file import Trial
 
 PARAMS = ("kappa_per_m", "slope_m_s_rad", "dead_zone_rad", "delay_s")
 

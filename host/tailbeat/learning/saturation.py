@@ -9,18 +9,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.reference import Reference, thesis
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.learning.fish_model import Swim
-    from tailbeat.learning.identification import Identified
+from tailbeat.core.trial_file import Trial
+from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification_runs import identify_swims
+from tailbeat.learning.planner import plan
 
 # What the law adds to the best amplitudes while it learns: in 60 simulated series of ten trials at
 # each drag over mass from 2.5 to 20 1/m, gain 4 to 4.6, 95 of 100 stayed within 0.02 to 0.07.
@@ -87,7 +86,6 @@ def known_fish(identified: Identified | None, swims: Sequence[Swim]) -> KnownFis
     beat of them has a speed."""
     if identified is not None:
         return KnownFish(identified, "by the identified model")
-    from tailbeat.learning.identification_runs import identify_swims
 
     used = [swim for swim in swims if swim.measured.any()]
     if not used:
@@ -102,7 +100,6 @@ def saturation_of(
 ) -> Saturation | None:
     """Of an executed trial; None when no beat was at the limit, or the limit does not hold it back.
     ``trials``: of the same fish, from which a model is fitted when it was not ``identified``."""
-    from tailbeat.learning.fish_model import swim_of
 
     limit = trial.params.get("AMP_MAX_RAD")
     count = trial.executed_beats
@@ -118,7 +115,6 @@ def saturation_next(
 ) -> Saturation | None:
     """Of the trial that waits on the board to be learned from, without pulling its file. ``known``
     is called when beats are at the limit."""
-    from tailbeat.board.fish import board_reference
 
     params = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", *_SERVO)}
     count = at_limit(fish.amplitudes().values[:executed_beats], params["AMP_MAX_RAD"])
@@ -132,7 +128,6 @@ def expected_saturation(
 ) -> Saturation | None:
     """Before a trial of the reference: what its best input meets at the limit. None: it does not.
     ``params``: AMP_MAX_RAD, and the servo's where they are known."""
-    from tailbeat.learning.planner import plan
 
     limit = params["AMP_MAX_RAD"]
     best = plan(known.identified.model, reference.speed_m_s, reference.beat_s, limit)
@@ -178,7 +173,6 @@ def down_to_grain(value: float) -> float:
 
 
 def _best_rad(identified: Identified, reference: Reference) -> float:
-    from tailbeat.learning.planner import plan
 
     best = plan(identified.model, reference.speed_m_s, reference.beat_s, SERVO_MOST_RAD)
     return float(best.amplitude_rad.max())

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial
 from tailbeat.learning.convergence import (
@@ -23,6 +23,7 @@ from tailbeat.learning.convergence import (
     score_of,
     visits,
 )
+from tailbeat.learning.fish_model import swim_of
 from tailbeat.learning.gain_schedule import (
     FLUCTUATION_MAX,
     Fade,
@@ -31,11 +32,10 @@ from tailbeat.learning.gain_schedule import (
     repeat_variance,
     settled_after,
 )
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.model_law import swim_crc
+from tailbeat.learning.planner import plan
 from tailbeat.learning.saturation import Saturation, saturation_of
-
-if TYPE_CHECKING:
-    from tailbeat.core.reference import Reference
-    from tailbeat.learning.identification import Identified
 
 REPEAT_SIGMA_M_S = 0.002  # of a beat's error between repeats, on the tank plant
 _SLOPE_M_S_RAD = 0.219  # of the line through the thesis's Table 8.1
@@ -163,8 +163,6 @@ def _without_runs(trials: Sequence[Trial], identified: Identified | None) -> lis
     """Those of earlier identifications are marked in the logbook; a folder's files are not."""
     if identified is None or identified.source != "runs":
         return list(trials)
-    from tailbeat.learning.fish_model import swim_of
-    from tailbeat.learning.model_law import swim_crc
 
     runs = {swim_crc(swim) for swim in identified.swims}
     return [trial for trial in trials if swim_crc(swim_of(trial)) not in runs]
@@ -214,7 +212,6 @@ def _by_the_model(
     best = best_of(scores)
     if identified is None or best is None:
         return None, None
-    from tailbeat.learning.planner import plan
 
     trial = next(t for t, s in zip(series, scores, strict=True) if s is best)
     wanted = _reference(trial)
@@ -229,7 +226,6 @@ def _by_the_model(
 
 
 def _reference(trial: Trial) -> Reference:
-    from tailbeat.core.reference import Reference
 
     return Reference(trial.beat_s, trial.beats.reference_m_s, f"{trial.reference_crc:#010x}")
 

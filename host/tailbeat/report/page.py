@@ -8,14 +8,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.compare import count
 from tailbeat.experiment.conditions import WATER_TEMPERATURE
+from tailbeat.experiment.folder import Experiment
 from tailbeat.report.style import PAGE, SIMULATED, freedom_words, mm, simulated_mark
-
-if TYPE_CHECKING:
-    from tailbeat.experiment.analysis import Analysis, TrialRow
-    from tailbeat.experiment.folder import Experiment
 
 _HAPPENED = ("made", "set", "trimmed", "identified", "restored", "resumed")
 _VALUE_CHARS_MAX = 160
@@ -133,7 +132,6 @@ def _title(analysis: Analysis) -> str:
 
 def headline(analysis: Analysis) -> str:
     """The result in one sentence: from, to, over how many swims, the floor, the noise."""
-    from tailbeat.experiment.compare import count
 
     whole = [row for row in analysis.last_rows if row.counts and row.complete]
     if not whole:

@@ -6,22 +6,29 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.core.csv import spreadsheet_text
 from tailbeat.core.errors import InputError, reason
-from tailbeat.experiment.analysis import round_to
+from tailbeat.core.files import canonical, replacing_text, write_whole
+from tailbeat.experiment.analysis import Analysis, analyse, round_to
+from tailbeat.experiment.compare import compare
+from tailbeat.experiment.export import export
+from tailbeat.experiment.folder import Experiment
+from tailbeat.report.page import Picture, material, page
+from tailbeat.report.style import PAGE, PAPER, simulated_mark, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tailbeat.experiment.analysis import Analysis
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.report.page import Picture
 
 FIGURES = ("learning", "trials", "contraction", "comparison")
 PAGE_NAME = "report.html"
 CAPTIONS_NAME = "captions.txt"
+MADE = "report.json"
+MAKERS = ("tailbeat", "matplotlib", "numpy", "scipy", "pyarrow")
 _FOLDER = "report"
 _TABLES = "tables"
 _COMPARISON_NAME = "comparison.csv"
@@ -52,7 +59,6 @@ def write_report(
     versions, for a replay. Figures for a paper that are there already are made anew, never left
     behind older than the page. Also writes ``analysis.json``, with ``folder`` in there. The same
     experiment gives the same bytes. Raises InputError."""
-    from tailbeat.experiment.analysis import analyse
 
     analyses = [analyse(one) for one in (experiment, *against)]
     require_one_reference(analyses)
@@ -79,10 +85,6 @@ class _Options:
 def _write(
     experiment: Experiment, analyses: Sequence[Analysis], folder: Path, options: _Options
 ) -> Written:
-    from tailbeat.core.files import canonical, write_whole
-    from tailbeat.report.page import material, page
-    from tailbeat.report.replay import MADE
-    from tailbeat.report.style import simulated_mark
 
     folder.mkdir(parents=True, exist_ok=True)
     beside = experiment.folder if options.in_place else folder
@@ -112,9 +114,6 @@ def draw_all(analyses: Sequence[Analysis]) -> list[Drawing]:
     """The figures there are of these; a comparison takes two."""
     from importlib import import_module
 
-    from tailbeat.report.page import Picture
-    from tailbeat.report.style import PAGE, PAPER, written
-
     drawings = []
     for name in FIGURES if len(analyses) > 1 else FIGURES[:-1]:
         module = import_module(f"tailbeat.report.figures.{name}")
@@ -134,7 +133,6 @@ def _remove_comparison(folder: Path) -> None:
 
 def _told(experiment: Experiment, options: _Options) -> dict[str, Any]:
     """Where the others lie seen from this experiment, so that a copy of all of them replays."""
-    from tailbeat.report.replay import made_with
 
     others = [Path(os.path.relpath(one.folder, experiment.folder)) for one in options.against]
     against = [other.as_posix() for other in others]
@@ -156,8 +154,6 @@ def require_one_reference(analyses: Sequence[Analysis]) -> None:
 
 def _paper_figures(drawings: Sequence[Drawing], mark: str, folder: Path) -> list[Path]:
     """``mark``: what the captions say of simulated fish."""
-    from tailbeat.core.files import write_whole
-    from tailbeat.report.style import written
 
     paths, captions = [], []
     for drawing in drawings:
@@ -175,7 +171,6 @@ def _paper_figures(drawings: Sequence[Drawing], mark: str, folder: Path) -> list
 
 
 def _tables(experiment: Experiment, analyses: Sequence[Analysis], folder: Path) -> list[Path]:
-    from tailbeat.experiment.export import export
 
     paths = export(experiment, folder=folder)
     if len(analyses) > 1:
@@ -187,9 +182,6 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
     """One row per other experiment and measure, this one less the other; none where too few swims
     count."""
     import csv
-
-    from tailbeat.core.files import replacing_text
-    from tailbeat.experiment.compare import compare
 
     rows: list[list[Any]] = []
     for other in analyses[1:]:
@@ -208,7 +200,6 @@ def _comparison_table(analyses: Sequence[Analysis], path: Path) -> Path:
 
 
 def _cell(value: Any) -> Any:
-    from tailbeat.core.csv import spreadsheet_text
 
     return spreadsheet_text(value) if isinstance(value, str) else value
 
@@ -231,3 +222,14 @@ _COMPARISON: dict[str, Callable[..., Any]] = {
     "repeats_needed": lambda found, *_: "" if found.repeats is None else found.repeats,
     "simulated": lambda *given: given[-1],
 }
+
+
+def made_with() -> dict[str, str]:
+    """Versions of what draws and writes: for ``report/report.json``."""
+    found = {}
+    for name in MAKERS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found

@@ -10,32 +10,29 @@ import json
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.analysis import ANALYSIS, analyse, write_analysis
+from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.trial_file import Trial
+from tailbeat.experiment.analysis import ANALYSIS, Analysis, analyse, write_analysis
 from tailbeat.experiment.board_state import held_state
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.redo import write_redo
 from tailbeat.experiment.relearn import Relearned, relearn
-
-if TYPE_CHECKING:
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.analysis import Analysis
-    from tailbeat.experiment.folder import Experiment
+from tailbeat.link.messages import SPEED_SOURCES
+from tailbeat.report.paper import MADE, MAKERS, made_with, write_report
 
 __all__ = ["Replay", "replay", "write_redo"]
 
 REPORT = "report"
-MADE = "report.json"
 _COPIED = ("raw", "board", "settings.json", "journal.jsonl", "notes.md", "reference.csv")
 _DRAWN = (".html", ".pdf", ".svg", ".png", ".mat", ".parquet")  # their bytes are the libraries'
 _PARQUET = ".parquet"
 _PARQUET_MAKER = "pyarrow"
-_MAKERS = ("tailbeat", "matplotlib", "numpy", "scipy", _PARQUET_MAKER)
 _STALE = "is not what the folder gives now: it is older than the last entry, or was changed"
 
 
@@ -127,8 +124,6 @@ def _is_bad(name: str, told: str) -> bool:
 
 
 def _recompute(trial: Trial, found: _Found) -> None:
-    from tailbeat.core.speed_estimate import recompute_beats
-    from tailbeat.link.messages import SPEED_SOURCES
 
     number = trial.number
     source = SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))]
@@ -163,7 +158,6 @@ def _relearn(experiment: Experiment, analysis: Analysis, found: _Found) -> Relea
 
 
 def _copy(experiment: Experiment, scratch: Path) -> Experiment:
-    from tailbeat.experiment.folder import Experiment
 
     folder = scratch / "again"
     folder.mkdir(parents=True)
@@ -178,7 +172,6 @@ def _copy(experiment: Experiment, scratch: Path) -> Experiment:
 
 def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: _Found) -> None:
     """The report as it was asked for; ``report/report.json`` tells how and by what."""
-    from tailbeat.report.paper import write_report
 
     folder = experiment.folder / REPORT
     if not (folder / MADE).is_file():
@@ -205,7 +198,7 @@ def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: _Fou
     found.different += [
         f"{REPORT}/{name} is missing; make it again: tailbeat report" for name in missing
     ]
-    others_changed = _changed_makers(made, [name for name in _MAKERS if name != _PARQUET_MAKER])
+    others_changed = _changed_makers(made, [name for name in MAKERS if name != _PARQUET_MAKER])
     for changed, kinds in ((others_changed, _DRAWN), (other_arrow, (_PARQUET,))):
         if changed:
             drawn = [name for name in files if name.endswith(kinds)]
@@ -228,22 +221,10 @@ def _made(path: Path) -> dict[str, Any]:
 
 def _others(experiment: Experiment, made: dict[str, Any]) -> list[Experiment] | str:
     """The experiments it was compared with, which lie beside it; or where one that is gone lay."""
-    from tailbeat.experiment.folder import Experiment
 
     names = [str(name) for name in made.get("against", [])]
     gone = [name for name in names if not Experiment.is_at(experiment.folder / name)]
     return gone[0] if gone else [Experiment(experiment.folder / name) for name in names]
-
-
-def made_with() -> dict[str, str]:
-    """Versions of what draws and writes: for ``report/report.json``."""
-    found = {}
-    for name in _MAKERS:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
 
 
 def _changed_makers(made: dict[str, Any], makers: Iterable[str]) -> str:

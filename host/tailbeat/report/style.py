@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replace_file
+from tailbeat.experiment.analysis import Analysis, TrialRow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    from tailbeat.experiment.analysis import Analysis, TrialRow
 
 Draw = Callable[["Sequence[Analysis]", "Style"], "Figure"]
 

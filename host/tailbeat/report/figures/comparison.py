@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.analysis import student_t
+from tailbeat.experiment.analysis import Analysis, student_t
 from tailbeat.experiment.compare import compare, counted
 from tailbeat.report.style import LOOKS, Style, blank, drawing, earlier_words, labels, nothing
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tailbeat.experiment.analysis import Analysis
 
 _LINE = 1.3  # of text, in heights of it
 _STRIP = 0.12  # half the width the swims are spread over

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.experiment.analysis import student_t
+from tailbeat.experiment.analysis import Analysis, student_t
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tailbeat.experiment.analysis import Analysis
 
 _SHOWN = (0.5, 2.0)  # ratios; a band of noise is shown as far as that, swims always
 _ROLLED: dict[str, Any] = {

@@ -12,13 +12,12 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.files import replace_file
 from tailbeat.learning.fit_quality import NAMES, Account, SwimAccount, steady_band
 from tailbeat.learning.identification import Identified
+from tailbeat.learning.speed_table import Table
 from tailbeat.report.demo_picture import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
-
-    from tailbeat.learning.speed_table import Table
 
     Array = F64
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.files import replace_file
+from tailbeat.learning.design import Design
 from tailbeat.report.demo_picture import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from tailbeat.learning.design import Design
 
 _WIDTH_PX, _HEIGHT_PX, _DPI = 1600, 800, 100
 _INK, _FAINT, _ACCENT = "0.15", "0.45", "#0b5394"  # the accent prints as dark grey

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.experiment.analysis import Analysis, Band, TrialRow
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tailbeat.experiment.analysis import Analysis, Band, TrialRow
 
 BAND_SWIMS_MIN = 3  # fewer have no 5 to 95 % band worth the name
 _SHADE = 0.16

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.core.files import replace_file
+from tailbeat.learning.verdict import Progress, Row
 from tailbeat.report.demo_picture import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from tailbeat.learning.verdict import Progress, Row
 
 _WIDTH_PX, _HEIGHT_PX, _DPI = 1200, 750, 100
 _INK, _GREY, _BAND = "0.1", "0.45", "0.88"

@@ -13,15 +13,14 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.report.demo_picture import STYLE
+from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.speed.smoother import STEPS_PER_BEAT, SpeedCurve
+from tailbeat.sensors.camera.tracking.track import LOST, Track
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.transforms import Bbox
-
-    from tailbeat.sensors.camera.calibration.file import Calibration
-    from tailbeat.sensors.camera.speed.smoother import SpeedCurve
-    from tailbeat.sensors.camera.tracking.track import Track
 
     Floats = F64
 
@@ -165,7 +164,6 @@ def _draw_speed(axes: Axes, track: Track, curve: SpeedCurve | None) -> None:
 
 def _with_holes(curve: SpeedCurve) -> tuple[Floats, Floats, Floats]:
     """The curve with NaN where samples are missing, so that lines break."""
-    from tailbeat.sensors.camera.speed.smoother import STEPS_PER_BEAT
 
     step_s = curve.beat_s / STEPS_PER_BEAT
     breaks = np.flatnonzero(np.diff(curve.t_s) > 1.5 * step_s) + 1
@@ -176,7 +174,6 @@ def _with_holes(curve: SpeedCurve) -> tuple[Floats, Floats, Floats]:
 
 def _lost(track: Track) -> list[tuple[float, float]]:
     """Begin and end of each stretch in which the fish was lost."""
-    from tailbeat.sensors.camera.tracking.track import LOST
 
     lost = np.concatenate([[False], track.state == LOST, [False]])
     edges = np.flatnonzero(np.diff(lost.astype(np.int8)))

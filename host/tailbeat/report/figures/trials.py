@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.trial_file import Trial
+from tailbeat.experiment.analysis import Analysis, TrialRow
 from tailbeat.report.style import GREY, INK, Look, Style, blank, drawing, head_legend, mm, nothing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.analysis import Analysis, TrialRow
 
     Array = F64
 
