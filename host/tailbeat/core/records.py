@@ -31,7 +31,6 @@ _HEADER_BYTES = 12
 _UNVISITED = b"\1\0"  # version of a learned record without visits
 _INPUT = slice(26, 28)  # of a learned record: what made its amplitudes
 _FIXED_BYTES = 128  # more than the header and fixed fields of any record
-_BEATS_MAX = len(ffi.new("reference_t *").speed_m_s)
 
 
 @dataclass(frozen=True)
@@ -299,9 +298,9 @@ def without_visits(record: bytes) -> bytes:
 
 def _beats(values: ArrayLike | Sequence[float], what: str) -> F32:
     array = np.ascontiguousarray(values, dtype=np.float32)
-    if array.ndim != 1 or not 1 <= array.size <= _BEATS_MAX:
+    if array.ndim != 1 or not 1 <= array.size <= lib.NATIVE_BEATS_MAX:
         raise InputError(
-            f"{array.size} {what}s given", f"Give one per beat, 1 to {_BEATS_MAX} in all."
+            f"{array.size} {what}s given", f"Give one per beat, 1 to {lib.NATIVE_BEATS_MAX} in all."
         )
     return array
 
