@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +31,7 @@ from tailbeat.link.ftp.wire import (
     FtpError,
     FtpReply,
     FtpRequest,
+    Progress,
     RequestWindow,
     RoundTrip,
     StallTimer,
@@ -96,8 +96,6 @@ class Upload:
         self._todo.remove(reply.offset)
         return True
 
-
-Progress = Callable[[int, int], None]
 
 _ENTRIES_MAX = 10_000  # far more than fit on any board
 _TRIES = 16

@@ -21,7 +21,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 from tailbeat.core.errors import TailbeatError, TransferError
 from tailbeat.core.files import replace_file, sync_folder, temporary_beside
@@ -38,14 +38,14 @@ from tailbeat.link.ftp.wire import (
     TERMINATE,
     FtpError,
     FtpReply,
+    Progress,
     RequestWindow,
+    RoundTrip,
     StallTimer,
     is_for_us,
     parse,
 )
-
-if TYPE_CHECKING:
-    from tailbeat.link.ftp.client import FtpClient, Progress
+from tailbeat.link.mavlink import Link
 
 _BURST_PACKETS = 160  # of the board's bursts; others may end earlier, and say so
 _LEAD_PACKETS = 6  # before its end the next one is asked for: what the board's sender holds
@@ -63,10 +63,23 @@ class FileChangedError(TransferError):
     """The file on the board is not the one that was being read."""
 
 
+class Requests(Protocol):
+    """What a download needs of the client."""
+
+    link: Link
+    round_trip: RoundTrip
+
+    def open(self, opcode: int, path: str) -> FtpReply:
+        """A session for a file. Raises FtpError."""
+
+    def send(self, opcode: int, session: int, offset: int = 0, size: int | None = None) -> None:
+        """Sends a request and does not wait for its answer."""
+
+
 class Download:
     """An open file on the board."""
 
-    def __init__(self, client: FtpClient, path: str) -> None:
+    def __init__(self, client: Requests, path: str) -> None:
         self._client = client
         self._link = client.link
         self._path = path

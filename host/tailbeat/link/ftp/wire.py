@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tailbeat.core.errors import LinkLostError, TransferError
@@ -137,6 +138,9 @@ class StallTimer:
                 f"Check power, cable and radio, then {self._remedy}.",
             )
 
+
+Progress = Callable[[int, int], None]
+"""Told the bytes done and the total, while a file is carried."""
 
 DATA_BYTES = 239  # most that one frame carries
 TERMINATE, RESET = 1, 2
