@@ -129,7 +129,7 @@ class _KeyFile(decode.StrictTable, forbid_unknown_fields=False):
 
 def decode_key(content: bytes, where: str) -> StoredKey:
     """The key in a file. Raises InputError, which does not show the content."""
-    remedy = "Take a file that 'tailbeat key export' wrote."
+    remedy = "Take a file that 'tailbeat board key export' wrote."
     try:
         held = decode.decode(content, _KeyFile, where, remedy)
     except InputError:

@@ -294,10 +294,9 @@ def _nothing(name: str, document: dict[str, Any]) -> tuple[str, str]:
 
 
 def _chunks(name: str) -> Iterator[bytes]:
-    size = 1 << 16
     with contextlib.ExitStack() as stack:
         file = sys.stdin.buffer if name == "-" else stack.enter_context(Path(name).open("rb"))
-        while chunk := file.read(size):
+        while chunk := file.read(1 << 16):
             yield chunk
 
 
