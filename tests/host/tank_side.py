@@ -12,9 +12,9 @@ import numpy as np
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.session.collect import Swum
-from tailbeat.session.events import Notice, StepProgress
-from tailbeat.session.operator import Decision, Event
+from tailbeat.session.collect import RecordedTrial
+from tailbeat.session.events import Event, Notice, StepProgress
+from tailbeat.session.operator import Decision
 
 Way = Callable[[float], tuple[float, float, float]]
 """x_m, y_m, heading_rad at a time since the camera was made."""
@@ -50,7 +50,7 @@ class Script:
         self.asked += 1
         return self.aborts(self.told)
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         """Never asked by the ritual."""
         raise AssertionError(swum)
 

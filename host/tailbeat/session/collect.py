@@ -30,7 +30,7 @@ from tailbeat.learning.fish_model import swim_of
 from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
 from tailbeat.session.events import BY_HAND, StopKind, StopReason
 from tailbeat.session.operator import Decision
-from tailbeat.session.positions import as_csv, stash_of
+from tailbeat.session.trial_camera import as_csv, stash_of
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
@@ -106,7 +106,7 @@ def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
 
 
 @dataclass(frozen=True)
-class Swum:
+class RecordedTrial:
     """``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``:
     what the ritual found; None = there was none. ``measured_beats``: of ``beats`` of the reference.
     ``problems``: what speaks against keeping it, in words (few speeds, not straight). ``judged``:
@@ -173,9 +173,9 @@ def _longest_hole_s(trial: Trial, missing: np.ndarray[tuple[int], np.dtype[np.in
 _NOT_COMPLETE = "not complete:"
 
 
-def swum_of(
+def record_of(
     outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: StopReason | None = None
-) -> Swum:
+) -> RecordedTrial:
     """``stopped``: why this program stopped it; None = it did not, or what the event log says."""
     stopped = stopped or log.stopped
     trial = log.trial
@@ -183,7 +183,7 @@ def swum_of(
     volts = [volt for t_s, volt in trial.battery_v if t_s >= 0] or [
         volt for _, volt in trial.battery_v
     ]
-    return Swum(
+    return RecordedTrial(
         outcome=outcome,
         file=log.path,
         ready=ready,
@@ -223,14 +223,14 @@ def _unmeasured(trial: Trial, measured: int) -> list[str]:
     return [words] if words else []
 
 
-def is_good(swum: Swum) -> bool:
+def is_good(swum: RecordedTrial) -> bool:
     """Whether nobody need be asked: it was executed to its end, and nothing speaks against it but
     a few missing beats."""
     others = [one for one in swum.problems if not (swum.judged and NO_SPEED in one)]
     return swum.outcome.end == "complete" and not others
 
 
-def proposed(swum: Swum) -> Decision:
+def proposed(swum: RecordedTrial) -> Decision:
     """What a careful person would say; the one who is there decides. It follows from the swim's
     end and its problems, which are in its log and in the journal: asked again later it is the
     same."""

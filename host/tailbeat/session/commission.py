@@ -25,8 +25,7 @@ from tailbeat.link.messages import SPEED_SOURCES
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
 from tailbeat.session.events import Notice
 from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.countdown import countdown
-from tailbeat.session.preflight.step import GivenUp, Wanted
+from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.trial_camera import default_camera
 from tailbeat.session.trim import apply, find_centre
 
@@ -42,9 +41,9 @@ if TYPE_CHECKING:
     from tailbeat.learning.identification_runs import Run
     from tailbeat.session.guards import Guard
     from tailbeat.session.identify import Attendant
-    from tailbeat.session.operator import Person
+    from tailbeat.session.operator import Operator
 
-__all__ = ["RAISE_MAX_RAD", "Raise", "Step", "advice", "first_session", "next_raise"]
+__all__ = ["RAISE_MAX_RAD", "CommissionStep", "Raise", "advice", "first_session", "next_raise"]
 
 _CAMERA_LOOK_S = 1.5  # of board time
 _RAISES_MAX = 8
@@ -52,7 +51,7 @@ _HANDS = "Put the fish at rest at its wall. Ready?"
 
 
 @dataclass(frozen=True)
-class Step:
+class CommissionStep:
     """One step that was taken. ``name``: look, trim, identify, design, limits. ``done`` False: it
     failed or was left out, as ``words`` say. ``raises``: what it raised."""
 
@@ -65,26 +64,28 @@ class Step:
 def first_session(
     fish: Fish,
     reference: Reference,
-    person: Person,
+    person: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
-    wanted: Wanted | None = None,
-) -> Iterator[Step]:
+    wanted: PreflightLimits | None = None,
+) -> Iterator[CommissionStep]:
     """Yields each step when it is done. Asks (person.confirm) before the fish swims and before
     anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
     reference. Ends early, with a step that is not done, when one fails that the next ones need.
     Raises LinkLostError."""
     own = default_camera(fish) if camera is None else None
     try:
-        session = _Session(fish, reference, person, camera or own, guard, wanted or Wanted())
+        session = _Session(
+            fish, reference, person, camera or own, guard, wanted or PreflightLimits()
+        )
         yield from _steps(session)
     finally:
         if own is not None:
             own.close()
 
 
-def _steps(session: _Session) -> Iterator[Step]:
-    needed: list[tuple[str, Callable[[], Step], bool]] = [
+def _steps(session: _Session) -> Iterator[CommissionStep]:
+    needed: list[tuple[str, Callable[[], CommissionStep], bool]] = [
         ("look", session.look, True),
         ("trim", session.trim, False),
         ("identify", session.identify, True),
@@ -105,13 +106,13 @@ def _steps(session: _Session) -> Iterator[Step]:
 def advice(fish: Fish, experiment: Experiment) -> list[str]:
     """What may be raised next, or why nothing may: one line each. Changes nothing."""
     from tailbeat.board.fish import board_reference
-    from tailbeat.session.log import Account
+    from tailbeat.session.log import SessionLog
 
     reference = board_reference(fish)
     if reference is None:
         return []
     params = _params(fish)
-    trials = Account(experiment, experiment.journal).counting()
+    trials = SessionLog(experiment, experiment.journal).counting()
     if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
         return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
     straight = heading_drift(trials[-1]) if trials else None
@@ -127,7 +128,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
     ]
 
 
-def _taken(name: str, take: Callable[[], Step]) -> Step:
+def _taken(name: str, take: Callable[[], CommissionStep]) -> CommissionStep:
     """A step that fails is told, with what to do; the link must be there for the next one."""
     from tailbeat.core.errors import LinkLostError
 
@@ -136,7 +137,7 @@ def _taken(name: str, take: Callable[[], Step]) -> Step:
     except LinkLostError:
         raise
     except TailbeatError as error:
-        return Step(name, False, str(error))
+        return CommissionStep(name, False, str(error))
 
 
 @dataclass
@@ -145,14 +146,14 @@ class _Session:
 
     fish: Fish
     reference: Reference
-    person: Person
+    person: Operator
     camera: Camera | None
     guard: Guard | None
-    wanted: Wanted
+    wanted: PreflightLimits
     straight: HeadingDrift | None = field(default=None, init=False)
     identified: Identified | None = field(default=None, init=False)
 
-    def look(self) -> Step:
+    def look(self) -> CommissionStep:
         """Whether it can swim at all; then the reference."""
         fish = self.fish
         restore_interrupted(fish, preserve_folder(logbook_of(fish)), self._note)
@@ -167,10 +168,10 @@ class _Session:
         seen, why = self._seen(source)
         told.append(seen) if not why else problems.append(why)
         if problems:
-            return Step("look", False, "; ".join(problems))
+            return CommissionStep("look", False, "; ".join(problems))
         self._ask(_tank_question(params), "The tank's length was not confirmed")
         self._give_reference()
-        return Step("look", True, "; ".join(told))
+        return CommissionStep("look", True, "; ".join(told))
 
     def _seen(self, source: str) -> tuple[str, str]:
         """(what the camera sees, what is wrong)."""
@@ -202,22 +203,26 @@ class _Session:
         self.fish.upload_reference(self.reference)
         name_reference(self.fish, self.reference)
 
-    def trim(self) -> Step:
+    def trim(self) -> CommissionStep:
         """Left out where nothing feels a turn."""
         fish = self.fish
         if self.camera is None and fish.sim is None and not fish.imu_verdict().problem.well:
             text = "left out: no IMU and no camera to feel a turn by"
             self._note(f"trim {text}")
-            return Step("trim", False, text)
+            return CommissionStep("trim", False, text)
         found = find_centre(fish, self.person, self.camera, self.guard, self.wanted)
         words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
         if abs(found.centre_us - found.was_us) <= found.sigma_us:
-            return Step("trim", True, f"{words} ({found.source}); {found.was_us:.0f} us stays")
+            return CommissionStep(
+                "trim", True, f"{words} ({found.source}); {found.was_us:.0f} us stays"
+            )
         self._ask(f"{words}, not at {found.was_us:.0f}. Set it?", "The centre stays")
         apply(fish, found)
-        return Step("trim", True, f"{words} ({found.source}), was {found.was_us:.0f}; set")
+        return CommissionStep(
+            "trim", True, f"{words} ({found.source}), was {found.was_us:.0f}; set"
+        )
 
-    def identify(self) -> Step:
+    def identify(self) -> CommissionStep:
         """Within the limits as they are."""
         from tailbeat.session.identify import identify_fish, set_params
 
@@ -229,7 +234,7 @@ class _Session:
             book.set_identified(found)
         set_params(self.fish, found)
         model = found.model
-        return Step(
+        return CommissionStep(
             "identify",
             True,
             f"{len(found.swims)} runs: {model.slope_m_s_rad * 1e3:.0f} mm/s per rad beyond "
@@ -264,7 +269,7 @@ class _Session:
         if book is not None:
             book.keep(path, RUN)
 
-    def design(self) -> Step:
+    def design(self) -> CommissionStep:
         """For the limit that the reference will need."""
         from tailbeat.learning.design import design
 
@@ -273,9 +278,9 @@ class _Session:
         most = min(needed_rad(self.identified, self.reference), servo_rad(params))
         found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
         if found.refused:
-            return Step("design", False, found.refused)
+            return CommissionStep("design", False, found.refused)
         set_and_save(self.fish, _law_params(found.law, params))
-        return Step(
+        return CommissionStep(
             "design",
             True,
             f"{_law_words(found.law)}: errors shrink most surely, steady ones to "
@@ -283,11 +288,11 @@ class _Session:
             f"gains from {found.static_gain_max:.2f} on would not learn",
         )
 
-    def raise_limit(self) -> Step:
+    def raise_limit(self) -> CommissionStep:
         """One step; a swim with it proves it before it is set."""
         found = next_raise(_params(self.fish), self.reference, self.identified, self.straight)
         if isinstance(found, str):
-            return Step("limits", True, found)
+            return CommissionStep("limits", True, found)
         assert self.identified is not None
         text = f"{found.text}. One short swim proves it. {_HANDS}"
         self._ask(text, f"{found.name} stays {found.was:.2f}")
@@ -296,9 +301,11 @@ class _Session:
         )
         self.straight = proof.straight or self.straight
         if proof.why_not:
-            return Step("limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}")
+            return CommissionStep(
+                "limits", False, f"{found.name} stays {found.was:.2f}: {proof.why_not}"
+            )
         set_and_save(self.fish, {found.name: found.to})
-        return Step("limits", True, f"{found.text}; {proof.words}", (found,))
+        return CommissionStep("limits", True, f"{found.text}; {proof.words}", (found,))
 
     def _ask(self, question: str, otherwise: str) -> None:
         if not self.person.confirm(question):

@@ -32,9 +32,9 @@ from tailbeat.learning.saturation import (
 from tailbeat.session.events import BY_HAND, Notice
 from tailbeat.session.guards import RoomGuard, together, when
 from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.countdown import countdown
-from tailbeat.session.room import travel_of
+from tailbeat.session.preflight.step import countdown
 from tailbeat.session.shift import slope_of
+from tailbeat.session.travel import travel_of
 from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from tailbeat.learning.identification import Identified
     from tailbeat.link.messages import TrialOutcome
     from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Person
-    from tailbeat.session.preflight.step import Wanted
-    from tailbeat.session.room import Travel
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.preflight.step import PreflightLimits
+    from tailbeat.session.travel import Travel
 
 AMP_MAX = "AMP_MAX_RAD"
 RAISE_MAX_RAD = 0.1
@@ -177,10 +177,10 @@ def prove(
     fish: Fish,
     amplitude_rad: float,
     identified: Identified,
-    person: Person,
+    person: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
-    wanted: Wanted | None = None,
+    wanted: PreflightLimits | None = None,
 ) -> Proof:
     """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
     afterwards, also when it fails. ``wanted``: of the ritual before it; None = none. Raises

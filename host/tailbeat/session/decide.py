@@ -23,19 +23,19 @@ from tailbeat.session.collect import (
     dangerous,
     keep_log,
     outcome_of,
+    record_of,
     settled,
     stop_words,
-    swum_of,
 )
 from tailbeat.session.events import Notice, TrialDecided
-from tailbeat.session.log import Account
+from tailbeat.session.log import SessionLog
 from tailbeat.session.operator import Decision
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.link.messages import BoardStatus, LearnReport
-    from tailbeat.session.collect import Swum
-    from tailbeat.session.operator import DecisionKind, Person
+    from tailbeat.session.collect import RecordedTrial
+    from tailbeat.session.operator import DecisionKind, Operator
 
 _NO_REASON = "by command, no reason given"
 
@@ -44,8 +44,8 @@ _NO_REASON = "by command, no reason given"
 class Noted:
     """A decision that is in the experiment's journal. ``added``: by this command."""
 
-    account: Account
-    swum: Swum
+    account: SessionLog
+    swum: RecordedTrial
     added: bool
 
     def learned(self, fish: Fish, report: LearnReport) -> None:
@@ -77,7 +77,7 @@ def noted_decision(fish: Fish, number: int, kind: DecisionKind, reason: str = ""
     if (account := _account(fish)) is None:
         return None
     log = keep_log(fish, account.experiment, number)
-    swum = swum_of(outcome_of(log.trial), log, None)
+    swum = record_of(outcome_of(log.trial), log, None)
     account.swum(swum)
     before = account.decision_on(swum.file)
     if kind == "keep" and before is not None and before.kind == kind:
@@ -149,12 +149,12 @@ def state_noted(fish: Fish) -> None:
         copy_state(fish, account.experiment)
 
 
-def _account(fish: Fish) -> Account | None:
+def _account(fish: Fish) -> SessionLog | None:
     experiment = swims_for(fish)
-    return None if experiment is None else Account(experiment, experiment.journal)
+    return None if experiment is None else SessionLog(experiment, experiment.journal)
 
 
-def _owing(fish: Fish) -> tuple[Account, int] | None:
+def _owing(fish: Fish) -> tuple[SessionLog, int] | None:
     """The trial that the board has learned from without the experiment's knowing it."""
     account, status = _account(fish), fish.status()
     if account is None or status.pending_trial is not None:
@@ -163,7 +163,7 @@ def _owing(fish: Fish) -> tuple[Account, int] | None:
     return (account, owed) if owed is not None and owed == status.last_learned_trial else None
 
 
-def _write_down(fish: Fish, account: Account, report: LearnReport) -> None:
+def _write_down(fish: Fish, account: SessionLog, report: LearnReport) -> None:
     account.journal.add("learned", **asdict(report))
     copy_state(fish, account.experiment)
     write_redo(account.experiment)
@@ -185,15 +185,15 @@ class Done:
 
 
 @dataclass(frozen=True)
-class Office:
+class Decisions:
     """Decides with the person and carries it out."""
 
     fish: Fish
-    person: Person
-    account: Account
+    person: Operator
+    account: SessionLog
     learn: bool
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         """As it was decided before, else as the person says; journalled when this returns. Raises
         InputError for what cannot be."""
         decision = self.account.decision_on(swum.file)
@@ -204,7 +204,7 @@ class Office:
         self.person.tell(TrialDecided(swum.outcome.number, decision))
         return decision
 
-    def carry_out(self, swum: Swum, decision: Decision) -> Done:
+    def carry_out(self, swum: RecordedTrial, decision: Decision) -> Done:
         """The board learns from the trial or drops it. Clears what stopped it, unless that was a
         rule of the board's own. Raises Refused; then it is asked again; InputError when the board
         would learn with parameters nobody meant."""
@@ -236,7 +236,7 @@ class Office:
         if report.rolled_back:
             self.person.tell(Notice(_ROLLED_BACK))
 
-    def _of_itself(self, swum: Swum) -> Decision | None:
+    def _of_itself(self, swum: RecordedTrial) -> Decision | None:
         """Of a swim without a speed that the board does not hold: nobody can bring it any."""
         number, end = swum.outcome.number, swum.outcome.end
         if swum.measured_beats or self.fish.status().pending_trial == number:
@@ -245,7 +245,7 @@ class Office:
         self.person.tell(Notice(text))
         return Decision("discard", f"{end}, no speeds")
 
-    def _require_possible(self, swum: Swum, decision: Decision) -> None:
+    def _require_possible(self, swum: RecordedTrial, decision: Decision) -> None:
         number = swum.outcome.number
         if decision.kind == "keep" and swum.measured_beats == 0:
             raise InputError(
@@ -254,7 +254,7 @@ class Office:
                 " tailbeat trial discard --reason WHY",
             )
 
-    def _require_done(self, swum: Swum, decision: Decision) -> None:
+    def _require_done(self, swum: RecordedTrial, decision: Decision) -> None:
         """Another program may have answered while this one asked. Raises TailbeatError."""
         number, status = swum.outcome.number, self.fish.status()
         waits = status.pending_trial == number
@@ -275,7 +275,7 @@ class Office:
             f"{remedy}. See that only one program swims this fish.",
         )
 
-    def _file(self, swum: Swum, decision: Decision) -> None:
+    def _file(self, swum: RecordedTrial, decision: Decision) -> None:
         """Into the fish's logbook; one that cannot take it is no reason to stop."""
         try:
             if (book := logbook_of(self.fish)) is not None:
@@ -283,7 +283,9 @@ class Office:
         except TailbeatError as error:
             self.person.tell(Notice(f"not kept in the logbook: {error}"))
 
-    def _on_board(self, swum: Swum, decision: Decision, status: BoardStatus) -> LearnReport | None:
+    def _on_board(
+        self, swum: RecordedTrial, decision: Decision, status: BoardStatus
+    ) -> LearnReport | None:
         number = swum.outcome.number
         if status.pending_trial != number:
             return None  # cut before a beat was swum, or carried out before

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from tailbeat.link.messages import BeatEvent, LearnReport
 
 if TYPE_CHECKING:
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.operator import Decision
 
 
@@ -118,7 +118,7 @@ class TrialEnded:
 class TrialRecorded:
     """The trial's log is in the experiment; a decision follows."""
 
-    record: Swum
+    record: RecordedTrial
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from tailbeat.session.events import (
     TrialStopped,
 )
 from tailbeat.session.guards import Seen, together, when
-from tailbeat.session.positions import stash_of
 from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import stash_of
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from tailbeat.link.mavlink import Message
     from tailbeat.link.messages import TrialOutcome
     from tailbeat.session.guards import Guard
-    from tailbeat.session.log import Account
-    from tailbeat.session.operator import Person
+    from tailbeat.session.log import SessionLog
+    from tailbeat.session.operator import Operator
 
 
-def judged(account: Account, around: Around, rolled_back: bool) -> Verdict | None:
+def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Verdict | None:
     """On the last trial; None, with a notice, when it cannot be given: the board has learned all
     the same."""
     from tailbeat.learning.verdict import progress_of
@@ -52,7 +52,7 @@ def judged(account: Account, around: Around, rolled_back: bool) -> Verdict | Non
         return None
 
 
-def told(person: Person, verdict: Verdict | None) -> None:
+def report_assessment(person: Operator, verdict: Verdict | None) -> None:
     """Tells it."""
     if verdict is None:
         return
@@ -72,12 +72,12 @@ _RUNNING = 3  # TAILBEAT_STATE
 
 
 @dataclass
-class Live:
+class LiveReporter:
     """What the board tells while it swims, as one event now and then. A guard that stops nothing:
     it is asked all the time, so it also shows how long the link has been silent."""
 
     fish: Fish
-    person: Person
+    person: Operator
     simulated: bool
     _values: LiveValues = field(init=False)
     _told_s: float = field(default=-math.inf, init=False)
@@ -114,29 +114,31 @@ class Live:
 
 
 @dataclass(frozen=True)
-class Around:
+class TrialSetup:
     """What a swim is done with. ``guard``: of the caller."""
 
     fish: Fish
-    person: Person
+    person: Operator
     camera: Camera | None
     guard: Guard | None
     reconnect_s: float
 
 
 @dataclass(frozen=True)
-class Swim:
+class ExecutedTrial:
     """How it went. ``stopped``: why something here stopped it; None = nothing did."""
 
     outcome: TrialOutcome
     stopped: StopReason | None
 
 
-def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float) -> Swim:
+def execute(
+    around: TrialSetup, experiment: Experiment, room: Guard, heading_rad: float
+) -> ExecutedTrial:
     """Swims the next trial and keeps what the camera saw. ``room`` ends it by distance. Raises what
     run_trial raises."""
     fish, person = around.fish, around.person
-    live = Live(fish, person, fish.info().board in SIMULATED_FISH)
+    live = LiveReporter(fish, person, fish.info().board in SIMULATED_FISH)
     stopped: list[StopReason] = []
 
     def on_event(event: Event) -> None:
@@ -156,4 +158,4 @@ def swim(around: Around, experiment: Experiment, room: Guard, heading_rad: float
                 stash_of(experiment, outcome.number).put(seen.frames, camera, fish.clock)
     finally:
         stop_listening()
-    return Swim(outcome, stopped[0] if stopped else None)
+    return ExecutedTrial(outcome, stopped[0] if stopped else None)

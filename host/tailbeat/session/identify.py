@@ -80,7 +80,7 @@ def identify_fish(
             "Leave out --yes and --json, or swim by hand and give the files with --trials.",
         )
     with preserved(fish, safe, attendant.note, "identify") as board:
-        swimmer = _Swimmer(board, attendant, source, camera)
+        swimmer = _IdentificationRunner(board, attendant, source, camera)
         return identify_runs(
             swimmer.swim,
             limits or Limits.from_params(board.params),
@@ -110,7 +110,7 @@ def set_params(fish: Fish, identified: Identified) -> dict[str, float]:
 
 
 @dataclass
-class _Swimmer:
+class _IdentificationRunner:
     """Swims runs on the board."""
 
     board: PreservedBoard

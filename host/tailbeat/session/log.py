@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.folder import Experiment
     from tailbeat.experiment.journal import Journal
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.preflight.step import Ready
 
 Entry = dict[str, Any]
@@ -28,7 +28,7 @@ _CLOCKS_AGREE_S = 1.0
 
 
 @dataclass(frozen=True)
-class Account:
+class SessionLog:
     """Trials are known by their raw files: a board whose storage was made anew counts from 1
     again, and a number alone would mistake one trial's decision for another's."""
 
@@ -85,7 +85,7 @@ class Account:
         """Given up, or ended before its first beat; the board has no log of it."""
         self.journal.add("void", trial=trial, end=end)
 
-    def swum(self, swum: Swum) -> None:
+    def swum(self, swum: RecordedTrial) -> None:
         """Once its log is in the raw files; a second time does nothing."""
         number, file = swum.outcome.number, swum.file.name
         if any(entry.get("file") == file for entry in self.journal.entries("swum")):
@@ -108,7 +108,7 @@ class Account:
             stopped=None if swum.stopped is None else _stop_entry(swum.stopped),
         )
 
-    def decided(self, swum: Swum, decision: Decision) -> None:
+    def decided(self, swum: RecordedTrial, decision: Decision) -> None:
         """Before the board hears of it."""
         self.journal.add(
             "decided",
@@ -118,7 +118,7 @@ class Account:
             file=swum.file.name,
         )
 
-    def withdrawn(self, swum: Swum, why: str) -> None:
+    def withdrawn(self, swum: RecordedTrial, why: str) -> None:
         """The board refused what was decided: it is asked again."""
         self.journal.add("withdrawn", trial=swum.outcome.number, file=swum.file.name, reason=why)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Setting:
+class ModelStepSetting:
     """What the board swims for: its reference, its limits (``step_max_rad`` 0 = none), its law."""
 
     reference: Reference
@@ -36,7 +36,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Step:
+class ModelStep:
     """``foretold_m_s``: 5 %, 50 % and 95 % of max|e| of the last swim, by what was known before it;
     None without one. ``document``: the proposal's provenance."""
 
@@ -45,13 +45,13 @@ class Step:
     document: dict[str, Any]
 
 
-def setting_of(fish: Fish) -> Setting:
+def setting_of(fish: Fish) -> ModelStepSetting:
     """Raises InputError when the board has no reference."""
     wanted = board_reference(fish)
     if wanted is None:
         raise InputError("the board has no reference.", "tailbeat reference upload thesis")
     params = {name: p.value for name, p in fish.params.list().items()}
-    return Setting(
+    return ModelStepSetting(
         reference=wanted,
         amplitude_max_rad=params["AMP_MAX_RAD"],
         step_max_rad=params["DU_MAX_RAD"],
@@ -101,7 +101,9 @@ def next_of(proposal: Proposal, restored: bool, best_m_s: float | None) -> Next:
     return Next(False, f"the best amplitudes swim next: the model foresees nothing better ({said})")
 
 
-def next_step(setting: Setting, identified: Identified, swims: Sequence[Swim]) -> Step:
+def next_step(
+    setting: ModelStepSetting, identified: Identified, swims: Sequence[Swim]
+) -> ModelStep:
     """Proposes; changes nothing."""
     proposal = propose(
         identified,
@@ -120,10 +122,10 @@ def next_step(setting: Setting, identified: Identified, swims: Sequence[Swim]) -
         setting.law,
         setting.step_max_rad,
     )
-    return Step(proposal, foretold(identified, setting.reference, swims), document)
+    return ModelStep(proposal, foretold(identified, setting.reference, swims), document)
 
 
-def upload(fish: Fish, setting: Setting, proposal: Proposal) -> None:
+def upload(fish: Fish, setting: ModelStepSetting, proposal: Proposal) -> None:
     """The next swim's amplitudes, within the board's limit to the last bit."""
     limit = np.float32(setting.amplitude_max_rad)
     fish.upload_amplitudes(np.minimum(proposal.amplitude_rad.astype(np.float32), limit))

@@ -9,7 +9,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.session.events import Event
 
 if TYPE_CHECKING:
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
 
 DecisionKind = Literal["keep", "repeat", "discard"]
 KINDS: tuple[DecisionKind, ...] = ("keep", "repeat", "discard")
@@ -33,7 +33,7 @@ class Decision:
             )
 
 
-class Person(Protocol):
+class Operator(Protocol):
     """All methods are called in the thread that swims, none is called in another."""
 
     def tell(self, event: Event) -> None:
@@ -43,7 +43,7 @@ class Person(Protocol):
         """Whether the tail is to stop, or the waiting before the start to end; asked some ten times
         a second. Stays true until the swim or the waiting has ended."""
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         """What becomes of it; may take as long as it likes, the tail is still."""
 
     def confirm(self, question: str) -> bool:

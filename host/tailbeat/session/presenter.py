@@ -6,7 +6,7 @@ import math
 
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.link.messages import LearnReport
-from tailbeat.session.collect import Swum
+from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
     Assessed,
     BoardText,
@@ -106,7 +106,7 @@ def countdown_text(event: Countdown) -> str:
     return f"it swims in {left_s} s: hands out (any key stops)" if left_s > 0 else "it swims"
 
 
-def record_lines(record: Swum) -> list[str]:
+def record_lines(record: RecordedTrial) -> list[str]:
     """What a person needs to decide on a trial."""
     outcome = record.outcome
     stopped = f" ({record.stopped})" if record.stopped else ""
@@ -128,7 +128,7 @@ def _straight_text(straight: HeadingDrift | None) -> str:
     return f"{word} (yaw {mean_deg:+.1f} deg, {worst_deg:+.1f} at worst)"
 
 
-def _battery_text(record: Swum) -> str:
+def _battery_text(record: RecordedTrial) -> str:
     start_v, end_v = record.battery_start_v, record.battery_end_v
     if start_v is None or end_v is None:
         return "battery not known"

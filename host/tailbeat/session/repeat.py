@@ -25,11 +25,11 @@ from tailbeat.session.collect import (
     make_safe,
     outcome_of,
     proposed,
+    record_of,
     settled,
-    swum_of,
 )
 from tailbeat.session.events import Notice, TrialRecorded
-from tailbeat.session.log import Account
+from tailbeat.session.log import SessionLog
 from tailbeat.session.operator import Decision
 from tailbeat.session.series import Until, swim_series
 from tailbeat.session.shift import Shift, require_best, shift_of
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.fish_model import FishModel
     from tailbeat.learning.identification import Identified
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import Event
     from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Person
+    from tailbeat.session.operator import Operator
     from tailbeat.session.series import Options
 
 __all__ = ["Shift", "end_repeat", "held_before", "idle", "repeat_best", "write_held"]
@@ -71,16 +71,16 @@ def idle(fish: Fish) -> BoardStatus:
 def repeat_best(
     fish: Fish,
     experiment: Experiment,
-    person: Person,
+    person: Operator,
     options: Options,
     camera: Camera | None = None,
     guard: Guard | None = None,
-) -> tuple[Swum, Shift]:
+) -> tuple[RecordedTrial, Shift]:
     """Swims the best amplitudes once (through the ritual, journalled as a repeat, not learned),
     then puts back the amplitudes and the iteration that were to swim next, also when it fails. A
     repeat that an earlier call left on the board is taken as it is. Raises what the series raises,
     GivenUp, and InputError when there is no best, or nothing of it to compare with."""
-    account = Account(experiment, experiment.journal)
+    account = SessionLog(experiment, experiment.journal)
     before = account.counting()
     held = held_before(experiment)
     status = idle(fish)
@@ -151,11 +151,11 @@ def _begin_repeat(
 def _swum(
     fish: Fish,
     experiment: Experiment,
-    person: Person,
+    person: Operator,
     options: Options,
     camera: Camera | None,
     guard: Guard | None,
-) -> Swum:
+) -> RecordedTrial:
     """One swim that counts, by the machinery of a series."""
     one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",), of_best=True)
     end = swim_series(fish, experiment, _Repeating(person), one, camera, guard)
@@ -170,7 +170,7 @@ def _swum(
 class _Repeating:
     """The person, who is asked only whether the swim counts at all."""
 
-    person: Person
+    person: Operator
     discards: int = field(default=0, init=False)
 
     def tell(self, event: Event) -> None:
@@ -182,7 +182,7 @@ class _Repeating:
     def confirm(self, question: str) -> bool:
         return self.person.confirm(question)
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         decision = self.person.decide(swum)
         if decision.kind != "discard" and not swum.judged:
             why = proposed(swum)
@@ -199,14 +199,16 @@ class _Repeating:
         return decision
 
 
-def _left_over(fish: Fish, experiment: Experiment, account: Account, person: Person) -> Swum:
+def _left_over(
+    fish: Fish, experiment: Experiment, account: SessionLog, person: Operator
+) -> RecordedTrial:
     """The repeat of an earlier call that was broken off after the swim."""
     number = fish.status().pending_trial
     assert number is not None
     text = f"trial {number} is the repeat of an earlier call; it is not swum again"
     person.tell(Notice(text))
     log = keep_log(fish, experiment, number)
-    swum = swum_of(outcome_of(log.trial), log, None)
+    swum = record_of(outcome_of(log.trial), log, None)
     account.swum(swum)
     person.tell(TrialRecorded(swum))
     decision = account.decision_on(swum.file)
@@ -279,7 +281,7 @@ def end_repeat(fish: Fish, experiment: Experiment) -> None:
     repeat_path(experiment).unlink(missing_ok=True)
 
 
-def _judged(fish: Fish, before: list[Trial], swum: Swum) -> Shift:
+def _judged(fish: Fish, before: list[Trial], swum: RecordedTrial) -> Shift:
     identified = _identified(fish)
     repeat = read_trial(swum.file)
     earlier = [trial for trial in _series(fish, before) if trial.number != repeat.number]

@@ -26,20 +26,19 @@ from tailbeat.session.collect import (
     make_safe,
     outcome_of,
     peek_log,
+    record_of,
     require_still,
     settled,
     stop_words,
-    swum_of,
 )
-from tailbeat.session.decide import Done, Office
+from tailbeat.session.decide import Decisions, Done
 from tailbeat.session.events import BY_HAND, Notice, TrialRecorded
-from tailbeat.session.execute import Around, judged, swim, told
-from tailbeat.session.log import Account
+from tailbeat.session.execute import TrialSetup, execute, judged, report_assessment
+from tailbeat.session.log import SessionLog
 from tailbeat.session.operator import Decision
 from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.countdown import countdown
-from tailbeat.session.preflight.step import BatteryLow, GivenUp, Wanted
-from tailbeat.session.room import room_guard, travel_next
+from tailbeat.session.preflight.step import BatteryLow, GivenUp, PreflightLimits, countdown
+from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
@@ -48,9 +47,9 @@ if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.convergence import Verdict
     from tailbeat.link.messages import LearnReport
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import DecisionKind, Person
+    from tailbeat.session.operator import DecisionKind, Operator
     from tailbeat.session.preflight.step import Ready
 
 __all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
@@ -95,7 +94,7 @@ class Options:
     the command, for the journal."""
 
     until: Until = field(default_factory=Until)
-    wanted: Wanted | None = field(default_factory=Wanted)
+    wanted: PreflightLimits | None = field(default_factory=PreflightLimits)
     learn: bool = True
     reconnect_s: float = 60.0
     counts: tuple[DecisionKind, ...] = ("keep",)
@@ -107,7 +106,7 @@ class Options:
 class Round:
     """One swim and what became of it. ``learned`` None: nothing was learned."""
 
-    swum: Swum
+    swum: RecordedTrial
     decision: Decision
     learned: LearnReport | None
 
@@ -124,7 +123,7 @@ class SeriesEnd:
     verdict: Verdict | None
 
     @property
-    def swums(self) -> list[Swum]:
+    def swums(self) -> list[RecordedTrial]:
         """The swims, in order."""
         return [one.swum for one in self.rounds]
 
@@ -132,7 +131,7 @@ class SeriesEnd:
 def swim_series(
     fish: Fish,
     experiment: Experiment,
-    person: Person,
+    person: Operator,
     options: Options,
     camera: Camera | None = None,
     guard: Guard | None = None,
@@ -179,14 +178,14 @@ def _require_no_repeat(experiment: Experiment) -> None:
 def _swim_series(
     fish: Fish,
     experiment: Experiment,
-    person: Person,
+    person: Operator,
     options: Options,
     camera: Camera | None,
     guard: Guard | None,
 ) -> SeriesEnd:
-    around = Around(fish, person, camera, guard, options.reconnect_s)
-    account = Account(experiment, experiment.journal)
-    series = _Series(around, account, options, Office(fish, person, account, options.learn))
+    around = TrialSetup(fish, person, camera, guard, options.reconnect_s)
+    account = SessionLog(experiment, experiment.journal)
+    series = _Series(around, account, options, Decisions(fish, person, account, options.learn))
     try:
         return series.swim()
     except GivenUp as given_up:
@@ -204,10 +203,10 @@ def _swim_series(
 class _Series:
     """State of one call of swim_series."""
 
-    around: Around
-    account: Account
+    around: TrialSetup
+    account: SessionLog
     options: Options
-    office: Office
+    office: Decisions
     rounds: list[Round] = field(default_factory=list)
     counted: int = 0
     verdict: Verdict | None = None
@@ -261,7 +260,7 @@ class _Series:
     def _finish_old(self, number: int) -> SeriesEnd | None:
         fish = self.around.fish
         log = keep_log(fish, self.account.experiment, number)
-        swum = swum_of(outcome_of(log.trial), log, None)
+        swum = record_of(outcome_of(log.trial), log, None)
         self._take(swum)
         status = fish.status()
         if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
@@ -272,7 +271,7 @@ class _Series:
             return end
         return self._settle(swum, decision, counts=False)
 
-    def _gone(self, swum: Swum) -> None:
+    def _gone(self, swum: RecordedTrial) -> None:
         """It could have been learned from, and does not wait any more: somebody has dropped it."""
         if self.account.decision_on(swum.file) is None:
             self.account.decided(swum, Decision("discard", "dropped by another program"))
@@ -366,7 +365,7 @@ class _Series:
             return self.end("interrupted", f"trial {swum.outcome.number} was {BY_HAND}")
         return end
 
-    def _prepare(self, around: Around) -> tuple[Ready | None, Guard]:
+    def _prepare(self, around: TrialSetup) -> tuple[Ready | None, Guard]:
         """Up to a board that is armed, with the guard that ends the swim by distance; without a
         ritual only the room is looked at."""
         fish, wanted, person = around.fish, self.options.wanted, around.person
@@ -386,7 +385,7 @@ class _Series:
             self._count_down(wanted, status.next_trial)
         return ready, room
 
-    def _count_down(self, wanted: Wanted, number: int) -> None:
+    def _count_down(self, wanted: PreflightLimits, number: int) -> None:
         try:
             countdown(self.around.fish, wanted, self.around.person)
         except BaseException:
@@ -394,7 +393,7 @@ class _Series:
                 self.account.void(number, "not started")
             raise
 
-    def _start_yaw_deg(self, wanted: Wanted) -> float | None:
+    def _start_yaw_deg(self, wanted: PreflightLimits) -> float | None:
         """Of the first start of this call, else of the first one since the board was switched
         on."""
         if wanted.start_yaw_deg is not None or self.yaw_deg is not None:
@@ -404,14 +403,14 @@ class _Series:
         return self.account.first_yaw_deg(datetime.now().astimezone() - timedelta(seconds=on_s))
 
     def _swim(
-        self, around: Around, ready: Ready | None, room: Guard
-    ) -> tuple[Swum, bool] | SeriesEnd:
+        self, around: TrialSetup, ready: Ready | None, room: Guard
+    ) -> tuple[RecordedTrial, bool] | SeriesEnd:
         """The swim, in the raw files; and whether the person stopped it. An end when it was stopped
         before the board had begun a log."""
         fish, experiment = around.fish, self.account.experiment
         pose = ready.pose if ready else None
         heading_rad = pose.heading_rad if pose and pose.heading_rad is not None else 0.0
-        swam = swim(around, experiment, room, heading_rad)
+        swam = execute(around, experiment, room, heading_rad)
         number = swam.outcome.number
         stopped = BY_HAND if swam.outcome.interrupted else swam.stopped
         if swam.outcome.executed_beats == 0 and not self._has_log(number):
@@ -422,22 +421,22 @@ class _Series:
             words = f"trial {number} ended before its first beat ({stopped or swam.outcome.end})"
             return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
         log = keep_log(fish, experiment, number)
-        swum = swum_of(swam.outcome, log, ready, stopped)
+        swum = record_of(swam.outcome, log, ready, stopped)
         self._take(swum)
         return swum, stopped == BY_HAND
 
-    def _take(self, swum: Swum) -> None:
+    def _take(self, swum: RecordedTrial) -> None:
         self.account.swum(swum)
         self.around.person.tell(TrialRecorded(swum))
 
-    def _settle(self, swum: Swum, decision: Decision, counts: bool) -> SeriesEnd | None:
+    def _settle(self, swum: RecordedTrial, decision: Decision, counts: bool) -> SeriesEnd | None:
         """Carries the decision out. An end when the board is left as it stopped."""
         done: Done = self.office.carry_out(swum, decision)
         self.rounds.append(Round(swum, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
         if done.learned is not None:
             self.verdict = judged(self.account, self.around, done.learned.rolled_back)
-            told(self.around.person, self.verdict)
+            report_assessment(self.around.person, self.verdict)
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL

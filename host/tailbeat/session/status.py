@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tailbeat.core.errors import TailbeatError
 from tailbeat.experiment.library import logbook_of
 from tailbeat.session.commission import advice
-from tailbeat.session.log import Account
+from tailbeat.session.log import SessionLog
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Standing:
+class SessionStatus:
     """``battery_start_v``: at rest before the first swim on this battery; ``fall_v``: per swim;
     ``trials_left``: until it no longer arms. All None before a swim. ``best_trial`` 0 = none.
     ``problem``: why there is no verdict."""
@@ -46,9 +46,9 @@ class Standing:
     advice: list[str]
 
 
-def standing_of(fish: Fish, experiment: Experiment) -> Standing:
+def status_of(fish: Fish, experiment: Experiment) -> SessionStatus:
     """Asks the board and reads the experiment; changes nothing."""
-    account = Account(experiment, experiment.journal)
+    account = SessionLog(experiment, experiment.journal)
     info, trials = fish.info(), account.counting()
     status = info.status
     learned = experiment.journal.entries("learned")
@@ -57,7 +57,7 @@ def standing_of(fish: Fish, experiment: Experiment) -> Standing:
     drains = account.drains()
     fall_v = fall_per_swim(drains, status.battery_v)
     low_v = fish.params.get("BATT_LOW_V").value
-    return Standing(
+    return SessionStatus(
         experiment=experiment.folder,
         unique_id=info.unique_id,
         simulated=info.simulated,
@@ -104,7 +104,7 @@ def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Verdic
         return None, str(error)
 
 
-def words(found: Standing) -> list[str]:
+def words(found: SessionStatus) -> list[str]:
     """One line for each thing a person asks."""
     simulated = " (simulated)" if found.simulated else ""
     pending = f"; trial {found.pending_trial} waits for a decision" if found.pending_trial else ""
@@ -121,20 +121,20 @@ def words(found: Standing) -> list[str]:
     return lines + [f"limits      {line}" for line in found.advice]
 
 
-def _next(found: Standing) -> str:
+def _next(found: SessionStatus) -> str:
     """A board counts from 1 once it was armed; 0 is no number to tell anybody."""
     if found.iteration == 0 and not found.best_trial:
         return "nothing learned yet"
     return f"iteration {found.iteration} swims next{_best(found)}"
 
 
-def _best(found: Standing) -> str:
+def _best(found: SessionStatus) -> str:
     if not found.best_trial:
         return ", no judged trial yet"
     return f", best trial {found.best_trial} ({found.best_max_abs_error_m_s * 1e3:.1f} mm/s)"
 
 
-def _battery(found: Standing) -> str:
+def _battery(found: SessionStatus) -> str:
     now = f"{found.battery_v:.2f} V"
     if found.battery_start_v is None or found.fall_v is None:
         return f"{now}; no swim on it yet"
@@ -144,7 +144,7 @@ def _battery(found: Standing) -> str:
     return f"{text}, about {found.trials_left} swim{'' if found.trials_left == 1 else 's'} left"
 
 
-def _judgement(found: Standing, verdict: Verdict) -> str:
+def _judgement(found: SessionStatus, verdict: Verdict) -> str:
     if verdict.stop:
         return f"{verdict.words}; stop: {verdict.stop_reason}; {verdict.advice}"
     if verdict.saturation is not None:

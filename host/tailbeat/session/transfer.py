@@ -146,7 +146,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Plan:
+class TransferPlan:
     """``travel_m``: how far the fish is expected to come: as far as the old trial, or reference,
     scaled, less what the limit takes. ``model_of``: ``identified`` or ``board``. ``swims_it``: the
     board has the new reference already, with nothing learned along it."""
@@ -182,7 +182,7 @@ def plan(
     identified: Identified | None = None,
     book: Logbook | None = None,
     experiments: Path = Path("experiments"),
-) -> Plan:
+) -> TransferPlan:
     """What would be uploaded; changes nothing. ``like``: ``board``, a trial's file, a folder of
     them (an experiment), a copy of a board, or a reference, whose best trial is looked for on the
     board, in the logbook and in ``experiments``. ``identified`` None: by the board's MDL_...
@@ -214,12 +214,12 @@ def plan(
     travel_m = by.magnitude / by.time_factor * old_m * transferred.share
     _require_room(travel_m, ReferenceLimits.from_params(params))
     model_of = "identified" if identified is not None else "board"
-    return Plan(learned, new, by, transferred, travel_m, model_of, state.swims_it)
+    return TransferPlan(learned, new, by, transferred, travel_m, model_of, state.swims_it)
 
 
 def carry(
     fish: Fish,
-    found: Plan,
+    found: TransferPlan,
     book: Logbook | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path | None:

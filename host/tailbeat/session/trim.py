@@ -25,7 +25,7 @@ from tailbeat.learning.fit import Scatter
 from tailbeat.session.events import BY_HAND, Notice, StepProgress
 from tailbeat.session.guards import RoomGuard, Seen, together, when
 from tailbeat.session.preflight.step import GivenUp
-from tailbeat.session.room import Belief, Travel, belief_of, last_measured, travel_by
+from tailbeat.session.travel import Travel, TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from tailbeat.experiment.library import Logbook
     from tailbeat.link.messages import TrialOutcome
     from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Person
-    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.preflight.step import PreflightLimits
 
 
 CENTRE = "SERVO_CENTRE_US"
@@ -140,7 +140,7 @@ def _check_reach(centre_us: float, was_us: float, params: Mapping[str, float]) -
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrimPlan:
     """A short swim: ``amplitude_rad`` per beat of 1 s, the speeds that are predicted."""
 
     amplitude_rad: F64
@@ -148,7 +148,7 @@ class Plan:
     travel: Travel
 
 
-def plan(belief: Belief, params: Mapping[str, float]) -> Plan:
+def plan(belief: TravelModel, params: Mapping[str, float]) -> TrimPlan:
     """As brisk as AMP_MAX_RAD, the servo and the tank allow, gently up to it. Raises InputError
     when the tank is too short or the fish would not move."""
     us_rad, centre = params["SERVO_US_RAD"], params[CENTRE]
@@ -167,7 +167,7 @@ def plan(belief: Belief, params: Mapping[str, float]) -> Plan:
             amplitude = _profile(foot, cruise, beats)
             travel = travel_by(belief, amplitude, params, 1.0)
             if travel.worst_m <= travel.room_m - _MARGIN_M:
-                return Plan(amplitude, belief.speeds(amplitude, 1.0), travel)
+                return TrimPlan(amplitude, belief.speeds(amplitude, 1.0), travel)
             cruise = foot + _SLOWER * (cruise - foot)
             if cruise < foot + 0.5 * (most - foot):
                 break  # fewer beats rather than slower ones
@@ -186,10 +186,10 @@ def _profile(foot_rad: float, cruise_rad: float, beats: int) -> F64:
 
 def find_centre(
     fish: Fish,
-    person: Person,
+    person: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
-    wanted: Wanted | None = None,
+    wanted: PreflightLimits | None = None,
 ) -> Trim:
     """Swims twice, the tail centred a little to either side of what is set, and puts back what the
     board had learned, its reference and its centre. ``wanted``: of the ritual before each swim;
@@ -207,7 +207,7 @@ def find_centre(
         if camera is None and (own := default_camera(fish)) is not None:
             camera = stack.enter_context(closing(own))
         board = stack.enter_context(preserved(fish, preserve_folder(book), note, "trim", (CENTRE,)))
-        swimmer = _Swimmer(board, person, camera, guard, wanted, book)
+        swimmer = _TrimRunner(board, person, camera, guard, wanted, book)
         planned = plan(belief, board.params)
         was_us = board.params[CENTRE]
         offset_us = OFFSET_RAD * board.params["SERVO_US_RAD"]
@@ -232,10 +232,10 @@ def apply(fish: Fish, trim: Trim) -> float:
     return held
 
 
-def _belief(fish: Fish, book: Logbook | None) -> Belief:
+def _belief(fish: Fish, book: Logbook | None) -> TravelModel:
     params = {name: p.value for name, p in fish.params.list().items()}
     identified = book.identified() if book is not None else None
-    return belief_of(params, identified, last_measured(fish, book))
+    return travel_model_of(params, identified, last_measured(fish, book))
 
 
 @dataclass(frozen=True)
@@ -248,15 +248,15 @@ class _Log:
 
 
 @dataclass
-class _Swimmer:
+class _TrimRunner:
     board: PreservedBoard
-    person: Person
+    person: Operator
     camera: Camera | None
     guard: Guard | None
-    wanted: Wanted | None
+    wanted: PreflightLimits | None
     book: Logbook | None
 
-    def swim(self, number: int, centre_us: float, planned: Plan) -> _Log:
+    def swim(self, number: int, centre_us: float, planned: TrimPlan) -> _Log:
         """Asks, swims, keeps."""
         fish = self.board.fish
         self.board.prepare(
@@ -270,7 +270,7 @@ class _Swimmer:
         trial = self.board.collect(outcome, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 
-    def _ask(self, number: int, centre_us: float, planned: Plan) -> None:
+    def _ask(self, number: int, centre_us: float, planned: TrimPlan) -> None:
         text = (
             f"swim {number} of 2, the tail's centre at {centre_us:.0f} us: "
             f"{len(planned.amplitude_rad)} beats, up to {planned.amplitude_rad.max():.2f} rad; "
@@ -281,7 +281,7 @@ class _Swimmer:
             raise GivenUp("the trim was not wanted", _NOTHING)
         if self.wanted is not None:
             from tailbeat.session.preflight.checklist import prepare
-            from tailbeat.session.preflight.countdown import countdown
+            from tailbeat.session.preflight.step import countdown
 
             prepare(self.board.fish, self.wanted, self.camera, self.person)
             countdown(self.board.fish, self.wanted, self.person)
@@ -318,7 +318,7 @@ class _Swimmer:
             self.book.keep(path, RUN)
 
 
-def _reference(planned: Plan) -> F64:
+def _reference(planned: TrimPlan) -> F64:
     """What is predicted, without the coast after the last beat."""
     return planned.predicted_m_s[: len(planned.amplitude_rad)]
 
@@ -352,7 +352,7 @@ def _turned(log: _Log, course: HeadingTrace, source: str) -> TrimSwim:
     )
 
 
-def _courses(logs: list[_Log], planned: Plan) -> tuple[HeadingTrace, HeadingTrace, str]:
+def _courses(logs: list[_Log], planned: TrimPlan) -> tuple[HeadingTrace, HeadingTrace, str]:
     """Of both swims by the same means; the IMU's first."""
     felt = [heading_trace(log.trial) for log in logs]
     known = [course for course in felt if course is not None and course.known]

@@ -15,7 +15,7 @@ import pytest
 import tailbeat
 from tailbeat.app.cli import run
 from tailbeat.app.cli._terminal import echo, say, table
-from tailbeat.app.web.view import Snapshot, logged
+from tailbeat.app.web.view import PageState, logged
 from tailbeat.board.fish import Fish
 from tailbeat.core.printable import printable, printable_lines
 from tailbeat.experiment.folder import Experiment
@@ -98,7 +98,7 @@ def test_lines_tables_and_the_page(capsys: pytest.CaptureFixture[str]) -> None:
     printed = capsys.readouterr().out
     require_safe(printed)
     assert printed.count("\n") == 6  # the cell's own line end is none: 1 + 2 + 3
-    (line,) = logged(Snapshot(), HOSTILE, "12:00:00").log
+    (line,) = logged(PageState(), HOSTILE, "12:00:00").log
     require_safe(line)
 
 

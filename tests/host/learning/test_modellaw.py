@@ -27,7 +27,7 @@ from tailbeat.learning.fish_model import Conditions, FishModel, Swim
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, again, document_of, foretold, propose
-from tailbeat.session.model_step import Step, next_of, numbered_anew, swims_since
+from tailbeat.session.model_step import ModelStep, next_of, numbered_anew, swims_since
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.batch import FishBatch
 
@@ -362,7 +362,7 @@ def test_words_after_a_rollback_are_true(
             fish.learn()
     proposal = replace(foreseeing(law, median_m_s), amplitude_rad=np.full(SHORT.beats, 0.3))
     monkeypatch.setattr(
-        "tailbeat.app.cli.learn.next_step", lambda *_: Step(proposal, None, {"law": law})
+        "tailbeat.app.cli.learn.next_step", lambda *_: ModelStep(proposal, None, {"law": law})
     )
     pulls: list[int] = []
     pull = fish.pull_trial

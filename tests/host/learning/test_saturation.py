@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tailbeat.app.web.view import Snapshot, after
+from tailbeat.app.web.view import PageState, after
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import thesis, trapezoid
 from tailbeat.core.trial_file import Trial, read_trial
@@ -25,7 +25,7 @@ from tailbeat.learning.saturation import (
 from tailbeat.learning.verdict import progress_of
 from tailbeat.link.params import known_parameters
 from tailbeat.session.events import Event
-from tailbeat.session.execute import told
+from tailbeat.session.execute import report_assessment
 from tailbeat.session.trial import run_trial
 
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)
@@ -136,12 +136,12 @@ def test_the_page_shows_the_words(series: list[Trial]) -> None:
 
     class Listener:
         def __init__(self) -> None:
-            self.now = Snapshot()
+            self.now = PageState()
 
         def tell(self, event: Event) -> None:
             self.now = after(self.now, event, "12:00")
 
     page = Listener()
-    told(page, verdict)  # type: ignore[arg-type]
+    report_assessment(page, verdict)  # type: ignore[arg-type]
     assert verdict.saturation.words in page.now.verdict
     assert "tailbeat params set AMP_MAX_RAD" in page.now.verdict

@@ -28,9 +28,10 @@ from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.folder import Experiment, alone
 from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session import series
-from tailbeat.session.collect import Swum
-from tailbeat.session.log import Account
-from tailbeat.session.operator import Decision, Event
+from tailbeat.session.collect import RecordedTrial
+from tailbeat.session.events import Event
+from tailbeat.session.log import SessionLog
+from tailbeat.session.operator import Decision
 from tailbeat.session.preflight import checklist
 from tailbeat.session.repeat import write_held
 from tailbeat.session.series import Options, Until, swim_series
@@ -96,7 +97,7 @@ class Script:
     def wants_abort(self) -> bool:
         return False
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         self._first()
         return self._answer
 
@@ -253,7 +254,7 @@ def begin_and_leave(monkeypatch: pytest.MonkeyPatch, killed: bool) -> None:
 
     monkeypatch.setattr(series, "countdown", given_up)
     if killed:
-        monkeypatch.setattr(Account, "void", lambda *_: None)
+        monkeypatch.setattr(SessionLog, "void", lambda *_: None)
 
 
 @pytest.mark.parametrize("killed", [False, True])
@@ -279,7 +280,7 @@ def test_a_countdown_given_up_adopts_no_other_swim(
 def test_a_swim_from_before_it_was_begun(says: Says) -> None:
     assert says(*KEEP)[0] == 0
     (trial,) = experiment().trials()
-    account = Account(experiment(), experiment().journal)
+    account = SessionLog(experiment(), experiment().journal)
     for board_s, is_it in ((trial.start_us * 1e-6 - 3, True), (trial.start_us * 1e-6 + 3, False)):
         account.begun(trial.number, 1, None, 8.0, board_s)
         assert account.is_begun(trial) == is_it
@@ -341,7 +342,7 @@ def test_a_decision_that_came_too_late(board: SimBoard, act: str, answer: str, w
         with pytest.raises(TailbeatError, match=words):
             swim_series(fish, made, person, ONCE)
     assert [one["trial"] for one in journal("withdrawn")] == [1]
-    account = Account(made, made.journal)
+    account = SessionLog(made, made.journal)
     assert account.decision_on(made.raw / "0001.ulg") is None
 
 
@@ -420,7 +421,7 @@ def test_the_battery_sags_while_it_rests(
 
 def test_the_first_yaw_since_the_board_was_switched_on(says: Says) -> None:
     assert says(*KEEP)[0] == 0
-    account = Account(experiment(), experiment().journal)
+    account = SessionLog(experiment(), experiment().journal)
     now = datetime.now().astimezone()
     found = account.first_yaw_deg(now - timedelta(hours=1))
     assert found == journal("begun")[0]["pose"]["yaw_deg"] and found is not None

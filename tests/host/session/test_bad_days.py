@@ -26,7 +26,7 @@ import pytest
 import typer
 
 from tailbeat.app.cli import run
-from tailbeat.app.cli._operator import TerminalPerson
+from tailbeat.app.cli._operator import TerminalOperator
 from tailbeat.app.cli.app import app
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
@@ -34,7 +34,7 @@ from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.experiment.current import begin, set_and_save
 from tailbeat.experiment.folder import Experiment
 from tailbeat.sensors.camera.render.source import SimulatedCamera
-from tailbeat.session.collect import Swum
+from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.operator import Decision
 from tailbeat.sim.board import CONSOLE, SimTransport
 from tailbeat.sim.native import SimBoard
@@ -456,14 +456,14 @@ def test_another_experiment_has_other_parameters(day: BadDay) -> None:
 
 
 def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.MonkeyPatch) -> None:
-    decide = TerminalPerson.decide
+    decide = TerminalOperator.decide
 
-    def slowly(self: TerminalPerson, swum: Swum) -> Decision:
+    def slowly(self: TerminalOperator, swum: RecordedTrial) -> Decision:
         day.board.world.swap_battery(8.2)
         return decide(self, swum)
 
     with monkeypatch.context() as patch:
-        patch.setattr(TerminalPerson, "decide", slowly)
+        patch.setattr(TerminalOperator, "decide", slowly)
         assert day.says(*KEEP, "--until", "3")[0] == 1
     words_of("ILC_LEAD is 1, was 1.5", "tailbeat session resume", day.lines)
     assert day.experiment().journal.entries("learned") == []
@@ -554,7 +554,7 @@ def test_power_is_cut_and_nobody_waits_for_the_end(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("tailbeat.session.decide.Office.decide", press)
+        patch.setattr("tailbeat.session.decide.Decisions.decide", press)
         assert day.says(*KEEP)[0] == 130
     day.require_resume("ILC_LEAD is 1, was 1.5")
     day.require_goes_on()
@@ -642,7 +642,7 @@ def test_ctrl_c_at_any_moment(fresh: Callable[[], BadDay], most: int) -> None:
         ("tailbeat.session.trial._say_start", False),
         ("tailbeat.session.trial._say_start", True),  # it swims, and nobody knows
         ("tailbeat.session.trial._step", False),
-        ("tailbeat.session.decide.Office.decide", False),  # swum, and nobody has decided
+        ("tailbeat.session.decide.Decisions.decide", False),  # swum, and nobody has decided
     ],
 )
 def test_ctrl_c_at_the_worst_moments(

@@ -22,10 +22,10 @@ from tailbeat.experiment.current import begin
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.relearn import relearn
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.collect import keep_log, outcome_of, proposed, swum_of
+from tailbeat.session.collect import keep_log, outcome_of, proposed, record_of
 from tailbeat.session.events import BY_HAND, Event, StopKind, StopReason
 from tailbeat.session.guards import when
-from tailbeat.session.log import Account
+from tailbeat.session.log import SessionLog
 from tailbeat.session.operator import Decision
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
@@ -82,7 +82,7 @@ def test_what_learn_learns_is_in_the_experiment(fish: Fish, experiment: Experime
     assert [(row.decision, row.learned) for row in analysis.rows] == [("keep", True)] * 2
     held = held_state(experiment)
     assert held is not None and held.learned == fish.learned_record()
-    assert Account(experiment, experiment.journal).open_trial() is None
+    assert SessionLog(experiment, experiment.journal).open_trial() is None
 
 
 def test_what_is_dropped_without_a_word_is_in_it_too(fish: Fish, experiment: Experiment) -> None:
@@ -112,9 +112,9 @@ def test_the_best_brought_back_is_in_the_experiment(fish: Fish, experiment: Expe
 def test_what_was_kept_to_be_learned_later_is_decided_once(
     fish: Fish, experiment: Experiment
 ) -> None:
-    account = Account(experiment, experiment.journal)
+    account = SessionLog(experiment, experiment.journal)
     log = keep_log(fish, experiment, swims(fish))
-    swum = swum_of(outcome_of(log.trial), log, None)
+    swum = record_of(outcome_of(log.trial), log, None)
     account.swum(swum)
     account.decided(swum, Decision("keep"))
     assert types("learn").exit_code == 0
@@ -212,7 +212,7 @@ def test_what_the_board_refuses_is_withdrawn(
         monkeypatch.setattr(Fish, name, refuses)
     assert isinstance(types(*words).exception, Refused)
     assert whats(experiment) == ["swum", "decided", "withdrawn"]
-    account = Account(experiment, experiment.journal)
+    account = SessionLog(experiment, experiment.journal)
     assert account.decision_on(experiment.raw / f"{number:04d}.ulg") is None
 
 
@@ -221,8 +221,8 @@ def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
 ) -> None:
     """``stop`` from elsewhere: no program here knows of it but by the log."""
     log = keep_log(fish, experiment, swims(fish, until_beat=1))
-    now = swum_of(outcome_of(log.trial), log, None, BY_HAND)
-    later = swum_of(outcome_of(log.trial), log, None)
+    now = record_of(outcome_of(log.trial), log, None, BY_HAND)
+    later = record_of(outcome_of(log.trial), log, None)
     assert proposed(now) == Decision("discard", BY_HAND.text)
     assert proposed(later).kind == "discard"
 
@@ -241,13 +241,13 @@ def test_who_stopped_it_is_known_after_a_restart(
     """The room's guard ends a swim with the same command as a key."""
     number = swims(fish, until_beat=1)
     log = keep_log(fish, experiment, number)
-    at_once = swum_of(outcome_of(log.trial), log, None, stopped)
-    Account(experiment, experiment.journal).swum(at_once)
+    at_once = record_of(outcome_of(log.trial), log, None, stopped)
+    SessionLog(experiment, experiment.journal).swum(at_once)
     if written == "by an older version":
         path = experiment.journal.path
         path.write_text(re.sub(r', "stopped": \{[^}]*\}', "", path.read_text()))
         assert "stopped" not in experiment.journal.entries("swum")[-1]
     again = keep_log(fish, experiment, number)
-    later = swum_of(outcome_of(again.trial), again, None)
+    later = record_of(outcome_of(again.trial), again, None)
     assert proposed(at_once) == proposed(later) == wanted
     assert later.problems == at_once.problems

@@ -20,10 +20,8 @@ from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.sensors.camera.sync.led import read_led
 from tailbeat.sensors.camera.tracking.track import SEEN, Track
 from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
-from tailbeat.session.events import Countdown
-from tailbeat.session.operator import Event
-from tailbeat.session.preflight.countdown import countdown
-from tailbeat.session.preflight.step import GivenUp, NotReady, Wanted
+from tailbeat.session.events import Countdown, Event
+from tailbeat.session.preflight.step import GivenUp, NotReady, PreflightLimits, countdown
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 from tailbeat.sim.world import CameraFrame
@@ -32,7 +30,7 @@ from ..conftest import BadRadio
 from ..led_films import LedFilm
 from ..tank_side import Script
 
-WANTED = Wanted()
+WANTED = PreflightLimits()
 
 
 def counted(person: Script) -> list[int]:

@@ -26,12 +26,12 @@ from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.params import known_parameters
 from tailbeat.session import commission, commission_steps
 from tailbeat.session.battery import Drain
-from tailbeat.session.collect import Swum
-from tailbeat.session.commission import Step, first_session
+from tailbeat.session.collect import RecordedTrial
+from tailbeat.session.commission import CommissionStep, first_session
 from tailbeat.session.commission_steps import Raise, next_raise
-from tailbeat.session.events import Countdown, StepProgress, TrialStarted
-from tailbeat.session.operator import Decision, Event
-from tailbeat.session.status import fall_per_swim, standing_of, swims_left, words
+from tailbeat.session.events import Countdown, Event, StepProgress, TrialStarted
+from tailbeat.session.operator import Decision
+from tailbeat.session.status import fall_per_swim, status_of, swims_left, words
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -61,7 +61,7 @@ class Somebody:
     def wants_abort(self) -> bool:
         return False
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         return Decision("keep")
 
     def confirm(self, question: str) -> bool:
@@ -193,13 +193,17 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 def known_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Identified and trimmed by a seer."""
 
-    def identify(self: Any) -> Step:
+    def identify(self: Any) -> CommissionStep:
         self.identified, self.straight = known(), STRAIGHT
-        return Step("identify", True, "seen")
+        return CommissionStep("identify", True, "seen")
 
     monkeypatch.setattr(commission._Session, "identify", identify)
-    monkeypatch.setattr(commission._Session, "trim", lambda self: Step("trim", False, "left out"))
-    monkeypatch.setattr(commission._Session, "design", lambda self: Step("design", True, "given"))
+    monkeypatch.setattr(
+        commission._Session, "trim", lambda self: CommissionStep("trim", False, "left out")
+    )
+    monkeypatch.setattr(
+        commission._Session, "design", lambda self: CommissionStep("design", True, "given")
+    )
 
 
 def limit(fish: Fish) -> float:
@@ -266,7 +270,7 @@ def test_a_proof_that_fails_leaves_the_limit(
     assert limit(fish) == pytest.approx(0.5)
 
 
-def broken(do: Callable[[SimBoard], None], **config: float) -> tuple[list[Step], float]:
+def broken(do: Callable[[SimBoard], None], **config: float) -> tuple[list[CommissionStep], float]:
     board = SimBoard("tank", seed=1, **config)
     do(board)
     board.run(1.0)
@@ -323,7 +327,7 @@ def test_status_before_and_after_a_swim(
     fish.upload_reference(reference.trapezoid(0.05, 2, 2))
     experiment = begin(fish, tmp_path)
     copy_state(fish, experiment)
-    lines = words(standing_of(fish, experiment))
+    lines = words(status_of(fish, experiment))
     assert any("no swim on it yet" in line for line in lines)
     assert "learning    0 swims, nothing learned yet" in lines
     assert lines[-1].startswith("limits      AMP_MAX_RAD stays 0.50: nobody knows yet")

@@ -13,7 +13,7 @@ from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.events import BY_HAND, StopKind, StopReason
 from tailbeat.session.guards import RoomGuard, Seen, together, when
-from tailbeat.session.room import room_guard, travel_next
+from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial import run_trial
 
 ROOM_M = 3.0 - 0.36

@@ -28,11 +28,11 @@ from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current, is_interrupted, note_set, strayed, use
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import BeatEvent, LearnReport
-from tailbeat.session.collect import Swum, keep_log, outcome_of, swum_of
-from tailbeat.session.events import TrialStarted
+from tailbeat.session.collect import RecordedTrial, keep_log, outcome_of, record_of
+from tailbeat.session.events import Event, TrialStarted
 from tailbeat.session.identify import prior_of
-from tailbeat.session.log import Account
-from tailbeat.session.operator import Decision, Event
+from tailbeat.session.log import SessionLog
+from tailbeat.session.operator import Decision
 from tailbeat.session.repeat import repeat_best, repeat_path, write_held
 from tailbeat.session.resume import Restored, restore
 from tailbeat.session.series import Options, Until, swim_series
@@ -63,7 +63,7 @@ class Somebody:
     def wants_abort(self) -> bool:
         return False
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         return self.decisions.pop(0) if self.decisions else Decision("keep")
 
     def confirm(self, question: str) -> bool:
@@ -613,8 +613,8 @@ def test_the_laptop_dies_after_the_decision(
     swapped.restore_best()
     run_trial(swapped)
     log = keep_log(swapped, experiment, 5)
-    account = Account(experiment, experiment.journal)
-    swum = swum_of(outcome_of(log.trial), log, None)
+    account = SessionLog(experiment, experiment.journal)
+    swum = record_of(outcome_of(log.trial), log, None)
     account.swum(swum)
     account.decided(swum, Decision("repeat", "battery swap"))
     repeat_best(swapped, experiment, Somebody(Decision("discard", "asked again")), ONE)

@@ -15,18 +15,17 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, Refused
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.link import _dialect as mavlink
-from tailbeat.session.events import StepProgress, StopKind, StopReason
-from tailbeat.session.operator import Event
+from tailbeat.session.events import Event, StepProgress, StopKind, StopReason
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.pose import Sight
-from tailbeat.session.preflight.step import GivenUp, NotReady, Step, Wanted
+from tailbeat.session.preflight.step import GivenUp, NotReady, PreflightLimits, PreflightStep
 from tailbeat.session.preflight.stillness import drift_of
 from tailbeat.session.trial import run_trial
 
 from ..conftest import BadRadio
 from ..tank_side import Overhead, Script, drifts, lies
 
-QUICK = Wanted(rest_s=0.0, patience_s=30.0)
+QUICK = PreflightLimits(rest_s=0.0, patience_s=30.0)
 
 
 def state_of(fish: Fish) -> str:
@@ -84,7 +83,7 @@ def test_rest_counts_from_the_end_of_the_last_swim(
     ready.link.run(before_s)
     other = ready if known else Fish(ready.transport)
     person = Script()
-    found = prepare(other, Wanted(rest_s=30.0, still_s=0.0), None, person)
+    found = prepare(other, PreflightLimits(rest_s=30.0, still_s=0.0), None, person)
     rested_s = ready.sim.board_time_s - over_s
     lefts = countdown_of(person, "rest")
     print(rested_s, found.rested_s, lefts)
@@ -109,7 +108,7 @@ def test_the_log_is_read_as_little_as_possible(
         return head(path, size)
 
     monkeypatch.setattr(ready.ftp, "head", spy)
-    wanted = Wanted(rest_s=5.0, still_s=0.0)
+    wanted = PreflightLimits(rest_s=5.0, still_s=0.0)
     prepare(ready, wanted, None, Script())
     assert heads
     assert {path for path, _ in heads} == {"/trials/0001.ulg"}
@@ -128,7 +127,7 @@ def test_a_board_that_has_restarted_has_rested_as_long_as_it_is_up(ready: Fish) 
     ready.link.run(6.0)
     ready.clock.sync()
     person = Script()
-    found = prepare(ready, Wanted(rest_s=30.0, still_s=0.0), None, person)
+    found = prepare(ready, PreflightLimits(rest_s=30.0, still_s=0.0), None, person)
     assert countdown_of(person, "rest")[0] in (23, 24, 25)
     assert found.rested_s == pytest.approx(ready.sim.board_time_s, abs=0.5)
 
@@ -145,18 +144,18 @@ def test_a_log_that_is_gone_counts_as_a_swim_just_now(
     ready.link.run(60.0)
     monkeypatch.setattr(ready.ftp, "head", none)
     person = Script()
-    prepare(ready, Wanted(rest_s=20.0, still_s=0.0), None, person)
+    prepare(ready, PreflightLimits(rest_s=20.0, still_s=0.0), None, person)
     assert countdown_of(person, "rest")[0] == 20
 
 
 def test_no_rest_when_none_is_asked_for_or_it_never_swam(ready: Fish) -> None:
     begin_s = ready.transport.now_s()
     person = Script()
-    prepare(ready, Wanted(rest_s=500.0, still_s=0.0), None, person)
+    prepare(ready, PreflightLimits(rest_s=500.0, still_s=0.0), None, person)
     assert person.texts("rest")[-1] == "it has not swum yet"
     swim(ready)
     begin_s = ready.transport.now_s()
-    prepare(ready, Wanted(rest_s=0.0, still_s=0.0), None, person)
+    prepare(ready, PreflightLimits(rest_s=0.0, still_s=0.0), None, person)
     assert ready.transport.now_s() - begin_s < 6.0
 
 
@@ -169,7 +168,7 @@ def test_no_room_is_told_before_anybody_waits(ready: Fish) -> None:
     person = Script()
     begin_s = ready.transport.now_s()
     with pytest.raises(InputError) as raised:
-        prepare(ready, Wanted(), Overhead(ready, lies()), person)
+        prepare(ready, PreflightLimits(), Overhead(ready, lies()), person)
     assert "0.14" in str(raised.value)  # of 0.5 m less the fish
     assert person.refused() == ["room"]
     assert ready.transport.now_s() - begin_s < 5.0
@@ -178,7 +177,7 @@ def test_no_room_is_told_before_anybody_waits(ready: Fish) -> None:
 def test_what_may_be_too_far_at_worst_is_a_notice(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tailbeat.session.room import Travel
+    from tailbeat.session.travel import Travel
 
     monkeypatch.setattr(
         "tailbeat.session.preflight.checklist.travel_next",
@@ -430,7 +429,7 @@ def test_a_gap_counts_anew_though_nobody_looked_meanwhile(ready: Fish) -> None:
     """A bad radio may hold the ritual up for seconds."""
     camera = Overhead(ready, lies(), seen=lambda t_s: not 8.0 < t_s < 11.0)
     sight = Sight(ready, camera, 10.0)
-    step = Step(ready, Script(), "still")
+    step = PreflightStep(ready, Script(), "still")
     for wait_s, from_s in ((7.5, 0.0), (5.0, 11.0)):
         ready.link.run(wait_s)
         sight.look(step)
@@ -487,12 +486,12 @@ def test_an_empty_battery_is_told_at_once(ready: Fish) -> None:
     ready.link.run(1.0)
     begin_s = ready.transport.now_s()
     with pytest.raises(NotReady, match=r"6\.55 V, .* 6\.60 V .*Swap the battery"):
-        prepare(ready, Wanted(), None, Script())
+        prepare(ready, PreflightLimits(), None, Script())
     assert ready.transport.now_s() - begin_s < 2.0
     ready.sim.world.set_battery_v(6.75)  # it recovers as soon as nothing pulls at it
     ready.link.run(1.0)
     with pytest.raises(NotReady, match=r"6\.80 V"):
-        prepare(ready, Wanted(), None, Script())
+        prepare(ready, PreflightLimits(), None, Script())
     ready.sim.world.set_battery_v(6.85)
     ready.link.run(1.0)
     assert prepare(ready, replace(QUICK, still_s=0.0), None, Script()).battery_v > 6.8
@@ -528,12 +527,12 @@ def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
     run_trial(ready, guard=wall)
     assert state_of(ready) == "ABORTED"
     with pytest.raises(NotReady, match=r"WALL.*too close to a wall.*tailbeat board clear"):
-        prepare(ready, Wanted(), None, Script())
+        prepare(ready, PreflightLimits(), None, Script())
     ready.clear()
     with pytest.raises(
         NotReady, match=r"neither learned nor discarded \(trial 1\).*tailbeat learn"
     ):
-        prepare(ready, Wanted(), None, Script())
+        prepare(ready, PreflightLimits(), None, Script())
 
 
 def test_a_board_that_is_armed_is_disarmed_first(ready: Fish) -> None:
@@ -572,7 +571,7 @@ def at(step: str) -> Callable[[list[Event]], bool]:
 def test_giving_up_in_each_step(ready: Fish, step: str) -> None:
     swim(ready)
     person = Script(aborts=at(step))
-    wanted = Wanted(rest_s=12.0 if step == "rest" else 0.0)
+    wanted = PreflightLimits(rest_s=12.0 if step == "rest" else 0.0)
     camera = Overhead(ready, lies(y_m=0.5) if step == "pose" else lies())
     with pytest.raises(GivenUp, match=step):
         prepare(ready, wanted, camera, person)
@@ -584,7 +583,7 @@ def test_giving_up_in_each_step(ready: Fish, step: str) -> None:
 def test_a_camera_that_dies_in_each_step(ready: Fish, step: str, gone_s: float) -> None:
     swim(ready)
     person = Script()
-    wanted = Wanted(rest_s=12.0 if step == "rest" else 0.0)
+    wanted = PreflightLimits(rest_s=12.0 if step == "rest" else 0.0)
     way = lies(y_m=0.5) if step == "pose" else lies()
     with pytest.raises(CameraGone, match="unplugged"):
         prepare(ready, wanted, Overhead(ready, way, gone_s=gone_s), person)
@@ -601,7 +600,7 @@ def test_a_link_that_is_lost_in_each_step(ready: Fish, step: str) -> None:
             ready.sim.world.set_radio(False)
 
     swim(ready)
-    wanted = Wanted(rest_s=40.0 if step == "rest" else 0.0)
+    wanted = PreflightLimits(rest_s=40.0 if step == "rest" else 0.0)
     camera = Overhead(ready, lies(y_m=0.5) if step == "pose" else lies())
     begin_s = ready.transport.now_s()
     with pytest.raises(LinkLostError):
@@ -615,7 +614,7 @@ def test_over_a_bad_radio(ready: Fish, spoil: Callable[..., BadRadio], seed: int
     swim(ready)
     spoil(ready, seed=seed, lose=0.15, damage=0.05, twice=0.1)
     person = Script()
-    found = prepare(ready, Wanted(rest_s=15.0), Overhead(ready, lies()), person)
+    found = prepare(ready, PreflightLimits(rest_s=15.0), Overhead(ready, lies()), person)
     assert person.passed() == ["board", "room", "rest", "pose", "still", "board"]
     assert found.rested_s is not None
     assert found.rested_s >= 15.0

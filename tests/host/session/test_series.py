@@ -24,10 +24,11 @@ from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session import series as series_module
 from tailbeat.session.battery import Drain, forecast, too_low
-from tailbeat.session.collect import Swum
+from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
     Assessed,
     Countdown,
+    Event,
     InterruptRequested,
     LinkLost,
     LinkRestored,
@@ -39,7 +40,7 @@ from tailbeat.session.events import (
     TrialStarted,
     TrialWarning,
 )
-from tailbeat.session.operator import Decision, Event
+from tailbeat.session.operator import Decision
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.series import Options, SeriesEnd, Until, swim_series
 from tailbeat.session.trial import run_trial
@@ -76,7 +77,7 @@ class Script:
     def wants_abort(self) -> bool:
         return self.abort_beat is not None and self._beat >= self.abort_beat
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         self.asked.append(swum.outcome.number)
         if self.answers:
             return self.answers.pop(0)
@@ -498,7 +499,7 @@ class Interrupting(Script):
         self._calls()
         return super().wants_abort()
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         self._calls()
         return super().decide(swum)
 
@@ -597,7 +598,7 @@ def test_ctrl_c_once_it_is_armed(
     swim: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.preflight.step import PreflightLimits
 
     real = series_module.countdown
 
@@ -608,7 +609,7 @@ def test_ctrl_c_once_it_is_armed(
 
     with monkeypatch.context() as patch:
         patch.setattr(series_module, "countdown", counted)
-        wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=1.0)
+        wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
         assert swim(Script(), wanted=wanted).why == "interrupted"
     require_goes_on(fish, board, experiment, swim, 0)
 
@@ -843,10 +844,10 @@ def test_a_ritual_that_is_given_up(
     def given_up(*_: Any) -> None:
         raise GivenUp("nobody wanted to wait", "Begin again.")
 
-    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.preflight.step import PreflightLimits
 
     monkeypatch.setattr(series_module, "prepare", given_up)
-    end = swim(Script(), wanted=Wanted())
+    end = swim(Script(), wanted=PreflightLimits())
     assert end.why == "interrupted" and "nobody wanted to wait" in end.words
     require_goes_on(fish, board, experiment, swim, 0)
 
@@ -854,10 +855,10 @@ def test_a_ritual_that_is_given_up(
 def test_with_the_ritual(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
 ) -> None:
-    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.preflight.step import PreflightLimits
 
     person = Script()
-    end = swim(person, swims=2, wanted=Wanted(rest_s=20.0, still_s=4.0, countdown_s=3.0))
+    end = swim(person, swims=2, wanted=PreflightLimits(rest_s=20.0, still_s=4.0, countdown_s=3.0))
     assert end.why == "swims" and len(person.of(Countdown)) == 2 * 4
     ready = end.swums[1].ready
     assert ready is not None and ready.rested_s is not None and ready.rested_s >= 20.0
@@ -872,9 +873,9 @@ def test_with_the_ritual(
 def test_ctrl_c_in_any_call_of_the_person_with_the_ritual(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
 ) -> None:
-    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.preflight.step import PreflightLimits
 
-    wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=2.0)
+    wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=2.0)
     whole = Calls(0, KeyboardInterrupt())
     swim(Interrupting(whole), wanted=wanted)
     for n in spread(whole.count, most):

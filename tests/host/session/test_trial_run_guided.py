@@ -17,12 +17,12 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._keyboard import Keys, TerminalGone, terminal_keys
-from tailbeat.app.cli._operator import TerminalPerson, Undecided
+from tailbeat.app.cli._operator import TerminalOperator, Undecided
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.collect import Swum
+from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
     BY_HAND,
     Countdown,
@@ -256,12 +256,14 @@ class Typing(Typed):
         self._keys += keys
 
 
-def swum(end: str = "complete", measured: int = 5, *problems: str) -> Swum:
+def swum(end: str = "complete", measured: int = 5, *problems: str) -> RecordedTrial:
     outcome = TrialOutcome(7, 2, end, 5)
-    return Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, measured, 5, 8.0, 7.9, problems)
+    return RecordedTrial(
+        outcome, Path("7.ulg"), None, None, 0.01, 0.01, measured, 5, 8.0, 7.9, problems
+    )
 
 
-def stopped(by: StopReason) -> Swum:
+def stopped(by: StopReason) -> RecordedTrial:
     end = "aborted:ABORT_COMMAND"
     return replace(swum(end, 3, f"not complete: {end} ({by})"), stopped=by)
 
@@ -279,7 +281,7 @@ def stopped(by: StopReason) -> Swum:
 def test_keys_decide(keys: str, lines: tuple[str, ...], wanted: Decision) -> None:
     idle = []
     typed = Typed(keys, lines)
-    person = TerminalPerson(Display(), typed, None, lambda: idle.append(1))
+    person = TerminalOperator(Display(), typed, None, lambda: idle.append(1))
     assert person.decide(swum()) == wanted
     assert typed.forgotten == 1, "the key that stopped the tail is no answer"
     assert len(idle) == len(keys) - 1, "the link goes on while the question waits"
@@ -289,20 +291,20 @@ def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
     wall = swum("aborted:WALL", 3, "not complete: aborted:WALL")
     by_hand = stopped(BY_HAND)
     for one, reason in ((wall, "too close to the wall"), (by_hand, "stopped by hand")):
-        person = TerminalPerson(Display(), Typed("\n", ("",)))
+        person = TerminalOperator(Display(), Typed("\n", ("",)))
         assert person.decide(one) == Decision("discard", reason)
         assert "Enter = discard" in capsys.readouterr().err
     room = stopped(StopReason(StopKind.DISTANCE, "room: 2 m"))
-    assert TerminalPerson(Display(), Typed("\n")).decide(room) == Decision("keep")
+    assert TerminalOperator(Display(), Typed("\n")).decide(room) == Decision("keep")
 
 
 def test_keep_is_no_answer_for_a_swim_without_speeds() -> None:
-    person = TerminalPerson(Display(), Typed("kd", ("no camera",)))
+    person = TerminalOperator(Display(), Typed("kd", ("no camera",)))
     assert person.decide(swum("complete", 0)) == Decision("discard", "no camera")
 
 
 def test_a_few_missing_beats_need_no_answer() -> None:
-    nobody = TerminalPerson(Display(), None, None)
+    nobody = TerminalOperator(Display(), None, None)
     one = swum("complete", 39, "1 of 40 beats have no speed")
     assert nobody.decide(replace(one, judged=True)) == Decision("keep")
     others = replace(one, judged=True, problems=(*one.problems, "not straight: +20 degrees off"))
@@ -313,20 +315,20 @@ def test_a_few_missing_beats_need_no_answer() -> None:
 
 def test_escape_puts_it_off() -> None:
     with pytest.raises(KeyboardInterrupt, match="put off"):
-        TerminalPerson(Display(), Typed("\x1b")).decide(swum())
+        TerminalOperator(Display(), Typed("\x1b")).decide(swum())
 
 
 def test_the_answer_given_beforehand() -> None:
-    nobody = TerminalPerson(Display(), None, Decision("keep"))
+    nobody = TerminalOperator(Display(), None, Decision("keep"))
     by_hand = stopped(BY_HAND)
     assert nobody.decide(by_hand) == Decision("keep")
-    somebody = TerminalPerson(Display(), Typed("d", ("bumped",)), Decision("keep"))
+    somebody = TerminalOperator(Display(), Typed("d", ("bumped",)), Decision("keep"))
     assert somebody.decide(swum()) == Decision("keep")
     assert somebody.decide(by_hand) == Decision("discard", "bumped")
 
 
 def test_nobody() -> None:
-    nobody = TerminalPerson(Display(), None)
+    nobody = TerminalOperator(Display(), None)
     assert nobody.decide(swum()) == Decision("keep")
     for one in (swum("complete", 5, "not straight"), swum("aborted:WALL")):
         with pytest.raises(Undecided):
@@ -343,7 +345,7 @@ def test_the_enter_after_a_letter_stops_nothing() -> None:
         ("\n", [], "\n", True),
     ):
         keys = Typing(letter)
-        person = TerminalPerson(Display(), keys)
+        person = TerminalOperator(Display(), keys)
         assert person.decide(swum()) == Decision("keep") and not person.wants_abort()
         for event in events:
             person.tell(event)
@@ -357,13 +359,13 @@ def test_the_enter_after_a_letter_stops_nothing() -> None:
 
 def test_what_was_typed_before_the_ritual_is_forgotten() -> None:
     keys = Typed("")
-    TerminalPerson(Display(), keys).tell(StepProgress("board", "idle", True, None))
+    TerminalOperator(Display(), keys).tell(StepProgress("board", "idle", True, None))
     assert keys.forgotten == 1
 
 
 def test_confirm() -> None:
-    assert TerminalPerson(Display(), Typed("\n_y")).confirm("Clear it?")
-    assert not TerminalPerson(Display(), Typed("n")).confirm("Clear it?")
+    assert TerminalOperator(Display(), Typed("\n_y")).confirm("Clear it?")
+    assert not TerminalOperator(Display(), Typed("n")).confirm("Clear it?")
 
 
 # the keyboard

@@ -25,11 +25,11 @@ from tailbeat.experiment.library import RUN, Logbook, preserve_folder
 from tailbeat.link.messages import BeatEvent
 from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
-from tailbeat.session.collect import Swum
-from tailbeat.session.events import Notice, StepProgress, TrialStarted
-from tailbeat.session.operator import Decision, Event
+from tailbeat.session.collect import RecordedTrial
+from tailbeat.session.events import Event, Notice, StepProgress, TrialStarted
+from tailbeat.session.operator import Decision
 from tailbeat.session.preflight.step import GivenUp
-from tailbeat.session.room import belief_of
+from tailbeat.session.travel import travel_model_of
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trim import CENTRE, Trim, TrimSwim, apply, centre_of, find_centre, plan
 
@@ -52,7 +52,7 @@ class Somebody:
     def wants_abort(self) -> bool:
         return self.pressed
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         raise AssertionError(swum)
 
     def confirm(self, question: str) -> bool:
@@ -303,7 +303,7 @@ def test_a_centre_that_is_too_far_off() -> None:
 
 
 def test_a_swim_is_as_brisk_as_is_allowed() -> None:
-    usual = plan(belief_of(PARAMS), PARAMS)
+    usual = plan(travel_model_of(PARAMS), PARAMS)
     assert usual.amplitude_rad.max() == pytest.approx(0.5)
     assert np.count_nonzero(usual.amplitude_rad == usual.amplitude_rad.max()) == 8
     assert np.diff(usual.amplitude_rad[:5]).max() < 0.07  # gently
@@ -312,15 +312,15 @@ def test_a_swim_is_as_brisk_as_is_allowed() -> None:
         ({"AMP_MAX_RAD": 1.0}, 0.5),
         ({"SERVO_MIN_US": 1300.0}, 200 / US_RAD - 0.06),
     ):
-        found = plan(belief_of(PARAMS), PARAMS | more)
+        found = plan(travel_model_of(PARAMS), PARAMS | more)
         assert found.amplitude_rad.max() <= most + 1e-9
     for tank_m in (1.6, 2.0):
-        found = plan(belief_of(PARAMS), PARAMS | {"TANK_LEN_M": tank_m})
+        found = plan(travel_model_of(PARAMS), PARAMS | {"TANK_LEN_M": tank_m})
         assert found.travel.worst_m <= tank_m - 0.36 - 0.15
     with pytest.raises(InputError, match="too short to trim"):
-        plan(belief_of(PARAMS), PARAMS | {"TANK_LEN_M": 0.7})
+        plan(travel_model_of(PARAMS), PARAMS | {"TANK_LEN_M": 0.7})
     with pytest.raises(InputError, match="hardly move"):
-        plan(belief_of(PARAMS), PARAMS | {"AMP_MAX_RAD": 0.2})
+        plan(travel_model_of(PARAMS), PARAMS | {"AMP_MAX_RAD": 0.2})
 
 
 # -- the command ----------------------------------------------------------------------------------

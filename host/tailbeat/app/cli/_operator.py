@@ -28,7 +28,7 @@ from tailbeat.session.presenter import alert, countdown_text, mm, record_lines, 
 if TYPE_CHECKING:
     from tailbeat.app.cli._display import Display
     from tailbeat.app.cli._keyboard import Keys
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
 
 _LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
 KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}
@@ -43,7 +43,7 @@ class Undecided(TailbeatError):
     """There is nobody to say what becomes of a swim; it waits on the board."""
 
 
-class TerminalPerson:
+class TerminalOperator:
     """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
     who is there and stopped the swim is asked all the same, before it is learned from. ``idle`` is
     called again and again while a question waits. ``kinds``: letter to kind of decision and its
@@ -110,7 +110,7 @@ class TerminalPerson:
             return keys.key(0.0) not in _ENTER
         return True
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
         the swim is not plainly good."""
         proposal = proposed(swum)
@@ -137,7 +137,7 @@ class TerminalPerson:
         self._display.keep(key)
         return key == "y"
 
-    def _ask(self, keys: Keys, swum: Swum, proposal: Decision) -> Decision:
+    def _ask(self, keys: Keys, swum: RecordedTrial, proposal: Decision) -> Decision:
         letters = [
             k for k, (kind, _) in self._kinds.items() if kind != "keep" or swum.measured_beats
         ]

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from tailbeat.app.cli._camera import LiveCamera
     from tailbeat.board.fish import Fish
     from tailbeat.experiment.folder import Experiment
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import Event
-    from tailbeat.session.operator import Decision, Person
+    from tailbeat.session.operator import Decision, Operator
     from tailbeat.session.series import Options, Round, SeriesEnd, Until
 
 _ROOT = Path("experiments")
@@ -82,13 +82,15 @@ class GuideOptions:
 
     def options(self) -> Options:
         """As the series takes them."""
-        from tailbeat.session.preflight.step import Wanted
+        from tailbeat.session.preflight.step import PreflightLimits
         from tailbeat.session.series import Options
 
         answer = self.answer()
         return Options(
             until=self._until(),
-            wanted=Wanted() if self.rest_s is None else Wanted(rest_s=self.rest_s),
+            wanted=PreflightLimits()
+            if self.rest_s is None
+            else PreflightLimits(rest_s=self.rest_s),
             learn=self.learn,
             counts=("keep",) if answer is None else (answer.kind,),
             typed=command_typed(),
@@ -105,14 +107,14 @@ def run_guided(fish: Fish, live: LiveCamera, given: GuideOptions, json: bool) ->
     """Swims the series, tells how it ended. Raises typer.Exit unless it ended as was asked for."""
     from tailbeat.app.cli._display import Display
     from tailbeat.app.cli._keyboard import terminal_keys
-    from tailbeat.app.cli._operator import TerminalPerson
+    from tailbeat.app.cli._operator import TerminalOperator
     from tailbeat.session.series import swim_series
 
     options = given.options()
     with Display(quiet=json) as display, terminal_keys() as keys:
         experiment = experiment_for(fish, given.into, lambda text: display.keep(text, loud=True))
         there = keys if display.moves else None
-        person: Person = TerminalPerson(display, there, given.answer(), _keep_alive(fish))
+        person: Operator = TerminalOperator(display, there, given.answer(), _keep_alive(fish))
         if live.recorder is not None:
             person = _Filming(person, live)
         end = swim_series(fish, experiment, person, options, live.camera, live.guard)
@@ -163,7 +165,7 @@ def _keep_alive(fish: Fish) -> Callable[[], None]:
 class _Filming:
     """Somebody, and the film that is wanted while it swims."""
 
-    person: Person
+    person: Operator
     live: LiveCamera
 
     def tell(self, event: Event) -> None:
@@ -176,7 +178,7 @@ class _Filming:
         """As the person does."""
         return self.person.wants_abort()
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         """As the person does."""
         return self.person.decide(swum)
 

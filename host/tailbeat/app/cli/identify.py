@@ -15,7 +15,7 @@ from tailbeat.app.cli._camera import CAMERA, LiveCamera, LiveOptions, TankCamera
 from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._keyboard import terminal_keys
-from tailbeat.app.cli._operator import TerminalPerson
+from tailbeat.app.cli._operator import TerminalOperator
 from tailbeat.app.cli._options import Connect, Json, Library
 from tailbeat.app.cli._terminal import echo, mm, progress_bar, say, table
 from tailbeat.board.fish import Fish, board_reference
@@ -33,8 +33,7 @@ from tailbeat.report.figures.identification import draw_account, draw_table
 from tailbeat.session.events import Event, HoldRequest, TrialStopped, TrialWarning
 from tailbeat.session.identify import Attendant, identify_fish, prior_of, set_params
 from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.countdown import countdown
-from tailbeat.session.preflight.step import GivenUp, Wanted
+from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.presenter import alert
 
 if TYPE_CHECKING:
@@ -238,7 +237,7 @@ def _found(
         if display.moves and sys.stdin.isatty():
             # the names of files with speeds are typed in lines
             keys = None if by_hand else stack.enter_context(terminal_keys())
-            there = _There(fish, live, display, TerminalPerson(display, keys), not by_hand, asked)
+            there = _There(fish, live, display, TerminalOperator(display, keys), not by_hand, asked)
         # a bar would overwrite the questions
         quiet = asked.json or wait or by_hand or (there is not None and not asked.alone)
         show = stack.enter_context(progress_bar(quiet, "identify"))
@@ -254,7 +253,7 @@ class _There:
     fish: Fish
     live: LiveCamera
     display: Display
-    person: TerminalPerson
+    person: TerminalOperator
     keys: bool
     asked: RunOptions
 
@@ -266,7 +265,7 @@ class _There:
             _wait_for_enter(wait)
         elif wait and not self.person.confirm("Put the fish at rest at its wall. Ready?"):
             raise GivenUp("not identified: the answer was no.", "The board has back what it held.")
-        wanted = Wanted(rest_s=self.asked.rest_s)
+        wanted = PreflightLimits(rest_s=self.asked.rest_s)
         prepare(self.fish, wanted, self.live.camera, self.person)
         countdown(self.fish, wanted, self.person)
 

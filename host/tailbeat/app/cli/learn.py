@@ -26,8 +26,8 @@ from tailbeat.link.messages import LearnReport
 from tailbeat.session.decide import learn_noted, not_noted, restore_best_noted, state_noted
 from tailbeat.session.dry_run import dry_run as compute
 from tailbeat.session.model_step import (
+    ModelStep,
     Next,
-    Step,
     next_of,
     next_step,
     numbered_anew,
@@ -194,7 +194,7 @@ def _swims(
 
 
 def _say(
-    step: Step,
+    step: ModelStep,
     pending: int | None,
     report: LearnReport | None,
     following: Next | None,
@@ -215,7 +215,7 @@ def _say(
     say(json, document, lambda: _text(step, report, following) + verdict_text(verdict))
 
 
-def _text(step: Step, report: LearnReport | None, following: Next | None) -> str:
+def _text(step: ModelStep, report: LearnReport | None, following: Next | None) -> str:
     proposal = step.proposal
     parts = []
     if report is not None:

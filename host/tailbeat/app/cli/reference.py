@@ -26,7 +26,7 @@ from tailbeat.learning.feasible import Suggestion
 from tailbeat.learning.fish_model import Swim
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
-from tailbeat.session.transfer import Plan, carry, plan
+from tailbeat.session.transfer import TransferPlan, carry, plan
 
 _BOUND_FINE_M_S = 0.002
 
@@ -140,7 +140,7 @@ def upload_warm(
     say(json, document, f"uploaded {reference.name}: {line}; {_words(found)}{kept}")
 
 
-def _words(found: Plan) -> str:
+def _words(found: TransferPlan) -> str:
     learned, done = found.learned, found.transferred
     error = learned.max_abs_error_m_s
     known = f" (max|e| {mm(error)} mm/s)" if error is not None else ""

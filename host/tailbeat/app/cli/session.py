@@ -19,7 +19,7 @@ from tailbeat.app.cli._camera import (
 from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._keyboard import Keys, terminal_keys
-from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalPerson
+from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalOperator
 from tailbeat.app.cli._options import Connect, Into, Json, Rest, reference_names
 from tailbeat.app.cli._terminal import command_typed, say
 from tailbeat.board.fish import Fish
@@ -28,13 +28,13 @@ from tailbeat.core.errors import InputError
 from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, preserve_folder
-from tailbeat.session.commission import Step, first_session
+from tailbeat.session.commission import CommissionStep, first_session
 from tailbeat.session.operator import Decision
-from tailbeat.session.preflight.step import Wanted
+from tailbeat.session.preflight.step import PreflightLimits
 from tailbeat.session.repeat import repeat_best
 from tailbeat.session.resume import Restored, restore, restore_params
 from tailbeat.session.series import Options
-from tailbeat.session.status import standing_of, words
+from tailbeat.session.status import status_of, words
 from tailbeat.session.trim import Trim, apply, find_centre
 
 Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
@@ -67,7 +67,7 @@ def commission(
     options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
         display, keys = there
-        ritual = Wanted() if rest is None else Wanted(rest_s=rest)
+        ritual = PreflightLimits() if rest is None else PreflightLimits(rest_s=rest)
         person = _person(display, keys, yes)
         steps = []
         for step in first_session(fish, wanted, person, live.camera, live.guard, ritual):
@@ -137,14 +137,14 @@ def status(into: Into = None, connect: Connect = None, json: Json = False) -> No
     """
     _require_folder(into)
     with connected(connect) as fish:
-        found = standing_of(fish, _experiment(fish, into))
+        found = status_of(fish, _experiment(fish, into))
     say(json, found, lambda: "\n".join(words(found)))
 
 
 def _repeated(
-    fish: Fish, experiment: Experiment, person: TerminalPerson, live: Any, rest: float | None
+    fish: Fish, experiment: Experiment, person: TerminalOperator, live: Any, rest: float | None
 ) -> Any:
-    wanted = Wanted() if rest is None else Wanted(rest_s=rest)
+    wanted = PreflightLimits() if rest is None else PreflightLimits(rest_s=rest)
     options = Options(wanted=wanted, typed=command_typed())
     return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
 
@@ -202,7 +202,7 @@ def _terminal(quiet: bool) -> Iterator[tuple[Display, Keys | None]]:
         yield display, keys if display.moves else None
 
 
-class Agreeing(TerminalPerson):
+class Agreeing(TerminalOperator):
     """Says yes to every question; all else is the person's."""
 
     def confirm(self, question: str) -> bool:
@@ -212,18 +212,18 @@ class Agreeing(TerminalPerson):
 
 def _person(
     display: Display, keys: Keys | None, yes: bool, repeats: bool = False
-) -> TerminalPerson:
+) -> TerminalOperator:
     """``yes``: every answer is yes. ``repeats``: of a trial only whether it counts is asked."""
     then = Decision("keep") if yes and repeats else None
     kinds = COUNTS if repeats else KINDS
-    return (Agreeing if yes else TerminalPerson)(display, keys, then, kinds=kinds)
+    return (Agreeing if yes else TerminalOperator)(display, keys, then, kinds=kinds)
 
 
-def _step_text(step: Step) -> str:
+def _step_text(step: CommissionStep) -> str:
     return f"{'ok' if step.done else '--'}  {step.name}: {step.words}"
 
 
-def _end_text(steps: list[Step], limits: dict[str, float]) -> str:
+def _end_text(steps: list[CommissionStep], limits: dict[str, float]) -> str:
     last = steps[-1]
     if not last.done:
         return f"ended at {last.name}; AMP_MAX_RAD is {limits['AMP_MAX_RAD']:.2f}"
@@ -290,7 +290,7 @@ def _trimmed(
         alone = yes or simulated
         _require_somebody(alone or keys is not None)
         person = _person(display, keys, alone)
-        found = find_centre(fish, person, live.camera, live.guard, Wanted(rest_s=rest_s))
+        found = find_centre(fish, person, live.camera, live.guard, PreflightLimits(rest_s=rest_s))
         if to_apply is None and keys is not None and not json:
             display.keep(found.text())
             to_apply = _person(display, keys, False).confirm("Set it for good?")

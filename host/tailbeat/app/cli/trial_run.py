@@ -32,7 +32,7 @@ from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent, TrialStarted
 from tailbeat.session.guards import Guard, together
 from tailbeat.session.presenter import alert
-from tailbeat.session.room import room_guard, travel_next
+from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial import run_trial
 
 

@@ -14,7 +14,7 @@ from tailbeat.app.cli._camera import CAMERA, CameraOptions, LiveOptions, live_ca
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Json, Root
 from tailbeat.app.cli._terminal import echo, json_line
 from tailbeat.app.web.server import listen, serve
-from tailbeat.app.web.worker import Conductor, Eyes, no_eyes
+from tailbeat.app.web.worker import OpenCamera, Worker, simulated_camera
 from tailbeat.board.connect import open_transport
 from tailbeat.board.fish import Fish
 from tailbeat.core.frames import Camera
@@ -60,7 +60,7 @@ def web(
         else:
             echo("\n".join(f"the page: {url}" for url in place.urls) + "\n(Ctrl-C ends it)")
             sys.stdout.flush()
-        serve(Conductor(make, root, _eyes(options)), place, open_ and not json)
+        serve(Worker(make, root, _eyes(options)), place, open_ and not json)
 
 
 @contextlib.contextmanager
@@ -85,7 +85,7 @@ def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
         server.close()
 
 
-def _eyes(options: LiveOptions) -> Eyes:
+def _eyes(options: LiveOptions) -> OpenCamera:
     """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
 
     @contextlib.contextmanager
@@ -94,7 +94,7 @@ def _eyes(options: LiveOptions) -> Eyes:
             if live.camera is not None:
                 yield live.camera, live.guard
                 return
-            with no_eyes(fish) as (camera, _):
+            with simulated_camera(fish) as (camera, _):
                 yield camera, live.guard
 
     return open_eyes

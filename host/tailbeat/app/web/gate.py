@@ -59,7 +59,7 @@ _MALFORMED = "tailbeat: this is no HTTP request\n"
 
 
 @dataclass(frozen=True)
-class Limits:
+class GateLimits:
     """How many connections: without a complete header, and passed to the web server; in all, and
     from one address."""
 
@@ -69,13 +69,13 @@ class Limits:
     served_each: int = 64
 
     @classmethod
-    def of(cls, descriptors: int) -> Limits:
+    def of(cls, descriptors: int) -> GateLimits:
         """For a process that may open so many: less than a third of them in all."""
         waiting, served = max(4, min(64, descriptors // 8)), max(8, min(160, descriptors // 6))
         return cls(waiting, max(2, waiting // 2), served, max(4, 2 * served // 5))
 
     @classmethod
-    def of_process(cls) -> Limits:
+    def of_process(cls) -> GateLimits:
         """For this process."""
         try:
             from resource import RLIM_INFINITY, RLIMIT_NOFILE, getrlimit
@@ -104,12 +104,12 @@ class Gate:
         listener: socket.socket,
         rules: Rules,
         abort: Callable[[], None],
-        limits: Limits | None = None,
+        limits: GateLimits | None = None,
     ) -> None:
         self._listener = listener
         self._rules = rules
         self._abort = abort
-        self._limits = limits or Limits.of_process()
+        self._limits = limits or GateLimits.of_process()
         self._waiting: dict[_Waiting, None] = {}  # oldest first
         self._served: list[tuple[str, socket.socket]] = []
         self._spares: list[int] = []

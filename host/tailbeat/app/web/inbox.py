@@ -78,12 +78,14 @@ class Asks:
             self._closed = self._abort = True
             self._news.notify_all()
 
-    def open(self, *kinds: str) -> None:
-        """From now on these are taken in. What was asked before and not taken is forgotten, but for
-        notes."""
+    def open(self, *kinds: str) -> list[Ask]:
+        """From now on these are taken in. What was asked before and not taken is dropped, but for
+        notes; returns it."""
         with self._news:
             self._open = frozenset(kinds)
-            self._waiting = deque(a for a in self._waiting if a.kind == "note")
+            dropped = [ask for ask in self._waiting if ask.kind != "note"]
+            self._waiting = deque(ask for ask in self._waiting if ask.kind == "note")
+        return dropped
 
     def take(self, *kinds: str) -> Ask | None:
         """The next one of ``kinds`` (none named: of any) that waits; None = none does."""

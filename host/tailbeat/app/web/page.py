@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from nicegui import ui
 
-from tailbeat.app.web import charts, words
-from tailbeat.app.web.dialogs import Asking, Deciding
+from tailbeat.app.web import cards, view
+from tailbeat.app.web.cards import LogCard, NotesCard, ReferenceCard
 from tailbeat.app.web.server import serve_downloads
-from tailbeat.app.web.status import Header, Status, Trials, dress
-from tailbeat.app.web.tools import LogCard, NotesCard, ReferenceCard
+from tailbeat.app.web.status import Asking, Deciding, Header, Status, Trials, dress
 from tailbeat.app.web.view import MOVING
 from tailbeat.core.locks import locked
 from tailbeat.experiment.journal import Journal
@@ -27,8 +26,8 @@ from tailbeat.experiment.journal import Journal
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tailbeat.app.web.view import Snapshot
-    from tailbeat.app.web.worker import Conductor
+    from tailbeat.app.web.view import PageState
+    from tailbeat.app.web.worker import Worker
     from tailbeat.experiment.folder import Experiment
 
 
@@ -67,7 +66,7 @@ _PERIOD_S = 0.2
 _TICKS = 5  # periods between two signs of life
 
 
-def build(conductor: Conductor) -> None:
+def build(conductor: Worker) -> None:
     """Registers the page and what goes with it."""
     serve_downloads(conductor)
 
@@ -83,7 +82,7 @@ def _asset(name: str) -> str:
 class _Part(Protocol):
     """What shows a snapshot."""
 
-    def refresh(self, now: Snapshot) -> None:
+    def refresh(self, now: PageState) -> None:
         """Shows it."""
 
 
@@ -91,7 +90,7 @@ class _Chart:
     """Redrawn when what it shows has changed."""
 
     def __init__(
-        self, title: str, hint: str, draw: Callable[[Snapshot], dict[str, Any]], name: str
+        self, title: str, hint: str, draw: Callable[[PageState], dict[str, Any]], name: str
     ) -> None:
         self._draw = draw
         self._shown: dict[str, Any] = {}
@@ -100,7 +99,7 @@ class _Chart:
             ui.label(hint).classes("hint")
             self._chart = ui.echart({}).classes(f"chart live {name}")
 
-    def refresh(self, now: Snapshot) -> None:
+    def refresh(self, now: PageState) -> None:
         options = self._draw(now)
         if options == self._shown:
             return
@@ -113,7 +112,7 @@ class _Chart:
 class _Page:
     """One browser's."""
 
-    def __init__(self, conductor: Conductor) -> None:
+    def __init__(self, conductor: Worker) -> None:
         self._conductor = conductor
         self._serial = -1
         self._periods = 0
@@ -144,13 +143,13 @@ class _Page:
                 _Chart(
                     "Speed of each beat",
                     "Dashed: wanted. Dots: measured; a gap was not measured.",
-                    charts.speed_chart,
+                    cards.speed_chart,
                     "speed-chart",
                 ),
                 _Chart(
                     "Amplitude of each beat",
                     "How far the tail swings to either side; this is what is learned.",
-                    charts.amplitude_chart,
+                    cards.amplitude_chart,
                     "amplitude-chart",
                 ),
             ]
@@ -159,7 +158,7 @@ class _Page:
                 "Largest error of each swim",
                 "One iteration = learned once more. Dotted, once the fish has been identified:"
                 " the floor, below which no amplitudes get.",
-                charts.error_chart,
+                cards.error_chart,
                 "error-chart",
             )
         )
@@ -169,7 +168,7 @@ class _Page:
         """Draws what has changed."""
         now, silent_s = self._conductor.now, self._conductor.silent_s()
         self._header.refresh(now, silent_s)
-        dress(self._root, "stale" if words.is_stale(now, silent_s) else "fresh", ("stale", "fresh"))
+        dress(self._root, "stale" if view.is_stale(now, silent_s) else "fresh", ("stale", "fresh"))
         self._periods += 1
         if self._periods % _TICKS == 0:
             self._tick.set_text(str(self._periods))

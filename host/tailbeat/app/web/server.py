@@ -30,7 +30,7 @@ from tailbeat.core.errors import ConnectError, TailbeatError, reason
 if TYPE_CHECKING:
     from types import FrameType
 
-    from tailbeat.app.web.worker import Conductor
+    from tailbeat.app.web.worker import Worker
 
 _SIOCGIFADDR = 0x8915
 _ANY = ("0.0.0.0", "::")
@@ -68,7 +68,7 @@ def _of_name() -> list[str]:
     return []
 
 
-def serve_downloads(conductor: Conductor) -> None:
+def serve_downloads(conductor: Worker) -> None:
     """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
     from fastapi import HTTPException
     from fastapi.responses import FileResponse, Response
@@ -109,7 +109,7 @@ _RECONNECT_S = 10.0  # a phone that slept for a moment finds its page as it was
 
 
 @dataclass(frozen=True)
-class Place:
+class ListenAddress:
     """Where the page listens. ``urls``: what to type; with the token, if there is one."""
 
     listener: socket.socket
@@ -122,7 +122,7 @@ class Place:
         return int(self.listener.getsockname()[1])
 
 
-def listen(host: str, port: int) -> Place:
+def listen(host: str, port: int) -> ListenAddress:
     """Takes the port. On another address than this computer's own there is a token."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -142,10 +142,12 @@ def listen(host: str, port: int) -> Place:
     number = listener.getsockname()[1]
     token = None if is_loopback(host) else new_token()
     asked = "" if token is None else f"?token={token}"
-    return Place(listener, token, [f"http://{one}:{number}/{asked}" for one in reached_at(host)])
+    return ListenAddress(
+        listener, token, [f"http://{one}:{number}/{asked}" for one in reached_at(host)]
+    )
 
 
-def serve(conductor: Conductor, place: Place, show: bool = False) -> None:
+def serve(conductor: Worker, place: ListenAddress, show: bool = False) -> None:
     """Runs until a signal ends it. Blocks; in the main thread only."""
     import uvicorn
     from fastapi import FastAPI

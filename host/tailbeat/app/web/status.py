@@ -1,6 +1,8 @@
 """The upper part of the page: how things stand, and the button that begins a swim.
 
 The list of swims, newest first, with what can be downloaded of each.
+
+What only people know: what becomes of a swim, and yes or no.
 """
 
 from __future__ import annotations
@@ -11,14 +13,18 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
-from tailbeat.app.web import words
+from tailbeat.app.web import view
 from tailbeat.core.errors import InputError
-from tailbeat.session.presenter import mm
+from tailbeat.session.collect import proposed
+from tailbeat.session.presenter import mm, record_lines
 
 if TYPE_CHECKING:
-    from tailbeat.app.web.view import Snapshot
-    from tailbeat.app.web.worker import Conductor
+    from collections.abc import Callable
+
+    from tailbeat.app.web.view import PageState
+    from tailbeat.app.web.worker import Worker
     from tailbeat.experiment.analysis import TrialRow
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import StepProgress
 
 UNTIL = {
@@ -31,7 +37,7 @@ UNTIL = {
 _LOOKS = ("well", "low", "unknown")
 
 
-def refused(conductor: Conductor, what: str, **values: object) -> str:
+def refused(conductor: Worker, what: str, **values: object) -> str:
     """Asks; why not, empty = it was taken in."""
     try:
         conductor.ask(what, **values)
@@ -40,7 +46,7 @@ def refused(conductor: Conductor, what: str, **values: object) -> str:
     return ""
 
 
-def wish(conductor: Conductor, what: str, **values: object) -> bool:
+def wish(conductor: Worker, what: str, **values: object) -> bool:
     """Asks, and tells whoever pressed the button why not."""
     if why := refused(conductor, what, **values):
         ui.notify(why, type="warning", position="top", multi_line=True, timeout=6000)
@@ -66,12 +72,12 @@ class Header:
                 self._battery = ui.label().classes("chip battery")
                 self._imu = ui.label().classes("chip imu")
 
-    def refresh(self, now: Snapshot, silent_s: float | None) -> None:
+    def refresh(self, now: PageState, silent_s: float | None) -> None:
         """Shows it."""
         self._simulated.set_visibility(now.simulated)
-        self._where.set_text(words.where_line(now))
+        self._where.set_text(view.where_line(now))
         chips = (self._link, self._battery, self._imu)
-        for chip, (text, look) in zip(chips, words.chips(now, silent_s), strict=True):
+        for chip, (text, look) in zip(chips, view.chips(now, silent_s), strict=True):
             chip.set_text(text)
             dress(chip, look)
         self._imu.props(f"title={json.dumps(now.imu)}")
@@ -80,7 +86,7 @@ class Header:
 class Status:
     """What is going on, what is wrong, and START."""
 
-    def __init__(self, conductor: Conductor) -> None:
+    def __init__(self, conductor: Worker) -> None:
         self._conductor = conductor
         self._steps_shown: tuple[StepProgress, ...] | None = None
         with ui.element("section").classes("card now"):
@@ -109,12 +115,12 @@ class Status:
     def _clear(self) -> None:
         wish(self._conductor, "clear")
 
-    def refresh(self, now: Snapshot) -> None:
+    def refresh(self, now: PageState) -> None:
         """Shows it."""
-        self._headline.set_text(words.phase_line(now))
+        self._headline.set_text(view.phase_line(now))
         counting = "counting" if now.phase == "countdown" else "calm"
         dress(self._headline, counting, ("counting", "calm"))
-        live = words.live_line(now)
+        live = view.live_line(now)
         self._live.set_text(live)
         self._live.set_visibility(bool(live))
         self._show_steps(now.steps if now.phase in ("ritual", "countdown") else ())
@@ -125,7 +131,7 @@ class Status:
         self._problem.set_text(now.problem)
         self._problem.set_visibility(bool(now.problem))
         self._go.set_visibility(now.phase in ("idle", "connecting", "working"))
-        self._next.set_text(words.next_line(now))
+        self._next.set_text(view.next_line(now))
         ready = now.phase == "idle" and bool(now.reference_m_s)
         self._start.set_enabled(ready)
 
@@ -154,7 +160,7 @@ class Trials:
             ).classes("hint")
             self._list = ui.element("div").classes("trials live")
 
-    def refresh(self, now: Snapshot) -> None:
+    def refresh(self, now: PageState) -> None:
         """Shows them."""
         where = f" in {now.experiment}" if now.experiment else ""
         self._title.set_text(f"Swims{where}")
@@ -178,8 +184,8 @@ def _row(row: TrialRow) -> None:
         with ui.element("div").classes("errors"):
             ui.label(f"max {mm(row.max_abs_error_m_s)} · RMS {mm(row.rms_error_m_s)}")
         with ui.element("div").classes("words"):
-            ui.label(words.row_line(row))
-            if text := words.straight(row):
+            ui.label(view.row_line(row))
+            if text := view.straight(row):
                 crooked = row.straight is not None and row.straight.crooked
                 ui.label(text).classes("crooked" if crooked else "straight")
         with ui.element("div").classes("files"):
@@ -192,3 +198,128 @@ def _file(text: str, address: str, name: str, title: str) -> None:
     with ui.element("a").classes("file") as link:
         ui.label(text)
     link.props(f'href="{address}" download="{name}" title="{title}"')
+
+
+REASONS = (
+    "bumped the wall",
+    "water was not still",
+    "hand in the water",
+    "camera lost the fish",
+    "not straight",
+    "battery low",
+)
+_COLOURS = {"keep": "primary", "repeat": "grey-8", "discard": "grey-8"}
+
+
+class _Refusal:
+    """Why a button of a dialog did nothing: beside that button, for on a phone nothing else of the
+    page can be seen."""
+
+    def __init__(self, conductor: Worker) -> None:
+        self._conductor = conductor
+        self._text = ui.label().classes("banner problem refusal")
+        self._text.props("role=alert").set_visibility(False)
+
+    def ask(self, what: str, **values: object) -> None:
+        """Asks, and shows why not."""
+        why = refused(self._conductor, what, **values)
+        if why and self._conductor.now.phase not in ("deciding", "asking"):
+            ui.notify(why, type="warning", position="top")  # somebody else was quicker
+        else:
+            self.show(why)
+
+    def show(self, why: str) -> None:
+        """Empty = nothing was refused."""
+        self._text.set_text(why)
+        self._text.set_visibility(bool(why))
+        if why:
+            ui.run_javascript(
+                f"getHtmlElement({self._text.id}).scrollIntoView({{block: 'nearest'}})"
+            )
+
+
+class Deciding:
+    """Opens in every browser when a swim is to be decided on, and closes once somebody has."""
+
+    def __init__(self, conductor: Worker) -> None:
+        self._shown: RecordedTrial | None = None
+        with (
+            ui.dialog().props("persistent no-focus") as self._dialog,
+            ui.card().classes("dialog deciding"),
+        ):
+            self._title = ui.label().classes("title")
+            self._facts = ui.column().style("gap:4px")
+            self._why = ui.input("Reason (needed to repeat or discard)").props("outlined")
+            self._why.classes("reason").style("width:100%")
+            with ui.element("div").classes("reasons"):
+                for reason in REASONS:
+                    ui.button(reason, on_click=self._setter(reason)).props("outline color=grey-8")
+            with ui.element("div").classes("choices"):
+                for kind, (name, _) in view.DECISIONS.items():
+                    button = ui.button(name, on_click=self._maker(kind), color=_COLOURS[kind])
+                    button.classes(f"choose-{kind}").props("unelevated")
+                    if kind == "keep":
+                        self._keep = button
+            self._refusal = _Refusal(conductor)
+            for name, meaning in view.DECISIONS.values():
+                ui.label(f"{name}: {meaning}.").classes("hint")
+
+    def _setter(self, reason: str) -> Callable[[], object]:
+        return lambda: self._why.set_value(reason)
+
+    def _maker(self, kind: str) -> Callable[[], object]:
+        return lambda: self._refusal.ask("decide", kind=kind, reason=self._why.value or "")
+
+    def refresh(self, now: PageState) -> None:
+        """Shows or hides it."""
+        swum = now.swum if now.phase == "deciding" else None
+        if swum is self._shown:
+            return
+        self._shown = swum
+        if swum is None:
+            self._dialog.close()
+            return
+        self._fill(swum)
+        self._dialog.open()
+
+    def _fill(self, swum: RecordedTrial) -> None:
+        self._refusal.show("")
+        self._title.set_text(f"What becomes of trial {swum.outcome.number}?")
+        self._facts.clear()
+        with self._facts:
+            for line in record_lines(swum):
+                ui.label(line)
+            for problem in swum.problems:
+                ui.label(problem).classes("banner problem").style("width:100%")
+        self._why.set_value(proposed(swum).reason)
+        self._keep.set_enabled(swum.measured_beats > 0)
+
+
+class Asking:
+    """A question with yes or no."""
+
+    def __init__(self, conductor: Worker) -> None:
+        self._shown = ""
+        with ui.dialog().props("persistent") as self._dialog, ui.card().classes("dialog asking"):
+            self._text = ui.label().style("line-height:1.4")
+            with ui.element("div").classes("choices").style("grid-template-columns:1fr 1fr"):
+                for name, yes in (("Yes", True), ("No", False)):
+                    button = ui.button(name, on_click=self._maker(yes)).classes(name.lower())
+                    button.props("unelevated" if yes else "outline")
+            self._refusal = _Refusal(conductor)
+
+    def _maker(self, yes: bool) -> Callable[[], object]:
+        return lambda: self._refusal.ask("answer", yes=yes)
+
+    def refresh(self, now: PageState) -> None:
+        """Shows or hides it."""
+        question = now.question if now.phase == "asking" else ""
+        if question == self._shown:
+            return
+        self._shown = question
+        self._text.set_text(question[:1].upper() + question[1:])
+        self._refusal.show("")
+        if question:
+            self._dialog.open()
+        else:
+            self._dialog.close()

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.app.web import page
 from tailbeat.app.web.inbox import Ask, Asks
-from tailbeat.app.web.view import Phase, Snapshot, after, by_beat, by_status, logged
-from tailbeat.app.web.words import travel_line
+from tailbeat.app.web.view import PageState, Phase, after, by_beat, by_status, logged, travel_line
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, TailbeatError, reason
 from tailbeat.experiment.library import name_reference
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
@@ -34,13 +33,13 @@ if TYPE_CHECKING:
     from tailbeat.core.reference import Reference
     from tailbeat.experiment.folder import Experiment
     from tailbeat.link.mavlink import Message
-    from tailbeat.session.collect import Swum
+    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import Event
     from tailbeat.session.guards import Guard
     from tailbeat.session.operator import Decision
-    from tailbeat.session.preflight.step import Wanted
+    from tailbeat.session.preflight.step import PreflightLimits
 
-Eyes = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
+OpenCamera = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
 """Opens the camera of a series, and the guard that goes with it."""
 
 IDLE_ASKS = ("swim", "upload", "set", "note", "clear", "fresh")
@@ -53,7 +52,7 @@ class Closed(TailbeatError):
 
 
 @contextmanager
-def no_eyes(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
+def simulated_camera(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
     """The camera of a simulated board, if it is one."""
     camera = default_camera(fish)
     try:
@@ -64,7 +63,7 @@ def no_eyes(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
 
 
 @dataclass
-class Conductor:
+class Worker:
     """``connect`` makes the Fish, in the conductor's thread; a lost link is connected again, with
     what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``eyes`` opens
     the camera for each series. ``wanted``: of the ritual, None = the usual. ``look_s``: how
@@ -72,9 +71,9 @@ class Conductor:
 
     connect: Callable[[], Fish]
     root: Path
-    eyes: Eyes = no_eyes
-    wanted: Wanted | None = None
-    now: Snapshot = field(default_factory=Snapshot)
+    eyes: OpenCamera = simulated_camera
+    wanted: PreflightLimits | None = None
+    now: PageState = field(default_factory=PageState)
     wall_s: Callable[[], float] = time.monotonic
     look_s: float = 0.05
     retry_s: float = 1.0
@@ -115,7 +114,7 @@ class Conductor:
             return None
         return experiment.raw / name
 
-    def wait(self, until: Callable[[Snapshot], bool], patience_s: float = 10.0) -> Snapshot:
+    def wait(self, until: Callable[[PageState], bool], patience_s: float = 10.0) -> PageState:
         """The first snapshot for which ``until`` holds. Raises TimeoutError."""
         with self._changed:
             if not self._changed.wait_for(lambda: until(self.now), patience_s):
@@ -128,7 +127,7 @@ class Conductor:
         if self._thread.is_alive():
             self._thread.join(_END_S)
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, snapshot: PageState) -> None:
         """Only ever called in the conductor's thread: snapshots do not overtake each other."""
         with self._changed:
             self.now = replace(snapshot, serial=self.now.serial + 1)
@@ -149,8 +148,10 @@ class Conductor:
 
     def _phase(self, phase: Phase, *open_: str, **changes: Any) -> None:
         """What is shown first, then what may be asked: nobody is offered what is refused."""
-        self._asks.open(*open_)
+        dropped = self._asks.open(*open_)
         self._set(phase=phase, **changes)
+        for ask in dropped:
+            self._say(f"'{ask.kind}' was asked for, but not done: ask again")
 
     # The thread.
 
@@ -331,7 +332,7 @@ class Conductor:
     def _look_ahead(self, fish: Fish) -> None:
         """How far the swim that START begins will come."""
         from tailbeat.experiment.library import logbook_of
-        from tailbeat.session.room import travel_next
+        from tailbeat.session.travel import travel_next
 
         try:
             travel = ""
@@ -449,10 +450,10 @@ class Conductor:
 
     def _swim(self, fish: Fish, until: str, ritual: bool) -> None:
         from tailbeat.session.operator import KINDS
-        from tailbeat.session.preflight.step import Wanted
+        from tailbeat.session.preflight.step import PreflightLimits
         from tailbeat.session.series import Options, Until, swim_series
 
-        wanted = (self.wanted or Wanted()) if ritual else None
+        wanted = (self.wanted or PreflightLimits()) if ritual else None
         options = Options(until=Until.parse(until), wanted=wanted, counts=KINDS)
         if self._experiment is None or self._swam_before(fish, self._experiment):
             self._begin(fish)
@@ -462,7 +463,7 @@ class Conductor:
         try:
             with self.eyes(fish) as (camera, guard):
                 end = swim_series(
-                    fish, self._experiment, _AtThePage(self, fish), options, camera, guard
+                    fish, self._experiment, PageOperator(self, fish), options, camera, guard
                 )
         finally:
             self._look_at_trials()
@@ -494,10 +495,10 @@ class Conductor:
 
 
 @dataclass(frozen=True)
-class _AtThePage:
+class PageOperator:
     """A person who sits before a browser: day.person.Person."""
 
-    conductor: Conductor
+    conductor: Worker
     fish: Fish
 
     def tell(self, event: Event) -> None:
@@ -512,7 +513,7 @@ class _AtThePage:
         """The flag itself."""
         return self.conductor._asks.abort
 
-    def decide(self, swum: Swum) -> Decision:
+    def decide(self, swum: RecordedTrial) -> Decision:
         """Whoever decides first decides."""
         self.conductor._look_at_trials()
         ask = self.conductor._answered(self.fish, "decide", swum=swum, step="", left_s=None)

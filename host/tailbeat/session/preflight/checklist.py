@@ -14,28 +14,27 @@ from weakref import WeakSet
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
 from tailbeat.experiment.library import logbook_of
-from tailbeat.session.preflight.countdown import countdown
 from tailbeat.session.preflight.pose import Feel, Sight, pose_now, wait_for_pose, what_to_do
-from tailbeat.session.preflight.rest import rested_s, wait_for_rest, watch
 from tailbeat.session.preflight.step import (
     BatteryLow,
     Drift,
     GivenUp,
     NotReady,
     Pose,
+    PreflightLimits,
+    PreflightStep,
     Ready,
-    Step,
-    Wanted,
+    countdown,
 )
-from tailbeat.session.preflight.stillness import wait_until_still
-from tailbeat.session.room import travel_next
+from tailbeat.session.preflight.stillness import rested_s, wait_for_rest, wait_until_still, watch
+from tailbeat.session.travel import travel_next
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.link.messages import BoardStatus
-    from tailbeat.session.operator import Person
-    from tailbeat.session.room import Travel
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.travel import Travel
 
 __all__ = [
     "BatteryLow",
@@ -43,8 +42,8 @@ __all__ = [
     "GivenUp",
     "NotReady",
     "Pose",
+    "PreflightLimits",
     "Ready",
-    "Wanted",
     "countdown",
     "prepare",
 ]
@@ -55,7 +54,7 @@ _RISE_V = 0.2  # once it was too low, by the board's rule (supervisor/battery.h)
 _found_low: WeakSet[Fish] = WeakSet()
 
 
-def prepare(fish: Fish, wanted: Wanted, camera: Camera | None, person: Person) -> Ready:
+def prepare(fish: Fish, wanted: PreflightLimits, camera: Camera | None, person: Operator) -> Ready:
     """Goes through all of it up to the countdown, the board IDLE and unarmed all the time. Raises
     NotReady, GivenUp (person.wants_abort), CameraGone, InputError (no room), Refused.
 
@@ -65,9 +64,9 @@ def prepare(fish: Fish, wanted: Wanted, camera: Camera | None, person: Person) -
     status = _look_at_board(fish, person)
     travel = _look_at_room(fish, person)
     sight = Sight(fish, camera, wanted.still_s) if camera is not None else None
-    step = Step(fish, person, "rest")
+    step = PreflightStep(fish, person, "rest")
     wait_for_rest(step, wanted.rest_s, fish.status(), sight)
-    feel = Feel.of(fish, Step(fish, person, "pose"))
+    feel = Feel.of(fish, PreflightStep(fish, person, "pose"))
     try:
         pose, drift = _lie_still(fish, wanted, person, sight, feel)
     finally:
@@ -80,13 +79,13 @@ def prepare(fish: Fish, wanted: Wanted, camera: Camera | None, person: Person) -
 
 
 def _lie_still(
-    fish: Fish, wanted: Wanted, person: Person, sight: Sight | None, feel: Feel | None
+    fish: Fish, wanted: PreflightLimits, person: Operator, sight: Sight | None, feel: Feel | None
 ) -> tuple[Pose | None, Drift | None]:
     """Until it lies right and still at the same time."""
     for _ in range(_ROUNDS):
-        step = Step(fish, person, "pose", wanted.patience_s)
+        step = PreflightStep(fish, person, "pose", wanted.patience_s)
         pose = wait_for_pose(step, wanted, sight, feel)
-        still = Step(fish, person, "still", wanted.patience_s)
+        still = PreflightStep(fish, person, "still", wanted.patience_s)
         drift = wait_until_still(still, wanted, sight, feel)
         now = pose_now(sight, feel)
         if now is None and sight is None:
@@ -103,9 +102,9 @@ def _lie_still(
     )
 
 
-def _look_at_board(fish: Fish, person: Person) -> BoardStatus:
+def _look_at_board(fish: Fish, person: Operator) -> BoardStatus:
     """IDLE, with nothing pending and enough battery."""
-    step = Step(fish, person, "board")
+    step = PreflightStep(fish, person, "board")
     status = fish.status()
     if status.state == "ARMED":
         fish.disarm()
@@ -129,7 +128,7 @@ def _look_at_board(fish: Fish, person: Person) -> BoardStatus:
     return status
 
 
-def _look_at_battery(fish: Fish, step: Step, status: BoardStatus) -> None:
+def _look_at_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> None:
     """By the rule by which the board refuses to arm. What it remembers of an earlier connection it
     does not tell, hence the notice."""
     low_v = fish.params.get("BATT_LOW_V").value
@@ -151,8 +150,8 @@ def _look_at_battery(fish: Fish, step: Step, status: BoardStatus) -> None:
         step.notice(f"the battery is nearly empty: {status.battery_v:.2f} V; have a full one ready")
 
 
-def _look_at_room(fish: Fish, person: Person) -> Travel:
-    step = Step(fish, person, "room")
+def _look_at_room(fish: Fish, person: Operator) -> Travel:
+    step = PreflightStep(fish, person, "room")
     travel = travel_next(fish, logbook_of(fish))
     try:
         travel.require_room()

@@ -18,13 +18,13 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import IMU_STARTING
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
-from tailbeat.session.preflight.step import Pose, Wanted
+from tailbeat.session.preflight.step import Pose, PreflightLimits
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
     from tailbeat.link.mavlink import Message
-    from tailbeat.session.preflight.step import Step
+    from tailbeat.session.preflight.step import PreflightStep
 
 _OVER_S = 1.2  # of board time, so that two lines a second apart are in it
 _LEAST_S = 0.8
@@ -51,7 +51,7 @@ class Feel:
         self.close = fish.link.subscribe(self._hear)
 
     @classmethod
-    def of(cls, fish: Fish, step: Step) -> Feel | None:
+    def of(cls, fish: Fish, step: PreflightStep) -> Feel | None:
         """None when the board has no IMU that streams; waits until it knows."""
         while (info := fish.imu_info()).problem.number == IMU_STARTING:
             if step.elapsed_s > _VERDICT_S:
@@ -115,7 +115,7 @@ _FELT_WAIT_S = 4.0
 
 
 def wait_for_pose(
-    step: Step, wanted: Wanted, sight: Sight | None, feel: Feel | None
+    step: PreflightStep, wanted: PreflightLimits, sight: Sight | None, feel: Feel | None
 ) -> Pose | None:
     """Waits until it lies right. None when nothing can tell. Raises NotReady and what the step and
     the camera raise."""
@@ -168,7 +168,7 @@ def _turned_rad(frames: Sequence[Frame]) -> float:
     return abs(math.remainder(second - first, math.tau))
 
 
-def what_to_do(pose: Pose, wanted: Wanted) -> str | None:
+def what_to_do(pose: Pose, wanted: PreflightLimits) -> str | None:
     """In words for who stands behind the fish; None when it lies right. Without a camera its yaw is
     compared with that of an earlier start, if there was one."""
     if pose.source == "camera":
@@ -183,7 +183,7 @@ def what_to_do(pose: Pose, wanted: Wanted) -> str | None:
     return "; ".join(words for words in wrong if words) or None
 
 
-def _turn(heading_rad: float, wanted: Wanted) -> str | None:
+def _turn(heading_rad: float, wanted: PreflightLimits) -> str | None:
     """Headings count clockwise from above."""
     if abs(heading_rad) <= wanted.heading_max_rad:
         return None
@@ -191,7 +191,7 @@ def _turn(heading_rad: float, wanted: Wanted) -> str | None:
     return f"turn the nose {math.degrees(abs(heading_rad)):.0f} degrees to the {side}"
 
 
-def _aside(y_m: float, wanted: Wanted) -> str | None:
+def _aside(y_m: float, wanted: PreflightLimits) -> str | None:
     if abs(y_m) <= wanted.aside_max_m:
         return None
     return f"it lies {abs(y_m):.2f} m to the {'right' if y_m > 0 else 'left'} of the line"
@@ -203,12 +203,14 @@ def _unknown(sight: Sight | None) -> str:
     return "looks where the fish lies" if sight.frames else sight.blind_words()
 
 
-def _has_felt(step: Step, feel: Feel | None) -> bool:
+def _has_felt(step: PreflightStep, feel: Feel | None) -> bool:
     """An IMU that streams is heard a second later than a camera; on a bad radio it may never be."""
     return feel is None or feel.attitude() is not None or step.elapsed_s > _FELT_WAIT_S
 
 
-def _tell_right(step: Step, pose: Pose, wanted: Wanted, feel: Feel | None) -> None:
+def _tell_right(
+    step: PreflightStep, pose: Pose, wanted: PreflightLimits, feel: Feel | None
+) -> None:
     attitude = feel.attitude() if feel is not None else None
     if attitude is not None:
         _tell_tilt(step, attitude)
@@ -221,7 +223,7 @@ def _tell_right(step: Step, pose: Pose, wanted: Wanted, feel: Feel | None) -> No
         step.notice("the start pose is not checked: there is no camera and no earlier start")
 
 
-def _tell_tilt(step: Step, attitude: Attitude) -> None:
+def _tell_tilt(step: PreflightStep, attitude: Attitude) -> None:
     for name, angle_deg in (("pitch", attitude.pitch_deg), ("roll", attitude.roll_deg)):
         if abs(angle_deg) > _LEVEL_DEG:
             step.notice(f"the fish does not lie level: {name} {angle_deg:+.0f} degrees")
@@ -254,7 +256,7 @@ class Sight:
         self._seen_at_s = fish.transport.now_s()
         camera.frames()  # what it saw before does not count
 
-    def look(self, step: Step) -> None:
+    def look(self, step: PreflightStep) -> None:
         """Takes in what has come. Raises CameraGone, or what else the camera raises, told."""
         self._repeats.must_move()
         try:

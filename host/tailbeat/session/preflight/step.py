@@ -1,21 +1,27 @@
 """What the ritual asks for, what it finds, and how it says no.
 
 One step of the ritual while it is waited for: tells how it stands, and when it is given up.
+
+The countdown: armed, the LED blinks, hands out of the water.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tailbeat.core.errors import TailbeatError
-from tailbeat.session.events import Notice, StepProgress
+from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError
+from tailbeat.link import _dialect as mavlink
+from tailbeat.link.messages import BoardStatus
+from tailbeat.session.events import Countdown, Notice, StepProgress
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
-    from tailbeat.session.operator import Person
-    from tailbeat.session.room import Travel
+    from tailbeat.link.mavlink import Message
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.travel import Travel
 
 
 class NotReady(TailbeatError):
@@ -31,7 +37,7 @@ class GivenUp(NotReady):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class PreflightLimits:
     """What is asked for. Times in s of board time. ``rest_s`` since the last swim's end.
     ``drift_max_m_s`` over ``still_s``; 0 s = not looked at. ``countdown_s``: 0 to 60.
     ``patience_s``: how long a step may take after the rest. ``start_yaw_deg``: of the IMU at an
@@ -87,10 +93,12 @@ _TELL_S = 0.5  # words that change all the time are told so often
 _SILENT_S = 5.0  # of board time without a word from the board, after which it is asked
 
 
-class Step:
+class PreflightStep:
     """``name`` as in person.Event; times in s of board time, from when it was made."""
 
-    def __init__(self, fish: Fish, person: Person, name: str, patience_s: float = math.inf) -> None:
+    def __init__(
+        self, fish: Fish, person: Operator, name: str, patience_s: float = math.inf
+    ) -> None:
         self.fish = fish
         self._person, self._name, self._patience_s = person, name, patience_s
         self._begin_s = fish.transport.now_s()
@@ -141,3 +149,91 @@ class Step:
         silent_s = (fish.transport.now_s() - fish.link.last_heard_s) * fish.clock.rate
         if silent_s > _SILENT_S:
             fish.status()
+
+
+COUNTDOWN_MAX_S = 60.0  # the LED blinks no longer
+
+_HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board disarms
+_DISARM_TRIES, _DISARM_S = 6, 0.3  # it cannot wait for long: somebody has pressed Ctrl-C
+
+
+def countdown(fish: Fish, wanted: PreflightLimits, person: Operator) -> None:
+    """Arms, lets the fish's LED blink and counts down; hands must be out at 0. Disarms and raises
+    GivenUp when the person wants it, or whatever else ends it. Returns ARMED."""
+    if not 0 <= wanted.countdown_s <= COUNTDOWN_MAX_S:
+        raise InputError(
+            f"a countdown of {wanted.countdown_s:g} s is none",
+            f"Give 0 to {COUNTDOWN_MAX_S:.0f} s.",
+        )
+    heard: list[BoardStatus] = []
+
+    def hear(message: Message) -> None:
+        if message.get_type() == "TAILBEAT_STATUS":
+            heard.append(BoardStatus.of(message))
+
+    stop_listening = fish.link.subscribe(hear)
+    heartbeat_period_s = fish.link.heartbeat_period_s
+    fish.link.heartbeat_period_s = _HEARTBEAT_S
+    try:
+        fish.arm(blink_s=wanted.countdown_s)
+        heard.clear()
+        _count(fish, wanted.countdown_s, person, heard)
+    except Refused:
+        raise  # it is not armed; whoever else swims with it goes on
+    except BaseException as error:
+        stop_listening()
+        _disarm(fish, person, error)
+        raise
+    finally:
+        stop_listening()
+        fish.link.heartbeat_period_s = heartbeat_period_s
+
+
+def _count(fish: Fish, countdown_s: float, person: Operator, heard: list[BoardStatus]) -> None:
+    begin_s = fish.transport.now_s()
+    told = -1
+    while True:
+        left_s = countdown_s - (fish.transport.now_s() - begin_s) * fish.clock.rate
+        whole_s = max(0, math.ceil(left_s - 1e-6))
+        if person.wants_abort():
+            raise GivenUp("given up in the countdown", "Nothing has swum. Begin again when ready.")
+        if whole_s == 0:
+            _require_armed(fish.status())
+        if whole_s != told:
+            told = whole_s
+            person.tell(Countdown(whole_s))
+        if whole_s == 0:
+            return
+        step_s = min(_LOOK_S, left_s) / max(fish.clock.rate, 1e-3)
+        fish.link.run(min(step_s, _LOOK_S))
+        for status in heard:
+            _require_armed(status)
+        heard.clear()
+
+
+def _require_armed(status: BoardStatus) -> None:
+    if status.state == "ARMED":
+        return
+    fault = status.fault
+    if fault.number:
+        raise NotReady(f"stopped in the countdown ({fault.name}): {fault.meaning}", fault.remedy)
+    raise NotReady(
+        f"the board is not armed any more ({status.state})",
+        "Another host or a restart has disarmed it. Look with 'tailbeat info', and begin again.",
+    )
+
+
+def _disarm(fish: Fish, person: Operator, error: BaseException) -> None:
+    """Whatever comes meanwhile, what ended the countdown is what is raised."""
+    tries = 1 if isinstance(error, LinkLostError) else _DISARM_TRIES
+    try:
+        fish.link.command(
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, tries=tries, timeout_s=_DISARM_S
+        )
+    except (TailbeatError, KeyboardInterrupt):
+        text = (
+            "the board may still be armed and does not answer: the LED shows it. It disarms by"
+            " itself after LINK_TIMEOUT_S; if that is 0, switch it off"
+        )
+        with contextlib.suppress(Exception):
+            person.tell(Notice(text))

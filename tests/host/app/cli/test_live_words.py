@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from tailbeat.app.cli._display import Display
-from tailbeat.app.cli._operator import TerminalPerson, live_text
+from tailbeat.app.cli._operator import TerminalOperator, live_text
 from tailbeat.core.errors import InputError
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.collect import Swum
+from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
     BY_HAND,
     BoardText,
@@ -62,12 +62,12 @@ def test_the_line_is_as_wide_as_the_window(monkeypatch: pytest.MonkeyPatch) -> N
     for columns in ("60", "120"):
         monkeypatch.setenv("COLUMNS", columns)
         display._terminal = None  # asks the environment once
-        TerminalPerson(display, Typed("")).tell(LIVE)
+        TerminalOperator(display, Typed("")).tell(LIVE)
     narrow, wide = shown
     assert 50 < len(narrow) <= 60 < len(wide) <= 120
 
 
-def told(person: TerminalPerson, *events: Event) -> None:
+def told(person: TerminalOperator, *events: Event) -> None:
     for event in events:
         person.tell(event)
 
@@ -75,7 +75,7 @@ def told(person: TerminalPerson, *events: Event) -> None:
 def swum_event() -> TrialRecorded:
     outcome = TrialOutcome(7, 2, "aborted:ABORT_COMMAND", 5)
     problems = ("not complete: aborted:ABORT_COMMAND (stopped by hand)", "not straight")
-    swum = Swum(
+    swum = RecordedTrial(
         outcome, Path("7.ulg"), None, None, 0.01, 0.01, 3, 5, 8.0, 7.9, problems, False, BY_HAND
     )
     return TrialRecorded(swum)
@@ -85,7 +85,7 @@ ABORTED = BoardText(4, "trial aborted by command")
 
 
 def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str]) -> None:
-    person = TerminalPerson(Display(), Typed(""))
+    person = TerminalOperator(Display(), Typed(""))
     told(person, TrialStopped(BY_HAND), ABORTED, swum_event())
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "tailbeat: stopped by hand"
@@ -98,7 +98,7 @@ def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str])
 
 def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """Also in the swim after one that was stopped by a key."""
-    person = TerminalPerson(Display(), Typed(""))
+    person = TerminalOperator(Display(), Typed(""))
     told(person, TrialStopped(BY_HAND))
     told(person, TrialStarted(8, 1), ABORTED)
     told(person, TrialStopped(StopReason(StopKind.DISTANCE, "room: 2 m")), ABORTED)
@@ -114,23 +114,23 @@ def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> 
     ]
 
 
-def swum() -> Swum:
+def swum() -> RecordedTrial:
     outcome = TrialOutcome(7, 2, "complete", 5)
-    return Swum(outcome, Path("7.ulg"), None, None, 0.01, 0.01, 5, 5, 8.0, 7.9, ())
+    return RecordedTrial(outcome, Path("7.ulg"), None, None, 0.01, 0.01, 5, 5, 8.0, 7.9, ())
 
 
 def test_another_key_is_answered_once(capsys: pytest.CaptureFixture[str]) -> None:
-    assert TerminalPerson(Display(), Typed("xx_ k")).decide(swum()) == Decision("keep")
+    assert TerminalOperator(Display(), Typed("xx_ k")).decide(swum()) == Decision("keep")
     err = capsys.readouterr().err
     assert err.count("(k, r, d or Enter) ") == 1 and err.count("\n") == 1, "in the question's line"
-    assert not TerminalPerson(Display(), Typed("xxn")).confirm("Clear it?")
+    assert not TerminalOperator(Display(), Typed("xxn")).confirm("Clear it?")
     assert capsys.readouterr().err == "Clear it? y/n (y or n) n\n"
-    TerminalPerson(Display(), Typed("__k")).decide(swum())
+    TerminalOperator(Display(), Typed("__k")).decide(swum())
     assert " or Enter)" not in capsys.readouterr().err, "nothing was pressed"
 
 
 def test_a_reason_is_asked_for_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    person = TerminalPerson(Display(), Typed("d", ("", "wall")))
+    person = TerminalOperator(Display(), Typed("d", ("", "wall")))
     assert person.decide(swum()) == Decision("discard", "wall")
     _, _, asked = capsys.readouterr().err.partition("why? ")
     assert asked == "a reason is needed, one word is enough: "

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from tailbeat.app.web.inbox import Ask, Asks
-from tailbeat.app.web.view import Snapshot
-from tailbeat.app.web.worker import Conductor, no_eyes
+from tailbeat.app.web.view import PageState
+from tailbeat.app.web.worker import Worker, simulated_camera
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError
 from tailbeat.core.reference import from_text
@@ -22,7 +22,7 @@ from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import FOLDER_VARIABLE
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.preflight.step import Wanted
+from tailbeat.session.preflight.step import PreflightLimits
 from tailbeat.session.series import SeriesEnd
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -56,7 +56,7 @@ class Tank:
         self.gate: Callable[[], None] = lambda: None
         self.at_start: Callable[[], None] = lambda: None
         self.on_beat: Callable[[int], None] = lambda beat: None
-        self.conductor = Conductor(self.connect, root, self.eyes, look_s=0.005, retry_s=0.0)
+        self.conductor = Worker(self.connect, root, self.eyes, look_s=0.005, retry_s=0.0)
 
     def connect(self) -> Fish:
         self.gate()
@@ -68,17 +68,17 @@ class Tank:
     @contextmanager
     def eyes(self, fish: Fish) -> Iterator[Any]:
         self.at_start()
-        with no_eyes(fish) as (camera, _):
+        with simulated_camera(fish) as (camera, _):
             yield camera, self._guard
 
     def _guard(self, seen: object) -> None:
         if isinstance(seen, BeatEvent):
             self.on_beat(seen.beat)
 
-    def wait(self, until: Callable[[Snapshot], bool]) -> Snapshot:
+    def wait(self, until: Callable[[PageState], bool]) -> PageState:
         return self.conductor.wait(until, PATIENCE_S)
 
-    def ask(self, what: str, **values: Any) -> Snapshot:
+    def ask(self, what: str, **values: Any) -> PageState:
         """Until it is done, or something has to be decided first."""
         done, was = self.conductor.now.done, self.conductor.now.swum
         self.conductor.ask(what, **values)
@@ -88,7 +88,7 @@ class Tank:
             )
         )
 
-    def decide(self, kind: str, reason: str = "") -> Snapshot:
+    def decide(self, kind: str, reason: str = "") -> PageState:
         return self.ask("decide", kind=kind, reason=reason)
 
     def journal(self, what: str) -> list[dict[str, Any]]:
@@ -287,7 +287,9 @@ def test_the_second_of_two_wishes_hears_that_it_is_late() -> None:
     first = asks.take("decide")
     assert first is not None
     assert first.values == {"kind": "keep"}
-    asks.open("swim")  # what nobody took is forgotten, but for notes
+    asks.open("swim")
+    asks.offer(Ask("swim"))
+    assert asks.open("decide") == [Ask("swim")]  # what nobody took is dropped, but for notes
     assert [asks.take() is not None for _ in range(3)] == [True, True, False]
 
 
@@ -466,7 +468,7 @@ def test_only_listed_logs_are_given_out(ready: Tank) -> None:
 
 def test_the_ritual_may_be_set(tmp_path: Path) -> None:
     tank = Tank(tmp_path / "experiments")
-    tank.conductor.wanted = Wanted(rest_s=0.0, still_s=2.0, countdown_s=1.0)
+    tank.conductor.wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
     tank.conductor.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.ask("upload", reference=from_text(SHORT))

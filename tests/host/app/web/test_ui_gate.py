@@ -14,9 +14,9 @@ import pytest
 
 from tailbeat.app.web import gate as module
 from tailbeat.app.web.access import Rules
-from tailbeat.app.web.gate import Gate, Limits
+from tailbeat.app.web.gate import Gate, GateLimits
 
-LIMITS = Limits(waiting=12, waiting_each=8, served=6, served_each=4)
+LIMITS = GateLimits(waiting=12, waiting_each=8, served=6, served_each=4)
 PATIENCE_S = 600.0
 US, OTHER = "127.0.0.1", "127.0.0.2"
 HALF = b"GET / HTTP/1.1\r\nHost: x\r\n"
@@ -68,7 +68,9 @@ def answer_on(client: socket.socket) -> bytes:
 
 
 @contextlib.contextmanager
-def tank(token: str | None = None, limits: Limits = LIMITS, keep: bool = True) -> Iterator[Tank]:
+def tank(
+    token: str | None = None, limits: GateLimits = LIMITS, keep: bool = True
+) -> Iterator[Tank]:
     listener = socket.create_server(("127.0.0.1", 0), backlog=1024)
     port = listener.getsockname()[1]
     aborts: list[bool] = []
@@ -198,7 +200,7 @@ def test_a_header_that_never_ends_is_dropped(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_the_limits_leave_most_descriptors_to_the_rest() -> None:
     for descriptors in (64, 256, 1024, 1 << 20):
-        limits = Limits.of(descriptors)
+        limits = GateLimits.of(descriptors)
         assert limits.waiting + limits.served <= descriptors / 3
         assert limits.waiting_each < limits.waiting and limits.served_each < limits.served
         assert limits.served_each >= 4

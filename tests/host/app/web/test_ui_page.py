@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from tailbeat.app.web import charts, words
-from tailbeat.app.web.view import LOG_LINES, Snapshot, after, logged
+from tailbeat.app.web import cards, view
+from tailbeat.app.web.view import LOG_LINES, PageState, after, logged
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.experiment.analysis import TrialRow
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.events import StepProgress, TrialStarted
 
-NOW = Snapshot(
+NOW = PageState(
     phase="idle",
     connection="serial:/dev/ttyUSB0",
     board="fish",
@@ -43,18 +43,18 @@ def row(trial: int, error_m_s: float, decision: str = "keep", **other: object) -
 
 
 def test_what_was_not_measured_is_a_gap() -> None:
-    wanted, measured = charts.speed_chart(NOW)["series"]
+    wanted, measured = cards.speed_chart(NOW)["series"]
     assert wanted["data"] == [10.0, 50.0, 70.0, 50.0]
     assert measured["data"] == [0.0, 40.0, None, None]
 
 
 def test_a_speed_beyond_the_wanted_one_stays_in_the_picture() -> None:
     fast = replace(NOW, speed_m_s=(0.0, 0.2, None, None))
-    assert charts.speed_chart(fast)["yAxis"]["max"] >= 200
+    assert cards.speed_chart(fast)["yAxis"]["max"] >= 200
 
 
 def test_amplitudes_in_degrees_under_their_limit() -> None:
-    options = charts.amplitude_chart(NOW)
+    options = cards.amplitude_chart(NOW)
     (bars,) = options["series"]
     assert bars["data"] == [5.73, 17.19, None, None]
     assert bars["markLine"]["data"][0]["yAxis"] == pytest.approx(math.degrees(0.5), abs=1e-3)
@@ -63,7 +63,7 @@ def test_amplitudes_in_degrees_under_their_limit() -> None:
 
 def test_the_error_axis_holds_every_error_and_the_floor() -> None:
     rows = (row(1, 0.073), row(2, 0.0433), row(3, 0.0121, "discard"), row(4, math.nan))
-    options = charts.error_chart(replace(NOW, rows=rows, floor_m_s=0.0107))
+    options = cards.error_chart(replace(NOW, rows=rows, floor_m_s=0.0107))
     kept, dropped = options["series"]
     assert kept["data"] == [[1, 73.0], [2, 43.3]]
     assert dropped["data"] == [[3, 12.1]]
@@ -72,13 +72,13 @@ def test_the_error_axis_holds_every_error_and_the_floor() -> None:
     assert axis["min"] < 10.7 < 73.0 < axis["max"]
     assert all(math.log2(axis[end]).is_integer() for end in ("min", "max"))
     assert kept["markLine"]["data"][0]["yAxis"] == pytest.approx(10.7)
-    without = charts.error_chart(replace(NOW, rows=rows, floor_m_s=math.nan))
+    without = cards.error_chart(replace(NOW, rows=rows, floor_m_s=math.nan))
     assert "markLine" not in without["series"][0]
 
 
 def test_lines_differ_in_grey() -> None:
     """By dashes or marks, not only by colour."""
-    wanted, measured = charts.speed_chart(NOW)["series"]
+    wanted, measured = cards.speed_chart(NOW)["series"]
     assert wanted["lineStyle"]["type"] != measured["lineStyle"].get("type", "solid")
     assert wanted["symbol"] != measured["symbol"]
 
@@ -88,42 +88,42 @@ def test_lines_differ_in_grey() -> None:
     [(7.9, "well"), (6.8, "low"), (6.0, "low"), (0.0, "unknown"), (None, "unknown")],
 )
 def test_a_low_battery_is_seen(volts: float | None, look: str) -> None:
-    text, found = words.battery(replace(NOW, battery_v=volts))
+    text, found = view.battery(replace(NOW, battery_v=volts))
     assert found == look
     assert ("LOW" in text) == (look == "low")
 
 
 def test_silence_is_said_and_greyed() -> None:
-    assert words.link(NOW, 0.4) == ("link 0.4 s", "well")
-    assert not words.is_stale(NOW, 0.4)
-    assert words.link(NOW, 12.3) == ("silent for 12 s", "low")
-    assert words.is_stale(NOW, 12.3)
-    assert words.is_stale(replace(NOW, phase="connecting"), 0.1)
-    assert words.is_stale(NOW, None)
+    assert view.link(NOW, 0.4) == ("link 0.4 s", "well")
+    assert not view.is_stale(NOW, 0.4)
+    assert view.link(NOW, 12.3) == ("silent for 12 s", "low")
+    assert view.is_stale(NOW, 12.3)
+    assert view.is_stale(replace(NOW, phase="connecting"), 0.1)
+    assert view.is_stale(NOW, None)
 
 
 def test_nothing_is_well_that_is_not_heard_of() -> None:
-    assert [look for _, look in words.chips(NOW, 0.4)] == ["well"] * 3
+    assert [look for _, look in view.chips(NOW, 0.4)] == ["well"] * 3
     for now, silent_s in ((NOW, 12.3), (replace(NOW, phase="connecting"), 0.1)):
-        link, *of_board = words.chips(now, silent_s)
+        link, *of_board = view.chips(now, silent_s)
         assert link[1] == "low"
         assert of_board == [("battery 7.9 V", "unknown"), ("motion sensor ok", "unknown")]
 
 
 def test_start_says_what_it_will_do() -> None:
-    text = words.next_line(replace(NOW, travel="it will come about 1.96 m of 2.64 m"))
+    text = view.next_line(replace(NOW, travel="it will come about 1.96 m of 2.64 m"))
     assert text == "START: trial 4, iteration 3; it will come about 1.96 m of 2.64 m"
-    assert "waits" in words.next_line(replace(NOW, pending=3))
-    assert "no reference" in words.next_line(replace(NOW, reference_m_s=()))
+    assert "waits" in view.next_line(replace(NOW, pending=3))
+    assert "no reference" in view.next_line(replace(NOW, reference_m_s=()))
 
 
 def test_rows_in_words() -> None:
     bent = HeadingDrift(0.1, math.radians(-21), 0.2, "imu")
-    assert words.straight(row(1, 0.01, straight=bent)) == "crooked, -21°"
-    assert words.straight(row(1, 0.01)) == ""
+    assert view.straight(row(1, 0.01, straight=bent)) == "crooked, -21°"
+    assert view.straight(row(1, 0.01)) == ""
     cut = row(1, 0.01, "discard", reason="a wave", end="aborted:ABORT_COMMAND")
-    assert words.row_line(cut) == "discarded: a wave; aborted: abort_command"
-    assert words.row_line(row(1, 0.01, "")) == "not decided"
+    assert view.row_line(cut) == "discarded: a wave; aborted: abort_command"
+    assert view.row_line(row(1, 0.01, "")) == "not decided"
 
 
 def test_steps_keep_their_places() -> None:
@@ -144,7 +144,7 @@ def test_a_new_swim_wipes_the_old_one() -> None:
     assert now.speed_m_s == (None, 0.03, None, None)
     late = replace(beat, beat=9)
     assert after(now, late, "12:00:01").speed_m_s == now.speed_m_s
-    assert words.live_line(now) == "30.0 mm/s, wanted 50.0; tail ±11°"
+    assert view.live_line(now) == "30.0 mm/s, wanted 50.0; tail ±11°"
 
 
 def test_the_log_forgets_its_oldest_lines() -> None:

@@ -69,7 +69,7 @@ class Travel:
 
 
 @dataclass(frozen=True)
-class Belief:
+class TravelModel:
     """What is believed of a fish: a model, its covariance (4 x 4, as fitting.Fit) and how swims
     scatter. ``more``: how much farther it comes than the model says. ``by``: where from."""
 
@@ -92,9 +92,9 @@ class Belief:
         return self.more * speeds(self.model, amplitude_rad, beat_s)
 
 
-def belief_of(
+def travel_model_of(
     params: Mapping[str, float], identified: Identified | None = None, last: Trial | None = None
-) -> Belief:
+) -> TravelModel:
     """The identified fish, else that of MDL_..., as wide as for any fish; then what the trial
     ``last`` teaches of it. A trial of which too little was measured teaches nothing."""
     from tailbeat.learning.fish_model import swim_of
@@ -111,7 +111,7 @@ def belief_of(
         spread = np.square([prior.kappa, prior.slope, prior.dead_zone_rad, prior.delay_s])
         known = prior.model, np.diag(spread), Scatter()
         by = "the board's MDL_... parameters"
-    before = Belief(*known, by)
+    before = TravelModel(*known, by)
     if last is None:
         return before
     swim = swim_of(last)
@@ -126,11 +126,11 @@ def belief_of(
     by = f"{by} and trial {last.number}"
     if not 1 / _MISS <= more <= _MISS:
         return before
-    return Belief(found.model, found.covariance, before.scatter, by, more)
+    return TravelModel(found.model, found.covariance, before.scatter, by, more)
 
 
 def travel_by(
-    belief: Belief, amplitude_rad: ArrayLike, params: Mapping[str, float], beat_s: float
+    belief: TravelModel, amplitude_rad: ArrayLike, params: Mapping[str, float], beat_s: float
 ) -> Travel:
     """As ``travel_of``, by what is believed of the fish."""
     from tailbeat.learning.envelope import farthest, way
@@ -159,7 +159,7 @@ def travel_of(
     when it swims). With ``identified`` by that model; without by the thrust model of MDL_*.
     ``last``: a measured trial of the same fish; what it came farther, or less far, than the model
     says of its own amplitudes is expected again."""
-    return travel_by(belief_of(params, identified, last), amplitude_rad, params, beat_s)
+    return travel_by(travel_model_of(params, identified, last), amplitude_rad, params, beat_s)
 
 
 def travel_next(fish: Fish, book: Logbook | None) -> Travel:
@@ -190,7 +190,7 @@ class _Next:
     amplitude_rad: F64
     beat_s: float
     params: dict[str, float]
-    belief: Belief
+    belief: TravelModel
 
 
 def _next(fish: Fish, book: Logbook | None) -> _Next:
@@ -210,7 +210,7 @@ def _next(fish: Fish, book: Logbook | None) -> _Next:
     else:
         values = held.values
     amplitude = laws.saturate(law, values).astype(np.float64)
-    belief = belief_of(params, _identified(book), last_measured(fish, book))
+    belief = travel_model_of(params, _identified(book), last_measured(fish, book))
     return _Next(amplitude, wanted.beat_s, params, belief)
 
 
