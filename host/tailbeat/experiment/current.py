@@ -179,7 +179,6 @@ def make(
 ) -> Experiment:
     """As ``begin``, of a reference that the board may get later. ``words``: what else is to be set:
     operator, configuration. Raises InputError when the board is not as it was set last."""
-    pass
 
     require_as_set(fish)
     info = fish.info()
