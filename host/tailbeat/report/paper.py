@@ -24,7 +24,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FIGURES = ("learning", "trials", "contraction", "comparison")
+FIGURES = (  # modules of report.figures, in the order of the page
+    "learning",
+    "trials",
+    "contraction",
+    "comparison",  # the last: only of several experiments
+)
 PAGE_NAME = "report.html"
 CAPTIONS_NAME = "captions.txt"
 MADE = "report.json"

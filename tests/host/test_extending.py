@@ -1,0 +1,149 @@
+"""docs/extending.md, followed word by word in a copy of the repository: what it adds must build and
+work, in as many files as the page says."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tailbeat.link import _dialect
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "extending.md"
+BLOCK = re.compile(
+    r"^<!-- (?P<how>new|below|above) (?P<file>[^\s:]+)(?:: (?P<anchor>.+?))? -->\n\n?"
+    r"```\w*\n(?P<text>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
+SECTION = re.compile(r"^## (.+)$", re.MULTILINE)
+ROW = re.compile(r"^\| ([^|]+?) \| (\d+) \|", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Edit:
+    """One marked block of the page: lines that go into a file, and where."""
+
+    how: str
+    file: str
+    anchor: str
+    text: str
+
+    def apply(self, root: Path) -> None:
+        """Writes the lines; a place must be named by exactly one line of the file."""
+        path = root / self.file
+        if self.how == "new":
+            assert not path.exists()
+            path.write_text(self.text)
+            return
+        lines = path.read_text().splitlines(keepends=True)
+        (at,) = [i for i, line in enumerate(lines) if self.anchor in line]
+        lines.insert(at + (self.how == "below"), self.text)
+        path.write_text("".join(lines))
+
+
+def sections() -> dict[str, list[Edit]]:
+    """Title of a section of the page -> its edits."""
+    parts = SECTION.split(PAGE.read_text())[1:]
+    return {
+        title: [Edit(**m.groupdict(default="")) for m in BLOCK.finditer(text)]
+        for title, text in zip(parts[::2], parts[1::2], strict=True)
+    }
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The repository with everything added that the page adds, and its native library."""
+    root = tmp_path_factory.mktemp("extended")
+    listed = subprocess.run(
+        ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        capture_output=True,
+        check=True,
+    )
+    for name in listed.stdout.decode().split("\0"):
+        if name and (ROOT / name).is_file() and not name.startswith("tests/data"):
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, root / name)
+    for edits in sections().values():
+        for edit in edits:
+            edit.apply(root)
+    build(root)
+    return root
+
+
+def build(root: Path) -> None:
+    """The native library of the copy, beside its sources: where the installed package has it."""
+    configure = ["cmake", "-S", ".", "-B", "build/native", "-G", "Ninja", "--log-level=WARNING"]
+    options = ["-DCMAKE_BUILD_TYPE=Debug", "-DTAILBEAT_TESTS=OFF"]
+    options += [f"-DPython_EXECUTABLE={sys.executable}", f"-DTAILBEAT_FETCHED_DIR={ROOT / 'build'}"]
+    for command in ([*configure, *options], ["ninja", "-C", "build/native", "tailbeat_native"]):
+        subprocess.run(command, cwd=root, check=True, stdout=subprocess.DEVNULL)
+    core = root / "host" / "tailbeat" / "core"
+    for name in ("libtailbeat_native.so", "native.cdef"):
+        shutil.copy(next((root / "build/native").rglob(name)), core)
+    shutil.copy(str(_dialect.__file__), root / "host" / "tailbeat" / "link")
+
+
+def python(root: Path, code: str, *words: str) -> str:
+    """What a program prints that has the copy's package."""
+    command = [sys.executable, "-c", code, *words]
+    env = {**os.environ, "PYTHONPATH": str(root / "host")}
+    done = subprocess.run(command, cwd=root, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def run(root: Path, *words: str) -> str:
+    """A command of the copy's tool."""
+    return python(root, "from tailbeat.app.cli import main; main()", *words)
+
+
+def test_a_change_touches_as_many_files_as_the_page_says() -> None:
+    promised = {title: int(files) for title, files in ROW.findall(PAGE.read_text())}
+    for title, edits in sections().items():
+        if edits:
+            files = {Path(edit.file).with_suffix("") for edit in edits}
+            assert len(files) == promised[title], title
+
+
+def test_a_parameter(extended: Path) -> None:
+    listed = json.loads(run(extended, "params", "list", "--connect", "sim", "--json"))
+    assert "SETTLE_MORE_S" in json.dumps(listed)
+
+
+def test_a_fault(extended: Path) -> None:
+    code = (
+        "from tailbeat.core.faults import fault_info\n"
+        "from tailbeat.core.native import lib\n"
+        "print(fault_info(lib.FAULT_ROLLED_OVER).meaning)"
+    )
+    assert python(extended, code) == "the fish rolled over\n"
+
+
+def test_a_figure(extended: Path, tmp_path: Path) -> None:
+    run(extended, "sim", "demo", "--trials", "1", "--out", str(tmp_path / "series"))
+    run(extended, "report", str(tmp_path / "series"))
+    page = (tmp_path / "series" / "report" / "report.html").read_text()
+    assert "Measured beats of every trial, 1 experiments." in page
+
+
+def test_a_command(extended: Path) -> None:
+    said = json.loads(run(extended, "reference", "distance", "thesis", "--json"))
+    assert said["distance_m"] == pytest.approx(2.20, abs=0.01)
+
+
+def test_a_verb(extended: Path) -> None:
+    code = (
+        "from tailbeat import Fish\n"
+        "from tailbeat.sim.world import VERBS\n"
+        "with Fish.connect('sim:tank') as fish: fish.sim.world.freeze()\n"
+        "print(VERBS['freeze'].does)"
+    )
+    assert python(extended, code) == "the fish loses all speed at once\n"
