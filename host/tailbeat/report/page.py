@@ -55,12 +55,6 @@ td,thead th{white-space:normal}td.text{min-width:0}td.l{overflow-wrap:anywhere}
 figure,tr{break-inside:avoid}
 h2{break-after:avoid}.mark{color:#000;background:none;border:1.5pt solid #000}}
 """
-_ALT = {
-    "learning": "Error of every swim per iteration, logarithmic",
-    "trials": "Speed and tail amplitude per beat of chosen trials against the reference",
-    "contraction": "Ratio of the errors of successive iterations with the band of noise",
-    "comparison": "Errors of the conditions side by side with means and intervals",
-}
 
 
 @dataclass(frozen=True)
@@ -84,12 +78,14 @@ def material(experiment: Experiment) -> Material:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as SVG, for wide windows and for narrow ones."""
+    """A figure as SVG, for wide windows and for narrow ones. ``alternative``: its text for who
+    does not see it."""
 
     name: str
     wide: bytes
     narrow: bytes
     caption: str
+    alternative: str
 
 
 def page(analyses: Sequence[Analysis], given: Material, pictures: Sequence[Picture]) -> str:
@@ -105,7 +101,7 @@ def page(analyses: Sequence[Analysis], given: Material, pictures: Sequence[Pictu
 <header><h1>{escape(_title(analysis))}{badge}</h1>
 <p class="head">{escape(headline(analysis))}</p></header>
 <main>
-{_problems(analyses)}{_figures(analyses, pictures)}
+{_problems(analyses)}{_figures(pictures)}
 <h2>Trials</h2>
 {_trials(analysis)}
 <div class="cols">
@@ -201,12 +197,12 @@ def _problems(analyses: Sequence[Analysis]) -> str:
     return f'<section class="problems"><h2>To know</h2><ul>{items}</ul></section>\n'
 
 
-def _figures(analyses: Sequence[Analysis], pictures: Sequence[Picture]) -> str:
+def _figures(pictures: Sequence[Picture]) -> str:
     parts = ["<h2>Figures</h2>"]
     media = f"(min-width: {_WIDE_PX}px), print"
     parts += [
         f'<figure id="{one.name}"><picture><source media="{media}" srcset="{_data(one.wide)}">'
-        f'<img alt="{escape(_alt(one.name, analyses))}" src="{_data(one.narrow)}"></picture>'
+        f'<img alt="{escape(one.alternative)}" src="{_data(one.narrow)}"></picture>'
         f"<figcaption>{escape(one.caption)}</figcaption></figure>"
         for one in pictures
     ]
@@ -215,20 +211,6 @@ def _figures(analyses: Sequence[Analysis], pictures: Sequence[Picture]) -> str:
 
 def _data(svg: bytes) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
-
-
-def _alt(name: str, analyses: Sequence[Analysis]) -> str:
-    mark = simulated_mark(analyses)
-    words = f"{_ALT[name]}{f' ({mark})' if mark else ''}."
-    if name != "learning":
-        return words
-    band = analyses[0].band
-    medians = ", ".join(
-        f"{int(iteration)}: {mm(value)}"
-        for iteration, value in zip(band.iteration, band.max_median_m_s, strict=True)
-        if math.isfinite(value)
-    )
-    return f"{words} Median max|e| in mm/s by iteration: {medians or 'none'}."
 
 
 _HEAD = (

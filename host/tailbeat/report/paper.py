@@ -17,6 +17,7 @@ from tailbeat.experiment.analysis import Analysis, analyse, round_to
 from tailbeat.experiment.compare import compare
 from tailbeat.experiment.export import export
 from tailbeat.experiment.folder import Experiment
+from tailbeat.report.figures import comparison, contraction, learning, trials
 from tailbeat.report.page import Picture, material, page
 from tailbeat.report.style import PAGE, PAPER, simulated_mark, written
 
@@ -24,12 +25,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FIGURES = (  # modules of report.figures, in the order of the page
-    "learning",
-    "trials",
-    "contraction",
-    "comparison",  # the last: only of several experiments
-)
+FIGURES = {  # in the order of the page; each has draw, caption and alternative
+    "learning": learning,
+    "trials": trials,
+    "contraction": contraction,
+    "comparison": comparison,  # the last: only of several experiments
+}
 PAGE_NAME = "report.html"
 CAPTIONS_NAME = "captions.txt"
 MADE = "report.json"
@@ -117,14 +118,19 @@ class Drawing:
 
 def draw_all(analyses: Sequence[Analysis]) -> list[Drawing]:
     """The figures there are of these; a comparison takes two."""
-    from importlib import import_module
-
     drawings = []
-    for name in FIGURES if len(analyses) > 1 else FIGURES[:-1]:
-        module = import_module(f"tailbeat.report.figures.{name}")
+    for name, module in FIGURES.items():
+        if module is comparison and len(analyses) < 2:
+            continue
         printed = module.draw(analyses, PAPER)
         wide = written(module.draw(analyses, PAGE), "svg")
-        picture = Picture(name, wide, written(printed, "svg"), module.caption(analyses))
+        picture = Picture(
+            name,
+            wide,
+            written(printed, "svg"),
+            module.caption(analyses),
+            module.alternative(analyses),
+        )
         drawings.append(Drawing(picture, printed))
     return drawings
 

@@ -217,6 +217,12 @@ def simulated_mark(analyses: Sequence[Analysis]) -> str:
     return SIMULATED if all(made_up) else "partly simulated"
 
 
+def marked(words: str, analyses: Sequence[Analysis]) -> str:
+    """A sentence that says, in brackets, when its data are simulated."""
+    mark = simulated_mark(analyses)
+    return f"{words} ({mark})." if mark else f"{words}."
+
+
 def labels(analyses: Sequence[Analysis]) -> list[str]:
     """Short names of conditions: what their folders' names do not share, the simulated ones marked
     where others are not."""

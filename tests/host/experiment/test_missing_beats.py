@@ -308,7 +308,9 @@ def test_firmware_that_keeps_no_peaks_is_foretold_by_its_own_rule(
 
     monkeypatch.setattr(laws, "learn", noted)
     dry_run(fish)
-    monkeypatch.setattr("tailbeat.board.fish._PEAKS", 99)  # a set that older firmware does not know
+    monkeypatch.setattr(
+        "tailbeat.board.learned._PEAKS", 99
+    )  # a set that older firmware does not know
     assert fish.peaks() is None
     dry_run(fish)
     assert kept == [True, False]

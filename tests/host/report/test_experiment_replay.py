@@ -170,7 +170,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def drawn(analyses: list[Analysis]) -> list[Drawing]:
         errors = str([row.max_abs_error_m_s for row in analyses[0].rows]).encode()
-        return [Drawing(Picture("learning", errors, b"<svg/>", "caption"), Figure())]
+        return [Drawing(Picture("learning", errors, b"<svg/>", "caption", "text"), Figure())]
 
     monkeypatch.setattr("tailbeat.report.paper.draw_all", drawn)
 

@@ -847,7 +847,7 @@ def test_old_comparison_is_not_left_behind(
 ) -> None:
     """A report made again has no figure that is older than its page."""
     monkeypatch.setattr("tailbeat.report.paper._tables", lambda *_: [])
-    drawing = Drawing(Picture("learning", b"", b"<svg/>", "caption"), Figure())
+    drawing = Drawing(Picture("learning", b"", b"<svg/>", "caption", "text"), Figure())
     monkeypatch.setattr("tailbeat.report.paper.draw_all", lambda _: [drawing])
     for name in ("learning.pdf", "comparison.pdf", "comparison.svg"):
         (tmp_path / name).write_bytes(b"old")

@@ -13,7 +13,16 @@ import numpy as np
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis, student_t
 from tailbeat.experiment.compare import compare, counted
-from tailbeat.report.style import LOOKS, Style, blank, drawing, earlier_words, labels, nothing
+from tailbeat.report.style import (
+    LOOKS,
+    Style,
+    blank,
+    drawing,
+    earlier_words,
+    labels,
+    marked,
+    nothing,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,6 +112,11 @@ def _axes(axes: Axes, analyses: Sequence[Analysis], style: Style) -> None:
     axes.grid(axis="y", color="0.93", lw=0.6)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
     axes.set_ylabel("max|e| (mm/s)")
+
+
+def alternative(analyses: Sequence[Analysis]) -> str:
+    """Text for who does not see the figure."""
+    return marked("Errors of the conditions side by side with means and intervals", analyses)
 
 
 def caption(analyses: Sequence[Analysis]) -> str:

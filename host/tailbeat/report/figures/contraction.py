@@ -21,6 +21,7 @@ from tailbeat.report.style import (
     iteration_axis,
     labels,
     log_axis,
+    marked,
     nothing,
 )
 
@@ -98,6 +99,11 @@ def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
     if any(row.rolled_back for row in drawn):
         entries.append(Line2D([], [], label="rolled back to the best", **_ROLLED))
     head_legend(figure, entries, 6 if style.wide else 2)
+
+
+def alternative(analyses: Sequence[Analysis]) -> str:
+    """Text for who does not see the figure."""
+    return marked("Ratio of the errors of successive iterations with the band of noise", analyses)
 
 
 def caption(analyses: Sequence[Analysis]) -> str:

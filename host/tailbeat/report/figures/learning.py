@@ -25,6 +25,7 @@ from tailbeat.report.style import (
     iteration_axis,
     labels,
     log_axis,
+    marked,
     mm,
     nothing,
 )
@@ -170,6 +171,18 @@ def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
     if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
         entries.append(Patch(color=BAND, lw=0, label="5 to 95 %"))
     head_legend(figure, entries, (6 if single else 3) if style.wide else 2)
+
+
+def alternative(analyses: Sequence[Analysis]) -> str:
+    """Text for who does not see the figure."""
+    band = analyses[0].band
+    medians = ", ".join(
+        f"{int(iteration)}: {mm(value)}"
+        for iteration, value in zip(band.iteration, band.max_median_m_s, strict=True)
+        if math.isfinite(value)
+    )
+    words = marked("Error of every swim per iteration, logarithmic", analyses)
+    return f"{words} Median max|e| in mm/s by iteration: {medians or 'none'}."
 
 
 def caption(analyses: Sequence[Analysis]) -> str:

@@ -12,7 +12,18 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.analysis import Analysis, TrialRow
-from tailbeat.report.style import GREY, INK, Look, Style, blank, drawing, head_legend, mm, nothing
+from tailbeat.report.style import (
+    GREY,
+    INK,
+    Look,
+    Style,
+    blank,
+    drawing,
+    head_legend,
+    marked,
+    mm,
+    nothing,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -159,6 +170,13 @@ def _name(role: str, row: TrialRow) -> str:
     named = "" if role == "middle" else f", {role}"
     end = "" if row.end == "complete" else ", cut"
     return f"trial {row.trial}{named}{end}: {mm(row.max_abs_error_m_s)} mm/s"
+
+
+def alternative(analyses: Sequence[Analysis]) -> str:
+    """Text for who does not see the figure."""
+    return marked(
+        "Speed and tail amplitude per beat of chosen trials against the reference", analyses
+    )
 
 
 def caption(analyses: Sequence[Analysis]) -> str:
