@@ -12,6 +12,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import from_text
 from tailbeat.link.messages import BeatEvent
+from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo import batch as lengths
 from tailbeat.studies.montecarlo import learners
@@ -33,9 +34,9 @@ class CutAfter:
     def __init__(self, beats: int) -> None:
         self.beats = beats
 
-    def __call__(self, event: object) -> str | None:
+    def __call__(self, event: object) -> StopReason | None:
         cut = isinstance(event, BeatEvent) and event.beat + 1 >= self.beats
-        return "cut" if cut else None
+        return StopReason(StopKind.CALLER, "cut") if cut else None
 
 
 @pytest.mark.parametrize(
