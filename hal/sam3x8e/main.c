@@ -29,8 +29,8 @@ static void init_board(void) {
     battery_init(&board);
 }
 
-/* The DMA sends it whatever becomes of the main loop. By it 'tailbeat board flash' tells a board whose
- * firmware hangs, which has data to lose, from a new one. */
+/* The DMA sends it whatever becomes of the main loop. By it 'tailbeat board flash' tells a board
+ * whose firmware hangs, which has data to lose, from a new one. */
 static void report_start(void) {
     static const char line[] = "tailbeat starts\r\n";
     (void)hal_serial_write(&board, HAL_PORT_CONSOLE, (const uint8_t *)line, sizeof line - 1u);
