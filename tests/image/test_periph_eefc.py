@@ -197,14 +197,14 @@ def test_descriptor_and_boot_bits() -> None:
 
 
 def test_unique_id_covers_the_start_of_bank_0() -> None:
-    bench = Bench(unique_id=b"tailbeat sim board ")
+    bench = Bench(unique_id=b"tailbeat vboard ")
     code = bytes(bench.flash.memory[:16])
     with pytest.raises(BusViolation, match="SCOD"):
         _command(bench, STUI, bank=0)
     bench.write("EEFC0.FMR", 1 << 16)
     _command(bench, STUI, bank=0)
     assert bench.read("EEFC0.FSR") == 0
-    assert bench.read_memory(0x80000, 16) == b"tailbeat sim board "
+    assert bench.read_memory(0x80000, 16) == b"tailbeat vboard "
     assert _eefc(bench, 0).readable(0x80000)
     assert not _eefc(bench, 0).readable(0x80010)
     _command(bench, SPUI, bank=0)
