@@ -14,16 +14,21 @@ from typing import TYPE_CHECKING
 
 from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
+from tailbeat.board.fish import board_reference
 from tailbeat.board.preserve import restore_interrupted
-from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
+from tailbeat.core.reference import ReferenceLimits
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserve_folder
+from tailbeat.learning.design import design
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.messages import SPEED_SOURCES
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
 from tailbeat.session.events import Notice
+from tailbeat.session.identify import Attendant, identify_fish, set_params
+from tailbeat.session.log import SessionLog
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.trial_camera import default_camera
@@ -105,8 +110,6 @@ def _steps(session: _Session) -> Iterator[CommissionStep]:
 
 def advice(fish: Fish, experiment: Experiment) -> list[str]:
     """What may be raised next, or why nothing may: one line each. Changes nothing."""
-    from tailbeat.board.fish import board_reference
-    from tailbeat.session.log import SessionLog
 
     reference = board_reference(fish)
     if reference is None:
@@ -130,7 +133,6 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
 
 def _taken(name: str, take: Callable[[], CommissionStep]) -> CommissionStep:
     """A step that fails is told, with what to do; the link must be there for the next one."""
-    from tailbeat.core.errors import LinkLostError
 
     try:
         return take()
@@ -190,7 +192,6 @@ class _Session:
         return f"camera: it sees the fish ({len(frames)} pictures)", ""
 
     def _give_reference(self) -> None:
-        from tailbeat.core.reference import ReferenceLimits
 
         problems = self.reference.check(ReferenceLimits.from_params(_params(self.fish)))
         if problems:
@@ -224,7 +225,6 @@ class _Session:
 
     def identify(self) -> CommissionStep:
         """Within the limits as they are."""
-        from tailbeat.session.identify import identify_fish, set_params
 
         book = logbook_of(self.fish)
         attendant = self._attendant(book)
@@ -243,7 +243,6 @@ class _Session:
         )
 
     def _attendant(self, book: Logbook | None) -> Attendant:
-        from tailbeat.session.identify import Attendant
 
         def before(run: Run) -> None:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
@@ -271,7 +270,6 @@ class _Session:
 
     def design(self) -> CommissionStep:
         """For the limit that the reference will need."""
-        from tailbeat.learning.design import design
 
         assert self.identified is not None
         params = _params(self.fish)

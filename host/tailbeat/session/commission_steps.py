@@ -21,6 +21,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
+from tailbeat.learning.planner import plan
 from tailbeat.learning.saturation import (
     GRAIN_RAD,
     down_to_grain,
@@ -129,7 +130,6 @@ def _travel(
     params: Mapping[str, float], reference: Reference, identified: Identified, to: float
 ) -> Travel:
     """Of what the law tends to with that limit: the best input of the model."""
-    from tailbeat.learning.planner import plan
 
     best = plan(identified.model, reference.speed_m_s, reference.beat_s, to)
     allowed = dict(params) | {AMP_MAX: to}

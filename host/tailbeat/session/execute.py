@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.experiment.library import logbook_of
+from tailbeat.learning.verdict import progress_of
 from tailbeat.link.messages import SIMULATED_FISH
 from tailbeat.session.collect import trial_is_safe
 from tailbeat.session.events import (
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Verdict | None:
     """On the last trial; None, with a notice, when it cannot be given: the board has learned all
     the same."""
-    from tailbeat.learning.verdict import progress_of
 
     try:
         trials = account.counting()

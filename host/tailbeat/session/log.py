@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tailbeat.board.snapshot import Snapshot, make_folder
+from tailbeat.core import decode
+from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError
-from tailbeat.core.trial_file import read_trial
+from tailbeat.core.files import plain, write_whole
+from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
+from tailbeat.experiment.folder import Experiment
 from tailbeat.session.battery import Drain
+from tailbeat.session.collect import (
+    RecordedTrial,
+)
 from tailbeat.session.events import StopReason
 from tailbeat.session.operator import KINDS, Decision
 
@@ -197,3 +207,36 @@ def _found(ready: Ready | None) -> Entry:
         "drift": None if ready.drift is None else asdict(ready.drift),
         "travel": asdict(ready.travel),
     }
+
+
+AGAIN = "tailbeat session resume"
+
+
+class RepeatFile(decode.StrictTable):
+    """``board/repeat.json``: what is to swim next once the repeat is swum, and the repeat's number;
+    there from before the board's amplitudes change until they are back."""
+
+    learned: Hex
+    trial: int
+
+
+def repeat_path(experiment: Experiment) -> Path:
+    """Where it lies."""
+    return experiment.folder / "board" / "repeat.json"
+
+
+def held_before(experiment: Experiment) -> Snapshot | None:
+    """What the board held before the repeat; ``next_trial`` is the repeat's number. None: no repeat
+    is under way, or its file is torn (it is written in one step)."""
+    try:
+        held = decode.read(repeat_path(experiment), RepeatFile, AGAIN)
+    except InputError:
+        return None
+    return Snapshot("", {}, next_trial=held.trial, learned=held.learned)
+
+
+def write_held(experiment: Experiment, held: Snapshot) -> None:
+    """Raises InputError."""
+    path = repeat_path(experiment)
+    make_folder(path.parent)
+    write_whole(path, json.dumps(plain({"learned": held.learned, "trial": held.next_trial})) + "\n")

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tailbeat.board.snapshot import Snapshot, make_folder
-from tailbeat.core import decode
-from tailbeat.core.decode import Hex
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.faults import NO_BEST, refusal
-from tailbeat.core.files import plain, write_whole
 from tailbeat.core.records import decode_learned
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.library import logbook_of
 from tailbeat.learning.convergence import input_crc
+from tailbeat.learning.verdict import series_of
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.collect import (
     STOPPED,
@@ -29,8 +25,10 @@ from tailbeat.session.collect import (
     settled,
 )
 from tailbeat.session.events import Notice, TrialRecorded
-from tailbeat.session.log import SessionLog
+from tailbeat.session.identify import prior_of
+from tailbeat.session.log import AGAIN, SessionLog, held_before, repeat_path, write_held
 from tailbeat.session.operator import Decision
+from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.series import Until, swim_series
 from tailbeat.session.shift import Shift, require_best, shift_of
 
@@ -50,7 +48,6 @@ if TYPE_CHECKING:
 __all__ = ["Shift", "end_repeat", "held_before", "idle", "repeat_best", "write_held"]
 
 REASON = "battery swap"
-AGAIN = "tailbeat session resume"
 _RESTORED_INPUT = 3  # what made the amplitudes that swim next, memory_input_t
 _TRIES = 3
 _DISCARDS_MAX = 3
@@ -106,36 +103,6 @@ def repeat_best(
     return swum, shift
 
 
-class RepeatFile(decode.StrictTable):
-    """``board/repeat.json``: what is to swim next once the repeat is swum, and the repeat's number;
-    there from before the board's amplitudes change until they are back."""
-
-    learned: Hex
-    trial: int
-
-
-def repeat_path(experiment: Experiment) -> Path:
-    """Where it lies."""
-    return experiment.folder / "board" / "repeat.json"
-
-
-def held_before(experiment: Experiment) -> Snapshot | None:
-    """What the board held before the repeat; ``next_trial`` is the repeat's number. None: no repeat
-    is under way, or its file is torn (it is written in one step)."""
-    try:
-        held = decode.read(repeat_path(experiment), RepeatFile, AGAIN)
-    except InputError:
-        return None
-    return Snapshot("", {}, next_trial=held.trial, learned=held.learned)
-
-
-def write_held(experiment: Experiment, held: Snapshot) -> None:
-    """Raises InputError."""
-    path = repeat_path(experiment)
-    make_folder(path.parent)
-    write_whole(path, json.dumps(plain({"learned": held.learned, "trial": held.next_trial})) + "\n")
-
-
 def _begin_repeat(
     fish: Fish, experiment: Experiment, before: list[Trial], status: BoardStatus
 ) -> Snapshot:
@@ -161,7 +128,6 @@ def _swum(
     end = swim_series(fish, experiment, _Repeating(person), one, camera, guard)
     if end.why == "swims" and end.rounds:
         return end.rounds[-1].swum
-    from tailbeat.session.preflight.step import GivenUp
 
     raise GivenUp(f"no repeat was swum: {end.words}", f"When it is put right: {AGAIN}")
 
@@ -290,7 +256,6 @@ def _judged(fish: Fish, before: list[Trial], swum: RecordedTrial) -> Shift:
 
 def _series(fish: Fish, trials: list[Trial]) -> list[Trial]:
     """The last one of the board's reference. Raises InputError when there is none."""
-    from tailbeat.learning.verdict import series_of
 
     return series_of(trials, fish.status().reference_crc, _identified(fish))
 
@@ -305,6 +270,5 @@ def _identified(fish: Fish) -> Identified | None:
 def _model(fish: Fish, identified: Identified | None) -> FishModel:
     if identified is not None:
         return identified.model
-    from tailbeat.session.identify import prior_of
 
     return prior_of({name: p.value for name, p in fish.params.list().items()}).model

@@ -13,7 +13,8 @@ from tailbeat.core.records import record_crc
 from tailbeat.experiment.board_state import copy_state, expected_params, held_state
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
 from tailbeat.experiment.library import logbook_of, preserve_folder
-from tailbeat.session.repeat import AGAIN, end_repeat, idle
+from tailbeat.session.log import AGAIN
+from tailbeat.session.repeat import end_repeat, idle
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish

@@ -34,7 +34,7 @@ from tailbeat.session.collect import (
 from tailbeat.session.decide import Decisions, Done
 from tailbeat.session.events import BY_HAND, Notice, TrialRecorded
 from tailbeat.session.execute import TrialSetup, execute, judged, report_assessment
-from tailbeat.session.log import SessionLog
+from tailbeat.session.log import AGAIN, SessionLog, held_before
 from tailbeat.session.operator import Decision
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import BatteryLow, GivenUp, PreflightLimits, countdown
@@ -165,7 +165,6 @@ def swim_series(
 
 
 def _require_no_repeat(experiment: Experiment) -> None:
-    from tailbeat.session.repeat import AGAIN, held_before
 
     if held_before(experiment) is not None:
         raise InputError(

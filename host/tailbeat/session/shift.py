@@ -18,14 +18,17 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.reference import Reference
 from tailbeat.learning.convergence import (
     NoiseBand,
     Score,
     best_of,
+    expected_band,
     noise_band,
     repeat_limits,
     score_of,
 )
+from tailbeat.learning.fit import Scatter
 
 if TYPE_CHECKING:
     from tailbeat.core.trial_checks import HeadingDrift
@@ -127,8 +130,6 @@ def _nothing_to_compare() -> InputError:
 def _expected(original: Trial, identified: Identified | None) -> NoiseBand | None:
     if identified is None:
         return None
-    from tailbeat.core.reference import Reference
-    from tailbeat.learning.convergence import expected_band
 
     wanted = Reference(original.beat_s, original.beats.reference_m_s, "")
     return expected_band(identified, wanted, original.beats.applied_rad)
@@ -150,7 +151,6 @@ def _thrust(
     identified: Identified | None,
 ) -> _Thrust:
     """Of the repeat over the mean of the swims whose input was as good as the same."""
-    from tailbeat.learning.fit import Scatter
 
     before = [
         slope_of(trial, model)

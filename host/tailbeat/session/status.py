@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.experiment.library import logbook_of
+from tailbeat.learning.verdict import progress_of
 from tailbeat.session.commission import advice
 from tailbeat.session.log import SessionLog
 
@@ -93,7 +94,6 @@ def swims_left(now_v: float, low_v: float, fall_v: float | None) -> int | None:
 
 
 def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Verdict | None, str]:
-    from tailbeat.learning.verdict import progress_of
 
     try:
         book = logbook_of(fish)

@@ -24,6 +24,8 @@ from tailbeat.core.files import write_whole
 from tailbeat.core.records import decode_learned, decode_reference, record_crc
 from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.current import named_reference
+from tailbeat.experiment.folder import list_experiments
 from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.transfer import TOLERANCE, Likeness, Transferred, likeness, transfer
@@ -311,8 +313,6 @@ def _along(
     fish: Fish, text: str, state: _State, book: Logbook | None, experiments: Path
 ) -> Learned:
     """A reference by name or CSV."""
-    from tailbeat.experiment.current import named_reference
-    from tailbeat.experiment.folder import list_experiments
 
     try:
         old = named_reference(text)

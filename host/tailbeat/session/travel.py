@@ -12,9 +12,18 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tailbeat.core import law as laws
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, Refused, TransferError
+from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.records import decode_reference
+from tailbeat.core.trial_file import read_trial
+from tailbeat.learning.envelope import farthest, speeds, way
+from tailbeat.learning.fish_model import swim_of
+from tailbeat.learning.fit import Prior, Scatter, fit
 from tailbeat.link.ftp.wire import FtpError
+from tailbeat.session.guards import RoomGuard
+from tailbeat.session.identify import prior_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -87,7 +96,6 @@ class TravelModel:
 
     def speeds(self, amplitude_rad: ArrayLike, beat_s: float) -> F64:
         """Mean speed of each beat and of the coast after the last one, m/s."""
-        from tailbeat.learning.envelope import speeds
 
         return self.more * speeds(self.model, amplitude_rad, beat_s)
 
@@ -97,9 +105,6 @@ def travel_model_of(
 ) -> TravelModel:
     """The identified fish, else that of MDL_..., as wide as for any fish; then what the trial
     ``last`` teaches of it. A trial of which too little was measured teaches nothing."""
-    from tailbeat.learning.fish_model import swim_of
-    from tailbeat.learning.fit import Prior, Scatter, fit
-    from tailbeat.session.identify import prior_of
 
     if identified is not None:
         sigma = np.sqrt(np.diag(identified.covariance))
@@ -133,7 +138,6 @@ def travel_by(
     belief: TravelModel, amplitude_rad: ArrayLike, params: Mapping[str, float], beat_s: float
 ) -> Travel:
     """As ``travel_of``, by what is believed of the fish."""
-    from tailbeat.learning.envelope import farthest, way
 
     swum = np.clip(np.asarray(amplitude_rad, dtype=np.float64), 0.0, params["AMP_MAX_RAD"])
     expected_m = float(np.sum(belief.speeds(swum, beat_s))) * beat_s
@@ -172,7 +176,6 @@ def travel_next(fish: Fish, book: Logbook | None) -> Travel:
 
 def room_guard(fish: Fish, book: Logbook | None) -> RoomGuard:
     """The guard for what the board will swim next, by the same knowledge. One for each swim."""
-    from tailbeat.session.guards import RoomGuard
 
     following = _next(fish, book)
     return RoomGuard.of_params(
@@ -194,9 +197,6 @@ class _Next:
 
 
 def _next(fish: Fish, book: Logbook | None) -> _Next:
-    from tailbeat.core import law as laws
-    from tailbeat.core.faults import NO_REFERENCE, refusal
-    from tailbeat.core.records import decode_reference
 
     record = fish.reference_record()
     if record is None:
@@ -236,8 +236,6 @@ def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
 
 def _fetched(fish: Fish, number: int) -> Trial:
     from tempfile import TemporaryDirectory
-
-    from tailbeat.core.trial_file import read_trial
 
     held = _had.get(fish)
     if held is None or held.number != number:

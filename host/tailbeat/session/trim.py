@@ -12,6 +12,7 @@ import numpy as np
 from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.frames import Frame
 from tailbeat.core.trial_checks import (
     HeadingTrace,
     heading_trace,
@@ -19,12 +20,13 @@ from tailbeat.core.trial_checks import (
     imu_drift_rad_s,
     with_way,
 )
-from tailbeat.experiment.current import set_and_save
+from tailbeat.experiment.current import current, set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
 from tailbeat.learning.fit import Scatter
 from tailbeat.session.events import BY_HAND, Notice, StepProgress
 from tailbeat.session.guards import RoomGuard, Seen, together, when
-from tailbeat.session.preflight.step import GivenUp
+from tailbeat.session.preflight.checklist import prepare
+from tailbeat.session.preflight.step import GivenUp, countdown
 from tailbeat.session.travel import Travel, TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
@@ -223,7 +225,6 @@ def find_centre(
 def apply(fish: Fish, trim: Trim) -> float:
     """Sets the centre that was found, for good, and says so in the fish's experiment if it is in
     one; what is set now."""
-    from tailbeat.experiment.current import current
 
     value = round(trim.centre_us, 1)
     held = set_and_save(fish, {CENTRE: value})[CENTRE]
@@ -280,9 +281,6 @@ class _TrimRunner:
         if not self.person.confirm("Is the fish at its start, free on both sides? Swim?"):
             raise GivenUp("the trim was not wanted", _NOTHING)
         if self.wanted is not None:
-            from tailbeat.session.preflight.checklist import prepare
-            from tailbeat.session.preflight.step import countdown
-
             prepare(self.board.fish, self.wanted, self.camera, self.person)
             countdown(self.board.fish, self.wanted, self.person)
         else:
@@ -326,7 +324,6 @@ def _reference(planned: TrimPlan) -> F64:
 def _since_begin(
     fish: Fish, camera: Camera | None, frames: list[Frame], trial: Trial
 ) -> list[Frame]:
-    from tailbeat.core.frames import Frame
 
     by_board = camera is not None and camera.clock == "board"
     begin_s = trial.start_us * 1e-6

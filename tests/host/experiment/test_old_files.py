@@ -35,7 +35,7 @@ from tailbeat.learning.speed_table import read_rows
 from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
 from tailbeat.sensors.camera.calibration.file import load_calibration
-from tailbeat.session.repeat import held_before
+from tailbeat.session.log import held_before
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

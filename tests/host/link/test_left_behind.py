@@ -30,10 +30,9 @@ from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session import series
 from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import Event
-from tailbeat.session.log import SessionLog
+from tailbeat.session.log import SessionLog, write_held
 from tailbeat.session.operator import Decision
 from tailbeat.session.preflight import checklist
-from tailbeat.session.repeat import write_held
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport

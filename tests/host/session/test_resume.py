@@ -31,9 +31,9 @@ from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.session.collect import RecordedTrial, keep_log, outcome_of, record_of
 from tailbeat.session.events import Event, TrialStarted
 from tailbeat.session.identify import prior_of
-from tailbeat.session.log import SessionLog
+from tailbeat.session.log import SessionLog, repeat_path, write_held
 from tailbeat.session.operator import Decision
-from tailbeat.session.repeat import repeat_best, repeat_path, write_held
+from tailbeat.session.repeat import repeat_best
 from tailbeat.session.resume import Restored, restore
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.shift import Shift, shift_of

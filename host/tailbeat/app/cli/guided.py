@@ -10,9 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from tailbeat.app.cli._display import Display
+from tailbeat.app.cli._keyboard import terminal_keys
+from tailbeat.app.cli._operator import TerminalOperator
 from tailbeat.app.cli._terminal import command_typed, echo, mm, say
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.experiment.current import begin, current, require_own, require_same, use
+from tailbeat.experiment.folder import Experiment
 from tailbeat.session.events import TrialRecorded, TrialStarted
+from tailbeat.session.operator import KINDS, Decision
+from tailbeat.session.preflight.step import PreflightLimits
+from tailbeat.session.series import Options, Until, swim_series
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,7 +71,6 @@ class GuideOptions:
 
     def answer(self) -> Decision | None:
         """What was decided beforehand."""
-        from tailbeat.session.operator import KINDS, Decision
 
         kind = next((kind for kind in KINDS if kind == self.then), None)
         if self.then is None:
@@ -76,14 +83,11 @@ class GuideOptions:
             raise typer.BadParameter(f"--then {kind} needs --reason WHY") from error
 
     def _until(self) -> Until:
-        from tailbeat.session.series import Until
 
         return Until() if self.until is None else Until.parse(self.until)
 
     def options(self) -> Options:
         """As the series takes them."""
-        from tailbeat.session.preflight.step import PreflightLimits
-        from tailbeat.session.series import Options
 
         answer = self.answer()
         return Options(
@@ -98,17 +102,12 @@ class GuideOptions:
 
 
 def _require_folder(into: Path) -> None:
-    from tailbeat.experiment.folder import Experiment
 
     Experiment.open(into)
 
 
 def run_guided(fish: Fish, live: LiveCamera, given: GuideOptions, json: bool) -> None:
     """Swims the series, tells how it ended. Raises typer.Exit unless it ended as was asked for."""
-    from tailbeat.app.cli._display import Display
-    from tailbeat.app.cli._keyboard import terminal_keys
-    from tailbeat.app.cli._operator import TerminalOperator
-    from tailbeat.session.series import swim_series
 
     options = given.options()
     with Display(quiet=json) as display, terminal_keys() as keys:
@@ -129,8 +128,6 @@ def run_guided(fish: Fish, live: LiveCamera, given: GuideOptions, json: bool) ->
 def experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) -> Experiment:
     """The folder that was named, else the one this fish is in, else a new one, told. Raises
     InputError."""
-    from tailbeat.experiment.current import begin, current, require_own, require_same, use
-    from tailbeat.experiment.folder import Experiment
 
     require_own(fish)
     if into is not None:
