@@ -121,6 +121,7 @@ check: ## formatting, types, static analysis, who includes whom
 	@$(STEP) clang-format $(BIN)/clang-format --dry-run -Werror $(C_SOURCES)
 	$(BIN)/python tools/check_includes.py
 	@PYTHONPATH=host $(STEP) "layers of the host package" $(BIN)/lint-imports --no-cache
+	@PYTHONPATH=host $(BIN)/python tools/check_architecture.py
 	$(BIN)/python tools/protocol_tables.py --check
 	@$(STEP) "static analysis" tools/check_c
 
