@@ -3,17 +3,21 @@ passes only while somebody waits."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections import deque
 
+from tailbeat.core.errors import InputError
 from tailbeat.link.impaired import ImpairedLine
 from tailbeat.link.transport import Transport
+from tailbeat.sim.config import DEFAULT_SEED
 from tailbeat.sim.world import CameraFrame, World
 
 RADIO, CONSOLE = 0, 1
 FLASH_BYTES = 256 * 1024
+_PICTURES_MAX = 4096
 
 
-class SimulatedBoard(Protocol):
+class SimulatedBoard(ABC):
     """The firmware with a simulated fish around it.
 
     ``config``: the fields of sim_config_t. ``world``: the fish and all around it, and every verb
@@ -21,40 +25,66 @@ class SimulatedBoard(Protocol):
     wait. Same seed and same calls, same run, bit for bit.
     """
 
-    name: str
-    plant: str
-    seed: int
-    config: dict[str, float]
-    watched: bool
     world: World
 
+    def __init__(self, name: str, plant: str, seed: float | None, config: dict[str, float]) -> None:
+        self.name = name
+        self.plant = plant
+        self.seed = int(DEFAULT_SEED if seed is None else seed)
+        self.config = config
+        self.watched = False
+        self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)
+
     @property
+    @abstractmethod
     def time_s(self) -> float:
         """Simulated time."""
 
     @property
+    @abstractmethod
     def board_time_s(self) -> float:
         """The board's clock: time since it booted; 0 before that."""
 
+    @abstractmethod
     def run(self, duration_s: float, port: int = -1, camera: bool = False) -> float:
         """Lets time pass, 1 ms at least; the time left (s) when bytes on ``port`` or, with
         ``camera``, a picture ended it early."""
 
+    @abstractmethod
     def write(self, data: bytes, port: int = RADIO) -> int:
         """Bytes towards the board; how many were taken."""
 
+    @abstractmethod
     def read(self, port: int = RADIO) -> bytes:
         """Bytes from the board."""
 
     def camera_frames(self) -> list[CameraFrame]:
         """Pictures that came in since the last call."""
+        self._take_pictures()
+        taken = list(self._pictures)
+        self._pictures.clear()
+        return taken
+
+    @abstractmethod
+    def _take_pictures(self) -> bool:
+        """Collects the pictures that have come in; whether there was one."""
 
     @property
     def flash(self) -> bytes:
         """The storage flash as it is now."""
+        return self._storage()
 
     @flash.setter
-    def flash(self, image: bytes) -> None: ...
+    def flash(self, image: bytes) -> None:
+        if len(image) != FLASH_BYTES:
+            raise InputError("the flash image has the wrong size", f"It has {FLASH_BYTES} bytes.")
+        self._set_storage(image)
+
+    @abstractmethod
+    def _storage(self) -> bytes: ...
+
+    @abstractmethod
+    def _set_storage(self, image: bytes) -> None: ...
 
 
 class SimTransport:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,9 +19,9 @@ from typing import TYPE_CHECKING
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.extras import BUILD_IMAGE, remedy
 from tailbeat.core.selftest import SelftestError, find_source
-from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO
+from tailbeat.sim.board import CONSOLE, RADIO, SimulatedBoard
 from tailbeat.sim.config import DEFAULT_SEED, board_number
-from tailbeat.sim.world import FRAME_US, BoardControls, CameraFrame, Wires, World
+from tailbeat.sim.world import FRAME_US, BoardControls, Wires, World
 
 if TYPE_CHECKING:
     from vboard.board import Board
@@ -53,14 +52,13 @@ _IMU_LOOK_US = 2000  # while the board talks to the IMU; else once in a frame of
 _IMU_SYNC = 0xFA
 _IMU_TALK_US = 500_000  # it goes on for so long after the last word
 _IDLE_FRAME_LATE_US = 1  # a frame of the servo that is due at the same time comes first
-_PICTURES_MAX = 4096
 
 
 class EmulationError(TailbeatError):
     """The image did what no correct image does, or the emulator is wrong."""
 
 
-class EmulatedBoard:
+class EmulatedBoard(SimulatedBoard):
     """A SimulatedBoard that runs a flash image. ``image``: .elf or .bin; None = the one that `make
     firmware` built in the clone that holds the present folder.
 
@@ -80,18 +78,13 @@ class EmulatedBoard:
         self.image = find_image(image)
         self._wires = Wires(plant, DEFAULT_SEED if seed is None else seed, **overrides)
         self._unique_id = ID_PREFIX + board_number(seed).to_bytes(8, "little")
-        self.name = f"vboard:{self.image}"
-        self.plant = plant
+        super().__init__(f"vboard:{self.image}", plant, seed, self._wires.config)
         self.world = World(
             self._wires.handle,
             BoardControls(self._now_us, self._power_cycle, self._set_radio, self._plan_imu_message),
         )
-        self.seed = int(DEFAULT_SEED if seed is None else seed)
-        self.config = self._wires.config
-        self.watched = False
         self._origin_us = round(self.config["boot_s"] * 1e6)
         self._wires.rest(self._origin_us)
-        self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)
         self._time_base_start: int | None = None
         self._idle_frame: Event | None = None
         self._imu_message: Event | None = None
@@ -201,13 +194,6 @@ class EmulatedBoard:
 
     # The world.
 
-    def camera_frames(self) -> list[CameraFrame]:
-        """Pictures that came in since the last call."""
-        self._take_pictures()
-        taken = list(self._pictures)
-        self._pictures.clear()
-        return taken
-
     def _take_pictures(self) -> bool:
         taken = self._wires.camera_read(self._now_us())
         self._pictures += taken
@@ -223,15 +209,10 @@ class EmulatedBoard:
         line = self._lines[RADIO]
         (line.plug if connected else line.cut)()
 
-    @property
-    def flash(self) -> bytes:
-        """The storage flash (bank 1) as it is now."""
+    def _storage(self) -> bytes:
         return self._board.bank1
 
-    @flash.setter
-    def flash(self, image: bytes) -> None:
-        if len(image) != FLASH_BYTES:
-            raise InputError("the flash image has the wrong size", f"It has {FLASH_BYTES} bytes.")
+    def _set_storage(self, image: bytes) -> None:
         self._board.bank1 = image
 
     @property

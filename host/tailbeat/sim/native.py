@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
-from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
-from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport
+from tailbeat.sim.board import CONSOLE, FLASH_BYTES, RADIO, SimTransport, SimulatedBoard
 from tailbeat.sim.config import (
     DEFAULT_SEED,
     PLANTS,
@@ -17,17 +15,16 @@ from tailbeat.sim.config import (
     make_config,
     senseless,
 )
-from tailbeat.sim.world import BoardControls, CameraFrame, World, read_pictures
+from tailbeat.sim.world import BoardControls, World, read_pictures
 
 __all__ = ["CONSOLE", "PLANTS", "RADIO", "SimBoard", "SimTransport", "config_field"]
 
 _READ_BYTES = 16384
 _FRAMES_MAX = 256
 _MIN_STEP_US = 1000
-_PICTURES_MAX = 4096
 
 
-class SimBoard:
+class SimBoard(SimulatedBoard):
     """The firmware with a fish around it. Keyword overrides are the fields of sim_config_t.
     ``seed``: None = disturbances as with 1, but a unique id of its own."""
 
@@ -39,10 +36,7 @@ class SimBoard:
         if made == ffi.NULL:
             raise senseless()
         sim = ffi.gc(made, lib.sim_free)
-        self.name = f"sim:{plant}"
-        self.plant = plant
-        self.seed = int(config.seed)
-        self.config = config_values(config)
+        super().__init__(f"sim:{plant}", plant, seed, config_values(config))
         self._sim: Any = sim
         lib.sim_set_id(sim, board_number(seed))
         controls = BoardControls(
@@ -53,8 +47,6 @@ class SimBoard:
         self.world = World(lib.sim_world(sim), controls)
         self._bytes = ffi.new("uint8_t[]", _READ_BYTES)
         self._frames = ffi.new("sim_camera_frame_t[]", _FRAMES_MAX)
-        self._pictures: deque[CameraFrame] = deque(maxlen=_PICTURES_MAX)
-        self.watched = False  # somebody uses the camera: pictures end a wait
 
     @property
     def time_s(self) -> float:
@@ -85,25 +77,15 @@ class SimBoard:
             pieces.append(bytes(ffi.buffer(self._bytes, count)))
         return b"".join(pieces)
 
-    def camera_frames(self) -> list[CameraFrame]:
-        """Pictures that came in since the last call."""
-        self._take_pictures()
-        taken = list(self._pictures)
-        self._pictures.clear()
-        return taken
-
-    def _take_pictures(self) -> None:
-        self._pictures += read_pictures(
+    def _take_pictures(self) -> bool:
+        taken = read_pictures(
             lambda out, most: lib.sim_camera_read(self._sim, out, most), self._frames
         )
+        self._pictures += taken
+        return bool(taken)
 
-    @property
-    def flash(self) -> bytes:
-        """The storage flash as it is now."""
+    def _storage(self) -> bytes:
         return bytes(ffi.buffer(lib.sim_flash(self._sim), FLASH_BYTES))
 
-    @flash.setter
-    def flash(self, image: bytes) -> None:
-        if len(image) != FLASH_BYTES:
-            raise InputError("the flash image has the wrong size", f"It has {FLASH_BYTES} bytes.")
+    def _set_storage(self, image: bytes) -> None:
         ffi.memmove(lib.sim_flash(self._sim), image, FLASH_BYTES)

@@ -16,12 +16,12 @@ import selectors
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from tailbeat.core.errors import ConnectError, InputError
 from tailbeat.link.sockets import taken_line
 from tailbeat.sim.board import CONSOLE, RADIO, SimulatedBoard
-from tailbeat.sim.world import CommandLines
+from tailbeat.sim.world import CameraFrame, CommandLines
 
 DEFAULT_LISTEN = "tcp:127.0.0.1:5760"
 
@@ -85,7 +85,8 @@ class _Port:
     def __init__(self, selector: selectors.BaseSelector, host: str, port: int) -> None:
         self._selector = selector
         self._listener = _listener(host, port)
-        self.host, self.number = self._listener.getsockname()[:2]
+        host, self.number = self._listener.getsockname()[:2]
+        self.address = f"tcp:{host}:{self.number}"
         self.client: _Client | None = None
         self.turn_away = b""  # what a second client is told
         self._waiting: socket.socket | None = None
@@ -208,16 +209,6 @@ class Addresses:
     pty: str | None
     world: str
 
-    def as_dict(self) -> dict[str, str | None]:
-        """For ``--json``."""
-        return {
-            "listen": self.listen,
-            "camera": self.camera,
-            "console": self.console,
-            "pty": self.pty,
-            "world": self.world,
-        }
-
 
 class SimServer:
     """Serves one board. ``speed``: simulated seconds per second; a board that cannot keep up runs
@@ -254,11 +245,11 @@ class SimServer:
     def addresses(self) -> Addresses:
         """Where to connect."""
         return Addresses(
-            f"tcp:{self._radio.host}:{self._radio.number}",
-            f"tcp:{self._camera.host}:{self._camera.number}",
-            f"tcp:{self._console.host}:{self._console.number}",
+            self._radio.address,
+            self._camera.address,
+            self._console.address,
             self._pty.path if self._pty else None,
-            f"tcp:{self._world.host}:{self._world.number}",
+            self._world.address,
         )
 
     def serve(self, stop: Callable[[], bool] = lambda: False) -> None:
@@ -314,19 +305,8 @@ class SimServer:
         board_s = self._board.board_time_s
         if board_s > 0:  # before that its clock does not run
             boot_s = self._board.time_s - board_s
-            rows = (
-                {
-                    "t_board_s": frame.time_s - boot_s,
-                    "x_m": frame.x_m,
-                    "y_m": frame.y_m,
-                    "heading_rad": frame.heading_rad,
-                    "tail_rad": frame.tail_rad,
-                    "led": frame.led,
-                }
-                for frame in frames
-                if frame.time_s >= boot_s
-            )
-            self._camera.write("".join(json.dumps(row) + "\n" for row in rows).encode())
+            lines = (_picture_line(f, boot_s) for f in frames if f.time_s >= boot_s)
+            self._camera.write("".join(lines).encode())
 
     def close(self) -> None:
         """Gives the ports up."""
@@ -335,6 +315,11 @@ class SimServer:
         if self._pty is not None:
             self._pty.close()
         self._selector.close()
+
+
+def _picture_line(frame: CameraFrame, boot_s: float) -> str:
+    values = asdict(frame)
+    return json.dumps({"t_board_s": values.pop("time_s") - boot_s, **values}) + "\n"
 
 
 def parse_listen(listen: str) -> tuple[str, int]:

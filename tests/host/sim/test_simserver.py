@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from itertools import pairwise
 from typing import TextIO
 
@@ -122,7 +123,7 @@ def test_camera_is_on_the_next_port() -> None:
 
 def test_the_world_is_on_the_fourth_port() -> None:
     with running() as server:
-        addresses = server.addresses.as_dict()
+        addresses = asdict(server.addresses)
         assert list(addresses) == ["listen", "camera", "console", "pty", "world"]
         radio = parse_listen(server.addresses.listen)[1]
         assert parse_listen(server.addresses.world)[1] == radio + 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -183,7 +184,7 @@ def _serve(
         signal.signal(number, lambda got, _: stopped.append(got))
     try:
         if json:
-            json_line(server.addresses.as_dict())
+            json_line(asdict(server.addresses))
         else:
             echo(_serve_text(f"{what} ({board.plant})", speed, server.addresses))
             sys.stdout.flush()
