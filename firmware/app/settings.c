@@ -82,9 +82,13 @@ static float vision_window_s(const params_t *params, float beat_s) {
     return window_s > 0.0f && window_s < beat_s ? beat_s : window_s;
 }
 
+speed_source_t settings_source(const params_t *params) {
+    return (speed_source_t)params_whole(params, PARAM_SPD_SOURCE);
+}
+
 estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats) {
     return (estimate_config_t){
-        .source = (speed_source_t)params_whole(params, PARAM_SPD_SOURCE),
+        .source = settings_source(params),
         .beat_s = beat_s,
         .beats = beats,
         .vision =
@@ -118,8 +122,7 @@ imu_driver_config_t settings_imu(const params_t *params) {
 }
 
 bool settings_need_imu(const params_t *params) {
-    const int32_t source = params_whole(params, PARAM_SPD_SOURCE);
-    return source == SPEED_SOURCE_IMU || source == SPEED_SOURCE_MODEL;
+    return speed_source_is(settings_source(params), SPEED_NEEDS_IMU);
 }
 
 static float imu_timeout_s(const params_t *params) {

@@ -26,6 +26,9 @@ bool settings_law_fits(const params_t *params, const law_t *law, uint16_t beats)
 /* Why a value that is in range is no law for a fish; FAULT_NONE: it is one. */
 fault_t settings_refusal(param_t param, float value);
 gait_config_t settings_gait(const params_t *params, float beat_s);
+/* SPD_SOURCE. */
+speed_source_t settings_source(const params_t *params);
+
 estimate_config_t settings_estimate(const params_t *params, float beat_s, uint16_t beats);
 stop_limits_t settings_stop_limits(const params_t *params);
 /* No arming and no start below this; 0 = always. */

@@ -56,7 +56,7 @@ static fault_t guess_first(app_t *app) {
 }
 
 static bool needs_rest(const app_t *app) {
-    return params_whole(&app->params, PARAM_SPD_SOURCE) == SPEED_SOURCE_IMU;
+    return speed_source_is(settings_source(&app->params), SPEED_NEEDS_RESTS);
 }
 
 static float trial_s(const app_t *app) {
@@ -300,8 +300,7 @@ static void tell_beat(app_t *app, const trial_run_beat_t *beat) {
 
 /* Not what the IMU alone says: that is worth nothing until the rest after the swim. */
 static bool tells_while_swimming(const app_t *app) {
-    const int32_t source = params_whole(&app->params, PARAM_SPD_SOURCE);
-    return source == SPEED_SOURCE_VISION || source == SPEED_SOURCE_MODEL;
+    return speed_source_is(settings_source(&app->params), SPEED_LIVE);
 }
 
 static bool is_too_far_off(const app_t *app, const trial_run_beat_t *beat) {

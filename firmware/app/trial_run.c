@@ -96,15 +96,18 @@ static float since_start_s(const trial_run_t *run, uint64_t time_us) {
     return (float)(int64_t)(time_us - run->start_us) * 1e-6f;
 }
 
+static bool is_sampled(const trial_run_t *run) {
+    return speed_source_is((speed_source_t)run->trial.source, SPEED_SAMPLED);
+}
+
 /* Camera samples may still come, and a slot's heading is averaged over the beats around it. */
 static float open_s(const trial_run_t *run) {
     const float heading_s = run->reference->beat_s + 2.0f * SPEED_SLOT_S;
-    const bool vision = run->trial.source == SPEED_SOURCE_VISION;
-    return vision && run->late_s > heading_s ? run->late_s : heading_s;
+    return is_sampled(run) && run->late_s > heading_s ? run->late_s : heading_s;
 }
 
 void trial_run_sample(trial_run_t *run, uint64_t time_us, float speed_m_s, float sigma_m_s) {
-    if (!collecting(run) || run->trial.source != SPEED_SOURCE_VISION) {
+    if (!collecting(run) || !is_sampled(run)) {
         return;
     }
     const speed_sample_t sample = {

@@ -39,13 +39,17 @@
 #define MODEL_SCATTER_M_S 0.004f
 #define MODEL_SCATTER_PART 0.07f
 
+static bool is(const estimate_t *estimate, speed_trait_t trait) {
+    return speed_source_is(estimate->config.source, trait);
+}
+
 static bool counts(const estimate_t *estimate, const estimate_rest_t *rest) {
     return rest->still_s > 0.0f && rest->still_s >= estimate->config.rest_min_s;
 }
 
 /* What the IMU alone cannot do without; otherwise no sigma is good enough. */
 static void imu_needs(estimate_t *estimate, bool fulfilled) {
-    if (estimate->config.source == SPEED_SOURCE_IMU && !fulfilled) {
+    if (is(estimate, SPEED_NEEDS_RESTS) && !fulfilled) {
         estimate->config.sigma_max_m_s = -1.0f;
     }
 }
@@ -53,7 +57,7 @@ static void imu_needs(estimate_t *estimate, bool fulfilled) {
 /* A camera sees for itself how fast the fish was when it started, and needs no rest for that; nor
  * does a trial that no camera saw get speeds from its rest. */
 static smoother_config_t smoother_config(const estimate_t *estimate, bool rested) {
-    const bool sees = estimate->config.source == SPEED_SOURCE_VISION;
+    const bool sees = is(estimate, SPEED_SAMPLED);
     return (smoother_config_t){
         .beat_s = estimate->config.beat_s,
         .start_sigma_m_s = rested && !sees ? estimate->config.rest_sigma_m_s : START_UNKNOWN_M_S,
@@ -80,15 +84,14 @@ void estimate_begin(estimate_t *estimate, const estimate_config_t *config,
     const smoother_config_t smoother = smoother_config(estimate, rested);
     imu_needs(estimate, rested);
     smoother_init(&estimate->smoother, &smoother);
-    for (uint16_t k = 0; k < BEATS_MAX && config->source != SPEED_SOURCE_UPLOAD; k++) {
+    for (uint16_t k = 0; k < BEATS_MAX && is(estimate, SPEED_ESTIMATED); k++) {
         speed_m_s[k] = NAN;
         sigma_m_s[k] = NAN;
     }
 }
 
 float estimate_needs_s(const estimate_t *estimate) {
-    const float later_s =
-        estimate->config.source == SPEED_SOURCE_VISION ? estimate->config.vision.gap_max_s : 0.0f;
+    const float later_s = is(estimate, SPEED_SAMPLED) ? estimate->config.vision.gap_max_s : 0.0f;
     return (float)(estimate->next + 1u) * estimate->config.beat_s + later_s;
 }
 
@@ -112,7 +115,7 @@ static smoother_evidence_t evidence_of(const void *context, uint16_t step) {
     if (step < estimate->swum && !is_doubted(estimate, step)) {
         evidence.speed_m_s = estimate->speed_m_s[step];
         evidence.sigma_m_s = estimate->sigma_m_s[step];
-        evidence.scaled = estimate->config.source == SPEED_SOURCE_MODEL;
+        evidence.scaled = is(estimate, SPEED_MODELLED);
     } else if (step >= estimate->swum && rests(estimate, step)) {
         evidence.speed_m_s = 0.0f;
         evidence.sigma_m_s = HELD_M_S;
@@ -153,14 +156,14 @@ static void look(estimate_t *estimate, const speed_t *speed, float begin_s, floa
     const uint16_t k = estimate->next;
     const bool moved = real_is_finite(estimate->rise_m_s[k]);
     estimate->samples[k] = moved ? (uint16_t)(config->beat_s / SPEED_SLOT_S) : 1u;
-    if (config->source == SPEED_SOURCE_VISION) {
+    if (is(estimate, SPEED_SAMPLED)) {
         const speed_beat_t beat = speed_beat(speed, &config->vision, begin_s, config->beat_s);
         estimate->speed_m_s[k] = beat.speed_m_s;
         estimate->sigma_m_s[k] = beat.sigma_m_s;
         if (beat.measured) {
             estimate->samples[k] = beat.samples;
         }
-    } else if (config->source == SPEED_SOURCE_MODEL) {
+    } else if (is(estimate, SPEED_MODELLED)) {
         const float model_m_s = thrust_beat(&estimate->thrust, applied_rad);
         estimate->speed_m_s[k] = model_m_s;
         estimate->sigma_m_s[k] = MODEL_SCATTER_M_S + MODEL_SCATTER_PART * model_m_s;
@@ -184,8 +187,8 @@ speed_beat_t estimate_beat(estimate_t *estimate, const speed_t *speed, float app
     const float begin_s = (float)step * config->beat_s;
     float speed_m_s = NAN;
     float sigma_m_s = NAN;
-    if (config->source != SPEED_SOURCE_UPLOAD) {
-        if (config->source == SPEED_SOURCE_VISION) {
+    if (is(estimate, SPEED_ESTIMATED)) {
+        if (is(estimate, SPEED_SAMPLED)) {
             doubt_slots(estimate, speed, estimate_needs_s(estimate));
         }
         estimate->rise_m_s[step] = speed_rise(speed, begin_s, config->beat_s);
@@ -206,8 +209,7 @@ void estimate_after(estimate_t *estimate, uint16_t swum, const estimate_rest_t *
     }
     estimate->after = *after;
     imu_needs(estimate, estimate->next > 0 && rests(estimate, (uint16_t)(estimate->next - 1u)));
-    smoother_rewind(&estimate->smoother,
-                    estimate->config.source == SPEED_SOURCE_VISION ? 0 : estimate->swum);
+    smoother_rewind(&estimate->smoother, is(estimate, SPEED_SAMPLED) ? 0 : estimate->swum);
 }
 
 static void keep_result(void *context, uint16_t step, float speed_m_s, float sigma_m_s) {
@@ -248,7 +250,7 @@ static bool drop_imu(estimate_t *estimate) {
 }
 
 bool estimate_finish(estimate_t *estimate) {
-    if (estimate->config.source == SPEED_SOURCE_UPLOAD) {
+    if (!is(estimate, SPEED_ESTIMATED)) {
         return true;
     }
     if (forward(estimate) || drop_imu(estimate)) {

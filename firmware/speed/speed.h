@@ -25,6 +25,7 @@
 #define SPEED_SPEED_H
 
 #include "base/units.h"
+#include "speed/source.h"
 
 #include <stdbool.h>
 #include <stdint.h>
@@ -36,14 +37,6 @@
 /* Taken for a sample that comes without a usable sigma (NaN, infinite, <= 0): about what a line
  * through one beat of camera positions has. */
 #define SPEED_SIGMA_DEFAULT_M_S 0.001f
-
-typedef enum {
-    SPEED_SOURCE_VISION = 0,
-    SPEED_SOURCE_UPLOAD = 1,
-    SPEED_SOURCE_IMU = 2,
-    SPEED_SOURCE_MODEL = 3,
-    SPEED_SOURCE_COUNT
-} speed_source_t;
 
 /* One sample of speed along the swim direction. Times count from the start of the trial. */
 typedef struct {

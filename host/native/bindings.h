@@ -26,6 +26,7 @@
 #include "speed/estimate.h"
 #include "speed/motion.h"
 #include "speed/rest.h"
+#include "speed/source.h"
 #include "speed/speed.h"
 #include "store/records.h"
 #include "supervisor/faults.h"

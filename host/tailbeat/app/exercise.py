@@ -15,13 +15,15 @@ from urllib.parse import urlencode
 import numpy as np
 
 from tailbeat.board.fish import Fish
+from tailbeat.core import speed_source
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.files import replacing_text
 from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference
+from tailbeat.core.speed_source import source_number
 from tailbeat.core.trial_file import read_trial
-from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
+from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.sensors.camera.render.painter import Painter
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.render.source import drawn_pose_of, picture_index
@@ -180,7 +182,7 @@ def _follower(beats: int, progress: Progress) -> OnEvent:
 def _prepare(fish: Fish, board: SimulatedBoard, reference: Reference) -> None:
     """An amplitude for each beat that gives about the wanted speed, by the plant's steady line."""
     fish.params.set("AMP_MAX_RAD", _AMPLITUDE_MAX_RAD)
-    fish.params.set("SPD_SOURCE", float(SPEED_SOURCES.index("upload")))
+    fish.params.set(speed_source.PARAMETER, source_number("upload"))
     fish.upload_reference(reference)
     line = board.config["slope_m_s_rad"], board.config["dead_zone_rad"]
     speed = reference.speed_m_s.astype(np.float64)

@@ -30,6 +30,8 @@ from tailbeat.core.faults import (
 )
 from tailbeat.core.records import Amplitudes, decode_reference
 from tailbeat.core.reference import Reference
+from tailbeat.core.speed_source import PARAMETER as SPEED_SOURCE_PARAMETER
+from tailbeat.core.speed_source import SpeedSource, source_info
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages
 from tailbeat.link.ftp.client import FtpClient
@@ -203,6 +205,10 @@ class Fish:
         if self.status().reference_crc != crc:
             self._upload(records.FILE_REFERENCE, record, progress)
         return crc
+
+    def speed_source(self) -> SpeedSource:
+        """Where the board takes the speed of a beat from."""
+        return source_info(round(self.params.get(SPEED_SOURCE_PARAMETER).value))
 
     def reference_record(self) -> bytes | None:
         """The board's reference as it is stored, see records.decode_reference."""

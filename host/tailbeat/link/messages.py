@@ -35,8 +35,6 @@ IMU_HEALTH = {
 }
 RESET_CAUSES = ("power", "backup", "watchdog", "software", "reset pin")
 
-SPEED_SOURCES = ("vision", "upload", "imu", "model")  # by SPD_SOURCE
-
 _MEASURED, _SATURATED, _PROVISIONAL = 1, 2, 4
 _IMPROVED, _ROLLED_BACK = 1, 2
 

@@ -17,13 +17,13 @@ import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.analysis import ANALYSIS, Analysis, analyse, write_analysis
 from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.redo import write_redo
 from tailbeat.experiment.relearn import Relearned, relearn
-from tailbeat.link.messages import SPEED_SOURCES
 from tailbeat.report.paper import MADE, MAKERS, made_with, write_report
 
 __all__ = ["Replay", "replay", "write_redo"]
@@ -126,8 +126,7 @@ def _is_bad(name: str, told: str) -> bool:
 def _recompute(trial: Trial, found: _Found) -> None:
 
     number = trial.number
-    source = SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))]
-    if trial.uploaded or source == "upload":
+    if trial.uploaded or speed_source(trial.params).uploaded:
         found.not_recomputed.append((number, "its speeds were uploaded"))
         return
     if trial.executed_beats == 0 or trial.end_fault is None:

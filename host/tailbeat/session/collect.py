@@ -22,12 +22,13 @@ import numpy as np
 
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, fault_info
+from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_checks import heading_drift, heading_drift_of_frames
 from tailbeat.core.trial_file import read_trial
 from tailbeat.learning.convergence import score_of
 from tailbeat.learning.disturbance import bump_of
 from tailbeat.learning.fish_model import swim_of
-from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, TrialOutcome
+from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import BY_HAND, StopKind, StopReason
 from tailbeat.session.operator import Decision
 from tailbeat.session.trial_camera import as_csv, stash_of
@@ -93,7 +94,7 @@ def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
     become pending after it was cut."""
     rate = max(fish.clock.rate, 1.0)
     wait_s = fish.params.get("SETTLE_S").value + _MARGIN_S
-    if SPEED_SOURCES[round(fish.params.get("SPD_SOURCE").value)] == "imu":
+    if fish.speed_source().needs_rests:
         wait_s += _IMU_REST_S
     end_s = fish.transport.now_s() + wait_s / rate
     while True:
@@ -156,8 +157,7 @@ def _longest_hole_s(trial: Trial, missing: np.ndarray[tuple[int], np.dtype[np.in
     """Between speeds of the camera that came in time, next to beats without one; 0: no hole is
     longer than SPD_GAP_S, or speeds did not come from a camera as it swam."""
     allowed_s = trial.params.get("SPD_GAP_S", 0.0)
-    source = SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0.0))]
-    if source != "vision" or trial.uploaded or not allowed_s:
+    if not speed_source(trial.params).sampled or trial.uploaded or not allowed_s:
         return 0.0
     table = trial.slots.table()
     end_s = trial.executed_beats * trial.beat_s

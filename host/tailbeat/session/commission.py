@@ -18,13 +18,13 @@ from tailbeat.board.fish import board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.reference import ReferenceLimits
+from tailbeat.core.speed_source import SpeedSource, speed_source
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserve_folder
 from tailbeat.learning.design import design
 from tailbeat.learning.saturation import needed_rad, servo_rad
-from tailbeat.link.messages import SPEED_SOURCES
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
 from tailbeat.session.events import Notice
 from tailbeat.session.identify import Attendant, identify_fish, set_params
@@ -164,9 +164,9 @@ class _Session:
         findings = look_at(fish)
         problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
         told = [f"{one.name}: {one.text}" for one in findings if one.status != PROBLEM]
-        source = SPEED_SOURCES[round(params["SPD_SOURCE"])]
-        if source != "vision":
-            told.append(f"speeds by {source}")
+        source = speed_source(params)
+        if not source.sampled:
+            told.append(f"speeds by {source.name}")
         seen, why = self._seen(source)
         told.append(seen) if not why else problems.append(why)
         if problems:
@@ -175,16 +175,16 @@ class _Session:
         self._give_reference()
         return CommissionStep("look", True, "; ".join(told))
 
-    def _seen(self, source: str) -> tuple[str, str]:
+    def _seen(self, source: SpeedSource) -> tuple[str, str]:
         """(what the camera sees, what is wrong)."""
-        if source == "upload":
+        if source.uploaded:
             return "", (
                 "speeds: SPD_SOURCE is upload, and the first session needs them while it swims;"
                 " set another, or do it by hand: tailbeat session identify, tailbeat session design"
             )
         if self.camera is None:
             text = "camera: there is none, and SPD_SOURCE is vision. Give --camera"
-            return ("no camera", "") if source != "vision" else ("", text)
+            return ("no camera", "") if not source.sampled else ("", text)
         self.fish.link.run(_CAMERA_LOOK_S / max(self.fish.clock.rate, 1.0))
         frames = self.camera.frames()
         if not frames:

@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike
 from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.speed_source import SpeedSource
 from tailbeat.experiment.current import set_and_save
 from tailbeat.learning.fish_model import FishModel, Swim, swim_of
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, Run, identify_runs
-from tailbeat.link.messages import SPEED_SOURCES, TrialOutcome
+from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import BY_HAND
 from tailbeat.session.guards import RoomGuard, together, when
 from tailbeat.session.trial import run_trial
@@ -73,8 +74,8 @@ def identify_fish(
     """Swims the runs and fits the fish to them. ``safe``: folder for the copy of what the board
     held; a copy that is there already is put back when a run was broken off, and never overwritten.
     Raises InputError when the board cannot begin, TailbeatError when a run goes wrong."""
-    source = SPEED_SOURCES[round(fish.params.get("SPD_SOURCE").value)]
-    if source == "upload" and attendant.speeds is None:
+    source = fish.speed_source()
+    if source.uploaded and attendant.speeds is None:
         raise InputError(
             "SPD_SOURCE is upload, and nobody is asked for the speeds.",
             "Leave out --yes and --json, or swim by hand and give the files with --trials.",
@@ -115,7 +116,7 @@ class _IdentificationRunner:
 
     board: PreservedBoard
     attendant: Attendant
-    source: str
+    source: SpeedSource
     camera: Camera | None
     run: Run | None = field(default=None)
     stopped: bool = field(default=False, init=False)
@@ -146,7 +147,7 @@ class _IdentificationRunner:
         assert self.run is not None
         if outcome.end != "complete":
             self._judge_end(self.run, outcome.end, outcome.executed_beats)
-        if self.source == "upload":
+        if self.source.uploaded:
             self._upload_speeds(outcome.number)
 
     def _judge_end(self, run: Run, end: str, beats: int) -> None:

@@ -17,9 +17,10 @@ from tailbeat.core.faults import (
     fault_info,
 )
 from tailbeat.core.frames import Camera, TrackReset, Unseen
+from tailbeat.core.speed_source import SpeedSource, source_info
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Message, text_of
-from tailbeat.link.messages import SPEED_SOURCES, BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.link.messages import BeatEvent, BoardStatus, TrialOutcome
 from tailbeat.session.events import (
     BoardText,
     HoldRequest,
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from tailbeat.session.events import OnEvent
     from tailbeat.session.guards import Guard
 
-SOURCE_VISION, SOURCE_IMU = SPEED_SOURCES.index("vision"), SPEED_SOURCES.index("imu")
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SILENCE_S = 3.0  # of board time, after which the link counts as lost
 _SETTLE_MARGIN_S = 2.0
@@ -62,7 +62,7 @@ class _Run:
     guard: Guard | None
     reconnect_s: float
     settle_s: float = 3.0
-    source: int = SOURCE_VISION
+    source: SpeedSource = field(default_factory=lambda: source_info(0))
     camera: TrialCamera | None = None
     asked: set[str] = field(default_factory=set)
     number: int = 0
@@ -151,8 +151,8 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
     fish = run.fish
     run.settle_s = fish.params.get("SETTLE_S").value
     window_s = fish.params.get("SPD_WINDOW_S").value
-    run.source = round(fish.params.get("SPD_SOURCE").value)
-    if camera is None and run.source == SOURCE_VISION:
+    run.source = fish.speed_source()
+    if camera is None and run.source.sampled:
         text = "no camera, but SPD_SOURCE is vision: this trial will have no speeds"
         run.emit(TrialWarning(text))
     if camera is not None:
@@ -160,7 +160,7 @@ def _prepare(run: _Run, camera: Camera | None) -> None:
             fish,
             camera,
             window_s=max(window_s, _beat_s(fish)) if window_s > 0 else 1.0,
-            dispensable=run.source != SOURCE_VISION,
+            dispensable=not run.source.sampled,
             emit=run.emit,
             consult=lambda what: _consult(run, what),
             abort=lambda: _want_abort(run),
@@ -272,7 +272,7 @@ def _swims(run: _Run) -> bool:
 def _wait_until_still(run: _Run) -> None:
     """As long as the board would refuse for it; somebody may have to come and hold the fish."""
     fish = run.fish
-    if run.source != SOURCE_IMU:
+    if not run.source.needs_rests:
         return
     rest_min_s = fish.params.get("REST_MIN_S").value
     end_s = fish.transport.now_s() + _STILL_WAIT_S / max(fish.clock.rate, 1.0)
@@ -314,7 +314,7 @@ def _take_status(run: _Run, status: BoardStatus) -> None:
     if run.progress != (status.state, status.beat):
         run.progress = (status.state, status.beat)
         run.progress_at_s = run.fish.link.transport.now_s()
-    if run.source == SOURCE_IMU and status.state == "SETTLING":
+    if run.source.needs_rests and status.state == "SETTLING":
         _ask_to_hold(run, "swum; catch the fish and hold it still until the result is there")
 
 
@@ -385,7 +385,7 @@ def _is_over(run: _Run) -> bool:
         return True
     if run.stopped_at_s is None:  # late speeds of a cut trial are still being collected
         run.stopped_at_s = status.time_s
-    rest_s = _REST_WAIT_S if run.source == SOURCE_IMU and status.beat > 0 else 0.0
+    rest_s = _REST_WAIT_S if run.source.needs_rests and status.beat > 0 else 0.0
     return status.time_s - run.stopped_at_s > run.settle_s + rest_s + _SETTLE_MARGIN_S
 
 

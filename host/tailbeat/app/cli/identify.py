@@ -22,13 +22,14 @@ from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.errors import InputError
+from tailbeat.core.speed_source import speed_source
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import RUN, Logbook, logbook_of, preserve_folder
 from tailbeat.learning.fit_quality import NAMES, Account, account_of, from_trials, with_drag
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import FRACTIONS, Limits, Run
 from tailbeat.learning.speed_table import Table, ThesisFish, from_table
-from tailbeat.link.messages import SPEED_SOURCES, BeatEvent
+from tailbeat.link.messages import BeatEvent
 from tailbeat.report.figures.identification import draw_account, draw_table
 from tailbeat.session.events import Event, HoldRequest, TrialStopped, TrialWarning
 from tailbeat.session.identify import Attendant, identify_fish, prior_of, set_params
@@ -230,7 +231,7 @@ def _found(
             "nobody can be asked before each run with --json.",
             "Add --yes when the fish is free to swim four times by itself.",
         )
-    by_hand = not asked.alone and SPEED_SOURCES[round(values["SPD_SOURCE"])] == "upload"
+    by_hand = not asked.alone and speed_source(values).uploaded
     with ExitStack() as stack:
         display = stack.enter_context(Display(quiet=asked.json))
         there = None

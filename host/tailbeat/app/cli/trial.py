@@ -20,6 +20,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
 from tailbeat.core.records import decode_reference
 from tailbeat.core.speed_estimate import recompute_beats
+from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_checks import heading_drift, not_reached
 from tailbeat.core.trial_file import Trial, beats_csv, read_trial
 from tailbeat.experiment.current import require_fish
@@ -27,7 +28,6 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import DISCARDED, logbook_of
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import Saturation, saturation_of
-from tailbeat.link.messages import SPEED_SOURCES
 
 _SAME = "recomputed: the same speeds and sigmas, bit for bit"
 
@@ -156,7 +156,7 @@ def show(
 
 
 def _recomputed(trial: Trial) -> dict[str, Any]:
-    if trial.uploaded or _source(trial) == "upload":
+    if trial.uploaded or speed_source(trial.params).uploaded:
         raise InputError(
             f"the speeds of trial {trial.number} were uploaded: there is nothing to compute",
             "They are what the file says.",
@@ -187,15 +187,11 @@ def _from_board(
     return trial, (sound_identified(book), kept)
 
 
-def _source(trial: Trial) -> str:
-    return SPEED_SOURCES[round(trial.params.get("SPD_SOURCE", 0))]
-
-
 def _document(trial: Trial) -> dict[str, Any]:
     document: dict[str, Any] = plain(trial)
     document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
     document["slots"] = plain(trial.slots.table())
-    document["speed_source"] = _source(trial)
+    document["speed_source"] = speed_source(trial.params).name
     document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
     document["rms_error_m_s"] = trial.rms_error_m_s()
     straight = heading_drift(trial)
@@ -238,7 +234,7 @@ def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
         f"trial {trial.number}, iteration {trial.iteration}, {trial.board}: {trial.end}, "
         f"{trial.executed_beats} beats; max|e| {mm(trial.max_abs_error_m_s())} mm/s, "
         f"RMS {mm(trial.rms_error_m_s())}; speed by "
-        f"{_source(trial)}",
+        f"{speed_source(trial.params).name}",
         _conditions_text(trial),
         *([saturation.text] if saturation is not None else []),
         *([missing] if missing else []),

@@ -27,6 +27,7 @@ from tailbeat.core.faults import (
     fault_info,
 )
 from tailbeat.core.native import ffi, lib
+from tailbeat.core.speed_source import speed_source
 from tailbeat.link.messages import RESET_CAUSES
 from tailbeat.link.transport import BLUETOOTH_SETUP
 
@@ -136,7 +137,7 @@ def _imu(evidence: BoardEvidence) -> Finding:
         text = f"{imu.model}, {imu.rate_hz} Hz at {imu.baud} baud"
         return Finding("imu", OK, text, "", measured)
     seen = bool(evidence.health and evidence.health["imu_frames"])
-    needed = evidence.parameters.get("SPD_SOURCE", 0) >= 2 or (
+    needed = speed_source(evidence.parameters).needs_imu or (
         evidence.parameters.get("IMU_TIMEOUT_S", 0) > 0
     )
     absent = problem.number == IMU_SILENT and not seen and not needed

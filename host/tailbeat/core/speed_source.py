@@ -1,0 +1,58 @@
+"""The sources of speed that SPD_SOURCE chooses from, by the firmware's own table.
+
+firmware/speed/sources.def; a row is added there and needs nothing here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tailbeat.core.native import ffi, lib
+
+PARAMETER = "SPD_SOURCE"
+
+
+@dataclass(frozen=True)
+class SpeedSource:
+    """One row of the table; the traits are those of firmware/speed/source.h."""
+
+    number: int
+    name: str
+    estimated: bool
+    sampled: bool
+    modelled: bool
+    needs_imu: bool
+    needs_rests: bool
+    live: bool
+
+    @property
+    def uploaded(self) -> bool:
+        """Whether the speeds come from a host after the swim, computed elsewhere."""
+        return not self.estimated
+
+
+def speed_source(params: Mapping[str, float]) -> SpeedSource:
+    """The source that ``params`` choose; the first one when they do not say."""
+    return source_info(round(params.get(PARAMETER, 0.0)))
+
+
+def source_info(number: int) -> SpeedSource:
+    """The row of ``number``; one that needs nothing when the table has none (newer firmware)."""
+    known = number in range(lib.SPEED_SOURCE_COUNT)
+    name = ffi.string(lib.speed_source_name(number)).decode() if known else f"source {number}"
+    traits = (
+        lib.SPEED_ESTIMATED,
+        lib.SPEED_SAMPLED,
+        lib.SPEED_MODELLED,
+        lib.SPEED_NEEDS_IMU,
+        lib.SPEED_NEEDS_RESTS,
+        lib.SPEED_LIVE,
+    )
+    return SpeedSource(number, name, *(known and lib.speed_source_is(number, t) for t in traits))
+
+
+def source_number(name: str) -> int:
+    """The value of SPD_SOURCE for the source called ``name``."""
+    numbers = range(lib.SPEED_SOURCE_COUNT)
+    return next(number for number in numbers if source_info(number).name == name)
