@@ -12,9 +12,8 @@ import numpy as np
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import Event, Notice, StepProgress
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 
 Way = Callable[[float], tuple[float, float, float]]
 """x_m, y_m, heading_rad at a time since the camera was made."""

@@ -29,8 +29,7 @@ from tailbeat.learning.convergence import score_of
 from tailbeat.learning.disturbance import bump_of
 from tailbeat.learning.fish_model import swim_of
 from tailbeat.link.messages import BeatEvent, TrialOutcome
-from tailbeat.session.events import BY_HAND, StopKind, StopReason
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
 from tailbeat.session.trial_camera import as_csv, stash_of
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.folder import Experiment
     from tailbeat.link.messages import BoardStatus
-    from tailbeat.session.preflight.step import Ready
+    from tailbeat.session.outcome import Ready
 
 STOPPED = ("ABORTED", "FAULT")
 _BUSY = ("BOOT", "RUNNING", "SETTLING", "LEARNING")
@@ -104,34 +103,6 @@ def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
         if (status.state not in _BUSY and not waits) or fish.transport.now_s() >= end_s:
             return status
         fish.link.run(_LOOK_S / rate)
-
-
-@dataclass(frozen=True)
-class RecordedTrial:
-    """``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``:
-    what the ritual found; None = there was none. ``measured_beats``: of ``beats`` of the reference.
-    ``problems``: what speaks against keeping it, in words (few speeds, not straight). ``judged``:
-    enough of its beats are measured (verdict.Score). ``stopped``: why this program stopped it; None
-    = it did not."""
-
-    outcome: TrialOutcome
-    file: Path
-    ready: Ready | None
-    straight: HeadingDrift | None
-    max_abs_error_m_s: float
-    rms_error_m_s: float
-    measured_beats: int
-    beats: int
-    battery_start_v: float | None
-    battery_end_v: float | None
-    problems: tuple[str, ...] = ()
-    judged: bool = False
-    stopped: StopReason | None = None
-
-    @property
-    def other_problems(self) -> tuple[str, ...]:
-        """Without the first one of a trial that was not executed to its end: how it ended."""
-        return self.problems if self.outcome.end == "complete" else self.problems[1:]
 
 
 NO_SPEED = "beats have no speed"

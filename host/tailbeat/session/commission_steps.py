@@ -30,8 +30,9 @@ from tailbeat.learning.saturation import (
     servo_rad,
     up_to_grain,
 )
-from tailbeat.session.events import BY_HAND, Notice
+from tailbeat.session.events import Notice
 from tailbeat.session.guards import RoomGuard, together, when
+from tailbeat.session.outcome import BY_HAND
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import countdown
 from tailbeat.session.shift import slope_of
@@ -47,8 +48,8 @@ if TYPE_CHECKING:
     from tailbeat.link.messages import TrialOutcome
     from tailbeat.session.guards import Guard
     from tailbeat.session.operator import Operator
+    from tailbeat.session.outcome import Travel
     from tailbeat.session.preflight.step import PreflightLimits
-    from tailbeat.session.travel import Travel
 
 AMP_MAX = "AMP_MAX_RAD"
 RAISE_MAX_RAD = 0.1

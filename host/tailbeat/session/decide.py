@@ -29,13 +29,13 @@ from tailbeat.session.collect import (
 )
 from tailbeat.session.events import Notice, TrialDecided
 from tailbeat.session.log import SessionLog
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.link.messages import BoardStatus, LearnReport
-    from tailbeat.session.collect import RecordedTrial
-    from tailbeat.session.operator import DecisionKind, Operator
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.outcome import DecisionKind, RecordedTrial
 
 _NO_REASON = "by command, no reason given"
 

@@ -8,38 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from typing import TYPE_CHECKING
 
 from tailbeat.link.messages import BeatEvent, LearnReport
+from tailbeat.session.outcome import StopReason
 
 if TYPE_CHECKING:
-    from tailbeat.session.collect import RecordedTrial
-    from tailbeat.session.operator import Decision
-
-
-class StopKind(Enum):
-    """What stopped a trial from the host."""
-
-    WALL = "wall"
-    DISTANCE = "distance"
-    CAMERA = "camera"
-    OPERATOR = "operator"
-    CALLER = "caller"
-
-
-@dataclass(frozen=True)
-class StopReason:
-    """Why a guard stops the tail. A ``WALL`` leaves the last beats unmeasured."""
-
-    kind: StopKind
-    text: str
-
-    def __str__(self) -> str:
-        return self.text
-
-
-BY_HAND = StopReason(StopKind.OPERATOR, "stopped by hand")
+    from tailbeat.session.outcome import Decision, RecordedTrial
 
 
 @dataclass(frozen=True)

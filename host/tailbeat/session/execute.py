@@ -14,16 +14,9 @@ from tailbeat.experiment.library import logbook_of
 from tailbeat.learning.verdict import progress_of
 from tailbeat.link.messages import SIMULATED_FISH
 from tailbeat.session.collect import trial_is_safe
-from tailbeat.session.events import (
-    BY_HAND,
-    Assessed,
-    Event,
-    LiveValues,
-    Notice,
-    StopReason,
-    TrialStopped,
-)
+from tailbeat.session.events import Assessed, Event, LiveValues, Notice, TrialStopped
 from tailbeat.session.guards import Seen, together, when
+from tailbeat.session.outcome import BY_HAND, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import stash_of
 

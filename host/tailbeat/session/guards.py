@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from tailbeat.core.arrays import F64
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 
 if TYPE_CHECKING:
     from tailbeat.sensors.camera.calibration.file import Calibration

@@ -22,8 +22,8 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, Run, identify_runs
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.events import BY_HAND
 from tailbeat.session.guards import RoomGuard, together, when
+from tailbeat.session.outcome import BY_HAND
 from tailbeat.session.trial import run_trial
 
 if TYPE_CHECKING:

@@ -18,11 +18,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
 from tailbeat.session.battery import Drain
-from tailbeat.session.collect import (
-    RecordedTrial,
-)
-from tailbeat.session.events import StopReason
-from tailbeat.session.operator import KINDS, Decision
+from tailbeat.session.outcome import KINDS, Decision, RecordedTrial, StopReason
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,8 +26,7 @@ if TYPE_CHECKING:
     from tailbeat.core.trial_file import Trial
     from tailbeat.experiment.folder import Experiment
     from tailbeat.experiment.journal import Journal
-    from tailbeat.session.collect import RecordedTrial
-    from tailbeat.session.preflight.step import Ready
+    from tailbeat.session.outcome import Ready, RecordedTrial
 
 Entry = dict[str, Any]
 _CLOCKS_AGREE_S = 1.0

@@ -2,35 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from tailbeat.core.errors import InputError
 from tailbeat.session.events import Event
+from tailbeat.session.outcome import Decision
 
 if TYPE_CHECKING:
-    from tailbeat.session.collect import RecordedTrial
-
-DecisionKind = Literal["keep", "repeat", "discard"]
-KINDS: tuple[DecisionKind, ...] = ("keep", "repeat", "discard")
-
-
-@dataclass(frozen=True)
-class Decision:
-    """What becomes of a swim. ``keep``: it is learned from. ``repeat``: its log counts as a repeat,
-    nothing is learned, the same amplitudes swim again. ``discard``: it counts for nothing, the same
-    amplitudes swim again. ``reason``: needed unless it is kept."""
-
-    kind: DecisionKind
-    reason: str = ""
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InputError(f"'{self.kind}' is no decision.", f"Say {', '.join(KINDS)}.")
-        if self.kind != "keep" and not self.reason.strip():
-            raise InputError(
-                f"a swim to {self.kind} needs a reason.", "Say it in a few words: bumped the wall."
-            )
+    from tailbeat.session.outcome import RecordedTrial
 
 
 class Operator(Protocol):

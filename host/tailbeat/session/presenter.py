@@ -6,7 +6,6 @@ import math
 
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.link.messages import LearnReport
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
     Assessed,
     BoardText,
@@ -18,14 +17,13 @@ from tailbeat.session.events import (
     LinkRestored,
     Notice,
     StepProgress,
-    StopKind,
-    StopReason,
     TrialDecided,
     TrialEnded,
     TrialStarted,
     TrialStopped,
     TrialWarning,
 )
+from tailbeat.session.outcome import RecordedTrial, StopKind, StopReason
 
 SEVERITY_WARNING = 4  # MAV_SEVERITY_WARNING; lower is worse
 _MARKS = {True: "ok", False: "no", None: ".."}

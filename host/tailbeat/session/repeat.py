@@ -27,7 +27,7 @@ from tailbeat.session.collect import (
 from tailbeat.session.events import Notice, TrialRecorded
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import AGAIN, SessionLog, held_before, repeat_path, write_held
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.series import Until, swim_series
 from tailbeat.session.shift import Shift, require_best, shift_of
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.fish_model import FishModel
     from tailbeat.learning.identification import Identified
-    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import Event
     from tailbeat.session.guards import Guard
     from tailbeat.session.operator import Operator
+    from tailbeat.session.outcome import RecordedTrial
     from tailbeat.session.series import Options
 
 __all__ = ["Shift", "end_repeat", "held_before", "idle", "repeat_best", "write_held"]

@@ -32,10 +32,10 @@ from tailbeat.session.collect import (
     stop_words,
 )
 from tailbeat.session.decide import Decisions, Done
-from tailbeat.session.events import BY_HAND, Notice, TrialRecorded
+from tailbeat.session.events import Notice, TrialRecorded
 from tailbeat.session.execute import TrialSetup, execute, judged, report_assessment
 from tailbeat.session.log import AGAIN, SessionLog, held_before
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import BY_HAND, Decision
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import BatteryLow, GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import room_guard, travel_next
@@ -47,10 +47,9 @@ if TYPE_CHECKING:
     from tailbeat.experiment.folder import Experiment
     from tailbeat.learning.convergence import Verdict
     from tailbeat.link.messages import LearnReport
-    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import DecisionKind, Operator
-    from tailbeat.session.preflight.step import Ready
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.outcome import DecisionKind, Ready, RecordedTrial
 
 __all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
 

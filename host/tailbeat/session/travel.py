@@ -24,6 +24,7 @@ from tailbeat.learning.fit import Prior, Scatter, fit
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.session.guards import RoomGuard
 from tailbeat.session.identify import prior_of
+from tailbeat.session.outcome import Travel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,44 +38,10 @@ if TYPE_CHECKING:
     from tailbeat.session.guards import RoomGuard
 
 
-_ROUNDING = 1e-6
 _TELLING_M = 0.1  # a trial that came less far says nothing of a longer one
 _MISS = 2.0  # the rest of a miss, after the fit, beyond which it was no swim like this one
 _had: WeakKeyDictionary[Fish, Trial] = WeakKeyDictionary()  # fetched last, by this connection
 _FIRST = 1  # memory_input_t: arming makes the amplitudes anew
-
-
-@dataclass(frozen=True)
-class Travel:
-    """Way over ground until the coast after the last beat is over. ``worst_m``: by a fish and a day
-    that are as far off as may be believed (2 sigmas). ``room_m``: the tank's length less the
-    fish's, infinite when TANK_LEN_M is 0. ``by``: what it was reckoned with, in words."""
-
-    expected_m: float
-    worst_m: float
-    room_m: float
-    by: str
-
-    @property
-    def fits(self) -> bool:
-        """Whether what is expected has room."""
-        return self.expected_m <= self.room_m + _ROUNDING
-
-    def text(self) -> str:
-        """One line: ``about 2.21 m, at worst 2.40, of 2.64 m (by the identified fish)``."""
-        room = f", of {self.room_m:.2f} m" if math.isfinite(self.room_m) else ""
-        return f"about {self.expected_m:.2f} m, at worst {self.worst_m:.2f}{room} (by {self.by})"
-
-    def require_room(self) -> None:
-        """Raises InputError, with the figures and what to do, when it does not fit."""
-        if self.fits:
-            return
-        raise InputError(
-            f"the next swim would come {self.expected_m:.2f} m (by {self.by}), and the tank has "
-            f"room for {max(self.room_m, 0.0):.2f} m.",
-            "Lower AMP_MAX_RAD (or ILC_GAIN before the first swim), shorten the reference, or "
-            "correct TANK_LEN_M (0 = not checked).",
-        )
 
 
 @dataclass(frozen=True)

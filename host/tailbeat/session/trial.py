@@ -27,13 +27,12 @@ from tailbeat.session.events import (
     InterruptRequested,
     LinkLost,
     LinkRestored,
-    StopKind,
-    StopReason,
     TrialEnded,
     TrialStarted,
     TrialStopped,
     TrialWarning,
 )
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial_camera import TrialCamera, default_camera
 
 if TYPE_CHECKING:

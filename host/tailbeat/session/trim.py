@@ -23,11 +23,12 @@ from tailbeat.core.trial_checks import (
 from tailbeat.experiment.current import current, set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
 from tailbeat.learning.fit import Scatter
-from tailbeat.session.events import BY_HAND, Notice, StepProgress
+from tailbeat.session.events import Notice, StepProgress
 from tailbeat.session.guards import RoomGuard, Seen, together, when
+from tailbeat.session.outcome import BY_HAND, Travel
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import GivenUp, countdown
-from tailbeat.session.travel import Travel, TravelModel, last_measured, travel_by, travel_model_of
+from tailbeat.session.travel import TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 

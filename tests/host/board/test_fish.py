@@ -20,13 +20,12 @@ from tailbeat.session.events import (
     Event,
     LinkLost,
     LinkRestored,
-    StopKind,
-    StopReason,
     TrialEnded,
     TrialStarted,
     TrialStopped,
     TrialWarning,
 )
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 

@@ -15,7 +15,7 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
 from tailbeat.core.law import MEAN, WINDOW, Averaging, Law, Memory, PastTrial
 from tailbeat.session.dry_run import dry_run
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

@@ -13,7 +13,7 @@ from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 
 BEATS = 12

@@ -21,7 +21,7 @@ from tailbeat.core.trial_file import (
     parse_trial,
     read_trial,
 )
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import in_process
 

@@ -31,8 +31,8 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.fit_quality import account_of, from_trials
 from tailbeat.learning.identification_runs import Course, Limits, Run, identify_runs
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.events import StopKind, StopReason
 from tailbeat.session.identify import Attendant, identify_fish, set_params
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

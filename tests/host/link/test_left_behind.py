@@ -28,10 +28,9 @@ from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.folder import Experiment, alone
 from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session import series
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import Event
 from tailbeat.session.log import SessionLog, write_held
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight import checklist
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.trial import run_trial

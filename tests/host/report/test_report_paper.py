@@ -38,7 +38,7 @@ from tailbeat.report.figures import comparison, contraction, learning, trials
 from tailbeat.report.page import Material, Picture, headline, page
 from tailbeat.report.paper import FIGURES, Drawing, write_report
 from tailbeat.report.style import LOOKS, PAGE, PAPER, labels, save, written
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 
 from .. import made_analyses as made

@@ -34,8 +34,7 @@ from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.experiment.current import begin, set_and_save
 from tailbeat.experiment.folder import Experiment
 from tailbeat.sensors.camera.render.source import SimulatedCamera
-from tailbeat.session.collect import RecordedTrial
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.sim.board import CONSOLE, SimTransport
 from tailbeat.sim.native import SimBoard
 

@@ -25,7 +25,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import LearnReport
 from tailbeat.sensors.camera.render.source import SimulatedCamera
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.native import SimBoard
 

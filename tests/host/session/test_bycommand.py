@@ -23,10 +23,10 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.relearn import relearn
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.collect import keep_log, outcome_of, proposed, record_of
-from tailbeat.session.events import BY_HAND, Event, StopKind, StopReason
+from tailbeat.session.events import Event
 from tailbeat.session.guards import when
 from tailbeat.session.log import SessionLog
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import BY_HAND, Decision, StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

@@ -12,7 +12,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import from_text
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo import batch as lengths
 from tailbeat.studies.montecarlo import learners

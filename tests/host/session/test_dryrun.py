@@ -7,7 +7,7 @@ import numpy as np
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.session.dry_run import dry_run
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 
 ENOUGH = StopReason(StopKind.CALLER, "enough")

@@ -26,11 +26,10 @@ from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.params import known_parameters
 from tailbeat.session import commission, commission_steps
 from tailbeat.session.battery import Drain
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.commission import CommissionStep, first_session
 from tailbeat.session.commission_steps import Raise, next_raise
 from tailbeat.session.events import Countdown, Event, StepProgress, TrialStarted
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.status import fall_per_swim, status_of, swims_left, words
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport

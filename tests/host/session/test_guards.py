@@ -11,8 +11,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.events import BY_HAND, StopKind, StopReason
 from tailbeat.session.guards import RoomGuard, Seen, together, when
+from tailbeat.session.outcome import BY_HAND, StopKind, StopReason
 from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial import run_trial
 

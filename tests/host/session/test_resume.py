@@ -28,11 +28,11 @@ from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current, is_interrupted, note_set, strayed, use
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import BeatEvent, LearnReport
-from tailbeat.session.collect import RecordedTrial, keep_log, outcome_of, record_of
+from tailbeat.session.collect import keep_log, outcome_of, record_of
 from tailbeat.session.events import Event, TrialStarted
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import SessionLog, repeat_path, write_held
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.repeat import repeat_best
 from tailbeat.session.resume import Restored, restore
 from tailbeat.session.series import Options, Until, swim_series

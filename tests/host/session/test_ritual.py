@@ -15,7 +15,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, Refused
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.link import _dialect as mavlink
-from tailbeat.session.events import Event, StepProgress, StopKind, StopReason
+from tailbeat.session.events import Event, StepProgress
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.pose import Sight
 from tailbeat.session.preflight.step import GivenUp, NotReady, PreflightLimits, PreflightStep
@@ -177,7 +178,7 @@ def test_no_room_is_told_before_anybody_waits(ready: Fish) -> None:
 def test_what_may_be_too_far_at_worst_is_a_notice(
     ready: Fish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tailbeat.session.travel import Travel
+    from tailbeat.session.outcome import Travel
 
     monkeypatch.setattr(
         "tailbeat.session.preflight.checklist.travel_next",

@@ -24,7 +24,6 @@ from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session import series as series_module
 from tailbeat.session.battery import Drain, forecast, too_low
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
     Assessed,
     Countdown,
@@ -40,7 +39,7 @@ from tailbeat.session.events import (
     TrialStarted,
     TrialWarning,
 )
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.series import Options, SeriesEnd, Until, swim_series
 from tailbeat.session.trial import run_trial

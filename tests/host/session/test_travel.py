@@ -16,7 +16,8 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import Logbook
-from tailbeat.session.travel import Travel, last_measured, travel_next, travel_of
+from tailbeat.session.outcome import Travel
+from tailbeat.session.travel import last_measured, travel_next, travel_of
 from tailbeat.session.trial import run_trial
 
 THESIS_LIMITS = {"AMP_MAX_RAD": math.pi / 4, "DU_MAX_RAD": 0.0}

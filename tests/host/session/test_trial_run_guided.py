@@ -22,16 +22,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.collect import RecordedTrial
-from tailbeat.session.events import (
-    BY_HAND,
-    Countdown,
-    StepProgress,
-    StopKind,
-    StopReason,
-    TrialStarted,
-)
-from tailbeat.session.operator import Decision
+from tailbeat.session.events import Countdown, StepProgress, TrialStarted
+from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
 

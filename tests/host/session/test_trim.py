@@ -25,9 +25,8 @@ from tailbeat.experiment.library import RUN, Logbook, preserve_folder
 from tailbeat.link.messages import BeatEvent
 from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import Event, Notice, StepProgress, TrialStarted
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight.step import GivenUp
 from tailbeat.session.travel import travel_model_of
 from tailbeat.session.trial import run_trial

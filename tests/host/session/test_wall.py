@@ -15,8 +15,9 @@ from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import read_trial
 from tailbeat.link.messages import BeatEvent
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.session.events import Event, StopKind, StopReason, TrialStopped
+from tailbeat.session.events import Event, TrialStopped
 from tailbeat.session.guards import LENGTH_M, NOSE_M, TOUCH_M_S, WallGuard
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 
 FPS = 25.0

@@ -23,7 +23,7 @@ from tailbeat.learning.verdict import progress_of
 from tailbeat.report.replay import Replay
 from tailbeat.report.style import freedom_words
 from tailbeat.session.decide import not_noted, noted_decision, pending_of, withdrawn_if_refused
-from tailbeat.session.operator import DecisionKind
+from tailbeat.session.outcome import DecisionKind
 
 
 def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:

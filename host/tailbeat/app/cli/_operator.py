@@ -11,7 +11,6 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import ABORT_COMMAND, fault_info
 from tailbeat.session.collect import is_good, proposed
 from tailbeat.session.events import (
-    BY_HAND,
     Assessed,
     BoardText,
     Countdown,
@@ -22,13 +21,13 @@ from tailbeat.session.events import (
     TrialStarted,
     TrialStopped,
 )
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import BY_HAND, Decision
 from tailbeat.session.presenter import alert, countdown_text, mm, record_lines, result, step_text
 
 if TYPE_CHECKING:
     from tailbeat.app.cli._display import Display
     from tailbeat.app.cli._keyboard import Keys
-    from tailbeat.session.collect import RecordedTrial
+    from tailbeat.session.outcome import RecordedTrial
 
 _LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
 KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}

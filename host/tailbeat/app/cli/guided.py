@@ -18,7 +18,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.current import begin, current, require_own, require_same, use
 from tailbeat.experiment.folder import Experiment
 from tailbeat.session.events import TrialRecorded, TrialStarted
-from tailbeat.session.operator import KINDS, Decision
+from tailbeat.session.outcome import KINDS, Decision
 from tailbeat.session.preflight.step import PreflightLimits
 from tailbeat.session.series import Options, Until, swim_series
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from tailbeat.app.cli._camera import LiveCamera
     from tailbeat.board.fish import Fish
     from tailbeat.experiment.folder import Experiment
-    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import Event
-    from tailbeat.session.operator import Decision, Operator
+    from tailbeat.session.operator import Operator
+    from tailbeat.session.outcome import Decision, RecordedTrial
     from tailbeat.session.series import Options, Round, SeriesEnd, Until
 
 _ROOT = Path("experiments")

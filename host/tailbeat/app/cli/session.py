@@ -29,7 +29,7 @@ from tailbeat.experiment.current import current, is_interrupted, named_reference
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session.commission import CommissionStep, first_session
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight.step import PreflightLimits
 from tailbeat.session.repeat import repeat_best
 from tailbeat.session.resume import Restored, restore, restore_params

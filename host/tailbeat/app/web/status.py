@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from tailbeat.app.web.view import PageState
     from tailbeat.app.web.worker import Worker
     from tailbeat.experiment.analysis import TrialRow
-    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import StepProgress
+    from tailbeat.session.outcome import RecordedTrial
 
 UNTIL = {
     "1": "one swim",

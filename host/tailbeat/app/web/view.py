@@ -24,8 +24,7 @@ from tailbeat.session.presenter import log_line, mm
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import TrialRow
     from tailbeat.link.messages import BoardStatus
-    from tailbeat.session.collect import RecordedTrial
-    from tailbeat.session.travel import Travel
+    from tailbeat.session.outcome import RecordedTrial, Travel
 
 Phase = Literal[
     "connecting", "idle", "working", "ritual", "countdown", "swimming", "deciding", "asking",

@@ -24,7 +24,7 @@ from tailbeat.core.errors import ConnectError, InputError, LinkLostError, Tailbe
 from tailbeat.experiment.library import name_reference
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
 from tailbeat.session.events import TrialDecided
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import Decision
 from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
@@ -33,10 +33,9 @@ if TYPE_CHECKING:
     from tailbeat.core.reference import Reference
     from tailbeat.experiment.folder import Experiment
     from tailbeat.link.mavlink import Message
-    from tailbeat.session.collect import RecordedTrial
     from tailbeat.session.events import Event
     from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Decision
+    from tailbeat.session.outcome import Decision, RecordedTrial
     from tailbeat.session.preflight.step import PreflightLimits
 
 OpenCamera = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
@@ -449,7 +448,7 @@ class Worker:
     # A series.
 
     def _swim(self, fish: Fish, until: str, ritual: bool) -> None:
-        from tailbeat.session.operator import KINDS
+        from tailbeat.session.outcome import KINDS
         from tailbeat.session.preflight.step import PreflightLimits
         from tailbeat.session.series import Options, Until, swim_series
 

@@ -14,16 +14,14 @@ from weakref import WeakSet
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
 from tailbeat.experiment.library import logbook_of
+from tailbeat.session.outcome import Drift, Pose, Ready
 from tailbeat.session.preflight.pose import Feel, Sight, pose_now, wait_for_pose, what_to_do
 from tailbeat.session.preflight.step import (
     BatteryLow,
-    Drift,
     GivenUp,
     NotReady,
-    Pose,
     PreflightLimits,
     PreflightStep,
-    Ready,
     countdown,
 )
 from tailbeat.session.preflight.stillness import rested_s, wait_for_rest, wait_until_still, watch
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
     from tailbeat.core.frames import Camera
     from tailbeat.link.messages import BoardStatus
     from tailbeat.session.operator import Operator
-    from tailbeat.session.travel import Travel
+    from tailbeat.session.outcome import Travel
 
 __all__ = [
     "BatteryLow",

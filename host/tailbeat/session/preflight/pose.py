@@ -18,7 +18,8 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import IMU_STARTING
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
-from tailbeat.session.preflight.step import Pose, PreflightLimits
+from tailbeat.session.outcome import Pose
+from tailbeat.session.preflight.step import PreflightLimits
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish

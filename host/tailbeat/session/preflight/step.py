@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.link.mavlink import Message
     from tailbeat.session.operator import Operator
-    from tailbeat.session.travel import Travel
 
 
 class NotReady(TailbeatError):
@@ -51,41 +50,6 @@ class PreflightLimits:
     countdown_s: float = 5.0
     patience_s: float = 120.0
     start_yaw_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where the fish lies: mean over a second. ``source`` ``camera``: position and heading in the
-    tank's frame, and ``yaw_deg`` (VN-100, as mounted) if there is an IMU; ``imu``: the yaw only.
-    None = not known."""
-
-    source: str
-    x_m: float | None = None
-    y_m: float | None = None
-    heading_rad: float | None = None
-    yaw_deg: float | None = None
-
-
-@dataclass(frozen=True)
-class Drift:
-    """Speed of a fish that nobody touches: over ground by the camera, so that of the water too; by
-    the IMU (``source`` ``imu``) only that nothing moves it, with no speed (NaN)."""
-
-    source: str
-    speed_m_s: float
-    sigma_m_s: float
-    over_s: float
-
-
-@dataclass(frozen=True)
-class Ready:
-    """What the ritual found. ``rested_s``: at least; None = has not swum since it was made."""
-
-    travel: Travel
-    rested_s: float | None
-    pose: Pose | None
-    drift: Drift | None
-    battery_v: float
 
 
 _LOOK_S = 0.1  # of board time; so often the person is asked

@@ -17,7 +17,8 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import parse_trial
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.link.messages import BoardStatus
-from tailbeat.session.preflight.step import Drift, PreflightLimits
+from tailbeat.session.outcome import Drift
+from tailbeat.session.preflight.step import PreflightLimits
 
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish

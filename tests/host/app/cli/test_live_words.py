@@ -12,19 +12,15 @@ from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._operator import TerminalOperator, live_text
 from tailbeat.core.errors import InputError
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.collect import RecordedTrial
 from tailbeat.session.events import (
-    BY_HAND,
     BoardText,
     Event,
     LiveValues,
-    StopKind,
-    StopReason,
     TrialRecorded,
     TrialStarted,
     TrialStopped,
 )
-from tailbeat.session.operator import Decision
+from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
 
 from ...session.test_trial_run_guided import Typed
 

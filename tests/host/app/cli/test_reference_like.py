@@ -18,7 +18,7 @@ from tailbeat.core import reference as references
 from tailbeat.core.errors import LinkLostError
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.transfer import likeness, transfer
-from tailbeat.session.events import StopKind, StopReason
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.transfer import carry, plan
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport

@@ -21,16 +21,9 @@ from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter, TrackedImage
 from tailbeat.session import trial as trialrun
-from tailbeat.session.events import (
-    Event,
-    StopKind,
-    StopReason,
-    TrialEnded,
-    TrialStarted,
-    TrialStopped,
-    TrialWarning,
-)
+from tailbeat.session.events import Event, TrialEnded, TrialStarted, TrialStopped, TrialWarning
 from tailbeat.session.guards import WallGuard
+from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 
