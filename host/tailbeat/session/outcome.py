@@ -43,9 +43,9 @@ KINDS: tuple[DecisionKind, ...] = ("keep", "repeat", "discard")
 
 @dataclass(frozen=True)
 class Decision:
-    """What becomes of a trial. ``keep``: it is learned from. ``repeat``: its log counts as a repeat,
-    nothing is learned, the same amplitudes are executed again. ``discard``: it counts for nothing,
-    the same amplitudes are executed again. ``reason``: needed unless it is kept."""
+    """What becomes of a trial. ``keep``: it is learned from. ``repeat``: its log counts as a
+    repeat, nothing is learned, the same amplitudes are executed again. ``discard``: it counts for
+    nothing, the same amplitudes are executed again. ``reason``: needed unless it is kept."""
 
     kind: DecisionKind
     reason: str = ""
@@ -64,8 +64,8 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Travel:
-    """Distance over ground until the coast after the last beat is over. ``worst_m``: by a fish and a
-    day that are as far off as may be believed (2 sigmas). ``room_m``: the tank's length less the
+    """Distance over ground until the coast after the last beat is over. ``worst_m``: by a fish and
+    a day that are as far off as may be believed (2 sigmas). ``room_m``: the tank's length less the
     fish's, infinite when TANK_LEN_M is 0. ``by``: what it was computed with, in words."""
 
     expected_m: float
@@ -133,11 +133,14 @@ class Ready:
 
 @dataclass(frozen=True)
 class RecordedTrial:
-    """``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``:
-    what the preflight checks found; None = there were none. ``measured_beats``: of ``beats`` of the reference.
-    ``problems``: what speaks against keeping it, in words (few speeds, not straight). ``judged``:
-    enough of its beats are measured (convergence.Score). ``stopped``: why this program stopped it; None
-    = it did not."""
+    """A trial whose log is here.
+
+    ``file``: its log in the experiment's raw files, or wherever it was pulled to. ``ready``: what
+    the preflight checks found; None = there were none. ``measured_beats``: of ``beats`` of the
+    reference. ``problems``: what speaks against keeping it, in words (few speeds, not straight).
+    ``judged``: enough of its beats are measured (convergence.Score). ``stopped``: why this program
+    stopped it; None = it did not.
+    """
 
     outcome: TrialOutcome
     file: Path
