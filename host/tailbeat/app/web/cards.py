@@ -19,6 +19,7 @@ from nicegui import events, ui
 from tailbeat.app.web.status import wish
 from tailbeat.app.web.view import LOG_LINES
 from tailbeat.core.errors import InputError
+from tailbeat.core.reference import from_csv, from_text
 
 if TYPE_CHECKING:
     from tailbeat.app.web.view import PageState
@@ -230,7 +231,6 @@ _CSV_BYTES_MAX = 1_000_000
 
 def reference_of_text(text: str) -> Reference:
     """A shape by its name. Never a file of this computer: whoever looks at the page gave it."""
-    from tailbeat.core.reference import from_text
 
     words = text.strip()
     kind, _, numbers = words.partition(":")
@@ -245,7 +245,6 @@ def reference_of_text(text: str) -> Reference:
 
 def reference_of_csv(name: str, content: bytes) -> Reference:
     """The columns t_s,v_m_s of a file that was sent."""
-    from tailbeat.core.reference import from_csv
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / (Path(name).name or "reference.csv")

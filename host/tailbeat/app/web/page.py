@@ -1,65 +1,33 @@
-"""Notes written before there is an experiment: they wait on disk until it begins.
+"""The page: one for each browser, all of the same worker, and what can be downloaded from it.
 
-The page: one for each browser, all of the same conductor.
-
-Everything on it is drawn from the conductor's snapshot five times a second, so that browsers which
+Everything on it is drawn from the worker's snapshot five times a second, so that browsers which
 come, go or reload always show how things stand.
 """
 
 from __future__ import annotations
 
-from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol
 
-from nicegui import ui
+from fastapi import HTTPException
+from fastapi.responses import FileResponse, Response
+from nicegui import app, ui
 
 from tailbeat.app.web import cards, view
 from tailbeat.app.web.cards import LogCard, NotesCard, ReferenceCard
-from tailbeat.app.web.server import serve_downloads
 from tailbeat.app.web.status import Asking, Deciding, Header, Status, Trials, dress
 from tailbeat.app.web.view import MOVING
-from tailbeat.core.locks import locked
-from tailbeat.experiment.journal import Journal
+from tailbeat.app.web.worker import Worker
+from tailbeat.core.errors import TailbeatError
+from tailbeat.core.trial_file import beats_csv, read_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tailbeat.app.web.view import PageState
     from tailbeat.app.web.worker import Worker
-    from tailbeat.experiment.folder import Experiment
-
-
-def put_by(root: Path, unique_id: str, text: str, at: datetime) -> None:
-    """Keeps it for the next experiment of this fish. Raises InputError, OSError."""
-    root.mkdir(parents=True, exist_ok=True)
-    with locked(root):
-        _waiting(root, unique_id).add("note", at, text=text)
-
-
-def bring(root: Path, unique_id: str, experiment: Experiment) -> int:
-    """Writes what waits into the experiment, with the time of each; how many. What a full disk
-    stops waits on. Raises InputError, OSError."""
-    waiting = _waiting(root, unique_id)
-    if not waiting.path.exists():
-        return 0
-    with locked(root):
-        return _bring(waiting, experiment)
-
-
-def _bring(waiting: Journal, experiment: Experiment) -> int:
-    notes = waiting.entries("note")
-    there = {(entry["time"], entry["text"]) for entry in experiment.journal.entries("note")}
-    for note in notes:
-        if (note["time"], note["text"]) not in there:  # else it was stopped half way
-            experiment.note(note["text"], datetime.fromisoformat(note["time"]))
-    waiting.path.unlink(missing_ok=True)
-    return len(notes)
-
-
-def _waiting(root: Path, unique_id: str) -> Journal:
-    return Journal(root / f"notes-{unique_id}.jsonl")
 
 
 _PERIOD_S = 0.2
@@ -181,3 +149,34 @@ class _Page:
         self._root.props(f"data-phase={now.phase} data-state={now.state or 'none'}")
         for part in self._parts:
             part.refresh(now)
+
+
+def serve_downloads(conductor: Worker) -> None:
+    """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
+
+    @app.get("/raw/{name}")
+    def raw(name: str) -> Response:
+        path = conductor.raw_file(name)
+        if path is None or not path.is_file():
+            raise HTTPException(404, "there is no such trial")
+        return FileResponse(path, media_type="application/octet-stream", filename=name)
+
+    @app.get("/beats/{name}.csv")
+    def beats(name: str) -> Response:
+        path = conductor.raw_file(f"{name}.ulg")
+        if path is None or not path.is_file():
+            raise HTTPException(404, "there is no such trial")
+        try:
+            text = _beats_csv(path)
+        except TailbeatError as error:
+            raise HTTPException(422, str(error)) from error
+        headers = {"content-disposition": f'attachment; filename="{name}.csv"'}
+        return Response(text, media_type="text/csv", headers=headers)
+
+
+def _beats_csv(path: Path) -> str:
+
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "beats.csv"
+        beats_csv(read_trial(path), out)
+        return out.read_text(encoding="utf-8")

@@ -17,15 +17,19 @@ import socket
 import struct
 import sys
 import webbrowser
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+import uvicorn
+from fastapi import FastAPI
+from nicegui import app, ui
+
 from tailbeat.app.web.access import Access, Rules, is_loopback, new_token
-from tailbeat.app.web.gate import Gate
+from tailbeat.app.web.gate import Entrance, Gate
 from tailbeat.app.web.inbox import Turns
-from tailbeat.core.errors import ConnectError, TailbeatError, reason
+from tailbeat.app.web.page import build
+from tailbeat.core.errors import ConnectError, reason
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -66,41 +70,6 @@ def _of_name() -> list[str]:
         entries = socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
         return [str(entry[4][0]) for entry in entries]
     return []
-
-
-def serve_downloads(conductor: Worker) -> None:
-    """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
-    from fastapi import HTTPException
-    from fastapi.responses import FileResponse, Response
-    from nicegui import app
-
-    @app.get("/raw/{name}")
-    def raw(name: str) -> Response:
-        path = conductor.raw_file(name)
-        if path is None or not path.is_file():
-            raise HTTPException(404, "there is no such trial")
-        return FileResponse(path, media_type="application/octet-stream", filename=name)
-
-    @app.get("/beats/{name}.csv")
-    def beats(name: str) -> Response:
-        path = conductor.raw_file(f"{name}.ulg")
-        if path is None or not path.is_file():
-            raise HTTPException(404, "there is no such trial")
-        try:
-            text = _beats_csv(path)
-        except TailbeatError as error:
-            raise HTTPException(422, str(error)) from error
-        headers = {"content-disposition": f'attachment; filename="{name}.csv"'}
-        return Response(text, media_type="text/csv", headers=headers)
-
-
-def _beats_csv(path: Path) -> str:
-    from tailbeat.core.trial_file import beats_csv, read_trial
-
-    with TemporaryDirectory() as folder:
-        out = Path(folder) / "beats.csv"
-        beats_csv(read_trial(path), out)
-        return out.read_text(encoding="utf-8")
 
 
 _BACKLOG = 1024
@@ -147,15 +116,26 @@ def listen(host: str, port: int) -> ListenAddress:
     )
 
 
+class _TailFirst(uvicorn.Server):
+    """Stops the tail before it does anything else, and then ends in good order."""
+
+    def __init__(self, config: uvicorn.Config, gate: Gate, abort: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._gate = gate
+        self._abort = abort
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._abort()
+        self.force_exit: bool = bool(self.should_exit)
+        self.should_exit: bool = True
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets=[])  # the gate takes the connections
+        self._gate.open(Entrance(self, asyncio.get_running_loop()).take)
+
+
 def serve(conductor: Worker, place: ListenAddress, show: bool = False) -> None:
     """Runs until a signal ends it. Blocks; in the main thread only."""
-    import uvicorn
-    from fastapi import FastAPI
-    from nicegui import app, ui
-
-    from tailbeat.app.web.gate import Entrance
-    from tailbeat.app.web.page import build
-
     build(conductor)
     outer = FastAPI(openapi_url=None)
     ui.run_with(
@@ -187,19 +167,7 @@ def serve(conductor: Worker, place: ListenAddress, show: bool = False) -> None:
         timeout_graceful_shutdown=_DRAIN_S,
     )
 
-    class TailFirst(uvicorn.Server):
-        """Stops the tail before it does anything else, and then ends in good order."""
-
-        def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-            conductor.ask("abort")
-            self.force_exit: bool = bool(self.should_exit)
-            self.should_exit: bool = True
-
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets=[])  # the gate takes the connections
-            gate.open(Entrance(self, asyncio.get_running_loop()).take)
-
-    server = TailFirst(config)
+    server = _TailFirst(config, gate, abort)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, server.handle_exit)  # the terminal was closed
     conductor.start()

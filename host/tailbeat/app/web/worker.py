@@ -17,14 +17,22 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.app.web import page
+from tailbeat.app.web import notes
 from tailbeat.app.web.inbox import Ask, Asks
 from tailbeat.app.web.view import PageState, Phase, after, by_beat, by_status, logged, travel_line
+from tailbeat.board.provision import connect_notice
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, TailbeatError, reason
-from tailbeat.experiment.library import name_reference
+from tailbeat.core.records import decode_reference
+from tailbeat.core.reference import ReferenceLimits
+from tailbeat.experiment.analysis import analyse
+from tailbeat.experiment.current import begin, current, make, note_board, note_set, require_same
+from tailbeat.experiment.library import logbook_of, name_reference
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
 from tailbeat.session.events import TrialDecided
-from tailbeat.session.outcome import Decision
+from tailbeat.session.outcome import KINDS, Decision
+from tailbeat.session.preflight.step import PreflightLimits
+from tailbeat.session.series import Options, Until, swim_series
+from tailbeat.session.travel import travel_next
 from tailbeat.session.trial_camera import default_camera
 
 if TYPE_CHECKING:
@@ -184,8 +192,6 @@ class Worker:
                 stop()
 
     def _greet(self, fish: Fish) -> None:
-        from tailbeat.board.provision import connect_notice
-
         info = fish.info()
         self._heard()
         self._restarted = False
@@ -263,8 +269,6 @@ class Worker:
 
     def _set_param(self, fish: Fish, name: str, value: float) -> None:
         """Noted in the experiment the page goes on in; without one in the logbook alone."""
-        from tailbeat.experiment.current import note_board, note_set
-
         held = fish.params.set(name, value)
         if self._experiment is not None:
             note_set(fish, {held.name: held.value}, self._experiment)
@@ -311,8 +315,6 @@ class Worker:
         self._set(imu=words, imu_well=not faults)
 
     def _look_at_reference(self, fish: Fish) -> None:
-        from tailbeat.core.records import decode_reference
-
         record = fish.reference_record()
         params = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "BATT_LOW_V")}
         found = decode_reference(record) if record is not None else None
@@ -330,9 +332,6 @@ class Worker:
 
     def _look_ahead(self, fish: Fish) -> None:
         """How far the swim that START begins will come."""
-        from tailbeat.experiment.library import logbook_of
-        from tailbeat.session.travel import travel_next
-
         try:
             travel = ""
             if self.now.reference_m_s:
@@ -348,8 +347,6 @@ class Worker:
 
     def _find_experiment(self, fish: Fish) -> None:
         """The one this fish is in, if it can go on there."""
-        from tailbeat.experiment.current import current, require_same
-
         found = current(fish)
         try:
             if found is not None:
@@ -374,8 +371,6 @@ class Worker:
         return there and status.iteration == 0
 
     def _begin(self, fish: Fish) -> None:
-        from tailbeat.experiment.current import begin, make
-
         named = self._reference
         if named is not None and named.crc == fish.status().reference_crc:
             made = make(fish, self.root, named)
@@ -389,15 +384,13 @@ class Worker:
         self._experiment = experiment
         if experiment is not None:
             try:
-                if count := page.bring(self.root, self.now.unique_id, experiment):
+                if count := notes.bring(self.root, self.now.unique_id, experiment):
                     self._say(f"{count} earlier note(s) written into {experiment.name}")
             except (TailbeatError, OSError) as error:
                 self._trouble(error)
         self._look_at_trials()
 
     def _look_at_trials(self) -> None:
-        from tailbeat.experiment.analysis import analyse
-
         name = self._experiment.name if self._experiment is not None else ""
         if self._experiment is None or not any(self._experiment.raw.glob("*.ulg")):
             self._set(rows=(), floor_m_s=None, start_error_m_s=None, verdict="", experiment=name)
@@ -416,8 +409,6 @@ class Worker:
         )
 
     def _upload(self, fish: Fish, reference: Reference) -> None:
-        from tailbeat.core.reference import ReferenceLimits
-
         limits = ReferenceLimits.from_params({n: p.value for n, p in fish.params.list().items()})
         if problems := reference.check(limits):
             raise InputError(
@@ -440,7 +431,7 @@ class Worker:
                 self._experiment.note(text, at)
                 self._say(f"noted: {text}")
             else:
-                page.put_by(self.root, self.now.unique_id, text, at)
+                notes.put_by(self.root, self.now.unique_id, text, at)
                 self._say(f"noted, for the experiment that the first swim begins: {text}")
         except (TailbeatError, OSError) as error:
             self._trouble(error)
@@ -448,10 +439,6 @@ class Worker:
     # A series.
 
     def _swim(self, fish: Fish, until: str, ritual: bool) -> None:
-        from tailbeat.session.outcome import KINDS
-        from tailbeat.session.preflight.step import PreflightLimits
-        from tailbeat.session.series import Options, Until, swim_series
-
         wanted = (self.wanted or PreflightLimits()) if ritual else None
         options = Options(until=Until.parse(until), wanted=wanted, counts=KINDS)
         if self._experiment is None or self._swam_before(fish, self._experiment):
@@ -536,8 +523,6 @@ def _from_the_page(words: str) -> str:
 def _sensible(what: str, values: dict[str, Any]) -> Ask:
     """Checked where it is asked, so that who asked hears of it."""
     if what == "swim":
-        from tailbeat.session.series import Until
-
         until = str(values.get("until", "1"))
         Until.parse(until)
         return Ask(what, {"until": until, "ritual": bool(values.get("ritual", True))})
