@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tailbeat.board import presets
 from tailbeat.board.connect import is_simulated
+from tailbeat.board.fish import Fish
 from tailbeat.board.presets import THESIS
 from tailbeat.core import law as laws
 from tailbeat.core import reference
@@ -27,18 +28,17 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import Experiment
-from tailbeat.report.demo_data import Series, Swim
-from tailbeat.report.demo_page import write_html
-from tailbeat.report.demo_picture import render_png
+from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound_solve import plant_config
+from tailbeat.learning.fish_model import FishModel, swim_of
+from tailbeat.learning.identification import Identified
+from tailbeat.link.messages import LearnReport
+from tailbeat.report.paper import write_report
+from tailbeat.session.identify import Attendant, identify_fish
+from tailbeat.session.model_step import next_step, setting_of, upload
 from tailbeat.session.trial import run_trial
+from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.config import DEFAULT_SEED
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.learning.fish_model import FishModel
-    from tailbeat.learning.identification import Identified
-    from tailbeat.link.messages import LearnReport
-    from tailbeat.sim.board import SimulatedBoard
 
 AMPLITUDE_MAX_RAD = THESIS["AMP_MAX_RAD"]
 LEAD_BEATS = {"thesis": THESIS["ILC_LEAD"]}  # the thesis's plant has no delay
@@ -108,12 +108,11 @@ class Mismatch(TailbeatError):
 
 
 def run_demo(options: DemoOptions, progress: Progress = lambda done, text: None) -> DemoResult:
-    """Runs the demo and writes the experiment folder with report.html and report.png."""
+    """Runs the demo and writes the experiment folder with its report."""
     if options.trials < 1:
         raise InputError(f"{options.trials} trials are no demo.", "Give --trials 1 or more.")
     if options.law not in LAWS:
         raise InputError(f"there is no law '{options.law}'.", f"Use {' or '.join(LAWS)}.")
-    from tailbeat.board.fish import Fish
 
     with Fish.connect(_address(options), **options.overrides) as fish:
         return _Demo(fish, options).run(progress)
@@ -162,8 +161,9 @@ class _Demo:
             progress((i - 1) / count, f"trial {i} of {count}")
             self._one_trial(experiment)
         progress(1.0, "report")
+        experiment.note(f"demo: {count} trials")
         floor = self._floor()
-        result = DemoResult(
+        return DemoResult(
             plant=self.plant,
             gain=self.options.gain,
             lead=self.lead,
@@ -171,12 +171,10 @@ class _Demo:
             floor_m_s=floor[0],
             floor_lsq_m_s=floor[1],
             trials=self.rows,
-            report=experiment.folder / "report.html",
+            report=write_report(experiment).page,
             law=self.options.law,
             identified=self.identified.model if self.identified else None,
         )
-        self._report(experiment, result)
-        return result
 
     def _prepare(self) -> None:
         fish = self.fish
@@ -194,7 +192,6 @@ class _Demo:
         self.info = fish.info()
 
     def _identify(self, progress: Progress) -> None:
-        from tailbeat.session.identify import Attendant, identify_fish
 
         attendant = Attendant(
             before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}")
@@ -273,7 +270,7 @@ class _Demo:
             true_max_abs_error_m_s=true,
             max_abs_error_25hz_m_s=fine,
             saturated_beats=report.saturated_beats,
-            distance_m=distance_m(trial),
+            distance_m=float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * trial.beat_s,
             duration_s=trial.executed_beats * self.reference.beat_s,
             end=trial.end,
         )
@@ -291,8 +288,6 @@ class _Demo:
     def _floor(self) -> tuple[float | None, float | None]:
         if self.sim is None:
             return None, None
-        from tailbeat.learning.error_bound import floor
-        from tailbeat.learning.error_bound_solve import plant_config
 
         fixed = ("seed", "plant")
         values = {name: v for name, v in self.sim.config.items() if name not in fixed}
@@ -300,71 +295,11 @@ class _Demo:
         found = floor(config, self.reference, AMPLITUDE_MAX_RAD)
         return found.minimax_m_s, found.lsq_max_abs_m_s
 
-    def _settings(self) -> dict[str, str]:
-        settings = {name: f"{value:g}" for name, value in self.params.items()}
-        if self.identified is not None:
-            return {"law": "model", "fish": identified_text(self.identified.model), **settings}
-        return settings
-
-    def _law_text(self) -> str:
-        lead = f"{self.lead:g} beat{'' if self.lead in (0.5, 1) else 's'}"
-        return f"gain {self.options.gain:g} rad·s/m, lead {lead}"
-
-    def _report(self, experiment: Experiment, result: DemoResult) -> None:
-        series = self._series(result)
-        png = render_png(series, experiment.folder / "report.png")
-        write_html(series, png, result.report)
-        experiment.note(f"demo: {len(self.trials)} trials, see report.html")
-
-    def _series(self, result: DemoResult) -> Series:
-        simulated = self.info.simulated
-        who = "A simulated fish" if simulated else "The fish"
-        board = "emulated board, " if self.info.board == "emulated" else ""
-        plant = f"{plant_text(self.plant, self.sim)}, seed {result.seed}; " if self.sim else ""
-        law = f"law P, {self._law_text()}"
-        if self.identified is not None:
-            drag = self.identified.model.kappa_per_m
-            law = f"law model, identified drag/mass {drag:.1f} 1/m"
-        swims = [
-            Swim(
-                iteration=row.iteration,
-                number=row.trial,
-                speed_m_s=trial.beats.speed_m_s,
-                amplitude_rad=trial.beats.applied_rad,
-                max_abs_error_m_s=row.max_abs_error_m_s,
-                rms_error_m_s=row.rms_error_m_s,
-                saturated_beats=row.saturated_beats,
-                distance_m=row.distance_m,
-                end=row.end,
-            )
-            for row, trial in zip(self.rows[1:], self.trials, strict=True)
-        ]
-        return Series(
-            title=f"{who} learns the {self.reference.name} speed profile",
-            subtitle=f"{board}{plant}{law}",
-            simulated=simulated,
-            reference_name=self.reference.name,
-            reference_m_s=self.reference.speed_m_s,
-            beat_s=self.reference.beat_s,
-            amplitude_max_rad=AMPLITUDE_MAX_RAD,
-            start_error_m_s=self.rows[0].max_abs_error_m_s,
-            floor_m_s=result.floor_m_s,
-            floor_lsq_m_s=result.floor_lsq_m_s,
-            swims=swims,
-            settings=self._settings(),
-            versions={
-                "tailbeat": _version(),
-                "firmware": self.info.build_id,
-                "board": f"{self.info.board} board {self.info.unique_id}",
-            },
-        )
-
 
 class Teacher:
     """Gives the board the model's amplitudes; what they came from goes into the experiment."""
 
     def __init__(self, fish: Fish, identified: Identified, experiment: Experiment) -> None:
-        from tailbeat.session.model_step import setting_of
 
         self.fish, self.identified, self.experiment = fish, identified, experiment
         self.setting = setting_of(fish)
@@ -372,8 +307,6 @@ class Teacher:
 
     def teach(self, trials: list[Trial]) -> None:
         """After ``trials``, all since the identification."""
-        from tailbeat.learning.fish_model import swim_of
-        from tailbeat.session.model_step import next_step, upload
 
         step = next_step(self.setting, self.identified, [swim_of(trial) for trial in trials])
         name = f"proposal-{len(trials) + 1:04d}.json"
@@ -428,18 +361,6 @@ def same_bits(a: F32, b: F32) -> bool:
     return bool(np.all(same | (np.isnan(a) & np.isnan(b))))
 
 
-def distance_m(trial: Trial) -> float:
-    """Measured distance, m; beats without a speed count as 0."""
-    return float(np.nansum(trial.beats.speed_m_s.astype(np.float64))) * trial.beat_s
-
-
-def plant_text(plant: str, sim: SimulatedBoard | None) -> str:
-    """The plant in a few words."""
-    if plant == "tank" and sim is not None:
-        return f"tank plant, drag/mass {sim.config['kappa_per_m']:g} 1/m"
-    return f"{plant} plant"
-
-
 def _zero_row(wanted: reference.Reference) -> DemoTrial:
     """Iteration 0, the zero input: its error is the reference."""
     speed = wanted.speed_m_s.astype(np.float64)
@@ -466,12 +387,3 @@ def _make_room(old: Experiment) -> None:
             f"{old.folder} holds an experiment that no demo made.", "Choose another --out."
         )
     old.clear()
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("tailbeat")
-    except PackageNotFoundError:
-        return "unknown"

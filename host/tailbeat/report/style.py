@@ -405,3 +405,24 @@ def level(axes: Axes, value: float, text: str, **how: Any) -> None:
         xycoords=("axes fraction", "data"), textcoords="offset points", fontsize=size,
         ha="left" if left else "right", va="bottom" if above else "top", color=INK, zorder=5,
     )  # fmt: skip
+
+
+# Of the pictures that one command draws as PNG.
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 14,
+    "axes.edgecolor": "0.55",
+    "axes.labelcolor": "0.15",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 15,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 12,
+    "text.color": "0.15",
+    "xtick.color": "0.15",
+    "ytick.color": "0.15",
+    "xtick.labelsize": 13,
+    "ytick.labelsize": 13,
+}

@@ -13,7 +13,7 @@ from tailbeat.core.files import replace_file
 from tailbeat.learning.fit_quality import NAMES, Account, SwimAccount, steady_band
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.speed_table import Table
-from tailbeat.report.demo_picture import STYLE
+from tailbeat.report.style import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

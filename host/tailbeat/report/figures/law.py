@@ -11,7 +11,7 @@ import numpy as np
 
 from tailbeat.core.files import replace_file
 from tailbeat.learning.design import Design
-from tailbeat.report.demo_picture import STYLE
+from tailbeat.report.style import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

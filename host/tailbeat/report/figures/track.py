@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
-from tailbeat.report.demo_picture import STYLE
+from tailbeat.report.style import STYLE
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.speed.smoother import STEPS_PER_BEAT, SpeedCurve
 from tailbeat.sensors.camera.tracking.track import LOST, Track

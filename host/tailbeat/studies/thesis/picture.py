@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.files import replace_file
 from tailbeat.core.lazy import lazy
-from tailbeat.report.demo_picture import STYLE
+from tailbeat.report.style import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
