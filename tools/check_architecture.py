@@ -20,25 +20,21 @@ import grimp
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "tailbeat"
 
-# How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines, 20
-# imports inside functions, 60 lines a function, no class name twice, no circle.
+# How things are; these numbers and lists only get smaller. The goals: 230 files, 36 000 lines.
 FILES_MAX = 280
-CODE_LINES_MAX = 43_100
+CODE_LINES_MAX = 42_800
 IMPORTS_IN_FUNCTIONS_MAX = 20
 LONGER_FILES = {
-    "app/demo.py": 480,
-    "app/web/worker.py": 570,
+    "app/web/worker.py": 560,
     "experiment/analysis.py": 605,
     "learning/convergence.py": 485,
     "report/page.py": 455,
     "session/series.py": 460,
     "session/trial.py": 480,
 }
-CLASSES_TWICE = {"Band", "Series", "Swim"}
-CIRCLES = True  # among the files of session, and of app/web
 
 FILE_LINES_MAX = 450
-FUNCTION_LINES_MAX = 61  # its options apart, when it is a command
+FUNCTION_LINES_MAX = 60  # its options apart, when it is a command
 DTYPE_ALIASES = "core/arrays.py"  # the only file that names an NDArray type
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -111,7 +107,7 @@ def class_offences(found: list[Module]) -> Iterator[str]:
             if "NDArray" in said and "float" in said and module.path != DTYPE_ALIASES:
                 yield f"{module.path}:{statement.lineno}: array types are in {DTYPE_ALIASES}"
     for name, paths in sorted(where.items()):
-        if len(paths) > 1 and name not in CLASSES_TWICE:
+        if len(paths) > 1:
             yield f"class {name} is in {', '.join(sorted(paths))}"
 
 
@@ -138,8 +134,6 @@ def import_offences(found: list[Module]) -> Iterator[str]:
         yield f"{len(inside)} imports inside functions, at most {IMPORTS_IN_FUNCTIONS_MAX}: " + (
             ", ".join(inside)
         )
-    if CIRCLES:
-        return
     graph = grimp.build_graph(PACKAGE, cache_dir=None)
     order = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
     try:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.core.trial_file import Beats, Slots, Trial
-from tailbeat.experiment.analysis import Analysis, Band, TrialRow, with_noise
+from tailbeat.experiment.analysis import Analysis, IterationStatistics, TrialRow, with_noise
 
 LIMIT_RAD = 0.6
 BEATS = 40
@@ -94,7 +94,7 @@ def row(swim: Trial, decision: str = "keep", **fields: Any) -> TrialRow:
     return replace(made, **fields)
 
 
-def band_of(rows: Sequence[TrialRow]) -> Band:
+def band_of(rows: Sequence[TrialRow]) -> IterationStatistics:
     counted = [r for r in rows if r.counts and r.complete]
     iterations = sorted({r.iteration for r in counted})
     columns: list[list[float]] = [[] for _ in range(6)]
@@ -105,7 +105,7 @@ def band_of(rows: Sequence[TrialRow]) -> Band:
             for n, part in enumerate((50, 5, 95)):
                 columns[3 * at + n].append(float(np.percentile(values, part)))
     swims = [sum(r.iteration == iteration for r in counted) for iteration in iterations]
-    return Band(
+    return IterationStatistics(
         np.array(iterations, np.int64), np.array(swims, np.int64), *(np.array(c) for c in columns)
     )
 

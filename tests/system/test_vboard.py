@@ -125,7 +125,7 @@ def test_demo_command_tells_all_a_simulator_knows(image: Path, tmp_path: Path) -
     assert found["floor_m_s"] == pytest.approx(0.0008, abs=0.0002)
     trial = found["trials"][1]
     assert trial["true_max_abs_error_m_s"] == pytest.approx(trial["max_abs_error_m_s"], abs=2e-4)
-    assert "emulated board" in (tmp_path / "report.html").read_text()
+    assert "emulated" in (tmp_path / "report" / "report.html").read_text()
     assert json.loads((tmp_path / "settings.json").read_text())["board"] == "emulated"
 
 
@@ -140,7 +140,7 @@ def test_a_short_demo_knows_it_is_emulated(image: Path, tmp_path: Path) -> None:
     assert (found.plant, found.seed, found.lead) == ("thesis", 7, 0)
     true = found.trials[1].true_max_abs_error_m_s
     assert true == pytest.approx(found.trials[1].max_abs_error_m_s, abs=2e-4)
-    assert "emulated board" in found.report.read_text()
+    assert "emulated" in found.report.read_text()
     assert json.loads((tmp_path / "out" / "settings.json").read_text())["board"] == "emulated"
 
 

@@ -104,7 +104,7 @@ class TrialRow:
 
 
 @dataclass(frozen=True)
-class Band:
+class IterationStatistics:
     """Per iteration of the last epoch, over its complete swims that count (max|e| of a part of the
     beats says nothing of the whole): how many, median and 5 to 95 % band of max|e| and RMS; of one
     swim all three are the same. Shape (iterations,)."""
@@ -143,7 +143,7 @@ class Analysis:
     conditions: dict[str, Any]
     rows: list[TrialRow]
     trials: list[Trial]
-    band: Band
+    band: IterationStatistics
     floor_m_s: float
     floor_lsq_m_s: float
     noise_m_s: float
@@ -519,7 +519,7 @@ def student_t(freedom: int) -> float:
     return float(stdtrit(freedom, (1 + _CONFIDENCE) / 2))
 
 
-def _band(rows: Sequence[TrialRow]) -> Band:
+def _band(rows: Sequence[TrialRow]) -> IterationStatistics:
     last = max((row.epoch for row in rows), default=0)
     counting = [row for row in rows if row.counts and row.complete and row.epoch == last]
     iterations = sorted({row.iteration for row in counting})
@@ -529,7 +529,7 @@ def _band(rows: Sequence[TrialRow]) -> Band:
         values = [np.percentile([getattr(r, name) for r in group], _BAND) for group in groups]
         columns.append(np.array(values, dtype=np.float64).reshape(-1, len(_BAND)).T)
     largest, rms = columns
-    return Band(
+    return IterationStatistics(
         iteration=np.array(iterations, dtype=np.int64),
         swims=np.array([len(group) for group in groups], dtype=np.int64),
         max_median_m_s=largest[1],

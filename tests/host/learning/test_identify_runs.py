@@ -18,7 +18,7 @@ from tailbeat.app.cli import run
 from tailbeat.app.cli.board import _reference
 from tailbeat.app.cli.identify import _attendant
 from tailbeat.board import preserve
-from tailbeat.board.fish import Event, Fish
+from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import reference
 from tailbeat.core.arrays import F64
@@ -30,7 +30,7 @@ from tailbeat.learning.fish_model import Conditions, FishModel, Swim
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.fit_quality import account_of, from_trials
 from tailbeat.learning.identification_runs import Course, Limits, Run, identify_runs
-from tailbeat.link.messages import BeatEvent
+from tailbeat.link.messages import BeatEvent, Event
 from tailbeat.session.identify import Attendant, identify_fish, set_params
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.experiment.analysis import Analysis, Band, TrialRow
+from tailbeat.experiment.analysis import Analysis, IterationStatistics, TrialRow
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
@@ -93,7 +93,9 @@ def _value(row: TrialRow, what: str) -> float:
     return row.max_abs_error_m_s if what == "max" else row.rms_error_m_s
 
 
-def _median_and_band(axes: Axes, band: Band, look: Look, what: str, lane: tuple[int, int]) -> None:
+def _median_and_band(
+    axes: Axes, band: IterationStatistics, look: Look, what: str, lane: tuple[int, int]
+) -> None:
     median, low, high = (1e3 * one for one in _of_band(band, what))
     middle, width = swims.lane(*lane)
     x = band.iteration + middle
@@ -108,7 +110,7 @@ def _median_and_band(axes: Axes, band: Band, look: Look, what: str, lane: tuple[
     )  # fmt: skip
 
 
-def _of_band(band: Band, what: str) -> tuple[F64, ...]:
+def _of_band(band: IterationStatistics, what: str) -> tuple[F64, ...]:
     if what == "max":
         return band.max_median_m_s, band.max_low_m_s, band.max_high_m_s
     return band.rms_median_m_s, band.rms_low_m_s, band.rms_high_m_s

@@ -188,7 +188,7 @@ def test_demo_prints_one_document(alone: Shell, tmp_path: Path) -> None:
     assert (document["seed"], len(document["trials"])) == (4, 2)
     text = alone.text("sim", "demo", "--trials", "1", "--out", str(tmp_path))
     assert "error bound 10.4 mm/s" in text
-    assert text.splitlines()[-1] == f"report {tmp_path / 'report.html'}"
+    assert text.splitlines()[-1] == f"report {tmp_path / 'report' / 'report.html'}"
 
 
 def test_wrong_calls(alone: Shell) -> None:
