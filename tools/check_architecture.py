@@ -25,12 +25,13 @@ FILES_MAX = 280
 CODE_LINES_MAX = 42_800
 IMPORTS_IN_FUNCTIONS_MAX = 20
 LONGER_FILES = {
+    "board/fish.py": 585,  # the interface to a board, a third of it the contracts of its methods
+    "experiment/folder.py": 585,  # likewise, of an experiment
     "app/web/worker.py": 560,
-    "experiment/analysis.py": 605,
+    "experiment/analysis.py": 602,
     "learning/convergence.py": 485,
-    "report/page.py": 455,
     "session/series.py": 460,
-    "session/trial.py": 480,
+    "session/trial.py": 507,
 }
 
 FILE_LINES_MAX = 450

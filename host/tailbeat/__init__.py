@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from tailbeat.board.fish import Fish
+    from tailbeat.core import reference
     from tailbeat.core.errors import TailbeatError
     from tailbeat.core.law import Law
     from tailbeat.core.reference import Reference
@@ -33,6 +34,7 @@ __all__ = [
     "TailbeatError",
     "Trial",
     "read_trial",
+    "reference",
     "run_trial",
 ]
 

@@ -79,7 +79,24 @@ _STOPPED = ("ABORTED", "FAULT")
 
 
 class Fish:
-    """One connected board. Use as a context manager, or close() it."""
+    """One connected board. Use as a context manager, or close() it.
+
+    Parameters
+    ----------
+    transport : Transport
+        An open way to the board, which it closes; ``Fish.connect`` makes one from an address.
+
+    Attributes
+    ----------
+    link : Link
+        The MAVLink conversation: commands, requests, messages as they come.
+    clock : BoardClock
+        The board's clock as seen from here.
+    params : Parameters
+        Its parameters.
+    ftp : FtpClient
+        Its files.
+    """
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
@@ -91,17 +108,26 @@ class Fish:
 
     @classmethod
     def connect(cls, url: str | None = None, /, **sim_overrides: float) -> Fish:
-        """Opens the connection and greets the board.
+        """Open the connection and greet the board.
 
         Parameters
         ----------
-        url : address as for ``--connect``, for example ``sim:tank?seed=1``; None finds the fish.
-        **sim_overrides : values of the simulator, SI units; only with a simulated board.
+        url : str, optional
+            Address as for ``--connect``, for example ``sim:tank?seed=1``; default: find the fish.
+        **sim_overrides : float
+            Values of the simulator, SI units; only with a simulated board.
+
+        Returns
+        -------
+        Fish
+            The connected board.
 
         Raises
         ------
-        ConnectError : no board answers there.
-        InputError : the address makes no sense.
+        ConnectError
+            No board answers there.
+        InputError
+            The address makes no sense.
         """
         transport = open_transport(url, **sim_overrides)
         try:
@@ -168,8 +194,10 @@ class Fish:
         return ImuInfo.of(self.link.request("TAILBEAT_IMU_INFO"))
 
     def imu_verdict(self) -> ImuInfo:
-        """The same once the board knows: a few seconds after its start, the IMU's, or a change of
-        the IMU's parameters."""
+        """``imu_info`` once the board knows.
+
+        That is a few seconds after its start, the IMU's, or a change of the IMU's parameters.
+        """
         end_s = self.clock.now_s() + _IMU_VERDICT_S
         while (
             info := self.imu_info()
@@ -182,23 +210,48 @@ class Fish:
         self.link.command(mavlink.TAILBEAT_CMD_IMU_SAVE)
 
     def imu_frames(self, duration_s: float = math.inf) -> Generator[ImuFrame, None, None]:
-        """The IMU's raw frames as they come, for so long of board time. Close the generator, or
-        use it up, to end the stream."""
+        """Stream the IMU's raw frames as they come.
+
+        Close the generator, or use it up, to end the stream.
+
+        Parameters
+        ----------
+        duration_s : float
+            Board time, s; default: for ever.
+
+        Yields
+        ------
+        ImuFrame
+            One frame after the other.
+
+        Raises
+        ------
+        LinkLostError
+            The board is silent.
+        """
         return imu_frames(self.link, self.clock, duration_s)
 
     def upload_reference(
         self, reference: bytes | Reference, progress: Progress | None = None
     ) -> int:
-        """Makes ``reference`` the board's; does nothing when the board has it already.
+        """Make a reference the board's; do nothing when the board has it already.
 
         Parameters
         ----------
-        reference : a ``Reference``, or its record (docs/protocol.md).
-        progress : told how many bytes of how many are sent.
+        reference : Reference or bytes
+            The reference, or its record (docs/protocol.md).
+        progress : callable, optional
+            Gets how many bytes of how many are sent.
 
         Returns
         -------
-        The CRC by which the reference is known.
+        int
+            The CRC by which the reference is known.
+
+        Raises
+        ------
+        Refused
+            The board does not take it: too fast, too long, a trial is pending, ...
         """
         record = reference if isinstance(reference, bytes) else reference.record()
         crc = records.record_crc(record)
@@ -215,7 +268,18 @@ class Fish:
         return self._record("/reference.bin")
 
     def past_record(self, path: str) -> bytes | None:
-        """A past trial that the board's average looks back on, see records.past_path."""
+        """Read a past trial that the board's average includes.
+
+        Parameters
+        ----------
+        path : str
+            As ``records.past_path`` gives it.
+
+        Returns
+        -------
+        bytes or None
+            The record; None: there is none.
+        """
         return self._record(path)
 
     def crash_report(self) -> CrashReport | None:
@@ -236,15 +300,17 @@ class Fish:
             raise
 
     def upload_amplitudes(self, amplitude_rad: ArrayLike) -> None:
-        """Makes amplitudes computed elsewhere the input of the next trial.
+        """Make amplitudes computed elsewhere the input of the next trial.
 
         Parameters
         ----------
-        amplitude_rad : shape (beats,), rad, 0 or more, for the board's reference.
+        amplitude_rad : array_like, shape (beats,)
+            Amplitudes, rad, 0 or more, for the board's reference.
 
         Raises
         ------
-        Refused : the board has no reference, or does not take them.
+        Refused
+            The board has no reference, or does not take them.
         """
         crc = self.status().reference_crc
         if crc is None:
@@ -262,24 +328,53 @@ class Fish:
         return records.encode_learned(status, self.amplitudes(), best, visits, peaks)
 
     def upload_learned(self, record: bytes) -> None:
-        """Makes ``record`` all that the board has learned; it must be of the board's reference."""
-        self._upload(records.FILE_LEARNED, record)
-
-    def upload_speeds(self, trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> None:
-        """Gives the pending trial its speeds.
+        """Make a record all that the board has learned.
 
         Parameters
         ----------
-        trial : its number.
-        speed_m_s : mean speed of each beat, shape (beats,), m/s; NaN = not measured.
-        sigma_m_s : their standard deviations, a scalar or shape (beats,), m/s.
+        record : bytes
+            Of ``learned_record``, for the board's reference.
+
+        Raises
+        ------
+        Refused
+            It is of another reference, or damaged.
+        """
+        self._upload(records.FILE_LEARNED, record)
+
+    def upload_speeds(self, trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> None:
+        """Give the pending trial its speeds.
+
+        Parameters
+        ----------
+        trial : int
+            Its number.
+        speed_m_s : array_like, shape (beats,)
+            Mean speed of each beat, m/s; NaN = not measured.
+        sigma_m_s : array_like
+            Their standard deviations, m/s; a scalar or shape (beats,).
+
+        Raises
+        ------
+        Refused
+            Another trial is pending, or none.
         """
         record = records.encode_speeds(trial, speed_m_s, sigma_m_s)
         self._upload(records.FILE_SPEEDS, record)
 
     def arm(self, blink_s: float = 0.0) -> None:
-        """Ready to swim; the LED blinks for so long (60 s at most) before it is lit for good.
-        Refused when a trial is pending, without a reference, …"""
+        """Get ready to execute a trial.
+
+        Parameters
+        ----------
+        blink_s : float
+            The LED blinks for so long, 0 to 60 s, before it is lit for good.
+
+        Raises
+        ------
+        Refused
+            A trial is pending, there is no reference, the battery is low, ...
+        """
         self.link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0, blink_s)
 
     def disarm(self) -> None:
@@ -291,24 +386,38 @@ class Fish:
         self.link.command(mavlink.TAILBEAT_CMD_CLEAR)
 
     def abort(self, wall: bool = False) -> None:
-        """Stops the tail now; ``wall``: because the fish comes too close to one (fault WALL)."""
+        """Stop the tail now.
+
+        Parameters
+        ----------
+        wall : bool
+            Because the fish comes too close to a wall (fault WALL).
+
+        Raises
+        ------
+        LinkLostError
+            The board does not answer.
+        """
         reason = mavlink.TAILBEAT_ABORT_WALL if wall else mavlink.TAILBEAT_ABORT_COMMAND
         self.link.command(mavlink.TAILBEAT_CMD_TRIAL_ABORT, float(reason), timeout_s=0.3)
 
     def learn(self, trial: int | None = None) -> LearnReport:
-        """Learns from the pending trial.
+        """Learn from the pending trial.
 
         Parameters
         ----------
-        trial : its number, if known; another number is refused.
+        trial : int, optional
+            Its number, if known; another number is refused.
 
         Returns
         -------
-        Errors of the trial in m/s, and what the law did with them.
+        LearnReport
+            Errors of the trial in m/s, and what the law did with them.
 
         Raises
         ------
-        Refused : nothing is pending, or the board is stopped.
+        Refused
+            Nothing is pending, or the board is stopped.
         """
         number = trial if trial is not None else self._pending()
         heard: list[Message] = []
@@ -330,7 +439,18 @@ class Fish:
         return LearnReport.of(report)
 
     def discard(self, trial: int | None = None) -> None:
-        """Drops the pending trial without learning; its log stays."""
+        """Drop the pending trial without learning; its log stays.
+
+        Parameters
+        ----------
+        trial : int, optional
+            Its number, if known; another number is refused.
+
+        Raises
+        ------
+        Refused
+            Nothing is pending.
+        """
         number = trial if trial is not None else self._pending()
         try:
             self.link.command(mavlink.TAILBEAT_CMD_DISCARD, float(number))
@@ -343,34 +463,38 @@ class Fish:
         self.link.command(mavlink.TAILBEAT_CMD_RESTORE_BEST)
 
     def amplitudes(self, best: bool = False) -> Amplitudes:
-        """The feedforward input of the next trial or of the best so far, bit for bit.
+        """Read the feedforward input of the next trial or of the best so far, bit for bit.
 
         Parameters
         ----------
-        best : the best input as it was applied, instead of the next one (unsaturated).
+        best : bool
+            The best input as it was applied, instead of the next one (unsaturated).
 
         Returns
         -------
-        Amplitudes, ``values`` of float32, shape (beats,), rad.
+        Amplitudes
+            ``values`` of float32, shape (beats,), rad.
         """
         return self._memory.amplitudes(best)
 
     def visits(self) -> NDArray[np.uint8] | None:
-        """How many trials have corrected each beat.
+        """Read how many trials have corrected each beat.
 
         Returns
         -------
-        Shape (beats,), at most 255; None when the board does not count them.
+        ndarray of uint8, shape (beats,), or None
+            At most 255; None when the board does not count them.
         """
         return self._memory.visits()
 
     def peaks(self) -> F32 | None:
-        """The best trial's largest errors.
+        """Read the best trial's largest errors.
 
         Returns
         -------
-        |e| at their beats, m/s, shape (beats,), 0 at all others; negative where it is an earlier
-        best's, at a beat that the best did not measure. None: the board does not keep them.
+        ndarray of float32, shape (beats,), or None
+            |e| at their beats, m/s, 0 at all others; negative where it is an earlier best's, at a
+            beat that the best did not measure. None: the board does not keep them.
         """
         return self._memory.peaks()
 
@@ -384,17 +508,26 @@ class Fish:
         return sorted(found, key=lambda trial: trial.number)
 
     def pull_trial(self, number: int, folder: Path, progress: Progress | None = None) -> Path:
-        """Copies a trial's log; resumes what an earlier call began.
+        """Copy a trial's log; resume what an earlier call began.
 
         Parameters
         ----------
-        number : of the trial.
-        folder : where ``NNNN.ulg`` is written.
-        progress : told how many bytes of how many have come.
+        number : int
+            Of the trial.
+        folder : Path
+            Where ``NNNN.ulg`` is written.
+        progress : callable, optional
+            Gets how many bytes of how many have come.
 
         Returns
         -------
-        The file.
+        Path
+            The file.
+
+        Raises
+        ------
+        TransferError
+            There is no such trial, or the copy failed.
         """
         name = f"{number:04d}.ulg"
         local = folder / name

@@ -7,7 +7,15 @@ from __future__ import annotations
 
 
 class TailbeatError(Exception):
-    """Base of all errors this package raises on purpose."""
+    """Base of all errors that this package raises on purpose.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, in one line.
+    remedy : str
+        What to do about it; empty when there is nothing to do.
+    """
 
     def __init__(self, message: str, remedy: str = "") -> None:
         super().__init__(message, remedy)

@@ -58,7 +58,33 @@ _REFUSALS = {
 
 @dataclass(frozen=True)
 class Law:
-    """Mirror of ``law_t``; the plain law of the thesis (8.16) is ``Law(kp_rad_s_m=gamma)``."""
+    """The learning law of the board, mirror of ``law_t`` (firmware/ilc/law.h).
+
+    The plain P-type law of the thesis (8.16) is ``Law(kp_rad_s_m=gamma)``.
+
+    Attributes
+    ----------
+    kp_rad_s_m : float
+        Learning gain on the speed error, rad s/m.
+    kd_rad_s2_m : float
+        Gain on the error's change from beat to beat, rad s^2/m.
+    amplitude_max_rad : float
+        Saturation: the largest amplitude, rad; above 0.
+    step_max_rad : float
+        Largest change of an amplitude per trial, rad; 0 = no limit.
+    beat_s : float
+        Length of a beat, s.
+    lead_beats : float
+        How far the error is looked at ahead, beats; a multiple of 0.5.
+    fade : float
+        Decrease of the gain: a beat's gain is divided by 1 + fade * (updates beyond fade_from).
+    fade_from : int
+        Number of updates of a beat from which its gain decreases.
+    q_len : int
+        Length of the zero-phase filter, beats; 1 = none.
+    tail : int
+        Extension of the error beyond the end of the trial, 0 to 3 (``ILC_END_EXT``).
+    """
 
     kp_rad_s_m: float = 4.0
     kd_rad_s2_m: float = 0.0
@@ -73,7 +99,25 @@ class Law:
 
     @classmethod
     def from_params(cls, params: Mapping[str, float], beat_s: float = 1.0) -> Law:
-        """The law the board runs with these parameters."""
+        """Make the law that the board runs with these parameters.
+
+        Parameters
+        ----------
+        params : mapping of str to float
+            Board parameters by name, units as in docs/protocol.md; may hold more than the law's.
+        beat_s : float
+            Length of a beat, s.
+
+        Returns
+        -------
+        Law
+            The law.
+
+        Raises
+        ------
+        KeyError
+            A parameter of the law is missing.
+        """
         known = _SINCE_FADE | dict(params)
         values: dict[str, Any] = {field: known[name] for name, field in _PARAMS.items()}
         for field in _WHOLE:
@@ -81,7 +125,18 @@ class Law:
         return cls(**values, beat_s=beat_s)
 
     def native(self, ffi: Any) -> Any:
-        """A ``law_t *`` with these values."""
+        """Make a ``law_t`` for the C code.
+
+        Parameters
+        ----------
+        ffi : cffi.FFI
+            Of ``core.native``.
+
+        Returns
+        -------
+        cdata
+            A ``law_t *``, which lives as long as somebody holds it.
+        """
         return ffi.new("law_t *", vars(self))
 
     def label(self) -> str:

@@ -57,9 +57,16 @@ class ReferenceLimits:
 
 @dataclass(frozen=True)
 class Reference:
-    """Wanted mean speed per beat.
+    """Reference speed profile of a trial: the mean speed of every beat.
 
-    ``speed_m_s``: float32, shape (beats,), m/s. ``beat_s``: length of a beat, s.
+    Attributes
+    ----------
+    beat_s : float
+        Length of a beat, s; above 0.
+    speed_m_s : ndarray of float32, shape (beats,)
+        Mean speed of each beat, m/s; 0 or more, 1 to 512 beats.
+    name : str
+        Name in reports and folder names.
     """
 
     beat_s: float
@@ -82,7 +89,18 @@ class Reference:
         return float(np.sum(self.speed_m_s, dtype=np.float64)) * self.beat_s
 
     def check(self, limits: ReferenceLimits) -> list[ReferenceProblem]:
-        """Everything that would make the board or the tank refuse this reference."""
+        """Check whether board and tank can take the reference.
+
+        Parameters
+        ----------
+        limits : ReferenceLimits
+            What the board and the tank allow.
+
+        Returns
+        -------
+        list of ReferenceProblem
+            What speaks against it, with a remedy each; empty when nothing does.
+        """
         if not 1 <= self.beats <= BEATS_MAX:
             return [
                 ReferenceProblem(
@@ -113,8 +131,20 @@ class Reference:
         return int.from_bytes(self.record()[8:12], "little")
 
     def to_csv(self, path: Path) -> None:
-        """Writes ``beat,t_s,v_m_s``: the beat means, t_s the middle of each beat; ``from_csv``
-        reads the very same reference."""
+        """Write ``beat,t_s,v_m_s``: the beat means, t_s the middle of each beat, s.
+
+        ``from_csv`` reads the very same reference.
+
+        Parameters
+        ----------
+        path : Path
+            The file; it is replaced in one step.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
         with replacing_text(path) as file:
             out = csv.writer(file, lineterminator="\n")
             out.writerow(["beat", "t_s", "v_m_s"])

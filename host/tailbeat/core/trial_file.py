@@ -109,7 +109,43 @@ class Beats:
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial as its file tells it."""
+    """One trial as its log tells it.
+
+    Attributes
+    ----------
+    number, iteration : int
+        Number of the trial on its board (1 = first), and of its amplitudes' iteration.
+    reference_crc : int
+        Identity of the reference, the CRC-32 of its record.
+    beat_s : float
+        Length of a beat, s.
+    start_us : int
+        Start by the board's clock, us since it booted.
+    board, build_id, unique_id : str
+        Kind of the board, build of its firmware, and its unique id in hexadecimal digits.
+    end_fault : int or None
+        Fault number of the end, 0 = complete; None: the file has no end record.
+    executed_beats : int
+        Beats that were executed.
+    end : str
+        ``complete``, ``aborted:REASON``, ``fault:NAME`` or ``unfinished``.
+    uploaded : bool
+        Whether the speeds were given after the trial.
+    params : dict of str to float
+        The board's parameters at the start, by their present names.
+    slots : Slots
+        What was known of each 0.1 s.
+    rest_before, rest_after : Rest or None
+        What the IMU measured at rest; None: nothing.
+    beats : Beats
+        Reference, amplitude, speed and error of each beat; arrays of shape (beats,).
+    battery_v : list of (float, float)
+        Time since the start, s, and voltage, V.
+    problems : list of str
+        What is wrong with the file, one line each.
+    input : str
+        What made the amplitudes: law, first, uploaded, restored; empty = not known.
+    """
 
     number: int
     iteration: int
@@ -153,7 +189,23 @@ def fault_text(number: int) -> str:
 
 
 def read_trial(path: Path) -> Trial:
-    """Reads a trial file. A file cut short is read as far as it goes; ``problems`` says so."""
+    """Read a trial file; one that was cut short as far as it goes.
+
+    Parameters
+    ----------
+    path : Path
+        The ULog file of a trial.
+
+    Returns
+    -------
+    Trial
+        The trial; ``problems`` says what is missing.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is no trial.
+    """
     try:
         raw = path.read_bytes()
     except FileNotFoundError as error:

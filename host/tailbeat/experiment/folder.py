@@ -50,7 +50,13 @@ _DIGEST_DIGITS = 64
 
 @dataclass(frozen=True)
 class Experiment:
-    """A series of trials on disk."""
+    """A series of trials on disk.
+
+    Attributes
+    ----------
+    folder : Path
+        Its folder, with ``settings.json``, ``raw/``, ``journal.jsonl`` and ``notes.md``.
+    """
 
     folder: Path
 
@@ -58,7 +64,27 @@ class Experiment:
     def new(
         cls, root: Path, fish: str, reference: str, law: str, now: datetime | None = None
     ) -> Experiment:
-        """Makes ``root/DATE_fish_reference_law_NN`` with the first NN that is free."""
+        """Make ``root/DATE_fish_reference_law_NN`` with the first NN that is free.
+
+        Parameters
+        ----------
+        root : Path
+            Folder of all experiments; it is made when it is missing.
+        fish, reference, law : str
+            Names of the three for settings and folder name.
+        now : datetime, optional
+            When it is made; default: now.
+
+        Returns
+        -------
+        Experiment
+            The new experiment.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be made.
+        """
         date = (now or datetime.now()).strftime("%Y-%m-%d")
         stem = "_".join([date, _slug(fish), _slug(reference), _slug(law)])
         for number in range(1, 1000):
@@ -78,7 +104,27 @@ class Experiment:
     def at(
         cls, folder: Path, fish: str, reference: str, law: str, now: datetime | None = None
     ) -> Experiment:
-        """Makes the experiment in exactly this folder, which must not hold one yet."""
+        """Make the experiment in exactly this folder.
+
+        Parameters
+        ----------
+        folder : Path
+            It must not hold an experiment yet.
+        fish, reference, law : str
+            Names of the three for settings and folder name.
+        now : datetime, optional
+            When it is made; default: now.
+
+        Returns
+        -------
+        Experiment
+            The new experiment.
+
+        Raises
+        ------
+        InputError
+            The folder holds an experiment.
+        """
         if (folder / _SETTINGS).exists():
             raise InputError(
                 f"{folder} already holds an experiment.", "Choose another folder, or remove it."
@@ -109,12 +155,39 @@ class Experiment:
 
     @staticmethod
     def is_at(folder: Path) -> bool:
-        """Whether the folder holds one."""
+        """Whether the folder holds an experiment.
+
+        Parameters
+        ----------
+        folder : Path
+            Any folder; it need not exist.
+
+        Returns
+        -------
+        bool
+            Whether it has ``settings.json``.
+        """
         return (folder / _SETTINGS).is_file()
 
     @classmethod
     def open(cls, folder: Path) -> Experiment:
-        """An existing experiment."""
+        """Open an existing experiment.
+
+        Parameters
+        ----------
+        folder : Path
+            Its folder.
+
+        Returns
+        -------
+        Experiment
+            The experiment.
+
+        Raises
+        ------
+        InputError
+            The folder holds none.
+        """
         if not cls.is_at(folder):
             raise InputError(
                 f"{folder} is no experiment.", "List them with: tailbeat experiment list"
@@ -145,8 +218,23 @@ class Experiment:
         return self.folder / _EXPORT
 
     def require_own(self, folder: Path) -> Path:
-        """``folder``, which is made by this package within the experiment's. Raises InputError when
-        it is a link that leads out of it: nothing is written or deleted elsewhere."""
+        """Check that a folder made by this package lies within the experiment's.
+
+        Parameters
+        ----------
+        folder : Path
+            Nothing is written or deleted elsewhere through a link.
+
+        Returns
+        -------
+        Path
+            The same folder.
+
+        Raises
+        ------
+        InputError
+            It is a link that leads out of the experiment.
+        """
         if not folder.resolve().is_relative_to(self.folder.resolve()):
             raise InputError(
                 f"{folder} is a link to {folder.resolve()}, outside the experiment.",
@@ -171,14 +259,38 @@ class Experiment:
         return of_document(values)
 
     def write_settings(self, values: dict[str, Any]) -> None:
-        """Adds to the settings; what is there under other keys stays."""
+        """Add to the settings; what is there under other keys stays.
+
+        Parameters
+        ----------
+        values : dict
+            JSON types.
+
+        Raises
+        ------
+        InputError
+            The disk is full, or the settings are damaged.
+        """
         with self.changing():
             old = self.settings() if (self.folder / _SETTINGS).exists() else {}
             text = json.dumps(old | values, indent=2) + "\n"
             write_whole(self.folder / _SETTINGS, text, _MAKE_ROOM)
 
     def note(self, text: str, now: datetime | None = None) -> None:
-        """Adds a line with the time to the notes, and to the journal. Raises InputError."""
+        """Add a line with the time to the notes, and to the journal.
+
+        Parameters
+        ----------
+        text : str
+            One line.
+        now : datetime, optional
+            Time of the note; default: now.
+
+        Raises
+        ------
+        InputError
+            The disk is full.
+        """
         moment = now or datetime.now()
         self.journal.add("note", moment, text=text.strip())
         stamp = moment.strftime("%Y-%m-%d %H:%M:%S")
@@ -192,8 +304,25 @@ class Experiment:
         return (self.folder / _NOTES).read_text(encoding="utf-8")
 
     def add_raw(self, name: str, content: bytes) -> Path:
-        """Keeps ``content`` unchanged for ever, lasting when it returns. The same content again
-        does nothing; another content under a name that is taken is refused."""
+        """Keep content unchanged for ever, lasting on the disk when it returns.
+
+        Parameters
+        ----------
+        name : str
+            File name in ``raw/``.
+        content : bytes
+            The same content again does nothing.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            Another content has this name, or the disk is full.
+        """
         with self.changing():
             return self._add_raw(name, content)
 
@@ -214,8 +343,25 @@ class Experiment:
         return path
 
     def keep_raw(self, name: str, content: bytes) -> Path:
-        """As ``add_raw``, but under the next free name (``NAME-2.EXT``) where the name is taken by
-        another content. What a file already holds, or holds the beginning of, is not kept again."""
+        """Keep content as ``add_raw`` does, under the next free name.
+
+        Parameters
+        ----------
+        name : str
+            ``NAME-2.EXT`` is used where it is taken by another content.
+        content : bytes
+            What a file already holds, or holds the beginning of, is not kept again.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            999 names are taken, or the disk is full.
+        """
         stem, dot, ending = name.partition(".")
         with self.changing():
             for number in range(1, _TAKEN_MAX):
@@ -228,9 +374,24 @@ class Experiment:
         raise InputError(f"{self.raw} is full of {name}.", "Start a new experiment.")
 
     def keep_trial(self, path: Path) -> Path:
-        """Copies a trial's file into the raw files, named by the number in it; where it is there.
-        Another trial with a number that is taken (the board began again) becomes ``NNNN-2.ulg``.
-        Raises InputError: not a trial file, or the disk is full."""
+        """Copy a trial's file into the raw files, named by the number in it.
+
+        Parameters
+        ----------
+        path : Path
+            A trial file. Another trial with a number that is taken (the board began again) becomes
+            ``NNNN-2.ulg``.
+
+        Returns
+        -------
+        Path
+            The copy.
+
+        Raises
+        ------
+        InputError
+            It is no trial file, or the disk is full.
+        """
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -240,8 +401,10 @@ class Experiment:
         return self.keep_raw(f"{parse_trial(content, path.name).number:04d}.ulg", content)
 
     def sums(self) -> dict[str, str]:
-        """SHA-256 of every raw file by name, in the order they were added. A line torn by the end
-        of power says nothing."""
+        """SHA-256 of every raw file by name, in the order they were added.
+
+        A line torn by the end of power says nothing.
+        """
         try:
             text = (self.raw / _SUMS).read_text(encoding="utf-8", errors="replace")
         except FileNotFoundError:
@@ -297,8 +460,10 @@ class Experiment:
         return sorted(name for name in unlisted if name and not (self.raw / name).exists())
 
     def trial_files(self) -> list[Path]:
-        """Every trial's file, in the order they were swum: by the journal, else by number, or by
-        when they were added where numbers came twice."""
+        """Every trial's file, in the order of the trials.
+
+        By the journal, else by number, or by when they were added where numbers came twice.
+        """
         return _in_order(
             {path.name: path for path in self.raw.glob("*.ulg")},
             [str(entry.get("file", "")) for entry in self.journal.entries("swum")],

@@ -88,24 +88,56 @@ def run_trial(
     reconnect_s: float = 60.0,
     direction_rad: float = 0.0,
 ) -> TrialOutcome:
-    """Swims the next trial and returns when the board has stopped and the trial is stored.
+    """Execute the next trial; return when the board has stopped and the trial is stored.
 
-    Arms if needed. ``camera`` gives positions (None: that of a simulated board, if it is one); its
-    speeds along ``direction_rad`` (of the fish at its start, in the tank's frame; 0 = along x) go
-    to the board as they come. ``guard`` sees every frame and beat, how time passes
-    without a frame (camera.base.Unseen), the beginning (Afresh) and the end (CameraGone), until the
-    last beat is swum; it aborts the trial by returning a reason; one of kind WALL
-    leaves the last beats unmeasured. When the camera sees what makes no sense (two fish), the trial
-    is aborted and that is raised at the end. Whatever else is raised stops the tail first.
-    Ctrl-C aborts, waits for the stop and returns (``interrupted``); a second
-    one ends the waiting. When the link breaks this tries for ``reconnect_s`` to learn how the trial
-    ended, then raises LinkLostError; the board stops by its own rules.
+    Arms the board if needed. When the camera sees what makes no sense (two fish), the trial is
+    aborted and that is raised at the end. Whatever else is raised stops the tail first. Ctrl-C
+    aborts, waits for the stop and returns (``interrupted``); a second one ends the waiting.
+
+    Parameters
+    ----------
+    fish : Fish
+        The connected board, idle or armed, with a reference.
+    camera : Camera, optional
+        Gives positions; its speeds go to the board as they come. Default: that of a simulated
+        board, if it is one. The caller closes it.
+    on_event : callable, optional
+        Gets every event (``session.events``) in this thread; must return at once.
+    guard : callable, optional
+        Sees every frame and beat, how time passes without a frame (``core.frames.Unseen``), the
+        begin of a track and the end of the camera, until the last beat; it aborts the trial by
+        returning a ``StopReason``; one of kind WALL leaves the last beats unmeasured.
+    reconnect_s : float
+        How long a broken link is tried again, s of the transport's clock.
+    direction_rad : float
+        Direction of the fish at its start in the tank's frame, rad; 0 = along x.
+
+    Returns
+    -------
+    TrialOutcome
+        How it ended, with the beats as they were reported.
+
+    Raises
+    ------
+    Refused
+        The board does not arm or start: a pending trial, no reference, a low battery, ...
+    LinkLostError
+        The link broke and stayed so; the board stops by its own rules.
     """
-    own_camera = None
-    if camera is None:
-        camera = own_camera = default_camera(fish)
     run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
     run.direction_rad = direction_rad
+    if camera is not None:
+        return _execute(run, camera)
+    own = default_camera(fish)
+    try:
+        return _execute(run, own)
+    finally:
+        if own is not None:
+            own.close()
+
+
+def _execute(run: _Run, camera: Camera | None) -> TrialOutcome:
+    fish = run.fish
     stop_listening = fish.link.subscribe(lambda message: _hear(run, message))
     heartbeat_period_s = fish.link.heartbeat_period_s
     fish.link.heartbeat_period_s = _HEARTBEAT_S
@@ -131,8 +163,6 @@ def run_trial(
     finally:
         stop_listening()
         fish.link.heartbeat_period_s = heartbeat_period_s
-        if own_camera is not None:
-            own_camera.close()
 
 
 def _stop(run: _Run) -> None:

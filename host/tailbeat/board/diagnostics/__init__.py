@@ -23,8 +23,25 @@ MEASURE_S = 3.0
 
 
 def examine(url: str | None = None, measure_s: float = MEASURE_S) -> list[Finding]:
-    """Every check in turn; None finds the fish. Ends early when no board is heard. ``measure_s``:
-    how long the link is watched. Raises InputError for an address that makes no sense."""
+    """Run every check in turn; end early when no board is heard.
+
+    Parameters
+    ----------
+    url : str, optional
+        Address as for ``--connect``; default: find the fish.
+    measure_s : float
+        How long the link is watched, s.
+
+    Returns
+    -------
+    list of Finding
+        The results, in the order of the checks.
+
+    Raises
+    ------
+    InputError
+        The address makes no sense.
+    """
     findings, transport = evidence.reach(url)
     if transport is None:
         return findings
@@ -37,7 +54,20 @@ def examine(url: str | None = None, measure_s: float = MEASURE_S) -> list[Findin
 
 
 def look_at(fish: Fish, measure_s: float = 1.0) -> list[Finding]:
-    """Link, IMU and battery of a connected fish: what matters before it swims."""
+    """Check link, IMU and battery of a connected fish: what matters before a trial.
+
+    Parameters
+    ----------
+    fish : Fish
+        The connected board; nothing changes on it.
+    measure_s : float
+        How long the link is watched, s.
+
+    Returns
+    -------
+    list of Finding
+        The results.
+    """
 
     found = of_connected(fish, measure_s)
     return [check(found) for check in checks.BEFORE_A_SWIM]

@@ -36,7 +36,21 @@ Figures = dict[str, Figure]
 
 @dataclass(frozen=True)
 class Finding:
-    """One check's result: how it went, in words, what to do, and the figures behind it."""
+    """One check's result.
+
+    Attributes
+    ----------
+    name : str
+        Of the check.
+    status : str
+        ``OK``, ``WARNING`` or ``PROBLEM``.
+    text : str
+        What was found, in words.
+    remedy : str
+        What to do about it; empty when there is nothing to do.
+    measured : mapping
+        The figures behind it, by name; units in the names.
+    """
 
     name: str
     status: str
@@ -51,7 +65,18 @@ class Finding:
 
 
 def worst(findings: list[Finding]) -> str:
-    """The worst status among them."""
+    """Find the worst status among findings.
+
+    Parameters
+    ----------
+    findings : list of Finding
+        Any number of them.
+
+    Returns
+    -------
+    str
+        ``PROBLEM``, ``WARNING`` or ``OK``.
+    """
     found = {finding.status for finding in findings}
     return next((status for status in (PROBLEM, WARNING) if status in found), OK)
 

@@ -31,7 +31,15 @@ class Layout:
 
 @dataclass(frozen=True)
 class Binary:
-    """One checked binary frame. ``offset``: of its sync byte in the stream."""
+    """One checked binary frame.
+
+    Attributes
+    ----------
+    offset : int
+        Of its sync byte in the stream.
+    data : bytes
+        The whole frame, header and CRC included.
+    """
 
     offset: int
     data: bytes
@@ -63,8 +71,23 @@ class Binary:
 
 @dataclass(frozen=True)
 class AsciiLine:
-    """One checked ASCII line. ``fields``: the texts between the commas, the type first;
-    ``values``: empty when it is no measurement; ``error``: $VNERR's code, otherwise 0."""
+    """One checked ASCII line.
+
+    Attributes
+    ----------
+    offset : int
+        Of its first byte in the stream.
+    data : bytes
+        The whole line.
+    fields : tuple of str
+        The texts between the commas, the type first.
+    check, check_bits : int
+        Its checksum as it was sent, and how many bits that has: 8 or 16.
+    values : dict of str to float or int
+        By name, units in the names; empty when it is no measurement.
+    error : int
+        Code of a ``$VNERR`` line, otherwise 0.
+    """
 
     offset: int
     data: bytes
@@ -104,7 +127,13 @@ class Counters:
 
 
 class Reader:
-    """Takes bytes in chunks of any size and gives the messages in them, each once."""
+    """Takes bytes in chunks of any size and gives the messages in them, each once.
+
+    Attributes
+    ----------
+    bytes : int
+        Taken in so far.
+    """
 
     def __init__(self) -> None:
         self.bytes = 0  # taken in so far
@@ -115,7 +144,18 @@ class Reader:
         lib.imu_reader_init(self._reader, ffi.NULL, 0)
 
     def push(self, data: bytes) -> list[Message]:
-        """Messages that ``data`` completes."""
+        """Take bytes in.
+
+        Parameters
+        ----------
+        data : bytes
+            The next bytes of the stream, any number.
+
+        Returns
+        -------
+        list of Message
+            The messages that they complete.
+        """
         found: list[Message] = []
         buffer = ffi.from_buffer("uint8_t[]", data)
         taken = 0
@@ -160,7 +200,20 @@ class Reader:
 
 
 def decode(data: bytes | Iterable[bytes], reader: Reader | None = None) -> Iterator[Message]:
-    """All messages of a recording, or of the chunks it comes in; ``reader`` counts."""
+    """Decode all messages of a recording.
+
+    Parameters
+    ----------
+    data : bytes or iterable of bytes
+        The recording, or the chunks it comes in.
+    reader : Reader, optional
+        Counts what was read; default: a new one.
+
+    Yields
+    ------
+    Message
+        In the order of the stream.
+    """
     reader = reader or Reader()
     if isinstance(data, bytes):
         whole = data

@@ -107,7 +107,19 @@ def _count(which: Any) -> int:
 
 
 class StreamSummary:
-    """Collects messages; keeps 16 bytes per frame that has a time."""
+    """Collects the messages of a stream; keeps 16 bytes per frame that has a time.
+
+    Attributes
+    ----------
+    binary_valid, ascii_valid : int
+        Frames and lines so far.
+    ascii_types : dict of str to int
+        Lines of each type.
+    errors : dict of int to int
+        How often the sensor reported each error code.
+    end_of_last : int
+        Offset behind the last message.
+    """
 
     def __init__(self) -> None:
         self.binary_valid = 0
@@ -120,7 +132,13 @@ class StreamSummary:
         self._streams: dict[str, _Stream] = {}
 
     def add(self, message: Message) -> None:
-        """One more message, in order."""
+        """Take one more message in, in order.
+
+        Parameters
+        ----------
+        message : Message
+            Of ``Reader`` or ``decode``.
+        """
         self.end_of_last = message.offset + len(message.data)
         if isinstance(message, Binary):
             self.binary_valid += 1
@@ -151,8 +169,21 @@ class StreamSummary:
         return [stream.report(kind) for kind, stream in self._streams.items()]
 
     def document(self, counters: Counters, size_bytes: int) -> dict[str, Any]:
-        """All that is known, as JSON has it. Chains: x = x * 31 + check, modulo 2^32, over the
-        checks as they were sent; None without any."""
+        """Put all that is known together, as JSON has it.
+
+        Parameters
+        ----------
+        counters : Counters
+            Of the reader.
+        size_bytes : int
+            Of the stream.
+
+        Returns
+        -------
+        dict
+            Counts, rates, losses and hints. Chains: x = x * 31 + check, modulo 2^32, over the
+            checks as they were sent; None without any.
+        """
         streams = self.streams()
         rates = [s.rate_hz for s in streams if s.rate_hz is not None]
         durations = [s.duration_s for s in streams if s.duration_s is not None]
