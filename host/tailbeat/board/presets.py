@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
+from tailbeat.core.law import Law
 from tailbeat.link.params import Parameter
 
+_LAW = Law()
 THESIS: Mapping[str, float] = {
-    "AMP_MAX_RAD": math.pi / 4,
-    "DU_MAX_RAD": 0.0,
-    "ILC_GAIN": 4.0,
-    "ILC_KD": 0.0,
-    "ILC_LEAD": 0.0,
-    "ILC_END_EXT": 0.0,
-    "ILC_Q_LEN": 1.0,
-    "ILC_DECR_RATE": 0.0,
-    "ILC_KIND": 0.0,
+    "AMP_MAX_RAD": _LAW.amplitude_max_rad,
+    "DU_MAX_RAD": _LAW.step_max_rad,
+    **_LAW.params(),
 }
 """The learning law of (8.16) and its amplitude limit, as in the simulations of chapter 8."""
 

@@ -5,6 +5,10 @@ Every error says in one line what is wrong and what to do about it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 
 class TailbeatError(Exception):
     """Base of all errors that this package raises on purpose.
@@ -15,7 +19,14 @@ class TailbeatError(Exception):
         What is wrong, in one line.
     remedy : str
         What to do about it; empty when there is nothing to do.
+
+    Attributes
+    ----------
+    document : mapping
+        What a command has computed all the same, by the keys of its ``--json``.
     """
+
+    document: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self, message: str, remedy: str = "") -> None:
         super().__init__(message, remedy)

@@ -29,6 +29,7 @@ _PARAMS = {
     "ILC_Q_LEN": "q_len",
     "ILC_END_EXT": "tail",
 }
+_DESIGNED = ("ILC_GAIN", "ILC_KD", "ILC_LEAD", "ILC_END_EXT", "ILC_Q_LEN", "ILC_DECR_RATE")
 _SINCE_FADE = {"ILC_DECR_RATE": 0.0, "ILC_DECR_FROM": 5.0}  # files of older firmware have neither
 _SHORT = {
     "gain": "kp_rad_s_m",
@@ -123,6 +124,19 @@ class Law:
         for field in _WHOLE:
             values[field] = int(values[field])
         return cls(**values, beat_s=beat_s)
+
+    def params(self) -> dict[str, float]:
+        """The parameters that make it a board's law, which learns from the last trial alone; not
+        its limits, and not when the gain begins to fall."""
+        law = {name: float(getattr(self, _PARAMS[name])) for name in _DESIGNED}
+        return law | {"ILC_KIND": float(LAST)}
+
+    def words(self) -> str:
+        """``gain 4.57 rad s/m, lead 1 beat, no filter``."""
+        lead = f"lead {self.lead_beats:g} beat{'' if self.lead_beats == 1 else 's'}"
+        lead = lead if self.lead_beats else "no lead"
+        q = f"filter of length {self.q_len}" if self.q_len > 1 else "no filter"
+        return f"gain {self.kp_rad_s_m:g} rad s/m, {lead}, {q}"
 
     def native(self, ffi: Any) -> Any:
         """Make a ``law_t`` for the C code.

@@ -1,4 +1,4 @@
-"""Text that comes from outside (a board, a file, somebody's note), made safe to print.
+"""Text to print: what comes from outside (a board, a file, somebody's note) made safe; speeds.
 
 Control characters can make a terminal delete or replace what it shows, and characters that change
 the direction of writing deceive the reader. All are shown as escapes, like ``\\x1b``.
@@ -6,6 +6,7 @@ the direction of writing deceive the reader. All are shown as escapes, like ``\\
 
 from __future__ import annotations
 
+import math
 import unicodedata
 
 _UNSAFE = ("Cc", "Cf", "Cs", "Zl", "Zp")  # controls, formats, surrogates, line separators
@@ -19,6 +20,13 @@ def printable(text: str) -> str:
 def printable_lines(text: str) -> str:
     """As ``printable``, but line feeds stay."""
     return "\n".join(map(printable, text.split("\n")))
+
+
+def mm(value_m_s: float | None, unknown: str = "-") -> str:
+    """A speed in mm/s."""
+    if value_m_s is None or not math.isfinite(value_m_s):
+        return unknown
+    return f"{value_m_s * 1e3:.1f}"
 
 
 def _shown(sign: str) -> str:

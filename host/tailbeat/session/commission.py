@@ -37,7 +37,6 @@ from tailbeat.session.trim import apply, find_centre
 if TYPE_CHECKING:
     from tailbeat.board.fish import Fish
     from tailbeat.core.frames import Camera
-    from tailbeat.core.law import Law
     from tailbeat.core.reference import Reference
     from tailbeat.core.trial_checks import HeadingDrift
     from tailbeat.experiment.folder import Experiment
@@ -277,11 +276,13 @@ class _Session:
         found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
         if found.refused:
             return CommissionStep("design", False, found.refused)
-        set_and_save(self.fish, _law_params(found.law, params))
+        # the certificate is for kd = 0, a constant gain and the last trial alone
+        law = {name: value for name, value in found.law.params().items() if name in params}
+        set_and_save(self.fish, law)
         return CommissionStep(
             "design",
             True,
-            f"{_law_words(found.law)}: errors shrink most surely, steady ones to "
+            f"{found.law.words()}: errors shrink most surely, steady ones to "
             f"{found.ratio_dc:.2f} of themselves per trial, the worst to {found.ratio_max:.2f}; "
             f"gains from {found.static_gain_max:.2f} on would not learn",
         )
@@ -335,27 +336,6 @@ def _tank_question(params: dict[str, float]) -> str:
         f"By TANK_LEN_M the tank is {tank_m:.2f} m long and by FISH_LEN_M the fish {fish_m:.2f} m: "
         f"it may swim {tank_m - fish_m:.2f} m. Is that right?"
     )
-
-
-def _law_params(law: Law, params: dict[str, float]) -> dict[str, float]:
-    """As cli.design sets them: the certificate is for kd = 0, the last error held beyond the end, a
-    gain that stays, the last trial alone."""
-    wanted = {
-        "ILC_KD": law.kd_rad_s2_m,
-        "ILC_GAIN": law.kp_rad_s_m,
-        "ILC_LEAD": law.lead_beats,
-        "ILC_Q_LEN": float(law.q_len),
-        "ILC_END_EXT": float(law.tail),
-        "ILC_DECR_RATE": law.fade,
-        "ILC_KIND": 0.0,
-    }
-    return {name: value for name, value in wanted.items() if name in params}
-
-
-def _law_words(law: Law) -> str:
-    lead = f"lead {law.lead_beats:g} beat{'' if law.lead_beats == 1 else 's'}"
-    q = f", filter of length {law.q_len}" if law.q_len > 1 else ""
-    return f"gain {law.kp_rad_s_m:g} rad s/m, {lead if law.lead_beats else 'no lead'}{q}"
 
 
 def _params(fish: Fish) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.link.messages import LearnReport
 from tailbeat.session.events import (
@@ -32,13 +33,6 @@ _DECIDED = {
     "repeat": "counts as a repeat, nothing is learned; the same amplitudes swim again",
     "discard": "discarded, counts for nothing; the same amplitudes swim again",
 }
-
-
-def mm(value_m_s: float | None, unknown: str = "-") -> str:
-    """A speed in mm/s."""
-    if value_m_s is None or not math.isfinite(value_m_s):
-        return unknown
-    return f"{value_m_s * 1e3:.1f}"
 
 
 def alert(event: Event) -> str:

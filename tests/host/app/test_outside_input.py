@@ -113,7 +113,7 @@ def test_ctrl_c_while_the_program_starts(
     real = builtins.__import__
 
     def interrupted(name: str, *given: Any) -> Any:
-        if name == "typer":
+        if name == "tailbeat.app.cli.app":
             raise KeyboardInterrupt
         return real(name, *given)
 

@@ -238,7 +238,9 @@ def upload(board: SimBoard, capsys: pytest.CaptureFixture[str]) -> Upload:
     def command(path: Path, *words: str) -> tuple[int, Any, str]:
         status = run(["trial", "speeds", "1", str(path), *words, "--connect", "it", "--json"])
         out, err = capsys.readouterr()
-        return status, json.loads(out) if out else None, err
+        document = json.loads(out)
+        assert ("error" in document) is (status != 0)
+        return status, None if status else document, err
 
     return command
 

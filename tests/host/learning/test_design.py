@@ -449,7 +449,8 @@ def test_the_command_passes_4_and_refuses_10(csv: str, capsys: pytest.CaptureFix
     assert len(told["ratio"]) == len(told["frequency_cycles"])
     assert run(["session", "design", "--table", csv, "--gain", "10", "--json"]) == 1
     out, err = capsys.readouterr()
-    assert out == "" and "--force" in err and err.count("\n") == 1
+    assert "--force" in json.loads(out)["error"]["remedy"]
+    assert "--force" in err and err.count("\n") == 1
     assert run(["session", "design", "--table", csv, "--gain", "10", "--force"]) == 0
     assert "forced" in capsys.readouterr().out
 

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
+from tailbeat.app.cli._operator import TerminalOperator
+from tailbeat.app.cli._terminal import Display, json_asked
 from tailbeat.app.cli.board import _reference
-from tailbeat.app.cli.identify import _attendant
+from tailbeat.app.cli.identify import RunView
 from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot
@@ -533,17 +535,50 @@ def test_a_real_fish_waits_for_somebody(
     assert not list(tmp_path.rglob("before-identify"))
 
 
-def test_who_is_asked_what(capsys: pytest.CaptureFixture[str]) -> None:
-    """A simulated fish waits for nobody; its runs are told, and speeds by hand are asked for."""
+def test_a_run_is_announced_but_not_with_json(capsys: pytest.CaptureFixture[str]) -> None:
+    """A simulated fish waits for nobody."""
     still = np.zeros(3)
-    first = Run(1, "cruise", 0.3, still, still, 0.2, 0.4)
-    told = _attendant(Limits(0.75), None, False, alone=False, json=False, show=lambda *_: None)
-    told.before(first)
+    view = RunView(Limits(0.75), TerminalOperator(Display(), None), lambda *_: None)
+    view.before(Run(1, "cruise", 0.3, still, still, 0.2, 0.4))
     assert capsys.readouterr().err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
-    assert told.speeds is not None
-    silent = _attendant(Limits(0.75), None, False, alone=True, json=True, show=lambda *_: None)
-    silent.before(first)
-    assert capsys.readouterr().err == "" and silent.speeds is None
+    asked = json_asked.set(True)
+    view.before(Run(1, "cruise", 0.3, still, still, 0.2, 0.4))
+    json_asked.reset(asked)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("yes", [False, True])
+def test_speeds_that_are_uploaded_are_asked_for(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    board: SimBoard,
+    yes: bool,
+) -> None:
+    """Again, until a file fits; never with --yes."""
+    monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
+    with Fish.connect("sim") as fish:
+        fish.params.set("SPD_SOURCE", 1)
+    speeds = tmp_path / "speeds.csv"
+    asked: list[str] = []
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        if len(asked) == 1:
+            return str(tmp_path / "none.csv")
+        rows = enumerate(board.world.true_beats())
+        speeds.write_text("beat,speed_m_s\n" + "\n".join(f"{k},{v}" for k, v in rows))
+        return str(speeds)
+
+    monkeypatch.setattr("tailbeat.app.cli.identify.typer.prompt", answer)
+    status = run(["session", "identify", "--connect", "sim", *(["--yes"] if yes else [])])
+    err = capsys.readouterr().err
+    if yes:
+        assert status == 1 and "nobody is asked for the speeds" in err and not asked
+        return
+    assert status == 0, err
+    assert "none.csv" in err and "Speeds of trial 1 (CSV" in asked[0]
+    assert len(asked) == 5
 
 
 def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,8 @@ def test_bad_tables(
     path.write_text(text)
     assert run(["session", "identify", "--table", str(path), "--json"]) == 1
     out, err = capsys.readouterr()
-    assert out == ""
+    error = json.loads(out)["error"]
+    assert err.startswith(f"tailbeat: {error['message']}") and error["remedy"] in err
     assert says in err
     assert err.count("\n") == 1
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
-from tailbeat.app.cli._display import ended, ended_as_by_ctrl_c
+from tailbeat.app.cli._terminal import ended, ended_as_by_ctrl_c
 from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import preserved

@@ -87,12 +87,17 @@ class BadDay(Day):
         self.happens(beat, now)
 
     def says(self, *words: object) -> tuple[int, Any]:
-        """(exit status, JSON document or None); ``lines`` is what stood on stderr."""
+        """(exit status, JSON document without its error, or None); ``lines`` is what stood on
+        stderr."""
         status = run([*map(str, words), "--json", "--connect", "the board"])
         out, err = self.capsys.readouterr()
         self.lines = [line for line in err.splitlines() if NEWS not in line]
         assert "Traceback" not in err and all(len(line) < 400 for line in self.lines), err
-        return status, json.loads(out) if out else None
+        document = json.loads(out) if out else None
+        if document is not None and "error" in document:
+            error = document.pop("error")
+            assert " ".join(error["message"].split()).rstrip(".") in self.lines[-1]
+        return status, document or None
 
     def fish(self) -> Fish:
         return Fish(self.tank)

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import _experiment
-from tailbeat.app.cli._display import Display
-from tailbeat.app.cli.session import _person
+from tailbeat.app.cli._terminal import Display
+from tailbeat.app.cli.session import _operator
 from tailbeat.board import preserve
 from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot
@@ -351,7 +351,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert swapped.status().pending_trial == 5 and swapped.status().state == "ABORTED"
     swapped.clear()
     use(swapped, experiment)
-    _experiment.discard_and_keep(swapped, None, False, True, "why not")  # is not refused, either
+    _experiment.discard_and_keep(swapped, None, False, "why not")  # is not refused, either
     assert is_interrupted(swapped)
     assert experiment.journal.decisions().get(5) is None
     found = restore(swapped, experiment)
@@ -649,7 +649,7 @@ def test_of_a_repeat_only_whether_it_counts_is_asked(
     display = Display()
     monkeypatch.setattr(display, "ask", asked.append)
     restore(swapped, experiment)
-    repeat_best(swapped, experiment, _person(display, Typed(), False, repeats=True), ONE)
+    repeat_best(swapped, experiment, _operator(display, Typed(), False, repeats=True), ONE)
     assert asked == ["c = it counts, d = discard, Enter = it counts: "]
     assert experiment.journal.decisions()[5]["decision"] == "repeat"
 

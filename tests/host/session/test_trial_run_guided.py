@@ -15,9 +15,14 @@ import numpy as np
 import pytest
 
 from tailbeat.app.cli import run
-from tailbeat.app.cli._display import Display
-from tailbeat.app.cli._keyboard import Keys, TerminalGone, terminal_keys
-from tailbeat.app.cli._operator import TerminalOperator, Undecided
+from tailbeat.app.cli._operator import (
+    Keys,
+    TerminalGone,
+    TerminalOperator,
+    Undecided,
+    terminal_keys,
+)
+from tailbeat.app.cli._terminal import Display
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.experiment.folder import Experiment
@@ -446,7 +451,7 @@ def type_when_asked(keys: Keys, hand: int, monkeypatch: pytest.MonkeyPatch) -> N
         os.write(hand, b"bumped the wall\n")
         return real(descriptor, count)
 
-    monkeypatch.setattr("tailbeat.app.cli._keyboard.os.read", read)
+    monkeypatch.setattr("tailbeat.app.cli._operator.os.read", read)
 
 
 @posix

@@ -5,11 +5,9 @@ Only what Python has loaded already is imported here: Ctrl-C is caught from ``ma
 
 from __future__ import annotations
 
-import os
 import sys
 
 _INTERRUPTED = 130
-_OS_REMEDY = "Check the path, your rights there and the free space."
 
 
 def main() -> None:
@@ -22,54 +20,8 @@ def main() -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Runs one command and returns its exit status; errors are one line on stderr."""
-    import typer
+    """Runs one command and returns its exit status. An error is one line on stderr; with --json
+    also one JSON document on stdout, together with what the command has computed."""
+    from tailbeat.app.cli.app import run_command
 
-    from tailbeat.app.cli._lazy import typed_words
-    from tailbeat.app.cli.app import app
-    from tailbeat.core.errors import TailbeatError, reason
-
-    typed_words.set(tuple(sys.argv[1:] if arguments is None else arguments))
-    try:
-        result = app(arguments, prog_name="tailbeat", standalone_mode=False)
-        sys.stdout.flush()  # here a full disk can still be told
-    except TailbeatError as error:
-        return _fail(str(error), 1)
-    except typer.TyperException as error:
-        return _fail(_usage(error), error.exit_code)
-    except (typer.Abort, KeyboardInterrupt):
-        return _INTERRUPTED
-    except BrokenPipeError:
-        _discard_stdout()  # the reader has gone
-        return 1
-    except OSError as error:
-        _discard_stdout()
-        where = error.filename if error.filename is not None else "the output"
-        return _fail(f"cannot use {where} ({reason(error)}). {_OS_REMEDY}", 1)
-    return result if isinstance(result, int) else 0
-
-
-def _discard_stdout() -> None:
-    """What could not be written is not tried again, and failed again, at exit."""
-    import contextlib
-
-    with contextlib.suppress(OSError, ValueError):
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, sys.stdout.fileno())
-        os.close(null)
-
-
-def _usage(error: object) -> str:
-    from tailbeat.core.errors import sentence
-
-    message = " ".join(str(getattr(error, "format_message", lambda: error)()).split())
-    context = getattr(error, "ctx", None)
-    command = getattr(context, "command_path", "tailbeat")
-    return f"{sentence(message)} Try: {command} --help"
-
-
-def _fail(line: str, status: int) -> int:
-    from tailbeat.core.printable import printable
-
-    sys.stderr.write(f"tailbeat: {printable(line)}\n")
-    return status
+    return run_command(sys.argv[1:] if arguments is None else arguments)

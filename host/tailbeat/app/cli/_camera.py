@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from tailbeat.app.cli._lazy import opt
 from tailbeat.board.connect import tcp_address
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
@@ -33,6 +34,7 @@ from tailbeat.sensors.camera.sync.sync import sync_by_led
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import Tracker
+from tailbeat.session.events import Event, TrialRecorded, TrialStarted
 from tailbeat.session.guards import Guard, WallGuard
 from tailbeat.session.trial_camera import default_camera
 
@@ -44,25 +46,13 @@ LATE_MAX_S = 0.03
 class MarkerOptions:
     """What every command that looks through a camera asks for."""
 
-    calibration: Annotated[
-        Path | None,
-        typer.Option("--calibration", metavar="TANK.json", help="What 'camera calibrate' wrote."),
-    ] = None
-    marker: Annotated[
-        str, typer.Option("--marker", metavar="|".join(KINDS), help="What is on the fish.")
-    ] = "aruco"
+    calibration: Annotated[Path | None, opt("What 'camera calibrate' wrote.", "TANK.json")] = None
+    marker: Annotated[str, opt("What is on the fish.", "|".join(KINDS))] = "aruco"
     marker_id: Annotated[
-        int | None,
-        typer.Option("--marker-id", min=0, help="Number of the fish's marker; default: any one."),
+        int | None, opt("Number of the fish's marker; default: any one.", min=0)
     ] = None
-    marker_side: Annotated[
-        float | None,
-        typer.Option("--marker-side", metavar="M", help="Side of its black square, to check it."),
-    ] = None
-    latency: Annotated[
-        float,
-        typer.Option("--latency", metavar="S", help="How late a picture of a device arrives."),
-    ] = 0.0
+    marker_side: Annotated[float | None, opt("Side of its black square, to check it.", "M")] = None
+    latency: Annotated[float, opt("How late a picture of a device arrives.", "S")] = 0.0
 
     def on_fish(self) -> Marker:
         """The marker. Raises typer.BadParameter."""
@@ -84,10 +74,9 @@ class CameraOptions(MarkerOptions):
 
     camera: Annotated[
         str | None,
-        typer.Option(
-            "--camera",
-            metavar="DEVICE|tcp:HOST:PORT|rendered",
-            help="A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
+        opt(
+            "A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
+            "DEVICE|tcp:HOST:PORT|rendered",
         ),
     ] = None
 
@@ -102,13 +91,12 @@ class TankCameraOptions(CameraOptions):
 
     wall: Annotated[
         float | None,
-        typer.Option(
-            "--wall",
+        opt(
+            "Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
+            " default: where it can just still stop, by its drag.",
+            "M",
             min=0.0,
             max=2.0,
-            metavar="M",
-            help="Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
-            " default: where it can just still stop, by its drag.",
         ),
     ] = None
 
@@ -167,7 +155,12 @@ class LiveCamera:
     camera: Camera | None
     guard: Guard | None
     video: VideoCamera | None  # the same camera when it is one that takes pictures
-    recorder: Recorder | None = None  # its film is kept once told that a trial has begun
+    recorder: Recorder | None = None
+
+    def follow(self, event: Event) -> None:
+        """Films while a trial runs."""
+        if self.recorder is not None and isinstance(event, TrialStarted | TrialRecorded):
+            self.recorder.wanted = isinstance(event, TrialStarted)
 
 
 @contextmanager
@@ -177,7 +170,8 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[LiveCamera]:
     file = options.calibration
     known = None if file is None else load_calibration(file)
     if options.address is None or options.address.startswith("tcp:"):
-        with _positions(fish, options) as positions:
+        place = options.address and tcp_address(options.address)
+        with closing(RemoteCamera(*place)) if place else nullcontext() as positions:
             yield LiveCamera(positions, _guard(fish, known, options.wall_m), None)
         return
     with ExitStack() as stack:
@@ -186,29 +180,14 @@ def live_camera(fish: Fish, options: LiveOptions) -> Iterator[LiveCamera]:
         calibration.check_size(source.size_px, source.name)
         recorder = None
         if options.video is not None:
-            recorder = _recorder(options.video, source)
+            recorder = Recorder(options.video, source.size_px, source.fps)
             stack.callback(recorder.close)
             if known is None:
                 calibration.save(options.video.with_suffix(".tank.json"))
-        threaded = options.address != RENDERED
-        camera = _video_camera(source, options.marker, calibration, recorder, threaded)
+        tracker = Tracker(options.marker, calibration, source.name, glow=True)
+        camera = VideoCamera(source, tracker, options.address != RENDERED, recorder)
         stack.callback(camera.close)
         yield LiveCamera(camera, _guard(fish, calibration, options.wall_m), camera, recorder)
-
-
-def _recorder(film: Path, source: PictureSource) -> Recorder:
-    return Recorder(film, source.size_px, source.fps)
-
-
-@contextmanager
-def _positions(fish: Fish, options: LiveOptions) -> Iterator[Camera | None]:
-    """A camera that others look through; None = that of a simulated board, if it is one."""
-    if options.address is None:
-        yield None
-        return
-
-    with closing(RemoteCamera(*tcp_address(options.address))) as camera:
-        yield camera
 
 
 def _source(
@@ -230,17 +209,6 @@ def _source(
         marker_side_m=usual.marker_side_m if marker.side_m is None else marker.side_m,
     )
     return RenderedDevice(seen, scene), known or scene.calibration()
-
-
-def _video_camera(
-    source: PictureSource,
-    marker: Marker,
-    calibration: Calibration,
-    recorder: Recorder | None,
-    threaded: bool,
-) -> VideoCamera:
-    tracker = Tracker(marker, calibration, source.name, glow=True)
-    return VideoCamera(source, tracker, threaded, recorder)
 
 
 def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:

@@ -8,10 +8,11 @@ from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._terminal import echo, mm, progress_bar, table
+from tailbeat.app.cli._options import connected
+from tailbeat.app.cli._terminal import bytes_bar, table, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.printable import mm
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.compare import Comparison
 from tailbeat.experiment.current import current
@@ -23,7 +24,6 @@ from tailbeat.learning.verdict import progress_of
 from tailbeat.report.replay import Replay
 from tailbeat.report.style import freedom_words
 from tailbeat.session.decide import not_noted, noted_decision, pending_of, withdrawn_if_refused
-from tailbeat.session.outcome import DecisionKind
 
 
 def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:
@@ -40,10 +40,10 @@ def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:
     return found
 
 
-def tell_problems(experiment: Experiment) -> None:
+def warn_of_problems(experiment: Experiment) -> None:
     """On stderr, one line each: raw files are never wrong in silence."""
     for line in experiment.raw_problems():
-        echo(f"tailbeat: {line}; put a copy back, or do without that file", err=True)
+        warn(f"{line}; put a copy back, or do without that file")
 
 
 def listed(root: Path) -> tuple[list[dict[str, Any]], str]:
@@ -51,10 +51,9 @@ def listed(root: Path) -> tuple[list[dict[str, Any]], str]:
     rows: list[dict[str, Any]] = []
     lines = []
     for experiment in list_experiments(root):
-        trials, problems = len(list(experiment.raw.glob("*.ulg"))), experiment.raw_problems()
-        damaged = experiment.damaged()
+        trials, damaged = len(list(experiment.raw.glob("*.ulg"))), experiment.damaged()
         row = {"name": experiment.name, "folder": experiment.folder, "trials": trials}
-        rows.append({**row, "damaged": damaged, "problems": problems})
+        rows.append({**row, "damaged": damaged, "problems": experiment.raw_problems()})
         line = f"{experiment.name}  {trials} trial{'' if trials == 1 else 's'}"
         line += f"  DAMAGED: {', '.join(damaged)}" if damaged else ""
         unlisted = experiment.unlisted()
@@ -167,12 +166,10 @@ def keep_in_library(fish: Fish, path: Path) -> None:
         if (book := logbook_of(fish)) is not None:
             book.keep(path)
     except TailbeatError as error:
-        echo(f"tailbeat: not kept in the trial library: {error}", err=True)
+        warn(f"not kept in the trial library: {error}")
 
 
-def discard_and_keep(
-    fish: Fish, number: int | None, repeat: bool, quiet: bool, reason: str = ""
-) -> None:
+def discard_and_keep(fish: Fish, number: int | None, repeat: bool, reason: str = "") -> None:
     """Keeps the pending trial, then drops it without learning; only a ``repeat`` counts later. A
     trial that the library cannot keep (see stderr) is dropped all the same; one that belongs to
     an experiment only once it is there, with the ``reason``. Raises InputError (disk full), and
@@ -180,19 +177,18 @@ def discard_and_keep(
     pending = pending_of(fish, number, f"trial discard{_given(number, repeat, reason)}")
     noted = None
     if pending is not None:
-        kind: DecisionKind = "repeat" if repeat else "discard"
-        noted = noted_decision(fish, pending, kind, reason)
+        noted = noted_decision(fish, pending, "repeat" if repeat else "discard", reason)
     book, copy = None, None
     try:
         book = logbook_of(fish)
         if book is not None and pending is not None:
-            copy = _pulled(fish, book, pending, quiet)
+            copy = keep_pulled(fish, book, pending)
     except TailbeatError as error:
-        echo(f"tailbeat: not kept in the trial library: {error}", err=True)
+        warn(f"not kept in the trial library: {error}")
     with withdrawn_if_refused(noted):
         fish.discard(number)
     if noted is None and (line := not_noted(fish)):
-        echo(f"tailbeat: {line}", err=True)
+        warn(line)
     if book is not None and copy is not None and not repeat:
         book.mark(copy, DISCARDED)
 
@@ -205,40 +201,38 @@ def _given(number: int | None, repeat: bool, reason: str) -> str:
 
 
 def verdict_after_learning(
-    fish: Fish, number: int, rolled_back: bool, quiet: bool, kept: Path | None = None
+    fish: Fish, number: int, rolled_back: bool, kept: Path | None = None
 ) -> Verdict | None:
     """Assesses the trial by what the library has; fetches it unless it is ``kept`` there already.
     None without a library, or when the trial cannot be had (reported on stderr): the board has
     learned all the same."""
     try:
-        book = logbook_of(fish)
-        if book is None:
+        if (book := logbook_of(fish)) is None:
             return None
-        return _judged(book, kept or _pulled(fish, book, number, quiet), rolled_back)
+        kept = kept or keep_pulled(fish, book, number)
+        trials = [one.trial for one in book.kept(kept)[0] if not one.mark]
+        return progress_of(trials, None, sound_identified(book), (), rolled_back).verdict
     except TailbeatError as error:
-        echo(f"tailbeat: no assessment of trial {number}: {error}", err=True)
+        warn(f"no assessment of trial {number}: {error}")
         return None
 
 
-def _pulled(fish: Fish, book: Logbook, number: int, quiet: bool) -> Path:
-    with TemporaryDirectory() as folder, progress_bar(quiet, f"trial {number}") as show:
-        path = fish.pull_trial(
-            number,
-            Path(folder),
-            lambda done, total: show(done / max(total, 1), f"{done} bytes"),
-        )
-        return book.keep(path)
+def pull_with_bar(fish: Fish, number: int, folder: Path) -> Path:
+    """The trial's file, copied from the board into the folder."""
+    with bytes_bar(f"trial {number}") as show:
+        return fish.pull_trial(number, folder, show)
 
 
-def _judged(book: Logbook, kept: Path, rolled_back: bool) -> Verdict | None:
-    trials = [one.trial for one in book.kept(kept)[0] if not one.mark]
-    return progress_of(trials, None, sound_identified(book), (), rolled_back).verdict
+def keep_pulled(fish: Fish, book: Logbook, number: int) -> Path:
+    """The trial's file in the trial library, copied from the board."""
+    with TemporaryDirectory() as folder:
+        return book.keep(pull_with_bar(fish, number, Path(folder)))
 
 
 def warn_if_another(identified: Identified, unique_id: str) -> None:
     """Warns on stderr that the fish connected is not the one identified."""
     if identified.unique_id and identified.unique_id != unique_id:
-        echo(f"tailbeat: identified on another fish ({identified.unique_id})", err=True)
+        warn(f"identified on another fish ({identified.unique_id})")
 
 
 def sound_identified(book: Logbook) -> Identified | None:
@@ -246,7 +240,7 @@ def sound_identified(book: Logbook) -> Identified | None:
     try:
         return book.identified()
     except TailbeatError as error:
-        echo(f"tailbeat: {error}", err=True)
+        warn(error)
         return None
 
 

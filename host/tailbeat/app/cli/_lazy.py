@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from contextvars import ContextVar
+from contextlib import ExitStack
+from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property, wraps
 from importlib import import_module
 from inspect import Parameter, signature
 from itertools import groupby
 from types import MappingProxyType
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
+from typer.models import OptionInfo
 
+from tailbeat.app.cli._terminal import Output, json_asked, present
 from tailbeat.core.extras import need
 
 PACKAGE = "tailbeat.app.cli"
 _NONE: Mapping[str, str] = MappingProxyType({})
-
-typed_words: ContextVar[tuple[str, ...]] = ContextVar("typed_words", default=())
 
 
 @dataclass(frozen=True)
@@ -37,42 +38,79 @@ class Entry:
     needs: tuple[str, str, str] | None = None
     settings: Mapping[str, Any] | None = None
 
-    def load(self) -> Callable[..., None]:
+    def load(self) -> Callable[..., Output | None]:
         """The function that does it; imports its module."""
         if self.needs is not None:
             need(*self.needs)
         module, _, name = self.target.partition(":")
-        function: Callable[..., None] = getattr(import_module(f"{PACKAGE}.{module}"), name)
+        function: Callable[..., Output | None] = getattr(import_module(f"{PACKAGE}.{module}"), name)
         return function
 
 
-def unbundled(function: Callable[..., None]) -> Callable[..., None]:
-    """The same command for Typer: each option bundle, a dataclass whose fields are options, is
-    replaced by its fields."""
+def opt(help: str, metavar: str | None = None, name: str = "", **settings: Any) -> Any:
+    """An option. Its name is the parameter's, unless it has another one or two (``--x/--no-x``)."""
+    return typer.Option(..., *([name] if name else []), help=help, metavar=metavar, **settings)
+
+
+def arg(help: str = "", metavar: str | None = None, **settings: Any) -> Any:
+    """A positional argument."""
+    return typer.Argument(help=help or None, metavar=metavar, **settings)
+
+
+JSON = Annotated[bool, opt("Print one JSON document, nothing else.")]
+
+
+def command_of(function: Callable[..., Output | None]) -> Callable[..., None]:
+    """The same command for Typer. An option bundle, a dataclass whose fields are options, is
+    replaced by its fields; for ``Annotated[T, Bundle]`` the command gets what ``Bundle.open()``
+    gives for the length of the call. Every command has --json."""
     hints = get_type_hints(function, include_extras=True)
-    bundles: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    flat: dict[str, Parameter] = {}
+    del hints["return"]
+    bundles = {name: found for name, hint in hints.items() if (found := _bundle(hint))}
+    own: list[Parameter] = []
+    last: list[Parameter] = []  # options that stand at the end, as --connect and --json
     for name, parameter in signature(function).parameters.items():
         if name not in bundles:
-            flat[name] = parameter.replace(annotation=hints[name], kind=Parameter.KEYWORD_ONLY)
+            own.append(_parameter(name, hints[name], parameter.default))
             continue
         known = get_type_hints(bundles[name], include_extras=True)
-        for field in fields(bundles[name]):
-            flat[field.name] = Parameter(
-                field.name, Parameter.KEYWORD_ONLY, default=field.default,
-                annotation=known[field.name],
-            )  # fmt: skip
+        options = [_parameter(f.name, known[f.name], f.default) for f in fields(bundles[name])]
+        (own if is_dataclass(hints[name]) else last).extend(options)
+    last.append(_parameter("json", JSON, False))
 
     @wraps(function)
     def call(**given: Any) -> None:
-        for name, bundle in bundles.items():
-            given[name] = bundle(**{field.name: given.pop(field.name) for field in fields(bundle)})
-        function(**given)
+        json_asked.set(given.pop("json"))
+        with ExitStack() as stack:
+            for name, bundle in bundles.items():
+                made: Any = bundle(**{f.name: given.pop(f.name) for f in fields(bundle)})
+                opens = not is_dataclass(hints[name])
+                given[name] = stack.enter_context(made.open()) if opens else made
+            output = function(**given)
+        if output is not None:
+            present(output)
 
-    call.__signature__ = signature(call).replace(parameters=[*flat.values()])  # type: ignore[attr-defined]
-    call.__annotations__ = {name: one.annotation for name, one in flat.items()}
+    parameters = [*own, *last]
+    call.__signature__ = signature(call).replace(parameters=parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {one.name: one.annotation for one in parameters}
     del call.__wrapped__
     return call
+
+
+def _bundle(hint: Any) -> Any:
+    """The option bundle that a parameter stands for."""
+    candidates = (hint, *getattr(hint, "__metadata__", ()))
+    return next((one for one in candidates if isinstance(one, type) and is_dataclass(one)), None)
+
+
+def _parameter(name: str, hint: Any, default: Any) -> Parameter:
+    """An option without a name gets the parameter's; a switch has no --no-NAME."""
+    word = name.rstrip("_").replace("_", "-")
+    info = copy(hint.__metadata__[0])
+    if isinstance(info, OptionInfo):
+        info.param_decls = info.param_decls or (f"--{word}",)
+    annotation = Annotated[hint.__origin__, info]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 class LazyCommand(TyperCommand):
@@ -90,7 +128,7 @@ class LazyCommand(TyperCommand):
         """The command itself."""
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
         settings = dict(self.entry.settings or {})
-        alone.command(self.name, context_settings=settings)(unbundled(self.entry.load()))
+        alone.command(self.name, context_settings=settings)(command_of(self.entry.load()))
         return get_command(alone)
 
     def make_context(

@@ -1,14 +1,18 @@
-"""The person at a terminal: sees what goes on, stops it with a key, decides."""
+"""The person at a terminal: sees what goes on, stops it with a key, decides. The terminal is put
+back as it was in every case."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from typing import Protocol
 
-from tailbeat.app.cli._display import ended
+from tailbeat.app.cli._terminal import Display, ended, json_asked
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import ABORT_COMMAND, fault_info
+from tailbeat.core.printable import mm
 from tailbeat.session.collect import is_good, proposed
 from tailbeat.session.events import (
     Assessed,
@@ -21,13 +25,8 @@ from tailbeat.session.events import (
     TrialStarted,
     TrialStopped,
 )
-from tailbeat.session.outcome import BY_HAND, Decision
-from tailbeat.session.presenter import alert, countdown_text, mm, record_lines, result, step_text
-
-if TYPE_CHECKING:
-    from tailbeat.app.cli._display import Display
-    from tailbeat.app.cli._keyboard import Keys
-    from tailbeat.session.outcome import RecordedTrial
+from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial
+from tailbeat.session.presenter import alert, countdown_text, record_lines, result, step_text
 
 _LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
 KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}
@@ -35,18 +34,173 @@ COUNTS = {"c": ("keep", "it counts"), "d": ("discard", "discard")}  # of a repea
 _ENTER = ("\r", "\n")
 _ESCAPE = "\x1b"
 _ABORTED = fault_info(ABORT_COMMAND).meaning
-_FIRST_STEP = "board"  # of the ritual: what was typed before it is not meant for it
+_FIRST_STEP = "board"  # of the preflight checks: what was typed before it is no answer
+_CTRL_C = "\x03"
+_SPECIAL = ("\0", "\xe0")  # Windows
+_ESCAPE_BYTE = b"\x1b"
+_ARROW_S = 0.05  # the rest of its sequence follows at once, also over a network
+
+
+class TerminalGone(TailbeatError):
+    """Whoever was there to answer is not any more."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the terminal is gone, and nothing was decided",
+            "The trial waits on the board; run the same command again.",
+        )
+
+
+class Keys(Protocol):
+    """What a person types."""
+
+    def pressed(self) -> bool:
+        """Whether any key was pressed since the last question; never waits."""
+
+    def forget(self) -> None:
+        """What was typed before a question is no answer to it."""
+
+    def key(self, timeout_s: float) -> str | None:
+        """The next key, in small letters; None when none comes in time, or one that is no letter
+        (an arrow). Raises TerminalGone."""
+
+    def line(self) -> str:
+        """What is typed up to Enter, seen as it is typed."""
+
+
+if sys.platform == "win32":
+    import msvcrt
+    import time
+
+    class _Console:
+        """The console of Windows."""
+
+        def pressed(self) -> bool:
+            return bool(msvcrt.kbhit())
+
+        def forget(self) -> None:
+            while msvcrt.kbhit():
+                msvcrt.getwch()
+
+        def key(self, timeout_s: float) -> str | None:
+            end_s = time.monotonic() + timeout_s
+            while not msvcrt.kbhit():
+                if time.monotonic() >= end_s:
+                    return None
+                time.sleep(0.02)
+            key = msvcrt.getwch().lower()
+            if key in _SPECIAL:  # of two characters, the second often a letter
+                msvcrt.getwch()
+                return None
+            if key == _CTRL_C:
+                raise KeyboardInterrupt
+            return key
+
+        def line(self) -> str:
+            return input()
+
+    @contextmanager
+    def terminal_keys() -> Iterator[Keys | None]:
+        """The keys of the terminal for the length of a block; None when there is none."""
+        yield _Console() if sys.stdin.isatty() else None
+
+else:
+    import os
+    import select
+    import termios
+    import tty
+
+    class _Terminal:
+        """A POSIX terminal, read around Python's own buffer."""
+
+        def __init__(self, descriptor: int) -> None:
+            self._descriptor = descriptor
+            self._usual = termios.tcgetattr(descriptor)
+            self._gone = False
+
+        def single(self) -> None:
+            """Keys come at once and are not shown; Ctrl-C stays what it is."""
+            tty.setcbreak(self._descriptor, termios.TCSADRAIN)
+
+        def restore(self) -> None:
+            """As it was found. What was typed and not read is forgotten: a key that should stop
+            the tail must not become a command of the shell."""
+            try:
+                termios.tcsetattr(self._descriptor, termios.TCSAFLUSH, self._usual)
+            except termios.error:
+                self._gone = True
+
+        def pressed(self) -> bool:
+            return not self._gone and self._ready(0.0)
+
+        def forget(self) -> None:
+            try:
+                termios.tcflush(self._descriptor, termios.TCIFLUSH)
+            except termios.error:
+                self._gone = True
+
+        def key(self, timeout_s: float) -> str | None:
+            if not self._gone and not self._ready(timeout_s):
+                return None
+            piece = self._read()
+            if piece == _ESCAPE_BYTE and self._ready(_ARROW_S):
+                piece += self._read()
+            if piece.startswith(_ESCAPE_BYTE) and len(piece) > 1:
+                return None
+            return piece.decode(errors="replace")[:1].lower()
+
+        def line(self) -> str:
+            self.restore()
+            try:
+                return self._read().decode(errors="replace").strip()
+            finally:
+                self.single()
+
+        def _ready(self, timeout_s: float) -> bool:
+            return bool(select.select([self._descriptor], [], [], timeout_s)[0])
+
+        def _read(self) -> bytes:
+            try:
+                piece = b"" if self._gone else os.read(self._descriptor, 1024)
+            except OSError:
+                piece = b""
+            if not piece:
+                self._gone = True
+                raise TerminalGone
+            return piece
+
+    @contextmanager
+    def terminal_keys() -> Iterator[Keys | None]:
+        """The keys of the terminal for the length of a block; None when there is none."""
+        if not sys.stdin.isatty():
+            yield None
+            return
+        terminal = _Terminal(sys.stdin.fileno())
+        try:
+            terminal.single()
+            yield terminal
+        finally:
+            terminal.restore()
 
 
 class Undecided(TailbeatError):
     """There is nobody to say what becomes of a swim; it waits on the board."""
 
 
+@contextmanager
+def terminal(single_keys: bool = True) -> Iterator[tuple[Display, Keys | None]]:
+    """Display and keys, both put back at the end; no keys where the display is none, or where
+    lines are to be typed."""
+    keyboard = terminal_keys() if single_keys else nullcontext()
+    with Display(quiet=json_asked.get()) as display, keyboard as keys:
+        yield display, keys if display.moves else None
+
+
 class TerminalOperator:
     """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
     who is there and stopped the swim is asked all the same, before it is learned from. ``idle`` is
     called again and again while a question waits. ``kinds``: letter to kind of decision and its
-    word."""
+    word. ``on_event``: gets every event, too."""
 
     def __init__(
         self,
@@ -55,14 +209,16 @@ class TerminalOperator:
         then: Decision | None = None,
         idle: Callable[[], None] = lambda: None,
         kinds: Mapping[str, tuple[str, str]] = KINDS,
+        on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
-        self._kinds = kinds
+        self._kinds, self._on_event = kinds, on_event
         self._display, self._keys, self._then, self._idle = display, keys, then, idle
         self._enter_may_follow = False  # the one that many type after a letter
         self._stopped_by_hand = False
 
     def tell(self, event: Event) -> None:
         """Shows it."""
+        self._on_event(event)
         display = self._display
         match event:
             case StepProgress():

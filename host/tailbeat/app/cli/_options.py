@@ -1,44 +1,49 @@
-"""Options that several commands have, each declared once."""
+"""Options that several commands have, each declared once; among them the way to the fish."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
-import typer
+from tailbeat.app.cli._lazy import opt
+from tailbeat.app.cli._terminal import ended_as_by_ctrl_c, warn
+from tailbeat.board.fish import Fish
+from tailbeat.board.provision import NO_KEY, connect_notice
+from tailbeat.core.errors import TailbeatError
+from tailbeat.core.files import replace_file
+from tailbeat.experiment.library import logbook_of
+from tailbeat.session.preflight.step import PreflightLimits
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, nothing else.")]
 Connect = Annotated[
     str | None,
-    typer.Option(
-        "--connect",
-        metavar="URL",
+    opt(
+        "Serial path, tcp:HOST:PORT, udp:PORT, sim[:plant] or vboard; default: find the fish.",
+        "URL",
+        name="--connect",
         envvar="TAILBEAT_CONNECT",
-        help="Serial path, tcp:HOST:PORT, udp:PORT, sim[:plant] or vboard; default: find the fish.",
         show_default=False,
     ),
 ]
-IdentifiedFile = Annotated[
-    Path | None,
-    typer.Option("--identified", metavar="FILE", help="What 'session identify' wrote."),
-]
-Plot = Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Draw it.")]
-Library = Annotated[
-    Path | None,
-    typer.Option("--library", metavar="DIR", help="Folder of the trial libraries."),
-]
-Into = Annotated[
-    Path | None,
-    typer.Option("--into", metavar="FOLDER", help="The experiment; default: the fish's current."),
-]
+IdentifiedFile = Annotated[Path | None, opt("What 'session identify' wrote.", "FILE")]
+Plot = Annotated[Path | None, opt("Draw it.", "PNG")]
+Library = Annotated[Path | None, opt("Folder of the trial libraries.", "DIR")]
+Into = Annotated[Path | None, opt("The experiment; default: the fish's current.", "FOLDER")]
 Rest = Annotated[
     float | None,
-    typer.Option(
-        "--rest", min=0.0, max=3600.0, metavar="S", help="Rest since the last trial; default: 30."
-    ),
+    opt("Rest since the last trial; default: 30.", "S", min=0.0, max=3600.0),
 ]
-Root = Annotated[Path, typer.Option("--root", help="Folder that holds the experiments.")]
+Root = Annotated[Path, opt("Folder that holds the experiments.")]
 EXPERIMENTS = Path("experiments")
+
+
+def preflight_limits(rest_s: float | None) -> PreflightLimits:
+    """The usual ones, with the rest of ``--rest``."""
+    return PreflightLimits() if rest_s is None else PreflightLimits(rest_s=rest_s)
+
 
 _KINDS = ("thesis", "thesis:", "trapezoid:", "cosine:")
 
@@ -57,10 +62,68 @@ def reference_names(incomplete: str) -> list[str]:
 
 ReferenceName = Annotated[
     str | None,
-    typer.Option(
-        "--reference",
-        help="As for 'reference upload'; default: the board's (without a board: thesis).",
+    opt(
+        "As for 'reference upload'; default: the board's (without a board: thesis).",
+        name="--reference",
         autocompletion=reference_names,
         show_default=False,
     ),
 ]
+
+
+@dataclass(frozen=True)
+class ConnectOptions:
+    """Which fish; what is to know of its key is printed."""
+
+    notice: ClassVar[bool] = True
+    connect: Connect = None
+
+    def open(self) -> AbstractContextManager[Fish]:
+        """The fish for the length of a command."""
+        return connected(self.connect, self.notice)
+
+
+class SilentConnectOptions(ConnectOptions):
+    """Of commands about the key."""
+
+    notice: ClassVar[bool] = False
+
+
+ConnectedFish = Annotated[Fish, ConnectOptions]
+FishWithoutNotice = Annotated[Fish, SilentConnectOptions]
+
+
+@contextmanager
+def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
+    """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
+    report on stderr when its key is missing; once a day that it has none."""
+    with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
+        if notice and (line := new_notice(fish)):
+            warn(line)
+        yield fish
+
+
+_REPORTED = "no-key-told"  # in the trial library of the fish: the day
+
+
+def new_notice(fish: Fish) -> str | None:
+    """As ``connect_notice``; that nobody has set a key yet once per board and day. A key that is
+    missing, or was lost, is reported every time."""
+    line = connect_notice(fish)
+    return None if line == NO_KEY and _reported_today(fish) else line
+
+
+def _reported_today(fish: Fish) -> bool:
+    """Whether it was reported today; from now on it was. Without a trial library: not."""
+    today = date.today().isoformat()
+    try:
+        if (book := logbook_of(fish)) is None:
+            return False
+        path = book.folder / _REPORTED
+        if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == today:
+            return True
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, today)
+    except (TailbeatError, OSError):
+        pass
+    return False

@@ -1,23 +1,38 @@
-"""How results are printed."""
+"""What a command prints: results on stdout, all else on stderr. Where there is no terminal, lines
+take the place of the one that changes.
+
+A program that is ended from outside stops the tail first, and leaves the terminal as it was.
+"""
 
 from __future__ import annotations
 
 import json
-import math
+import os
 import shlex
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from contextvars import ContextVar
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from tailbeat.app.cli._lazy import typed_words
-from tailbeat.core.errors import InputError
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
 from tailbeat.core.printable import printable, printable_lines
 
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.live import Live
+
 TRIAL_MAX = 2**24 - 1  # trials travel as single precision numbers
+
+typed_words: ContextVar[tuple[str, ...]] = ContextVar("typed_words", default=())
+json_asked: ContextVar[bool] = ContextVar("json_asked", default=False)
 
 
 def command_typed() -> str:
@@ -26,14 +41,49 @@ def command_typed() -> str:
     return shlex.join(["tailbeat", *words]) if words else ""
 
 
-def say(as_json: bool, document: Any, text: str | Callable[[], str] = "") -> None:
-    """Prints the JSON document, or the text for people (nothing when empty)."""
-    if as_json:
-        sys.stdout.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
-        return
-    words = text() if callable(text) else text
-    if words:
-        echo(words)
+@dataclass(frozen=True)
+class Output:
+    """What a command prints: the document with --json, else the text (nothing when empty).
+    ``status``: exit status. ``error``: raised once it is printed."""
+
+    document: Any
+    text: str | Callable[[], str] = ""
+    status: int = 0
+    error: TailbeatError | None = None
+
+
+def present(output: Output) -> None:
+    """Prints it. Raises its error, typer.Exit for another exit status than 0."""
+    if output.error is not None and json_asked.get():
+        output.error.document = plain(output.document)  # printed with the error
+        raise output.error
+    if json_asked.get():
+        write_json(output.document)
+    elif text := output.text() if callable(output.text) else output.text:
+        echo(text)
+    if output.error is not None:
+        raise output.error
+    if output.status:
+        raise typer.Exit(output.status)
+
+
+def write_json(document: Any) -> None:
+    """One JSON document on stdout."""
+    sys.stdout.write(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
+
+
+def print_line(document: Any, text: str) -> None:
+    """One document of a JSON stream, or the text for people; at once."""
+    if json_asked.get():
+        json_line(document)
+    else:
+        echo(text)
+        sys.stdout.flush()
+
+
+def warn(text: object) -> None:
+    """A line on stderr that is no result."""
+    echo(f"tailbeat: {text}", err=True)
 
 
 def echo(text: str, err: bool = False, nl: bool = True) -> None:
@@ -48,26 +98,17 @@ def json_line(document: Any) -> None:
     sys.stdout.flush()
 
 
-def mm(value_m_s: float | None) -> str:
-    """A speed in mm/s, or a dash."""
-    if value_m_s is None or not math.isfinite(value_m_s):
-        return "-"
-    return f"{value_m_s * 1e3:.1f}"
-
-
-def table(header: list[str], rows: list[list[str]], left: tuple[int, ...] = ()) -> str:
+def table(header: list[str], rows: list[list[Any]], left: tuple[int, ...] = ()) -> str:
     """Columns under a header; numbers to the right, the columns in ``left`` to the left."""
-    rows = [[printable(cell) for cell in row] for row in rows]
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-
-    def line(row: list[str]) -> str:
-        cells = (
+    lines = [header, *([printable(str(cell)) for cell in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(
             cell.ljust(width) if i in left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        return "  ".join(cells).rstrip()
-
-    return "\n".join(map(line, [header, *rows]))
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
 
 
 def assignments(pairs: list[str]) -> dict[str, float]:
@@ -85,9 +126,9 @@ def assignments(pairs: list[str]) -> dict[str, float]:
 
 
 @contextmanager
-def progress_bar(as_json: bool, label: str) -> Iterator[Callable[[float, str], None]]:
+def progress_bar(label: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
     """Gives ``show(fraction, text)``: a bar when a person watches, otherwise nothing."""
-    if as_json or not sys.stderr.isatty():
+    if quiet or json_asked.get() or not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
     from rich.console import Console
@@ -97,3 +138,126 @@ def progress_bar(as_json: bool, label: str) -> Iterator[Callable[[float, str], N
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0, label=label)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=text)
+
+
+@contextmanager
+def bytes_bar(label: str) -> Iterator[Callable[[int, int], None]]:
+    """As ``progress_bar``, gives ``show(done, total)`` for bytes."""
+    with progress_bar(label) as show:
+        yield lambda done, total: show(done / max(total, 1), f"{done} bytes")
+
+
+_WIDTH = 80
+
+
+class Display:
+    """Lines for people. Use as a context manager: the cursor comes back in every case. ``quiet``:
+    only what was not expected."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self.moves = sys.stderr.isatty()
+        self.quiet = quiet and not self.moves
+        self._live: Live | None = None
+        self._terminal: Console | None = None
+        self._text = ""
+
+    def __enter__(self) -> Display:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.clear()
+
+    def show(self, text: str) -> None:
+        """The line that changes; nothing without a terminal."""
+        if not self.moves or text == self._text:
+            return
+        from rich.text import Text
+
+        self._text = text
+        if self._live is None:
+            self._live = self._begin()
+        self._live.update(Text(printable(text), no_wrap=True, overflow="ellipsis"), refresh=True)
+
+    @property
+    def width(self) -> int:
+        """Columns of the line that changes, as wide as the window is now."""
+        return self._console().width if self.moves else _WIDTH
+
+    def _console(self) -> Console:
+        from rich.console import Console
+
+        if self._terminal is None:
+            self._terminal = Console(stderr=True, highlight=False)
+        return self._terminal
+
+    def _begin(self) -> Live:
+        from rich.live import Live
+
+        console = self._console()
+        live = Live(console=console, auto_refresh=False, transient=True, redirect_stdout=False)
+        live.start()
+        return live
+
+    def keep(self, text: str, loud: bool = False) -> None:
+        """A line that stays. ``loud``: also where it is to be quiet."""
+        self.clear()
+        if loud or not self.quiet:
+            echo(text, err=True)
+
+    def bell(self) -> None:
+        """A sound, where there is somebody to hear it."""
+        if self.moves:
+            typer.echo("\a", err=True, nl=False)
+
+    def ask(self, text: str) -> None:
+        """A question; the answer is typed behind it."""
+        self.clear()
+        echo(text, err=True, nl=False)
+
+    def clear(self) -> None:
+        """Takes the line that changes away."""
+        live, self._live, self._text = self._live, None, ""
+        if live is not None:
+            live.stop()
+
+
+_NAMES = ("SIGTERM", "SIGHUP")  # ended by the system; the terminal was closed
+
+_came: list[str] = []
+
+
+def ended() -> str:
+    """Why the program is to end, in words; empty = it is not."""
+    return _came[0] if _came else ""
+
+
+@contextmanager
+def ended_as_by_ctrl_c() -> Iterator[None]:
+    """For the length of a block these signals raise KeyboardInterrupt with words; one that is
+    ignored (nohup), or that somebody else handles, stays with them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+    taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
+    begun_by = os.getpid()
+
+    def end(number: int, _: FrameType | None) -> None:
+        if os.getpid() != begun_by:  # a worker that was forked ends at once
+            os._exit(128 + number)
+        _came.append(f"ended by {signal.Signals(number).name}")
+        raise KeyboardInterrupt(_came[0])
+
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+        _came.clear()

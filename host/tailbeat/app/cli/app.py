@@ -1,14 +1,20 @@
-"""The table of the commands, and of their old names."""
+"""The table of the commands, and of their old names; runs one and prints its errors."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
 from importlib.metadata import version as version_of
 from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._lazy import Entry, LazyGroup, grow
-from tailbeat.app.cli._terminal import echo
+from tailbeat.app.cli._lazy import Entry, LazyGroup, grow, opt
+from tailbeat.app.cli._terminal import echo, json_asked, json_line, typed_words, warn
+from tailbeat.core.errors import TailbeatError, reason
+
+_OS_REMEDY = "Check the path, your rights there and the free space."
 
 CONNECT, RUN, ANALYSE = "Connect", "Run", "Analyse"
 SET_UP, REFERENCE, SIMULATE = "Set up", "Reference", "Simulate"
@@ -103,8 +109,8 @@ COMMANDS = {
     "sim fish": Entry("Serve a simulated fish", "sim:fish"),
     "sim board": Entry("Serve the flash image on an emulated board", "sim:board"),
     "sim demo": Entry("Show a simulated fish that learns, with a report", "sim:demo"),
-    "sim montecarlo": Entry("Run a study with many simulated fish", "montecarlo:sweep"),
-    "sim thesis": Entry("Recompute the thesis's examples and claims", "thesis:thesis"),
+    "sim montecarlo": Entry("Run a study with many simulated fish", "studies:montecarlo"),
+    "sim thesis": Entry("Recompute the thesis's examples and claims", "studies:thesis"),
     "sim law": Entry("Apply the learning law once", "sim:law"),
     "sim selftest": Entry("Run the firmware's unit tests on this computer", "sim:selftest"),
 }  # fmt: skip
@@ -171,8 +177,53 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    version: Annotated[bool, opt("Print the version.", callback=_version, is_eager=True)] = False,
 ) -> None:
     del version
+
+
+def run_command(words: list[str]) -> int:
+    """Runs it; every error of every command is printed here."""
+    typed_words.set(tuple(words))
+    json_asked.set("--json" in words)  # until the options are known
+    try:
+        result = app(words, prog_name="tailbeat", standalone_mode=False)
+        sys.stdout.flush()  # here a full disk can still be reported
+    except TailbeatError as error:
+        return _failed(error)
+    except typer.TyperException as error:
+        return _failed(_usage_error(error), error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        return 130
+    except BrokenPipeError:
+        _discard_stdout()  # the reader has gone
+        return 1
+    except OSError as error:
+        where = error.filename if error.filename is not None else "the output"
+        status = _failed(TailbeatError(f"cannot use {where} ({reason(error)})", _OS_REMEDY))
+        _discard_stdout()
+        return status
+    return result if isinstance(result, int) else 0
+
+
+def _failed(error: TailbeatError, status: int = 1) -> int:
+    warn(str(error))
+    if json_asked.get():
+        words = {"message": error.message, "remedy": error.remedy}
+        with contextlib.suppress(OSError):  # the output may be what has failed
+            json_line({**error.document, "error": words})
+    return status
+
+
+def _usage_error(error: Any) -> TailbeatError:
+    message = getattr(error, "format_message", lambda: error)()
+    command = getattr(getattr(error, "ctx", None), "command_path", "tailbeat")
+    return TailbeatError(str(message), f"Try: {command} --help")
+
+
+def _discard_stdout() -> None:
+    """What could not be written is not tried again, and failed again, at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, Json
-from tailbeat.app.cli._terminal import echo, json_line, mm, progress_bar, say
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import Connect, ConnectedFish, connected
+from tailbeat.app.cli._terminal import Output, json_line, progress_bar, warn
 from tailbeat.board import bluetooth
 from tailbeat.board.bluetooth import SetupReport
 from tailbeat.board.crash import CrashReport, places
@@ -25,30 +26,21 @@ from tailbeat.board.fish import REST, Fish
 from tailbeat.board.flash.procedure import FlashPlan, FlashReport
 from tailbeat.board.flash.procedure import flash as write_image
 from tailbeat.board.provision import MISSING, trust_of
-from tailbeat.board.snapshot import RestoreReport, Snapshot
+from tailbeat.board.snapshot import Snapshot
 from tailbeat.board.snapshot import restore as restore_snapshot
 from tailbeat.core.files import plain
-from tailbeat.core.printable import printable
+from tailbeat.core.printable import mm, printable
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.experiment.folder import backup_places
 from tailbeat.link.messages import BoardInfo, BoardStatus, ImuInfo
 from tailbeat.link.serial import SerialTransport
 
 
-def _bluetooth() -> None:
-    """The fish's Bluetooth module."""
-
-
 def bluetooth_setup(
-    port: Annotated[
-        str, typer.Argument(help="The USB-serial adapter that the module is wired to.")
-    ],
-    name: Annotated[
-        str | None, typer.Option("--name", help="Name that laptops see, 1 to 20 characters.")
-    ] = None,
-    pin: Annotated[str | None, typer.Option("--pin", help="PIN for pairing, four digits.")] = None,
-    json: Json = False,
-) -> None:
+    port: Annotated[str, arg("The USB-serial adapter that the module is wired to.")],
+    name: Annotated[str | None, opt("Name that laptops see, 1 to 20 characters.")] = None,
+    pin: Annotated[str | None, opt("PIN for pairing, four digits.")] = None,
+) -> Output:
     """Bring an HC-05 or HC-06 to 115200 baud.
 
     Take the module out of the fish, wire it to a 3.3 V USB-serial adapter and power it up with its
@@ -58,7 +50,7 @@ def bluetooth_setup(
     """
     with contextlib.closing(SerialTransport(port, bluetooth.AT_BAUDS[0])) as line:
         report = bluetooth.setup(line, name, pin)
-    say(json, report, lambda: _bluetooth_text(report))
+    return Output(report, lambda: _bluetooth_text(report))
 
 
 def _bluetooth_text(report: SetupReport) -> str:
@@ -77,36 +69,30 @@ def _bluetooth_text(report: SetupReport) -> str:
     return f"{head}: {', '.join(done)}. {last}"
 
 
-def info(connect: Connect = None, json: Json = False) -> None:
+def info(fish: ConnectedFish) -> Output:
     """Print what is connected and its state.
 
     Example: tailbeat info --connect tcp:127.0.0.1:5760
     """
-    with connected(connect) as fish:
-        if trust_of(fish) == MISSING:
-            document, text = _info_unauthenticated(fish)
-        else:
-            document, text = _info(fish)
-    say(json, document, text)
+    return _info_unauthenticated(fish) if trust_of(fish) == MISSING else _info(fish)
 
 
-def _info(fish: Fish) -> tuple[dict[str, Any], str]:
+def _info(fish: Fish) -> Output:
     found, imu, health, visits = fish.info(), fish.imu_info(), fish.health(), fish.visits()
     who = f"{found.board} board on {found.connection}, firmware {found.build_id}"
     document = plain(found) | {"imu": imu, "health": health, "visits": visits}
     text = _info_text(who, found.status, imu_line(imu), health)
     missing = never_corrected(visits)
-    return document, text + (f"\nlearned    {missing}" if missing else "")
+    return Output(document, text + (f"\nlearned    {missing}" if missing else ""))
 
 
-def _info_unauthenticated(fish: Fish) -> tuple[dict[str, Any], str]:
+def _info_unauthenticated(fish: Fish) -> Output:
     """Of a board whose key is not here: what it sends without authentication."""
     status, health, name = fish.status(), fish.health(), fish.transport.name
-    document: dict[str, Any] = dict.fromkeys(field.name for field in fields(BoardInfo))
-    document |= {"connection": name, "status": status, "imu": None, "health": health}
-    document["visits"] = None
+    unknown = dict.fromkeys([*(field.name for field in fields(BoardInfo)), "imu", "visits"])
+    document = unknown | {"connection": name, "status": status, "health": health}
     who = f"board on {name}; what it is, and its firmware: only for authenticated hosts"
-    return document, _info_text(who, status, "only for authenticated hosts", health)
+    return Output(document, _info_text(who, status, "only for authenticated hosts", health))
 
 
 def imu_line(imu: ImuInfo) -> str:
@@ -147,75 +133,62 @@ def _reference(status: BoardStatus) -> str:
     return f"{status.beats} beats, {status.reference_crc:08x}"
 
 
-def arm(connect: Connect = None, json: Json = False) -> None:
+def arm(fish: ConnectedFish) -> Output:
     """Get ready for a trial. The tail stays off until the trial starts.
 
     Example: tailbeat board arm
     """
-    with connected(connect) as fish:
-        fish.arm()
-        status = fish.status()
-    say(json, status, f"armed: iteration {status.iteration} swims next")
+    fish.arm()
+    status = fish.status()
+    return Output(status, f"armed: iteration {status.iteration} swims next")
 
 
-def disarm(connect: Connect = None, json: Json = False) -> None:
+def disarm(fish: ConnectedFish) -> Output:
     """Back to idle; a running trial is aborted.
 
     Example: tailbeat board disarm
     """
-    with connected(connect) as fish:
-        fish.disarm()
-        status = fish.status()
-    say(json, status, f"disarmed: {status.state}")
+    fish.disarm()
+    status = fish.status()
+    return Output(status, f"disarmed: {status.state}")
 
 
-def clear(connect: Connect = None, json: Json = False) -> None:
+def clear(fish: ConnectedFish) -> Output:
     """Leave a stop, after the cause of an abort or a fault has been looked at.
 
     Example: tailbeat board clear
     """
-    with connected(connect) as fish:
-        fish.clear()
-        status = fish.status()
-    say(json, status, f"cleared: {status.state}")
+    fish.clear()
+    status = fish.status()
+    return Output(status, f"cleared: {status.state}")
 
 
 def watch(
-    connect: Connect = None,
-    count: Annotated[
-        int | None, typer.Option("--count", min=1, help="Stop after this many lines.")
-    ] = None,
-    json: Json = False,
+    fish: ConnectedFish,
+    count: Annotated[int | None, opt("Stop after this many lines.", min=1)] = None,
 ) -> None:
     """Print the board's messages as JSON lines, until Ctrl-C.
 
     Example: tailbeat board watch | jq -c 'select(.event == "beat")'
     """
-    del json  # the stream is JSON lines anyway
-    with connected(connect) as fish:
-        for number, event in enumerate(fish.watch(), start=1):
-            json_line(event)
-            if number == count:
-                return
+    for event in itertools.islice(fish.watch(), count):
+        json_line(event)
 
 
 def crash(
-    connect: Connect = None,
+    fish: ConnectedFish,
     elf: Annotated[
-        Path | None,
-        typer.Option("--elf", help="The .elf that crashed: names the places in the source."),
+        Path | None, opt("The .elf that crashed: names the places in the source.")
     ] = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Print how the firmware last crashed, from the board's /crash.bin.
 
     Example: tailbeat board crash --elf build/firmware/tailbeat.elf
     """
-    with connected(connect) as fish:
-        report = fish.crash_report()
+    report = fish.crash_report()
     found = places(report, elf) if report is not None and elf is not None else []
     document = {"crash": None if report is None else report.as_dict() | {"places": found}}
-    say(json, document, lambda: _crash_text(report, found))
+    return Output(document, lambda: _crash_text(report, found))
 
 
 def _crash_text(report: CrashReport | None, found: list[str]) -> str:
@@ -226,17 +199,11 @@ def _crash_text(report: CrashReport | None, found: list[str]) -> str:
     columns = ["  ".join(registers[i : i + 3]) for i in range(0, len(registers), 3)]
     words = [f"{word:08x}" for word in report.stack]
     stack = ["stack  " + " ".join(words[i : i + 8]) for i in range(0, len(words), 8)]
-    return "\n".join(
-        [
-            f"{what}, {report.time_s:.3f} s after its start, firmware {report.build_id}",
-            *found,
-            *columns,
-            *stack,
-        ]
-    )
+    head = f"{what}, {report.time_s:.3f} s after its start, firmware {report.build_id}"
+    return "\n".join([head, *found, *columns, *stack])
 
 
-def check(connect: Connect = None, json: Json = False) -> None:
+def check(connect: Connect = None) -> Output:
     """Check everything from the port to the battery, and print what to do. Changes nothing.
 
     Exit status 0 when nothing has to be done, 1 when there are problems; warnings are neither.
@@ -245,12 +212,11 @@ def check(connect: Connect = None, json: Json = False) -> None:
     """
     findings = examine(connect)
     well = worst(findings) != PROBLEM
-    say(json, {"ok": well, "checks": findings}, lambda: _text_doctor(findings))
-    if not well:
-        raise typer.Exit(1)
+    document = {"ok": well, "checks": findings}
+    return Output(document, lambda: _findings_text(findings), status=0 if well else 1)
 
 
-def _text_doctor(findings: list[Finding]) -> str:
+def _findings_text(findings: list[Finding]) -> str:
     names = max(len(finding.name) for finding in findings)
     return "\n".join(f"{f.status:<7}  {f.name:<{names}}  {f.line}" for f in findings)
 
@@ -263,41 +229,26 @@ class Tool(StrEnum):
 
 
 def flash(
-    image: Annotated[
-        Path, typer.Argument(help="The .bin; OpenOCD takes the .elf next to it.")
-    ] = Path("build/firmware/tailbeat.bin"),
+    image: Annotated[Path, arg("The .bin; OpenOCD takes the .elf next to it.")] = Path(
+        "build/firmware/tailbeat.bin"
+    ),
     port: Annotated[
-        str | None,
-        typer.Option("--port", help="The board's USB port; default: the only one there is."),
+        str | None, opt("The board's USB port; default: the only one there is.")
     ] = None,
-    tool: Annotated[
-        Tool, typer.Option("--tool", help="By USB with bossac, or over SWD with OpenOCD.")
-    ] = Tool.bossac,
-    adapter: Annotated[
-        str, typer.Option("--adapter", help="OpenOCD's name for the SWD probe.")
-    ] = "cmsis-dap",
+    tool: Annotated[Tool, opt("By USB with bossac, or over SWD with OpenOCD.")] = Tool.bossac,
+    adapter: Annotated[str, opt("OpenOCD's name for the SWD probe.")] = "cmsis-dap",
     keep: Annotated[
-        bool,
-        typer.Option("--keep/--no-keep", help="Save what the board holds, and put it back after."),
+        bool, opt("Save what the board holds, and put it back after.", name="--keep/--no-keep")
     ] = True,
-    out: Annotated[
-        Path, typer.Option("--out", help="Where it is saved; may be an experiment's folder.")
-    ] = Path("backups"),
-    restore: Annotated[
-        Path | None,
-        typer.Option("--restore", metavar="BACKUP", help="Flash nothing; put a backup back."),
-    ] = None,
+    out: Annotated[Path, opt("Where it is saved; may be an experiment's folder.")] = Path(
+        "backups"
+    ),
+    restore: Annotated[Path | None, opt("Flash nothing; put a backup back.", "BACKUP")] = None,
     connect: Annotated[
-        str | None,
-        typer.Option(
-            "--connect", metavar="URL", help="Where to talk to the board, if not by --port."
-        ),
+        str | None, opt("Where to talk to the board, if not by --port.", "URL")
     ] = None,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Do not ask before a port of another make is touched.")
-    ] = False,
-    json: Json = False,
-) -> None:
+    yes: Annotated[bool, opt("Do not ask before a port of another make is touched.")] = False,
+) -> Output:
     """Write new firmware; parameters, reference and learned data are restored on the board.
 
     Trials that are not on this computer yet are pulled before anything is erased.
@@ -305,32 +256,29 @@ def flash(
     Example: tailbeat board flash --port /dev/ttyACM0
     """
     if restore is not None:
-        _restore(restore, connect or port or None, json)
-        return
-
+        return _restore(restore, connect or port or None)
     plan = FlashPlan(image, port or None, tool.value, keep, backup_places(out), connect, adapter)
-    screen = _Screen(json)
+    screen = _Screen()
     try:
         report = write_image(
             plan, screen.show, tell=screen.tell, confirm=lambda text: yes or screen.ask(text)
         )
     finally:
         screen.clear()
-    say(json, report, lambda: _flash_text(report))
+    return Output(report, lambda: _flash_text(report))
 
 
 class _Screen:
     """A progress bar that is gone while something is said or asked."""
 
-    def __init__(self, as_json: bool) -> None:
-        self._as_json = as_json
+    def __init__(self) -> None:
         self._bar = ExitStack()
         self._show: Callable[[float, str], None] | None = None
 
     def show(self, fraction: float, text: str) -> None:
         """How far it is."""
         if self._show is None:
-            self._show = self._bar.enter_context(progress_bar(self._as_json, "flash"))
+            self._show = self._bar.enter_context(progress_bar("flash"))
         self._show(fraction, text)
 
     def clear(self) -> None:
@@ -341,7 +289,7 @@ class _Screen:
     def tell(self, line: str) -> None:
         """For the user to know or do."""
         self.clear()
-        echo(f"tailbeat: {line}", err=True)
+        warn(line)
 
     def ask(self, question: str) -> bool:
         """No, unless somebody is there to say yes."""
@@ -355,24 +303,18 @@ def _flash_text(report: FlashReport) -> str:
         line += f" and has back: {', '.join(report.restored)}"
     if report.backup is not None:
         line += f"; saved in {report.backup}"
-    lines = [line, *(f"not restored: {text}" for text in report.not_restored)]
-    return "\n".join([*lines, *(f"note: {text}" for text in report.notes)])
+    return _with_notes(line, report.not_restored, report.notes)
 
 
-def _restore(folder: Path, url: str | None, json: bool) -> None:
+def _with_notes(line: str, not_restored: Sequence[str], notes: Sequence[str]) -> str:
+    missing = [f"not restored: {text}" for text in not_restored]
+    return "\n".join([line, *missing, *(f"note: {text}" for text in notes)])
+
+
+def _restore(folder: Path, url: str | None) -> Output:
     held = Snapshot.read(folder)
     with connected(url) as fish:
         result = restore_snapshot(fish, held)
-    document = {
-        "backup": folder,
-        "restored": result.back,
-        "not_restored": result.missing,
-        "notes": result.notes,
-    }
-    say(json, document, lambda: _restore_text(result))
-
-
-def _restore_text(result: RestoreReport) -> str:
-    lines = [f"the board has back: {', '.join(result.back)}"]
-    lines += [f"not restored: {text}" for text in result.missing]
-    return "\n".join([*lines, *(f"note: {text}" for text in result.notes)])
+    back, missing, notes = result.back, result.missing, result.notes
+    document = {"backup": folder, "restored": back, "not_restored": missing, "notes": notes}
+    return Output(document, _with_notes(f"the board has back: {', '.join(back)}", missing, notes))

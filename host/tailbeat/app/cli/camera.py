@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from contextlib import ExitStack, closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from tailbeat.app.cli._camera import CAMERA, MarkerOptions
-from tailbeat.app.cli._options import Json
-from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._terminal import Output, progress_bar, warn
 from tailbeat.app.exercise import Exercise, ExerciseOptions, make_exercise
 from tailbeat.core.errors import InputError
+from tailbeat.core.printable import mm
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import named_reference
 from tailbeat.report.figures.track import draw_track
@@ -31,43 +32,22 @@ _SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
 
 
 def render(
-    film: Annotated[Path, typer.Argument(metavar="FILM", help="To write: .mp4 or .mkv.")],
+    film: Annotated[Path, arg("To write: .mp4 or .mkv.", "FILM")],
     reference: Annotated[
-        str,
-        typer.Option(
-            "--reference", help="The reference: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV."
-        ),
+        str, opt("The reference: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV.")
     ] = "thesis",
-    plant: Annotated[
-        str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish.")
-    ] = "tank",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Same seed, same film.")] = 1,
-    fps: Annotated[float, typer.Option("--fps", min=1, max=240, help="Pictures per second.")] = 25,
-    size: Annotated[
-        str, typer.Option("--size", metavar="WxH", help="Of the picture, pixels.")
-    ] = "1280x720",
-    marker: Annotated[
-        str, typer.Option("--marker", metavar="|".join(KINDS), help="What the fish carries.")
-    ] = "aruco",
-    lost: Annotated[
-        float, typer.Option("--lost", min=0, max=0.9, help="Part of the pictures never taken.")
-    ] = 0.0,
-    hidden: Annotated[
-        float, typer.Option("--hidden", min=0, max=1, help="Part with half of the marker covered.")
-    ] = 0.0,
-    glare: Annotated[
-        float, typer.Option("--glare", min=0, max=1, help="Size of a bright spot that wanders.")
-    ] = 0.0,
-    noise_mm: Annotated[
-        float, typer.Option("--noise-mm", min=0, help="How far a drawn fish is off its place.")
-    ] = 0.0,
-    fish: Annotated[int, typer.Option("--fish", min=1, max=2, help="Number of fish.")] = 1,
-    offset: Annotated[
-        float,
-        typer.Option("--offset", min=0.1, max=60, help="Film before the trial begins, s."),
-    ] = 2.0,
-    json: Json = False,
-) -> None:
+    plant: Annotated[str, opt("Model of the fish.", "tank|thesis")] = "tank",
+    seed: Annotated[int, opt("Same seed, same film.", min=0)] = 1,
+    fps: Annotated[float, opt("Pictures per second.", min=1, max=240)] = 25,
+    size: Annotated[str, opt("Of the picture, pixels.", "WxH")] = "1280x720",
+    marker: Annotated[str, opt("What the fish carries.", "|".join(KINDS))] = "aruco",
+    lost: Annotated[float, opt("Part of the pictures never taken.", min=0, max=0.9)] = 0.0,
+    hidden: Annotated[float, opt("Part with half of the marker covered.", min=0, max=1)] = 0.0,
+    glare: Annotated[float, opt("Size of a bright spot that wanders.", min=0, max=1)] = 0.0,
+    noise_mm: Annotated[float, opt("How far a drawn fish is off its place.", min=0)] = 0.0,
+    fish: Annotated[int, opt("Number of fish.", min=1, max=2)] = 1,
+    offset: Annotated[float, opt("Film before the trial begins, s.", min=0.1, max=60)] = 2.0,
+) -> Output:
     """Film a simulated trial: the film, its truth, its calibration and the trial's log.
 
     Example: tailbeat camera render swim.mp4 --lost 0.1 --glare 0.5
@@ -81,9 +61,9 @@ def render(
         before_s=offset,
         overrides={"camera_fps": fps, "camera_lost": lost, "camera_noise_m": noise_mm * 1e-3},
     )
-    with progress_bar(json, "render") as show:
+    with progress_bar("render") as show:
         exercise = make_exercise(film, options, show)
-    say(json, exercise, lambda: _render_text(exercise))
+    return Output(exercise, lambda: _render_text(exercise))
 
 
 def _scene(size: str, marker: str, glare: float, hidden: float, fish: int, seed: int) -> Scene:
@@ -106,14 +86,12 @@ def _size(text: str) -> tuple[int, int]:
 
 def _render_text(exercise: Exercise) -> str:
     lost = f", {exercise.lost} lost" if exercise.lost else ""
-    return "\n".join(
-        [
-            f"{exercise.film}: {exercise.pictures} pictures at {exercise.fps:g} per second{lost}; "
-            f"trial {exercise.trial} begins at {exercise.swim_begin_s:.3f} s",
-            f"{exercise.truth}: where the fish was drawn, and its speed",
-            f"{exercise.calibration}: the camera's calibration",
-            f"{exercise.trial_file}: the trial's log",
-        ]
+    return (
+        f"{exercise.film}: {exercise.pictures} pictures at {exercise.fps:g} per second{lost}; "
+        f"trial {exercise.trial} begins at {exercise.swim_begin_s:.3f} s\n"
+        f"{exercise.truth}: where the fish was drawn, and its speed\n"
+        f"{exercise.calibration}: the camera's calibration\n"
+        f"{exercise.trial_file}: the trial's log"
     )
 
 
@@ -122,34 +100,18 @@ _SIZE_OFF_MAX = 0.02
 
 
 def track(
-    source: Annotated[
-        str, typer.Argument(metavar="VIDEO|DEVICE", help="A film, or a camera: 0, /dev/video0.")
-    ],
+    source: Annotated[str, arg("A film, or a camera: 0, /dev/video0.", "VIDEO|DEVICE")],
     marker: MarkerOptions = CAMERA,
-    trial: Annotated[
-        Path | None,
-        typer.Option("--trial", metavar="FILE.ulg", help="The trial's file: 'trial pull'."),
-    ] = None,
+    trial: Annotated[Path | None, opt("The trial's file: 'trial pull'.", "FILE.ulg")] = None,
     start: Annotated[
-        float | None,
-        typer.Option("--start", metavar="S", help="Second of the film at which the trial begins."),
+        float | None, opt("Second of the film at which the trial begins.", "S")
     ] = None,
-    beat: Annotated[
-        float, typer.Option("--beat", metavar="S", help="Length of a beat; with --trial its own.")
-    ] = 1.0,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the results; default: as the film.")
-    ] = None,
-    overlay: Annotated[
-        bool, typer.Option("--overlay", help="Film of what was seen, as overlay.mp4.")
-    ] = False,
-    plot: Annotated[bool, typer.Option("--plot", help="Way and speed as track.png.")] = False,
-    seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", metavar="N", help="So long, then end; a device: 60."),
-    ] = None,
-    json: Json = False,
-) -> None:
+    beat: Annotated[float, opt("Length of a beat; with --trial its own.", "S")] = 1.0,
+    out: Annotated[Path | None, opt("Folder for the results; default: as the film.")] = None,
+    overlay: Annotated[bool, opt("Film of what was seen, as overlay.mp4.")] = False,
+    plot: Annotated[bool, opt("Way and speed as track.png.")] = False,
+    seconds: Annotated[float | None, opt("So long, then end; a device: 60.", "N")] = None,
+) -> Output:
     """Find the fish in a film, and its speed with error bars.
 
     With --trial the film is synchronised with the trial, by the board's LED if it is in view,
@@ -166,26 +128,23 @@ def track(
     known = _calibration(marker.calibration)
     swim = read_trial(trial) if trial is not None else None
     folder = out or _folder(source)
-    with ExitStack() as stack:
-        pictures = stack.enter_context(
-            closing(open_source(source, seconds, marker.latency, known.size_px))
-        )
-        part = stack.enter_context(new_folder(folder))
-        on_place = None
-        if overlay:
-            on_place = stack.enter_context(
-                Overlay(part / "overlay.mp4", pictures.size_px, pictures.fps)
-            )
-        show = stack.enter_context(progress_bar(json, "tracking"))
+    with (
+        closing(open_source(source, seconds, marker.latency, known.size_px)) as pictures,
+        new_folder(folder) as part,
+        Overlay(part / "overlay.mp4", pictures.size_px, pictures.fps)
+        if overlay
+        else nullcontext() as film,
+        progress_bar("tracking") as show,
+    ):
         progress = _progress(show, pictures, seconds)
-        found = analyse(pictures, on_fish, known, swim, start, beat, progress, on_place)
+        found = analyse(pictures, on_fish, known, swim, start, beat, progress, film)
         if plot:
             draw_track(found.track, found.curve, part / "track.png", known)
         write_analysis(found, part)
     document = {"folder": folder, **found.summary()}
-    say(json, document, lambda: _text_camera_track(found, document, folder))
     if warning := _size_warning(found.track.marker_side_m, marker.marker_side):
-        echo(f"tailbeat: {warning}", err=True)
+        warn(warning)
+    return Output(document, lambda: _track_text(found, document, folder))
 
 
 def _calibration(path: Path | None) -> Calibration:
@@ -221,7 +180,7 @@ def _progress(show: Any, pictures: PictureSource, seconds: float | None) -> Prog
     return follow
 
 
-def _text_camera_track(found: FilmAnalysis, document: dict[str, Any], folder: Path) -> str:
+def _track_text(found: FilmAnalysis, document: dict[str, Any], folder: Path) -> str:
     lines = [
         f"{found.track.name}: {document['pictures']} pictures, the fish seen in "
         f"{document['seen'] / document['pictures']:.1%}; "
@@ -235,10 +194,9 @@ def _text_camera_track(found: FilmAnalysis, document: dict[str, Any], folder: Pa
     if document["scale_error"] is None:
         lines.append("note: this calibration was never checked with a ruler")
     if found.trial is not None:
-        measured, beats = document["measured_beats"], document["beats"]
-        if measured < beats:
+        if missing := document["beats"] - document["measured_beats"]:
             lines.append(
-                f"note: {beats - measured} of {beats} beats have no speed: more than 5 pictures "
+                f"note: {missing} of {document['beats']} beats have no speed: more than 5 pictures "
                 "in a row without the fish, or 40 %"
             )
         lines.append(f"next: tailbeat trial speeds {found.trial.number} {folder / 'speed.csv'}")

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import typer
 
-from tailbeat.app.cli._options import Json
-from tailbeat.app.cli._terminal import progress_bar, say
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._terminal import Output, progress_bar
 from tailbeat.sensors.camera.calibration.calibrate import (
     Calibrated,
     Height,
@@ -39,27 +39,15 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
 
 
 def print_(
-    what: Annotated[
-        str,
-        typer.Argument(metavar="WHAT", help="board, marker (the fish's), anchors or ruler."),
-    ],
-    kind: Annotated[
-        TagKind | None, typer.Option("--kind", help="Of the fish's marker. Default: aruco.")
-    ] = None,
+    what: Annotated[str, arg("board, marker (the fish's), anchors or ruler.", "WHAT")],
+    kind: Annotated[TagKind | None, opt("Of the fish's marker. Default: aruco.")] = None,
     number: Annotated[
-        int | None,
-        typer.Option("--id", help="Of the fish's marker (default 7), or this one anchor only."),
+        int | None, opt("Of the fish's marker (default 7), or this one anchor only.", name="--id")
     ] = None,
-    side: Annotated[
-        float | None,
-        typer.Option("--side", metavar="MM", help="Of a marker's black square.", min=1.0),
-    ] = None,
-    paper: Annotated[Paper, typer.Option("--paper", help="Size of the sheet.")] = "a4",
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="PDF", help="Default: WHAT.pdf here.")
-    ] = None,
-    json: Json = False,
-) -> None:
+    side: Annotated[float | None, opt("Of a marker's black square.", "MM", min=1.0)] = None,
+    paper: Annotated[Paper, opt("Size of the sheet.")] = "a4",
+    out: Annotated[Path | None, opt("Default: WHAT.pdf here.", "PDF")] = None,
+) -> Output:
     """Write a sheet to print, exact to the millimetre.
 
     Print it at 100 % and measure the line of 100 mm on it.
@@ -77,7 +65,7 @@ def print_(
     path = out or Path(f"{what}.pdf")
     write_sheet(sheet, path)
     document = {"file": path, "sheet": sheet.name, "paper": sheet.paper, "text": sheet.text}
-    say(json, document, f"{path}: {sheet.text}")
+    return Output(document, f"{path}: {sheet.text}")
 
 
 def _sheet(
@@ -94,63 +82,39 @@ def _sheet(
 
 
 def calibrate(
-    points: Annotated[
-        Path | None,
-        typer.Option("--points", metavar="CSV", help="u_px,v_px,x_m,y_m or id,x_m,y_m."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="FILE", help="The tank with these points; or a film."),
-    ] = None,
+    points: Annotated[Path | None, opt("u_px,v_px,x_m,y_m or id,x_m,y_m.", "CSV")] = None,
+    picture: Annotated[Path | None, opt("The tank with these points; or a film.", "FILE")] = None,
     board: Annotated[
-        list[Path] | None,
-        typer.Option("--board", metavar="PATH", help="Pictures of the board, a folder, a film."),
+        list[Path] | None, opt("Pictures of the board, a folder, a film.", "PATH")
     ] = None,
     area: Annotated[
         str | None,
-        typer.Option(
-            "--area",
-            metavar="LENGTH,WIDTH",
-            help="The water, m, from 0,0 on; or X0,Y0,X1,Y1. Default: between the points.",
+        opt(
+            "The water, m, from 0,0 on; or X0,Y0,X1,Y1. Default: between the points.",
+            "LENGTH,WIDTH",
         ),
     ] = None,
     raise_m: Annotated[
-        float,
-        typer.Option("--raise", metavar="M", help="The marker's plane is so far above the points."),
+        float, opt("The marker's plane is so far above the points.", "M", name="--raise")
     ] = 0.0,
     depth_m: Annotated[
         float,
-        typer.Option(
-            "--depth",
-            metavar="M",
-            help="The marker is so far under water. The points lie on the surface; if not, --raise "
+        opt(
+            "The marker is so far under water. The points lie on the surface; if not, --raise "
             "is the surface's height above them.",
+            "M",
+            name="--depth",
         ),
     ] = 0.0,
-    ruler: Annotated[
-        list[Path] | None,
-        typer.Option("--ruler", metavar="FILE", help="The ruler at the marker's height."),
-    ] = None,
+    ruler: Annotated[list[Path] | None, opt("The ruler at the marker's height.", "FILE")] = None,
     ruler_length_m: Annotated[
-        float | None,
-        typer.Option("--ruler-length", metavar="M", help="Between the middles of its markers."),
+        float | None, opt("Between the middles of its markers.", "M", name="--ruler-length")
     ] = None,
-    ruler_points: Annotated[
-        str | None,
-        typer.Option("--ruler-points", metavar="U1,V1,U2,V2", help="Its ends, in pixels, instead."),
-    ] = None,
-    camera: Annotated[
-        str, typer.Option("--camera", metavar="TEXT", help="Which camera, in your words.")
-    ] = "",
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Write it there.")] = Path(
-        "tank.json"
-    ),
-    check: Annotated[
-        Path | None,
-        typer.Option("--check", metavar="FILE", help="Check this one by a ruler; write nothing."),
-    ] = None,
-    json: Json = False,
-) -> None:
+    ruler_points: Annotated[str | None, opt("Its ends, in pixels, instead.", "U1,V1,U2,V2")] = None,
+    camera: Annotated[str, opt("Which camera, in your words.", "TEXT")] = "",
+    out: Annotated[Path, opt("Write it there.", "FILE")] = Path("tank.json"),
+    check: Annotated[Path | None, opt("Check this one by a ruler; write nothing.", "FILE")] = None,
+) -> Output:
     """Calibrate a camera over a tank: pixels become metres. See docs/camera-calibration.md.
 
     Example: tailbeat camera calibrate --board board/ --picture tank.png --points tank.csv
@@ -160,32 +124,27 @@ def calibrate(
     if check is not None:
         if points is not None or picture is not None or board:
             raise typer.BadParameter("--check goes with --ruler only")
-        _check(check, rulers, json)
-        return
+        return _check(check, rulers)
     if points is None or picture is None:
         raise typer.BadParameter("give --points CSV and --picture FILE (or --check FILE)")
-    made = _made(points, picture, board or [], (raise_m, depth_m), area, rulers, json)
-    calibration = replace(made.calibration, camera=camera, made_at=_now())
+    made = _made(points, picture, board or [], Height(raise_m, depth_m), area, rulers)
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    calibration = replace(made.calibration, camera=camera, made_at=now)
     calibration.save(out)
-    say(json, _document(made, calibration, out), lambda: _text(made, out))
-
-
-def _now() -> str:
-    return datetime.now().astimezone().isoformat(timespec="seconds")
+    return Output(_document(made, calibration, out), lambda: _text(made, out))
 
 
 def _made(
     points: Path,
     picture: Path,
     board: list[Path],
-    heights_m: tuple[float, float],
+    height: Height,
     area: str | None,
     rulers: list[Ruler],
-    json: bool,
 ) -> Calibrated:
     places = read_points(points)
     area_m = rectangle(_numbers(area, "--area")) if area is not None else None
-    with progress_bar(json, "looking") as show:
+    with progress_bar("looking") as show:
         done = [0]
 
         def look(name: str) -> None:
@@ -193,7 +152,7 @@ def _made(
             show(done[0] / (done[0] + 5), name)  # how many pictures a film gives is not known
 
         return make(
-            places, (str(picture), read_grey(picture)), read_all(board), Height(*heights_m),
+            places, (str(picture), read_grey(picture)), read_all(board), height,
             area_m, rulers, look,
         )  # fmt: skip
 
@@ -225,12 +184,12 @@ def _numbers(text: str, option: str) -> list[float]:
         ) from error
 
 
-def _check(path: Path, rulers: list[Ruler], json: bool) -> None:
+def _check(path: Path, rulers: list[Ruler]) -> Output:
     if not rulers:
         raise typer.BadParameter("what to check it by? --ruler FILE --ruler-length METRES")
     checks = check_scale(load_calibration(path), rulers)
     document = {"file": path, "rulers": [_ruler_document(check) for check in checks]}
-    say(json, document, lambda: "\n".join(map(_ruler_text, checks)))
+    return Output(document, lambda: "\n".join(map(_ruler_text, checks)))
 
 
 def _ruler_document(check: RulerCheck) -> dict[str, Any]:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, IdentifiedFile, Json, Plot, ReferenceName
-from tailbeat.app.cli._terminal import mm, say
+from tailbeat.app.cli._lazy import opt
+from tailbeat.app.cli._options import Connect, IdentifiedFile, Plot, ReferenceName, connected
+from tailbeat.app.cli._terminal import Output
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
-from tailbeat.core.law import LAST
+from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.experiment.current import named_reference, note_set
 from tailbeat.experiment.library import Logbook
@@ -28,36 +28,26 @@ from tailbeat.report.figures.law import render_law
 
 def design(
     identified: IdentifiedFile = None,
-    table: Annotated[
-        Path | None,
-        typer.Option("--table", metavar="CSV", help="Steady speeds: amplitude_rad,speed_m_s."),
-    ] = None,
+    table: Annotated[Path | None, opt("Steady speeds: amplitude_rad,speed_m_s.", "CSV")] = None,
     reference: ReferenceName = None,
-    gain: Annotated[
-        float | None, typer.Option("--gain", help="Judge this gain, rad per m/s.")
-    ] = None,
-    lead: Annotated[
-        float | None, typer.Option("--lead", help="Judge this lead: 0, 0.5, 1, ... beats.")
-    ] = None,
-    q: Annotated[
-        int | None, typer.Option("--q", min=1, help="Length of the filter Q; 1 = none.")
-    ] = None,
+    gain: Annotated[float | None, opt("Judge this gain, rad per m/s.")] = None,
+    lead: Annotated[float | None, opt("Judge this lead: 0, 0.5, 1, ... beats.")] = None,
+    q: Annotated[int | None, opt("Length of the filter Q; 1 = none.", min=1)] = None,
     amplitude_max_rad: Annotated[
         float | None,
-        typer.Option(
-            "--amplitude-max",
+        opt(
+            "rad; default: the board's, or pi/4 without a board.",
+            name="--amplitude-max",
             min=0.01,
             max=1.0471976,
-            help="rad; default: the board's, or pi/4 without a board.",
             show_default=False,
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Also a law that does not learn.")] = False,
-    apply: Annotated[bool, typer.Option("--apply", help="Make it the connected board's.")] = False,
+    force: Annotated[bool, opt("Also a law that does not learn.")] = False,
+    apply: Annotated[bool, opt("Make it the connected board's.")] = False,
     plot: Plot = None,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Choose gain, lead and filter for an identified fish, or assess given ones.
 
     The fish: a file, a table of steady speeds, or what the trial library has of the connected one.
@@ -67,10 +57,8 @@ def design(
     """
     if identified is not None and table is not None:
         raise typer.BadParameter("--identified and --table exclude each other")
-    with ExitStack() as stack:
-        fish = None
-        if apply or (identified is None and table is None):
-            fish = stack.enter_context(connected(connect))
+    needs_fish = apply or (identified is None and table is None)
+    with connected(connect) if needs_fish else nullcontext() as fish:
         known = _identified(identified, table, fish)
         wanted = _reference(reference, fish)
         step_rad = fish.params.get("DU_MAX_RAD").value if fish else 0.0
@@ -78,14 +66,13 @@ def design(
             amplitude_max_rad = fish.params.get("AMP_MAX_RAD").value if fish else math.pi / 4
         found = design_law(known, wanted, amplitude_max_rad, gain, lead, q, step_max_rad=step_rad)
         if found.refused and not force:
-            raise InputError(
-                found.refused, f"Use --gain {found.static_gain_best:.2f}, or --force to insist."
-            )
+            remedy = f"Use --gain {found.static_gain_best:.2f}, or --force to insist."
+            raise InputError(found.refused, remedy)
         if apply and fish is not None:
             _apply(fish, found)
         if plot is not None:
             _plot(plot, known, wanted, found)
-    say(json, _document(found, wanted, known, apply), lambda: _text(found, apply))
+    return Output(_document(found, wanted, known, apply), lambda: _text(found, apply))
 
 
 def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Identified:
@@ -111,20 +98,11 @@ def _reference(text: str | None, fish: Fish | None) -> Reference:
 
 
 def _apply(fish: Fish, found: Design) -> None:
-    """The certificate is for kd = 0, the last error held beyond the end, a gain that stays and the
-    last trial alone, so those go with it."""
-    law = found.law
-    wanted = {
-        "ILC_KD": law.kd_rad_s2_m,
-        "ILC_GAIN": law.kp_rad_s_m,
-        "ILC_LEAD": law.lead_beats,
-        "ILC_Q_LEN": law.q_len,
-        "ILC_END_EXT": law.tail,
-        "ILC_DECR_RATE": law.fade,
-    }
-    if "ILC_KIND" in fish.params.list():  # older firmware has no other
-        wanted["ILC_KIND"] = LAST
-    note_set(fish, {name: fish.params.set(name, value).value for name, value in wanted.items()})
+    """The certificate is for kd = 0, the last error held beyond the end, a constant gain and the
+    last trial alone, so those go with it; older firmware knows only the last trial."""
+    known = fish.params.list()
+    law = {name: value for name, value in found.law.params().items() if name in known}
+    note_set(fish, {name: fish.params.set(name, value).value for name, value in law.items()})
 
 
 def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
@@ -146,17 +124,18 @@ def _document(found: Design, wanted: Reference, known: Identified, applied: bool
         "applied": applied,
         "worst_cycles": found.worst_cycles,
     }
-    return short | {str(key): value for key, value in plain(found).items()}
+    return {**short, **plain(found)}
 
 
 def _text(found: Design, applied: bool) -> str:
+    medians = " ".join(mm(float(value)) for value in found.series.median_m_s)
     lines = [
-        f"law        {law_words(found)}",
+        f"law        {found.law.words()}",
         f"steady     errors become {found.ratio_dc:.2f} of themselves per trial; gain "
         f"{found.static_gain_best:.2f} does best, below {found.static_gain_max:.2f} they shrink",
         f"worst      {_worst(found)}",
         f"proved     {_proved(found)}",
-        f"simulated  max|e| {_series(found)} mm/s from iteration 0 on (medians)",
+        f"simulated  max|e| {medians} mm/s from iteration 0 on (medians)",
         f"           90 % of the last: {mm(float(found.series.low_m_s[-1]))} to "
         f"{mm(float(found.series.high_m_s[-1]))} mm/s",
         f"bound      {mm(found.floor_m_s)} mm/s by the model: noise aside, no law does much better",
@@ -193,16 +172,3 @@ def _proved(found: Design) -> str:
         f"{found.input_ratio:.2f} of the amplitudes' distance from the fixed point when the "
         f"{found.input_beats} beats of that speed are off; not that all further steps do"
     )
-
-
-def law_words(found: Design) -> str:
-    """The law in words: ``gain 4.57 rad s/m, lead 1 beat, no filter``."""
-    law = found.law
-    lead = f"lead {law.lead_beats:g} beat{'' if law.lead_beats == 1 else 's'}"
-    lead = lead if law.lead_beats else "no lead"
-    q = f"filter of length {law.q_len}" if law.q_len > 1 else "no filter"
-    return f"gain {law.kp_rad_s_m:g} rad s/m, {lead}, {q}"
-
-
-def _series(found: Design) -> str:
-    return " ".join(mm(float(value)) for value in found.series.median_m_s)

@@ -4,30 +4,35 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import itertools
 import math
 import sys
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
 
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, Json
-from tailbeat.app.cli._terminal import echo, json_line, progress_bar, say
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import ConnectedFish
+from tailbeat.app.cli._terminal import (
+    Display,
+    Output,
+    json_asked,
+    json_line,
+    print_line,
+    progress_bar,
+)
 from tailbeat.app.cli.board import imu_line
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, TransferError
 from tailbeat.core.files import plain
-from tailbeat.core.printable import printable
 from tailbeat.link.messages import ImuFrame, ImuInfo, imu_health
 from tailbeat.sensors.vn100 import decode
 from tailbeat.sensors.vn100.decode import AsciiLine, Message, Reader
 from tailbeat.sensors.vn100.live import (
     DEFAULT_BAUD,
+    Arrival,
     Driver,
     LiveSensor,
     Setup,
@@ -53,27 +58,21 @@ _COLUMNS = [
 ]
 
 
-def status(connect: Connect = None, json: Json = False) -> None:
+def status(fish: ConnectedFish) -> Output:
     """Print the IMU's state; of a problem, its cause and what to do.
 
     Example: tailbeat board imu status
     """
-    with connected(connect) as fish:
-        info = fish.imu_verdict()
-        health = {k: v for k, v in fish.health().items() if k.startswith("imu_")}
-    not_well = [words for words, _ in _not_well(health)]
-    document = plain(info) | {"health": health, "not_well": not_well}
-    say(json, document, lambda: _text(info, health))
+    info = fish.imu_verdict()
+    health = {k: v for k, v in fish.health().items() if k.startswith("imu_")}
+    wrong = imu_health(int(health["imu_health"]))
+    document = plain(info) | {"health": health, "not_well": [words for words, _ in wrong]}
+    return Output(document, lambda: _status_text(info, health, wrong))
 
 
-def _not_well(health: dict[str, Any]) -> list[tuple[str, str]]:
-    return imu_health(int(health["imu_health"]))
-
-
-def _text(info: ImuInfo, health: dict[str, Any]) -> str:
-    not_well = _not_well(health)
+def _status_text(info: ImuInfo, health: dict[str, Any], wrong: list[tuple[str, str]]) -> str:
     line = imu_line(info)
-    if info.problem.well and not not_well:
+    if info.problem.well and not wrong:
         return f"{line}; {health['imu_frames']} frames"
     lines = [line]
     if info.error:
@@ -81,9 +80,9 @@ def _text(info: ImuInfo, health: dict[str, Any]) -> str:
     if not info.problem.well and info.model:
         firmware = f", firmware {info.firmware}" if info.firmware else ""
         lines.append(f"it is a {info.model}{firmware}; the board is {info.state}")
-    if not_well:
-        lines.append(f"in the last seconds: {', '.join(words for words, _ in not_well)}")
-    lines += [f"to do: {remedy}" for _, remedy in not_well if remedy]
+    if wrong:
+        lines.append(f"in the last seconds: {', '.join(words for words, _ in wrong)}")
+    lines += [f"to do: {remedy}" for _, remedy in wrong if remedy]
     counters = [
         f"{key.removeprefix('imu_')} {count}"
         for key, count in health.items()
@@ -94,73 +93,57 @@ def _text(info: ImuInfo, health: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def save(connect: Connect = None, json: Json = False) -> None:
+def save(fish: ConnectedFish) -> Output:
     """Write the IMU's settings into its own flash and restart it. IMU_MOUNT needs this.
 
     Example: tailbeat board imu save
     """
-    with connected(connect) as fish:
-        fish.imu_save()
-    say(json, {"saved": True}, "saved; the IMU restarts with these settings")
+    fish.imu_save()
+    return Output({"saved": True}, "saved; the IMU restarts with these settings")
 
 
 def record(
-    out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="Replaced if it exists.")],
-    seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", min=0.0, help="Of board time; default: until Ctrl-C."),
-    ] = None,
-    connect: Connect = None,
-    json: Json = False,
-) -> None:
+    fish: ConnectedFish,
+    out: Annotated[Path, arg("Replaced if it exists.", "OUT.csv")],
+    seconds: Annotated[float | None, opt("Of board time; default: until Ctrl-C.", min=0.0)] = None,
+) -> Output:
     """Write the IMU's raw frames to a CSV file as they arrive.
 
     Example: tailbeat board imu record rest.csv --seconds 30
     """
-    with connected(connect) as fish, progress_bar(json, "recording") as show:
-        tally = _Tally()
-        frames = fish.imu_frames(math.inf if seconds is None else seconds)
-        written = _rows_into(out, frames)
-        with (
-            contextlib.suppress(KeyboardInterrupt),
-            contextlib.closing(frames),
-            contextlib.closing(written),
-        ):
-            for frame in written:
-                tally.add(frame)
-                show(tally.duration_s / (seconds or math.inf), f"{tally.frames} frames")
-        if not tally.frames:
-            raise _silent(fish)
-    say(json, {"file": out, **tally.document()}, lambda: tally.text(out))
+    tally, rows = _Tally(), None
+    frames = fish.imu_frames(math.inf if seconds is None else seconds)
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        contextlib.closing(frames),
+        progress_bar("recording") as show,
+        contextlib.ExitStack() as stack,
+    ):
+        for frame in frames:
+            if rows is None:  # a file that is there is not touched before the first one comes
+                file = stack.enter_context(out.open("w", newline=""))
+                rows = csv.writer(file, lineterminator="\n")
+                rows.writerow(_COLUMNS)
+            rows.writerow(_row(frame))
+            tally.add(frame)
+            show(tally.duration_s / (seconds or math.inf), f"{tally.frames} frames")
+    if not tally.frames:
+        raise _silent(fish)
+    missing, duration_s = tally.missing, tally.duration_s
+    counts = {"frames": tally.frames, "missing_frames": missing, "duration_s": duration_s}
+    text = f"{out}: {tally.frames} frames, {duration_s:.2f} s, {missing} missing"
+    return Output({"file": out} | counts, text)
 
 
-def _rows_into(out: Path, frames: Iterator[ImuFrame]) -> Generator[ImuFrame, None, None]:
-    """Writes each frame down before it hands it on. A file that is there is not touched before the
-    first one comes."""
-    first = next(frames, None)
-    if first is None:
-        return
-    with out.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
-        for frame in itertools.chain([first], frames):
-            writer.writerow(_row(frame))
-            yield frame
-
-
+@dataclass
 class _Tally:
     """Counts frames and the numbers missing between them."""
 
-    def __init__(self) -> None:
-        self.frames = 0
-        self.missing = 0
-        self._first_s = self._last_s = 0.0
-        self._next = 0
-
-    @property
-    def duration_s(self) -> float:
-        """From the first frame to the last."""
-        return self._last_s - self._first_s
+    frames: int = 0
+    missing: int = 0
+    duration_s: float = 0.0
+    _first_s: float = 0.0
+    _next: int = 0
 
     def add(self, frame: ImuFrame) -> None:
         """One more; a number below the last one's is a board that has restarted."""
@@ -170,19 +153,7 @@ class _Tally:
             self.missing += frame.sequence - self._next
         self.frames += 1
         self._next = frame.sequence + 1
-        self._last_s = frame.time_s
-
-    def document(self) -> dict[str, Any]:
-        """All of it."""
-        return {
-            "frames": self.frames,
-            "missing_frames": self.missing,
-            "duration_s": self.duration_s,
-        }
-
-    def text(self, out: Path) -> str:
-        """One line."""
-        return f"{out}: {self.frames} frames, {self.duration_s:.2f} s, {self.missing} missing"
+        self.duration_s = frame.time_s - self._first_s
 
 
 def _row(frame: ImuFrame) -> list[str]:
@@ -191,13 +162,13 @@ def _row(frame: ImuFrame) -> list[str]:
     return [str(frame.sequence), f"{frame.time_s:.6f}", *single]
 
 
-def _silent(fish: Fish) -> Exception:
+def _silent(fish: Fish) -> TransferError:
     problem = fish.imu_info().problem
-    if problem.well:
-        return TransferError(
-            "no frames came over the link", "Record longer, or check the Bluetooth link."
-        )
-    return TransferError(f"no frames came: {problem.meaning}", problem.remedy)
+    if not problem.well:
+        return TransferError(f"no frames came: {problem.meaning}", problem.remedy)
+    return TransferError(
+        "no frames came over the link", "Record longer, or check the Bluetooth link."
+    )
 
 
 _DROPOUTS_SHOWN = 10
@@ -205,81 +176,72 @@ _LINE_EVERY_S = 0.2
 _SILENT_S = 2.0
 
 
+@dataclass(frozen=True)
+class ListenOptions:
+    """How to listen to a live sensor."""
+
+    config: Annotated[bool, opt("Set the sensor up as the fish does, until it is reset.")] = False
+    baud: Annotated[
+        int | None,
+        opt(
+            "Listen at this speed only; with --config: bring the line to it "
+            "(default: 115200). Behind tcp: the bridge's speed.",
+            min=9600,
+            max=921600,
+        ),
+    ] = None
+    rate: Annotated[int, opt("With --config: frames per second.", min=1, max=800)] = 100
+    seconds: Annotated[float | None, opt("Listen so long; default: until Ctrl-C.", min=0.0)] = None
+
+
+_LISTEN = ListenOptions()
+
+
 def decode_imu(
     source: Annotated[
         str,
-        typer.Argument(
-            metavar="FILE|PORT",
-            help="A recording ('-' = standard input), a serial port, or tcp:HOST:PORT.",
-        ),
+        arg("A recording ('-' = standard input), a serial port, or tcp:HOST:PORT.", "FILE|PORT"),
     ],
     csv: Annotated[
         Path | None,
-        typer.Option(
-            "--csv",
-            metavar="OUT",
-            help="Write all values there; of several kinds of messages each gets its own file, "
+        opt(
+            "Write all values there; of several kinds of messages each gets its own file, "
             "OUT with the kind in its name.",
+            "OUT",
         ),
     ] = None,
-    config: Annotated[
-        bool,
-        typer.Option("--config", help="Set the sensor up as the fish does, until it is reset."),
-    ] = False,
-    baud: Annotated[
-        int | None,
-        typer.Option(
-            "--baud",
-            min=9600,
-            max=921600,
-            help="Listen at this speed only; with --config: bring the line to it "
-            "(default: 115200). Behind tcp: the bridge's speed.",
-        ),
-    ] = None,
-    rate: Annotated[
-        int, typer.Option("--rate", min=1, max=800, help="With --config: frames per second.")
-    ] = 100,
-    seconds: Annotated[
-        float | None,
-        typer.Option("--seconds", min=0.0, help="Listen so long; default: until Ctrl-C."),
-    ] = None,
-    json: Json = False,
-) -> None:
+    listen: ListenOptions = _LISTEN,
+) -> Output | None:
     """Decode a VN-100's recording, or listen to one; --json prints JSON lines when live.
 
     Example: tailbeat board imu decode /dev/ttyUSB0 --config --csv imu.csv
     """
     if is_port(source):
-        _listen(source, csv, ListenOptions(config, baud, rate, seconds), json)
-    elif config:
+        _listen(source, csv, listen)
+        return None
+    if listen.config:
         raise InputError(f"{source} is no port, so nothing can be set up", "Leave --config out.")
-    else:
-        _recording(source, csv, json)
+    return _recording(source, csv)
 
 
-@dataclass(frozen=True)
-class ListenOptions:
-    """How to listen to a live sensor."""
-
-    config: bool
-    baud: int | None
-    rate: int
-    seconds: float | None
-
-
-def _recording(name: str, csv: Path | None, as_json: bool) -> None:
+def _recording(name: str, csv: Path | None) -> Output:
     reader, summary = Reader(), StreamSummary()
     with _csv_files(csv, live=False) as files:
         for message in decode(_chunks(name), reader):
             summary.add(message)
             if files is not None:
                 files.add(message)
+    document = _summary(name, summary, reader, files)
+    if summary.messages:
+        return Output(document, lambda: _summary_text(document))
+    return Output(document, error=InputError(*_nothing(name, document)))
+
+
+def _summary(
+    name: str, summary: StreamSummary, reader: Reader, files: CsvFiles | None
+) -> dict[str, Any]:
     document = {"source": name} | summary.document(reader.counters, reader.bytes)
-    document["csv_files"] = files.paths if files is not None else []
-    if summary.messages or as_json:
-        say(as_json, document, lambda: _text_vn100(document))
-    if not summary.messages:
-        raise InputError(*_nothing(name, document))
+    return document | {"csv_files": files.paths if files is not None else []}
 
 
 def _nothing(name: str, document: dict[str, Any]) -> tuple[str, str]:
@@ -304,7 +266,7 @@ def _csv_files(path: Path | None, live: bool) -> contextlib.AbstractContextManag
     return contextlib.nullcontext() if path is None else CsvFiles(path, live)
 
 
-def _listen(name: str, csv: Path | None, options: ListenOptions, as_json: bool) -> None:
+def _listen(name: str, csv: Path | None, options: ListenOptions) -> None:
     if options.config and options.baud is None and name.startswith("tcp:"):
         raise InputError(
             "the speed of the line behind TCP is not known",
@@ -314,23 +276,15 @@ def _listen(name: str, csv: Path | None, options: ListenOptions, as_json: bool) 
     with contextlib.closing(open_source(name, baud)) as source:
         driver = Driver(baud, options.rate, source.now_s()) if options.config else None
         live = LiveSensor(source, driver)
-        _begin(live, options, as_json)
-        _follow(live, csv, options.seconds, as_json)
-
-
-def _begin(live: LiveSensor, options: ListenOptions, as_json: bool) -> None:
-    if live.driver is None:
-        baud = find_baud(live, options.baud)
-        if as_json:
-            json_line({"event": "found", "source": live.source.name, "baud": baud})
+        if driver is None:
+            found = find_baud(live, options.baud)
+            document = {"event": "found", "source": source.name, "baud": found}
+            print_line(document, f"{source.name}: messages at {found} baud")
         else:
-            echo(f"{live.source.name}: messages at {baud} baud")
-        return
-    setup = configure(live)
-    if as_json:
-        json_line({"event": "configured", "source": live.source.name, **vars(setup)})
-    else:
-        echo(_setup_text(live.source.name, setup))
+            setup = configure(live)
+            document = {"event": "configured", "source": source.name, **vars(setup)}
+            print_line(document, _setup_text(source.name, setup))
+        _follow(live, csv, options.seconds)
 
 
 def _setup_text(name: str, setup: Setup) -> str:
@@ -344,43 +298,35 @@ def _setup_text(name: str, setup: Setup) -> str:
     return "\n".join(lines)
 
 
-def _follow(live: LiveSensor, csv: Path | None, seconds: float | None, as_json: bool) -> None:
+def _follow(live: LiveSensor, csv: Path | None, seconds: float | None) -> None:
     lost: LinkLostError | None = None
     summary = StreamSummary()
     begin_s = live.source.now_s()
-    show = _quiet_line(live, summary, as_json)
-    with _csv_files(csv, live=True) as files:
+    with _csv_files(csv, live=True) as files, Display() as display:
+        line = _LiveLine(live, summary, display, begin_s)
 
-        def take(message: Message, time_s: float) -> None:
+        def take(arrival: Arrival) -> None:
+            message, time_s = arrival.message, arrival.time_s - begin_s
             summary.add(message)
             if files is not None:
-                files.add(message, time_s - begin_s)
-            if as_json:
-                json_line(_message_document(message, time_s - begin_s))
+                files.add(message, time_s)
+            if json_asked.get():
+                json_line(_message_document(message, time_s))
 
         try:
             for batch in live.batches(seconds):
                 for arrival in batch:
-                    take(arrival.message, arrival.time_s)
-                show()
+                    take(arrival)
+                line.show()
         except KeyboardInterrupt:
             pass  # the usual end
         except LinkLostError as error:
             lost = error
         for arrival in live.end():
-            take(arrival.message, arrival.time_s)
-    if not as_json and sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")
-        sys.stderr.flush()
-    document = {"source": live.source.name} | summary.document(
-        live.reader.counters, live.reader.bytes
-    )
+            take(arrival)
+    document = _summary(live.source.name, summary, live.reader, files)
     document["listened_s"] = live.source.now_s() - begin_s
-    document["csv_files"] = files.paths if files is not None else []
-    if as_json:
-        json_line({"event": "summary", **document})
-    else:
-        echo(_text_vn100(document))
+    print_line({"event": "summary"} | document, _summary_text(document))
     if lost is not None:
         raise lost
 
@@ -392,32 +338,35 @@ def _message_document(message: Message, time_s: float) -> dict[str, Any]:
     return document | {"line": ",".join(message.fields)}
 
 
-def _quiet_line(live: LiveSensor, summary: StreamSummary, as_json: bool) -> Callable[[], None]:
-    """Gives ``show()``: keeps one line up to date when a person watches."""
-    if as_json or not sys.stderr.isatty():
-        return lambda: None
-    next_s, last_count, last_s = 0.0, 0, live.source.now_s()
+@dataclass
+class _LiveLine:
+    """One line that is kept up to date while a person watches."""
 
-    def show() -> None:
-        nonlocal next_s, last_count, last_s
-        now_s = live.source.now_s()
-        if summary.messages != last_count:
-            last_count, last_s = summary.messages, now_s
-        if now_s >= next_s:
-            next_s = now_s + _LINE_EVERY_S
-            state = "" if now_s - last_s < _SILENT_S else f"; silent for {now_s - last_s:.0f} s"
-            if live.driver is not None and not live.driver.problem.well:
-                state = f"; {live.driver.problem.meaning}"
-            counters = live.reader.counters
-            damaged = counters.crc_failed + counters.checksum_failed
-            text = f"{summary.messages} messages, {damaged} damaged{state}"
-            sys.stderr.write(f"\r{printable(text)}\x1b[K")
-            sys.stderr.flush()
+    live: LiveSensor
+    summary: StreamSummary
+    display: Display
+    last_s: float  # when the last message came
+    _last_count: int = 0
+    _next_s: float = 0.0
 
-    return show
+    def show(self) -> None:
+        """How many messages, and what is wrong."""
+        now_s, messages = self.live.source.now_s(), self.summary.messages
+        if messages != self._last_count:
+            self._last_count, self.last_s = messages, now_s
+        if now_s < self._next_s or json_asked.get():
+            return
+        self._next_s = now_s + _LINE_EVERY_S
+        silent_s, driver = now_s - self.last_s, self.live.driver
+        state = "" if silent_s < _SILENT_S else f"; silent for {silent_s:.0f} s"
+        if driver is not None and not driver.problem.well:
+            state = f"; {driver.problem.meaning}"
+        counters = self.live.reader.counters
+        damaged = counters.crc_failed + counters.checksum_failed
+        self.display.show(f"{messages} messages, {damaged} damaged{state}")
 
 
-def _text_vn100(document: dict[str, Any]) -> str:
+def _summary_text(document: dict[str, Any]) -> str:
     d = document
     lines = [
         f"{d['source']}: {d['binary_valid']} binary frames, {d['ascii_valid']} ASCII lines;"

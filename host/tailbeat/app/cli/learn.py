@@ -9,13 +9,19 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._experiment import verdict_after_learning, verdict_text, warn_if_another
-from tailbeat.app.cli._options import Connect, IdentifiedFile, Json
-from tailbeat.app.cli._terminal import TRIAL_MAX, echo, mm, progress_bar, say
+from tailbeat.app.cli._experiment import (
+    pull_with_bar,
+    verdict_after_learning,
+    verdict_text,
+    warn_if_another,
+)
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import Connect, IdentifiedFile, connected
+from tailbeat.app.cli._terminal import TRIAL_MAX, Output, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
+from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import Logbook, logbook_of
@@ -35,26 +41,19 @@ from tailbeat.session.model_step import (
     swims_since,
     upload,
 )
+from tailbeat.session.presenter import result
 
 
 def learn(
     number: Annotated[
-        int | None,
-        typer.Argument(min=1, max=TRIAL_MAX, metavar="[TRIAL]", help="Default: the pending one."),
+        int | None, arg("Default: the pending one.", "[TRIAL]", min=1, max=TRIAL_MAX)
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Compute the same numbers here; change nothing.")
-    ] = False,
-    restore_best: Annotated[
-        bool, typer.Option("--restore-best", help="Swim the best amplitudes so far next.")
-    ] = False,
-    law: Annotated[
-        str, typer.Option("--law", metavar="p|model", help="model: this computer plans the next.")
-    ] = "p",
+    dry_run: Annotated[bool, opt("Compute the same numbers here; change nothing.")] = False,
+    restore_best: Annotated[bool, opt("Swim the best amplitudes so far next.")] = False,
+    law: Annotated[str, opt("model: this computer plans the next.", "p|model")] = "p",
     identified: IdentifiedFile = None,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Let the board learn from the pending trial.
 
     With --law model the next input comes from a model of the fish, fitted again to all its trials;
@@ -66,14 +65,11 @@ def learn(
     _require_consistent(dry_run, restore_best, law, identified)
     with connected(connect) as fish:
         if law == "model":
-            learn_with_model(fish, number, identified, dry_run, json)
-        elif dry_run:
+            return learn_with_model(fish, number, identified, dry_run)
+        if dry_run:
             found = compute(fish, number)
-            say(json, found.as_dict(), found.text)
-        elif restore_best:
-            _restore_best(fish, json)
-        else:
-            _learn(fish, number, json)
+            return Output(found.as_dict(), found.text)
+        return _restore_best(fish) if restore_best else _learn(fish, number)
 
 
 def _require_consistent(
@@ -89,30 +85,29 @@ def _require_consistent(
         raise typer.BadParameter("--restore-best and --law model exclude each other")
 
 
-def _restore_best(fish: Fish, json: bool) -> None:
+def _restore_best(fish: Fish) -> Output:
     restore_best_noted(fish)
     held = fish.amplitudes()
     document = {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values}
-    say(json, document, f"the best amplitudes swim next, as iteration {held.iteration}")
+    return Output(document, f"the best amplitudes swim next, as iteration {held.iteration}")
 
 
-def _learn(fish: Fish, number: int | None, json: bool) -> None:
+def _learn(fish: Fish, number: int | None) -> Output:
     report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
     held, visits = fish.amplitudes(), fish.visits()
     if line := not_noted(fish):
-        echo(f"tailbeat: {line}", err=True)
-    verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json)
+        warn(line)
+    verdict = verdict_after_learning(fish, report.trial, report.rolled_back)
     document = vars(report) | {
         "next_iteration": held.iteration,
         "amplitude_rad": held.values,
         "visits": visits,
         "verdict": verdict,
     }
-    text = f"learned from trial {report.trial}: max|e| {mm(report.max_abs_error_m_s)} mm/s"
-    text += f", RMS {mm(report.rms_error_m_s)}" + (", the best so far" if report.improved else "")
+    text = result(report)
     text += f"; {rollback_words()}" if report.rolled_back else ""
     missing = never_corrected(visits)
-    say(json, document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
+    return Output(document, text + (f"\n{missing}" if missing else "") + verdict_text(verdict))
 
 
 _RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
@@ -124,8 +119,8 @@ _ANEW = (
 
 
 def learn_with_model(
-    fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool, json: bool
-) -> None:
+    fish: Fish, number: int | None, identified_file: Path | None, dry_run: bool
+) -> Output:
     """The pending trial, if there is one, then the amplitudes that swim next."""
     pending = fish.status().pending_trial
     if number not in (None, pending):
@@ -135,14 +130,13 @@ def learn_with_model(
     identified = _identified(book, identified_file)
     warn_if_another(identified, unique_id)
     setting = setting_of(fish)
-    every, kept = _swims(fish, pending, book, dry_run, json)
+    every, kept = _swims(fish, pending, book, dry_run)
     swims = swims_since(identified, every, unique_id)
     if numbered_anew(every, swims):
-        echo(f"tailbeat: {_ANEW}", err=True)
+        warn(_ANEW)
     step = next_step(setting, identified, swims)
     if dry_run:
-        _say(step, pending, None, None, None, json)
-        return
+        return _output(step, pending, None, None, None)
     report = None if pending is None else learn_noted(fish, pending, "learn --law model")
     restored = report.rolled_back if report else fish.amplitudes().input == _RESTORED
     following = next_of(step.proposal, restored, fish.status().best_max_abs_error_m_s)
@@ -153,10 +147,10 @@ def learn_with_model(
         state_noted(fish)
     verdict = None
     if report is not None:
-        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, json, kept)
+        verdict = verdict_after_learning(fish, report.trial, report.rolled_back, kept)
     if verdict is not None and verdict.kind == "rolled_back" and following.upload:
         verdict = replace(verdict, words=f"{verdict.words}, which the model's plan replaces")
-    _say(step, pending, report, following, verdict, json)
+    return _output(step, pending, report, following, verdict)
 
 
 def _identified(book: Logbook | None, file: Path | None) -> Identified:
@@ -172,18 +166,14 @@ def _identified(book: Logbook | None, file: Path | None) -> Identified:
 
 
 def _swims(
-    fish: Fish, pending: int | None, book: Logbook | None, dry_run: bool, json: bool
+    fish: Fish, pending: int | None, book: Logbook | None, dry_run: bool
 ) -> tuple[list[Swim], Path | None]:
     """All in the library and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""
     if pending is None:
         return book.swims() if book is not None else [], None
-    with TemporaryDirectory() as folder, progress_bar(json, f"trial {pending}") as show:
-        path = fish.pull_trial(
-            pending,
-            Path(folder),
-            lambda done, total: show(done / max(total, 1), f"{done} bytes"),
-        )
+    with TemporaryDirectory() as folder:
+        path = pull_with_bar(fish, pending, Path(folder))
         if book is None:
             swim = swim_of(read_trial(path))
             return [swim] if swim.measured.any() else [], None
@@ -193,14 +183,13 @@ def _swims(
         return book.swims(kept), kept
 
 
-def _say(
+def _output(
     step: ModelStep,
     pending: int | None,
     report: LearnReport | None,
     following: Next | None,
     verdict: Verdict | None,
-    json: bool,
-) -> None:
+) -> Output:
     """``following`` None: a dry run."""
     document: dict[str, Any] = {
         **step.document,
@@ -212,7 +201,7 @@ def _say(
         "dry_run": following is None,
         "verdict": verdict,
     }
-    say(json, document, lambda: _text(step, report, following) + verdict_text(verdict))
+    return Output(document, lambda: _text(step, report, following) + verdict_text(verdict))
 
 
 def _text(step: ModelStep, report: LearnReport | None, following: Next | None) -> str:

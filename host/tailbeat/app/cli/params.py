@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import typer
-
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, Json
-from tailbeat.app.cli._terminal import echo, say, table
+from tailbeat.app.cli._lazy import arg
+from tailbeat.app.cli._options import Connect, ConnectedFish, connected
+from tailbeat.app.cli._terminal import Output, table, warn
 from tailbeat.board import presets
 from tailbeat.core.param_names import current_name
 from tailbeat.experiment.current import accept, note_all, note_set
 from tailbeat.link.params import Parameter
 
-Name = Annotated[str, typer.Argument(metavar="NAME", help="For example ILC_GAIN.")]
+Name = Annotated[str, arg("For example ILC_GAIN.", "NAME")]
 
 
 def _number(value: float) -> str:
@@ -26,45 +24,45 @@ def _present(name: str) -> str:
     old = name.upper()
     new = current_name(old)
     if new != old:
-        echo(f"tailbeat: {old} is now {new}", err=True)
+        warn(f"{old} is now {new}")
     return new
 
 
-def _one(parameter: Parameter) -> dict[str, Any]:
+def _document(parameter: Parameter) -> dict[str, Any]:
     return {"name": parameter.name, "value": parameter.value, "unit": parameter.unit}
 
 
-def get_(name: Name, connect: Connect = None, json: Json = False) -> None:
+def _one(found: Parameter) -> Output:
+    text = f"{found.name} = {_number(found.value)} {found.unit}".rstrip()
+    return Output(_document(found), text)
+
+
+def get_(fish: ConnectedFish, name: Name) -> Output:
     """Print one parameter.
 
     Example: tailbeat params get ILC_GAIN
     """
-    with connected(connect) as fish:
-        found = fish.params.get(_present(name))
-    say(json, _one(found), f"{found.name} = {_number(found.value)} {found.unit}".rstrip())
+    return _one(fish.params.get(_present(name)))
 
 
 def set_(
+    fish: ConnectedFish,
     name: Name,
-    value: Annotated[float, typer.Argument(help="In the parameter's unit.")],
-    connect: Connect = None,
-    json: Json = False,
-) -> None:
+    value: Annotated[float, arg("In the parameter's unit.")],
+) -> Output:
     """Change one parameter at once; 'params save' keeps it through a power cycle.
 
     Example: tailbeat params set ILC_GAIN 4.6
     """
-    with connected(connect) as fish:
-        held = fish.params.set(_present(name), value)
-        note_set(fish, {held.name: held.value})
-    say(json, _one(held), f"{held.name} = {_number(held.value)} {held.unit}".rstrip())
+    held = fish.params.set(_present(name), value)
+    note_set(fish, {held.name: held.value})
+    return _one(held)
 
 
 def preset(
-    name: Annotated[str, typer.Argument(metavar="thesis", help="Which set of values.")],
+    name: Annotated[str, arg("Which set of values.", "thesis")],
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Set all parameters of a named set: thesis = the learning law of the thesis and its limits.
 
     It allows amplitudes up to 0.785 rad: use it only when the fish's commissioning allows that.
@@ -78,21 +76,20 @@ def preset(
     rows = [
         [now.name, _number(now.value), now.unit, _was(before, now)] for before, now in held.values()
     ]
-    document = {"preset": name, "params": [_one(now) for _, now in held.values()]}
-    say(json, document, lambda: table(["name", "value", "unit", ""], rows, left=(0, 2, 3)))
+    document = {"preset": name, "params": [_document(now) for _, now in held.values()]}
+    return Output(document, lambda: table(["name", "value", "unit", ""], rows, left=(0, 2, 3)))
 
 
 def _was(before: float, now: Parameter) -> str:
     return "" if before == now.value else f"(was {_number(before)})"
 
 
-def list_(connect: Connect = None, json: Json = False) -> None:
+def list_(fish: ConnectedFish) -> Output:
     """Print all parameters with their units and meaning.
 
     Example: tailbeat params list
     """
-    with connected(connect) as fish:
-        found = fish.params.list()
+    found = list(fish.params.list().values())
     rows = [
         [
             p.name,
@@ -101,42 +98,40 @@ def list_(connect: Connect = None, json: Json = False) -> None:
             "" if p.value == p.default else f"(default {_number(p.default)})",
             p.text,
         ]
-        for p in found.values()
+        for p in found
     ]
     header = ["name", "value", "unit", "", "meaning"]
-    say(json, {"params": list(found.values())}, lambda: table(header, rows, left=(0, 2, 3, 4)))
+    return Output({"params": found}, lambda: table(header, rows, left=(0, 2, 3, 4)))
 
 
-def save(connect: Connect = None, json: Json = False) -> None:
+def save(fish: ConnectedFish) -> Output:
     """Keep the present values through a power cycle; an experiment goes on with them.
 
     Example: tailbeat params save
     """
-    with connected(connect) as fish:
-        fish.params.save()
-        accepted = accept(fish)
+    fish.params.save()
+    accepted = accept(fish)
     words = [f"{name} {_number(now)} (was {_number(was)})" for name, (now, was) in accepted.items()]
     text = f"saved; from now on expected: {', '.join(words)}" if words else "saved"
-    say(json, {"saved": True, "accepted": {name: now for name, (now, _) in accepted.items()}}, text)
+    document = {"saved": True, "accepted": {name: now for name, (now, _) in accepted.items()}}
+    return Output(document, text)
 
 
-def load(connect: Connect = None, json: Json = False) -> None:
+def load(fish: ConnectedFish) -> Output:
     """Bring the saved values back.
 
     Example: tailbeat params load
     """
-    with connected(connect) as fish:
-        fish.params.load()
-        note_all(fish)
-    say(json, {"loaded": True}, "loaded")
+    fish.params.load()
+    note_all(fish)
+    return Output({"loaded": True}, "loaded")
 
 
-def reset(connect: Connect = None, json: Json = False) -> None:
+def reset(fish: ConnectedFish) -> Output:
     """Set every parameter to its default; what is saved stays until 'params save'.
 
     Example: tailbeat params reset
     """
-    with connected(connect) as fish:
-        fish.params.reset()
-        note_all(fish)
-    say(json, {"reset": True}, "all parameters at their defaults")
+    fish.params.reset()
+    note_all(fish)
+    return Output({"reset": True}, "all parameters at their defaults")

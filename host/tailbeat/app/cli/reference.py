@@ -9,13 +9,20 @@ from typing import Annotated, Any
 
 import typer
 
-from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._experiment import sound_identified, warn_if_another
-from tailbeat.app.cli._options import Connect, IdentifiedFile, Json, reference_names
-from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import (
+    Connect,
+    ConnectedFish,
+    IdentifiedFile,
+    connected,
+    reference_names,
+)
+from tailbeat.app.cli._terminal import Output, bytes_bar, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.printable import mm
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference, ReferenceLimits, ReferenceProblem
 from tailbeat.experiment.current import named_reference
@@ -102,18 +109,10 @@ def suggestion_text(found: Suggestion, path: str) -> str:
     return "\n".join(lines)
 
 
-def upload_warm(
-    fish: Fish,
-    reference: Reference,
-    old: str,
-    identified_file: Path | None,
-    dry_run: bool,
-    document: dict[str, Any],
-    line: str,
-    json: bool,
-) -> None:
-    """Uploads the reference and amplitudes for it, or prints them. ``document``, ``line``: what is
-    said of the reference itself."""
+def _upload_warm(
+    fish: Fish, reference: Reference, old: str, identified_file: Path | None, dry_run: bool
+) -> Output:
+    """Uploads the reference and amplitudes for it, or prints them."""
     book = logbook_of(fish)
     identified = sound_identified(book) if book is not None else None
     if identified_file is not None:
@@ -123,21 +122,20 @@ def upload_warm(
         warn_if_another(identified, unique_id)
     found = plan(fish, old, reference, identified, book)
     if found.learned.unique_id not in ("", unique_id):
-        echo(f"tailbeat: learned by another fish ({found.learned.unique_id})", err=True)
-    copy = None
-    if not dry_run:
-        with progress_bar(json, "upload") as show:
-            copy = carry(fish, found, book, lambda done, total: show(done / max(total, 1), ""))
-        name_reference(fish, reference)
-    document |= {"like": found.as_dict(), "copy": copy, "dry_run": dry_run}
+        warn(f"learned by another fish ({found.learned.unique_id})")
+    document = _document(reference, reference.crc, [])
+    document |= {"like": found.as_dict(), "copy": None, "dry_run": dry_run}
+    words = f"{reference.name}: {_line(reference)}; {_words(found)}"
     if dry_run:
+        warn(f"would upload {words}")
         rows = enumerate(found.transferred.amplitude_rad)
         table = [f"{beat},{float(value)!r}" for beat, value in rows]
-        echo(f"tailbeat: would upload {reference.name}: {line}; {_words(found)}", err=True)
-        say(json, document, "\n".join(["beat,amplitude_rad", *table]))
-        return
+        return Output(document, "\n".join(["beat,amplitude_rad", *table]))
+    with bytes_bar("upload") as show:
+        copy = carry(fish, found, book, show)
+    name_reference(fish, reference)
     kept = f"; what the board had learned is kept in {copy}" if copy is not None else ""
-    say(json, document, f"uploaded {reference.name}: {line}; {_words(found)}{kept}")
+    return Output(document | {"copy": copy}, f"uploaded {words}{kept}")
 
 
 def _words(found: TransferPlan) -> str:
@@ -153,11 +151,11 @@ def _words(found: TransferPlan) -> str:
 
 What = Annotated[
     str,
-    typer.Argument(
-        metavar="REFERENCE",
-        autocompletion=reference_names,
-        help="thesis[:V,DURATION_S], trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV "
+    arg(
+        "thesis[:V,DURATION_S], trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S or a CSV "
         "with t_s,v_m_s (a curve's points) or beat,t_s,v_m_s (beat means, as written here).",
+        "REFERENCE",
+        autocompletion=reference_names,
     ),
 ]
 
@@ -187,33 +185,33 @@ def _line(reference: Reference) -> str:
     )
 
 
-def _refuse(problems: list[ReferenceProblem]) -> None:
-    if problems:
-        raise InputError(
+def _refusal(problems: list[ReferenceProblem]) -> InputError | None:
+    return (
+        InputError(
             " ".join(problem.meaning for problem in problems),
             " ".join(dict.fromkeys(problem.remedy for problem in problems)),
         )
+        if problems
+        else None
+    )
 
 
 def upload(
     what: What,
     warm_start: Annotated[
         str | None,
-        typer.Option(
-            "--warm-start",
-            metavar="OLD",
-            help="Begin with what was learned along OLD, a reference of the same shape: board (what"
+        opt(
+            "Begin with what was learned along OLD, a reference of the same shape: board (what"
             " it holds now), a trial's file, an experiment's folder, or a reference.",
+            "OLD",
         ),
     ] = None,
     dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="With --warm-start: print the amplitudes; change nothing."),
+        bool, opt("With --warm-start: print the amplitudes; change nothing.")
     ] = False,
     identified: IdentifiedFile = None,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Check a reference against the board's limits and make it the board's.
 
     Another reference than the present one sets the iteration to 0. With --warm-start the first
@@ -225,39 +223,31 @@ def upload(
         raise typer.BadParameter("--dry-run and --identified are for --warm-start OLD")
     reference = named_reference(what)
     with connected(connect) as fish:
-        _refuse(reference.check(_limits(fish)))
+        if (refused := _refusal(reference.check(_limits(fish)))) is not None:
+            raise refused
         if warm_start is not None:
-            document = _document(reference, reference.crc, [])
-            upload_warm(
-                fish, reference, warm_start, identified, dry_run, document, _line(reference), json
-            )
-            return
-        with progress_bar(json, "upload") as show:
-            crc = fish.upload_reference(
-                reference.record(), lambda done, total: show(done / max(total, 1), "")
-            )
+            return _upload_warm(fish, reference, warm_start, identified, dry_run)
+        with bytes_bar("upload") as show:
+            crc = fish.upload_reference(reference.record(), show)
         name_reference(fish, reference)
-    say(json, _document(reference, crc, []), f"uploaded {reference.name}: {_line(reference)}")
+    return Output(_document(reference, crc, []), f"uploaded {reference.name}: {_line(reference)}")
 
 
 def show(
-    connect: Connect = None,
-    csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
-    json: Json = False,
-) -> None:
+    fish: ConnectedFish,
+    csv: Annotated[Path | None, opt("Write the beats there.")] = None,
+) -> Output:
     """Print the board's reference.
 
     Example: tailbeat reference show --csv reference.csv
     """
-    with connected(connect) as fish:
-        record = fish.reference_record()
-    if record is None:
+    if (record := fish.reference_record()) is None:
         raise refusal(NO_REFERENCE)
     found = decode_reference(record)
     reference = Reference(found.beat_s, found.speed_m_s, f"{found.crc:08x}")
     if csv is not None:
         reference.to_csv(csv)
-    say(json, _document(reference, found.crc, []), f"{reference.name}: {_line(reference)}")
+    return Output(_document(reference, found.crc, []), f"{reference.name}: {_line(reference)}")
 
 
 @dataclass(frozen=True)
@@ -273,32 +263,16 @@ class _CheckedAgainst:
 
 def check(
     what: What,
-    suggest: Annotated[
-        bool, typer.Option("--suggest", help="Write the nearest reference the fish can follow.")
-    ] = False,
+    suggest: Annotated[bool, opt("Write the nearest reference the fish can follow.")] = False,
     identified: IdentifiedFile = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="CSV for --suggest; default: NAME-feasible.csv.")
-    ] = None,
-    amp_max: Annotated[
-        float | None,
-        typer.Option("--amp-max", metavar="RAD", help="Largest amplitude; default: the board's."),
-    ] = None,
-    tank: Annotated[
-        float | None,
-        typer.Option("--tank", metavar="M", help="Length of the tank; default: the board's."),
-    ] = None,
+    out: Annotated[Path | None, opt("CSV for --suggest; default: NAME-feasible.csv.")] = None,
+    amp_max: Annotated[float | None, opt("Largest amplitude; default: the board's.", "RAD")] = None,
+    tank: Annotated[float | None, opt("Length of the tank; default: the board's.", "M")] = None,
     slew: Annotated[
-        float | None,
-        typer.Option(
-            "--slew",
-            metavar="RAD",
-            help="Largest change per beat for the error bound; default: any.",
-        ),
+        float | None, opt("Largest change per beat for the error bound; default: any.", "RAD")
     ] = None,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Check a reference against the board's limits, the tank and the fish.
 
     For an identified fish the error bound is printed: the smallest achievable max|e|, where and
@@ -315,7 +289,7 @@ def check(
     document["floor"] = bound_document(found) if found else None
     saturation = _expected(known, reference)
     document["saturation"] = saturation
-    lines = [f"fits: {_line(reference)}"] if not problems else [str(p) for p in problems]
+    lines = [str(problem) for problem in problems] or [f"fits: {_line(reference)}"]
     if saturation is not None:
         lines.append(saturation.text)
     if found and known.identified:
@@ -324,13 +298,10 @@ def check(
         lines.append(_UNKNOWN)
     if suggest:
         document["suggestion"], text = _suggested(reference, known, out)
-        lines.append(text)
-    elif found and (hint := advice(found, what)):
+        return Output(document, "\n".join([*lines, text]))
+    if found and (hint := advice(found, what)):
         lines.append(hint)
-    if json or suggest or not problems:
-        say(json, document, "\n".join(lines))
-    if not suggest:
-        _refuse(problems)
+    return Output(document, "" if problems else "\n".join(lines), error=_refusal(problems))
 
 
 _UNKNOWN = "error bound unknown: this fish has not been identified (tailbeat session identify)"

@@ -7,13 +7,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from tailbeat.app.cli._connect import connected
 from tailbeat.app.cli._experiment import sound_identified
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Json, Library, Plot, Root
-from tailbeat.app.cli._terminal import echo, mm, say, table
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Library, Plot, Root, connected
+from tailbeat.app.cli._terminal import Output, table, warn
 from tailbeat.core.errors import InputError
+from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_measured
 from tailbeat.experiment.current import note_set
 from tailbeat.experiment.export import missing_formats
@@ -28,46 +27,37 @@ from tailbeat.report.paper import Written, write_report
 
 def progress(
     experiment: Annotated[
-        Path | None,
-        typer.Option(
-            "--experiment", metavar="DIR", help="Its trials; default: those of the trial library."
-        ),
+        Path | None, opt("Its trials; default: those of the trial library.", "DIR")
     ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option("--reference", metavar="CRC", help="0x1a2b3c4d, or list; default: the last."),
-    ] = None,
+    reference: Annotated[str | None, opt("0x1a2b3c4d, or list; default: the last.", "CRC")] = None,
     plot: Plot = None,
     apply: Annotated[
-        bool,
-        typer.Option("--apply", help="Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board."),
+        bool, opt("Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board.")
     ] = False,
     library: Library = None,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Assess the convergence: disturbance or progress in each trial, go on or stop.
 
     Example: tailbeat experiment progress --experiment experiments/2026-05-04_fish_thesis_p4_01
     """
     known = _material(experiment, library, connect)
     for problem in known.problems:
-        echo(f"tailbeat: {problem}", err=True)
+        warn(problem)
     if reference == "list":
         rows = references_of(known)
-        say(json, {"references": rows}, lambda: _references_text(rows))
-        return
+        return Output({"references": rows}, lambda: _references_text(rows))
 
     trials = [one.trial for one in known.kept if not one.mark]
     found = progress_of(trials, _crc(reference), known.identified, known.problems)
     for problem in found.problems[len(known.problems) :]:
-        echo(f"tailbeat: {problem}", err=True)
+        warn(problem)
     left_out = _discarded(known, found)
     applied = _apply(found, connect) if apply else None
     if plot is not None:
         progress_png(found, plot)
     document = _progress_document(found) | {"applied": applied, "discarded": left_out}
-    say(json, document, lambda: _progress_text(found, applied, left_out))
+    return Output(document, lambda: _progress_text(found, applied, left_out))
 
 
 @dataclass(frozen=True)
@@ -120,8 +110,7 @@ def references_of(known: _Material) -> list[dict[str, Any]]:
 
 def _references_text(rows: list[dict[str, Any]]) -> str:
     cells = [
-        [f"{row['reference_crc']:#010x}", str(row["trials"]), str(row["beats"]), row["last"]]
-        for row in rows
+        [f"{row['reference_crc']:#010x}", row["trials"], row["beats"], row["last"]] for row in rows
     ]
     return table(["reference", "trials", "beats", "last"], cells, left=(0, 3))
 
@@ -171,8 +160,8 @@ def _progress_text(found: Progress, applied: dict[str, float] | None, discarded:
     header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
     rows = [
         [
-            str(row.trial),
-            str(row.iteration),
+            row.trial,
+            row.iteration,
             mm(row.max_abs_error_m_s),
             mm(row.rms_error_m_s),
             f"trial {row.repeat_of}" if row.repeat_of else "",
@@ -214,28 +203,21 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
 def report(
     folder: Annotated[
         Path | None,
-        typer.Argument(
-            metavar="FOLDER",
-            help="The experiment's folder; default: the newest below --root.",
+        arg(
+            "The experiment's folder; default: the newest below --root.",
+            "FOLDER",
             show_default=False,
         ),
     ] = None,
-    paper: Annotated[
-        bool, typer.Option("--paper", help="Also figures as PDF and SVG, captions and tables.")
-    ] = False,
+    paper: Annotated[bool, opt("Also figures as PDF and SVG, captions and tables.")] = False,
     against: Annotated[
-        list[Path] | None,
-        typer.Option("--against", metavar="FOLDER", help="Compare with another; repeatable."),
+        list[Path] | None, opt("Compare with another; repeatable.", "FOLDER")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="DIR", help="Default: report/ in the experiment.", show_default=False
-        ),
+        Path | None, opt("Default: report/ in the experiment.", "DIR", show_default=False)
     ] = None,
     root: Root = EXPERIMENTS,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Write one page about an experiment, and figures and tables for a paper.
 
     Example: tailbeat report --paper
@@ -251,8 +233,8 @@ def report(
         "tables": written.tables,
     }
     if written.tables and (line := missing_formats()):
-        echo(f"tailbeat: {line}", err=True)
-    say(json, document, lambda: _text_report(chosen, written, named=folder is not None))
+        warn(line)
+    return Output(document, lambda: _text_report(chosen, written, named=folder is not None))
 
 
 def newest(root: Path) -> Experiment:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
-
-import typer
 
 from tailbeat.app.cli._camera import (
     CAMERA,
@@ -16,12 +12,17 @@ from tailbeat.app.cli._camera import (
     TankCameraOptions,
     live_camera,
 )
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._display import Display
-from tailbeat.app.cli._keyboard import Keys, terminal_keys
-from tailbeat.app.cli._operator import COUNTS, KINDS, TerminalOperator
-from tailbeat.app.cli._options import Connect, Into, Json, Rest, reference_names
-from tailbeat.app.cli._terminal import command_typed, say
+from tailbeat.app.cli._lazy import opt
+from tailbeat.app.cli._operator import COUNTS, KINDS, Keys, TerminalOperator, terminal
+from tailbeat.app.cli._options import (
+    Connect,
+    Into,
+    Rest,
+    connected,
+    preflight_limits,
+    reference_names,
+)
+from tailbeat.app.cli._terminal import Display, Output, command_typed, json_asked
 from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
@@ -37,24 +38,18 @@ from tailbeat.session.series import Options
 from tailbeat.session.status import status_of, words
 from tailbeat.session.trim import Trim, apply, find_centre
 
-Yes = Annotated[bool, typer.Option("--yes", help="Answer every question with yes.")]
+Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
 
 
 def commission(
     reference: Annotated[
-        str,
-        typer.Option(
-            "--reference",
-            help="The reference, as for 'reference upload'.",
-            autocompletion=reference_names,
-        ),
+        str, opt("The reference, as for 'reference upload'.", autocompletion=reference_names)
     ] = "thesis",
     rest: Rest = None,
     yes: Yes = False,
     camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Check, trim, identify and design for a new fish, then raise its limits.
 
     Begins with the careful defaults of the board. Each limit rises in small steps, each with its
@@ -65,38 +60,32 @@ def commission(
     """
     wanted = named_reference(reference)
     options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
-        display, keys = there
-        ritual = PreflightLimits() if rest is None else PreflightLimits(rest_s=rest)
-        person = _person(display, keys, yes)
+    with connected(connect) as fish, live_camera(fish, options) as live, terminal() as there:
+        display = there[0]
+        operator = _operator(*there, yes)
         steps = []
-        for step in first_session(fish, wanted, person, live.camera, live.guard, ritual):
+        limits = preflight_limits(rest)
+        for step in first_session(fish, wanted, operator, live.camera, live.guard, limits):
             display.keep(_step_text(step))
             steps.append(step)
-        limits = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
+        held = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
     well = steps[-1].done
-    say(json, {"ok": well, "steps": steps, "params": limits}, _end_text(steps, limits))
-    if not well:
-        raise typer.Exit(1)
+    document = {"ok": well, "steps": steps, "params": held}
+    return Output(document, _end_text(steps[-1], held), status=0 if well else 1)
 
 
 def resume(
     into: Into = None,
-    another_board: Annotated[
-        bool, typer.Option("--another-board", help="The fish's board was replaced by this one.")
-    ] = False,
+    another_board: Annotated[bool, opt("The fish's board was replaced by this one.")] = False,
     repeat: Annotated[
         bool,
-        typer.Option(
-            "--repeat/--no-repeat", help="Run the best trial once more, to measure the shift."
-        ),
+        opt("Run the best trial once more, to measure the shift.", name="--repeat/--no-repeat"),
     ] = True,
     rest: Rest = None,
     yes: Yes = False,
     camera: TankCameraOptions = CAMERA,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Restore the board after a battery swap, repeat the best trial, print the shift.
 
     The repeat is not learned from; the feedforward input of the next trial stays. Exit status 0
@@ -106,47 +95,38 @@ def resume(
     """
     _require_folder(into)
     options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live, _terminal(json) as there:
-        display, keys = there
+    with connected(connect) as fish, live_camera(fish, options) as live, terminal() as there:
         if (experiment := _to_resume(fish, into)) is None:
             if another_board:
                 raise _in_none(fish)
-            _restore_without_experiment(fish, json)
-            return
+            return _restore_without_experiment(fish)
         restored = restore(fish, experiment, another_board)
         for line in _restored_lines(restored, experiment):
-            display.keep(line)
+            there[0].keep(line)
         document: dict[str, Any] = {"experiment": experiment.folder, "restored": restored}
         if not repeat or fish.status().best_iteration is None:
             why = "" if repeat else " (--no-repeat)"
             text = f"nothing to repeat{why}; go on: tailbeat trial run"
-            say(json, document | {"trial": None, "shift": None}, text)
-            return
-        person = _person(display, keys, yes, repeats=True)
-        shift = _repeated(fish, experiment, person, live, rest)
-    lines = [shift.words, f"the amplitudes of iteration {restored.iteration} swim next, as before"]
-    say(json, document | {"trial": shift.repeat_trial, "shift": shift}, "\n".join(lines))
-    if shift.remedy in ("trim", "identify"):
-        raise typer.Exit(1)
+            return Output(document | {"trial": None, "shift": None}, text)
+        operator = _operator(*there, yes, repeats=True)
+        given = Options(wanted=preflight_limits(rest), typed=command_typed())
+        shift = repeat_best(fish, experiment, operator, given, live.camera, live.guard)[1]
+    text = f"{shift.words}\nthe amplitudes of iteration {restored.iteration} swim next, as before"
+    document |= {"trial": shift.repeat_trial, "shift": shift}
+    return Output(document, text, status=int(shift.remedy in ("trim", "identify")))
 
 
-def status(into: Into = None, connect: Connect = None, json: Json = False) -> None:
+def status(into: Into = None, connect: Connect = None) -> Output:
     """Print the current experiment, its best trial, battery, convergence and limits.
 
     Example: tailbeat session status
     """
     _require_folder(into)
     with connected(connect) as fish:
-        found = status_of(fish, _experiment(fish, into))
-    say(json, found, lambda: "\n".join(words(found)))
-
-
-def _repeated(
-    fish: Fish, experiment: Experiment, person: TerminalOperator, live: Any, rest: float | None
-) -> Any:
-    wanted = PreflightLimits() if rest is None else PreflightLimits(rest_s=rest)
-    options = Options(wanted=wanted, typed=command_typed())
-    return repeat_best(fish, experiment, person, options, live.camera, live.guard)[1]
+        if (experiment := _found(fish, into)) is None:
+            raise _in_none(fish)
+        found = status_of(fish, experiment)
+    return Output(found, lambda: "\n".join(words(found)))
 
 
 def _require_folder(into: Path | None) -> None:
@@ -168,12 +148,6 @@ def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
     return swims_for(fish)
 
 
-def _experiment(fish: Fish, into: Path | None) -> Experiment:
-    if (found := _found(fish, into)) is None:
-        raise _in_none(fish)
-    return found
-
-
 def _in_none(fish: Fish) -> InputError:
     return InputError(
         f"this fish ({fish.unique_id()}) is in no experiment.",
@@ -181,7 +155,7 @@ def _in_none(fish: Fish) -> InputError:
     )
 
 
-def _restore_without_experiment(fish: Fish, json: bool) -> None:
+def _restore_without_experiment(fish: Fish) -> Output:
     """A fish that is in no experiment: what a trim or an identification has left can be put
     back, and what commands have set."""
     notes: list[str] = []
@@ -192,14 +166,8 @@ def _restore_without_experiment(fish: Fish, json: bool) -> None:
     lines = [f"{note}; it has it back" for note in notes] + refused
     lines += [f"given back: {name} {now:g} (it had {was:g})" for name, (was, now) in params.items()]
     lines.append("no experiment of this reference has begun: nothing to repeat; tailbeat trial run")
-    say(json, {"experiment": None, "params": params, "notes": notes + refused}, "\n".join(lines))
-
-
-@contextmanager
-def _terminal(quiet: bool) -> Iterator[tuple[Display, Keys | None]]:
-    """Display and keys, both put back at the end."""
-    with Display(quiet=quiet) as display, terminal_keys() as keys:
-        yield display, keys if display.moves else None
+    document = {"experiment": None, "params": params, "notes": notes + refused}
+    return Output(document, "\n".join(lines))
 
 
 class Agreeing(TerminalOperator):
@@ -210,7 +178,7 @@ class Agreeing(TerminalOperator):
         return True
 
 
-def _person(
+def _operator(
     display: Display, keys: Keys | None, yes: bool, repeats: bool = False
 ) -> TerminalOperator:
     """``yes``: every answer is yes. ``repeats``: of a trial only whether it counts is asked."""
@@ -223,12 +191,12 @@ def _step_text(step: CommissionStep) -> str:
     return f"{'ok' if step.done else '--'}  {step.name}: {step.words}"
 
 
-def _end_text(steps: list[CommissionStep], limits: dict[str, float]) -> str:
-    last = steps[-1]
+def _end_text(last: CommissionStep, limits: dict[str, float]) -> str:
+    amplitude_rad, step_rad = limits["AMP_MAX_RAD"], limits["DU_MAX_RAD"]
     if not last.done:
-        return f"ended at {last.name}; AMP_MAX_RAD is {limits['AMP_MAX_RAD']:.2f}"
+        return f"ended at {last.name}; AMP_MAX_RAD is {amplitude_rad:.2f}"
     return (
-        f"ready: AMP_MAX_RAD {limits['AMP_MAX_RAD']:.2f}, DU_MAX_RAD {limits['DU_MAX_RAD']:.2f}, "
+        f"ready: AMP_MAX_RAD {amplitude_rad:.2f}, DU_MAX_RAD {step_rad:.2f}, "
         "saved; swim: tailbeat trial run"
     )
 
@@ -252,21 +220,17 @@ def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
 def trim(
     to_apply: Annotated[
         bool | None,
-        typer.Option(
-            "--apply/--no-apply",
-            help="Set SERVO_CENTRE_US to what is found, for good; default: asked.",
+        opt(
+            "Set SERVO_CENTRE_US to what is found, for good; default: asked.",
+            name="--apply/--no-apply",
             show_default=False,
         ),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before each trial.")] = False,
-    rest: Annotated[
-        float,
-        typer.Option("--rest", min=0.0, max=3600.0, metavar="S", help="Rest before each trial."),
-    ] = 30.0,
+    yes: Annotated[bool, opt("Do not ask before each trial.")] = False,
+    rest: Annotated[float, opt("Rest before each trial.", "S", min=0.0, max=3600.0)] = 30.0,
     camera: CameraOptions = CAMERA,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Find the servo's centre by how the fish turns in two short trials.
 
     The tail's centre is set a little to either side and then restored; what the board has learned
@@ -276,33 +240,28 @@ def trim(
     """
     options = camera.live().check()
     with connected(connect) as fish, live_camera(fish, options) as live:
-        found, held = _trimmed(fish, live, to_apply, yes, rest, json)
-        document = _trim_document(found, held)
-        say(json, document, lambda: _trim_text(found, held))
+        found, held = _trimmed(fish, live, to_apply, yes, rest)
+    return Output(_trim_document(found, held), lambda: _trim_text(found, held))
 
 
 def _trimmed(
-    fish: Fish, live: LiveCamera, to_apply: bool | None, yes: bool, rest_s: float, json: bool
+    fish: Fish, live: LiveCamera, to_apply: bool | None, yes: bool, rest_s: float
 ) -> tuple[Trim, float | None]:
     """What was found, and what is set now if it was applied."""
-    simulated = fish.info().simulated
-    with _terminal(json) as (display, keys):
-        alone = yes or simulated
-        _require_somebody(alone or keys is not None)
-        person = _person(display, keys, alone)
-        found = find_centre(fish, person, live.camera, live.guard, PreflightLimits(rest_s=rest_s))
-        if to_apply is None and keys is not None and not json:
+    alone = yes or fish.info().simulated
+    with terminal() as (display, keys):
+        if not alone and keys is None:
+            raise InputError(
+                "nobody can be asked before each trial here.",
+                "Add --yes when the fish is free to swim twice by itself, or call it at a"
+                " terminal.",
+            )
+        operator, limits = _operator(display, keys, alone), PreflightLimits(rest_s=rest_s)
+        found = find_centre(fish, operator, live.camera, live.guard, limits)
+        if to_apply is None and keys is not None and not json_asked.get():
             display.keep(found.text())
-            to_apply = _person(display, keys, False).confirm("Set it for good?")
+            to_apply = _operator(display, keys, False).confirm("Set it for good?")
         return found, apply(fish, found) if to_apply else None
-
-
-def _require_somebody(there: bool) -> None:
-    if not there:
-        raise InputError(
-            "nobody can be asked before each trial here.",
-            "Add --yes when the fish is free to swim twice by itself, or call it at a terminal.",
-        )
 
 
 def _trim_document(found: Trim, held: float | None) -> dict[str, Any]:

@@ -3,79 +3,65 @@
 from __future__ import annotations
 
 import signal
-import sys
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from tailbeat.app.cli._options import Json
-from tailbeat.app.cli._terminal import assignments, echo, json_line, mm, progress_bar, say, table
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._terminal import (
+    Output,
+    assignments,
+    echo,
+    print_line,
+    progress_bar,
+    table,
+)
 from tailbeat.app.demo import DemoOptions, DemoResult, identified_text, run_demo
 from tailbeat.core import law as laws
 from tailbeat.core.csv import read_column
+from tailbeat.core.printable import mm
 from tailbeat.core.selftest import run_selftest
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.emulated import EmulatedBoard
 from tailbeat.sim.native import SimBoard
 from tailbeat.sim.server import Addresses, SimServer, parse_listen
 
-Plant = Annotated[
-    str, typer.Option("--plant", metavar="tank|thesis", help="Model of the fish and the water.")
-]
+Plant = Annotated[str, opt("Model of the fish and the water.", "tank|thesis", name="--plant")]
 Seed = Annotated[
     int | None,
-    typer.Option(
-        "--seed",
-        min=0,
-        help="Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
+    opt(
+        "Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
         " board of its own.",
+        name="--seed",
+        min=0,
     ),
 ]
-Listen = Annotated[
-    str, typer.Option("--listen", metavar="tcp:HOST:PORT", help="Port 0 = any free one.")
-]
-Pty = Annotated[bool, typer.Option("--pty", help="Serve the USB serial port on a pty too.")]
-Speed = Annotated[float, typer.Option("--speed", help="Simulated seconds per second.")]
+Listen = Annotated[str, opt("Port 0 = any free one.", "tcp:HOST:PORT", name="--listen")]
+Pty = Annotated[bool, opt("Serve the USB serial port on a pty too.", name="--pty")]
+Speed = Annotated[float, opt("Simulated seconds per second.", name="--speed")]
 Set = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="A value of the simulator, SI; repeatable."),
+    list[str] | None, opt("A value of the simulator, SI; repeatable.", "KEY=VALUE", name="--set")
 ]
 
 
 def demo(
     plant: Annotated[
-        str | None,
-        typer.Option(
-            "--plant", metavar="tank|thesis", help="Model of the fish and the water; default: tank."
-        ),
+        str | None, opt("Model of the fish and the water; default: tank.", "tank|thesis")
     ] = None,
-    gain: Annotated[float, typer.Option("--gain", help="Learning gain, rad s/m.")] = 4.0,
+    gain: Annotated[float, opt("Learning gain, rad s/m.")] = 4.0,
     lead: Annotated[
-        float | None,
-        typer.Option("--lead", min=0, help="Beats, in halves; default 0 (thesis) or 1 (tank)."),
+        float | None, opt("Beats, in halves; default 0 (thesis) or 1 (tank).", min=0)
     ] = None,
-    trials: Annotated[int, typer.Option("--trials", min=1, help="Number of trials.")] = 6,
-    seed: Annotated[
-        int | None,
-        typer.Option("--seed", min=0, help="Same seed, same run, bit for bit; default: 1."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write; default: below experiments/.")
-    ] = None,
-    law: Annotated[
-        str, typer.Option("--law", metavar="p|model", help="model: identify the fish first.")
-    ] = "p",
+    trials: Annotated[int, opt("Number of trials.", min=1)] = 6,
+    seed: Annotated[int | None, opt("Same seed, same run, bit for bit; default: 1.", min=0)] = None,
+    out: Annotated[Path | None, opt("Folder to write; default: below experiments/.")] = None,
+    law: Annotated[str, opt("model: identify the fish first.", "p|model")] = "p",
     settings: Set = None,
     connect: Annotated[
-        str | None,
-        typer.Option(
-            "--connect", metavar="URL", help="Learn on this board instead; vboard = flash image."
-        ),
+        str | None, opt("Learn on this board instead; vboard = flash image.", "URL")
     ] = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Show a simulated fish that learns the thesis's profile, from connecting to the report.
 
     Example: tailbeat sim demo --plant tank --gain 4 --trials 6
@@ -83,20 +69,20 @@ def demo(
     options = DemoOptions(
         plant, gain, lead, trials, seed, out, connect, assignments(settings or []), law
     )
-    with progress_bar(json, "demo") as show:
+    with progress_bar("demo") as show:
         result = run_demo(options, show)
-    say(json, result.as_dict(), lambda: _demo_text(result))
+    return Output(result.as_dict(), lambda: _demo_text(result))
 
 
 def _demo_text(result: DemoResult) -> str:
     rows = [
         [
-            str(row.iteration),
-            str(row.trial or "-"),
+            row.iteration,
+            row.trial or "-",
             mm(row.max_abs_error_m_s),
             mm(row.rms_error_m_s),
             mm(row.true_max_abs_error_m_s),
-            str(row.saturated_beats),
+            row.saturated_beats,
             "baseline (u = 0)" if row.trial == 0 else row.end,
         ]
         for row in result.trials
@@ -131,7 +117,6 @@ def fish(
     pty: Pty = False,
     speed: Speed = 1.0,
     settings: Set = None,
-    json: Json = False,
 ) -> None:
     """Serve a simulated fish to other programs, until Ctrl-C.
 
@@ -141,15 +126,12 @@ def fish(
     Example: tailbeat sim fish --plant tank --speed 10 --set kappa_per_m=5
     """
     board = SimBoard(plant, **_values(seed, settings))
-    _serve(board, "simulated fish", listen, pty, speed, json)
+    _serve(board, "simulated fish", listen, pty, speed)
 
 
 def board(
     image: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="IMAGE", help="The flash image, .elf; default: build/firmware/tailbeat.elf."
-        ),
+        Path | None, arg("The flash image, .elf; default: build/firmware/tailbeat.elf.", "IMAGE")
     ] = None,
     plant: Plant = "tank",
     seed: Seed = None,
@@ -157,40 +139,31 @@ def board(
     pty: Pty = False,
     speed: Speed = 1.0,
     settings: Set = None,
-    json: Json = False,
 ) -> None:
     """Serve the flash image on an emulated board, with a simulated fish, until Ctrl-C.
 
     Example: tailbeat sim board build/firmware/tailbeat.elf --pty
     """
     board = EmulatedBoard(image, plant, **_values(seed, settings))
-    _serve(board, "emulated board, simulated fish", listen, pty, speed, json)
+    _serve(board, "emulated board, simulated fish", listen, pty, speed)
 
 
 def _values(seed: int | None, settings: list[str] | None) -> dict[str, float]:
     return ({} if seed is None else {"seed": seed}) | assignments(settings or [])
 
 
-def _serve(
-    board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float, json: bool
-) -> None:
+def _serve(board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float) -> None:
     def slow(pace: float) -> None:
         words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
         echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
 
-    server = SimServer(board, listen, pty, speed, slow)
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):  # even if started to ignore them, by a shell's &
         signal.signal(number, lambda got, _: stopped.append(got))
-    try:
-        if json:
-            json_line(asdict(server.addresses))
-        else:
-            echo(_serve_text(f"{what} ({board.plant})", speed, server.addresses))
-            sys.stdout.flush()
+    with closing(SimServer(board, listen, pty, speed, slow)) as server:
+        at = server.addresses
+        print_line(asdict(at), _serve_text(f"{what} ({board.plant})", speed, at))
         server.serve(lambda: bool(stopped))
-    finally:
-        server.close()
 
 
 def _serve_text(what: str, speed: float, at: Addresses) -> str:
@@ -203,16 +176,13 @@ def _serve_text(what: str, speed: float, at: Addresses) -> str:
 
 
 def selftest(
-    source: Annotated[
-        Path | None, typer.Option("--source", help="Folder of a clone; default: look for it.")
-    ] = None,
-    json: Json = False,
-) -> None:
+    source: Annotated[Path | None, opt("Folder of a clone; default: look for it.")] = None,
+) -> Output:
     """Build the firmware's unit tests for this computer and run them.
 
     Example: tailbeat sim selftest
     """
-    with progress_bar(json, "building and running") as show:
+    with progress_bar("building and running") as show:
         show(0.0, "")
         report = run_selftest(source)
     failed = [
@@ -221,17 +191,14 @@ def selftest(
         if not test.ok
     ]
     summary = f"{report.passed} tests passed" + (f", {report.failed} failed" if failed else "")
-    say(json, report.as_dict(), "\n".join([*failed, summary]))
-    if failed:
-        raise typer.Exit(1)
+    return Output(report.as_dict(), "\n".join([*failed, summary]), status=int(bool(failed)))
 
 
 def law(
-    config: Annotated[Path, typer.Option("--config", help="LAW.json: fields of the law.")],
-    amplitudes: Annotated[Path, typer.Option("--input", help="CSV beat,amplitude_rad.")],
-    errors: Annotated[Path, typer.Option("--error", help="CSV beat,error_m_s; empty = none.")],
-    json: Json = False,
-) -> None:
+    config: Annotated[Path, opt("LAW.json: fields of the law.")],
+    amplitudes: Annotated[Path, opt("CSV beat,amplitude_rad.", name="--input")],
+    errors: Annotated[Path, opt("CSV beat,error_m_s; empty = none.", name="--error")],
+) -> Output:
     """Apply the learning law once, with the code of the board.
 
     Example: tailbeat sim law --config law.json --input u.csv --error e.csv
@@ -249,4 +216,4 @@ def law(
         "report": report,
     }
     rows = [f"{beat},{float(value)!r}" for beat, value in enumerate(following)]
-    say(json, document, "\n".join(["beat,amplitude_rad", *rows]))
+    return Output(document, "\n".join(["beat,amplitude_rad", *rows]))

@@ -10,14 +10,20 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._experiment import discard_and_keep, keep_in_library, sound_identified
-from tailbeat.app.cli._options import Connect, Json
-from tailbeat.app.cli._terminal import TRIAL_MAX, mm, progress_bar, say, table
+from tailbeat.app.cli._experiment import (
+    discard_and_keep,
+    keep_in_library,
+    pull_with_bar,
+    sound_identified,
+)
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._options import Connect, ConnectedFish, connected
+from tailbeat.app.cli._terminal import TRIAL_MAX, Output, table
 from tailbeat.board.fish import Fish
 from tailbeat.core.csv import read_speeds
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
+from tailbeat.core.printable import mm
 from tailbeat.core.records import decode_reference
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.speed_source import speed_source
@@ -33,50 +39,37 @@ _SAME = "recomputed: the same speeds and sigmas, bit for bit"
 
 _SPEED_SIGMA_M_S = 0.001  # of speeds that come without one
 
-Number = Annotated[
-    int | None,
-    typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="Default: the last one."),
-]
+Number = Annotated[int | None, arg("Default: the last one.", "TRIAL", min=1, max=TRIAL_MAX)]
 
 
-def stop(connect: Connect = None, json: Json = False) -> None:
+def stop(fish: ConnectedFish) -> Output:
     """Stop the tail now.
 
     Example: tailbeat stop
     """
-    with connected(connect) as fish:
-        fish.abort()
-        status = fish.status()
-    say(json, status, f"stopped: {status.state}")
+    fish.abort()
+    status = fish.status()
+    return Output(status, f"stopped: {status.state}")
 
 
-def list_(connect: Connect = None, json: Json = False) -> None:
+def list_(fish: ConnectedFish) -> Output:
     """Print the trials whose logs are on the board.
 
     Example: tailbeat trial list
     """
-    with connected(connect) as fish:
-        found = fish.trials()
-        pending = fish.status().pending_trial
-    rows = [
-        [str(t.number), str(t.size_bytes), "pending" if t.number == pending else ""] for t in found
-    ]
-    say(
-        json,
-        {"trials": found, "pending_trial": pending},
-        lambda: table(["trial", "bytes", ""], rows) if rows else "no trials on the board",
-    )
+    found = fish.trials()
+    pending = fish.status().pending_trial
+    rows = [[t.number, t.size_bytes, "pending" if t.number == pending else ""] for t in found]
+    text = table(["trial", "bytes", ""], rows) if rows else "no trials on the board"
+    return Output({"trials": found, "pending_trial": pending}, text)
 
 
 def pull(
     number: Number = None,
-    every: Annotated[bool, typer.Option("--all", help="All trials on the board.")] = False,
-    into: Annotated[
-        Path, typer.Option("--into", help="A folder, or an experiment's folder.")
-    ] = Path(),
+    every: Annotated[bool, opt("All trials on the board.", name="--all")] = False,
+    into: Annotated[Path, opt("A folder, or an experiment's folder.")] = Path(),
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Copy logs from the board. An interrupted copy continues where it stopped.
 
     Example: tailbeat trial pull 3 --into experiments/2026-05-04_fish_thesis_p4_01
@@ -84,10 +77,10 @@ def pull(
     into.mkdir(parents=True, exist_ok=True)
     with connected(connect) as fish:
         numbers = [t.number for t in fish.trials()] if every else [_which(fish, number)]
-        paths = [_pull(fish, wanted, into, json) for wanted in numbers]
+        paths = [_pull(fish, wanted, into) for wanted in numbers]
         for path in paths:
             keep_in_library(fish, path)
-    say(json, {"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
+    return Output({"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
 
 
 def _which(fish: Fish, number: int | None) -> int:
@@ -99,17 +92,14 @@ def _which(fish: Fish, number: int | None) -> int:
     return found[-1].number
 
 
-def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
+def _pull(fish: Fish, number: int, into: Path) -> Path:
     """Into an experiment's raw files, where there is one; otherwise just into the folder."""
     experiment = Experiment(into) if (into / "settings.json").is_file() else None
     if experiment is not None:
         require_fish(fish, experiment)
     folder = into / ".pulling" if experiment else into
     folder.mkdir(exist_ok=True)
-    with progress_bar(quiet, f"trial {number}") as show:
-        path = fish.pull_trial(
-            number, folder, lambda done, total: show(done / max(total, 1), f"{done} bytes")
-        )
+    path = pull_with_bar(fish, number, folder)
     if experiment is None:
         return path
     kept = experiment.add_raw(path.name, path.read_bytes())
@@ -120,15 +110,11 @@ def _pull(fish: Fish, number: int, into: Path, quiet: bool) -> Path:
 
 
 def show(
-    what: Annotated[str | None, typer.Argument(metavar="TRIAL|FILE")] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", help="Write the beats there.")] = None,
-    recompute: Annotated[
-        bool,
-        typer.Option("--recompute", help="Compute the speeds again, by the board's own code."),
-    ] = False,
+    what: Annotated[str | None, arg("", "TRIAL|FILE")] = None,
+    csv: Annotated[Path | None, opt("Write the beats there.")] = None,
+    recompute: Annotated[bool, opt("Compute the speeds again, by the board's own code.")] = False,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Print a trial: a file, or a number on the board (default: the last one).
 
     Example: tailbeat trial show 0003.ulg --csv beats.csv
@@ -139,7 +125,7 @@ def show(
         trial = read_trial(path)
         known = (None, [trial])
     else:
-        trial, known = _from_board(int(what) if what else None, connect, json)
+        trial, known = _from_board(int(what) if what else None, connect)
     saturation = saturation_of(trial, *known)
     if csv is not None:
         beats_csv(trial, csv)
@@ -147,12 +133,14 @@ def show(
     again = _recomputed(trial) if recompute else None
     if again is not None:
         document["recomputed"] = again
-    say(json, document, lambda: _trial_text(trial, saturation) + ("\n" + _SAME if again else ""))
+    error = None
     if again is not None and not again["identical"]:
-        raise TailbeatError(
+        error = TailbeatError(
             f"the speeds of trial {trial.number} cannot be computed again from its file",
             "It was written by a firmware that computes otherwise, or is damaged; see the JSON.",
         )
+    same = "\n" + _SAME if again else ""
+    return Output(document, lambda: _trial_text(trial, saturation) + same, error=error)
 
 
 def _recomputed(trial: Trial) -> dict[str, Any]:
@@ -175,11 +163,11 @@ def _recomputed(trial: Trial) -> dict[str, Any]:
 
 
 def _from_board(
-    number: int | None, connect: str | None, quiet: bool
+    number: int | None, connect: str | None
 ) -> tuple[Trial, tuple[Identified | None, list[Trial]]]:
     """The trial, and what the trial library knows of its fish."""
     with connected(connect) as fish, TemporaryDirectory() as folder:
-        path = _pull(fish, _which(fish, number), Path(folder), quiet)
+        path = _pull(fish, _which(fish, number), Path(folder))
         trial = read_trial(path)
         if (book := logbook_of(fish)) is None:
             return trial, (None, [trial])
@@ -188,17 +176,19 @@ def _from_board(
 
 
 def _document(trial: Trial) -> dict[str, Any]:
+    straight, (begin_v, end_v) = heading_drift(trial), _battery(trial)
     document: dict[str, Any] = plain(trial)
     document["beats"]["error_m_s"] = plain(trial.beats.error_m_s)
-    document["slots"] = plain(trial.slots.table())
-    document["speed_source"] = speed_source(trial.params).name
-    document["max_abs_error_m_s"] = trial.max_abs_error_m_s()
-    document["rms_error_m_s"] = trial.rms_error_m_s()
-    straight = heading_drift(trial)
-    document["straight"] = plain(straight)
-    document["crooked"] = straight.crooked if straight is not None else None
-    document["battery_start_v"], document["battery_end_v"] = _battery(trial)
-    return document
+    return document | {
+        "slots": trial.slots.table(),
+        "speed_source": speed_source(trial.params).name,
+        "max_abs_error_m_s": trial.max_abs_error_m_s(),
+        "rms_error_m_s": trial.rms_error_m_s(),
+        "straight": straight,
+        "crooked": straight.crooked if straight is not None else None,
+        "battery_start_v": begin_v,
+        "battery_end_v": end_v,
+    }
 
 
 def _battery(trial: Trial) -> tuple[float | None, float | None]:
@@ -218,16 +208,10 @@ def _conditions_text(trial: Trial) -> str:
 
 def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
     b = trial.beats
+    speeds = (b.reference_m_s, b.speed_m_s, b.sigma_m_s, b.error_m_s)
     rows = [
-        [
-            str(k),
-            "-" if np.isnan(b.applied_rad[k]) else f"{np.degrees(b.applied_rad[k]):.1f}",
-            mm(float(b.reference_m_s[k])),
-            mm(float(b.speed_m_s[k])),
-            mm(float(b.sigma_m_s[k])),
-            mm(float(b.error_m_s[k])),
-        ]
-        for k in range(len(b.samples))
+        [k, "-" if np.isnan(rad) else f"{np.degrees(rad):.1f}", *(mm(float(v[k])) for v in speeds)]
+        for k, rad in enumerate(b.applied_rad)
     ]
     missing = not_reached(trial.executed_beats, np.isfinite(b.speed_m_s))
     lines = [
@@ -245,19 +229,13 @@ def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
 
 
 def discard(
+    fish: ConnectedFish,
     number: Annotated[
-        int | None,
-        typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="Default: the pending one."),
+        int | None, arg("Default: the pending one.", "TRIAL", min=1, max=TRIAL_MAX)
     ] = None,
-    repeat: Annotated[
-        bool, typer.Option("--repeat", help="It repeats an input: count it for the noise.")
-    ] = False,
-    reason: Annotated[
-        str, typer.Option("--reason", metavar="TEXT", help="Why, for the experiment's journal.")
-    ] = "",
-    connect: Connect = None,
-    json: Json = False,
-) -> None:
+    repeat: Annotated[bool, opt("It repeats an input: count it for the noise.")] = False,
+    reason: Annotated[str, opt("Why, for the experiment's journal.", "TEXT")] = "",
+) -> Output:
     """Drop the pending trial without learning from it; its log stays.
 
     The trial library keeps it, too: without --repeat as a trial that does not count, neither for
@@ -266,25 +244,20 @@ def discard(
 
     Example: tailbeat trial discard --reason "touched the wall at beat 13"
     """
-    with connected(connect) as fish:
-        discard_and_keep(fish, number, repeat, json, reason)
-        status = fish.status()
+    discard_and_keep(fish, number, repeat, reason)
+    status = fish.status()
     what = "kept as a repeat, not learned from" if repeat else "discarded"
-    say(json, status, f"{what}; iteration {status.iteration} swims next")
+    return Output(status, f"{what}; iteration {status.iteration} swims next")
 
 
 def speeds(
-    number: Annotated[
-        int, typer.Argument(min=1, max=TRIAL_MAX, metavar="TRIAL", help="The pending trial.")
-    ],
-    file: Annotated[Path, typer.Argument(metavar="SPEED.csv", help="t_s,v_m_s or beat,speed_m_s.")],
+    number: Annotated[int, arg("The pending trial.", "TRIAL", min=1, max=TRIAL_MAX)],
+    file: Annotated[Path, arg("t_s,v_m_s or beat,speed_m_s.", "SPEED.csv")],
     sigma_m_s: Annotated[
-        float | None,
-        typer.Option("--sigma", help="Standard deviation of a beat's speed, m/s."),
+        float | None, opt("Standard deviation of a beat's speed, m/s.", name="--sigma")
     ] = None,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Upload speeds measured after the trial, for example from a video.
 
     With t_s,v_m_s the speed is averaged over each beat; with beat,speed_m_s it is taken as it is
@@ -310,4 +283,4 @@ def speeds(
         "speed_m_s": found.speed_m_s,
         "sigma_m_s": np.where(np.isfinite(found.speed_m_s), sigma, np.nan),
     }
-    say(json, document, f"trial {number} has speeds for {found.measured} of {beats} beats")
+    return Output(document, f"trial {number} has speeds for {found.measured} of {beats} beats")

@@ -1,9 +1,12 @@
-"""trial run."""
+"""trial run: once, or guided with questions and preflight checks."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,66 +21,122 @@ from tailbeat.app.cli._camera import (
     lateness_warning,
     live_camera,
 )
-from tailbeat.app.cli._connect import connected
-from tailbeat.app.cli._options import Connect, Into, Json, Rest
-from tailbeat.app.cli._terminal import echo, mm, progress_bar, say
-from tailbeat.app.cli.guided import GuideOptions, run_guided
+from tailbeat.app.cli._lazy import opt
+from tailbeat.app.cli._operator import TerminalOperator, terminal
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Into, Rest, connected, preflight_limits
+from tailbeat.app.cli._terminal import Output, command_typed, progress_bar, warn
 from tailbeat.board.fish import Fish
-from tailbeat.core.errors import TailbeatError
+from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
-from tailbeat.experiment.current import require_meant_here, require_own
+from tailbeat.core.printable import mm
+from tailbeat.experiment.current import (
+    begin,
+    current,
+    require_meant_here,
+    require_own,
+    require_same,
+    use,
+)
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import known_fish_of, logbook_of
 from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
-from tailbeat.session.events import Event, OnEvent, TrialStarted
+from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.guards import Guard, together
+from tailbeat.session.outcome import KINDS, Decision
 from tailbeat.session.presenter import alert
+from tailbeat.session.series import Options, Round, SeriesEnd, Until, swim_series
 from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial import run_trial
+
+_GOOD_ENDS = ("swims", "converged", "saturated")
+
+
+@dataclass(frozen=True)
+class GuideOptions:
+    """How ``trial run`` guides. ``guide`` None: when somebody is there, or one of the others was
+    given."""
+
+    guide: Annotated[
+        bool | None,
+        opt(
+            "Rest, pose, still water, countdown, trial, keep or not; default: at a terminal.",
+            name="--guide/--no-guide",
+            show_default=False,
+        ),
+    ] = None
+    rest: Rest = None
+    until: Annotated[
+        str | None, opt("Run trials until then; default: 1 kept trial.", "converged|battery|N")
+    ] = None
+    into: Into = None
+    then: Annotated[
+        str | None,
+        opt(
+            "Answer for every trial, given now; one you stop by a key is asked about.",
+            "keep|repeat|discard",
+        ),
+    ] = None
+    reason: Annotated[str | None, opt("Why --then repeat or discard.", "TEXT")] = None
+    learn: Annotated[bool, opt("Learn from what is kept at once.", name="--learn/--no-learn")] = (
+        True
+    )
+
+    def guided(self) -> bool:
+        """Whether it is guided. Raises typer.BadParameter for what contradicts itself, InputError
+        for what is none."""
+        given = [self.rest, self.until, self.into, self.then]
+        asked = any(value is not None for value in given)
+        if self.guide is False and (asked or not self.learn or self.reason is not None):
+            raise typer.BadParameter(
+                "--no-guide goes without --rest, --until, --into, --then, --reason and --no-learn"
+            )
+        if self.reason is not None and self.then is None:
+            raise typer.BadParameter("--reason belongs to --then repeat or --then discard")
+        self.answer()
+        self._until()
+        if self.into is not None:
+            Experiment.open(self.into)
+        if self.guide is not None:
+            return self.guide
+        return asked or not self.learn or (sys.stdin.isatty() and sys.stderr.isatty())
+
+    def answer(self) -> Decision | None:
+        """What was decided beforehand."""
+        kind = next((kind for kind in KINDS if kind == self.then), None)
+        if self.then is None:
+            return None
+        if kind is None:
+            raise typer.BadParameter(f"--then is {', '.join(KINDS)}, not '{self.then}'")
+        try:
+            return Decision(kind, self.reason or "")
+        except InputError as error:
+            raise typer.BadParameter(f"--then {kind} needs --reason WHY") from error
+
+    def _until(self) -> Until:
+        return Until() if self.until is None else Until.parse(self.until)
+
+    def options(self) -> Options:
+        """As the series takes them."""
+        answer = self.answer()
+        return Options(
+            until=self._until(),
+            wanted=preflight_limits(self.rest),
+            learn=self.learn,
+            counts=("keep",) if answer is None else (answer.kind,),
+            typed=command_typed(),
+        )
+
+
+_NOT_GIVEN = GuideOptions()
 
 
 def run(
     camera: TankCameraOptions = CAMERA,
-    video: Annotated[
-        Path | None,
-        typer.Option("--video", metavar="FILM.mkv", help="Film what the camera sees."),
-    ] = None,
-    guide: Annotated[
-        bool | None,
-        typer.Option(
-            "--guide/--no-guide",
-            help="Rest, pose, still water, countdown, trial, keep or not; default: at a terminal.",
-            show_default=False,
-        ),
-    ] = None,
-    rest: Rest = None,
-    until: Annotated[
-        str | None,
-        typer.Option(
-            "--until",
-            metavar="converged|battery|N",
-            help="Run trials until then; default: 1 kept trial.",
-        ),
-    ] = None,
-    into: Into = None,
-    then: Annotated[
-        str | None,
-        typer.Option(
-            "--then",
-            metavar="keep|repeat|discard",
-            help="Answer for every trial, given now; one you stop by a key is asked about.",
-        ),
-    ] = None,
-    reason: Annotated[
-        str | None,
-        typer.Option("--reason", metavar="TEXT", help="Why --then repeat or discard."),
-    ] = None,
-    learn: Annotated[
-        bool, typer.Option("--learn/--no-learn", help="Learn from what is kept at once.")
-    ] = True,
+    video: Annotated[Path | None, opt("Film what the camera sees.", "FILM.mkv")] = None,
+    given: GuideOptions = _NOT_GIVEN,
     connect: Connect = None,
-    json: Json = False,
-) -> None:
+) -> Output:
     """Arm if needed, run the next trial to its end, print how it went. Ctrl-C stops the tail.
 
     At a terminal it guides: rest, start pose, still water, countdown; any key stops the tail; then
@@ -88,24 +147,26 @@ def run(
     Example: tailbeat trial run --until converged --rest 60 --camera 0 --calibration tank.json
     """
     options = camera.live(video).check()
-    given = GuideOptions(guide, rest, until, into, then, reason, learn)
-    guided = given.wanted()
+    guided = given.guided()
     with _interrupt_reported(), connected(connect) as fish, live_camera(fish, options) as live:
-        if guided:
-            run_guided(fish, live, given, json)
-            return
-        guard = _guarded(fish, live.guard)
-        with progress_bar(json, "swimming") as show:
-            outcome = run_trial(fish, live.camera, _follower(fish, live, show), guard)
-        report = camera_report(fish, live.video, outcome.number) if live.video else None
-        document, text = _document_and_text(outcome, report, _saturation(fish, outcome))
-        say(json, document, text)
-    if report and (warning := lateness_warning(report, camera.latency)):
-        echo(f"tailbeat: {warning}", err=True)
-    if outcome.interrupted:
-        raise typer.Exit(130)
-    if outcome.end != "complete":
-        raise typer.Exit(1)
+        return _run_guided(fish, live, given) if guided else _run_once(fish, live, camera.latency)
+
+
+def _run_once(fish: Fish, live: LiveCamera, latency_s: float) -> Output:
+    guard = _guarded(fish, live.guard)
+    with progress_bar("swimming") as show:
+        outcome = run_trial(fish, live.camera, _follower(fish, live, show), guard)
+    saturation = _saturation(fish, outcome)
+    document, lines = plain(outcome) | {"saturation": saturation}, [_outcome_text(outcome)]
+    if saturation is not None:
+        lines.append(saturation.text)
+    if live.video is not None:
+        report = document["camera"] = camera_report(fish, live.video, outcome.number)
+        lines.append(camera_text(report))
+        if warning := lateness_warning(report, latency_s):
+            warn(warning)
+    status = 130 if outcome.interrupted else int(outcome.end != "complete")
+    return Output(document, "\n".join(lines), status)
 
 
 @contextmanager
@@ -115,7 +176,7 @@ def _interrupt_reported() -> Iterator[None]:
         yield
     except KeyboardInterrupt as interrupt:
         why = str(interrupt) or "stopped by Ctrl-C"
-        echo(f"tailbeat: {why}; nothing is lost", err=True)
+        warn(f"{why}; nothing is lost")
         raise typer.Exit(130) from None
 
 
@@ -134,29 +195,14 @@ def _follower(fish: Fish, live: LiveCamera, show: Callable[[float, str], None]) 
     beats = max(fish.status().beats, 1)
 
     def follow(event: Event) -> None:
-        if isinstance(event, TrialStarted) and live.recorder is not None:
-            live.recorder.wanted = True
+        live.follow(event)
         if isinstance(event, BeatEvent):
             speed = mm(event.speed_m_s)
             show((event.beat + 1) / beats, f"beat {event.beat + 1}: {speed} mm/s")
         elif words := alert(event):
-            echo(f"tailbeat: {words}", err=True)
+            warn(words)
 
     return follow
-
-
-def _document_and_text(
-    outcome: TrialOutcome, report: dict[str, float] | None, saturation: Saturation | None
-) -> tuple[Any, str]:
-    """A trial as a document and in words."""
-    document = plain(outcome) | {"saturation": saturation}
-    lines = [_outcome_text(outcome)]
-    if saturation is not None:
-        lines.append(saturation.text)
-    if report is not None:
-        document["camera"] = report
-        lines.append(camera_text(report))
-    return document, "\n".join(lines)
 
 
 def _saturation(fish: Fish, outcome: TrialOutcome) -> Saturation | None:
@@ -187,3 +233,101 @@ def _next_words(measured: bool) -> str:
     """After a trial that did not end by itself."""
     learn = ", then tailbeat learn (the beats it swam count) or tailbeat trial discard"
     return "tailbeat board clear" + (learn if measured else "")
+
+
+def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
+    """Runs the series. Exit status 0 when it ended as was asked for."""
+    options = given.options()
+    with terminal() as (display, keys):
+        experiment = _experiment_for(fish, given.into, lambda text: display.keep(text, loud=True))
+        operator = TerminalOperator(
+            display, keys, given.answer(), _keep_alive(fish), on_event=live.follow
+        )
+        end = swim_series(fish, experiment, operator, options, live.camera, live.guard)
+    until = options.until
+    good = (*_GOOD_ENDS, "battery") if until.swims is None and not until.converged else _GOOD_ENDS
+    status = 0 if end.why in good else 130 if end.why == "interrupted" else 1
+    if status:
+        warn(end.words)
+    return Output(_document(end, experiment), _text(end, good=not status), status)
+
+
+def _experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) -> Experiment:
+    """The folder that was named, else the one this fish is in, else a new one, told. Raises
+    InputError."""
+    require_own(fish)
+    if into is not None:
+        named = Experiment.open(into)
+        require_same(fish, named)
+        use(fish, named)
+        return named
+    if (found := current(fish)) is not None:
+        try:
+            require_same(fish, found)
+            return found
+        except InputError:
+            if fish.status().reference_crc is None:
+                raise
+            tell(f"{found.folder} is of another reference")
+    made = begin(fish, EXPERIMENTS)
+    tell(f"a new experiment begins: {made.folder}")
+    return made
+
+
+def _keep_alive(fish: Fish) -> Callable[[], None]:
+    """While a question waits: heartbeats go out, what comes in is taken."""
+
+    def pump() -> None:
+        with contextlib.suppress(TailbeatError):
+            fish.link.flush()
+
+    return pump
+
+
+def _document(end: SeriesEnd, experiment: Experiment) -> dict[str, Any]:
+    return {
+        "why": end.why,
+        "words": end.words,
+        "experiment": experiment.folder,
+        "swims": [_swim_document(one) for one in end.rounds],
+        "verdict": end.verdict,
+    }
+
+
+def _swim_document(one: Round) -> dict[str, Any]:
+    swum = one.swum
+    return {
+        "trial": swum.outcome.number,
+        "iteration": swum.outcome.iteration,
+        "end": swum.outcome.end,
+        "executed_beats": swum.outcome.executed_beats,
+        "decision": one.decision.kind,
+        "reason": one.decision.reason,
+        "file": swum.file,
+        "max_abs_error_m_s": swum.max_abs_error_m_s,
+        "rms_error_m_s": swum.rms_error_m_s,
+        "measured_beats": swum.measured_beats,
+        "beats": swum.beats,
+        "battery_start_v": swum.battery_start_v,
+        "battery_end_v": swum.battery_end_v,
+        "ready": swum.ready,
+        "straight": swum.straight,
+        "problems": swum.problems,
+        "report": one.learned,
+    }
+
+
+def _text(end: SeriesEnd, good: bool) -> str:
+    """``good``: with how it ended; otherwise that is an error."""
+    lines = [
+        f"trial {one.swum.outcome.number}, iteration {one.swum.outcome.iteration}: "
+        f"{one.decision.kind}, max|e| {mm(one.swum.max_abs_error_m_s)} mm/s"
+        for one in end.rounds
+    ]
+    if end.verdict is not None:
+        lines.append(end.verdict.words)
+        if end.verdict.saturation is not None and not end.verdict.stop:
+            lines.append(end.verdict.saturation.text)
+    if good:
+        lines.append(f"ended ({end.why}): {end.words}")
+    return "\n".join(lines)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator
 from threading import Event, Thread
 from typing import Annotated
 
-import typer
-
 from tailbeat.app.cli._camera import CAMERA, CameraOptions, LiveOptions, live_camera
-from tailbeat.app.cli._options import EXPERIMENTS, Connect, Json, Root
-from tailbeat.app.cli._terminal import echo, json_line
+from tailbeat.app.cli._lazy import opt
+from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root
+from tailbeat.app.cli._terminal import json_asked, print_line
 from tailbeat.app.web.server import listen, serve
 from tailbeat.app.web.worker import OpenCamera, Worker, simulated_camera
 from tailbeat.board.connect import open_transport
@@ -27,24 +25,18 @@ def web(
     connect: Connect = None,
     host: Annotated[
         str,
-        typer.Option(
-            "--host",
-            metavar="ADDRESS",
-            help="Where to listen; 0.0.0.0 = also for a phone in the same network, with a token.",
+        opt(
+            "Where to listen; 0.0.0.0 = also for a phone in the same network, with a token.",
+            "ADDRESS",
         ),
     ] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option("--port", min=0, max=65535, help="0 = any that is free.")
-    ] = 8080,
+    port: Annotated[int, opt("0 = any that is free.", min=0, max=65535)] = 8080,
     open_: Annotated[
-        bool, typer.Option("--open/--no-open", help="Show the page in a browser at once.")
+        bool, opt("Show the page in a browser at once.", name="--open/--no-open")
     ] = True,
     root: Root = EXPERIMENTS,
     camera: CameraOptions = CAMERA,
-    speed: Annotated[
-        float, typer.Option("--speed", help="With --connect sim: simulated seconds per second.")
-    ] = 1.0,
-    json: Json = False,
+    speed: Annotated[float, opt("With --connect sim: simulated seconds per second.")] = 1.0,
 ) -> None:
     """Run the session on a web page: start, stop, decide, look.
 
@@ -55,12 +47,9 @@ def web(
     options = camera.live()
     place = listen(host, port)
     with contextlib.closing(place.listener), _board(connect, speed) as make:
-        if json:
-            json_line({"urls": place.urls, "port": place.port})
-        else:
-            echo("\n".join(f"the page: {url}" for url in place.urls) + "\n(Ctrl-C ends it)")
-            sys.stdout.flush()
-        serve(Worker(make, root, _eyes(options)), place, open_ and not json)
+        urls = "\n".join(f"the page: {url}" for url in place.urls)
+        print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
+        serve(Worker(make, root, _eyes(options)), place, open_ and not json_asked.get())
 
 
 @contextlib.contextmanager

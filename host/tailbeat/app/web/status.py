@@ -15,8 +15,9 @@ from nicegui import ui
 
 from tailbeat.app.web import view
 from tailbeat.core.errors import InputError
+from tailbeat.core.printable import mm
 from tailbeat.session.collect import proposed
-from tailbeat.session.presenter import mm, record_lines
+from tailbeat.session.presenter import record_lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable

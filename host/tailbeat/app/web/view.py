@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from tailbeat.core.printable import printable
+from tailbeat.core.printable import mm, printable
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.events import (
     Assessed,
@@ -19,7 +19,7 @@ from tailbeat.session.events import (
     StepProgress,
     TrialStarted,
 )
-from tailbeat.session.presenter import log_line, mm
+from tailbeat.session.presenter import log_line
 
 if TYPE_CHECKING:
     from tailbeat.experiment.analysis import TrialRow

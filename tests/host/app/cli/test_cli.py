@@ -286,3 +286,56 @@ def test_a_pull_that_was_broken_off_does_not_disturb_the_next(board: Shell, tmp_
     files = board.json("trial", "pull", str(number), "--into", str(folder))["files"]
     assert Path(files[0]).parent == folder / "raw"
     assert (folder / ".pulling" / "9999.ulg.part").exists()
+
+
+ERRORS = {
+    "usage": (["learn", "--dry-run", "--restore-best"], 2, "exclude each other", "Try: tailbeat "),
+    "no command": (["params", "nothing"], 2, "No such command", "Try: tailbeat params --help"),
+    "input": (["reference", "check", "none.csv"], 1, "none.csv", ""),
+    "board": (["learn"], 1, "waiting to be learned", "tailbeat trial list"),
+    "link": (["info"], 1, "nothing answers", "tailbeat sim"),
+    "system": (["trial", "pull", "--into", "taken"], 1, "cannot use taken", "Check the path"),
+}
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+def test_with_json_an_error_is_a_document(
+    board: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    words, status, message, remedy = ERRORS[kind]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("x")
+    url = "tcp:127.0.0.1:1" if kind == "link" else "the board"
+    if kind == "link":
+        monkeypatch.undo()
+    more = [] if kind == "no command" else ["--connect", url]
+    assert run([*words, *more]) == status
+    plain, line = board.capsys.readouterr()
+    assert plain == ""
+    assert run([*words, *more, "--json"]) == status
+    out, err = board.capsys.readouterr()
+    assert err == line
+    assert out.count("\n") == 1
+    document = json.loads(out)
+    assert set(document) == {"error"} and set(document["error"]) == {"message", "remedy"}
+    assert message in document["error"]["message"]
+    assert remedy in document["error"]["remedy"]
+
+
+def test_what_was_computed_stands_beside_the_error(board: Shell) -> None:
+    words = ("reference", "check", "trapezoid:0.5,1,1")
+    assert run(board.line(*words, "--json")) == 1
+    out, err = board.capsys.readouterr()
+    document = json.loads(out)
+    assert document["beats"] == 3 and document["problems"]
+    assert document["error"]["message"] in err
+    assert board.fails(*words) == err
+
+
+def test_a_command_that_fails_at_once_forgets_json(board: Shell) -> None:
+    assert run(["params", "get", "NOSUCH", "--json", "--connect", "the board"]) == 1
+    board.capsys.readouterr()
+    assert "NOSUCH" in board.fails("params", "get", "NOSUCH")
+    # a value that looks like the option is none
+    assert run(["trial", "discard", "--reason", "--json", "--connect", "the board"]) == 1
+    assert board.capsys.readouterr().out == ""

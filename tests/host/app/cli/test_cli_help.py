@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -149,9 +151,40 @@ def test_every_command_has_json_and_an_error_is_one_line(
     assert "json" in [parameter.name for parameter in COMMANDS[words].params]
     assert run([*words, "--json", "--no-such-option"]) == 2
     out, err = capsys.readouterr()
-    assert out == ""
+    error = json.loads(out)["error"]
+    assert error["remedy"] == f"Try: tailbeat {' '.join(words)} --help"
+    assert error["message"] in err
     assert err.startswith("tailbeat: ") and err.count("\n") == 1
     assert err.endswith(f"Try: tailbeat {' '.join(words)} --help\n")
+
+
+CONNECTING = [
+    words
+    for words, command in COMMANDS.items()
+    if "connect" in [one.name for one in command.params] and words[1:] != ("web",)
+]
+
+
+@pytest.mark.parametrize("words", CONNECTING, ids=" ".join)
+def test_an_error_of_every_command_is_a_document(
+    words: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In an empty folder, without a board: what is missing first is the error."""
+    monkeypatch.chdir(tmp_path)
+    given = shlex.split(examples(COMMANDS[words])[0].partition("|")[0])[1:]
+    status = run([*given, "--json", "--connect", "tcp:127.0.0.1:1"])
+    out, err = capsys.readouterr()
+    document = json.loads(out)
+    if words == ("board", "check"):  # whose result it is
+        assert status == 1 and document["ok"] is False
+        return
+    error = document["error"]
+    assert status in (1, 2) and error["message"] and error["remedy"]
+    assert err.startswith("tailbeat: ") and err.count("\n") == 1
+    assert " ".join(error["remedy"].split()) in err
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.app.cli._display import Display
 from tailbeat.app.cli._operator import TerminalOperator, live_text
+from tailbeat.app.cli._terminal import Display
 from tailbeat.core.errors import InputError
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import (

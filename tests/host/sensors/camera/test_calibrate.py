@@ -16,12 +16,11 @@ from typing import Any
 import cv2 as opencv
 import numpy as np
 import pytest
-import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from tailbeat.app.cli import camera_calibrate
+from tailbeat.app.cli.app import app
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.calibration.calibrate import (
@@ -917,10 +916,7 @@ def test_pictures_of_files_and_folders(tmp_path: Path) -> None:
 
 
 def run(*words: Any) -> Any:
-    app = typer.Typer()
-    app.command("print")(camera_calibrate.print_)
-    app.command()(camera_calibrate.calibrate)
-    return CliRunner().invoke(app, [str(word) for word in words])
+    return CliRunner().invoke(app, ["camera", *(str(word) for word in words)])
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import json
 import os
 import re
 import struct
-import sys
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -279,13 +278,16 @@ def test_a_person_sees_one_line(
     use: Callable[[Any], None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    shown: list[str] = []
+    monkeypatch.setattr("tailbeat.app.cli.imu.Display.show", lambda _, text: shown.append(text))
     use(ScriptedSource(lambda now_s: YMR if now_s < 102 else b""))
     assert run(["board", "imu", "decode", "port", "--seconds", "5"]) == 0
-    shown = capsys.readouterr().err.split("\r")
-    assert re.fullmatch(r"1[0-2] messages, 0 damaged\x1b\[K", shown[2])
-    assert "; silent for 3 s" in shown[-2]
-    assert shown[-1] == "\x1b[K"
+    assert re.fullmatch(r"1[0-2] messages, 0 damaged", shown[1])
+    assert shown[-1].endswith("; silent for 3 s")
+    shown.clear()
+    use(ScriptedSource(lambda now_s: YMR))
+    assert run(["board", "imu", "decode", "port", "--seconds", "5", "--json"]) == 0
+    assert not shown
 
 
 def test_csv_of_a_live_source(

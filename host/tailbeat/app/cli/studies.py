@@ -1,0 +1,390 @@
+"""sim thesis, montecarlo."""
+
+from __future__ import annotations
+
+import importlib
+import shutil
+import sys
+import textwrap
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from tailbeat.app.cli._lazy import arg, opt
+from tailbeat.app.cli._terminal import Output, echo, progress_bar, table, warn
+from tailbeat.core.files import plain
+from tailbeat.core.parallel import cores_here
+from tailbeat.core.printable import mm
+from tailbeat.studies.montecarlo.cell import cells
+from tailbeat.studies.montecarlo.plot import render
+from tailbeat.studies.montecarlo.recipe import Recipe, load, packaged
+from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, run_study
+from tailbeat.studies.montecarlo.summary import ClaimResult, GroupSummary, StudySummary, summarise
+from tailbeat.studies.thesis import study
+from tailbeat.studies.thesis.example import VERDICTS, Claim, Example, ExampleOptions
+from tailbeat.studies.thesis.study import Result, checked, choose
+
+_WIDTH, _WIDTH_MIN, _WIDTH_MAX = 100, 72, 120  # of lines; the first where no terminal is
+_SOURCE, _VERDICT = 17, 17  # columns, two spaces between; the claim has the rest
+_MEASURED, _MEASURED_NARROW = 19, 11
+_SHOWN = (0, 1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100, 200, 500, 1000)  # iterations, and the last
+
+
+def thesis(
+    what: Annotated[
+        str | None, arg("2 to 8, or an example like ch2-ex1; default: all.", "CHAPTER|EXAMPLE")
+    ] = None,
+    figures: Annotated[Path | None, opt("Draw the figures.", "DIR")] = None,
+    lengths: Annotated[
+        str | None,
+        opt(
+            "Lengths of the trials; EXPR: of the iteration i, like 45+3*(i%4).",
+            "full|uniform|pattern:EXPR",
+        ),
+    ] = None,
+    seed: Annotated[int | None, opt("Of the drawn lengths and starts; default: 1.")] = None,
+    step: Annotated[
+        str | None, opt("Integration and control step; a number or 2*pi/5000.", "T")
+    ] = None,
+    iterations: Annotated[int | None, opt("Number of the last iteration.")] = None,
+    m: Annotated[int | None, opt("Moving average over m + 1 trials (chapter 3).")] = None,
+    beta: Annotated[str | None, opt("Gain of each of these trials; default: 1/(m + 1).")] = None,
+    delta: Annotated[str | None, opt("Lead (chapter 7), minutes.", "MIN")] = None,
+    uptake: Annotated[
+        Literal["monod", "abs", "clip"] | None, opt("phi below v = 0 (ch7-printed); default: clip.")
+    ] = None,
+    precision: Annotated[
+        Literal["double", "float"], opt("Of the laws; float is what the board computes in.")
+    ] = "double",
+    cores: Annotated[int | None, opt("Processes; default: one per core.", min=1)] = None,
+    claims: Annotated[bool, opt("Judge the thesis's claims.", name="--claims/--no-claims")] = True,
+) -> Output:
+    """Recompute the thesis's examples with the board's laws, and judge its claims.
+
+    Claims are judged at the thesis's own settings. Options change the run that is printed; an
+    example that does not know one keeps its own.
+
+    Example: tailbeat sim thesis 8 --figures figures
+    """
+    given = checked(lengths, seed, step, iterations, m, beta, delta, uptake)
+    chosen = choose(_examples(), what, given, ExampleOptions(precision=precision))
+    if figures is not None:
+        figures.mkdir(parents=True, exist_ok=True)
+    orders = [
+        study.Order(one.id, options, claims, figures, study.REGISTRY) for one, options in chosen
+    ]
+    weights = [one.weight for one, _ in chosen]
+    with progress_bar("thesis") as show:
+        try:
+            results = study.run_many(
+                orders, weights, cores or cores_here(), lambda done: show(done, f"{done:.0%}")
+            )
+        except KeyboardInterrupt:
+            echo("tailbeat: stopped; nothing is kept. Run it again.", err=True)
+            raise typer.Exit(130) from None
+    found = [(one, result) for (one, _), result in zip(chosen, results, strict=True)]
+    document = {
+        "examples": [_thesis_document(one, result) for one, result in found],
+        "verdicts": _counts(results, ours=False),
+        "verdicts_ours": _counts(results, ours=True),
+    }
+    return Output(document, lambda: _thesis_text(found, set(given), _width()))
+
+
+def _examples() -> tuple[Example, ...]:
+    examples: tuple[Example, ...] = importlib.import_module(study.REGISTRY).EXAMPLES
+    return examples
+
+
+def _thesis_document(example: Example, result: Result) -> dict[str, Any]:
+    return {
+        "id": example.id,
+        "chapter": example.chapter,
+        "title": example.title,
+        "law": example.law,
+        "settings": example.settings_of(result.options),
+        "iterations": result.iterations,
+        "max_abs_error": result.max_abs_error,
+        "executed_max_abs_error": result.executed,
+        "lengths": result.lengths,
+        "diverged_at": result.diverged,
+        "claims": result.claims,
+        "figures": result.figures,
+    }
+
+
+def _counts(results: list[Result], ours: bool) -> dict[str, int]:
+    """By verdict, of the thesis's claims or of those beside them."""
+    claims = (claim for result in results for claim in result.claims if claim.ours == ours)
+    counted = Counter(claim.verdict for claim in claims)
+    return {verdict: counted[verdict] for verdict in VERDICTS}
+
+
+def _width() -> int:
+    """Of lines: the terminal's, within what can be read."""
+    if not sys.stdout.isatty():
+        return _WIDTH
+    return min(max(shutil.get_terminal_size().columns, _WIDTH_MIN), _WIDTH_MAX)
+
+
+def _thesis_text(found: list[tuple[Example, Result]], given: set[str], width: int) -> str:
+    parts = []
+    for example, result in found:
+        parts += _wrapped(f"{example.id}: {example.title}; {example.law}", "  ", width)
+        if given & example.knows or result.options.precision != "double":
+            parts += _settings(example, result, width)
+        parts += _errors(result, width)
+        if result.claims:
+            parts += ["", *_claims(result.claims, width)]
+        parts += _figures(result, width)
+        parts.append("")
+    results = [result for _, result in found]
+    judged = _in_words(_counts(results, ours=False)) or "none judged"
+    parts += _wrapped(f"claims: {judged}", "  ", width)
+    if beside := _in_words(_counts(results, ours=True)):
+        parts += _wrapped(f"beside them, not the thesis's: {beside}", "  ", width)
+    return "\n".join(parts)
+
+
+def _in_words(counts: dict[str, int]) -> str:
+    if not any(counts.values()):
+        return ""
+    return ", ".join(f"{verdict} {count}" for verdict, count in counts.items())
+
+
+def _settings(example: Example, result: Result, width: int) -> list[str]:
+    found = example.settings_of(result.options).items()
+    words = ", ".join(f"{name} {_figure(value)}" for name, value in found if value is not None)
+    return _wrapped(f"settings: {words}", "  ", width)
+
+
+def _errors(result: Result, width: int) -> list[str]:
+    last = int(result.iterations[-1]) if len(result.iterations) else -1
+    cells = [
+        f"{i}: {_figure(error, '/')}"
+        for i, error in zip(plain(result.iterations), plain(result.max_abs_error), strict=True)
+        if i in _SHOWN or i == last
+    ]
+    if result.diverged is not None:
+        cells.append(f"diverged at {result.diverged}")
+    return _wrapped("max|e| in iteration " + ", ".join(cells), "  ", width)
+
+
+def _claims(claims: list[Claim], width: int) -> list[str]:
+    """The thesis's, then those beside them."""
+    last = _MEASURED if width >= _WIDTH else _MEASURED_NARROW
+    columns = (width - _SOURCE - _VERDICT - last - 6, _SOURCE, _VERDICT, last)
+    lines: list[str] = []
+    for head, ours in (("claim", False), ("beside the thesis's claims", True)):
+        some = [claim for claim in claims if claim.ours == ours]
+        if not some:
+            continue
+        lines += [""] if lines else []
+        lines += _row((head, "source", "verdict", "measured"), columns)
+        lines.append("  ".join("-" * column for column in columns))
+        lines += [line for claim in some for line in _lines(claim, columns, width)]
+    return lines
+
+
+def _lines(claim: Claim, columns: tuple[int, ...], width: int) -> list[str]:
+    """What was measured has a line of its own below where it does not fit beside."""
+    measured = _figure(plain(claim.measured))
+    fits = len(measured) <= columns[-1]
+    beside = measured if fits else "see below"
+    lines = _row((claim.text, claim.source, claim.verdict, beside), columns)
+    if not fits:
+        lines += _wrapped(f"  measured: {measured}", "    ", width)
+    if claim.note:
+        lines += _wrapped(f"  {claim.note}", "  ", width)
+    return lines
+
+
+def _row(cells: tuple[str, ...], columns: tuple[int, ...]) -> list[str]:
+    wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, columns, strict=True)]
+    height = max(len(lines) for lines in wrapped)
+    return [
+        "  ".join(
+            (lines[i] if i < len(lines) else "").ljust(width)
+            for lines, width in zip(wrapped, columns, strict=True)
+        ).rstrip()
+        for i in range(height)
+    ]
+
+
+def _figures(result: Result, width: int) -> list[str]:
+    lines = []
+    for figure in result.figures:
+        lines += _wrapped(f"figure {figure.path}: {figure.name}, {figure.caption}", "  ", width)
+        if figure.contradicts:
+            against = f"  contradicted by the text's own numbers: {figure.contradicts}"
+            lines += _wrapped(against, "    ", width)
+    return ["", *lines] if lines else []
+
+
+def _wrapped(text: str, indent: str, width: int) -> list[str]:
+    return textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
+
+
+def _figure(value: Any, between: str = ", ") -> str:
+    """A number or several, to four digits; null is one that is not finite."""
+    if isinstance(value, list):
+        return between.join(_figure(one) for one in value) if value else "-"
+    if value is None:
+        return "-"
+    if isinstance(value, bool | str | int):
+        return str(value)
+    return f"{value:.4g}"
+
+
+SWEEPS = Path("sweeps")
+_STUDY_SHOWN = (1, 2, 3, 4, 6, 10, 20, 40)  # iterations of the table, and the last
+_FAILURES_SHOWN = 5
+
+
+def montecarlo(
+    recipe: Annotated[str | None, arg("Name of one, or a TOML file.", "RECIPE")] = None,
+    out: Annotated[Path | None, opt("Folder of the results; default: sweeps/RECIPE.")] = None,
+    cores: Annotated[int | None, opt("Processes; default: one per core.", min=1)] = None,
+    seeds: Annotated[int | None, opt("Fish of each kind; default: the recipe's.", min=1)] = None,
+    scheduler: Annotated[str | None, opt("Compute on a Dask cluster.", "tcp://HOST:PORT")] = None,
+    plot: Annotated[Path | None, opt("Draw the curves.", "PNG")] = None,
+    check: Annotated[bool, opt("Fail when a claim of the recipe does not hold.")] = False,
+    summary: Annotated[Path | None, opt("Compute nothing; sum up what is there.", "DIR")] = None,
+    list_: Annotated[bool, opt("Print the recipes that come with it.")] = (False),
+) -> Output:
+    """Run a study with many simulated fish, and check what holds for all of them.
+
+    Results are kept: after Ctrl-C the same command continues.
+
+    Example: tailbeat sim montecarlo designed-law --plot designed.png
+    """
+    if list_:
+        return _recipes()
+    if summary is not None:
+        store, about = StudyFolder(summary), {"out": summary}
+        wanted = store.recipe() if recipe is None else load(recipe)
+    else:
+        if recipe is None:
+            raise typer.BadParameter("no recipe; 'tailbeat sim montecarlo --list' names them")
+        wanted = load(recipe)
+        wanted = wanted if seeds is None else wanted.with_seeds(seeds)
+        out = out or SWEEPS / wanted.name
+        store, about = StudyFolder(out), _compute(wanted, out, cores, scheduler)
+    found = summarise(wanted, store.read())
+    if plot is not None:
+        render(found, plot)
+        about["plot"] = plot
+    status = int(bool(check and found.failed))
+    return Output(_study_document(found) | about, lambda: _study_text(found, about), status)
+
+
+def _compute(recipe: Recipe, out: Path, cores: int | None, scheduler: str | None) -> dict[str, Any]:
+    begin_s = time.monotonic()
+    first: list[int] = []
+    with progress_bar(recipe.name) as show:
+
+        def progress(done: int, total: int) -> None:
+            first.append(done)
+            spent_s = time.monotonic() - begin_s
+            left_s = spent_s / (done - first[0]) * (total - done) if done > first[0] else None
+            words = f"{done}/{total} cells"
+            show(done / total, words + (f", {_duration(left_s)} left" if left_s else ""))
+
+        try:
+            outcome = run_study(recipe, out, cores, scheduler, progress)
+        except Interrupted as stopped:
+            warn(stopped)
+            raise typer.Exit(130) from None
+    return {"out": out, "results": outcome.results, "computed_cells": outcome.computed}
+
+
+def _duration(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole} s" if whole < 100 else f"{round(whole / 60)} min"
+
+
+def _recipes() -> Output:
+    recipes = [load(name) for name in packaged()]
+    rows = [
+        {
+            "name": one.name,
+            "title": one.title,
+            "cells": len(cells(one)),
+            "seeds": one.seeds,
+            "claims": [claim.text for claim in one.claims],
+        }
+        for one in recipes
+    ]
+    text = table(["recipe", "what it shows"], [[r.name, r.title] for r in recipes], left=(0, 1))
+    return Output({"recipes": rows}, text)
+
+
+def _study_document(found: StudySummary) -> dict[str, Any]:
+    return {
+        "recipe": found.recipe,
+        "title": found.title,
+        "groups": [vars(line) | {"over_floor": line.over_floor} for line in found.lines],
+        "claims": [vars(claim) for claim in found.claims],
+        "failed": len(found.failed),
+        "failed_fish": found.failures,
+    }
+
+
+def _study_text(found: StudySummary, about: dict[str, Any]) -> str:
+    parts = [f"{found.title}: true max|e| in mm/s, median [5 %, 95 %] over fish"]
+    parts.append(_group_table(found.lines))
+    if found.claims:
+        parts += ["", *[_claim_line(claim) for claim in found.claims]]
+    if found.failures:
+        parts += ["", *_failed_fish(found)]
+    parts.append(f"results {about.get('results', about['out'])}")
+    if "plot" in about:
+        parts.append(f"plot {about['plot']}")
+    return "\n".join(parts)
+
+
+def _failed_fish(found: StudySummary) -> list[str]:
+    first = [f"  {one}" for one in found.failures[:_FAILURES_SHOWN]]
+    more = len(found.failures) - len(first)
+    return [
+        f"{len(found.failures)} fish failed; claims that speak of them do not hold:",
+        *first,
+        *([f"  and {more} more: --json names all"] if more else []),
+    ]
+
+
+def _group_table(lines: list[GroupSummary]) -> str:
+    last = max(len(line.median_m_s) for line in lines) - 1
+    shown = sorted({i for i in (*_STUDY_SHOWN, last) if i <= last})
+    names = [
+        name
+        for name in ("plant", "law", "noise", "corner", "reference")
+        if len({getattr(line, name) for line in lines}) > 1
+    ] or ["plant"]
+    header = [*names, "fish", *map(str, shown), "floor", "last/floor"]
+    rows = [
+        [
+            *(getattr(line, name) for name in names),
+            str(line.fish),
+            *(_cell(line, i) for i in shown),
+            mm(line.floor_lsq_m_s),
+            f"{line.over_floor:.2f}",
+        ]
+        for line in lines
+    ]
+    return table(header, rows, left=tuple(range(len(names))))
+
+
+def _cell(line: GroupSummary, i: int) -> str:
+    if i >= len(line.median_m_s):
+        return ""
+    return f"{mm(line.median_m_s[i])} [{mm(line.low_m_s[i])}, {mm(line.high_m_s[i])}]"
+
+
+def _claim_line(claim: ClaimResult) -> str:
+    word = "holds" if claim.holds else "FAILS"
+    where = f" ({claim.group})" if claim.group else ""
+    return f"{word}: {claim.text}: {claim.figure:.3g}, {claim.bound}{where}"
