@@ -126,13 +126,24 @@ class Law:
         return cls(**values, beat_s=beat_s)
 
     def params(self) -> dict[str, float]:
-        """The parameters that make it a board's law, which learns from the last trial alone; not
-        its limits, and not when the gain begins to fall."""
+        """The parameters with which a board runs this law on its last trial alone.
+
+        Returns
+        -------
+        dict
+            By name; without its limits, and without the visit at which the gain begins to fall.
+        """
         law = {name: float(getattr(self, _PARAMS[name])) for name in _DESIGNED}
         return law | {"ILC_KIND": float(LAST)}
 
     def words(self) -> str:
-        """``gain 4.57 rad s/m, lead 1 beat, no filter``."""
+        """The law in words.
+
+        Returns
+        -------
+        str
+            Like ``gain 4.57 rad s/m, lead 1 beat, no filter``.
+        """
         lead = f"lead {self.lead_beats:g} beat{'' if self.lead_beats == 1 else 's'}"
         lead = lead if self.lead_beats else "no lead"
         q = f"filter of length {self.q_len}" if self.q_len > 1 else "no filter"
