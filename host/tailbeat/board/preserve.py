@@ -26,6 +26,7 @@ from tailbeat.core import law
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import sync_folder
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference, record_crc
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, read_trial
@@ -221,7 +222,7 @@ def _is_first_input(fish: Fish, held: Snapshot, params: Mapping[str, float]) -> 
     if held.reference is None or held.iteration != 1 or held.has_best:
         return False
     reference = decode_reference(held.reference)
-    first = law.first(law.Law.from_params(params, reference.beat_s), reference.speed_m_s)
+    first = first_amplitudes(law.Law.from_params(params, reference.beat_s), reference.speed_m_s)
     return np.array_equal(first, fish.amplitudes().values)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.param_names import current_name
-from tailbeat.core.records import fill_peaks
 
 _PARAMS = {
     "ILC_GAIN": "kp_rad_s_m",
@@ -267,7 +266,7 @@ def errors_of(reference_m_s: ArrayLike, speed_m_s: ArrayLike) -> tuple[F32, NDAr
     return error, measured
 
 
-class _Call:
+class LawCall:
     """The C arguments of one law call, kept alive together."""
 
     def __init__(
@@ -285,12 +284,11 @@ class _Call:
                 "Give one of each per beat, 1 to 512 beats.",
             )
         mask = np.ones(beats, bool) if measured is None else np.asarray(measured, dtype=bool)
-        self.ffi, self.lib, self.beats = ffi, lib, beats
         self.law = law.native(ffi)
         self.amplitudes = ffi.new("float[]", amplitudes.tolist())
         self.errors = ffi.new("float[]", errors.tolist())
         self.mask = ffi.new("uint8_t[]", mask.astype(int).tolist())
-        self.visits = ffi.new("uint8_t[]", _counts(visits, beats))
+        self.visits = ffi.new("uint8_t[]", update_counts(visits, beats))
         self.trial = ffi.new(
             "law_trial_t *",
             {
@@ -303,18 +301,21 @@ class _Call:
         self.report = ffi.new("law_report_t *")
         self.scratch = ffi.new("float[]", beats)
 
-    def check(self, result: int) -> None:
-        if result:
-            raise InputError(*_REFUSALS[result])
-
     def law_report(self) -> LawReport:
         return LawReport(*(getattr(self.report, f.name) for f in fields(LawReport)))
 
     def next_amplitudes(self) -> F32:
-        return np.frombuffer(self.ffi.buffer(self.amplitudes), dtype=np.float32).copy()
+        return np.frombuffer(ffi.buffer(self.amplitudes), dtype=np.float32).copy()
 
 
-def _counts(visits: ArrayLike | None, beats: int) -> list[int]:
+def refused(result: int) -> None:
+    """Raises InputError when the C code turned a law or a trial down."""
+    if result:
+        raise InputError(*_REFUSALS[result])
+
+
+def update_counts(visits: ArrayLike | None, beats: int) -> list[int]:
+    """One count per beat, 0 to 255; none when ``visits`` is None. Raises InputError."""
     counts = np.zeros(beats, np.int64) if visits is None else np.asarray(visits, dtype=np.int64)
     if counts.shape != (beats,) or np.any((counts < 0) | (counts > _VISITS_MAX)):
         raise InputError(
@@ -336,10 +337,8 @@ def update(
     ``visits``: how many trials have corrected each beat before, 0 to 255 (default: none).
     """
     u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
-    call = _Call(law, u, e, measured, visits)
-    call.check(
-        call.lib.law_update(call.law, call.trial, call.amplitudes, call.scratch, call.report)
-    )
+    call = LawCall(law, u, e, measured, visits)
+    refused(lib.law_update(call.law, call.trial, call.amplitudes, call.scratch, call.report))
     return call.next_amplitudes(), call.law_report()
 
 
@@ -348,106 +347,9 @@ def judge(
 ) -> LawReport:
     """Max|e|, RMS and saturation of a trial, without learning."""
     u, e = np.asarray(amplitudes, dtype=np.float32), np.asarray(errors, dtype=np.float32)
-    call = _Call(law, u, e, measured)
-    call.check(call.lib.law_judge(call.law, call.trial, call.amplitudes, call.report))
+    call = LawCall(law, u, e, measured)
+    refused(lib.law_judge(call.law, call.trial, call.amplitudes, call.report))
     return call.law_report()
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What the board remembers between trials (firmware/ilc/memory.h). Amplitudes in rad."""
-
-    iteration: int
-    amplitude_rad: F32
-    best_iteration: int  # 0 = no best yet
-    best_rad: F32
-    best_max_abs_error_m_s: float
-    worse_streak: int
-    visits: NDArray[np.uint8] | None = None  # None: none
-    peaks: F32 | None = None  # Fish.peaks; None: not known
-
-
-@dataclass(frozen=True)
-class PastTrial:
-    """A trial that was learned from, or the mean of ``trials`` of them, as the board keeps it."""
-
-    amplitude_rad: F32  # as swum
-    error_m_s: F32  # NaN = not measured
-    trials: int = 1
-
-
-def learn(
-    law: Law,
-    memory: Memory,
-    errors: ArrayLike,
-    measured: ArrayLike,
-    complete: bool,
-    rollback_ratio: float,
-    past: Averaging | None = None,
-    earlier: Sequence[PastTrial] = (),
-    beyond: int = 0,
-) -> tuple[F32, LawReport, bool]:
-    """What the board would make of a trial: (next amplitudes, report, rolled back).
-
-    ``earlier``: with a moving average the trials it looks back on, newest first; with a mean that
-    of all of them. ``beyond``: ILC_EXTRAP.
-    """
-    call = _Call(law, memory.amplitude_rad, np.asarray(errors, dtype=np.float32), measured)
-    native = call.ffi.new("memory_t *")
-    call.lib.memory_begin(native, 1, call.beats)
-    for name in ("iteration", "best_iteration", "worse_streak"):
-        setattr(native, name, getattr(memory, name))
-    native.best_max_abs_error_m_s = memory.best_max_abs_error_m_s
-    native.amplitude_rad[0 : call.beats] = memory.amplitude_rad.tolist()
-    native.visits[0 : call.beats] = _counts(memory.visits, call.beats)
-    if memory.best_iteration:
-        native.best_rad[0 : call.beats] = memory.best_rad.tolist()
-    if memory.peaks is not None:
-        fill_peaks(native.peaks, memory.peaks)
-    report = call.ffi.new("memory_report_t *")
-    rules = call.ffi.new("memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": beyond})
-    kept = _kept(call, past or Averaging(), earlier)
-    call.check(call.lib.learn_past_add(kept, call.law, native, rules, call.scratch))
-    call.check(
-        call.lib.memory_learn(
-            native, call.law, call.trial, 1, complete, rules, call.scratch, report
-        )
-    )
-    following = np.frombuffer(call.ffi.buffer(native.amplitude_rad), dtype=np.float32)
-    found = LawReport(*(getattr(report.law, f.name) for f in fields(LawReport)))
-    return following[: call.beats].copy(), found, bool(report.rolled_back)
-
-
-def _kept(call: _Call, past: Averaging, earlier: Sequence[PastTrial]) -> Any:
-    """``earlier`` where the C code looks for them."""
-    kept = call.ffi.new("learn_past_t *")
-    if not call.lib.learn_past_begin(kept, past.kind, past.window):
-        raise InputError(
-            f"there is no law that learns from kind {past.kind}, window {past.window}.",
-            "Kinds are 0, 1 and 2, windows 2 to 8.",
-        )
-    kept.trials = sum(one.trials for one in earlier)
-    for slot, one in enumerate(reversed(earlier)):
-        measured = np.isfinite(one.error_m_s)
-        kept.trial[slot].amplitude_rad[0 : call.beats] = one.amplitude_rad.tolist()
-        kept.trial[slot].error_m_s[0 : call.beats] = np.where(measured, one.error_m_s, 0).tolist()
-        kept.trial[slot].measured[0 : call.beats] = measured.astype(int).tolist()
-    return kept
-
-
-def first(law: Law, reference_m_s: ArrayLike) -> F32:
-    """The amplitudes of iteration 1: the law applied to the zero input, whose error is the
-    reference. Without the step limit, as on the board."""
-    reference = np.asarray(reference_m_s, dtype=np.float32)
-    memory = ffi.new("memory_t *")
-    lib.memory_begin(memory, 1, len(reference))
-    scratch = ffi.new("float[]", len(reference))
-    values = ffi.new("float[]", reference.tolist())
-    result = lib.memory_first(memory, law.native(ffi), values, scratch)
-    if result:
-        raise InputError(*_REFUSALS[result])
-    amplitudes = np.frombuffer(ffi.buffer(memory.amplitude_rad), dtype=np.float32)
-    return amplitudes[: len(reference)].copy()
 
 
 def saturate(law: Law, amplitudes: ArrayLike) -> F32:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tailbeat.board.snapshot import Snapshot
-from tailbeat.core import law as laws
 from tailbeat.core.arrays import F32
-from tailbeat.core.native import ffi, lib
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import Averaging, Law, errors_of
+from tailbeat.core.law_memory import LawMemory
+from tailbeat.core.native import lib
 from tailbeat.core.records import decode_learned
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.analysis import Analysis, TrialRow
@@ -143,8 +144,8 @@ class _Board:
         self.reference_m_s, self.beat_s = reference_m_s, beat_s
         self.judges_gaps = judges_gaps
         self.beats = len(reference_m_s)
-        self.memory: Any = ffi.new("memory_t *")
-        self.past: Any = ffi.new("learn_past_t *")
+        self.memory = LawMemory(self.beats)
+        self.begun = False
         self.whole = False
         self.past_doubted = False
         self.rolled_back = False
@@ -152,9 +153,8 @@ class _Board:
 
     def copy(self) -> _Board:
         other = _Board(self.reference_m_s, self.beat_s, self.judges_gaps)
-        ffi.memmove(other.memory, self.memory, ffi.sizeof("memory_t"))
-        ffi.memmove(other.past, self.past, ffi.sizeof("learn_past_t"))
-        other.whole, other.past_doubted = self.whole, self.past_doubted
+        other.memory = self.memory.copy()
+        other.begun, other.whole, other.past_doubted = self.begun, self.whole, self.past_doubted
         return other
 
     def begins(self, trial: Trial) -> bool:
@@ -163,42 +163,33 @@ class _Board:
 
     def first(self, trial: Trial) -> None:
         """The law applied to rest."""
-        law = laws.Law.from_params(trial.params, self.beat_s)
-        lib.memory_begin(self.memory, 1, self.beats)
-        lib.learn_past_begin(self.past, laws.LAST, 2)
-        wanted = ffi.new("float[]", self.reference_m_s.tolist())
-        scratch = ffi.new("float[]", self.beats)
-        native = law.native(ffi)
-        self.whole = lib.memory_first(self.memory, native, wanted, scratch) == 0
-        self.past_doubted = False
+        self.begun, self.past_doubted = True, False
+        with contextlib.suppress(InputError):
+            self.whole = False
+            self.memory.first(Law.from_params(trial.params, self.beat_s), self.reference_m_s)
+            self.whole = True
 
     def take_over(self, trial: Trial) -> None:
         """The amplitudes of a trial that the board got in another way; they have no past."""
         swum = trial.beats.amplitude_rad
-        if self.memory.beats != self.beats:
-            lib.memory_begin(self.memory, 1, self.beats)
         known = np.isfinite(swum)
-        held = np.where(known, swum, self.next_amplitudes()).astype(np.float32)
-        self.memory.amplitude_rad[0 : self.beats] = held.tolist()
-        self.memory.iteration = trial.iteration
+        held = np.where(known, swum, self.memory.amplitude_rad)
+        self.memory.set_input(held, trial.iteration)
+        self.begun = True
         self.whole = self.whole and bool(known.all())
         self.past_doubted = True
 
     def restore_best(self) -> None:
         """As asked for by the host; what it looks back on is the firmware's to say."""
-        lib.memory_restore_best(self.memory)
+        self.memory.restore_best()
         self.past_doubted = True
-
-    def next_amplitudes(self) -> F32:
-        values = np.frombuffer(ffi.buffer(self.memory.amplitude_rad), dtype=np.float32)
-        return values[: self.beats].copy()
 
     def same(self, amplitude_rad: F32) -> bool:
         """Bit for bit, where the file tells (a trial that was cut short tells of its beats)."""
-        if self.memory.beats != self.beats or len(amplitude_rad) != self.beats:
+        if not self.begun or len(amplitude_rad) != self.beats:
             return False
         known = np.isfinite(amplitude_rad)
-        mine = self.next_amplitudes()
+        mine = self.memory.amplitude_rad
         return mine[known].tobytes() == amplitude_rad[known].tobytes()
 
     def after(self, trial: Trial, following: Trial) -> Iterator[_Board]:
@@ -218,46 +209,21 @@ class _Board:
                     yield restored
 
     def _learn(self, trial: Trial, params: Mapping[str, float], forget: bool) -> None:
-        law, looks = laws.Law.from_params(params, self.beat_s), laws.Averaging.from_params(params)
-        if forget or (self.past.kind, self.past.window) != (looks.kind, looks.window):
-            lib.learn_past_begin(self.past, looks.kind, looks.window)
-        error, measured = laws.errors_of(self.reference_m_s, trial.beats.speed_m_s)
+        if forget:
+            self.memory.forget()
+        error, measured = errors_of(self.reference_m_s, trial.beats.speed_m_s)
         if not measured.any():
             self.refusal = "its file has no speeds: they were uploaded after it was pulled"
             return
         complete = trial.end_fault == 0 and trial.executed_beats == self.beats
         complete = complete and (self.judges_gaps or bool(measured.all()))
-        self._learn_in_c(law, error, measured, complete, params)
-
-    def _learn_in_c(
-        self,
-        law: laws.Law,
-        error: F32,
-        measured: NDArray[np.bool_],
-        complete: bool,
-        params: Mapping[str, float],
-    ) -> None:
-        native, report = law.native(ffi), ffi.new("memory_report_t *")
-        arrays = {
-            "error_m_s": ffi.new("float[]", error.tolist()),
-            "measured": ffi.new("uint8_t[]", measured.astype(int).tolist()),
-        }
-        swum = ffi.new("law_trial_t *", {"beats": self.beats, **arrays})
-        rules = ffi.new("memory_rules_t *")
-        rules.rollback_ratio = params.get("ROLLBACK_RATIO", 0.0)
-        rules.beyond = int(params.get("ILC_EXTRAP", 0))
-        scratch = ffi.new("float[]", self.beats)
-        swum_rad = ffi.new("float[]", self.next_amplitudes().tolist())
-        result = lib.learn_past_add(self.past, native, self.memory, rules, scratch)
-        if result == 0:
-            result = lib.memory_learn(
-                self.memory, native, swum, 1, complete, rules, scratch, report
-            )
-        if result != 0:
+        law = Law.from_params(params, self.beat_s)
+        rollback_ratio = params.get("ROLLBACK_RATIO", 0.0)
+        extrapolation = int(params.get("ILC_EXTRAP", 0))
+        try:
+            self.memory.average(Averaging.from_params(params))
+            self.memory.learn(law, error, measured, complete, rollback_ratio, extrapolation)
+        except InputError:
             self.refusal = "the law refuses it"
             return
-        self.rolled_back = bool(report.rolled_back)
-        if self.rolled_back:
-            lib.learn_past_begin(self.past, self.past.kind, self.past.window)
-        else:
-            lib.learn_past_keep(self.past, native, swum, swum_rad)
+        self.rolled_back = self.memory.rolled_back

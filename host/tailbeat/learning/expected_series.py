@@ -11,7 +11,8 @@ from numpy.random import Generator
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.law import Law, first, update
+from tailbeat.core.law import Law, update
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference
 from tailbeat.learning.fish_model import SIGMA_M_S, Conditions, FishModel, Swim
 from tailbeat.learning.fit import Scatter, beat_sigma
@@ -85,7 +86,7 @@ def _learn(
     rng: Generator,
 ) -> F64:
     wanted = reference.speed_m_s.astype(np.float64)
-    amplitude = first(law, wanted)
+    amplitude = first_amplitudes(law, wanted)
     worst = [float(np.abs(wanted).max())]
     for _ in range(iterations):
         swum = np.clip(amplitude, 0, np.float32(law.amplitude_max_rad)).astype(np.float64)

@@ -11,6 +11,7 @@ from tailbeat.core import law as laws
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_TRIAL, refusal
+from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.core.records import decode_past, decode_reference, past_path, record_crc
 from tailbeat.core.trial_file import Trial, read_trial
 
@@ -66,29 +67,21 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
     if memory.peaks is None:  # older firmware judges no trial with missing beats
         complete = complete and bool(measured.all())
     past = laws.Averaging.from_params(params)
-    following, report, rolled_back = laws.learn(
-        law,
-        memory,
-        error,
-        measured,
-        complete,
-        params["ROLLBACK_RATIO"],
-        past,
-        _earlier(fish, past, status.iteration),
-        int(params.get("ILC_EXTRAP", 0)),
-    )
+    learner = LawMemory.of(memory, past, _earlier(fish, past, status.iteration))
+    extrapolation = int(params.get("ILC_EXTRAP", 0))
+    report = learner.learn(law, error, measured, complete, params["ROLLBACK_RATIO"], extrapolation)
     return DryRun(
         trial=pending,
         iteration=trial.iteration,
         report=report,
-        rolled_back=rolled_back,
-        amplitude_rad=following,
+        rolled_back=learner.rolled_back,
+        amplitude_rad=learner.amplitude_rad,
     )
 
 
-def _memory(fish: Fish, status: BoardStatus) -> laws.Memory:
+def _memory(fish: Fish, status: BoardStatus) -> Memory:
     held, best = fish.amplitudes(), fish.amplitudes(best=True)
-    return laws.Memory(
+    return Memory(
         iteration=held.iteration,
         amplitude_rad=held.values,
         best_iteration=best.iteration,
@@ -100,12 +93,12 @@ def _memory(fish: Fish, status: BoardStatus) -> laws.Memory:
     )
 
 
-def _earlier(fish: Fish, past: laws.Averaging, iteration: int) -> list[laws.PastTrial]:
+def _earlier(fish: Fish, past: laws.Averaging, iteration: int) -> list[PastTrial]:
     """What the board looks back on, newest first: the chain that begins with what it has learned
     (docs/protocol.md). A file that is missing or not of the chain ends it."""
     most = {laws.LAST: 0, laws.MEAN: 1}.get(past.kind, past.window - 1)
     learned = fish.learned_record() if most else None
-    earlier: list[laws.PastTrial] = []
+    earlier: list[PastTrial] = []
     wanted = record_crc(learned) if learned is not None else 0
     while len(earlier) < most and wanted:
         record = fish.past_record(past_path(iteration - 1 - len(earlier)))
@@ -118,7 +111,7 @@ def _earlier(fish: Fish, past: laws.Averaging, iteration: int) -> list[laws.Past
         if found.kind != past.kind or wanted != (found.crc if earlier else found.learned_crc):
             break
         trials = found.trials if past.kind == laws.MEAN else 1
-        earlier.append(laws.PastTrial(found.amplitude_rad, found.error_m_s, trials))
+        earlier.append(PastTrial(found.amplitude_rad, found.error_m_s, trials))
         wanted = found.previous_crc
     return earlier
 

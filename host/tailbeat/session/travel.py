@@ -16,6 +16,7 @@ from tailbeat.core import law as laws
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import NO_REFERENCE, refusal
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import read_trial
 from tailbeat.learning.envelope import farthest, speeds, way
@@ -173,7 +174,7 @@ def _next(fish: Fish, book: Logbook | None) -> _Next:
     law = laws.Law.from_params(params, wanted.beat_s)
     held = fish.amplitudes() if fish.status().iteration else None
     if held is None or held.input == _FIRST:
-        values = laws.first(law, wanted.speed_m_s)
+        values = first_amplitudes(law, wanted.speed_m_s)
     else:
         values = held.values
     amplitude = laws.saturate(law, values).astype(np.float64)

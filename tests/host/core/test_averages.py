@@ -8,12 +8,12 @@ import pytest
 
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
-from tailbeat.core import law as laws
 from tailbeat.core import records, reference
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
-from tailbeat.core.law import MEAN, WINDOW, Averaging, Law, Memory, PastTrial
+from tailbeat.core.law import MEAN, WINDOW, Averaging, Law
+from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.session.dry_run import dry_run
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
@@ -134,10 +134,9 @@ def next_of(past: Averaging, earlier: list[PastTrial], u: Array, e: Array) -> Fl
     law = Law(kp_rad_s_m=3.0, amplitude_max_rad=0.5)
     memory = Memory(5, u.astype(np.float32), 0, np.zeros(len(u), np.float32), 0.0, 0)
     measured = np.isfinite(e)
-    following, _, _ = laws.learn(
-        law, memory, np.where(measured, e, 0.0), measured, True, 0.0, past, earlier
-    )
-    return following
+    learner = LawMemory.of(memory, past, earlier)
+    learner.learn(law, np.where(measured, e, 0.0), measured, True)
+    return learner.amplitude_rad
 
 
 def test_a_moving_average_is_that_of_plain_numpy() -> None:
@@ -173,15 +172,9 @@ def test_a_mean_with_kd_is_refused(fish: Fish) -> None:
     assert refused.value.name == "BAD_LAW"
     assert "ILC_KIND 1" in refused.value.remedy
     with pytest.raises(InputError, match="mean has a kd"):
-        laws.learn(
-            Law(kd_rad_s2_m=0.1),
-            Memory(1, np.zeros(2, np.float32), 0, np.zeros(2, np.float32), 0.0, 0),
-            [0.1, 0.1],
-            [True, True],
-            True,
-            0.0,
-            Averaging(MEAN),
-        )
+        empty = Memory(1, np.zeros(2, np.float32), 0, np.zeros(2, np.float32), 0.0, 0)
+        learner = LawMemory.of(empty, Averaging(MEAN))
+        learner.learn(Law(kd_rad_s2_m=0.1), [0.1, 0.1], [True, True], True)
 
 
 @pytest.mark.parametrize(("kind", "number"), [(3, LAW_FEEDBACK), (4, LAW_FEEDBACK), (5, LAW_SIGN)])

@@ -12,6 +12,7 @@ import pytest
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Averaging, Law
+from tailbeat.core.law_memory import LawMemory, Memory, first_amplitudes
 from tailbeat.link.params import known_parameters
 
 F = np.float32
@@ -106,8 +107,10 @@ def test_the_next_visits_follow_from_the_trials_of_a_memory() -> None:
     wanted = 1 + random.normal(0, 0.1, (20, 1)).astype(F)
     held = np.ones(1, dtype=F)
     for visits, asked in enumerate(wanted):
-        memory = laws.Memory(1, held, 0, held, 0.0, 0, np.array([visits], dtype=np.uint8))
-        held, _, _ = laws.learn(law, memory, asked - held, [True], True, 0.0)
+        memory = Memory(1, held, 0, held, 0.0, 0, np.array([visits], dtype=np.uint8))
+        learner = LawMemory.of(memory)
+        learner.learn(law, asked - held, [True], True)
+        held = learner.amplitude_rad
     assert held[0] == pytest.approx(wanted.mean(), abs=1e-6)
 
 
@@ -131,7 +134,7 @@ def test_unmeasured_beats_keep_their_input() -> None:
 def test_first_is_the_gain_times_the_reference() -> None:
     wanted = np.array([0.0, 0.05, 0.0791], dtype=F)
     assert (
-        laws.first(Law(kp_rad_s_m=4, step_max_rad=0.01), wanted).tolist()
+        first_amplitudes(Law(kp_rad_s_m=4, step_max_rad=0.01), wanted).tolist()
         == (F(4) * wanted).tolist()
     )
 

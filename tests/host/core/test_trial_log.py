@@ -10,9 +10,10 @@ import pytest
 
 from tailbeat.app.demo import same_bits
 from tailbeat.board.fish import Fish
-from tailbeat.core import law, reference
+from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.trial_file import (
     NO_MOTION,
     Trial,
@@ -71,7 +72,7 @@ def test_what_a_file_tells(trial: Trial) -> None:
     assert len(trial.battery_v) >= BEATS - 1
     wanted = reference.trapezoid(0.06, 3, BEATS - 6).speed_m_s
     assert same_bits(trial.beats.reference_m_s, wanted)
-    assert same_bits(trial.beats.amplitude_rad, law.first(Law(lead_beats=1), wanted))
+    assert same_bits(trial.beats.amplitude_rad, first_amplitudes(Law(lead_beats=1), wanted))
 
 
 def test_the_last_record_of_a_beat_counts(files: dict[str, Path]) -> None:

@@ -14,6 +14,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import law as laws
 from tailbeat.core import reference, trial_checks
 from tailbeat.core.arrays import F64
+from tailbeat.core.law_memory import LawMemory, Memory
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps, _rows
@@ -300,13 +301,13 @@ def test_firmware_that_keeps_no_peaks_is_foretold_by_its_own_rule(
     speed[3] = MISSING
     fish.upload_speeds(number, speed, np.full(len(speed), 1e-3))
     kept: list[bool] = []
-    learn = laws.learn
+    learn = LawMemory.learn
 
-    def noted(law, memory, error, measured, complete, *others):  # type: ignore[no-untyped-def]
+    def noted(memory, law, error, measured, complete, *others):  # type: ignore[no-untyped-def]
         kept.append(complete)
-        return learn(law, memory, error, measured, complete, *others)
+        return learn(memory, law, error, measured, complete, *others)
 
-    monkeypatch.setattr(laws, "learn", noted)
+    monkeypatch.setattr(LawMemory, "learn", noted)
     dry_run(fish)
     monkeypatch.setattr(
         "tailbeat.board.learned._PEAKS", 99
@@ -318,17 +319,19 @@ def test_firmware_that_keeps_no_peaks_is_foretold_by_its_own_rule(
 
 def test_an_old_best_without_peaks_counts_with_its_largest_error() -> None:
     law = laws.Law(kp_rad_s_m=4.0, amplitude_max_rad=0.8)
-    held = laws.Memory(2, np.full(10, 0.3, np.float32), 1, np.full(10, 0.2, np.float32), 0.02, 1)
+    held = Memory(2, np.full(10, 0.3, np.float32), 1, np.full(10, 0.2, np.float32), 0.02, 1)
     error, measured = np.full(10, 0.027, np.float32), np.arange(10) != 3
-    following, _, rolled_back = laws.learn(law, held, error, measured, True, 1.3)
-    assert rolled_back and following.tobytes() == held.best_rad.tobytes()
-    fair = laws.learn(law, held, error, measured, True, 1.4)
-    assert not fair[2]
+    strict, fair = LawMemory.of(held), LawMemory.of(held)
+    strict.learn(law, error, measured, True, 1.3)
+    assert strict.rolled_back and strict.amplitude_rad.tobytes() == held.best_rad.tobytes()
+    fair.learn(law, error, measured, True, 1.4)
+    assert not fair.rolled_back
     carried = np.where(np.arange(10) == 5, -0.03, 0).astype(np.float32)
     error = np.where(np.arange(10) == 5, 0.027, 0.02).astype(np.float32)
-    assert laws.learn(law, held, error, measured, True, 1.3)[2]
-    known = replace(held, peaks=carried)
-    assert not laws.learn(law, known, error, measured, True, 1.3)[2]  # 27 is below 1.3 x 30
+    unknown, known = LawMemory.of(held), LawMemory.of(replace(held, peaks=carried))
+    unknown.learn(law, error, measured, True, 1.3)
+    known.learn(law, error, measured, True, 1.3)
+    assert unknown.rolled_back and not known.rolled_back  # 27 is below 1.3 x 30
 
 
 def history(judges_gaps: bool) -> Analysis:
@@ -344,7 +347,7 @@ def history(judges_gaps: bool) -> Analysis:
         swum = replace(swum, params=params, input=made_by)
         if number == 1:
             held.first(swum)
-        amplitude = held.next_amplitudes()
+        amplitude = held.memory.amplitude_rad
         applied = np.clip(amplitude, 0, np.float32(made.LIMIT_RAD))
         beats = replace(swum.beats, amplitude_rad=amplitude, applied_rad=applied)
         swum = replace(swum, beats=beats)

@@ -20,6 +20,7 @@ from tailbeat.core import law as laws
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import thesis
 from tailbeat.learning import frequency_response
 from tailbeat.learning.design import Design, design
@@ -335,7 +336,7 @@ def bracketed(kappa: float, law: Law | None, seeds: range, trials: int) -> tuple
         water = {"kappa_per_m": kappa, "seed": seed, **NOISE}
         identified = identify("tank", water, LIMIT, 1.0)
         used = law or design(identified, REFERENCE, LIMIT, iterations=1).law
-        memory = laws.first(used, WANTED)
+        memory = first_amplitudes(used, WANTED)
         before = None
         for number in range(1, trials + 1):
             amplitude = laws.saturate(used, memory).astype(np.float64)

@@ -16,11 +16,11 @@ from tailbeat.app.cli._terminal import Output
 from tailbeat.app.cli.learn import learn_with_model
 from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.board.fish import REST, Fish, board_reference
-from tailbeat.core import law as laws
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
 from tailbeat.core.law import Law
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import Logbook
@@ -135,7 +135,7 @@ def test_another_reference_begins_where_the_first_one_ended(other: Reference) ->
 
 
 def _first_of_p(reference: Reference) -> Array:
-    first = laws.first(Law(lead_beats=1), reference.speed_m_s).astype(np.float64)
+    first = first_amplitudes(Law(lead_beats=1), reference.speed_m_s).astype(np.float64)
     return np.clip(first, 0, AMPLITUDE_MAX_RAD)
 
 

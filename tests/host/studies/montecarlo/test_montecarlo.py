@@ -22,6 +22,7 @@ from tailbeat.app.cli import run
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
+from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.lazy import LazyModule
 from tailbeat.core.parallel import terminate
 from tailbeat.core.reference import from_text
@@ -125,7 +126,7 @@ def test_rows_are_what_the_laws_and_the_plant_say(tiny: Recipe) -> None:
     assert rows["max_abs_error_m_s"][0] == wanted.max()
     law = Law(lead_beats=1, amplitude_max_rad=tiny.amplitude_max_rad)
     alone = FishBatch("tank", [{"kappa_per_m": 10.0, "seed": 2}])
-    amplitude = laws.first(law, wanted)
+    amplitude = first_amplitudes(law, wanted)
     for iteration in (1, 2, 3):
         applied = laws.saturate(law, amplitude)
         swum = alone.run(applied[None, :].astype(np.float64), iteration)
@@ -159,7 +160,7 @@ def test_the_batch_learns_bit_for_bit_as_one_fish_does(seed: int) -> None:
     ]
     board = learners.BoardLaw(many, 0.0)
     board.begin(reference)
-    stored = [laws.first(law, reference.speed_m_s) for law in many]
+    stored = [first_amplitudes(law, reference.speed_m_s) for law in many]
     for _ in range(5):
         speed = rng.uniform(0, 0.15, (len(many), reference.beats))
         speed[rng.uniform(size=speed.shape) < 0.03] = np.nan

@@ -1,0 +1,166 @@
+"""What the board remembers between trials, by the C code the board runs (firmware/ilc/memory.h and
+past.h), bit for bit: dry run, replay and predictions learn with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tailbeat.core.arrays import F32
+from tailbeat.core.errors import InputError
+from tailbeat.core.law import LAST, Averaging, Law, LawCall, LawReport, refused, update_counts
+from tailbeat.core.native import ffi, lib
+from tailbeat.core.records import fill_peaks
+
+
+@dataclass(frozen=True)
+class Memory:
+    """The content of a board's memory. Amplitudes in rad, shape (beats,)."""
+
+    iteration: int
+    amplitude_rad: F32
+    best_iteration: int  # 0 = no best yet
+    best_rad: F32
+    best_max_abs_error_m_s: float
+    worse_streak: int
+    visits: NDArray[np.uint8] | None = None  # None: none
+    peaks: F32 | None = None  # Fish.peaks; None: not known
+
+
+@dataclass(frozen=True)
+class PastTrial:
+    """A trial that was learned from, or the mean of ``trials`` of them, as the board keeps it."""
+
+    amplitude_rad: F32  # as executed
+    error_m_s: F32  # NaN = not measured
+    trials: int = 1
+
+
+class LawMemory:
+    """A board's memory, and the earlier trials that an averaging law includes. ``rolled_back``:
+    the last trial was worse often enough, the best amplitudes are back."""
+
+    def __init__(self, beats: int) -> None:
+        self.beats = beats
+        self.rolled_back = False
+        self._memory: Any = ffi.new("memory_t *")
+        self._past: Any = ffi.new("learn_past_t *")
+        lib.memory_begin(self._memory, 1, beats)
+        lib.learn_past_begin(self._past, LAST, 2)
+
+    @classmethod
+    def of(
+        cls, held: Memory, averaging: Averaging | None = None, earlier: Sequence[PastTrial] = ()
+    ) -> LawMemory:
+        """The memory with this content. ``earlier``: with a moving average the trials it includes,
+        newest first; with a mean that of all of them. Raises InputError."""
+        made = cls(len(held.amplitude_rad))
+        native, beats = made._memory, made.beats
+        for name in ("iteration", "best_iteration", "worse_streak"):
+            setattr(native, name, getattr(held, name))
+        native.best_max_abs_error_m_s = held.best_max_abs_error_m_s
+        native.amplitude_rad[0:beats] = held.amplitude_rad.tolist()
+        native.visits[0:beats] = update_counts(held.visits, beats)
+        if held.best_iteration:
+            native.best_rad[0:beats] = held.best_rad.tolist()
+        if held.peaks is not None:
+            fill_peaks(native.peaks, held.peaks)
+        made.average(averaging or Averaging())
+        made._past.trials = sum(one.trials for one in earlier)
+        for slot, one in enumerate(reversed(earlier)):
+            measured = np.isfinite(one.error_m_s)
+            kept = made._past.trial[slot]
+            kept.amplitude_rad[0:beats] = one.amplitude_rad.tolist()
+            kept.error_m_s[0:beats] = np.where(measured, one.error_m_s, 0).tolist()
+            kept.measured[0:beats] = measured.astype(int).tolist()
+        return made
+
+    def copy(self) -> LawMemory:
+        """Another one with the same content."""
+        other = LawMemory(self.beats)
+        ffi.memmove(other._memory, self._memory, ffi.sizeof("memory_t"))
+        ffi.memmove(other._past, self._past, ffi.sizeof("learn_past_t"))
+        return other
+
+    @property
+    def amplitude_rad(self) -> F32:
+        """The input of the next trial, unsaturated, shape (beats,)."""
+        values = np.frombuffer(ffi.buffer(self._memory.amplitude_rad), dtype=np.float32)
+        return values[: self.beats].copy()
+
+    def first(self, law: Law, reference_m_s: ArrayLike) -> None:
+        """Begins anew: the law applied to the zero input, whose error is the reference. Without the
+        step limit, as on the board. Raises InputError."""
+        lib.memory_begin(self._memory, 1, self.beats)
+        self.forget()
+        values = ffi.new("float[]", np.asarray(reference_m_s, dtype=np.float32).tolist())
+        scratch = ffi.new("float[]", self.beats)
+        refused(lib.memory_first(self._memory, law.native(ffi), values, scratch))
+
+    def set_input(self, amplitude_rad: ArrayLike, iteration: int) -> None:
+        """Amplitudes that came in another way than from the law."""
+        values = np.asarray(amplitude_rad, dtype=np.float32)
+        self._memory.amplitude_rad[0 : self.beats] = values.tolist()
+        self._memory.iteration = iteration
+
+    def restore_best(self) -> None:
+        """The best amplitudes are the next ones."""
+        lib.memory_restore_best(self._memory)
+
+    def average(self, averaging: Averaging) -> None:
+        """What is learned from; earlier trials are forgotten when that changes. Raises
+        InputError."""
+        if (self._past.kind, self._past.window) == (averaging.kind, averaging.window):
+            return
+        if not lib.learn_past_begin(self._past, averaging.kind, averaging.window):
+            raise InputError(
+                f"there is no law that learns from kind {averaging.kind}, window "
+                f"{averaging.window}.",
+                "Kinds are 0, 1 and 2, windows 2 to 8.",
+            )
+
+    def forget(self) -> None:
+        """Drops the earlier trials."""
+        lib.learn_past_begin(self._past, self._past.kind, self._past.window)
+
+    def learn(
+        self,
+        law: Law,
+        error_m_s: ArrayLike,
+        measured: ArrayLike,
+        complete: bool,
+        rollback_ratio: float = 0.0,
+        extrapolation: int = 0,
+    ) -> LawReport:
+        """Learns from a trial. ``complete``: it may become the best. ``extrapolation``: ILC_EXTRAP.
+        Raises InputError when the law refuses it; nothing has been learned then."""
+        executed_rad = self.amplitude_rad
+        call = LawCall(law, executed_rad, np.asarray(error_m_s, dtype=np.float32), measured)
+        report = ffi.new("memory_report_t *")
+        rules = ffi.new(
+            "memory_rules_t *", {"rollback_ratio": rollback_ratio, "beyond": extrapolation}
+        )
+        refused(lib.learn_past_add(self._past, call.law, self._memory, rules, call.scratch))
+        refused(
+            lib.memory_learn(
+                self._memory, call.law, call.trial, 1, complete, rules, call.scratch, report
+            )
+        )
+        self.rolled_back = bool(report.rolled_back)
+        if self.rolled_back:
+            self.forget()
+        else:
+            executed = ffi.new("float[]", executed_rad.tolist())
+            lib.learn_past_keep(self._past, call.law, call.trial, executed)
+        return LawReport(*(getattr(report.law, f.name) for f in fields(LawReport)))
+
+
+def first_amplitudes(law: Law, reference_m_s: ArrayLike) -> F32:
+    """The amplitudes of iteration 1, shape (beats,), rad. Raises InputError."""
+    memory = LawMemory(len(np.asarray(reference_m_s)))
+    memory.first(law, reference_m_s)
+    return memory.amplitude_rad
