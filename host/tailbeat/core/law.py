@@ -135,19 +135,6 @@ class Law:
         law = {name: float(getattr(self, _PARAMS[name])) for name in _DESIGNED}
         return law | {"ILC_KIND": float(LAST)}
 
-    def words(self) -> str:
-        """The law in words.
-
-        Returns
-        -------
-        str
-            Like ``gain 4.57 rad s/m, lead 1 beat, no filter``.
-        """
-        lead = f"lead {self.lead_beats:g} beat{'' if self.lead_beats == 1 else 's'}"
-        lead = lead if self.lead_beats else "no lead"
-        q = f"filter of length {self.q_len}" if self.q_len > 1 else "no filter"
-        return f"gain {self.kp_rad_s_m:g} rad s/m, {lead}, {q}"
-
     def native(self, ffi: Any) -> Any:
         """Make a ``law_t`` for the C code.
 

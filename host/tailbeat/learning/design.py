@@ -327,3 +327,11 @@ def _growth(ratio: F64) -> str:
     if worst <= _MILD:
         return line
     return line + "; learning will get good, stall and get worse again. Choose another lead"
+
+
+def law_words(law: Law) -> str:
+    """``gain 4.57 rad s/m, lead 1 beat, no filter``."""
+    lead = f"lead {law.lead_beats:g} beat{'' if law.lead_beats == 1 else 's'}"
+    lead = lead if law.lead_beats else "no lead"
+    q = f"filter of length {law.q_len}" if law.q_len > 1 else "no filter"
+    return f"gain {law.kp_rad_s_m:g} rad s/m, {lead}, {q}"

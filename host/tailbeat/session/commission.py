@@ -23,7 +23,7 @@ from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserve_folder
-from tailbeat.learning.design import design
+from tailbeat.learning.design import design, law_words
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
 from tailbeat.session.events import Notice
@@ -282,7 +282,7 @@ class _Session:
         return CommissionStep(
             "design",
             True,
-            f"{found.law.words()}: errors shrink most surely, steady ones to "
+            f"{law_words(found.law)}: errors shrink most surely, steady ones to "
             f"{found.ratio_dc:.2f} of themselves per trial, the worst to {found.ratio_max:.2f}; "
             f"gains from {found.static_gain_max:.2f} on would not learn",
         )

@@ -19,7 +19,7 @@ from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.experiment.current import named_reference, note_set
 from tailbeat.experiment.library import Logbook
-from tailbeat.learning.design import Design
+from tailbeat.learning.design import Design, law_words
 from tailbeat.learning.design import design as design_law
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.speed_table import from_table
@@ -130,7 +130,7 @@ def _document(found: Design, wanted: Reference, known: Identified, applied: bool
 def _text(found: Design, applied: bool) -> str:
     medians = " ".join(mm(float(value)) for value in found.series.median_m_s)
     lines = [
-        f"law        {found.law.words()}",
+        f"law        {law_words(found.law)}",
         f"steady     errors become {found.ratio_dc:.2f} of themselves per trial; gain "
         f"{found.static_gain_best:.2f} does best, below {found.static_gain_max:.2f} they shrink",
         f"worst      {_worst(found)}",
