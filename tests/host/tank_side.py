@@ -49,9 +49,9 @@ class Script:
         self.asked += 1
         return self.aborts(self.told)
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         """Never asked by the ritual."""
-        raise AssertionError(swum)
+        raise AssertionError(recorded)
 
     def confirm(self, question: str) -> bool:
         """Never asked by the ritual."""

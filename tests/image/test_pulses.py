@@ -63,7 +63,7 @@ class Swum:
 
 
 @pytest.fixture(scope="module", params=[BEATS, pytest.param(SOAK_BEATS, marks=pytest.mark.soak)])
-def swum(image: Path, request: pytest.FixtureRequest) -> Swum:
+def recorded(image: Path, request: pytest.FixtureRequest) -> Swum:
     """One trial, each beat with an amplitude of its own."""
     board = EmulatedBoard(image)
     trace = probe(board)
@@ -86,30 +86,30 @@ def swum(image: Path, request: pytest.FixtureRequest) -> Swum:
     return Swum(trace.pulses()[1:], amplitude_rad, board)
 
 
-def test_each_pulse_is_the_sine_of_its_beat(swum: Swum) -> None:
-    swim = swum.pulses[: swum.frames]
-    assert len(swim) == swum.frames >= BEATS * FRAMES_PER_BEAT
-    worst_us = worst_error_us(swim, swum.amplitude_rad)
+def test_each_pulse_is_the_sine_of_its_beat(recorded: Swum) -> None:
+    swim = recorded.pulses[: recorded.frames]
+    assert len(swim) == recorded.frames >= BEATS * FRAMES_PER_BEAT
+    worst_us = worst_error_us(swim, recorded.amplitude_rad)
     print(f"largest error of {len(swim)} pulses: {worst_us * 1000:.0f} ns")
     assert worst_us <= 1 / 3
 
 
-def test_an_amplitude_shifted_by_one_frame_would_be_seen(swum: Swum) -> None:
-    assert worst_error_us(swum.pulses[1 : swum.frames], swum.amplitude_rad) > 10
+def test_an_amplitude_shifted_by_one_frame_would_be_seen(recorded: Swum) -> None:
+    assert worst_error_us(recorded.pulses[1 : recorded.frames], recorded.amplitude_rad) > 10
 
 
-def test_the_period_is_exact(swum: Swum) -> None:
-    starts = [pulse.start for pulse in swum.pulses]
+def test_the_period_is_exact(recorded: Swum) -> None:
+    starts = [pulse.start for pulse in recorded.pulses]
     assert {b - a for a, b in pairwise(starts)} == {PERIOD_TICKS}
-    assert {pulse.ticks % SERVO_TICK for pulse in swum.pulses} == {0}
+    assert {pulse.ticks % SERVO_TICK for pulse in recorded.pulses} == {0}
 
 
-def test_pulses_end_with_the_coast(swum: Swum) -> None:
-    coast = swum.pulses[swum.frames :]
+def test_pulses_end_with_the_coast(recorded: Swum) -> None:
+    coast = recorded.pulses[recorded.frames :]
     assert len(coast) <= 0.5 * FRAMES_PER_BEAT + 1
     assert {pulse.ticks // TICKS_PER_US for pulse in coast} == {1500}
-    assert swum.board.board.clock.now - swum.pulses[-1].start > TICKS_PER_US * 2_000_000
+    assert recorded.board.board.clock.now - recorded.pulses[-1].start > TICKS_PER_US * 2_000_000
 
 
-def test_no_pulse_is_longer_than_a_legal_one(swum: Swum) -> None:
-    assert max(pulse.ticks for pulse in swum.pulses) <= LONGEST_US * TICKS_PER_US
+def test_no_pulse_is_longer_than_a_legal_one(recorded: Swum) -> None:
+    assert max(pulse.ticks for pulse in recorded.pulses) <= LONGEST_US * TICKS_PER_US

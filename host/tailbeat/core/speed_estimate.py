@@ -43,14 +43,14 @@ class _Recompute:
 
     def run(self) -> tuple[F32, F32]:
         """Slots in, beats as soon as their slots are there, then the way back."""
-        swum = min(self._count, self._trial.executed_beats)
+        recorded = min(self._count, self._trial.executed_beats)
         for slot in _slots(self._trial):
-            self._take(slot["index"], slot, swum)
-        self._advance(self._slots.next_close, swum)
-        while self._estimate.next < swum:
+            self._take(slot["index"], slot, recorded)
+        self._advance(self._slots.next_close, recorded)
+        while self._estimate.next < recorded:
             end = int(lib.estimate_needs_s(self._estimate) / SLOT_S) + 2
-            self._take(end, {"index": end, "gain_10um_s": lib.NATIVE_SPEED_NO_MOTION}, swum)
-        trusted = _trusted_beats(self._trial, swum)
+            self._take(end, {"index": end, "gain_10um_s": lib.NATIVE_SPEED_NO_MOTION}, recorded)
+        trusted = _trusted_beats(self._trial, recorded)
         lib.estimate_after(self._estimate, trusted, _rest(self._trial.rest_after))
         while not lib.estimate_finish(self._estimate):
             pass
@@ -60,20 +60,20 @@ class _Recompute:
         )
         return speed, sigma
 
-    def _take(self, index: int, slot: dict[str, Any], swum: int) -> None:
+    def _take(self, index: int, slot: dict[str, Any], recorded: int) -> None:
         """Beats that need no slot from |index| on are taken before it."""
-        self._advance(index, swum)
+        self._advance(index, recorded)
         lib.speed_restore_slot(self._slots, ffi.new("speed_slot_t *", slot))
 
-    def _advance(self, closed: int, swum: int) -> None:
+    def _advance(self, closed: int, recorded: int) -> None:
         closed_s = np.float32(closed) * np.float32(SLOT_S)
         applied = self._trial.beats.applied_rad
-        steps = swum + lib.NATIVE_SMOOTHER_AFTER
+        steps = recorded + lib.NATIVE_SMOOTHER_AFTER
         while self._estimate.next < steps:
             if lib.estimate_needs_s(self._estimate) > closed_s:
                 return
             k = int(self._estimate.next)
-            amplitude_rad = float(applied[k]) if k < swum else 0.0
+            amplitude_rad = float(applied[k]) if k < recorded else 0.0
             lib.estimate_beat(self._estimate, self._slots, amplitude_rad)
 
 
@@ -89,9 +89,9 @@ def _rest(rest: Rest | None) -> Any:
     return ffi.new("estimate_rest_t *", {"begin_s": begin_s, "still_s": still_s})
 
 
-def _trusted_beats(trial: Trial, swum: int) -> int:
+def _trusted_beats(trial: Trial, recorded: int) -> int:
     guard_beats = lib.params_whole(_params(trial), lib.PARAM_GUARD_BEATS)
-    return int(lib.stop_rules_trusted_beats(trial.end_fault or 0, swum, guard_beats))
+    return int(lib.stop_rules_trusted_beats(trial.end_fault or 0, recorded, guard_beats))
 
 
 def _params(trial: Trial) -> Any:

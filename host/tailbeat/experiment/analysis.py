@@ -207,11 +207,11 @@ def analyse(experiment: Experiment) -> Analysis:
             f"{experiment.name} holds no trials{_because(problems)}.",
             "Swim one (tailbeat trial run), or pull one: tailbeat trial pull --into FOLDER",
         )
-    swum = [trial for _, trial in kept]
+    recorded = [trial for _, trial in kept]
     rows = _rows(kept, told, _judges_gaps(settings))
-    noise = _noise(rows, swum)
+    noise = _noise(rows, recorded)
     rows = with_noise(rows, *noise)
-    limit = swum[-1].params.get("AMP_MAX_RAD", math.pi / 4)
+    limit = recorded[-1].params.get("AMP_MAX_RAD", math.pi / 4)
     floor = _floor(identified, settings, held, limit)
     problems += [
         f"trial {row.trial} swam up to {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees"
@@ -219,14 +219,15 @@ def analyse(experiment: Experiment) -> Analysis:
         for row in rows
         if row.straight is not None and row.straight.crooked and row.counts
     ]
-    problems += _saturated(rows, swum, identified)
-    problems += _of_others(str(settings.get("unique_id", "")), rows, swum)
+    problems += _saturated(rows, recorded, identified)
+    problems += _of_others(str(settings.get("unique_id", "")), rows, recorded)
     problems += _begun_anew(rows)
     return Analysis(
         name=experiment.stable_name,
-        simulated=bool(settings.get("simulated")) or any(t.board in SIMULATED_FISH for t in swum),
-        board=str(settings.get("board", swum[-1].board)),
-        unique_id=str(settings.get("unique_id", swum[-1].unique_id)),
+        simulated=bool(settings.get("simulated"))
+        or any(t.board in SIMULATED_FISH for t in recorded),
+        board=str(settings.get("board", recorded[-1].board)),
+        unique_id=str(settings.get("unique_id", recorded[-1].unique_id)),
         fish=str(settings.get("fish", "")),
         law=str(settings.get("law", "")),
         reference_name=str(settings.get("reference", "")),
@@ -236,7 +237,7 @@ def analyse(experiment: Experiment) -> Analysis:
         amplitude_max_rad=limit,
         conditions=dict(settings.get("conditions") or {}),
         rows=rows,
-        trials=swum,
+        trials=recorded,
         band=_band(rows),
         floor_m_s=floor[0],
         floor_lsq_m_s=floor[1],
@@ -381,7 +382,7 @@ def _rows(
 ) -> list[TrialRow]:
     rows: list[TrialRow] = []
     scores = [_judged(s, judges_gaps) for s in scores_of([trial for _, trial in kept])]
-    journalled = any(one.swum for one in told.values())
+    journalled = any(one.recorded for one in told.values())
     epochs = _epochs([trial for _, trial in kept])
     first: dict[tuple[int, int], TrialRow] = {}
     for at, (path, trial) in enumerate(kept):
@@ -430,9 +431,9 @@ def _saturated(
 def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
     assert score.error_m_s is not None
     error = score.error_m_s[np.isfinite(score.error_m_s)].astype(np.float64)
-    swum = np.arange(len(trial.beats.samples)) < trial.executed_beats
+    recorded = np.arange(len(trial.beats.samples)) < trial.executed_beats
     limit = np.float32(trial.params.get("AMP_MAX_RAD", math.inf))
-    speed = trial.beats.speed_m_s[swum & np.isfinite(trial.beats.speed_m_s)].astype(np.float64)
+    speed = trial.beats.speed_m_s[recorded & np.isfinite(trial.beats.speed_m_s)].astype(np.float64)
     volts = [volt for _, volt in trial.battery_v] or [math.nan]
     return TrialRow(
         trial=trial.number,
@@ -444,7 +445,7 @@ def _row(path: Path, trial: Trial, score: Score, told: Told) -> TrialRow:
         max_abs_error_m_s=score.max_abs_error_m_s,
         rms_error_m_s=_rms(error.tolist()),
         measured_beats=error.size,
-        saturated_beats=at_limit(trial.beats.applied_rad[swum], float(limit)),
+        saturated_beats=at_limit(trial.beats.applied_rad[recorded], float(limit)),
         distance_m=math.fsum(speed.tolist()) * trial.beat_s,
         contraction=math.nan,
         learned=bool(told.learned),

@@ -529,14 +529,14 @@ def _digest_of(path: Path) -> str:
         return ""
 
 
-def _in_order(files: dict[str, Path], swum: Sequence[str], added: Sequence[str]) -> list[Path]:
-    """Those of ``swum`` in its order; each other one before the first that was swum later."""
+def _in_order(files: dict[str, Path], recorded: Sequence[str], added: Sequence[str]) -> list[Path]:
+    """Those of ``recorded`` in its order; each other one before the first that was swum later."""
     order = sorted(files)
     if any("-" in name for name in files):
         place = {name: at for at, name in enumerate(added)}
         order.sort(key=lambda name: place.get(name, len(place)))
     when = {name: at for at, name in enumerate(order)}
-    told = [name for name in dict.fromkeys(Path(file).name for file in swum) if name in files]
+    told = [name for name in dict.fromkeys(Path(file).name for file in recorded) if name in files]
     for name in order:
         if name not in told:
             later = (at for at, other in enumerate(told) if when[other] > when[name])

@@ -3,7 +3,7 @@
 Every line has ``time`` (ISO 8601 with zone, local) and ``what``:
 
 ``made``, ``opened``; ``typed`` {command}: what makes the fish swim; ``set`` {params, conditions,
-...}: what is new of them; ``begun`` and ``swum`` {trial, iteration, end, file, rested_s, pose,
+...}: what is new of them; ``begun`` and ``recorded`` {trial, iteration, end, file, rested_s, pose,
 drift, travel, battery_start_v, battery_end_v, board_s}; ``void`` {trial, end}: begun, but not
 swum; ``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason};
 ``learned`` {trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {..., board_s}; ``restarted``
@@ -142,7 +142,7 @@ def _entry(line: bytes) -> dict[str, Any] | None:
 @dataclass(frozen=True)
 class Told:
     """Of one trial's file. ``decision`` empty: nobody decided. ``learned`` None: the journal does
-    not tell (an older tool, or commands without a series). ``swum``: it tells of the swim.
+    not tell (an older tool, or commands without a series). ``recorded``: it tells of the swim.
     ``battery_start_v``: before the tail loaded it; a log begins later."""
 
     decision: str = ""
@@ -150,7 +150,7 @@ class Told:
     learned: bool | None = None
     rolled_back: bool = False
     time: str = ""
-    swum: bool = False
+    recorded: bool = False
     battery_start_v: float | None = None
 
 
@@ -175,11 +175,11 @@ def told_of(entries: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> d
 def _with(told: Told, entry: Mapping[str, Any]) -> Told:
     if entry["what"] == "swum":
         volts = entry.get("battery_start_v")
-        return replace(told, time=str(entry["time"]), swum=True, battery_start_v=volts)
+        return replace(told, time=str(entry["time"]), recorded=True, battery_start_v=volts)
     if entry["what"] == "decided":
         decision, reason = str(entry.get("decision", "")), str(entry.get("reason") or "")
         learned = told.learned or False  # a decision alone: it has not happened, or not yet
-        return replace(told, decision=decision, reason=reason, learned=learned, swum=True)
+        return replace(told, decision=decision, reason=reason, learned=learned, recorded=True)
     if entry["what"] == "withdrawn":
         return replace(told, decision="", reason="")
     if entry["what"] == "learned":

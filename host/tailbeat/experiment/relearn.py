@@ -171,9 +171,9 @@ class _Board:
 
     def take_over(self, trial: Trial) -> None:
         """The amplitudes of a trial that the board got in another way; they have no past."""
-        swum = trial.beats.amplitude_rad
-        known = np.isfinite(swum)
-        held = np.where(known, swum, self.memory.amplitude_rad)
+        recorded = trial.beats.amplitude_rad
+        known = np.isfinite(recorded)
+        held = np.where(known, recorded, self.memory.amplitude_rad)
         self.memory.set_input(held, trial.iteration)
         self.begun = True
         self.whole = self.whole and bool(known.all())

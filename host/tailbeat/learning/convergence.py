@@ -220,14 +220,14 @@ def score_of(trial: Trial, rolled_back: bool = False) -> Score:
     beats = trial.beats
     limit = trial.params.get("AMP_MAX_RAD", math.inf)
     wanted = np.clip(np.nan_to_num(beats.amplitude_rad), 0, np.float32(limit))
-    swum = np.where(np.isfinite(beats.applied_rad), beats.applied_rad, wanted)
-    error = np.where(np.arange(len(swum)) < trial.executed_beats, beats.error_m_s, np.nan)
+    recorded = np.where(np.isfinite(beats.applied_rad), beats.applied_rad, wanted)
+    error = np.where(np.arange(len(recorded)) < trial.executed_beats, beats.error_m_s, np.nan)
     error = error.astype(np.float32)
-    complete = trial.end_fault == 0 and trial.executed_beats >= len(swum)
+    complete = trial.end_fault == 0 and trial.executed_beats >= len(recorded)
     return Score(
         trial=trial.number,
         iteration=trial.iteration,
-        input_crc=input_crc(swum),
+        input_crc=input_crc(recorded),
         max_abs_error_m_s=judging.max_abs(error),
         judged=judging.counts(error, complete),
         rolled_back=rolled_back,
@@ -239,8 +239,8 @@ def visits(trials: Sequence[Trial]) -> NDArray[np.int64]:
     """How many trials swam and measured each beat; as long as the longest trial."""
     count = np.zeros(max((len(t.beats.samples) for t in trials), default=0), np.int64)
     for trial in trials:
-        swum = np.arange(len(trial.beats.samples)) < trial.executed_beats
-        count[: len(swum)] += swum & np.isfinite(trial.beats.error_m_s)
+        recorded = np.arange(len(trial.beats.samples)) < trial.executed_beats
+        count[: len(recorded)] += recorded & np.isfinite(trial.beats.error_m_s)
     return count
 
 
@@ -255,12 +255,12 @@ def repeat_limits(before: Sequence[Score], input_crc: int, band: NoiseBand) -> t
     """(low, high) of max|e| that one more swim of an input has in 95 of 100 cases, m/s. ``before``:
     the series; judged trials of other inputs tell how lucky a single one of this was."""
     before = comparable(before)
-    swum = [score.max_abs_error_m_s for score in repeats_of(before, input_crc)]
-    if len(swum) > 1:
-        level, trials = float(np.median(swum)), len(swum)
+    recorded = [score.max_abs_error_m_s for score in repeats_of(before, input_crc)]
+    if len(recorded) > 1:
+        level, trials = float(np.median(recorded)), len(recorded)
     else:
         judged = np.array([score.max_abs_error_m_s for score in before if score.judged])
-        level, trials = _level(judged[judged >= min(swum, default=0.0)], band)
+        level, trials = _level(judged[judged >= min(recorded, default=0.0)], band)
     widen = math.sqrt(1 + 1 / trials)
     down, up = band.widths(level)
     return max(level - widen * down, 0.0), level + widen * up
@@ -406,12 +406,12 @@ def _falls(judged: Sequence[Score], band: NoiseBand, high_m_s: float) -> bool:
 def _advice(scores: Sequence[Score], band: NoiseBand) -> str:
     best = best_of(scores)
     assert best is not None
-    swum = len(repeats_of(scores, best.input_crc))
+    recorded = len(repeats_of(scores, best.input_crc))
     restore = "tailbeat learn --restore-best"
-    if swum >= _REPEATS_MIN:
-        words = f"done: trial {best.trial}'s input was swum {swum} times, {band.text()}"
+    if recorded >= _REPEATS_MIN:
+        words = f"done: trial {best.trial}'s input was swum {recorded} times, {band.text()}"
         return f"{words}; keep it: {restore}"
-    times = "twice" if swum == 1 else "once more"
+    times = "twice" if recorded == 1 else "once more"
     return f"repeat the best {times} to be sure: {restore}, trial run, trial discard --repeat"
 
 

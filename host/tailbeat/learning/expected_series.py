@@ -89,8 +89,8 @@ def _learn(
     amplitude = first_amplitudes(law, wanted)
     worst = [float(np.abs(wanted).max())]
     for _ in range(iterations):
-        swum = np.clip(amplitude, 0, np.float32(law.amplitude_max_rad)).astype(np.float64)
-        speed = model.beats(swum, reference.beat_s, draw_conditions(scatter, rng))
+        recorded = np.clip(amplitude, 0, np.float32(law.amplitude_max_rad)).astype(np.float64)
+        speed = model.beats(recorded, reference.beat_s, draw_conditions(scatter, rng))
         error = wanted - speed - rng.normal(0, sigma_m_s, len(wanted))
         worst.append(float(np.abs(error).max()))
         amplitude, _ = update(law, amplitude, error)

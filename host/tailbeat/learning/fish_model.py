@@ -127,9 +127,9 @@ class Swim:
 def swim_of(trial: Trial) -> Swim:
     """From a trial's file. Beats after an early end have amplitude 0 and no speed."""
     beats = trial.beats
-    swum = np.arange(len(beats.applied_rad)) < trial.executed_beats
-    amplitude = np.where(swum & np.isfinite(beats.applied_rad), beats.applied_rad, 0.0)
-    speed = np.where(swum, beats.speed_m_s, np.nan).astype(np.float64)
+    recorded = np.arange(len(beats.applied_rad)) < trial.executed_beats
+    amplitude = np.where(recorded & np.isfinite(beats.applied_rad), beats.applied_rad, 0.0)
+    speed = np.where(recorded, beats.speed_m_s, np.nan).astype(np.float64)
     known = np.isfinite(beats.sigma_m_s) & (beats.sigma_m_s > 0)
     sigma = np.where(known, beats.sigma_m_s, SIGMA_M_S).astype(np.float64)
     volts = [volt for _, volt in trial.battery_v]
@@ -142,7 +142,7 @@ def swim_of(trial: Trial) -> Swim:
         trial=trial.number,
         iteration=trial.iteration,
         battery_v=float(np.mean(volts)) if volts else None,
-        swum_beats=None if swum.all() else trial.executed_beats,
+        swum_beats=None if recorded.all() else trial.executed_beats,
     )
 
 

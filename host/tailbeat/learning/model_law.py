@@ -87,20 +87,20 @@ def propose(
     belief = believe(identified, swims)
     wanted = reference.speed_m_s.astype(np.float64)
     own = _swims_of(reference, swims)
-    swum = last_input(own, reference.beats)
-    low, high = _limits(swum, amplitude_max_rad, step_max_rad)
+    recorded = last_input(own, reference.beats)
+    low, high = _limits(recorded, amplitude_max_rad, step_max_rad)
     law = "p" if belief.refuted and own else "model"
     amplitude = _planned(belief, reference, amplitude_max_rad, low, high)
     if law == "p":
-        start = np.where(np.isfinite(swum), swum, amplitude)
+        start = np.where(np.isfinite(recorded), recorded, amplitude)
         amplitude = _p_step(fallback or FALLBACK, amplitude_max_rad, wanted, own[-1], start)
     if step_max_rad > 0:
         amplitude = _ready(amplitude, belief.model, amplitude_max_rad)
     amplitude = np.clip(amplitude, low, high)
     found = belief.predict(amplitude, reference.beat_s, reference.crc, _sigma(identified, swims))
     band = found.band()
-    pushes = np.fmax(amplitude, swum) > belief.model.dead_zone_rad
-    held = pushes & (np.abs(amplitude - swum) >= step_max_rad * (1 - 1e-9))
+    pushes = np.fmax(amplitude, recorded) > belief.model.dead_zone_rad
+    held = pushes & (np.abs(amplitude - recorded) >= step_max_rad * (1 - 1e-9))
     limited = int(np.count_nonzero(held)) if step_max_rad > 0 else 0
     return Proposal(
         amplitude_rad=amplitude,
@@ -144,11 +144,11 @@ def _swims_of(reference: Reference, swims: Sequence[Swim]) -> list[Swim]:
     return own
 
 
-def _limits(swum: F64, amplitude_max_rad: float, step_max_rad: float) -> tuple[F64, F64]:
+def _limits(recorded: F64, amplitude_max_rad: float, step_max_rad: float) -> tuple[F64, F64]:
     """Of each beat's amplitude; a beat that was never swum may have any."""
     step = step_max_rad if step_max_rad > 0 else np.inf
-    low = np.clip(np.nan_to_num(swum - step, nan=0.0), 0.0, amplitude_max_rad)
-    high = np.clip(np.nan_to_num(swum + step, nan=np.inf), 0.0, amplitude_max_rad)
+    low = np.clip(np.nan_to_num(recorded - step, nan=0.0), 0.0, amplitude_max_rad)
+    high = np.clip(np.nan_to_num(recorded + step, nan=np.inf), 0.0, amplitude_max_rad)
     return low, high
 
 

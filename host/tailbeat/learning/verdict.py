@@ -131,13 +131,13 @@ def series_of(
     reference (the board began from nothing), and with another AMP_MAX_RAD (another largest
     amplitude is another task).
     """
-    swum = _without_runs(trials, identified)
-    if not swum:
+    recorded = _without_runs(trials, identified)
+    if not recorded:
         raise InputError("there are no trials to judge.", "Swim one: tailbeat trial run")
-    crc = swum[-1].reference_crc if reference_crc is None else reference_crc
+    crc = recorded[-1].reference_crc if reference_crc is None else reference_crc
     series: list[Trial] = []
     between = False
-    for trial in swum:
+    for trial in recorded:
         if trial.reference_crc != crc:
             between = True
             continue
@@ -146,7 +146,7 @@ def series_of(
         series.append(trial)
         between = False
     if not series:
-        known = sorted({f"{trial.reference_crc:#010x}" for trial in swum})
+        known = sorted({f"{trial.reference_crc:#010x}" for trial in recorded})
         raise InputError(
             f"there is no trial of the reference {crc:#010x}.", f"There are {', '.join(known)}."
         )
@@ -219,8 +219,8 @@ def _by_the_model(
     floor = plan(identified.model, wanted.speed_m_s, wanted.beat_s, limit).max_abs_error_m_s
 
     def expected(score: Score) -> NoiseBand:
-        swum = next(t for t, s in zip(series, scores, strict=True) if s is score)
-        return expected_band(identified, wanted, swum.beats.applied_rad)
+        recorded = next(t for t, s in zip(series, scores, strict=True) if s is score)
+        return expected_band(identified, wanted, recorded.beats.applied_rad)
 
     return expected, floor
 

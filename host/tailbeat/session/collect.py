@@ -52,7 +52,7 @@ _SAFE_TRIES = 3
 
 def dangerous(fault: FaultInfo) -> bool:
     """Whether somebody has to look at the fish before it swims again: the board stopped by a rule
-    of its own (battery, tilt, late tick, restart), not because the link or a person said so."""
+    of its own (battery, tilt, late tick, restart), not because the link or an operator said so."""
     return fault.kind == "fault" or fault.number in (TILT, REBOOT)
 
 
@@ -194,24 +194,26 @@ def _unmeasured(trial: Trial, measured: int) -> list[str]:
     return [words] if words else []
 
 
-def is_good(swum: RecordedTrial) -> bool:
+def is_good(recorded: RecordedTrial) -> bool:
     """Whether nobody need be asked: it was executed to its end, and nothing speaks against it but
     a few missing beats."""
-    others = [one for one in swum.problems if not (swum.judged and NO_SPEED in one)]
-    return swum.outcome.end == "complete" and not others
+    others = [one for one in recorded.problems if not (recorded.judged and NO_SPEED in one)]
+    return recorded.outcome.end == "complete" and not others
 
 
-def proposed(swum: RecordedTrial) -> Decision:
+def proposed(recorded: RecordedTrial) -> Decision:
     """What a careful person would say; the one who is there decides. It follows from the swim's
     end and its problems, which are in its log and in the journal: asked again later it is the
     same."""
-    if swum.outcome.end == _ended(WALL):
+    if recorded.outcome.end == _ended(WALL):
         return Decision("discard", "too close to the wall")
-    if swum.stopped == BY_HAND:
+    if recorded.stopped == BY_HAND:
         return Decision("discard", BY_HAND.text)
-    if swum.outcome.end == _ended(ABORT_COMMAND) and not swum.stopped:  # no guard of this program's
+    if (
+        recorded.outcome.end == _ended(ABORT_COMMAND) and not recorded.stopped
+    ):  # no guard of this program's
         return Decision("discard", "stopped by a command")
-    if swum.measured_beats == 0:
+    if recorded.measured_beats == 0:
         return Decision("discard", "no speeds")
     return Decision("keep")
 

@@ -68,7 +68,7 @@ class CommissionStep:
 def first_session(
     fish: Fish,
     reference: Reference,
-    person: Operator,
+    operator: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
     wanted: PreflightLimits | None = None,
@@ -80,7 +80,7 @@ def first_session(
     own = default_camera(fish) if camera is None else None
     try:
         session = _Session(
-            fish, reference, person, camera or own, guard, wanted or PreflightLimits()
+            fish, reference, operator, camera or own, guard, wanted or PreflightLimits()
         )
         yield from _steps(session)
     finally:
@@ -147,7 +147,7 @@ class _Session:
 
     fish: Fish
     reference: Reference
-    person: Operator
+    operator: Operator
     camera: Camera | None
     guard: Guard | None
     wanted: PreflightLimits
@@ -210,7 +210,7 @@ class _Session:
             text = "left out: no IMU and no camera to feel a turn by"
             self._note(f"trim {text}")
             return CommissionStep("trim", False, text)
-        found = find_centre(fish, self.person, self.camera, self.guard, self.wanted)
+        found = find_centre(fish, self.operator, self.camera, self.guard, self.wanted)
         words = f"the tail is straight at {found.centre_us:.0f} +- {found.sigma_us:.0f} us"
         if abs(found.centre_us - found.was_us) <= found.sigma_us:
             return CommissionStep(
@@ -247,20 +247,20 @@ class _Session:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
             text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
             self._ask(text, "Not identified")
-            prepare(self.fish, self.wanted, self.camera, self.person)
-            countdown(self.fish, self.wanted, self.person)
+            prepare(self.fish, self.wanted, self.camera, self.operator)
+            countdown(self.fish, self.wanted, self.operator)
 
         return Attendant(
             before=before,
-            event=self.person.tell,
+            event=self.operator.tell,
             keep=lambda path: self._keep(path, book),
             note=self._note,
             guard=self.guard,
-            wants_abort=self.person.wants_abort,
+            wants_abort=self.operator.wants_abort,
         )
 
     def _note(self, text: str) -> None:
-        self.person.tell(Notice(text))
+        self.operator.tell(Notice(text))
 
     def _keep(self, path: Path, book: Logbook | None) -> None:
         self.straight = heading_drift(read_trial(path)) or self.straight
@@ -296,7 +296,13 @@ class _Session:
         text = f"{found.text}. One short swim proves it. {_HANDS}"
         self._ask(text, f"{found.name} stays {found.was:.2f}")
         proof = prove(
-            self.fish, found.to, self.identified, self.person, self.camera, self.guard, self.wanted
+            self.fish,
+            found.to,
+            self.identified,
+            self.operator,
+            self.camera,
+            self.guard,
+            self.wanted,
         )
         self.straight = proof.straight or self.straight
         if proof.why_not:
@@ -307,7 +313,7 @@ class _Session:
         return CommissionStep("limits", True, f"{found.text}; {proof.words}", (found,))
 
     def _ask(self, question: str, otherwise: str) -> None:
-        if not self.person.confirm(question):
+        if not self.operator.confirm(question):
             raise GivenUp(
                 f"{otherwise}: the answer was no.",
                 "Begin again with 'tailbeat session commission'; --yes answers for a script.",

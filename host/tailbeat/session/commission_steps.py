@@ -178,7 +178,7 @@ def prove(
     fish: Fish,
     amplitude_rad: float,
     identified: Identified,
-    person: Operator,
+    operator: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
     wanted: PreflightLimits | None = None,
@@ -189,7 +189,7 @@ def prove(
     book = logbook_of(fish)
 
     def note(text: str) -> None:
-        person.tell(Notice(text))
+        operator.tell(Notice(text))
 
     def keep(path: Path) -> None:
         if book is not None:
@@ -205,13 +205,13 @@ def prove(
             "first session", amplitude, predicted, {AMP_MAX: amplitude_rad}
         )
         if wanted is not None:
-            prepare(fish, wanted, camera, person)
-            countdown(fish, wanted, person)
+            prepare(fish, wanted, camera, operator)
+            countdown(fish, wanted, operator)
         watch = together(
             guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
-            when(person.wants_abort, BY_HAND),
+            when(operator.wants_abort, BY_HAND),
         )  # fmt: skip
-        outcome = run_trial(fish, camera, person.tell, watch)
+        outcome = run_trial(fish, camera, operator.tell, watch)
         trial = board.collect(outcome, lambda o: _judge(fish, o), keep)
     return judged(trial, identified)
 

@@ -45,7 +45,7 @@ class Noted:
     """A decision that is in the experiment's journal. ``added``: by this command."""
 
     account: SessionLog
-    swum: RecordedTrial
+    recorded: RecordedTrial
     added: bool
 
     def learned(self, fish: Fish, report: LearnReport) -> None:
@@ -77,13 +77,13 @@ def noted_decision(fish: Fish, number: int, kind: DecisionKind, reason: str = ""
     if (account := _account(fish)) is None:
         return None
     log = keep_log(fish, account.experiment, number)
-    swum = record_of(outcome_of(log.trial), log, None)
-    account.swum(swum)
-    before = account.decision_on(swum.file)
+    recorded = record_of(outcome_of(log.trial), log, None)
+    account.recorded(recorded)
+    before = account.decision_on(recorded.file)
     if kind == "keep" and before is not None and before.kind == kind:
-        return Noted(account, swum, added=False)  # as trial run --no-learn has it
-    account.decided(swum, Decision(kind, reason or _NO_REASON))
-    return Noted(account, swum, added=True)
+        return Noted(account, recorded, added=False)  # as trial run --no-learn has it
+    account.decided(recorded, Decision(kind, reason or _NO_REASON))
+    return Noted(account, recorded, added=True)
 
 
 @contextlib.contextmanager
@@ -93,7 +93,7 @@ def withdrawn_if_refused(noted: Noted | None) -> Iterator[None]:
         yield
     except Refused as refused:
         if noted is not None and noted.added:
-            noted.account.withdrawn(noted.swum, str(refused))
+            noted.account.withdrawn(noted.recorded, str(refused))
         raise
 
 
@@ -120,8 +120,8 @@ def learn_noted(fish: Fish, number: int | None, command: str) -> LearnReport:
 
 
 def not_noted(fish: Fish) -> str:
-    """What a person should know when the fish is in an experiment that its swims are not of; empty
-    otherwise."""
+    """What an operator should know when the fish is in an experiment that its trials are not of;
+    empty otherwise."""
     experiment = current(fish)
     if experiment is None or swims_for(fish) is not None:
         return ""
@@ -186,32 +186,35 @@ class Done:
 
 @dataclass(frozen=True)
 class Decisions:
-    """Decides with the person and carries it out."""
+    """Decides with the operator and carries it out."""
 
     fish: Fish
-    person: Operator
+    operator: Operator
     account: SessionLog
     learn: bool
 
-    def decide(self, swum: RecordedTrial) -> Decision:
-        """As it was decided before, else as the person says; journalled when this returns. Raises
+    def decide(self, recorded: RecordedTrial) -> Decision:
+        """As it was decided before, else as the operator says; journalled when this returns. Raises
         InputError for what cannot be."""
-        decision = self.account.decision_on(swum.file)
+        decision = self.account.decision_on(recorded.file)
         if decision is None:
-            decision = self._of_itself(swum) or self.person.decide(swum)
-            self._require_possible(swum, decision)
-            self.account.decided(swum, decision)
-        self.person.tell(TrialDecided(swum.outcome.number, decision))
+            decision = self._of_itself(recorded) or self.operator.decide(recorded)
+            self._require_possible(recorded, decision)
+            self.account.decided(recorded, decision)
+        self.operator.tell(TrialDecided(recorded.outcome.number, decision))
         return decision
 
-    def carry_out(self, swum: RecordedTrial, decision: Decision) -> Done:
+    def carry_out(self, recorded: RecordedTrial, decision: Decision) -> Done:
         """The board learns from the trial or drops it. Clears what stopped it, unless that was a
         rule of the board's own. Raises Refused; then it is asked again; InputError when the board
         would learn with parameters nobody meant."""
-        self._file(swum, decision)
+        self._file(recorded, decision)
         status = self.fish.status()
-        number = swum.outcome.number
-        if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
+        number = recorded.outcome.number
+        if recorded.measured_beats and number not in (
+            status.pending_trial,
+            status.last_learned_trial,
+        ):
             status = settled(self.fish, number)
         if status.state in STOPPED:
             if dangerous(status.fault):
@@ -221,42 +224,42 @@ class Decisions:
         if decision.kind == "keep":  # somebody may have swapped the battery while it was asked
             require_meant(self.fish, self.account.experiment)
         try:
-            learned = self._on_board(swum, decision, status)
+            learned = self._on_board(recorded, decision, status)
         except Refused as refused:
-            self.account.withdrawn(swum, str(refused))
+            self.account.withdrawn(recorded, str(refused))
             raise
-        self._require_done(swum, decision)
+        self._require_done(recorded, decision)
         copy_state(self.fish, self.account.experiment)
         return Done(learned)
 
     def write_down(self, report: LearnReport) -> None:
         """What the board has learned: journalled and told."""
         self.account.journal.add("learned", **asdict(report))
-        self.person.tell(report)
+        self.operator.tell(report)
         if report.rolled_back:
-            self.person.tell(Notice(_ROLLED_BACK))
+            self.operator.tell(Notice(_ROLLED_BACK))
 
-    def _of_itself(self, swum: RecordedTrial) -> Decision | None:
+    def _of_itself(self, recorded: RecordedTrial) -> Decision | None:
         """Of a swim without a speed that the board does not hold: nobody can bring it any."""
-        number, end = swum.outcome.number, swum.outcome.end
-        if swum.measured_beats or self.fish.status().pending_trial == number:
+        number, end = recorded.outcome.number, recorded.outcome.end
+        if recorded.measured_beats or self.fish.status().pending_trial == number:
             return None
         text = f"trial {number} ({end}) has no speeds: discarded, it counts for nothing"
-        self.person.tell(Notice(text))
+        self.operator.tell(Notice(text))
         return Decision("discard", f"{end}, no speeds")
 
-    def _require_possible(self, swum: RecordedTrial, decision: Decision) -> None:
-        number = swum.outcome.number
-        if decision.kind == "keep" and swum.measured_beats == 0:
+    def _require_possible(self, recorded: RecordedTrial, decision: Decision) -> None:
+        number = recorded.outcome.number
+        if decision.kind == "keep" and recorded.measured_beats == 0:
             raise InputError(
                 f"trial {number} has no speeds, so nothing can be learned from it; it waits",
                 f"Upload them (tailbeat trial speeds {number} FILE), or discard it:"
                 " tailbeat trial discard --reason WHY",
             )
 
-    def _require_done(self, swum: RecordedTrial, decision: Decision) -> None:
+    def _require_done(self, recorded: RecordedTrial, decision: Decision) -> None:
         """Another program may have answered while this one asked. Raises TailbeatError."""
-        number, status = swum.outcome.number, self.fish.status()
+        number, status = recorded.outcome.number, self.fish.status()
         waits = status.pending_trial == number
         learned = status.last_learned_trial == number
         if decision.kind != "keep" and learned:
@@ -264,29 +267,29 @@ class Decisions:
                 "has learned from it",
                 "To swim the best so far next: tailbeat learn --restore-best",
             )
-        elif decision.kind == "keep" and swum.measured_beats and not (learned or waits):
+        elif decision.kind == "keep" and recorded.measured_beats and not (learned or waits):
             what, remedy = "does not hold it any more and has not learned from it", "Swim it again"
         else:
             return
-        self.account.withdrawn(swum, f"the board {what}")
+        self.account.withdrawn(recorded, f"the board {what}")
         raise TailbeatError(
             f"trial {number} was decided on ({decision.kind}), but the board {what}: another "
             "program was quicker; the decision is withdrawn",
             f"{remedy}. See that only one program swims this fish.",
         )
 
-    def _file(self, swum: RecordedTrial, decision: Decision) -> None:
+    def _file(self, recorded: RecordedTrial, decision: Decision) -> None:
         """Into the fish's logbook; one that cannot take it is no reason to stop."""
         try:
             if (book := logbook_of(self.fish)) is not None:
-                book.keep(swum.file, DISCARDED if decision.kind == "discard" else "")
+                book.keep(recorded.file, DISCARDED if decision.kind == "discard" else "")
         except TailbeatError as error:
-            self.person.tell(Notice(f"not kept in the logbook: {error}"))
+            self.operator.tell(Notice(f"not kept in the logbook: {error}"))
 
     def _on_board(
-        self, swum: RecordedTrial, decision: Decision, status: BoardStatus
+        self, recorded: RecordedTrial, decision: Decision, status: BoardStatus
     ) -> LearnReport | None:
-        number = swum.outcome.number
+        number = recorded.outcome.number
         if status.pending_trial != number:
             return None  # cut before a beat was swum, or carried out before
         if decision.kind != "keep":

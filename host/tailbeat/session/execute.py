@@ -41,16 +41,16 @@ def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Verdic
         trials = account.counting()
         return progress_of(trials, None, _identified(around.fish), (), rolled_back).verdict
     except TailbeatError as error:
-        around.person.tell(Notice(f"no verdict: {error}"))
+        around.operator.tell(Notice(f"no verdict: {error}"))
         return None
 
 
-def report_assessment(person: Operator, verdict: Verdict | None) -> None:
+def report_assessment(operator: Operator, verdict: Verdict | None) -> None:
     """Tells it."""
     if verdict is None:
         return
     saturated = "" if verdict.saturation is None else verdict.saturation.text
-    person.tell(
+    operator.tell(
         Assessed(verdict.words, verdict.stop, verdict.stop_reason, verdict.advice, saturated)
     )
 
@@ -70,7 +70,7 @@ class LiveReporter:
     it is asked all the time, so it also shows how long the link has been silent."""
 
     fish: Fish
-    person: Operator
+    operator: Operator
     simulated: bool
     _values: LiveValues = field(init=False)
     _told_s: float = field(default=-math.inf, init=False)
@@ -103,7 +103,7 @@ class LiveReporter:
             return
         self._told_s = now_s
         silent_s = (now_s - link.last_heard_s) * self.fish.clock.rate
-        self.person.tell(replace(self._values, silent_s=silent_s))
+        self.operator.tell(replace(self._values, silent_s=silent_s))
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class TrialSetup:
     """What a swim is done with. ``guard``: of the caller."""
 
     fish: Fish
-    person: Operator
+    operator: Operator
     camera: Camera | None
     guard: Guard | None
     reconnect_s: float
@@ -130,17 +130,17 @@ def execute(
 ) -> ExecutedTrial:
     """Swims the next trial and keeps what the camera saw. ``room`` ends it by distance. Raises what
     run_trial raises."""
-    fish, person = around.fish, around.person
-    live = LiveReporter(fish, person, fish.info().board in SIMULATED_FISH)
+    fish, operator = around.fish, around.operator
+    live = LiveReporter(fish, operator, fish.info().board in SIMULATED_FISH)
     stopped: list[StopReason] = []
 
     def on_event(event: Event) -> None:
         if isinstance(event, TrialStopped):
             stopped.append(event.reason)
-        person.tell(event)
+        operator.tell(event)
 
     seen, camera = Seen(), around.camera
-    guard = together(around.guard, room, when(person.wants_abort, BY_HAND), seen, live)
+    guard = together(around.guard, room, when(operator.wants_abort, BY_HAND), seen, live)
     stop_listening = fish.link.subscribe(live.hear)
     try:
         outcome = run_trial(

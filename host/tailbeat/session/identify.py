@@ -131,8 +131,8 @@ class _IdentificationRunner:
         self.attendant.before(run)
         guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
         outcome = run_trial(self.board.fish, self.camera, self.attendant.event, guard)
-        swum = self.board.collect(outcome, self._judge, self.attendant.keep)
-        return swim_of(swum)
+        recorded = self.board.collect(outcome, self._judge, self.attendant.keep)
+        return swim_of(recorded)
 
     def _stop(self) -> bool:
         self.stopped = self.stopped or self.attendant.wants_abort()

@@ -90,42 +90,49 @@ class SessionLog:
         """Given up, or ended before its first beat; the board has no log of it."""
         self.journal.add("void", trial=trial, end=end)
 
-    def swum(self, swum: RecordedTrial) -> None:
+    def recorded(self, recorded: RecordedTrial) -> None:
         """Once its log is in the raw files; a second time does nothing."""
-        number, file = swum.outcome.number, swum.file.name
+        number, file = recorded.outcome.number, recorded.file.name
         if any(entry.get("file") == file for entry in self.journal.entries("swum")):
             return
         begun = self._last(("begun", "swum"))
-        found = _found(swum.ready)
-        if swum.ready is None and begun and begun["what"] == "begun" and begun["trial"] == number:
+        found = _found(recorded.ready)
+        if (
+            recorded.ready is None
+            and begun
+            and begun["what"] == "begun"
+            and begun["trial"] == number
+        ):
             found = {key: begun.get(key) for key in found}
         self.journal.add(
             "swum",
             trial=number,
-            iteration=swum.outcome.iteration,
-            end=swum.outcome.end,
+            iteration=recorded.outcome.iteration,
+            end=recorded.outcome.end,
             file=file,
             **found,
-            battery_start_v=swum.battery_start_v,
-            battery_end_v=swum.battery_end_v,
-            straight=None if swum.straight is None else asdict(swum.straight),
-            problems=list(swum.problems),
-            stopped=None if swum.stopped is None else _stop_entry(swum.stopped),
+            battery_start_v=recorded.battery_start_v,
+            battery_end_v=recorded.battery_end_v,
+            straight=None if recorded.straight is None else asdict(recorded.straight),
+            problems=list(recorded.problems),
+            stopped=None if recorded.stopped is None else _stop_entry(recorded.stopped),
         )
 
-    def decided(self, swum: RecordedTrial, decision: Decision) -> None:
+    def decided(self, recorded: RecordedTrial, decision: Decision) -> None:
         """Before the board hears of it."""
         self.journal.add(
             "decided",
-            trial=swum.outcome.number,
+            trial=recorded.outcome.number,
             decision=decision.kind,
             reason=decision.reason,
-            file=swum.file.name,
+            file=recorded.file.name,
         )
 
-    def withdrawn(self, swum: RecordedTrial, why: str) -> None:
+    def withdrawn(self, recorded: RecordedTrial, why: str) -> None:
         """The board refused what was decided: it is asked again."""
-        self.journal.add("withdrawn", trial=swum.outcome.number, file=swum.file.name, reason=why)
+        self.journal.add(
+            "withdrawn", trial=recorded.outcome.number, file=recorded.file.name, reason=why
+        )
 
     def decision_on(self, file: Path) -> Decision | None:
         """What was decided on a trial."""

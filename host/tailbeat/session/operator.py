@@ -21,7 +21,7 @@ class Operator(Protocol):
         """Whether the tail is to stop, or the waiting before the start to end; asked some ten times
         a second. Stays true until the swim or the waiting has ended."""
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         """What becomes of it; may take as long as it likes, the tail is still."""
 
     def confirm(self, question: str) -> bool:

@@ -99,7 +99,7 @@ def countdown_text(event: Countdown) -> str:
 
 
 def record_lines(record: RecordedTrial) -> list[str]:
-    """What a person needs to decide on a trial."""
+    """What an operator needs to decide on a trial."""
     outcome = record.outcome
     stopped = f" ({record.stopped})" if record.stopped else ""
     measured = f"{record.measured_beats} of {record.beats} beats measured"

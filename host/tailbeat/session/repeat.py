@@ -68,7 +68,7 @@ def idle(fish: Fish) -> BoardStatus:
 def repeat_best(
     fish: Fish,
     experiment: Experiment,
-    person: Operator,
+    operator: Operator,
     options: Options,
     camera: Camera | None = None,
     guard: Guard | None = None,
@@ -92,15 +92,15 @@ def repeat_best(
     assert held is not None
     try:
         if status.pending_trial is not None:
-            swum = _left_over(fish, experiment, account, person)
+            recorded = _left_over(fish, experiment, account, operator)
         else:
             fish.restore_best()
-            swum = _swum(fish, experiment, person, options, camera, guard)
+            recorded = _swum(fish, experiment, operator, options, camera, guard)
     finally:
         _put_back(fish, experiment, held)
-    shift = _judged(fish, before, swum)
+    shift = _judged(fish, before, recorded)
     experiment.journal.add("shifted", **asdict(shift))
-    return swum, shift
+    return recorded, shift
 
 
 def _begin_repeat(
@@ -118,41 +118,41 @@ def _begin_repeat(
 def _swum(
     fish: Fish,
     experiment: Experiment,
-    person: Operator,
+    operator: Operator,
     options: Options,
     camera: Camera | None,
     guard: Guard | None,
 ) -> RecordedTrial:
     """One swim that counts, by the machinery of a series."""
     one = replace(options, until=Until(swims=1), learn=True, counts=("repeat",), of_best=True)
-    end = swim_series(fish, experiment, _Repeating(person), one, camera, guard)
+    end = swim_series(fish, experiment, _Repeating(operator), one, camera, guard)
     if end.why == "swims" and end.rounds:
-        return end.rounds[-1].swum
+        return end.rounds[-1].recorded
 
     raise GivenUp(f"no repeat was swum: {end.words}", f"When it is put right: {AGAIN}")
 
 
 @dataclass
 class _Repeating:
-    """The person, who is asked only whether the swim counts at all."""
+    """The operator, who is asked only whether the swim counts at all."""
 
-    person: Operator
+    operator: Operator
     discards: int = field(default=0, init=False)
 
     def tell(self, event: Event) -> None:
-        self.person.tell(event)
+        self.operator.tell(event)
 
     def wants_abort(self) -> bool:
-        return self.person.wants_abort()
+        return self.operator.wants_abort()
 
     def confirm(self, question: str) -> bool:
-        return self.person.confirm(question)
+        return self.operator.confirm(question)
 
-    def decide(self, swum: RecordedTrial) -> Decision:
-        decision = self.person.decide(swum)
-        if decision.kind != "discard" and not swum.judged:
-            why = proposed(swum)
-            text = why.reason or f"{swum.measured_beats} of {swum.beats} beats have a speed"
+    def decide(self, recorded: RecordedTrial) -> Decision:
+        decision = self.operator.decide(recorded)
+        if decision.kind != "discard" and not recorded.judged:
+            why = proposed(recorded)
+            text = why.reason or f"{recorded.measured_beats} of {recorded.beats} beats have a speed"
             decision = Decision("discard", f"tells no shift: {text}")
         if decision.kind != "discard":
             return Decision("repeat", REASON)
@@ -166,26 +166,26 @@ class _Repeating:
 
 
 def _left_over(
-    fish: Fish, experiment: Experiment, account: SessionLog, person: Operator
+    fish: Fish, experiment: Experiment, account: SessionLog, operator: Operator
 ) -> RecordedTrial:
     """The repeat of an earlier call that was broken off after the swim."""
     number = fish.status().pending_trial
     assert number is not None
     text = f"trial {number} is the repeat of an earlier call; it is not swum again"
-    person.tell(Notice(text))
+    operator.tell(Notice(text))
     log = keep_log(fish, experiment, number)
-    swum = record_of(outcome_of(log.trial), log, None)
-    account.swum(swum)
-    person.tell(TrialRecorded(swum))
-    decision = account.decision_on(swum.file)
+    recorded = record_of(outcome_of(log.trial), log, None)
+    account.recorded(recorded)
+    operator.tell(TrialRecorded(recorded))
+    decision = account.decision_on(recorded.file)
     if decision is None:
-        decision = _Repeating(person).decide(swum)
-        account.decided(swum, decision)
+        decision = _Repeating(operator).decide(recorded)
+        account.decided(recorded, decision)
     if decision.kind == "discard":
         raise TailbeatError(f"the repeat was discarded: {decision.reason}.", f"Again: {AGAIN}")
     if (book := logbook_of(fish)) is not None:
-        book.keep(swum.file)
-    return swum
+        book.keep(recorded.file)
+    return recorded
 
 
 def _put_back(fish: Fish, experiment: Experiment, held: Snapshot) -> None:
@@ -247,11 +247,11 @@ def end_repeat(fish: Fish, experiment: Experiment) -> None:
     repeat_path(experiment).unlink(missing_ok=True)
 
 
-def _judged(fish: Fish, before: list[Trial], swum: RecordedTrial) -> Shift:
+def _judged(fish: Fish, before: list[Trial], recorded: RecordedTrial) -> Shift:
     identified = _identified(fish)
-    repeat = read_trial(swum.file)
+    repeat = read_trial(recorded.file)
     earlier = [trial for trial in _series(fish, before) if trial.number != repeat.number]
-    return shift_of(earlier, repeat, _model(fish, identified), identified, swum.straight)
+    return shift_of(earlier, repeat, _model(fish, identified), identified, recorded.straight)
 
 
 def _series(fish: Fish, trials: list[Trial]) -> list[Trial]:

@@ -27,7 +27,7 @@ __all__ = ["Restored", "restore"]
 class Restored:
     """What the board got back. ``params``: those that differed, ``params_before`` what it had of
     them; ``reference``, ``learned``: whether it had to be given again. ``iteration`` swims next.
-    ``pending_trial``: waits to be decided on, and is left alone. ``notes``: what else a person
+    ``pending_trial``: waits to be decided on, and is left alone. ``notes``: what else an operator
     should know, one line each."""
 
     params: dict[str, float]

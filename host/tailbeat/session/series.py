@@ -105,7 +105,7 @@ class Options:
 class Round:
     """One swim and what became of it. ``learned`` None: nothing was learned."""
 
-    swum: RecordedTrial
+    recorded: RecordedTrial
     decision: Decision
     learned: LearnReport | None
 
@@ -113,7 +113,7 @@ class Round:
 @dataclass(frozen=True)
 class SeriesEnd:
     """``why``: ``swims``, ``converged``, ``saturated`` (nothing more to gain at the amplitude
-    limit), ``battery``, ``interrupted`` (Ctrl-C or the person), or ``stopped`` (the board stopped
+    limit), ``battery``, ``interrupted`` (Ctrl-C or the operator), or ``stopped`` (the board stopped
     by a rule of its own and is left so, with its reason)."""
 
     why: str
@@ -122,15 +122,15 @@ class SeriesEnd:
     verdict: Verdict | None
 
     @property
-    def swums(self) -> list[RecordedTrial]:
+    def records(self) -> list[RecordedTrial]:
         """The swims, in order."""
-        return [one.swum for one in self.rounds]
+        return [one.recorded for one in self.rounds]
 
 
 def swim_series(
     fish: Fish,
     experiment: Experiment,
-    person: Operator,
+    operator: Operator,
     options: Options,
     camera: Camera | None = None,
     guard: Guard | None = None,
@@ -145,11 +145,11 @@ def swim_series(
     Raises InputError, and touches nothing, when the board holds what is not its own (a trim or a
     repeat that was broken off), has lost what the copy of its state knows, has other parameters
     than it is meant to have (``experiment.meant``), or another program swims in this experiment. A
-    board that was switched off and has all that needs a person's consent: the fish may have
+    board that was switched off and has all that needs an operator's consent: the fish may have
     shifted.
 
-    A swim stopped by the person is decided on like any other; then the series ends. Raises what the
-    ritual, the swim and the disk raise; the tail is still then."""
+    A trial stopped by the operator is decided on like any other; then the series ends. Raises what
+    the preflight checks, the trial and the disk raise; the tail is still then."""
     require_own(fish)
     require_same(fish, experiment)
     with alone(experiment):
@@ -160,7 +160,7 @@ def swim_series(
         require_meant(fish, experiment)
         if options.typed:
             experiment.journal.add("typed", command=options.typed)
-        return _swim_series(fish, experiment, person, options, camera, guard)
+        return _swim_series(fish, experiment, operator, options, camera, guard)
 
 
 def _require_no_repeat(experiment: Experiment) -> None:
@@ -176,14 +176,14 @@ def _require_no_repeat(experiment: Experiment) -> None:
 def _swim_series(
     fish: Fish,
     experiment: Experiment,
-    person: Operator,
+    operator: Operator,
     options: Options,
     camera: Camera | None,
     guard: Guard | None,
 ) -> SeriesEnd:
-    around = TrialSetup(fish, person, camera, guard, options.reconnect_s)
+    around = TrialSetup(fish, operator, camera, guard, options.reconnect_s)
     account = SessionLog(experiment, experiment.journal)
-    series = _Series(around, account, options, Decisions(fish, person, account, options.learn))
+    series = _Series(around, account, options, Decisions(fish, operator, account, options.learn))
     try:
         return series.swim()
     except GivenUp as given_up:
@@ -204,7 +204,7 @@ class _Series:
     around: TrialSetup
     account: SessionLog
     options: Options
-    office: Decisions
+    decisions: Decisions
     rounds: list[Round] = field(default_factory=list)
     counted: int = 0
     verdict: Verdict | None = None
@@ -242,7 +242,7 @@ class _Series:
 
     def _switched_off(self) -> SeriesEnd | None:
         """Before each swim: the hull may have been open, and whether the best is repeated first is
-        the person's to say. Before there is a best nothing can tell a shift."""
+        the operator's to say. Before there is a best nothing can tell a shift."""
         fish, journal = self.around.fish, self.account.journal
         require_meant(fish, self.account.experiment)
         if self.options.of_best or fish.status().best_iteration is None:
@@ -250,7 +250,7 @@ class _Series:
         if (trial := switched_off_since(fish, journal)) is None:
             return None
         words = f"the board was switched off since trial {trial}, and the fish may have shifted."
-        if not self.around.person.confirm(f"{words} Go on without a repeat of the best?"):
+        if not self.around.operator.confirm(f"{words} Go on without a repeat of the best?"):
             return self.end("stopped", f"{words} Then: tailbeat session resume")
         accepted(fish, journal)
         return None
@@ -258,29 +258,32 @@ class _Series:
     def _finish_old(self, number: int) -> SeriesEnd | None:
         fish = self.around.fish
         log = keep_log(fish, self.account.experiment, number)
-        swum = record_of(outcome_of(log.trial), log, None)
-        self._take(swum)
+        recorded = record_of(outcome_of(log.trial), log, None)
+        self._take(recorded)
         status = fish.status()
-        if swum.measured_beats and number not in (status.pending_trial, status.last_learned_trial):
-            self._gone(swum)
-        decision = self.office.decide(swum)
+        if recorded.measured_beats and number not in (
+            status.pending_trial,
+            status.last_learned_trial,
+        ):
+            self._gone(recorded)
+        decision = self.decisions.decide(recorded)
         status = fish.status()
         if dangerous(status.fault) and (end := self._cleared()) is not None:
             return end
-        return self._settle(swum, decision, counts=False)
+        return self._settle(recorded, decision, counts=False)
 
-    def _gone(self, swum: RecordedTrial) -> None:
+    def _gone(self, recorded: RecordedTrial) -> None:
         """It could have been learned from, and does not wait any more: somebody has dropped it."""
-        if self.account.decision_on(swum.file) is None:
-            self.account.decided(swum, Decision("discard", "dropped by another program"))
+        if self.account.decision_on(recorded.file) is None:
+            self.account.decided(recorded, Decision("discard", "dropped by another program"))
 
     def _cleared(self) -> SeriesEnd | None:
-        """The board is not stopped, or the person lets it go on."""
+        """The board is not stopped, or the operator lets it go on."""
         status = self.around.fish.status()
         if status.state not in STOPPED:
             return None
         words = stop_words(status)
-        if not self.around.person.confirm(f"{words} Clear it and go on?"):
+        if not self.around.operator.confirm(f"{words} Clear it and go on?"):
             return self.end("stopped", f"{words} Then: tailbeat board clear")
         self.around.fish.clear()
         return None
@@ -305,7 +308,7 @@ class _Series:
         owed = self.account.owed()
         if owed is not None and owed == last_learned:
             report = self.around.fish.learn(owed)  # said again it only tells what it learned
-            self.office.write_down(report)
+            self.decisions.write_down(report)
             copy_state(self.around.fish, self.account.experiment)
 
     def _enough(self) -> SeriesEnd | None:
@@ -350,29 +353,29 @@ class _Series:
                 raise
             return self.end("battery", f"{refused}")
         finally:
-            if own is not None:  # nobody looks at its pictures while the person decides
+            if own is not None:  # nobody looks at its pictures while the operator decides
                 own.close()
         if isinstance(swam, SeriesEnd):
             return swam
-        swum, by_hand = swam
-        decision = self.office.decide(swum)
-        end = self._settle(swum, decision, counts=True)
-        if end is None and swum.outcome.end.endswith(f":{fault_info(REBOOT).name}"):
-            return self.end("stopped", _restart_words(swum.outcome.number))
+        recorded, by_hand = swam
+        decision = self.decisions.decide(recorded)
+        end = self._settle(recorded, decision, counts=True)
+        if end is None and recorded.outcome.end.endswith(f":{fault_info(REBOOT).name}"):
+            return self.end("stopped", _restart_words(recorded.outcome.number))
         if end is None and by_hand:
-            return self.end("interrupted", f"trial {swum.outcome.number} was {BY_HAND}")
+            return self.end("interrupted", f"trial {recorded.outcome.number} was {BY_HAND}")
         return end
 
     def _prepare(self, around: TrialSetup) -> tuple[Ready | None, Guard]:
         """Up to a board that is armed, with the guard that ends the swim by distance; without a
         ritual only the room is looked at."""
-        fish, wanted, person = around.fish, self.options.wanted, around.person
+        fish, wanted, operator = around.fish, self.options.wanted, around.operator
         ready, book = None, logbook_of(fish)
         if wanted is None:
             travel_next(fish, book).require_room()
         else:
             wanted = replace(wanted, start_yaw_deg=self._start_yaw_deg(wanted))
-            ready = prepare(fish, wanted, around.camera, person)
+            ready = prepare(fish, wanted, around.camera, operator)
             if ready.pose is not None and self.yaw_deg is None:
                 self.yaw_deg = ready.pose.yaw_deg
         room, status = room_guard(fish, book), fish.status()
@@ -385,7 +388,7 @@ class _Series:
 
     def _count_down(self, wanted: PreflightLimits, number: int) -> None:
         try:
-            countdown(self.around.fish, wanted, self.around.person)
+            countdown(self.around.fish, wanted, self.around.operator)
         except BaseException:
             with contextlib.suppress(InputError):  # what ended the countdown is what is told
                 self.account.void(number, "not started")
@@ -403,8 +406,8 @@ class _Series:
     def _swim(
         self, around: TrialSetup, ready: Ready | None, room: Guard
     ) -> tuple[RecordedTrial, bool] | SeriesEnd:
-        """The swim, in the raw files; and whether the person stopped it. An end when it was stopped
-        before the board had begun a log."""
+        """The trial, in the raw files; and whether the operator stopped it. An end when it was
+        stopped before the board had begun a log."""
         fish, experiment = around.fish, self.account.experiment
         pose = ready.pose if ready else None
         heading_rad = pose.heading_rad if pose and pose.heading_rad is not None else 0.0
@@ -419,22 +422,24 @@ class _Series:
             words = f"trial {number} ended before its first beat ({stopped or swam.outcome.end})"
             return self.end("interrupted" if stopped == BY_HAND else "stopped", words)
         log = keep_log(fish, experiment, number)
-        swum = record_of(swam.outcome, log, ready, stopped)
-        self._take(swum)
-        return swum, stopped == BY_HAND
+        recorded = record_of(swam.outcome, log, ready, stopped)
+        self._take(recorded)
+        return recorded, stopped == BY_HAND
 
-    def _take(self, swum: RecordedTrial) -> None:
-        self.account.swum(swum)
-        self.around.person.tell(TrialRecorded(swum))
+    def _take(self, recorded: RecordedTrial) -> None:
+        self.account.recorded(recorded)
+        self.around.operator.tell(TrialRecorded(recorded))
 
-    def _settle(self, swum: RecordedTrial, decision: Decision, counts: bool) -> SeriesEnd | None:
+    def _settle(
+        self, recorded: RecordedTrial, decision: Decision, counts: bool
+    ) -> SeriesEnd | None:
         """Carries the decision out. An end when the board is left as it stopped."""
-        done: Done = self.office.carry_out(swum, decision)
-        self.rounds.append(Round(swum, decision, done.learned))
+        done: Done = self.decisions.carry_out(recorded, decision)
+        self.rounds.append(Round(recorded, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
         if done.learned is not None:
             self.verdict = judged(self.account, self.around, done.learned.rolled_back)
-            report_assessment(self.around.person, self.verdict)
+            report_assessment(self.around.operator, self.verdict)
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL
@@ -442,7 +447,7 @@ class _Series:
         return self.end("stopped", f"{done.left} Then: {then}")
 
     def _notice(self, text: str) -> None:
-        self.around.person.tell(Notice(text))
+        self.around.operator.tell(Notice(text))
 
 
 def _restart_words(number: int) -> str:

@@ -105,7 +105,7 @@ def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Verdic
 
 
 def words(found: SessionStatus) -> list[str]:
-    """One line for each thing a person asks."""
+    """One line for each thing an operator asks."""
     simulated = " (simulated)" if found.simulated else ""
     pending = f"; trial {found.pending_trial} waits for a decision" if found.pending_trial else ""
     lines = [

@@ -107,10 +107,10 @@ def travel_by(
 ) -> Travel:
     """As ``travel_of``, by what is believed of the fish."""
 
-    swum = np.clip(np.asarray(amplitude_rad, dtype=np.float64), 0.0, params["AMP_MAX_RAD"])
-    expected_m = float(np.sum(belief.speeds(swum, beat_s))) * beat_s
-    edge, day = farthest(belief.model, belief.covariance, belief.scatter, swum, beat_s)
-    worst_m = belief.more * way(edge, swum, beat_s, day)
+    recorded = np.clip(np.asarray(amplitude_rad, dtype=np.float64), 0.0, params["AMP_MAX_RAD"])
+    expected_m = float(np.sum(belief.speeds(recorded, beat_s))) * beat_s
+    edge, day = farthest(belief.model, belief.covariance, belief.scatter, recorded, beat_s)
+    worst_m = belief.more * way(edge, recorded, beat_s, day)
     return Travel(expected_m, max(worst_m, expected_m), room_m(params), belief.by)
 
 

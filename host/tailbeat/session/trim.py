@@ -189,28 +189,28 @@ def _profile(foot_rad: float, cruise_rad: float, beats: int) -> F64:
 
 def find_centre(
     fish: Fish,
-    person: Operator,
+    operator: Operator,
     camera: Camera | None = None,
     guard: Guard | None = None,
     wanted: PreflightLimits | None = None,
 ) -> Trim:
     """Swims twice, the tail centred a little to either side of what is set, and puts back what the
     board had learned, its reference and its centre. ``wanted``: of the ritual before each swim;
-    None = only the person is asked. Sets nothing: see apply.
+    None = only the operator is asked. Sets nothing: see apply.
 
     Raises InputError when the turns do not tell a centre (none was felt, the two are alike, or the
-    centre would lie beyond the servo's range), GivenUp when the person wants no more."""
+    centre would lie beyond the servo's range), GivenUp when the operator wants no more."""
     book = logbook_of(fish)
     belief = _belief(fish, book)
 
     def note(text: str) -> None:
-        person.tell(Notice(text))
+        operator.tell(Notice(text))
 
     with ExitStack() as stack:
         if camera is None and (own := default_camera(fish)) is not None:
             camera = stack.enter_context(closing(own))
         board = stack.enter_context(preserved(fish, preserve_folder(book), note, "trim", (CENTRE,)))
-        swimmer = _TrimRunner(board, person, camera, guard, wanted, book)
+        swimmer = _TrimRunner(board, operator, camera, guard, wanted, book)
         planned = plan(belief, board.params)
         was_us = board.params[CENTRE]
         offset_us = OFFSET_RAD * board.params["SERVO_US_RAD"]
@@ -252,7 +252,7 @@ class _Log:
 @dataclass
 class _TrimRunner:
     board: PreservedBoard
-    person: Operator
+    operator: Operator
     camera: Camera | None
     guard: Guard | None
     wanted: PreflightLimits | None
@@ -267,8 +267,8 @@ class _TrimRunner:
         self._ask(number, centre_us, planned)
         room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
         seen = Seen()
-        guards = together(self.guard, room, when(self.person.wants_abort, BY_HAND), seen)
-        outcome = run_trial(fish, self.camera, self.person.tell, guards)
+        guards = together(self.guard, room, when(self.operator.wants_abort, BY_HAND), seen)
+        outcome = run_trial(fish, self.camera, self.operator.tell, guards)
         trial = self.board.collect(outcome, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 
@@ -278,12 +278,12 @@ class _TrimRunner:
             f"{len(planned.amplitude_rad)} beats, up to {planned.amplitude_rad.max():.2f} rad; "
             f"{planned.travel.text()}"
         )
-        self.person.tell(StepProgress(f"trim {number}", text, ok=True))
-        if not self.person.confirm("Is the fish at its start, free on both sides? Swim?"):
+        self.operator.tell(StepProgress(f"trim {number}", text, ok=True))
+        if not self.operator.confirm("Is the fish at its start, free on both sides? Swim?"):
             raise GivenUp("the trim was not wanted", _NOTHING)
         if self.wanted is not None:
-            prepare(self.board.fish, self.wanted, self.camera, self.person)
-            countdown(self.board.fish, self.wanted, self.person)
+            prepare(self.board.fish, self.wanted, self.camera, self.operator)
+            countdown(self.board.fish, self.wanted, self.operator)
         else:
             self._wait_until_still()
 
@@ -294,7 +294,7 @@ class _TrimRunner:
         if fish.imu_verdict().state != "streaming":
             return
         while fish.link.request("TAILBEAT_IMU_INFO").still_s < _REST_S and left_s > 0:
-            if self.person.wants_abort():
+            if self.operator.wants_abort():
                 raise GivenUp("the trim was stopped by hand", _NOTHING)
             fish.link.run(_LOOK_S / max(fish.clock.rate, 1.0))
             left_s -= _LOOK_S
@@ -303,7 +303,7 @@ class _TrimRunner:
         if outcome.end == "complete":
             return
         self.board.fish.clear()
-        if self.person.wants_abort():
+        if self.operator.wants_abort():
             raise GivenUp("the trim was stopped by hand", _NOTHING)
         if outcome.executed_beats < _BEATS_MIN:
             raise TailbeatError(

@@ -399,21 +399,21 @@ def test_a_simulator_without_camera(reference: bytes) -> None:
         assert default_camera(fish) is None
 
 
-def swum(fish: Fish, folder: Path) -> Trial:
+def recorded(fish: Fish, folder: Path) -> Trial:
     return read_trial(fish.pull_trial(run_trial(fish).number, folder))
 
 
 def test_a_trial_tells_what_made_its_amplitudes(fish: Fish, tmp_path: Path) -> None:
     fish.upload_reference(records.encode_reference(1.0, np.full(3, 0.04)))
-    assert swum(fish, tmp_path).input == "first"
+    assert recorded(fish, tmp_path).input == "first"
     fish.learn()
-    assert swum(fish, tmp_path).input == "law"
+    assert recorded(fish, tmp_path).input == "law"
     fish.discard()
     fish.upload_amplitudes(np.full(3, 0.3))
-    assert swum(fish, tmp_path).input == "uploaded"
+    assert recorded(fish, tmp_path).input == "uploaded"
     fish.learn()
     fish.restore_best()
-    assert swum(fish, tmp_path).input == "restored"
+    assert recorded(fish, tmp_path).input == "restored"
 
 
 def test_amplitudes_tell_what_made_them(fish: Fish) -> None:

@@ -70,10 +70,10 @@ class School:
                 "error_m_s": ffi.new("float[]", error.tolist()),
                 "measured": ffi.new("uint8_t[]", measured.tolist()),
             }
-            swum = ffi.new("law_trial_t *", {"beats": BEATS, **arrays})
+            recorded = ffi.new("law_trial_t *", {"beats": BEATS, **arrays})
             complete, rules = bool(count >= BEATS), self.rules
             result = lib.memory_learn(
-                memory, self.law, swum, self.trial, complete, rules, self.scratch, report
+                memory, self.law, recorded, self.trial, complete, rules, self.scratch, report
             )
             assert result == 0
 
@@ -129,10 +129,10 @@ def cut_by_errors(plant: str, gain: float, beyond: int, fish: int, limit_m_s: fl
         guilty = np.abs(WANTED - speed) > limit_m_s
         known = np.where(guilty.any(axis=1), guilty.argmax(axis=1) + 1 + LATE_BEATS, BEATS + 1)
         executed = np.minimum(known, BEATS)
-        swum = np.arange(BEATS) < executed[:, None]
+        recorded = np.arange(BEATS) < executed[:, None]
         todo = trials == 0
-        way = np.where(todo, np.maximum(way, np.where(swum, true, 0).sum(axis=1)), way)
-        over = np.where(swum, true - WANTED, 0).max(axis=1)
+        way = np.where(todo, np.maximum(way, np.where(recorded, true, 0).sum(axis=1)), way)
+        over = np.where(recorded, true - WANTED, 0).max(axis=1)
         fast = np.where(todo, np.maximum(fast, over), fast)
         trials = np.where(todo & (known > BEATS), school.trial, trials)
         school.learn(speed, executed)

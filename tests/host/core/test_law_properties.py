@@ -172,9 +172,9 @@ def test_the_mean_of_all_trials_grows_as_its_definition(beats: int, gain: int, s
             past = ffi.new("law_weights_t *", before)
             assert lib.law_add(law, past, means, mean_rad, total) == lib.LAW_OK
         weights = ffi.new("law_weights_t *", now)
-        swum = as_float(inputs[-1])
-        assert lib.law_add(law, weights, trial, swum, total) == lib.LAW_OK
-        lib.past_mean_add(law, ended, trial, swum, mean_rad, mean_error)
+        recorded = as_float(inputs[-1])
+        assert lib.law_add(law, weights, trial, recorded, total) == lib.LAW_OK
+        lib.past_mean_add(law, ended, trial, recorded, mean_rad, mean_error)
         wanted = np.clip(inputs, 0, 0.75).mean(0) + (ended + 1) * gain / 4 * np.mean(errors, 0)
         # Each mean is rounded; the gain of the mean makes that larger.
         atol = 3e-6 + 2e-8 * (ended + 1) * gain

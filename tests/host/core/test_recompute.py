@@ -21,7 +21,7 @@ VISION, UPLOAD, IMU, MODEL = range(4)
 REST_S = 9.0  # the IMU is found, and the fish has been still for REST_MIN_S
 
 
-def swum(
+def recorded(
     folder: Path,
     source: int,
     beat_s: float = 1.0,
@@ -45,7 +45,7 @@ def swum(
 @pytest.mark.parametrize("beat_s", [0.76, 1.0, 2.0])
 @pytest.mark.parametrize("source", [VISION, IMU, MODEL])
 def test_the_same_bits(source: int, beat_s: float, tmp_path: Path) -> None:
-    trial = swum(tmp_path, source, beat_s)
+    trial = recorded(tmp_path, source, beat_s)
     assert trial.end == "complete"
     speed, sigma = recompute_beats(trial)
     assert np.count_nonzero(np.isfinite(trial.beats.speed_m_s)) == BEATS
@@ -57,7 +57,7 @@ def test_the_same_bits(source: int, beat_s: float, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("source", [VISION, IMU, MODEL])
 def test_the_same_bits_of_an_aborted_trial(source: int, tmp_path: Path) -> None:
-    trial = swum(tmp_path, source, abort_at=4)
+    trial = recorded(tmp_path, source, abort_at=4)
     assert 4 < trial.executed_beats < BEATS
     speed, sigma = recompute_beats(trial)
     assert np.count_nonzero(np.isfinite(speed)) == trial.executed_beats
@@ -70,7 +70,7 @@ def test_the_same_bits_of_an_aborted_trial(source: int, tmp_path: Path) -> None:
 def test_the_same_bits_of_a_trial_that_ended_at_a_wall(
     source: int, guard_beats: int, tmp_path: Path
 ) -> None:
-    trial = swum(tmp_path, source, abort_at=4, why=StopKind.WALL, guard_beats=guard_beats)
+    trial = recorded(tmp_path, source, abort_at=4, why=StopKind.WALL, guard_beats=guard_beats)
     assert trial.end == "aborted:WALL"
     assert 4 < trial.executed_beats < BEATS
     speed, sigma = recompute_beats(trial)
@@ -82,7 +82,7 @@ def test_the_same_bits_of_a_trial_that_ended_at_a_wall(
 
 
 def test_a_damaged_guard_is_none(tmp_path: Path) -> None:
-    trial = swum(tmp_path, VISION, abort_at=4, why=StopKind.WALL)
+    trial = recorded(tmp_path, VISION, abort_at=4, why=StopKind.WALL)
     speed, _ = recompute_beats(trial)
     for value in (float("nan"), float("inf"), -3.0, 1e9, 1.5):
         damaged = replace(trial, params=trial.params | {"GUARD_BEATS": value})
@@ -91,7 +91,7 @@ def test_a_damaged_guard_is_none(tmp_path: Path) -> None:
 
 def test_a_changed_slot_shows(tmp_path: Path) -> None:
     for source, column in ((VISION, "speed_m_s"), (IMU, "gain_10um_s"), (MODEL, "way_um")):
-        trial = swum(tmp_path, source)
+        trial = recorded(tmp_path, source)
         values = getattr(trial.slots, column)
         middle = int(np.searchsorted(trial.slots.index, 55))
         values[middle] += 0.01 if column == "speed_m_s" else 300
@@ -99,7 +99,7 @@ def test_a_changed_slot_shows(tmp_path: Path) -> None:
 
 
 def test_without_its_rests_the_imu_knows_no_speed(tmp_path: Path) -> None:
-    trial = swum(tmp_path, IMU)
+    trial = recorded(tmp_path, IMU)
     for rests in ({"rest_before": None}, {"rest_after": None}):
         speed, sigma = recompute_beats(replace(trial, **rests))
         assert np.all(np.isnan(speed))
@@ -107,12 +107,12 @@ def test_without_its_rests_the_imu_knows_no_speed(tmp_path: Path) -> None:
 
 
 def test_uploaded_speeds_follow_from_nothing(tmp_path: Path) -> None:
-    trial = swum(tmp_path, UPLOAD)
+    trial = recorded(tmp_path, UPLOAD)
     assert np.all(np.isnan(recompute_beats(trial)[0]))
 
 
 @pytest.mark.parametrize("beat_s", [0.0, -1.0, float("nan"), 1e9])
 def test_a_damaged_file_is_refused(tmp_path: Path, beat_s: float) -> None:
-    trial = swum(tmp_path, VISION)
+    trial = recorded(tmp_path, VISION)
     with pytest.raises(InputError, match="beat"):
         recompute_beats(replace(trial, beat_s=beat_s))

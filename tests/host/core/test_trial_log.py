@@ -105,14 +105,14 @@ def test_a_wall_leaves_the_last_beats_unmeasured(tmp_path: Path) -> None:
             ),
         )
         found = read_trial(fish.pull_trial(1, tmp_path))
-    swum = near.executed_beats
-    assert (near.end, found.end, found.executed_beats) == ("aborted:WALL", "aborted:WALL", swum)
-    assert 5 <= swum < BEATS
+    recorded = near.executed_beats
+    assert (near.end, found.end, found.executed_beats) == ("aborted:WALL", "aborted:WALL", recorded)
+    assert 5 <= recorded < BEATS
     told = {beat.beat: beat.speed_m_s for beat in near.beats}
-    speeds = np.array([told[k] for k in range(swum)], dtype=np.float32)
-    assert np.array_equal(np.isfinite(speeds), np.arange(swum) < swum - 2)
-    assert np.array_equal(speeds, found.beats.speed_m_s[:swum], equal_nan=True)
-    assert np.all(np.isfinite(found.beats.applied_rad[:swum]))
+    speeds = np.array([told[k] for k in range(recorded)], dtype=np.float32)
+    assert np.array_equal(np.isfinite(speeds), np.arange(recorded) < recorded - 2)
+    assert np.array_equal(speeds, found.beats.speed_m_s[:recorded], equal_nan=True)
+    assert np.all(np.isfinite(found.beats.applied_rad[:recorded]))
 
 
 def test_a_truncated_file_is_read_as_far_as_it_goes(files: dict[str, Path]) -> None:
@@ -179,8 +179,8 @@ def test_slots_in_si_units(trial: Trial) -> None:
     seen = trial.slots.samples > 0
     assert np.array_equal(np.isfinite(table["v_m_s"]), seen)
     assert 0.0005 < np.nanmean(table["sigma_m_s"]) < 0.001
-    swum = (table["t_s"] > 0) & (table["t_s"] < BEATS)
-    assert np.all(np.isfinite(table["gain_m_s"][swum]))
+    recorded = (table["t_s"] > 0) & (table["t_s"] < BEATS)
+    assert np.all(np.isfinite(table["gain_m_s"][recorded]))
 
 
 YAW_PER_TAIL = -10.0 / 45.0  # hal/sim/felt.h

@@ -25,7 +25,7 @@ NOON = datetime(2026, 5, 4, 12, 0, 0)
 
 
 @pytest.fixture(scope="module")
-def swum(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An experiment with two simulated trials."""
     folder = tmp_path_factory.mktemp("demo") / "series"
     run_demo(DemoOptions(trials=2, out=folder))
@@ -110,14 +110,14 @@ def test_export_without_trials_is_refused(tmp_path: Path) -> None:
         export(make(tmp_path))
 
 
-def test_unknown_format(swum: Path) -> None:
+def test_unknown_format(recorded: Path) -> None:
     with pytest.raises(InputError, match="no format xls"):
-        export(Experiment.open(swum), ["xls"])
+        export(Experiment.open(recorded), ["xls"])
 
 
-def test_exports_agree(swum: Path, tmp_path: Path) -> None:
+def test_exports_agree(recorded: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
-    shutil.copytree(swum, copy)
+    shutil.copytree(recorded, copy)
     files = {path.name: path for path in export(Experiment.open(copy))}
     assert set(files) == {
         "trials.csv", "beats.csv", "slots.csv", "trials.mat",
@@ -155,17 +155,17 @@ def test_a_raw_file_whose_sum_was_not_listed_is_listed_next_time(tmp_path: Path)
     assert sums.read_text() == listed
 
 
-def test_a_number_that_is_taken_gets_another_name(tmp_path: Path, swum: Path) -> None:
+def test_a_number_that_is_taken_gets_another_name(tmp_path: Path, recorded: Path) -> None:
     """A board whose storage was made anew counts from 1 again."""
     experiment = Experiment.at(tmp_path / "e", "carangi", "thesis", "p4")
-    first, second = swum / "raw" / "0001.ulg", tmp_path / "other.ulg"
+    first, second = recorded / "raw" / "0001.ulg", tmp_path / "other.ulg"
     assert experiment.keep_trial(first).name == "0001.ulg"
     assert experiment.keep_trial(first).name == "0001.ulg"
     content = first.read_bytes()
     second.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     assert experiment.keep_trial(second).name == "0001-2.ulg"
     assert experiment.keep_trial(second).name == "0001-2.ulg"
-    assert experiment.keep_trial(swum / "raw" / "0002.ulg").name == "0002.ulg"
+    assert experiment.keep_trial(recorded / "raw" / "0002.ulg").name == "0002.ulg"
     assert [p.name for p in experiment.trial_files()] == ["0001.ulg", "0001-2.ulg", "0002.ulg"]
     experiment.journal.add("swum", trial=2, file="0002.ulg")
     experiment.journal.add("swum", trial=1, file="raw/0001-2.ulg")
@@ -173,7 +173,7 @@ def test_a_number_that_is_taken_gets_another_name(tmp_path: Path, swum: Path) ->
     assert stat.S_IMODE((experiment.raw / "0001-2.ulg").stat().st_mode) == 0o444
     assert experiment.raw_problems() == []
     with pytest.raises(InputError, match="not a ULog file"):
-        experiment.keep_trial(swum / "settings.json")
+        experiment.keep_trial(recorded / "settings.json")
 
 
 def test_the_sums_are_for_sha256sum(tmp_path: Path) -> None:

@@ -36,18 +36,18 @@ _RECORD = b"\x05\x00D\x00\x00\x00\x00\x00"  # of data, as a log has at its end
 
 
 @pytest.fixture(scope="module")
-def swum(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     return swim_experiment(tmp_path_factory.mktemp("analysis"))
 
 
 @pytest.fixture(scope="module")
-def analysis(swum: Experiment) -> Analysis:
-    return analyse(swum)
+def analysis(recorded: Experiment) -> Analysis:
+    return analyse(recorded)
 
 
 @pytest.fixture
-def copy(swum: Experiment, tmp_path: Path) -> Experiment:
-    return Experiment(Path(shutil.copytree(swum.folder, tmp_path / "else" / "where")))
+def copy(recorded: Experiment, tmp_path: Path) -> Experiment:
+    return Experiment(Path(shutil.copytree(recorded.folder, tmp_path / "else" / "where")))
 
 
 def test_every_swim_is_a_row(analysis: Analysis) -> None:
@@ -63,9 +63,9 @@ def test_every_swim_is_a_row(analysis: Analysis) -> None:
     assert analysis.problems == []
 
 
-def test_the_numbers_are_those_of_the_logs(swum: Experiment, analysis: Analysis) -> None:
+def test_the_numbers_are_those_of_the_logs(recorded: Experiment, analysis: Analysis) -> None:
     for row in analysis.rows:
-        trial = read_trial(swum.raw / row.file)
+        trial = read_trial(recorded.raw / row.file)
         error = (REFERENCE.speed_m_s - trial.beats.speed_m_s).astype(np.float64)
         assert row.max_abs_error_m_s == np.abs(error).max()
         assert row.rms_error_m_s == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-12)
@@ -116,10 +116,10 @@ def test_the_floor_is_the_simulators_without_an_identified_fish(analysis: Analys
 
 
 def test_the_same_bytes_anywhere(
-    swum: Experiment, copy: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    recorded: Experiment, copy: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    first = write_analysis(swum).read_bytes()
-    assert write_analysis(swum).read_bytes() == first
+    first = write_analysis(recorded).read_bytes()
+    assert write_analysis(recorded).read_bytes() == first
     monkeypatch.setenv("TZ", "Pacific/Chatham")
     time.tzset()
     for name in ("C", "C.UTF-8"):
@@ -129,7 +129,7 @@ def test_the_same_bytes_anywhere(
     monkeypatch.undo()
     time.tzset()
     text = first.decode("ascii")
-    assert str(swum.folder.parent) not in text
+    assert str(recorded.folder.parent) not in text
     document = json.loads(text)
     assert list(document) == sorted(document)
     assert "trials" not in document
@@ -159,7 +159,7 @@ def test_a_swim_that_the_journal_does_not_know_is_undecided(copy: Experiment) ->
 def rows_of(*swims: Trial, decision: str = "keep", learned: bool | None = True) -> list[TrialRow]:
     """Made of swims that were never in the water."""
     kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
-    said = Told(decision=decision, learned=learned, swum=True)
+    said = Told(decision=decision, learned=learned, recorded=True)
     return _rows(kept, {path.name: said for path, _ in kept}, True)
 
 
@@ -290,8 +290,8 @@ def test_no_trials(tmp_path: Path) -> None:
         analyse(empty)
 
 
-def test_a_file_that_only_the_journal_knows_is_missed(swum: Experiment, tmp_path: Path) -> None:
-    copy = Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+def test_a_file_that_only_the_journal_knows_is_missed(recorded: Experiment, tmp_path: Path) -> None:
+    copy = Experiment(Path(shutil.copytree(recorded.folder, tmp_path / "copy")))
     gone = copy.trial_files()[2].name
     (copy.raw / gone).unlink()
     sums = copy.raw / "SHA256SUMS"
@@ -302,9 +302,9 @@ def test_a_file_that_only_the_journal_knows_is_missed(swum: Experiment, tmp_path
 
 
 def test_what_a_simulated_board_swam_is_simulated_whatever_the_settings_say(
-    swum: Experiment, tmp_path: Path
+    recorded: Experiment, tmp_path: Path
 ) -> None:
-    copy = Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+    copy = Experiment(Path(shutil.copytree(recorded.folder, tmp_path / "copy")))
     copy.write_settings({"simulated": False, "unique_id": "ab" * 16, "conditions": None})
     found = analyse(copy)
     assert found.simulated

@@ -49,13 +49,13 @@ WELCH = [
 
 
 @pytest.fixture(scope="module")
-def swum(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     return swim_experiment(tmp_path_factory.mktemp("compare"))
 
 
 @pytest.fixture(scope="module")
-def analysis(swum: Experiment) -> Analysis:
-    return analyse(swum)
+def analysis(recorded: Experiment) -> Analysis:
+    return analyse(recorded)
 
 
 @pytest.mark.parametrize(("a", "b", "p"), WELCH)
@@ -192,9 +192,9 @@ def test_the_swim_that_made_an_input_the_best_does_not_count_among_its_repeats(
     rows = [replace(analysis.rows[at], trial=number) for number in (21, 22)]
     trials = [replace(analysis.trials[at], number=number) for number in (21, 22)]
     more = replace(analysis, rows=[*analysis.rows, *rows], trials=[*analysis.trials, *trials])
-    swum = [row.trial for row in counted_rows(more)]
-    assert analysis.rows[at].trial not in swum
-    assert {21, 22} <= set(swum)
+    recorded = [row.trial for row in counted_rows(more)]
+    assert analysis.rows[at].trial not in recorded
+    assert {21, 22} <= set(recorded)
 
 
 def test_swims_that_stand_out_since_progress_ended_count_and_are_told() -> None:
@@ -246,8 +246,8 @@ def test_an_experiment_against_itself(analysis: Analysis) -> None:
     )
 
 
-def test_what_else_differs_is_named(swum: Experiment, tmp_path: Path) -> None:
+def test_what_else_differs_is_named(recorded: Experiment, tmp_path: Path) -> None:
     other = Experiment.at(tmp_path / "b", "carangi", "hill", "p4-lead1")
-    other.write_settings({**swum.settings(), "conditions": {"water_temperature_degc": 24.0}})
-    assert other_differences(swum, other) == ["water_temperature_degc 21.5 against 24"]
-    assert other_differences(swum, swum) == []
+    other.write_settings({**recorded.settings(), "conditions": {"water_temperature_degc": 24.0}})
+    assert other_differences(recorded, other) == ["water_temperature_degc 21.5 against 24"]
+    assert other_differences(recorded, recorded) == []

@@ -342,19 +342,19 @@ def history(judges_gaps: bool) -> Analysis:
     held = _Board(made.reference(), 1.0, judges_gaps)
     trials, rows = [], []
     for number, error in enumerate((0.02, 0.01, 0.0145, 0.0145, 0.012), 1):
-        swum = made.trial(number, number, error, gaps=(7,) if number == 2 else ())
+        recorded = made.trial(number, number, error, gaps=(7,) if number == 2 else ())
         made_by = "first" if number == 1 else "restored" if held.rolled_back else "law"
-        swum = replace(swum, params=params, input=made_by)
+        recorded = replace(recorded, params=params, input=made_by)
         if number == 1:
-            held.first(swum)
+            held.first(recorded)
         amplitude = held.memory.amplitude_rad
         applied = np.clip(amplitude, 0, np.float32(made.LIMIT_RAD))
-        beats = replace(swum.beats, amplitude_rad=amplitude, applied_rad=applied)
-        swum = replace(swum, beats=beats)
-        held._learn(swum, params, False)
+        beats = replace(recorded.beats, amplitude_rad=amplitude, applied_rad=applied)
+        recorded = replace(recorded, beats=beats)
+        held._learn(recorded, params, False)
         assert held.refusal == ""
-        trials.append(swum)
-        rows.append(made.row(swum, input=made_by, rolled_back=held.rolled_back))
+        trials.append(recorded)
+        rows.append(made.row(recorded, input=made_by, rolled_back=held.rolled_back))
     return made.analysis(trials, rows)
 
 
@@ -376,7 +376,7 @@ def test_a_folder_of_an_older_tool_keeps_its_analysis(tmp_path: Path) -> None:
     hole = trial.beats.speed_m_s.copy()
     hole[4] = MISSING
     gapped = replace(trial, beats=replace(trial.beats, speed_m_s=hole))
-    told = {path.name: Told(decision="keep", learned=True, swum=True)}
+    told = {path.name: Told(decision="keep", learned=True, recorded=True)}
     for kept, complete in ((settings, True), ({"made": settings["made"]}, False), ({}, True)):
         (row,) = _rows([(path, gapped)], told, _judges_gaps(kept))
         assert row.complete == complete

@@ -29,7 +29,7 @@ AMPLITUDE = 0.42 + 0.12 * np.sin(np.arange(40) / 5)
 SIGMA = np.full(40, 0.0007)
 
 
-def swum(model: FishModel, conditions: Conditions, trial: int = 1) -> Swim:
+def recorded(model: FishModel, conditions: Conditions, trial: int = 1) -> Swim:
     """Without noise."""
     speed = model.beats(AMPLITUDE, 1.0, conditions)
     return Swim(AMPLITUDE, speed, SIGMA, 1.0, thesis().crc, trial)
@@ -43,7 +43,7 @@ def expected(swims: list[Swim]) -> Array:
 @pytest.mark.parametrize("own", [Conditions(0.0016, gain=1.03), Conditions(0.0016, flow_m_s=0.003)])
 def test_one_swims_own_gain_and_flow_are_mostly_left_to_it(own: Conditions) -> None:
     usual = MODEL.beats(AMPLITUDE, 1.0, Conditions(0.0016))
-    first = swum(MODEL, own)
+    first = recorded(MODEL, own)
     learned = np.linalg.norm(expected([first]) - usual) / np.linalg.norm(first.speed_m_s - usual)
     assert learned < 0.6
     again = [replace(first, trial=number) for number in range(1, 9)]
@@ -64,7 +64,7 @@ def test_one_swims_own_gain_and_flow_are_mostly_left_to_it(own: Conditions) -> N
 )
 def test_another_fish_is_found_out_by_one_swim(other: FishModel) -> None:
     """Also one that differs in a single number; in the first beats a delay looks like a start."""
-    swim = swum(other, Conditions(0.0016))
+    swim = recorded(other, Conditions(0.0016))
     off, still_off = (expected(s) - swim.speed_m_s for s in ([], [swim]))
     assert np.abs(off[2:]).max() > 0.0025
     assert np.abs(still_off[2:]).max() < 0.0008
@@ -73,7 +73,7 @@ def test_another_fish_is_found_out_by_one_swim(other: FishModel) -> None:
 
 def test_what_is_only_noise_is_no_disturbance() -> None:
     rng = np.random.default_rng(2)
-    clean = swum(MODEL, Conditions(0.0016))
+    clean = recorded(MODEL, Conditions(0.0016))
     noisy = replace(clean, speed_m_s=clean.speed_m_s + rng.normal(0, 0.0007, 40))
     mean, _ = believe(SURE, [noisy]).disturbance(thesis().crc, 40)
     assert float(np.sqrt(np.mean(mean**2))) < 0.45 * 0.0007

@@ -340,15 +340,15 @@ def bracketed(kappa: float, law: Law | None, seeds: range, trials: int) -> tuple
         before = None
         for number in range(1, trials + 1):
             amplitude = laws.saturate(used, memory).astype(np.float64)
-            swum = FishBatch("tank", [water]).run(amplitude[None, :], number)
-            error = WANTED - swum.speed_m_s[0]
+            recorded = FishBatch("tank", [water]).run(amplitude[None, :], number)
+            error = WANTED - recorded.speed_m_s[0]
             if before is not None:
                 low, high = next_ratio(identified, REFERENCE, before, amplitude)
                 worst = np.abs(WANTED - before.speed_m_s).max()
                 inside.append(low <= np.abs(error).max() / worst <= high)
                 width.append(high / low)
             memory, _ = laws.update(used, memory, error)
-            before = Swim(amplitude, swum.speed_m_s[0], swum.sigma_m_s[0])
+            before = Swim(amplitude, recorded.speed_m_s[0], recorded.sigma_m_s[0])
     return float(np.mean(inside)), float(np.median(width))
 
 
@@ -373,10 +373,10 @@ def test_the_ratio_of_a_quiet_fish_is_the_models() -> None:
     quiet = Scatter(0.0, 0.0, 0.0, 1e-5, 0.0)
     one = Identified(model, [model], np.zeros((4, 4)), scatter=quiet)
     best = plan(model, WANTED, 1.0, LIMIT).amplitude_rad
-    swum = Swim(0.9 * best, model.beats(0.9 * best, 1.0), np.full(40, 1e-6))
-    low, high = next_ratio(one, REFERENCE, swum, best)
+    recorded = Swim(0.9 * best, model.beats(0.9 * best, 1.0), np.full(40, 1e-6))
+    low, high = next_ratio(one, REFERENCE, recorded, best)
     wanted = np.abs(WANTED - model.beats(best, 1.0)).max()
-    right = wanted / np.abs(WANTED - swum.speed_m_s).max()
+    right = wanted / np.abs(WANTED - recorded.speed_m_s).max()
     assert low <= right <= high
     assert high - low < 0.01
 
@@ -389,8 +389,8 @@ def test_what_the_model_leaves_out_comes_again() -> None:
     best = plan(model, WANTED, 1.0, LIMIT).amplitude_rad
     dip = np.zeros(40)
     dip[15:21] = -0.03
-    swum = Swim(best, model.beats(best, 1.0) + dip, np.full(40, 0.0007))
-    low, high = next_ratio(one, REFERENCE, swum, best)
+    recorded = Swim(best, model.beats(best, 1.0) + dip, np.full(40, 0.0007))
+    low, high = next_ratio(one, REFERENCE, recorded, best)
     assert 0.7 < low < 1 < high < 1.8
 
 

@@ -57,18 +57,18 @@ class Tank:
     def swim(self, amplitude: Array, reference: Reference) -> float:
         """True max|e|, m/s."""
         number = len(self.swims) + 1
-        swum = self.batch.run(amplitude[None, :], number, reference.beat_s)
+        recorded = self.batch.run(amplitude[None, :], number, reference.beat_s)
         self.swims.append(
             Swim(
                 amplitude_rad=amplitude,
-                speed_m_s=swum.speed_m_s[0] + self.flow_m_s,
-                sigma_m_s=swum.sigma_m_s[0],
+                speed_m_s=recorded.speed_m_s[0] + self.flow_m_s,
+                sigma_m_s=recorded.sigma_m_s[0],
                 beat_s=reference.beat_s,
                 reference_crc=reference.crc,
                 trial=number,
             )
         )
-        true = swum.true_m_s[0] + self.flow_m_s
+        true = recorded.true_m_s[0] + self.flow_m_s
         return float(np.abs(reference.speed_m_s - true).max())
 
     def learn(self, identified: Identified, reference: Reference, count: int) -> list[float]:
@@ -377,15 +377,15 @@ def test_words_after_a_rollback_are_true(
     capsys.readouterr()
     said = printed(learn_with_model(fish, None, identified_file, False))
     assert pulls == [number]  # once: the radio is slow
-    swum = fish.amplitudes().values
+    recorded = fish.amplitudes().values
     if law == "model" and median_m_s < 1:
         assert "the model's plan takes the place of the best amplitudes" in said
         assert "rolled back to trial 1's input, which the model's plan replaces" in said
-        assert swum == pytest.approx(0.3)
+        assert recorded == pytest.approx(0.3)
         return
     assert "the best amplitudes swim next" in said and "replaces" not in said
     assert said.endswith("rolled back to trial 1's input")
-    assert swum.tolist() == best.tolist()
+    assert recorded.tolist() == best.tolist()
     again = learn_with_model(fish, None, identified_file, False)  # nothing pending
     assert "the best amplitudes swim next" in printed(again)
     assert fish.amplitudes().values.tolist() == best.tolist()
@@ -444,9 +444,9 @@ def test_session_on_a_board(
 
     planned = learn()
     assert planned["trial"] is None and planned["uploaded"] is True
-    swum = fish.amplitudes()
-    assert swum.iteration == 1
-    assert swum.values.tolist() == np.float32(planned["amplitude_rad"]).tolist()
+    recorded = fish.amplitudes()
+    assert recorded.iteration == 1
+    assert recorded.values.tolist() == np.float32(planned["amplitude_rad"]).tolist()
     fish.arm()
     run_trial(fish)
     dry = learn(dry_run=True)

@@ -24,7 +24,7 @@ def known(kappa: float, slope: float = 0.219) -> Identified:
     return Identified(model, [model], np.diag(np.square([0.1, 0.02, 0.01, 0.05])))
 
 
-def swum(batch: FishBatch, proposal: Proposal, number: int) -> tuple[Swim, float]:
+def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[Swim, float]:
     """One swim, and its true max|e|."""
     found = batch.run(proposal.amplitude_rad[None, :], number)
     error = np.abs(REFERENCE.speed_m_s - found.true_m_s[0]).max()
@@ -51,7 +51,7 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
         if swims:
             change = np.abs(proposal.amplitude_rad - swims[-1].amplitude_rad)
             assert change.max() <= step + 1e-9
-        swim, error = swum(batch, proposal, number)
+        swim, error = recorded(batch, proposal, number)
         swims.append(swim)
         errors.append(error)
     floor = {20.0: 0.0072, 10.0: 0.0113}[kappa]
@@ -61,11 +61,11 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
 
 def test_only_what_the_step_limit_holds_is_counted() -> None:
     batch = FishBatch("tank", [{"seed": 2.0}])
-    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     for step in (0.15, 1.0, 100.0):
         assert propose(known(10), REFERENCE, LIMIT_RAD, [first], None, step).limited_beats == 0
     strong = known(10, slope=0.3)  # believes that less will do
-    weak, _ = swum(batch, propose(strong, REFERENCE, LIMIT_RAD), 1)
+    weak, _ = recorded(batch, propose(strong, REFERENCE, LIMIT_RAD), 1)
     held = propose(strong, REFERENCE, LIMIT_RAD, [weak], None, 0.02)
     binds = np.isclose(np.abs(held.amplitude_rad - weak.amplitude_rad), 0.02)
     assert 10 < held.limited_beats <= np.count_nonzero(binds)
@@ -85,20 +85,20 @@ def cut(swim: Swim, beats: int) -> Swim:
 
 def test_a_cut_trial_leaves_the_beats_behind_it_as_they_were() -> None:
     batch = FishBatch("tank", [{"seed": 3.0}])
-    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     stopped = cut(first, 20)
     assert last_input([first, stopped], 40).tolist() == first.amplitude_rad.tolist()
     assert np.isnan(last_input([stopped], 40)[20:]).all()
     for step in (0.0, 0.15):
         following = propose(known(10), REFERENCE, LIMIT_RAD, [first, stopped], None, step)
-        _, error = swum(batch, following, 3)
+        _, error = recorded(batch, following, 3)
         assert following.law == "model" and error < 0.015
 
 
 def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
     """A P step from zeros would leave the fish at rest beyond the cut."""
     batch = FishBatch("tank", [{"seed": 4.0}])
-    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     stopped = cut(replace(first, speed_m_s=first.speed_m_s * 0.5), 20)
     law = Law(kp_rad_s_m=4.0, lead_beats=1)
     following = propose(known(10), REFERENCE, LIMIT_RAD, [first, stopped], law)
@@ -110,7 +110,7 @@ def test_a_refuted_cut_trial_is_stepped_from_the_whole_input() -> None:
 def test_what_was_foretold_is_of_the_beats_that_were_swum() -> None:
     """Cut before the end that nobody can follow: the error to expect is a small one."""
     batch = FishBatch("tank", [{"seed": 5.0}])
-    first, _ = swum(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
+    first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
     whole = foretold(known(10), REFERENCE, [first])
     early = foretold(known(10), REFERENCE, [cut(first, 20)])
     assert whole is not None and early is not None

@@ -116,9 +116,9 @@ def test_disturbance_flow_gain_and_start_are_planned_for() -> None:
     given = Conditions(start_m_s=0.01, flow_m_s=0.002, gain=0.9)
     wanted = np.full(40, 0.05)
     made = plan(model, wanted, 1.0, AMPLITUDE_MAX_RAD, disturbance, given)
-    swum = model.beats(made.amplitude_rad, 1.0, given) + disturbance
-    np.testing.assert_allclose(swum[8:], wanted[8:], atol=1e-4)
-    np.testing.assert_allclose(made.predicted_m_s, swum)
+    recorded = model.beats(made.amplitude_rad, 1.0, given) + disturbance
+    np.testing.assert_allclose(recorded[8:], wanted[8:], atol=1e-4)
+    np.testing.assert_allclose(made.predicted_m_s, recorded)
 
 
 def test_limits_hold() -> None:

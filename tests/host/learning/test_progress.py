@@ -51,7 +51,7 @@ def connected(board: SimBoard, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the trials of a short reference, learned on the board."""
     from tailbeat.core.reference import from_text
 
@@ -69,10 +69,10 @@ def swum(board: SimBoard, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_folder_of_trials(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
+def test_a_folder_of_trials(recorded: Path, tailbeat: Run, tmp_path: Path) -> None:
     png = tmp_path / "p.png"
     out, err = tailbeat(
-        "experiment", "progress", "--experiment", str(swum), "--plot", str(png), "--json"
+        "experiment", "progress", "--experiment", str(recorded), "--plot", str(png), "--json"
     )
     found = json.loads(out)
     assert err == ""
@@ -82,17 +82,19 @@ def test_a_folder_of_trials(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
     assert found["verdict"]["best_max_abs_error_m_s"] == min(worst)
     assert found["visits"] == [TRIALS] * 10
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    text, _ = tailbeat("experiment", "progress", "--experiment", str(swum))
+    text, _ = tailbeat("experiment", "progress", "--experiment", str(recorded))
     assert text.splitlines()[0].split() == [
         "trial", "iteration", "max|e|", "mm/s", "RMS", "mm/s", "repeats", "verdict",
     ]  # fmt: skip
     assert f"best: trial {1 + int(np.argmin(worst))}" in text
 
 
-def test_another_reference_and_a_damaged_file(swum: Path, tailbeat: Run, tmp_path: Path) -> None:
+def test_another_reference_and_a_damaged_file(
+    recorded: Path, tailbeat: Run, tmp_path: Path
+) -> None:
     raw = tmp_path / "raw"
     raw.mkdir()
-    for path in swum.glob("*.ulg"):
+    for path in recorded.glob("*.ulg"):
         (raw / path.name).write_bytes(path.read_bytes())
     (raw / "0009.ulg").write_bytes(b"no trial")
     out, err = tailbeat("experiment", "progress", "--experiment", str(tmp_path), "--json")
@@ -115,9 +117,9 @@ def test_another_reference_and_a_damaged_file(swum: Path, tailbeat: Run, tmp_pat
     ],
 )
 def test_what_makes_no_sense(
-    swum: Path, words: list[str], meaning: str, capsys: pytest.CaptureFixture[str]
+    recorded: Path, words: list[str], meaning: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = [str(swum) if word == "FOLDER" else word for word in words]
+    line = [str(recorded) if word == "FOLDER" else word for word in words]
     assert run(["experiment", "progress", *line]) == 1
     out, err = capsys.readouterr()
     assert out == ""
@@ -126,7 +128,7 @@ def test_what_makes_no_sense(
     assert err.count("\n") == 1
 
 
-@pytest.mark.usefixtures("connected", "swum")
+@pytest.mark.usefixtures("connected", "recorded")
 def test_a_simulated_fish_keeps_nothing_by_itself(
     tailbeat: Run, logbook_folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -136,7 +138,7 @@ def test_a_simulated_fish_keeps_nothing_by_itself(
     assert "has no trial library" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("connected", "swum")
+@pytest.mark.usefixtures("connected", "recorded")
 def test_pull_and_learn_fill_the_logbook(
     tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, board: SimBoard
 ) -> None:
@@ -160,7 +162,7 @@ def test_pull_and_learn_fill_the_logbook(
     assert len(book.trials()) == TRIALS + 1
 
 
-@pytest.mark.usefixtures("connected", "swum")
+@pytest.mark.usefixtures("connected", "recorded")
 def test_learning_does_not_fail_with_the_logbook(
     tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -174,9 +176,9 @@ def test_learning_does_not_fail_with_the_logbook(
 
 
 def test_a_fluctuating_series_gets_a_falling_gain(
-    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, swum: Path
+    tailbeat: Run, monkeypatch: pytest.MonkeyPatch, recorded: Path
 ) -> None:
-    trial = read_trial(swum / "0001.ulg")
+    trial = read_trial(recorded / "0001.ulg")
     shape = np.ones(10, np.float32)
 
     def made(number: int, worst: float) -> Trial:
@@ -186,7 +188,7 @@ def test_a_fluctuating_series_gets_a_falling_gain(
 
     worst = (0.05, 0.02, 0.012, 0.021, 0.010, 0.022, 0.012, 0.02, 0.011)
     trials = [made(at + 1, value) for at, value in enumerate(worst)]
-    kept = [Kept(trial, swum / "0001.ulg") for trial in trials]
+    kept = [Kept(trial, recorded / "0001.ulg") for trial in trials]
     monkeypatch.setattr("tailbeat.app.cli.report.read_trials", lambda folder: (kept, []))
     set_to: dict[str, float] = {}
 
@@ -202,13 +204,13 @@ def test_a_fluctuating_series_gets_a_falling_gain(
     noted: dict[str, float] = {}
     monkeypatch.setattr("tailbeat.app.cli.report.note_set", lambda _, params: noted.update(params))
     monkeypatch.setattr("tailbeat.app.cli.report.connected", connected)
-    out, _ = tailbeat("experiment", "progress", "--experiment", str(swum), "--apply", "--json")
+    out, _ = tailbeat("experiment", "progress", "--experiment", str(recorded), "--apply", "--json")
     found = json.loads(out)
     assert found["fluctuation"] > 1.3
     assert found["fade"] == set_to == found["applied"] == noted
     assert 0 < set_to["ILC_DECR_RATE"] <= 10
     assert set_to["ILC_DECR_FROM"] >= 1
-    text, _ = tailbeat("experiment", "progress", "--experiment", str(swum))
+    text, _ = tailbeat("experiment", "progress", "--experiment", str(recorded))
     assert f"ILC_DECR_RATE {set_to['ILC_DECR_RATE']:g}" in text
     assert progress_of(trials).fade is not None
     planned = [replace(trial, input="uploaded") for trial in trials]
@@ -235,9 +237,9 @@ def at(trial: Trial, number: int, iteration: int, crc: int, limit: float = 0.75)
     ],
 )
 def test_where_a_series_begins(
-    swum: Path, swims: list[tuple[int, int, float]], numbers: list[int]
+    recorded: Path, swims: list[tuple[int, int, float]], numbers: list[int]
 ) -> None:
-    trial = read_trial(swum / "0001.ulg")
+    trial = read_trial(recorded / "0001.ulg")
     trials = [at(trial, n + 1, i, crc, most) for n, (i, crc, most) in enumerate(swims)]
     assert [one.number for one in series_of(trials, 7)] == numbers
 
@@ -250,16 +252,16 @@ def identified_by(trials: list[Trial], source: str = "runs") -> Identified:
     )  # fmt: skip
 
 
-def test_runs_of_an_identification_are_no_series(swum: Path) -> None:
-    trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
+def test_runs_of_an_identification_are_no_series(recorded: Path) -> None:
+    trials = [read_trial(path) for path in sorted(recorded.glob("*.ulg"))]
     found = progress_of(trials, identified=identified_by(trials[:2]))
     assert [row.trial for row in found.rows] == list(range(3, TRIALS + 1))
     by_trials = progress_of(trials, identified=identified_by(trials[:2], "trials"))
     assert len(by_trials.rows) == TRIALS
 
 
-def test_a_row_says_what_was_said_then(swum: Path) -> None:
-    trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
+def test_a_row_says_what_was_said_then(recorded: Path) -> None:
+    trials = [read_trial(path) for path in sorted(recorded.glob("*.ulg"))]
     known = replace(identified_by(trials), source="trials")
     last = progress_of(trials, identified=known).rows
     then = [progress_of(trials[: n + 1], identified=known).rows[-1] for n in range(TRIALS)]
@@ -267,11 +269,11 @@ def test_a_row_says_what_was_said_then(swum: Path) -> None:
 
 
 def test_an_experiment_brings_its_fish_and_lists_its_references(
-    swum: Path, tailbeat: Run, tmp_path: Path
+    recorded: Path, tailbeat: Run, tmp_path: Path
 ) -> None:
     raw = tmp_path / "raw"
-    shutil.copytree(swum, raw)
-    trials = [read_trial(path) for path in sorted(swum.glob("*.ulg"))]
+    shutil.copytree(recorded, raw)
+    trials = [read_trial(path) for path in sorted(recorded.glob("*.ulg"))]
     without, _ = tailbeat("experiment", "progress", "--experiment", str(tmp_path), "--json")
     assert json.loads(without)["floor_m_s"] is None
     identified_by(trials, "trials").save(raw / "identified.json")
@@ -288,7 +290,7 @@ def test_an_experiment_brings_its_fish_and_lists_its_references(
     assert f"{trials[0].reference_crc:#010x}" in text
 
 
-@pytest.mark.usefixtures("connected", "swum")
+@pytest.mark.usefixtures("connected", "recorded")
 def test_a_discarded_repeat_counts_and_a_spoiled_swim_does_not(
     tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -314,7 +316,7 @@ def test_a_discarded_repeat_counts_and_a_spoiled_swim_does_not(
     assert [k.mark for k in book.kept()[0]].count("discarded") == 1
 
 
-@pytest.mark.usefixtures("connected", "swum")
+@pytest.mark.usefixtures("connected", "recorded")
 def test_a_trial_that_cannot_be_kept_is_discarded_all_the_same(
     tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, board: SimBoard
 ) -> None:

@@ -309,8 +309,8 @@ def test_input_crc_names_amplitudes() -> None:
 
 def trial_of(number: int, amplitude: Array, error: Array, executed: int | None = None) -> Trial:
     beats = len(error)
-    swum = beats if executed is None else executed
-    reached = np.arange(beats) < swum
+    recorded = beats if executed is None else executed
+    reached = np.arange(beats) < recorded
     full = np.full(beats, 0.05)
     columns = Beats(
         amplitude_rad=amplitude.astype(np.float32),
@@ -323,7 +323,7 @@ def trial_of(number: int, amplitude: Array, error: Array, executed: int | None =
     none = Slots(*(np.zeros(0, kind) for kind in ("u2", "u1", "u1", "f4", "u2", "i2", "i2", "i2")))
     return Trial(
         number=number, iteration=number, reference_crc=7, beat_s=1.0, start_us=0, board="fish",
-        build_id="", unique_id="00", end_fault=0 if swum == beats else 3, executed_beats=swum,
+        build_id="", unique_id="00", end_fault=3 * (recorded != beats), executed_beats=recorded,
         end="complete", uploaded=False, params={"AMP_MAX_RAD": 0.5, "ROLLBACK_RATIO": 1.3},
         slots=none, rest_before=None, rest_after=None, beats=columns, battery_v=[],
     )  # fmt: skip

@@ -95,7 +95,7 @@ class Script:
     def wants_abort(self) -> bool:
         return False
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         self._first()
         return self._answer
 
@@ -336,9 +336,9 @@ def test_the_lock_goes_with_its_program(board: SimBoard) -> None:
 def test_a_decision_that_came_too_late(board: SimBoard, act: str, answer: str, words: str) -> None:
     with connected() as fish:
         made = begin(fish, Path("experiments"))
-        person = Script(lambda: getattr(fish, act)(1), answer)
+        operator = Script(lambda: getattr(fish, act)(1), answer)
         with pytest.raises(TailbeatError, match=words):
-            swim_series(fish, made, person, ONCE)
+            swim_series(fish, made, operator, ONCE)
     assert [one["trial"] for one in journal("withdrawn")] == [1]
     account = SessionLog(made, made.journal)
     assert account.decision_on(made.raw / "0001.ulg") is None

@@ -30,24 +30,24 @@ from ..swum_experiment import BEATS, REFERENCE, swim_experiment, writable
 
 
 @pytest.fixture(scope="module")
-def swum(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     experiment = swim_experiment(tmp_path_factory.mktemp("replay"))
     write_analysis(experiment)
     return experiment
 
 
 @pytest.fixture
-def copy(swum: Experiment, tmp_path: Path) -> Experiment:
-    return Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+def copy(recorded: Experiment, tmp_path: Path) -> Experiment:
+    return Experiment(Path(shutil.copytree(recorded.folder, tmp_path / "copy")))
 
 
 def again(experiment: Experiment, tmp_path: Path) -> Replay:
     return replay(experiment, tmp_path / "scratch")
 
 
-def test_everything_comes_out_the_same(swum: Experiment, tmp_path: Path) -> None:
-    before = {path: path.read_bytes() for path in swum.folder.rglob("*") if path.is_file()}
-    found = again(swum, tmp_path)
+def test_everything_comes_out_the_same(recorded: Experiment, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in recorded.folder.rglob("*") if path.is_file()}
+    found = again(recorded, tmp_path)
     assert found == Replay(
         raw=7,
         recomputed=[1, 2, 3, 4, 5, 6],
@@ -57,7 +57,7 @@ def test_everything_comes_out_the_same(swum: Experiment, tmp_path: Path) -> None
         different=[],
     )
     assert found.identical
-    assert {p: p.read_bytes() for p in swum.folder.rglob("*") if p.is_file()} == before
+    assert {p: p.read_bytes() for p in recorded.folder.rglob("*") if p.is_file()} == before
 
 
 @pytest.mark.parametrize(
@@ -293,8 +293,8 @@ def test_redo_tells_what_is_not_known(tmp_path: Path) -> None:
     assert ": `tailbeat trial run --until 3`\n" in text and "are not known" not in text
 
 
-def test_redo_tells_the_day(swum: Experiment, tmp_path: Path) -> None:
-    text = write_redo(swum).read_text()
+def test_redo_tells_the_day(recorded: Experiment, tmp_path: Path) -> None:
+    text = write_redo(recorded).read_text()
     for words in (
         "**simulated**",
         "# in another terminal: tailbeat sim --plant tank --seed 1\n",
@@ -308,5 +308,5 @@ def test_redo_tells_the_day(swum: Experiment, tmp_path: Path) -> None:
         assert words in text
     assert "GUARD_BEATS" not in text  # as on a new board
     assert text.index("trial 3: discard") < text.index("learned from trial 4")
-    assert str(swum.folder.parent) not in text
-    assert write_redo(swum).read_text() == text
+    assert str(recorded.folder.parent) not in text
+    assert write_redo(recorded).read_text() == text

@@ -89,20 +89,20 @@ def swim_once(fish: Fish, experiment: Experiment, what: str, now: datetime) -> N
         return StopReason(StopKind.CALLER, "a hand") if what == "abort" and beats >= 5 else None
 
     fish.arm()
-    swum = run_trial(fish, guard=hand)
+    recorded = run_trial(fish, guard=hand)
     with tempfile.TemporaryDirectory() as folder:
-        path = experiment.keep_trial(fish.pull_trial(swum.number, Path(folder)))
+        path = experiment.keep_trial(fish.pull_trial(recorded.number, Path(folder)))
     if what == "abort":
         fish.clear()
     decision = "discard" if what == "abort" else what
     reason = "" if decision == "keep" else f"{what}: as <planned> & said"
-    told = {"trial": swum.number, "file": path.name}
-    experiment.journal.add("swum", now, iteration=swum.iteration, end=swum.end, **told)
+    told = {"trial": recorded.number, "file": path.name}
+    experiment.journal.add("swum", now, iteration=recorded.iteration, end=recorded.end, **told)
     experiment.journal.add("decided", now, decision=decision, reason=reason, **told)
     if decision != "keep":
-        fish.discard(swum.number)
+        fish.discard(recorded.number)
         return
-    learned = fish.learn(swum.number)
+    learned = fish.learn(recorded.number)
     experiment.journal.add("learned", now, rolled_back=learned.rolled_back, **told)
 
 
@@ -235,8 +235,8 @@ def test_median_and_band(analyses: list[Analysis]) -> None:
 
 
 def test_two_swims_have_no_band() -> None:
-    swum = [made.trial(n, 1, error) for n, error in enumerate((0.02, 0.03), 1)]
-    figure = learning.draw([made.analysis(swum, [made.row(swim) for swim in swum])], PAPER)
+    recorded = [made.trial(n, 1, error) for n, error in enumerate((0.02, 0.03), 1)]
+    figure = learning.draw([made.analysis(recorded, [made.row(swim) for swim in recorded])], PAPER)
     assert bars(figure, 0, "band") == [] and "5 to 95 %" not in words(figure)
     assert len(points(figure, "swims kept")) == 4
 
@@ -670,8 +670,8 @@ def edge(name: str) -> Analysis:
     if name == "not identified":
         return made.series([0.06, 0.03], floor_m_s=math.nan, floor_lsq_m_s=math.nan, floor_by="")
     if name == "all discarded":
-        swum = [made.trial(n, 1, 0.03) for n in (1, 2, 3)]
-        return made.analysis(swum, [made.row(one, "discard") for one in swum])
+        recorded = [made.trial(n, 1, 0.03) for n in (1, 2, 3)]
+        return made.analysis(recorded, [made.row(one, "discard") for one in recorded])
     if name == "all blind":
         both = [nan_row(n) for n in (1, 2)]
         return made.analysis([x for x, _ in both], [x for _, x in both], noise_m_s=math.nan)
@@ -679,8 +679,8 @@ def edge(name: str) -> Analysis:
         blind, row = nan_row(2)
         return made.analysis([swim, blind], [made.row(swim), row])
     if name == "all aborted":
-        swum = [made.trial(n, 1, 0.03, executed=5 * n) for n in (1, 2)]
-        return made.analysis(swum, [made.row(one) for one in swum])
+        recorded = [made.trial(n, 1, 0.03, executed=5 * n) for n in (1, 2)]
+        return made.analysis(recorded, [made.row(one) for one in recorded])
     if name == "aborted before the first beat":
         cut = made.trial(2, 2, 0.03, executed=0)
         return made.analysis([swim, cut], [made.row(swim), made.row(cut)])

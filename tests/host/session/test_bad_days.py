@@ -462,9 +462,9 @@ def test_another_experiment_has_other_parameters(day: BadDay) -> None:
 def test_a_swap_while_the_question_is_open(day: BadDay, monkeypatch: pytest.MonkeyPatch) -> None:
     decide = TerminalOperator.decide
 
-    def slowly(self: TerminalOperator, swum: RecordedTrial) -> Decision:
+    def slowly(self: TerminalOperator, recorded: RecordedTrial) -> Decision:
         day.board.world.swap_battery(8.2)
-        return decide(self, swum)
+        return decide(self, recorded)
 
     with monkeypatch.context() as patch:
         patch.setattr(TerminalOperator, "decide", slowly)

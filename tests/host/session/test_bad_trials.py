@@ -170,8 +170,8 @@ class Session:
         new = self.fish.amplitudes().values
         assert new.shape == (BEATS,) and np.all(np.isfinite(new))
         most = GAIN * (PLAUSIBLE_M_S + 0.0791) + 1e-6
-        swum = np.clip(old, 0, self.limits.amp_max_rad) if old is not None else 0.0
-        assert np.all(np.abs(new - swum) <= most)
+        recorded = np.clip(old, 0, self.limits.amp_max_rad) if old is not None else 0.0
+        assert np.all(np.abs(new - recorded) <= most)
 
 
 @cache

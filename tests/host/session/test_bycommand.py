@@ -114,9 +114,9 @@ def test_what_was_kept_to_be_learned_later_is_decided_once(
 ) -> None:
     account = SessionLog(experiment, experiment.journal)
     log = keep_log(fish, experiment, swims(fish))
-    swum = record_of(outcome_of(log.trial), log, None)
-    account.swum(swum)
-    account.decided(swum, Decision("keep"))
+    recorded = record_of(outcome_of(log.trial), log, None)
+    account.recorded(recorded)
+    account.decided(recorded, Decision("keep"))
     assert types("learn").exit_code == 0
     assert whats(experiment) == ["swum", "decided", "learned"]
 
@@ -242,7 +242,7 @@ def test_who_stopped_it_is_known_after_a_restart(
     number = swims(fish, until_beat=1)
     log = keep_log(fish, experiment, number)
     at_once = record_of(outcome_of(log.trial), log, None, stopped)
-    SessionLog(experiment, experiment.journal).swum(at_once)
+    SessionLog(experiment, experiment.journal).recorded(at_once)
     if written == "by an older version":
         path = experiment.journal.path
         path.write_text(re.sub(r', "stopped": \{[^}]*\}', "", path.read_text()))

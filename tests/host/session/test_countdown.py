@@ -33,15 +33,15 @@ from ..tank_side import Script
 WANTED = PreflightLimits()
 
 
-def counted(person: Script) -> list[int]:
-    return [event.left_s for event in person.told if isinstance(event, Countdown)]
+def counted(operator: Script) -> list[int]:
+    return [event.left_s for event in operator.told if isinstance(event, Countdown)]
 
 
 def test_it_counts_whole_seconds_and_returns_armed(ready: Fish) -> None:
     at_s: list[float] = []
-    person = Script(on_tell=lambda _: at_s.append(ready.transport.now_s()))
-    countdown(ready, WANTED, person)
-    assert counted(person) == [5, 4, 3, 2, 1, 0]
+    operator = Script(on_tell=lambda _: at_s.append(ready.transport.now_s()))
+    countdown(ready, WANTED, operator)
+    assert counted(operator) == [5, 4, 3, 2, 1, 0]
     assert np.diff(at_s) == pytest.approx(np.ones(5), abs=0.11)
     assert ready.status().state == "ARMED"
     assert run_trial(ready).end == "complete"
@@ -49,9 +49,9 @@ def test_it_counts_whole_seconds_and_returns_armed(ready: Fish) -> None:
 
 @pytest.mark.parametrize(("countdown_s", "told"), [(0.0, [0]), (2.5, [3, 2, 1, 0])])
 def test_other_lengths(ready: Fish, countdown_s: float, told: list[int]) -> None:
-    person = Script()
-    countdown(ready, replace(WANTED, countdown_s=countdown_s), person)
-    assert counted(person) == told
+    operator = Script()
+    countdown(ready, replace(WANTED, countdown_s=countdown_s), operator)
+    assert counted(operator) == told
     assert ready.status().state == "ARMED"
 
 
@@ -74,10 +74,10 @@ def test_giving_up_disarms(ready: Fish, second: int) -> None:
     def enough(told: list[Event]) -> bool:
         return any(event == Countdown(second) for event in told)
 
-    person = Script(aborts=enough)
+    operator = Script(aborts=enough)
     with pytest.raises(GivenUp):
-        countdown(ready, WANTED, person)
-    assert counted(person)[-1] == second
+        countdown(ready, WANTED, operator)
+    assert counted(operator)[-1] == second
     assert ready.status().state == "IDLE"
 
 
@@ -120,12 +120,12 @@ def test_a_lost_link_is_told_and_the_board_disarms_itself(ready: Fish) -> None:
         if event == Countdown(3):
             ready.sim.world.set_radio(False)
 
-    person = Script(on_tell=cut)
+    operator = Script(on_tell=cut)
     begin_s = ready.transport.now_s()
     with pytest.raises((LinkLostError, NotReady)):
-        countdown(ready, WANTED, person)
+        countdown(ready, WANTED, operator)
     assert ready.transport.now_s() - begin_s < 40.0
-    assert "may still be armed" in person.notices()
+    assert "may still be armed" in operator.notices()
     assert ready.sim is not None
     ready.sim.world.set_radio(True)
     ready.link.run(2.0)
@@ -138,12 +138,12 @@ def test_giving_up_without_a_link_is_bounded(ready: Fish) -> None:
         if event == Countdown(3):
             ready.sim.world.set_radio(False)
 
-    person = Script(aborts=lambda told: any(event == Countdown(2) for event in told), on_tell=cut)
+    operator = Script(aborts=lambda told: any(event == Countdown(2) for event in told), on_tell=cut)
     begin_s = ready.transport.now_s()
     with pytest.raises(GivenUp):
-        countdown(ready, WANTED, person)
+        countdown(ready, WANTED, operator)
     assert ready.transport.now_s() - begin_s < 10.0
-    assert "may still be armed" in person.notices()
+    assert "may still be armed" in operator.notices()
 
 
 def test_a_board_that_somebody_else_disarms(ready: Fish) -> None:
@@ -151,10 +151,10 @@ def test_a_board_that_somebody_else_disarms(ready: Fish) -> None:
         if event == Countdown(4):
             ready.disarm()
 
-    person = Script(on_tell=other)
+    operator = Script(on_tell=other)
     with pytest.raises(NotReady, match="not armed any more"):
-        countdown(ready, WANTED, person)
-    assert counted(person)[-1] >= 2  # at once, not at the end
+        countdown(ready, WANTED, operator)
+    assert counted(operator)[-1] >= 2  # at once, not at the end
 
 
 def test_a_board_that_does_not_arm_is_left_alone(
@@ -187,9 +187,9 @@ def test_an_empty_battery_is_the_boards_to_refuse(ready: Fish) -> None:
 def test_over_a_bad_radio(ready: Fish, spoil: Callable[..., BadRadio], seed: int) -> None:
     print(f"seed {seed}")
     spoil(ready, seed=seed, lose=0.2, damage=0.05, twice=0.1)
-    person = Script()
-    countdown(ready, WANTED, person)
-    assert counted(person) == [5, 4, 3, 2, 1, 0]
+    operator = Script()
+    countdown(ready, WANTED, operator)
+    assert counted(operator) == [5, 4, 3, 2, 1, 0]
     with pytest.raises(GivenUp):
         countdown(ready, WANTED, Script(aborts=lambda told: len(told) > 2))
     assert ready.status().state == "IDLE"

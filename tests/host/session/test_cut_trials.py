@@ -89,16 +89,16 @@ def test_a_series_of_cut_trials_on_the_board(past: PastKind, params: dict[str, f
 
 def by_hand(past: PastKind, gain: float, speed: Array, wanted: Array) -> list[Array]:
     """The amplitudes of all trials by the formulas, in double, saturated to [0, 0.6]."""
-    swum, errors = [np.clip(gain * wanted, 0, 0.6)], []
+    recorded, errors = [np.clip(gain * wanted, 0, 0.6)], []
     for i, trial in enumerate(speed, start=1):
         errors.append(np.where(np.isnan(trial), 0.0, wanted - trial))
         if past.kind == "mean":
-            following = np.mean(swum, axis=0) + (i + 1) * gain * np.mean(errors, axis=0)
+            following = np.mean(recorded, axis=0) + (i + 1) * gain * np.mean(errors, axis=0)
         else:
             last = past.window if past.kind == "window" else 1
-            following = np.mean(swum[-last:], axis=0) + gain * np.mean(errors[-last:], axis=0)
-        swum.append(np.clip(following, 0, 0.6))
-    return swum
+            following = np.mean(recorded[-last:], axis=0) + gain * np.mean(errors[-last:], axis=0)
+        recorded.append(np.clip(following, 0, 0.6))
+    return recorded
 
 
 @pytest.mark.parametrize(
@@ -179,15 +179,17 @@ def test_rows_of_cut_trials() -> None:
     recipe = parse(SMALL, "small")
     table = pa.concat_tables([run_cell(recipe, cell) for cell in cells(recipe)])
     rows = Rows.of(table).columns
-    swum = rows["iteration"] > 0
+    recorded = rows["iteration"] > 0
     assert np.array_equal(rows["executed_beats"], rows["measured_beats"])
-    assert {*rows["executed_beats"][swum]} <= set(range(4, 11)) and len({*rows["travel_m"]}) > 50
+    assert {*rows["executed_beats"][recorded]} <= set(range(4, 11)) and len(
+        {*rows["travel_m"]}
+    ) > 50
     by_law = [rows["executed_beats"][rows["law"] == law] for law in ("P", "average", "moving 3")]
     assert np.array_equal(by_law[0], by_law[1]) and np.array_equal(by_law[0], by_law[2])
     assert rows["amplitude_min_rad"].min() >= 0 and rows["amplitude_max_rad"].max() <= 0.7853983
     limited = rows["law"] == "moving 3"
     assert rows["step_rad"][limited].max() <= 0.1 + 1e-7 < rows["step_rad"][~limited].max()
-    assert {*rows["swum_law"][swum]} == {"p", "mean", "window"}
+    assert {*rows["swum_law"][recorded]} == {"p", "mean", "window"}
     claim = ClaimSpec(
         "P is sooner there", "reach", over="floor_lsq_m_s", where={"law": ["P"]}, level=3.0,
         against={"law": ["average"]}, at_most=1.0,

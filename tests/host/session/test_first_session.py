@@ -60,7 +60,7 @@ class Somebody:
     def wants_abort(self) -> bool:
         return False
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         return Decision("keep")
 
     def confirm(self, question: str) -> bool:

@@ -133,7 +133,7 @@ def test_seen_keeps_the_frames_of_this_swim() -> None:
 # -- with a fish ----------------------------------------------------------------------------------
 
 
-def swum(
+def recorded(
     reference: Reference, seed: int, stronger: float, kappa_per_m: float = 10.0
 ) -> tuple[str, float]:
     """(how it ended, how far it came until it was slower than 0.01 m/s). The amplitudes are those
@@ -163,7 +163,7 @@ def swum(
 def check_stronger(seeds: range, kappas: tuple[float, ...]) -> None:
     for kappa in kappas:
         for reference in (thesis(), cosine(0.11, 16, 3)):
-            found = [swum(reference, seed, 1.4, kappa) for seed in seeds]
+            found = [recorded(reference, seed, 1.4, kappa) for seed in seeds]
             ways = [way_m for _, way_m in found]
             print(f"kappa {kappa:g}, {reference.beats} beats: {min(ways):.3f} to {max(ways):.3f} m")
             assert {end for end, _ in found} == {"aborted:ABORT_COMMAND"}
@@ -173,7 +173,7 @@ def check_stronger(seeds: range, kappas: tuple[float, ...]) -> None:
 def check_fitting(seeds: range) -> None:
     faster = Reference(1.0, (thesis().speed_m_s * 1.1).astype(np.float32), "faster")
     for reference in (faster, cosine(0.11, 20, 2)):
-        found = [swum(reference, seed, 1.0) for seed in seeds]
+        found = [recorded(reference, seed, 1.0) for seed in seeds]
         print(f"{reference.travel_m:.2f} m: up to {max(way_m for _, way_m in found):.3f} m")
         assert [end for end, way_m in found if way_m <= ROOM_M and end != "complete"] == []
 

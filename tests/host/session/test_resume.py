@@ -63,7 +63,7 @@ class Somebody:
     def wants_abort(self) -> bool:
         return False
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         return self.decisions.pop(0) if self.decisions else Decision("keep")
 
     def confirm(self, question: str) -> bool:
@@ -405,9 +405,9 @@ def test_the_repeat_is_a_repeat_and_nothing_is_learned(
     restore(swapped, experiment)
     best = swapped.amplitudes(best=True).values
     somebody = Somebody()
-    swum, shift = repeat_best(swapped, experiment, somebody, ONE)
+    recorded, shift = repeat_best(swapped, experiment, somebody, ONE)
     trial = experiment.trials()[-1]
-    assert trial.number == swum.outcome.number == shift.repeat_trial == 5
+    assert trial.number == recorded.outcome.number == shift.repeat_trial == 5
     np.testing.assert_array_equal(trial.beats.applied_rad, best)
     assert experiment.journal.decisions()[5]["decision"] == "repeat"
     assert experiment.journal.decisions()[5]["reason"] == "battery swap"
@@ -419,7 +419,7 @@ def test_the_repeat_is_a_repeat_and_nothing_is_learned(
     assert experiment.journal.entries("shifted")[-1]["within"] == shift.within
     assert somebody.count(LearnReport) == 0
     again = swim_series(swapped, experiment, Somebody(), ONE)  # learning goes on where it was
-    assert again.swums[0].outcome.iteration == 5
+    assert again.records[0].outcome.iteration == 5
 
 
 def shift_after(pool: Pool, experiment: Experiment, gain: float) -> Shift:
@@ -503,10 +503,10 @@ def test_how_often_it_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_a_discarded_repeat_is_swum_again(swapped: Fish, experiment: Experiment) -> None:
     restore(swapped, experiment)
     somebody = Somebody(Decision("discard", "bumped the wall"))
-    swum, _ = repeat_best(swapped, experiment, somebody, ONE)
+    recorded, _ = repeat_best(swapped, experiment, somebody, ONE)
     decisions = experiment.journal.decisions()
     assert decisions[5]["decision"] == "discard" and decisions[6]["decision"] == "repeat"
-    assert swum.outcome.number == 6
+    assert recorded.outcome.number == 6
 
 
 def test_three_discards_end_it(swapped: Fish, experiment: Experiment, pool: Pool) -> None:
@@ -597,8 +597,8 @@ def test_the_laptop_dies_after_the_swim(swapped: Fish, experiment: Experiment, p
     restore(swapped, experiment)
     assert swapped.status().pending_trial == 5
     somebody = Somebody()
-    swum, shift = repeat_best(swapped, experiment, somebody, ONE)
-    assert swum.outcome.number == 5 and somebody.count(TrialStarted) == 0
+    recorded, shift = repeat_best(swapped, experiment, somebody, ONE)
+    assert recorded.outcome.number == 5 and somebody.count(TrialStarted) == 0
     assert len(_decided(experiment, 5)) == 1
     assert shift.best_trial in (1, 2, 3, 4)
     assert swapped.learned_record() == pool.learned
@@ -614,9 +614,9 @@ def test_the_laptop_dies_after_the_decision(
     run_trial(swapped)
     log = keep_log(swapped, experiment, 5)
     account = SessionLog(experiment, experiment.journal)
-    swum = record_of(outcome_of(log.trial), log, None)
-    account.swum(swum)
-    account.decided(swum, Decision("repeat", "battery swap"))
+    recorded = record_of(outcome_of(log.trial), log, None)
+    account.recorded(recorded)
+    account.decided(recorded, Decision("repeat", "battery swap"))
     repeat_best(swapped, experiment, Somebody(Decision("discard", "asked again")), ONE)
     assert [entry["decision"] for entry in _decided(experiment, 5)] == ["repeat"]
 

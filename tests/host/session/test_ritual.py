@@ -34,11 +34,11 @@ def state_of(fish: Fish) -> str:
 
 
 def test_all_is_well(ready: Fish) -> None:
-    person = Script()
+    operator = Script()
     begin_s = ready.transport.now_s()
-    found = prepare(ready, QUICK, Overhead(ready, lies(0.02, -0.03, 3.0)), person)
-    assert person.passed() == ["board", "room", "pose", "still", "board"]
-    assert not person.refused()
+    found = prepare(ready, QUICK, Overhead(ready, lies(0.02, -0.03, 3.0)), operator)
+    assert operator.passed() == ["board", "room", "pose", "still", "board"]
+    assert not operator.refused()
     assert found.rested_s is None
     assert found.travel.fits
     assert found.pose is not None
@@ -54,7 +54,7 @@ def test_all_is_well(ready: Fish) -> None:
     assert state_of(ready) == "IDLE"
     took_s = ready.transport.now_s() - begin_s
     assert 10.0 < took_s < 17.0
-    assert person.asked >= 9 * 10  # some ten times a second
+    assert operator.asked >= 9 * 10  # some ten times a second
 
 
 # Rest
@@ -66,8 +66,8 @@ def swim(fish: Fish, beats: int = 8) -> None:
     fish.discard()
 
 
-def countdown_of(person: Script, step: str) -> list[int]:
-    told = [e.left_s for e in person.told if isinstance(e, StepProgress) and e.step == step]
+def countdown_of(operator: Script, step: str) -> list[int]:
+    told = [e.left_s for e in operator.told if isinstance(e, StepProgress) and e.step == step]
     return [left for left in told if left is not None]
 
 
@@ -83,10 +83,10 @@ def test_rest_counts_from_the_end_of_the_last_swim(
     over_s = ready.sim.board_time_s
     ready.link.run(before_s)
     other = ready if known else Fish(ready.transport)
-    person = Script()
-    found = prepare(other, PreflightLimits(rest_s=30.0, still_s=0.0), None, person)
+    operator = Script()
+    found = prepare(other, PreflightLimits(rest_s=30.0, still_s=0.0), None, operator)
     rested_s = ready.sim.board_time_s - over_s
-    lefts = countdown_of(person, "rest")
+    lefts = countdown_of(operator, "rest")
     print(rested_s, found.rested_s, lefts)
     # The swim itself ended some SETTLE_S before run_trial returned.
     assert found.rested_s is not None
@@ -127,9 +127,9 @@ def test_a_board_that_has_restarted_has_rested_as_long_as_it_is_up(ready: Fish) 
     ready.sim.world.power_cycle()
     ready.link.run(6.0)
     ready.clock.sync()
-    person = Script()
-    found = prepare(ready, PreflightLimits(rest_s=30.0, still_s=0.0), None, person)
-    assert countdown_of(person, "rest")[0] in (23, 24, 25)
+    operator = Script()
+    found = prepare(ready, PreflightLimits(rest_s=30.0, still_s=0.0), None, operator)
+    assert countdown_of(operator, "rest")[0] in (23, 24, 25)
     assert found.rested_s == pytest.approx(ready.sim.board_time_s, abs=0.5)
 
 
@@ -144,19 +144,19 @@ def test_a_log_that_is_gone_counts_as_a_swim_just_now(
     swim(ready)
     ready.link.run(60.0)
     monkeypatch.setattr(ready.ftp, "head", none)
-    person = Script()
-    prepare(ready, PreflightLimits(rest_s=20.0, still_s=0.0), None, person)
-    assert countdown_of(person, "rest")[0] == 20
+    operator = Script()
+    prepare(ready, PreflightLimits(rest_s=20.0, still_s=0.0), None, operator)
+    assert countdown_of(operator, "rest")[0] == 20
 
 
 def test_no_rest_when_none_is_asked_for_or_it_never_swam(ready: Fish) -> None:
     begin_s = ready.transport.now_s()
-    person = Script()
-    prepare(ready, PreflightLimits(rest_s=500.0, still_s=0.0), None, person)
-    assert person.texts("rest")[-1] == "it has not swum yet"
+    operator = Script()
+    prepare(ready, PreflightLimits(rest_s=500.0, still_s=0.0), None, operator)
+    assert operator.texts("rest")[-1] == "it has not swum yet"
     swim(ready)
     begin_s = ready.transport.now_s()
-    prepare(ready, PreflightLimits(rest_s=0.0, still_s=0.0), None, person)
+    prepare(ready, PreflightLimits(rest_s=0.0, still_s=0.0), None, operator)
     assert ready.transport.now_s() - begin_s < 6.0
 
 
@@ -166,12 +166,12 @@ def test_no_rest_when_none_is_asked_for_or_it_never_swam(ready: Fish) -> None:
 def test_no_room_is_told_before_anybody_waits(ready: Fish) -> None:
     swim(ready)
     ready.params.set("TANK_LEN_M", 0.5)
-    person = Script()
+    operator = Script()
     begin_s = ready.transport.now_s()
     with pytest.raises(InputError) as raised:
-        prepare(ready, PreflightLimits(), Overhead(ready, lies()), person)
+        prepare(ready, PreflightLimits(), Overhead(ready, lies()), operator)
     assert "0.14" in str(raised.value)  # of 0.5 m less the fish
-    assert person.refused() == ["room"]
+    assert operator.refused() == ["room"]
     assert ready.transport.now_s() - begin_s < 5.0
 
 
@@ -184,9 +184,9 @@ def test_what_may_be_too_far_at_worst_is_a_notice(
         "tailbeat.session.preflight.checklist.travel_next",
         lambda *_: Travel(2.5, 2.71, 2.64, "a test"),
     )
-    person = Script()
-    prepare(ready, replace(QUICK, still_s=0.0), None, person)
-    assert "at worst 2.71" in person.notices()
+    operator = Script()
+    prepare(ready, replace(QUICK, still_s=0.0), None, operator)
+    assert "at worst 2.71" in operator.notices()
 
 
 def test_without_a_reference_there_is_nothing_to_swim(fish: Fish) -> None:
@@ -212,12 +212,12 @@ def test_without_a_reference_there_is_nothing_to_swim(fish: Fish) -> None:
     ],
 )
 def test_a_misplaced_fish_is_told_what_to_do(ready: Fish, pose: object, words: str) -> None:
-    person = Script()
+    operator = Script()
     with pytest.raises(NotReady) as raised:
-        prepare(ready, replace(QUICK, patience_s=5.0), Overhead(ready, pose), person)  # type: ignore[arg-type]
+        prepare(ready, replace(QUICK, patience_s=5.0), Overhead(ready, pose), operator)  # type: ignore[arg-type]
     assert words in str(raised.value)
-    assert any(text.startswith(words) for text in person.texts("pose"))
-    assert person.refused() == ["pose"]
+    assert any(text.startswith(words) for text in operator.texts("pose"))
+    assert operator.refused() == ["pose"]
     assert state_of(ready) == "IDLE"
 
 
@@ -226,11 +226,11 @@ def test_it_waits_until_somebody_has_put_it_right(ready: Fish) -> None:
         return (0.0, 0.3, 0.5) if t_s < 8.0 else (0.0, 0.0, 0.05)
 
     camera = Overhead(ready, put_right)
-    person = Script()
-    found = prepare(ready, QUICK, camera, person)
+    operator = Script()
+    found = prepare(ready, QUICK, camera, operator)
     assert found.pose is not None
     assert found.pose.heading_rad == pytest.approx(0.05, abs=0.01)
-    assert person.passed() == ["board", "room", "pose", "still", "board"]
+    assert operator.passed() == ["board", "room", "pose", "still", "board"]
     assert camera.age_s > 8.0 + 10.0
 
 
@@ -243,22 +243,22 @@ def test_headings_beside_the_seam_and_wrong_detections(ready: Fish, seed: int) -
     def astray(t_s: float) -> tuple[float, float, float]:
         return (0.7, -0.5, 2.0) if rng.random() < 0.1 else (0.0, 0.0, math.pi)
 
-    person = Script()
+    operator = Script()
     with pytest.raises(NotReady):
-        prepare(ready, replace(QUICK, patience_s=5.0), Overhead(ready, astray, seed), person)
-    told = [text for text in person.texts("pose") if text.startswith("turn")]
+        prepare(ready, replace(QUICK, patience_s=5.0), Overhead(ready, astray, seed), operator)
+    told = [text for text in operator.texts("pose") if text.startswith("turn")]
     assert told
     assert {text.split()[3] for text in told} <= {"179", "180"}
     astray_too = replace(QUICK, patience_s=40.0)
     right = Overhead(ready, lambda t_s: (0.7, -0.5, 2.0) if rng.random() < 0.1 else (0, 0, 0), seed)
-    assert prepare(ready, astray_too, right, person).pose is not None
+    assert prepare(ready, astray_too, right, operator).pose is not None
 
 
 def test_a_fish_that_is_not_seen(ready: Fish) -> None:
-    person = Script()
+    operator = Script()
     unseen = Overhead(ready, lies(), seen=lambda _: False)
     with pytest.raises(NotReady, match="the camera does not see the fish"):
-        prepare(ready, replace(QUICK, patience_s=5.0), unseen, person)
+        prepare(ready, replace(QUICK, patience_s=5.0), unseen, operator)
 
 
 def test_a_picture_that_stands_still_is_no_still_fish(ready: Fish) -> None:
@@ -279,11 +279,11 @@ def test_a_picture_that_stops_moving_while_the_fish_comes_to_rest(ready: Fish) -
 
 
 def test_without_camera_the_yaw_is_compared_across_the_seam(ready: Fish) -> None:
-    person = Script()
-    first = prepare(ready, QUICK, None, person)
+    operator = Script()
+    first = prepare(ready, QUICK, None, operator)
     assert first.pose is not None
     assert first.pose.source == "imu"
-    assert "not checked" in person.notices()  # there is nothing to compare with yet
+    assert "not checked" in operator.notices()  # there is nothing to compare with yet
     yaw_deg = first.pose.yaw_deg
     assert yaw_deg is not None
     for start_deg, words in (
@@ -296,20 +296,20 @@ def test_without_camera_the_yaw_is_compared_across_the_seam(ready: Fish) -> None
     ):
         wanted = replace(QUICK, start_yaw_deg=start_deg, patience_s=4.0, still_s=0.0)
         if words is None:
-            assert prepare(ready, wanted, None, person).pose is not None
+            assert prepare(ready, wanted, None, operator).pose is not None
         else:
             with pytest.raises(NotReady, match=words):
-                prepare(ready, wanted, None, person)
+                prepare(ready, wanted, None, operator)
 
 
 def test_a_fish_on_its_side_is_told(ready: Fish) -> None:
     assert ready.sim is not None
     ready.sim.world.set_tilt_rad(math.radians(25.0))
     ready.link.run(3.0)
-    person = Script()
-    prepare(ready, replace(QUICK, still_s=0.0), Overhead(ready, lies()), person)
-    assert "does not lie level: roll" in person.notices()
-    assert "25 degrees" in person.notices()
+    operator = Script()
+    prepare(ready, replace(QUICK, still_s=0.0), Overhead(ready, lies()), operator)
+    assert "does not lie level: roll" in operator.notices()
+    assert "25 degrees" in operator.notices()
 
 
 def test_neither_camera_nor_imu_is_never_taken_for_passed(reference: bytes) -> None:
@@ -318,13 +318,13 @@ def test_neither_camera_nor_imu_is_never_taken_for_passed(reference: bytes) -> N
         fish.sim.world.set_imu(False)
         fish.upload_reference(reference)
         fish.link.run(8.0)
-        person = Script()
-        found = prepare(fish, QUICK, None, person)
+        operator = Script()
+        found = prepare(fish, QUICK, None, operator)
     assert found.pose is None
     assert found.drift is None
-    assert person.passed() == ["board", "room", "board"]
-    assert "start pose is not checked" in person.notices()
-    assert "nobody knows whether water and fish are still" in person.notices()
+    assert operator.passed() == ["board", "room", "board"]
+    assert "start pose is not checked" in operator.notices()
+    assert "nobody knows whether water and fish are still" in operator.notices()
 
 
 # Still
@@ -345,22 +345,22 @@ def test_neither_camera_nor_imu_is_never_taken_for_passed(reference: bytes) -> N
 def test_drift_is_measured_over_ground_in_both_directions(
     ready: Fish, x_m_s: float, y_m_s: float, passes: bool, lost: float
 ) -> None:
-    person = Script()
+    operator = Script()
     wanted = replace(QUICK, patience_s=16.0)
     camera = Overhead(ready, drifts(x_m_s, y_m_s), seed=7, lost=lost)
     if passes:
-        found = prepare(ready, wanted, camera, person).drift
+        found = prepare(ready, wanted, camera, operator).drift
         assert found is not None
         assert found.source == "camera"
         assert found.speed_m_s == pytest.approx(math.hypot(x_m_s, y_m_s), abs=4 * found.sigma_m_s)
         assert found.sigma_m_s < 0.0001
     else:
         with pytest.raises(NotReady) as raised:
-            prepare(ready, wanted, camera, person)
+            prepare(ready, wanted, camera, operator)
         told = re.search(r"drifts (.*) mm/s, must be below 2\.", str(raised.value))
         assert told is not None
         assert float(told[1]) == pytest.approx(2.3, abs=0.15)
-        assert person.refused() == ["still"]
+        assert operator.refused() == ["still"]
 
 
 def test_the_sigma_of_a_drift_is_honest() -> None:
@@ -395,12 +395,12 @@ def test_a_drift_within_its_own_sigma_of_the_limit_does_not_pass(ready: Fish) ->
 
 def test_a_fish_that_is_carried_starts_the_ten_seconds_anew(ready: Fish) -> None:
     camera = Overhead(ready, lambda t_s: (0.0 if t_s < 9.0 else 0.2, 0.0, 0.0))
-    person = Script()
-    found = prepare(ready, QUICK, camera, person)
+    operator = Script()
+    found = prepare(ready, QUICK, camera, operator)
     assert camera.age_s > 9.0 + 10.0
     assert found.pose is not None
     assert found.pose.x_m == pytest.approx(0.2, abs=0.002)
-    lefts = countdown_of(person, "still")
+    lefts = countdown_of(operator, "still")
     assert lefts != sorted(lefts, reverse=True)
     assert 10 in lefts[5:]
 
@@ -408,11 +408,11 @@ def test_a_fish_that_is_carried_starts_the_ten_seconds_anew(ready: Fish) -> None
 def test_water_that_calms_down_is_waited_for(ready: Fish) -> None:
     """It moves the fish by 8 mm/s at first."""
     camera = Overhead(ready, lambda t_s: (0.08 * (1 - math.exp(-t_s / 10)), 0.0, 0.0))
-    person = Script()
-    found = prepare(ready, replace(QUICK, patience_s=60.0), camera, person)
+    operator = Script()
+    found = prepare(ready, replace(QUICK, patience_s=60.0), camera, operator)
     assert found.drift is not None
     assert found.drift.speed_m_s < 0.002
-    told = [float(text.split()[1]) for text in person.texts("still") if text.startswith("drifts")]
+    told = [float(text.split()[1]) for text in operator.texts("still") if text.startswith("drifts")]
     print(told)
     assert told[0] > 5.0
     assert told == sorted(told, reverse=True)
@@ -442,10 +442,10 @@ def test_a_fish_that_turns_while_the_water_calms_is_put_right_again(ready: Fish)
     def turned(t_s: float) -> tuple[float, float, float]:
         return (0.0, 0.0, 0.0 if t_s < 6.0 or t_s > 20.0 else 0.4)
 
-    person = Script()
-    found = prepare(ready, QUICK, Overhead(ready, turned), person)
-    assert "turn the nose 23 degrees to the left" in person.notices()
-    assert person.passed() == ["board", "room", "pose", "still", "pose", "still", "board"]
+    operator = Script()
+    found = prepare(ready, QUICK, Overhead(ready, turned), operator)
+    assert "turn the nose 23 degrees to the left" in operator.notices()
+    assert operator.passed() == ["board", "room", "pose", "still", "pose", "still", "board"]
     assert found.pose is not None
     assert found.pose.heading_rad == pytest.approx(0.0, abs=0.01)
 
@@ -457,12 +457,12 @@ def test_a_camera_in_board_time(ready: Fish) -> None:
 
 
 def test_the_imu_only_says_that_nothing_moves_it(ready: Fish) -> None:
-    person = Script()
-    found = prepare(ready, QUICK, None, person)
+    operator = Script()
+    found = prepare(ready, QUICK, None, operator)
     assert found.drift is not None
     assert found.drift.source == "imu"
     assert math.isnan(found.drift.speed_m_s)
-    assert "slow drift cannot be felt" in person.notices()
+    assert "slow drift cannot be felt" in operator.notices()
     assert ready.link.request("TAILBEAT_IMU_INFO").still_s >= 10.0
 
 
@@ -512,9 +512,9 @@ def test_a_nearly_empty_battery_is_a_notice(ready: Fish) -> None:
     assert ready.sim is not None
     ready.sim.world.set_battery_v(6.7)
     ready.link.run(1.0)
-    person = Script()
-    prepare(ready, replace(QUICK, still_s=0.0), None, person)
-    assert "nearly empty" in person.notices()
+    operator = Script()
+    prepare(ready, replace(QUICK, still_s=0.0), None, operator)
+    assert "nearly empty" in operator.notices()
 
 
 def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
@@ -538,10 +538,10 @@ def test_a_stopped_board_says_why_and_what_to_do(ready: Fish) -> None:
 
 def test_a_board_that_is_armed_is_disarmed_first(ready: Fish) -> None:
     ready.arm()
-    person = Script()
-    prepare(ready, replace(QUICK, still_s=0.0), None, person)
+    operator = Script()
+    prepare(ready, replace(QUICK, still_s=0.0), None, operator)
     assert state_of(ready) == "IDLE"
-    assert "it is disarmed until the countdown" in person.notices()
+    assert "it is disarmed until the countdown" in operator.notices()
 
 
 def test_a_board_that_restarts_meanwhile(ready: Fish) -> None:
@@ -571,25 +571,25 @@ def at(step: str) -> Callable[[list[Event]], bool]:
 @pytest.mark.parametrize("step", ["rest", "pose", "still"])
 def test_giving_up_in_each_step(ready: Fish, step: str) -> None:
     swim(ready)
-    person = Script(aborts=at(step))
+    operator = Script(aborts=at(step))
     wanted = PreflightLimits(rest_s=12.0 if step == "rest" else 0.0)
     camera = Overhead(ready, lies(y_m=0.5) if step == "pose" else lies())
     with pytest.raises(GivenUp, match=step):
-        prepare(ready, wanted, camera, person)
-    assert person.refused() == [step]
+        prepare(ready, wanted, camera, operator)
+    assert operator.refused() == [step]
     assert state_of(ready) == "IDLE"
 
 
 @pytest.mark.parametrize(("step", "gone_s"), [("rest", 3.0), ("pose", 3.0), ("still", 6.0)])
 def test_a_camera_that_dies_in_each_step(ready: Fish, step: str, gone_s: float) -> None:
     swim(ready)
-    person = Script()
+    operator = Script()
     wanted = PreflightLimits(rest_s=12.0 if step == "rest" else 0.0)
     way = lies(y_m=0.5) if step == "pose" else lies()
     with pytest.raises(CameraGone, match="unplugged"):
-        prepare(ready, wanted, Overhead(ready, way, gone_s=gone_s), person)
-    assert person.refused() == [step]
-    assert person.texts(step)[-1].startswith("the camera is gone: the camera was unplugged")
+        prepare(ready, wanted, Overhead(ready, way, gone_s=gone_s), operator)
+    assert operator.refused() == [step]
+    assert operator.texts(step)[-1].startswith("the camera is gone: the camera was unplugged")
     assert state_of(ready) == "IDLE"
 
 
@@ -614,12 +614,12 @@ def test_over_a_bad_radio(ready: Fish, spoil: Callable[..., BadRadio], seed: int
     print(f"seed {seed}")
     swim(ready)
     spoil(ready, seed=seed, lose=0.15, damage=0.05, twice=0.1)
-    person = Script()
-    found = prepare(ready, PreflightLimits(rest_s=15.0), Overhead(ready, lies()), person)
-    assert person.passed() == ["board", "room", "rest", "pose", "still", "board"]
+    operator = Script()
+    found = prepare(ready, PreflightLimits(rest_s=15.0), Overhead(ready, lies()), operator)
+    assert operator.passed() == ["board", "room", "rest", "pose", "still", "board"]
     assert found.rested_s is not None
     assert found.rested_s >= 15.0
-    assert prepare(ready, QUICK, None, person).drift is not None
+    assert prepare(ready, QUICK, None, operator).drift is not None
 
 
 # Reading the beginning of a file

@@ -76,11 +76,11 @@ class Script:
     def wants_abort(self) -> bool:
         return self.abort_beat is not None and self._beat >= self.abort_beat
 
-    def decide(self, swum: RecordedTrial) -> Decision:
-        self.asked.append(swum.outcome.number)
+    def decide(self, recorded: RecordedTrial) -> Decision:
+        self.asked.append(recorded.outcome.number)
         if self.answers:
             return self.answers.pop(0)
-        return KEEP if swum.measured_beats else Decision("discard", "did not swim")
+        return KEEP if recorded.measured_beats else Decision("discard", "did not swim")
 
     def confirm(self, question: str) -> bool:
         self.questions.append(question)
@@ -117,9 +117,9 @@ def experiment(fish: Fish, tmp_path: Path) -> Experiment:
 def swim(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
     """A series without a ritual."""
 
-    def call(person: Script, swims: int | None = 1, **options: Any) -> SeriesEnd:
+    def call(operator: Script, swims: int | None = 1, **options: Any) -> SeriesEnd:
         options = {"until": Until(swims), "wanted": None, **options}
-        return swim_series(fish, experiment, person, Options(**options))
+        return swim_series(fish, experiment, operator, Options(**options))
 
     return call
 
@@ -180,9 +180,9 @@ def test_no_end(text: str) -> None:
 def test_a_kept_swim_is_in_the_raw_files_the_journal_the_logbook_and_learned(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
-    person = Script(KEEP)
-    end = swim(person)
-    assert end.why == "swims" and end.swums[0].outcome.end == "complete"
+    operator = Script(KEEP)
+    end = swim(operator)
+    assert end.why == "swims" and end.records[0].outcome.end == "complete"
     assert [path.name for path in experiment.trial_files()] == ["0001.ulg"]
     assert kinds(experiment)[-4:] == ["begun", "swum", "decided", "learned"]
     assert fish.status().last_learned_trial == 1 and fish.status().pending_trial is None
@@ -190,8 +190,8 @@ def test_a_kept_swim_is_in_the_raw_files_the_journal_the_logbook_and_learned(
     assert end.verdict is not None and end.verdict.kind == "first"
     report = end.rounds[0].learned
     assert report is not None
-    assert report.max_abs_error_m_s == pytest.approx(end.swums[0].max_abs_error_m_s, rel=1e-5)
-    told = [type(event) for event in person.told]
+    assert report.max_abs_error_m_s == pytest.approx(end.records[0].max_abs_error_m_s, rel=1e-5)
+    told = [type(event) for event in operator.told]
     assert LiveValues in told
     order = [TrialStarted, TrialEnded, TrialRecorded, TrialDecided, LearnReport, Assessed]
     assert [told.index(kind) for kind in order] == sorted(told.index(kind) for kind in order)
@@ -202,10 +202,10 @@ def test_only_kept_swims_count(
 ) -> None:
     end = swim(Script(AGAIN, BUMPED, KEEP, KEEP), swims=2)
     assert [one.decision.kind for one in end.rounds] == ["repeat", "discard", "keep", "keep"]
-    iterations = [swum.outcome.iteration for swum in end.swums]
+    iterations = [recorded.outcome.iteration for recorded in end.records]
     assert iterations == [1, 1, 1, 2]
     assert fish.status().iteration == 3
-    first, second = (read_trial(end.swums[k].file).beats.applied_rad for k in (0, 2))
+    first, second = (read_trial(end.records[k].file).beats.applied_rad for k in (0, 2))
     assert np.array_equal(first, second)
     marks = [kept.mark for kept in Logbook.of(fish.unique_id()).kept()[0]]
     assert marks == ["", DISCARDED, "", ""]
@@ -234,9 +234,11 @@ def test_positions_are_kept_from_the_start_of_the_swim(
     lines = (experiment.raw / "0001_positions.csv").read_text().splitlines()
     assert lines[0] == "t_s,x_m,y_m,heading_rad"
     rows = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-    swum = rows[(rows[:, 0] >= 0) & (rows[:, 0] <= 6)]
-    assert 6 * 25 - 5 <= len(swum) <= 6 * 25 + 1  # pictures come a little late, the last too late
-    way_m = swum[-1, 1] - swum[0, 1]
+    recorded = rows[(rows[:, 0] >= 0) & (rows[:, 0] <= 6)]
+    assert (
+        6 * 25 - 5 <= len(recorded) <= 6 * 25 + 1
+    )  # pictures come a little late, the last too late
+    way_m = recorded[-1, 1] - recorded[0, 1]
     assert way_m == pytest.approx(float(board.world.true_beats().sum()), abs=5e-3)
     assert not (experiment.folder / ".pulling").exists()
 
@@ -262,11 +264,11 @@ def test_a_person_s_key_stops_it_and_the_series_after_the_decision(
 ) -> None:
     end = swim(Script(BUMPED, abort_beat=2), swims=5)
     assert end.why == "interrupted" and len(end.rounds) == 1
-    swum = end.swums[0]
-    assert swum.outcome.end == "aborted:ABORT_COMMAND" and swum.outcome.executed_beats < 6
-    assert any("stopped by hand" in problem for problem in swum.problems)
+    recorded = end.records[0]
+    assert recorded.outcome.end == "aborted:ABORT_COMMAND" and recorded.outcome.executed_beats < 6
+    assert any("stopped by hand" in problem for problem in recorded.problems)
     assert fish.status().state == "IDLE" and fish.status().iteration == 1
-    assert swim(Script(KEEP)).swums[0].outcome.end == "complete"
+    assert swim(Script(KEEP)).records[0].outcome.end == "complete"
     require_nothing_lost(fish, experiment)
 
 
@@ -291,15 +293,17 @@ def test_a_series_at_the_amplitude_limit_is_not_called_converged(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     set_meant(fish, experiment, "AMP_MAX_RAD", 0.4)
-    person = Script()
-    end = swim(person, swims=None, until=Until(None, converged=True))
+    operator = Script()
+    end = swim(operator, swims=None, until=Until(None, converged=True))
     assert end.why == "saturated" and end.verdict is not None
     found = end.verdict.saturation
     assert found is not None and found.needed_rad is not None and found.needed_rad > 0.45
     assert found.words in end.words and "tailbeat params set AMP_MAX_RAD" in end.words
-    last = [event for event in person.told if isinstance(event, Assessed)][-1]
+    last = [event for event in operator.told if isinstance(event, Assessed)][-1]
     assert last.saturation == found.text
-    trials = [read_trial(path) for path in sorted(end.rounds[-1].swum.file.parent.glob("*.ulg"))]
+    trials = [
+        read_trial(path) for path in sorted(end.rounds[-1].recorded.file.parent.glob("*.ulg"))
+    ]
     assert found.beats == sum(trials[-1].beats.applied_rad >= np.float32(0.4)) > 0
 
 
@@ -356,9 +360,9 @@ def test_a_stopped_board_without_a_trial_is_asked_about(
 ) -> None:
     fish.arm()
     fish.abort()
-    person = Script()
-    assert swim(person).why == "swims"
-    assert len(person.questions) <= 1
+    operator = Script()
+    assert swim(operator).why == "swims"
+    assert len(operator.questions) <= 1
 
 
 def test_rollback_is_told_with_what_it_means(
@@ -367,14 +371,14 @@ def test_rollback_is_told_with_what_it_means(
     swim(Script(), swims=3)
     set_meant(fish, experiment, "ROLLBACK_RATIO", 1.001)
     board.world.set_start(0.15)  # every swim begins with a push
-    person = Script()
+    operator = Script()
     for _ in range(3):
         board.world.set_start(0.15)
-        swim(person)
-    learned = person.of(LearnReport)
+        swim(operator)
+    learned = operator.of(LearnReport)
     if not any(event.rolled_back for event in learned):
         pytest.fail(f"the set-up makes nothing worse: {learned}")
-    loud = [event.text for event in person.of(Notice)]
+    loud = [event.text for event in operator.of(Notice)]
     assert any(text.startswith("ROLLED BACK") and "best amplitudes" in text for text in loud)
 
 
@@ -385,9 +389,9 @@ def test_what_was_swum_elsewhere_is_decided_on_first(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     assert run_trial(fish).end == "complete"
-    person = Script(BUMPED, KEEP)
-    end = swim(person)
-    assert person.asked == [1, 2]
+    operator = Script(BUMPED, KEEP)
+    end = swim(operator)
+    assert operator.asked == [1, 2]
     assert [one.decision.kind for one in end.rounds] == ["discard", "keep"]
     require_nothing_lost(fish, experiment)
 
@@ -430,7 +434,7 @@ def test_a_swim_without_speeds_cannot_be_kept(
     fish.upload_speeds(1, np.full(6, 0.05), np.full(6, 0.001))
     end = swim(Script(KEEP, BUMPED), counts=("keep", "discard"))
     assert end.rounds[0].learned is not None and end.rounds[0].learned.trial == 1
-    assert end.rounds[0].swum.file.name == "0001-2.ulg"
+    assert end.rounds[0].recorded.file.name == "0001-2.ulg"
 
 
 def test_a_refusal_to_learn_is_asked_about_again(
@@ -440,10 +444,10 @@ def test_a_refusal_to_learn_is_asked_about_again(
     set_meant(fish, experiment, "ILC_LEAD", 10)
     with pytest.raises(Refused):
         swim(Script(KEEP))
-    person = Script(BUMPED, KEEP)
+    operator = Script(BUMPED, KEEP)
     set_meant(fish, experiment, "ILC_LEAD", 1)
-    swim(person)
-    assert person.asked == [1, 2]
+    swim(operator)
+    assert operator.asked == [1, 2]
 
 
 def test_a_board_that_counts_from_one_again(
@@ -457,12 +461,12 @@ def test_a_board_that_counts_from_one_again(
         fish.clear()
     fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(records.encode_reference(1.0, SPEEDS))
-    person = Script(BUMPED)
+    operator = Script(BUMPED)
     with pytest.raises(InputError, match=r"has lost what it had learned.*session resume"):
-        swim(person, counts=("discard",))
+        swim(operator, counts=("discard",))
     (experiment.folder / "board" / "state.json").unlink()  # nobody wants it back
-    end = swim(person, counts=("discard",))
-    assert end.swums[0].file.name == "0001-2.ulg" and person.asked == [1]
+    end = swim(operator, counts=("discard",))
+    assert end.records[0].file.name == "0001-2.ulg" and operator.asked == [1]
     assert [path.name for path in experiment.trial_files()] == [
         "0001.ulg", "0002.ulg", "0001-2.ulg"
     ]  # fmt: skip
@@ -498,9 +502,9 @@ class Interrupting(Script):
         self._calls()
         return super().wants_abort()
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         self._calls()
-        return super().decide(swum)
+        return super().decide(recorded)
 
 
 def require_goes_on(
@@ -515,13 +519,13 @@ def require_goes_on(
     require_nothing_lost(fish, experiment)
     end = swim(Script())
     assert end.why == "swims", f"call {n}: {end.words}"
-    assert end.swums[-1].outcome.end == "complete", f"call {n}"
+    assert end.records[-1].outcome.end == "complete", f"call {n}"
     require_nothing_lost(fish, experiment)
     assert experiment.raw_problems() == []
-    swum = [entry["file"] for entry in experiment.journal.entries("swum")]
-    assert len(swum) == len(set(swum)), f"call {n}: journalled twice"
+    recorded = [entry["file"] for entry in experiment.journal.entries("swum")]
+    assert len(recorded) == len(set(recorded)), f"call {n}: journalled twice"
     decided = [entry["file"] for entry in experiment.journal.entries("decided")]
-    assert sorted(decided) == sorted(set(decided)) == sorted(swum), f"call {n}"
+    assert sorted(decided) == sorted(set(decided)) == sorted(recorded), f"call {n}"
     learned = [entry["trial"] for entry in experiment.journal.entries("learned")]
     assert len(learned) == len(set(learned)), f"call {n}: learned twice"
     assert fish.status().iteration == 1 + len(learned), f"call {n}"
@@ -584,9 +588,9 @@ def test_ctrl_c_in_any_call_of_the_link(
 def test_a_swim_that_ends_before_its_first_beat(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
 ) -> None:
-    person = Script(abort_beat=-1)
-    end = swim(person)
-    assert end.why == "interrupted" and end.rounds == [] and person.asked == []
+    operator = Script(abort_beat=-1)
+    end = swim(operator)
+    assert end.why == "interrupted" and end.rounds == [] and operator.asked == []
     require_goes_on(fish, board, experiment, swim, 0)
 
 
@@ -735,21 +739,21 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
                 self.cut_at_s = board.time_s
                 board.world.set_radio(False)
 
-    person = Dips(KEEP, KEEP)
+    operator = Dips(KEEP, KEEP)
     real = fish.transport.wait
 
     def wait(timeout_s: float) -> None:
         real(timeout_s)
-        if board.time_s > person.cut_at_s + 20.0:
+        if board.time_s > operator.cut_at_s + 20.0:
             board.world.set_radio(True)
 
     fish.link.transport.wait = wait  # type: ignore[method-assign]
     options = Options(until=Until(2), wanted=None)
-    end = swim_series(fish, experiment, person, options)
-    assert len(person.of(LinkLost)) >= 1 and len(person.of(LinkRestored)) == 1
-    assert [swum.outcome.end for swum in end.swums] == ["aborted:LINK_LOST", "complete"]
+    end = swim_series(fish, experiment, operator, options)
+    assert len(operator.of(LinkLost)) >= 1 and len(operator.of(LinkRestored)) == 1
+    assert [recorded.outcome.end for recorded in end.records] == ["aborted:LINK_LOST", "complete"]
     assert [one.learned is not None for one in end.rounds] == [True, True]
-    assert max(event.silent_s for event in person.of(LiveValues)) > 2.0
+    assert max(event.silent_s for event in operator.of(LiveValues)) > 2.0
     require_nothing_lost(fish, experiment)
 
 
@@ -782,11 +786,11 @@ def test_a_camera_that_dies(
 
     camera = Dies(board)
     camera.dead_at_s = board.time_s + 4.0
-    person = Script(BUMPED)
+    operator = Script(BUMPED)
     options = Options(until=Until(1), wanted=None, counts=("discard",))
-    end = swim_series(fish, experiment, person, options, camera)
-    assert end.swums[0].outcome.end == "aborted:ABORT_COMMAND"
-    assert any("unplugged" in event.text for event in person.of(TrialWarning))
+    end = swim_series(fish, experiment, operator, options, camera)
+    assert end.records[0].outcome.end == "aborted:ABORT_COMMAND"
+    assert any("unplugged" in event.text for event in operator.of(TrialWarning))
     require_goes_on(fish, board, experiment, swim, 0)
 
 
@@ -823,9 +827,9 @@ def test_a_battery_that_falls_is_told_and_journalled(
     for volts in (7.2, 6.95, 6.7):
         board.world.set_battery_v(volts)
         fish.link.run(3.0)
-        person = Script()
-        swim(person)
-    assert any("after this one" in event.text for event in person.of(Notice))
+        operator = Script()
+        swim(operator)
+    assert any("after this one" in event.text for event in operator.of(Notice))
     starts = [entry["battery_start_v"] for entry in experiment.journal.entries("swum")]
     assert starts == pytest.approx([7.2, 6.95, 6.7], abs=0.15)
 
@@ -856,10 +860,10 @@ def test_with_the_ritual(
 ) -> None:
     from tailbeat.session.preflight.step import PreflightLimits
 
-    person = Script()
-    end = swim(person, swims=2, wanted=PreflightLimits(rest_s=20.0, still_s=4.0, countdown_s=3.0))
-    assert end.why == "swims" and len(person.of(Countdown)) == 2 * 4
-    ready = end.swums[1].ready
+    operator = Script()
+    end = swim(operator, swims=2, wanted=PreflightLimits(rest_s=20.0, still_s=4.0, countdown_s=3.0))
+    assert end.why == "swims" and len(operator.of(Countdown)) == 2 * 4
+    ready = end.records[1].ready
     assert ready is not None and ready.rested_s is not None and ready.rested_s >= 20.0
     last = experiment.journal.entries("swum")[-1]
     assert last["rested_s"] == pytest.approx(ready.rested_s)

@@ -253,7 +253,7 @@ class Typing(Typed):
         self._keys += keys
 
 
-def swum(end: str = "complete", measured: int = 5, *problems: str) -> RecordedTrial:
+def recorded(end: str = "complete", measured: int = 5, *problems: str) -> RecordedTrial:
     outcome = TrialOutcome(7, 2, end, 5)
     return RecordedTrial(
         outcome, Path("7.ulg"), None, None, 0.01, 0.01, measured, 5, 8.0, 7.9, problems
@@ -262,7 +262,7 @@ def swum(end: str = "complete", measured: int = 5, *problems: str) -> RecordedTr
 
 def stopped(by: StopReason) -> RecordedTrial:
     end = "aborted:ABORT_COMMAND"
-    return replace(swum(end, 3, f"not complete: {end} ({by})"), stopped=by)
+    return replace(recorded(end, 3, f"not complete: {end} ({by})"), stopped=by)
 
 
 @pytest.mark.parametrize(
@@ -278,31 +278,31 @@ def stopped(by: StopReason) -> RecordedTrial:
 def test_keys_decide(keys: str, lines: tuple[str, ...], wanted: Decision) -> None:
     idle = []
     typed = Typed(keys, lines)
-    person = TerminalOperator(Display(), typed, None, lambda: idle.append(1))
-    assert person.decide(swum()) == wanted
+    operator = TerminalOperator(Display(), typed, None, lambda: idle.append(1))
+    assert operator.decide(recorded()) == wanted
     assert typed.forgotten == 1, "the key that stopped the tail is no answer"
     assert len(idle) == len(keys) - 1, "the link goes on while the question waits"
 
 
 def test_what_is_proposed(capsys: pytest.CaptureFixture[str]) -> None:
-    wall = swum("aborted:WALL", 3, "not complete: aborted:WALL")
+    wall = recorded("aborted:WALL", 3, "not complete: aborted:WALL")
     by_hand = stopped(BY_HAND)
     for one, reason in ((wall, "too close to the wall"), (by_hand, "stopped by hand")):
-        person = TerminalOperator(Display(), Typed("\n", ("",)))
-        assert person.decide(one) == Decision("discard", reason)
+        operator = TerminalOperator(Display(), Typed("\n", ("",)))
+        assert operator.decide(one) == Decision("discard", reason)
         assert "Enter = discard" in capsys.readouterr().err
     room = stopped(StopReason(StopKind.DISTANCE, "room: 2 m"))
     assert TerminalOperator(Display(), Typed("\n")).decide(room) == Decision("keep")
 
 
 def test_keep_is_no_answer_for_a_swim_without_speeds() -> None:
-    person = TerminalOperator(Display(), Typed("kd", ("no camera",)))
-    assert person.decide(swum("complete", 0)) == Decision("discard", "no camera")
+    operator = TerminalOperator(Display(), Typed("kd", ("no camera",)))
+    assert operator.decide(recorded("complete", 0)) == Decision("discard", "no camera")
 
 
 def test_a_few_missing_beats_need_no_answer() -> None:
     nobody = TerminalOperator(Display(), None, None)
-    one = swum("complete", 39, "1 of 40 beats have no speed")
+    one = recorded("complete", 39, "1 of 40 beats have no speed")
     assert nobody.decide(replace(one, judged=True)) == Decision("keep")
     others = replace(one, judged=True, problems=(*one.problems, "not straight: +20 degrees off"))
     for wrong in (one, others, replace(one, judged=True, problems=("no beat of it",))):
@@ -312,7 +312,7 @@ def test_a_few_missing_beats_need_no_answer() -> None:
 
 def test_escape_puts_it_off() -> None:
     with pytest.raises(KeyboardInterrupt, match="put off"):
-        TerminalOperator(Display(), Typed("\x1b")).decide(swum())
+        TerminalOperator(Display(), Typed("\x1b")).decide(recorded())
 
 
 def test_the_answer_given_beforehand() -> None:
@@ -320,14 +320,14 @@ def test_the_answer_given_beforehand() -> None:
     by_hand = stopped(BY_HAND)
     assert nobody.decide(by_hand) == Decision("keep")
     somebody = TerminalOperator(Display(), Typed("d", ("bumped",)), Decision("keep"))
-    assert somebody.decide(swum()) == Decision("keep")
+    assert somebody.decide(recorded()) == Decision("keep")
     assert somebody.decide(by_hand) == Decision("discard", "bumped")
 
 
 def test_nobody() -> None:
     nobody = TerminalOperator(Display(), None)
-    assert nobody.decide(swum()) == Decision("keep")
-    for one in (swum("complete", 5, "not straight"), swum("aborted:WALL")):
+    assert nobody.decide(recorded()) == Decision("keep")
+    for one in (recorded("complete", 5, "not straight"), recorded("aborted:WALL")):
         with pytest.raises(Undecided):
             nobody.decide(one)
     assert not nobody.confirm("Clear it?") and not nobody.wants_abort()
@@ -342,16 +342,16 @@ def test_the_enter_after_a_letter_stops_nothing() -> None:
         ("\n", [], "\n", True),
     ):
         keys = Typing(letter)
-        person = TerminalOperator(Display(), keys)
-        assert person.decide(swum()) == Decision("keep") and not person.wants_abort()
+        operator = TerminalOperator(Display(), keys)
+        assert operator.decide(recorded()) == Decision("keep") and not operator.wants_abort()
         for event in events:
-            person.tell(event)
+            operator.tell(event)
         keys.types(typed_later)
-        assert person.wants_abort() == stops, (letter, events, typed_later)
+        assert operator.wants_abort() == stops, (letter, events, typed_later)
         if not stops:
-            assert not person.wants_abort()
+            assert not operator.wants_abort()
             keys.types("\n")
-            assert person.wants_abort(), "one is forgiven, not two"
+            assert operator.wants_abort(), "one is forgiven, not two"
 
 
 def test_what_was_typed_before_the_ritual_is_forgotten() -> None:

@@ -51,8 +51,8 @@ class Somebody:
     def wants_abort(self) -> bool:
         return self.pressed
 
-    def decide(self, swum: RecordedTrial) -> Decision:
-        raise AssertionError(swum)
+    def decide(self, recorded: RecordedTrial) -> Decision:
+        raise AssertionError(recorded)
 
     def confirm(self, question: str) -> bool:
         assert "start" in question

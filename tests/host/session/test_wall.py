@@ -327,9 +327,9 @@ def test_the_fish_is_stopped_and_hardly_touches(kappa_per_m: float, tmp_path: Pa
 
         trial = read_trial(fish.pull_trial(outcome.number, tmp_path))
         measured = np.isfinite(trial.beats.speed_m_s)
-        swum = outcome.executed_beats
-        assert measured[1 : swum - 2].all()
-        assert not measured[swum - 1 :].any()  # GUARD_BEATS = 1
+        recorded = outcome.executed_beats
+        assert measured[1 : recorded - 2].all()
+        assert not measured[recorded - 1 :].any()  # GUARD_BEATS = 1
         fish.clear()
         assert fish.learn(outcome.number).measured_beats == measured.sum()
 

@@ -109,8 +109,8 @@ def check_view(session: Session, tick: int, seen: View) -> int:
     """What the board knows is what it knew before or after the step, and once the step was
     acknowledged, after it; the number of that view in the step."""
     step = session.step_at(tick)
-    swum = [trial for trial, pulse in session.first_pulse.items() if pulse <= tick]
-    assert seen.next_trial > max(swum, default=0), f"would swim trial {seen.next_trial} again"
+    recorded = [trial for trial, pulse in session.first_pulse.items() if pulse <= tick]
+    assert seen.next_trial > max(recorded, default=0), f"would swim trial {seen.next_trial} again"
     views = step.views_at(tick)
     best = min(views, key=lambda view: len(seen.differs_in(view)))
     assert seen in views, f"neither old nor new: {seen.differs_in(best)}"

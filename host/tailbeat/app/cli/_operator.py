@@ -265,19 +265,19 @@ class TerminalOperator:
             return keys.key(0.0) not in _ENTER
         return True
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
         the swim is not plainly good."""
-        proposal = proposed(swum)
+        proposal = proposed(recorded)
         learned_unseen = proposal.kind != "keep" and self._then == Decision("keep")
         if self._then is not None and not (self._keys is not None and learned_unseen):
             return self._then
         if self._keys is not None:
-            return self._ask(self._keys, swum, proposal)
-        if is_good(swum):
+            return self._ask(self._keys, recorded, proposal)
+        if is_good(recorded):
             return Decision("keep")
         raise Undecided(
-            f"trial {swum.outcome.number} waits on the board: {'; '.join(swum.problems)}",
+            f"trial {recorded.outcome.number} waits on the board: {'; '.join(recorded.problems)}",
             "Say what becomes of it: tailbeat trial run --then keep|repeat|discard --reason WHY,"
             " or at a terminal.",
         )
@@ -292,9 +292,9 @@ class TerminalOperator:
         self._display.keep(key)
         return key == "y"
 
-    def _ask(self, keys: Keys, swum: RecordedTrial, proposal: Decision) -> Decision:
+    def _ask(self, keys: Keys, recorded: RecordedTrial, proposal: Decision) -> Decision:
         letters = [
-            k for k, (kind, _) in self._kinds.items() if kind != "keep" or swum.measured_beats
+            k for k, (kind, _) in self._kinds.items() if kind != "keep" or recorded.measured_beats
         ]
         words = ", ".join(f"{letter} = {self._kinds[letter][1]}" for letter in letters)
         usual = next(pair for pair in self._kinds.values() if pair[0] == proposal.kind)

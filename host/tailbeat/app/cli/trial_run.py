@@ -295,24 +295,24 @@ def _document(end: SeriesEnd, experiment: Experiment) -> dict[str, Any]:
 
 
 def _swim_document(one: Round) -> dict[str, Any]:
-    swum = one.swum
+    recorded = one.recorded
     return {
-        "trial": swum.outcome.number,
-        "iteration": swum.outcome.iteration,
-        "end": swum.outcome.end,
-        "executed_beats": swum.outcome.executed_beats,
+        "trial": recorded.outcome.number,
+        "iteration": recorded.outcome.iteration,
+        "end": recorded.outcome.end,
+        "executed_beats": recorded.outcome.executed_beats,
         "decision": one.decision.kind,
         "reason": one.decision.reason,
-        "file": swum.file,
-        "max_abs_error_m_s": swum.max_abs_error_m_s,
-        "rms_error_m_s": swum.rms_error_m_s,
-        "measured_beats": swum.measured_beats,
-        "beats": swum.beats,
-        "battery_start_v": swum.battery_start_v,
-        "battery_end_v": swum.battery_end_v,
-        "ready": swum.ready,
-        "straight": swum.straight,
-        "problems": swum.problems,
+        "file": recorded.file,
+        "max_abs_error_m_s": recorded.max_abs_error_m_s,
+        "rms_error_m_s": recorded.rms_error_m_s,
+        "measured_beats": recorded.measured_beats,
+        "beats": recorded.beats,
+        "battery_start_v": recorded.battery_start_v,
+        "battery_end_v": recorded.battery_end_v,
+        "ready": recorded.ready,
+        "straight": recorded.straight,
+        "problems": recorded.problems,
         "report": one.learned,
     }
 
@@ -320,8 +320,8 @@ def _swim_document(one: Round) -> dict[str, Any]:
 def _text(end: SeriesEnd, good: bool) -> str:
     """``good``: with how it ended; otherwise that is an error."""
     lines = [
-        f"trial {one.swum.outcome.number}, iteration {one.swum.outcome.iteration}: "
-        f"{one.decision.kind}, max|e| {mm(one.swum.max_abs_error_m_s)} mm/s"
+        f"trial {one.recorded.outcome.number}, iteration {one.recorded.outcome.iteration}: "
+        f"{one.decision.kind}, max|e| {mm(one.recorded.max_abs_error_m_s)} mm/s"
         for one in end.rounds
     ]
     if end.verdict is not None:

@@ -89,7 +89,7 @@ def amplitude_chart(now: PageState) -> Options:
 
 def error_chart(now: PageState) -> Options:
     """Largest error of each swim by iteration, on a logarithmic axis, with the floor."""
-    open_trial = now.swum.outcome.number if now.swum is not None else None
+    open_trial = now.recorded.outcome.number if now.recorded is not None else None
     rows = [
         row
         for row in now.rows

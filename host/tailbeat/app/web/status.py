@@ -273,27 +273,27 @@ class Deciding:
 
     def refresh(self, now: PageState) -> None:
         """Shows or hides it."""
-        swum = now.swum if now.phase == "deciding" else None
-        if swum is self._shown:
+        recorded = now.recorded if now.phase == "deciding" else None
+        if recorded is self._shown:
             return
-        self._shown = swum
-        if swum is None:
+        self._shown = recorded
+        if recorded is None:
             self._dialog.close()
             return
-        self._fill(swum)
+        self._fill(recorded)
         self._dialog.open()
 
-    def _fill(self, swum: RecordedTrial) -> None:
+    def _fill(self, recorded: RecordedTrial) -> None:
         self._refusal.show("")
-        self._title.set_text(f"What becomes of trial {swum.outcome.number}?")
+        self._title.set_text(f"What becomes of trial {recorded.outcome.number}?")
         self._facts.clear()
         with self._facts:
-            for line in record_lines(swum):
+            for line in record_lines(recorded):
                 ui.label(line)
-            for problem in swum.problems:
+            for problem in recorded.problems:
                 ui.label(problem).classes("banner problem").style("width:100%")
-        self._why.set_value(proposed(swum).reason)
-        self._keep.set_enabled(swum.measured_beats > 0)
+        self._why.set_value(proposed(recorded).reason)
+        self._keep.set_enabled(recorded.measured_beats > 0)
 
 
 class Asking:

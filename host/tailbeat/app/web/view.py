@@ -72,7 +72,7 @@ class PageState:
     reference_m_s: tuple[float, ...] = ()
     speed_m_s: tuple[float | None, ...] = ()
     amplitude_rad: tuple[float | None, ...] = ()
-    swum: RecordedTrial | None = None
+    recorded: RecordedTrial | None = None
     question: str = ""
     rows: tuple[TrialRow, ...] = ()
     floor_m_s: float | None = None
@@ -142,7 +142,7 @@ def _changed(now: PageState, event: Event) -> PageState:
 
 def _cleared(now: PageState, trial: int) -> PageState:
     none = (None,) * len(now.reference_m_s)
-    return replace(now, trial=trial, speed_m_s=none, amplitude_rad=none, swum=None)
+    return replace(now, trial=trial, speed_m_s=none, amplitude_rad=none, recorded=None)
 
 
 def _step(now: PageState, event: StepProgress) -> PageState:
@@ -206,8 +206,8 @@ def phase_line(now: PageState) -> str:
         return f"Swimming{beat} of {len(now.reference_m_s)}" if beat else "Swimming"
     if now.phase == "countdown" and now.left_s is not None:
         return f"Hands out of the water: {now.left_s:.0f}"
-    if now.phase == "deciding" and now.swum is not None:
-        return f"What becomes of trial {now.swum.outcome.number}?"
+    if now.phase == "deciding" and now.recorded is not None:
+        return f"What becomes of trial {now.recorded.outcome.number}?"
     if now.phase == "idle" and now.fault:
         return "Stopped"
     return PHASES[now.phase]

@@ -249,7 +249,7 @@ class Worker:
         with contextlib.suppress(LinkLostError):
             self._show(by_status(self.now, fish.status()))
             self._look_ahead(fish)
-        self._phase("idle", *IDLE_ASKS, step="", steps=(), left_s=None, swum=None, question="")
+        self._phase("idle", *IDLE_ASKS, step="", steps=(), left_s=None, recorded=None, question="")
 
     def _do(self, fish: Fish, ask: Ask) -> None:
         values = ask.values
@@ -499,11 +499,11 @@ class PageOperator:
         """The flag itself."""
         return self.conductor._asks.abort
 
-    def decide(self, swum: RecordedTrial) -> Decision:
+    def decide(self, recorded: RecordedTrial) -> Decision:
         """Whoever decides first decides."""
         self.conductor._look_at_trials()
-        ask = self.conductor._answered(self.fish, "decide", swum=swum, step="", left_s=None)
-        self.conductor._phase("working", "note", swum=None, steps=())
+        ask = self.conductor._answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
+        self.conductor._phase("working", "note", recorded=None, steps=())
         return Decision(ask.values["kind"], ask.values["reason"])
 
     def confirm(self, question: str) -> bool:

@@ -1,7 +1,7 @@
 """What must be so before a swim: rest, room, start pose, still water and a still fish; then the
 countdown.
 
-Each step is told as it goes (person.Event ``step``); one that cannot be made raises NotReady with
+Each step is told as it goes (operator.Event ``step``); one that cannot be made raises NotReady with
 what to do. One that is not there (no camera, no IMU) is told as a notice and left out, never taken
 for passed.
 """
@@ -52,38 +52,40 @@ _RISE_V = 0.2  # once it was too low, by the board's rule (supervisor/battery.h)
 _found_low: WeakSet[Fish] = WeakSet()
 
 
-def prepare(fish: Fish, wanted: PreflightLimits, camera: Camera | None, person: Operator) -> Ready:
+def prepare(
+    fish: Fish, wanted: PreflightLimits, camera: Camera | None, operator: Operator
+) -> Ready:
     """Goes through all of it up to the countdown, the board IDLE and unarmed all the time. Raises
-    NotReady, GivenUp (person.wants_abort), CameraGone, InputError (no room), Refused.
+    NotReady, GivenUp (operator.wants_abort), CameraGone, InputError (no room), Refused.
 
     What needs no waiting comes first: nobody rests for half a minute to hear of an empty battery. A
     board that is armed is disarmed."""
     watch(fish)
-    status = _look_at_board(fish, person)
-    travel = _look_at_room(fish, person)
+    status = _look_at_board(fish, operator)
+    travel = _look_at_room(fish, operator)
     sight = Sight(fish, camera, wanted.still_s) if camera is not None else None
-    step = PreflightStep(fish, person, "rest")
+    step = PreflightStep(fish, operator, "rest")
     wait_for_rest(step, wanted.rest_s, fish.status(), sight)
-    feel = Feel.of(fish, PreflightStep(fish, person, "pose"))
+    feel = Feel.of(fish, PreflightStep(fish, operator, "pose"))
     try:
-        pose, drift = _lie_still(fish, wanted, person, sight, feel)
+        pose, drift = _lie_still(fish, wanted, operator, sight, feel)
     finally:
         if feel is not None:
             feel.close()
-    last = _look_at_board(fish, person)
+    last = _look_at_board(fish, operator)
     if last.time_s < status.time_s:
         raise NotReady("the board has restarted meanwhile", "Look at the battery; begin again.")
     return Ready(travel, rested_s(fish, last), pose, drift, last.battery_v)
 
 
 def _lie_still(
-    fish: Fish, wanted: PreflightLimits, person: Operator, sight: Sight | None, feel: Feel | None
+    fish: Fish, wanted: PreflightLimits, operator: Operator, sight: Sight | None, feel: Feel | None
 ) -> tuple[Pose | None, Drift | None]:
     """Until it lies right and still at the same time."""
     for _ in range(_ROUNDS):
-        step = PreflightStep(fish, person, "pose", wanted.patience_s)
+        step = PreflightStep(fish, operator, "pose", wanted.patience_s)
         pose = wait_for_pose(step, wanted, sight, feel)
-        still = PreflightStep(fish, person, "still", wanted.patience_s)
+        still = PreflightStep(fish, operator, "still", wanted.patience_s)
         drift = wait_until_still(still, wanted, sight, feel)
         now = pose_now(sight, feel)
         if now is None and sight is None:
@@ -100,9 +102,9 @@ def _lie_still(
     )
 
 
-def _look_at_board(fish: Fish, person: Operator) -> BoardStatus:
+def _look_at_board(fish: Fish, operator: Operator) -> BoardStatus:
     """IDLE, with nothing pending and enough battery."""
-    step = PreflightStep(fish, person, "board")
+    step = PreflightStep(fish, operator, "board")
     status = fish.status()
     if status.state == "ARMED":
         fish.disarm()
@@ -148,8 +150,8 @@ def _look_at_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> No
         step.notice(f"the battery is nearly empty: {status.battery_v:.2f} V; have a full one ready")
 
 
-def _look_at_room(fish: Fish, person: Operator) -> Travel:
-    step = PreflightStep(fish, person, "room")
+def _look_at_room(fish: Fish, operator: Operator) -> Travel:
+    step = PreflightStep(fish, operator, "room")
     travel = travel_next(fish, logbook_of(fish))
     try:
         travel.require_room()

@@ -32,7 +32,7 @@ class BatteryLow(NotReady):
 
 
 class GivenUp(NotReady):
-    """The person did not want to wait any longer."""
+    """The operator did not want to wait any longer."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +52,19 @@ class PreflightLimits:
     start_yaw_deg: float | None = None
 
 
-_LOOK_S = 0.1  # of board time; so often the person is asked
+_LOOK_S = 0.1  # of board time; so often the operator is asked
 _TELL_S = 0.5  # words that change all the time are told so often
 _SILENT_S = 5.0  # of board time without a word from the board, after which it is asked
 
 
 class PreflightStep:
-    """``name`` as in person.Event; times in s of board time, from when it was made."""
+    """``name`` as in operator.Event; times in s of board time, from when it was made."""
 
     def __init__(
-        self, fish: Fish, person: Operator, name: str, patience_s: float = math.inf
+        self, fish: Fish, operator: Operator, name: str, patience_s: float = math.inf
     ) -> None:
         self.fish = fish
-        self._person, self._name, self._patience_s = person, name, patience_s
+        self._operator, self._name, self._patience_s = operator, name, patience_s
         self._begin_s = fish.transport.now_s()
         self._told: tuple[str, bool | None, int | None] | None = None
         self._told_at_s = -math.inf
@@ -87,11 +87,11 @@ class PreflightStep:
         if now == self._told or (same_second and self.elapsed_s - self._told_at_s < _TELL_S):
             return
         self._told, self._told_at_s = now, self.elapsed_s
-        self._person.tell(StepProgress(self._name, text, ok, whole_s))
+        self._operator.tell(StepProgress(self._name, text, ok, whole_s))
 
     def notice(self, text: str) -> None:
         """Something to know that stops nothing."""
-        self._person.tell(Notice(text))
+        self._operator.tell(Notice(text))
 
     def refuse(self, what: str, remedy: str) -> NotReady:
         """The error to raise, told."""
@@ -100,10 +100,10 @@ class PreflightStep:
         return NotReady(what, remedy)
 
     def wait(self) -> None:
-        """A moment. Raises GivenUp when the person wants no more, LinkLostError when the board has
+        """A moment. Raises GivenUp when the operator gives up, LinkLostError when the board has
         gone."""
         fish = self.fish
-        if self._person.wants_abort():
+        if self._operator.wants_abort():
             self.tell("given up", ok=False)
             raise GivenUp(
                 f"given up at the step '{self._name}'", "Nothing has swum. Begin again when ready."
@@ -121,9 +121,9 @@ _HEARTBEAT_S = 0.3  # of board time; many of them may be lost before the board d
 _DISARM_TRIES, _DISARM_S = 6, 0.3  # it cannot wait for long: somebody has pressed Ctrl-C
 
 
-def countdown(fish: Fish, wanted: PreflightLimits, person: Operator) -> None:
+def countdown(fish: Fish, wanted: PreflightLimits, operator: Operator) -> None:
     """Arms, lets the fish's LED blink and counts down; hands must be out at 0. Disarms and raises
-    GivenUp when the person wants it, or whatever else ends it. Returns ARMED."""
+    GivenUp when the operator wants it, or whatever else ends it. Returns ARMED."""
     if not 0 <= wanted.countdown_s <= COUNTDOWN_MAX_S:
         raise InputError(
             f"a countdown of {wanted.countdown_s:g} s is none",
@@ -141,31 +141,31 @@ def countdown(fish: Fish, wanted: PreflightLimits, person: Operator) -> None:
     try:
         fish.arm(blink_s=wanted.countdown_s)
         heard.clear()
-        _count(fish, wanted.countdown_s, person, heard)
+        _count(fish, wanted.countdown_s, operator, heard)
     except Refused:
         raise  # it is not armed; whoever else swims with it goes on
     except BaseException as error:
         stop_listening()
-        _disarm(fish, person, error)
+        _disarm(fish, operator, error)
         raise
     finally:
         stop_listening()
         fish.link.heartbeat_period_s = heartbeat_period_s
 
 
-def _count(fish: Fish, countdown_s: float, person: Operator, heard: list[BoardStatus]) -> None:
+def _count(fish: Fish, countdown_s: float, operator: Operator, heard: list[BoardStatus]) -> None:
     begin_s = fish.transport.now_s()
     told = -1
     while True:
         left_s = countdown_s - (fish.transport.now_s() - begin_s) * fish.clock.rate
         whole_s = max(0, math.ceil(left_s - 1e-6))
-        if person.wants_abort():
+        if operator.wants_abort():
             raise GivenUp("given up in the countdown", "Nothing has swum. Begin again when ready.")
         if whole_s == 0:
             _require_armed(fish.status())
         if whole_s != told:
             told = whole_s
-            person.tell(Countdown(whole_s))
+            operator.tell(Countdown(whole_s))
         if whole_s == 0:
             return
         step_s = min(_LOOK_S, left_s) / max(fish.clock.rate, 1e-3)
@@ -187,7 +187,7 @@ def _require_armed(status: BoardStatus) -> None:
     )
 
 
-def _disarm(fish: Fish, person: Operator, error: BaseException) -> None:
+def _disarm(fish: Fish, operator: Operator, error: BaseException) -> None:
     """Whatever comes meanwhile, what ended the countdown is what is raised."""
     tries = 1 if isinstance(error, LinkLostError) else _DISARM_TRIES
     try:
@@ -200,4 +200,4 @@ def _disarm(fish: Fish, person: Operator, error: BaseException) -> None:
             " itself after LINK_TIMEOUT_S; if that is 0, switch it off"
         )
         with contextlib.suppress(Exception):
-            person.tell(Notice(text))
+            operator.tell(Notice(text))

@@ -255,15 +255,15 @@ class ModelBasedLaw:
 
     def learn(self, swims: BatchTrials) -> BatchReport:
         """One trial of every fish."""
-        swum = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
-        for kept, swim in zip(self._swims, swum, strict=True):
+        recorded = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
+        for kept, swim in zip(self._swims, recorded, strict=True):
             kept.append(swim)
-        said = BatchReport.nothing(len(swum))
+        said = BatchReport.nothing(len(recorded))
         said.predicted_m_s = np.array(
             [one.predicted_max_abs_error_m_s for one in self._proposals]
         ).T
         said.law = [one.law for one in self._proposals]
-        said.verdict = verdicts(self._judges, swum)
+        said.verdict = verdicts(self._judges, recorded)
         return said
 
 
@@ -324,9 +324,9 @@ def identify(
 
     def swim(amplitude_rad: F64) -> Swim:
         nonlocal number
-        swum = batch.run(amplitude_rad[None, :], number, beat_s)
+        recorded = batch.run(amplitude_rad[None, :], number, beat_s)
         number += 1
-        return swims_of(swum, amplitude_rad[None, :], beat_s)[0]
+        return swims_of(recorded, amplitude_rad[None, :], beat_s)[0]
 
     limits = Limits(amplitude_max_rad=amplitude_max_rad, beat_s=beat_s)
     return identify_runs(swim, limits, quick=True)

@@ -42,13 +42,13 @@ from ...swum_experiment import REFERENCE, swim_experiment, writable
 
 
 @pytest.fixture(scope="module")
-def swum(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
     return swim_experiment(tmp_path_factory.mktemp("cli"))
 
 
 @pytest.fixture
-def copy(swum: Experiment, tmp_path: Path) -> Experiment:
-    return Experiment(Path(shutil.copytree(swum.folder, tmp_path / "copy")))
+def copy(recorded: Experiment, tmp_path: Path) -> Experiment:
+    return Experiment(Path(shutil.copytree(recorded.folder, tmp_path / "copy")))
 
 
 @pytest.fixture(autouse=True)
@@ -155,8 +155,8 @@ def test_one_that_was_begun_is_left_alone(tmp_path: Path, touch: str) -> None:
         assert made_before(fish, root, wanted, {"conditions": {}}) is None
 
 
-def test_one_experiment_is_not_compared_with_itself(swum: Experiment) -> None:
-    found = call("compare", swum.folder, swum.folder / ".." / swum.name)
+def test_one_experiment_is_not_compared_with_itself(recorded: Experiment) -> None:
+    found = call("compare", recorded.folder, recorded.folder / ".." / recorded.name)
     assert isinstance(found.exception, InputError)
     assert "the same experiment" in str(found.exception)
 
@@ -227,17 +227,17 @@ def test_water_that_is_not_believed(copy: Experiment) -> None:
     assert isinstance(call("set", copy.folder, "--water-temp", 71).exception, InputError)
 
 
-def test_show_tells_trials_and_decisions(swum: Experiment) -> None:
-    lines = call("show", swum.folder).output.splitlines()
+def test_show_tells_trials_and_decisions(recorded: Experiment) -> None:
+    lines = call("show", recorded.folder).output.splitlines()
     assert "simulated" in lines[0]
     third = next(line for line in lines if line.split()[:2] == ["3", "3"])
     assert third.endswith("discard: bumped the wall")
     assert any(line.endswith("keep (repeats trial 5) (learned)") for line in lines)
-    assert len(document("show", swum.folder)["trials"]) == 6
-    assert "tailbeat experiment replay ." in call("show", swum.folder, "--redo").output
+    assert len(document("show", recorded.folder)["trials"]) == 6
+    assert "tailbeat experiment replay ." in call("show", recorded.folder, "--redo").output
 
 
-def test_every_command_tells_of_tampering(copy: Experiment, swum: Experiment) -> None:
+def test_every_command_tells_of_tampering(copy: Experiment, recorded: Experiment) -> None:
     path = writable(copy.raw / "0002.ulg")
     path.write_bytes(path.read_bytes()[:-1])
     told = "raw/0002.ulg is not what it was when it was added"
@@ -249,35 +249,37 @@ def test_every_command_tells_of_tampering(copy: Experiment, swum: Experiment) ->
     assert (replayed.exit_code, told in replayed.output) == (1, True)
     for words in (
         ("export", copy.folder, "--format", "csv"),
-        ("compare", copy.folder, swum.folder),
+        ("compare", copy.folder, recorded.folder),
     ):
         assert told in call(*words).stderr
 
 
-def test_replay_is_quiet_when_all_is_well(swum: Experiment) -> None:
-    result = call("replay", swum.folder)
+def test_replay_is_quiet_when_all_is_well(recorded: Experiment) -> None:
+    result = call("replay", recorded.folder)
     assert result.exit_code == 0
     assert result.output == (
         "nothing differs, but not all was compared: 7 raw files, speeds of 6 trials, learning from"
         " 4, 0 derived files came out the same\n"
         "not compared: analysis.json: it is not there; make it: tailbeat report\n"
     )
-    write_analysis(swum)
-    result = call("replay", swum.folder)
+    write_analysis(recorded)
+    result = call("replay", recorded.folder)
     assert result.output == (
         "identical: 7 raw files, speeds of 6 trials, learning from 4, 1 derived files came out the"
         " same\n"
     )
-    assert document("replay", swum.folder)["identical"] is True
+    assert document("replay", recorded.folder)["identical"] is True
 
 
-def test_compare(swum: Experiment, copy: Experiment) -> None:
+def test_compare(recorded: Experiment, copy: Experiment) -> None:
     copy.write_settings({"conditions": {"water_temperature_degc": 24.0}})
-    result = call("compare", swum.folder, copy.folder, "--iterations", "3,4")
+    result = call("compare", recorded.folder, copy.folder, "--iterations", "3,4")
     assert result.output.startswith("no difference in max|e| is shown")
     assert "simulated" in result.output
     assert "they differ in: water_temperature_degc 21.5 against 24" in result.output
-    found = document("compare", swum.folder, copy.folder, "--what", "rms", "--iterations", "3,4")
+    found = document(
+        "compare", recorded.folder, copy.folder, "--what", "rms", "--iterations", "3,4"
+    )
     assert (len(found["a_m_s"]), found["difference_m_s"], found["repeats"]) == (3, 0.0, None)
 
 
@@ -319,8 +321,8 @@ def test_the_current_experiment_is_the_fishs(tmp_path: Path) -> None:
             require_same(fish, second)
 
 
-def test_the_boards_state_comes_back(swum: Experiment, tmp_path: Path) -> None:
-    held = held_state(swum)
+def test_the_boards_state_comes_back(recorded: Experiment, tmp_path: Path) -> None:
+    held = held_state(recorded)
     assert held is not None
     assert held.last_learned_trial == 6
     assert held.iteration == 5

@@ -63,26 +63,26 @@ def test_the_line_is_as_wide_as_the_window(monkeypatch: pytest.MonkeyPatch) -> N
     assert 50 < len(narrow) <= 60 < len(wide) <= 120
 
 
-def told(person: TerminalOperator, *events: Event) -> None:
+def told(operator: TerminalOperator, *events: Event) -> None:
     for event in events:
-        person.tell(event)
+        operator.tell(event)
 
 
 def swum_event() -> TrialRecorded:
     outcome = TrialOutcome(7, 2, "aborted:ABORT_COMMAND", 5)
     problems = ("not complete: aborted:ABORT_COMMAND (stopped by hand)", "not straight")
-    swum = RecordedTrial(
+    recorded = RecordedTrial(
         outcome, Path("7.ulg"), None, None, 0.01, 0.01, 3, 5, 8.0, 7.9, problems, False, BY_HAND
     )
-    return TrialRecorded(swum)
+    return TrialRecorded(recorded)
 
 
 ABORTED = BoardText(4, "trial aborted by command")
 
 
 def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str]) -> None:
-    person = TerminalOperator(Display(), Typed(""))
-    told(person, TrialStopped(BY_HAND), ABORTED, swum_event())
+    operator = TerminalOperator(Display(), Typed(""))
+    told(operator, TrialStopped(BY_HAND), ABORTED, swum_event())
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "tailbeat: stopped by hand"
     assert lines[1] == (
@@ -94,12 +94,12 @@ def test_a_key_press_that_stops_says_it_once(capsys: pytest.CaptureFixture[str])
 
 def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     """Also in the swim after one that was stopped by a key."""
-    person = TerminalOperator(Display(), Typed(""))
-    told(person, TrialStopped(BY_HAND))
-    told(person, TrialStarted(8, 1), ABORTED)
-    told(person, TrialStopped(StopReason(StopKind.DISTANCE, "room: 2 m")), ABORTED)
-    told(person, TrialStopped(BY_HAND))
-    told(person, BoardText(4, "battery critical"))
+    operator = TerminalOperator(Display(), Typed(""))
+    told(operator, TrialStopped(BY_HAND))
+    told(operator, TrialStarted(8, 1), ABORTED)
+    told(operator, TrialStopped(StopReason(StopKind.DISTANCE, "room: 2 m")), ABORTED)
+    told(operator, TrialStopped(BY_HAND))
+    told(operator, BoardText(4, "battery critical"))
     assert capsys.readouterr().err.splitlines() == [
         "tailbeat: stopped by hand",
         "tailbeat: trial aborted by command",
@@ -110,24 +110,24 @@ def test_an_abort_from_elsewhere_is_told(capsys: pytest.CaptureFixture[str]) -> 
     ]
 
 
-def swum() -> RecordedTrial:
+def recorded() -> RecordedTrial:
     outcome = TrialOutcome(7, 2, "complete", 5)
     return RecordedTrial(outcome, Path("7.ulg"), None, None, 0.01, 0.01, 5, 5, 8.0, 7.9, ())
 
 
 def test_another_key_is_answered_once(capsys: pytest.CaptureFixture[str]) -> None:
-    assert TerminalOperator(Display(), Typed("xx_ k")).decide(swum()) == Decision("keep")
+    assert TerminalOperator(Display(), Typed("xx_ k")).decide(recorded()) == Decision("keep")
     err = capsys.readouterr().err
     assert err.count("(k, r, d or Enter) ") == 1 and err.count("\n") == 1, "in the question's line"
     assert not TerminalOperator(Display(), Typed("xxn")).confirm("Clear it?")
     assert capsys.readouterr().err == "Clear it? y/n (y or n) n\n"
-    TerminalOperator(Display(), Typed("__k")).decide(swum())
+    TerminalOperator(Display(), Typed("__k")).decide(recorded())
     assert " or Enter)" not in capsys.readouterr().err, "nothing was pressed"
 
 
 def test_a_reason_is_asked_for_in_words(capsys: pytest.CaptureFixture[str]) -> None:
-    person = TerminalOperator(Display(), Typed("d", ("", "wall")))
-    assert person.decide(swum()) == Decision("discard", "wall")
+    operator = TerminalOperator(Display(), Typed("d", ("", "wall")))
+    assert operator.decide(recorded()) == Decision("discard", "wall")
     _, _, asked = capsys.readouterr().err.partition("why? ")
     assert asked == "a reason is needed, one word is enough: "
 

@@ -80,11 +80,13 @@ class Tank:
 
     def ask(self, what: str, **values: Any) -> PageState:
         """Until it is done, or something has to be decided first."""
-        done, was = self.conductor.now.done, self.conductor.now.swum
+        done, was = self.conductor.now.done, self.conductor.now.recorded
         self.conductor.ask(what, **values)
         return self.wait(
             lambda now: (
-                now.done > done or (now.swum is not None and was is None) or now.phase == "failed"
+                now.done > done
+                or (now.recorded is not None and was is None)
+                or now.phase == "failed"
             )
         )
 
@@ -124,7 +126,7 @@ def test_it_connects_and_says_to_what(tank: Tank) -> None:
 
 def test_a_swim_from_the_ritual_to_what_was_learned(ready: Tank) -> None:
     now = ready.ask("swim", until="1", ritual=True)
-    assert (now.phase, now.swum and now.swum.outcome.end) == ("deciding", "complete")
+    assert (now.phase, now.recorded and now.recorded.outcome.end) == ("deciding", "complete")
     assert None not in now.speed_m_s
     assert [row.decision for row in now.rows] == [""]
     now = ready.decide("keep")
@@ -152,9 +154,9 @@ def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
     ready.on_beat = press
     now = ready.ask("swim", until="10", ritual=False)
     assert (now.phase, now.state) == ("deciding", "ABORTED")
-    assert now.swum is not None
-    assert now.swum.outcome.end == "aborted:ABORT_COMMAND"
-    assert now.swum.outcome.executed_beats < 8
+    assert now.recorded is not None
+    assert now.recorded.outcome.end == "aborted:ABORT_COMMAND"
+    assert now.recorded.outcome.executed_beats < 8
     assert ready.board.world.truth().pulse_ticks == 0
     with pytest.raises(InputError, match="needs a reason"):
         ready.conductor.ask("decide", kind="discard")
@@ -179,8 +181,8 @@ def test_the_next_swim_is_not_stopped_by_an_old_abort(ready: Tank) -> None:
     ready.decide("discard", "stopped")
     ready.on_beat = lambda beat: None
     now = ready.ask("swim", ritual=False)
-    assert now.swum is not None
-    assert now.swum.outcome.end == "complete"
+    assert now.recorded is not None
+    assert now.recorded.outcome.end == "complete"
 
 
 def test_abort_before_the_start_ends_the_waiting(ready: Tank) -> None:
@@ -225,8 +227,8 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
     """A board that was switched off may have a fish that shifted: nobody says yes by ABORT."""
     answers: list[bool] = []
 
-    def series(fish: Fish, experiment: object, person: Any, *_: object) -> SeriesEnd:
-        answers.append(person.confirm("go on?"))
+    def series(fish: Fish, experiment: object, operator: Any, *_: object) -> SeriesEnd:
+        answers.append(operator.confirm("go on?"))
         return SeriesEnd("stopped", "not now.", [], None)
 
     monkeypatch.setattr("tailbeat.app.web.worker.swim_series", series)
@@ -243,7 +245,11 @@ def test_what_stopped_it_is_shown_until_it_is_cleared(ready: Tank) -> None:
     now = ready.ask("swim", ritual=False)
     while now.phase in ("deciding", "asking"):
         ready.board.world.set_tilt_rad(0.0)
-        now = ready.decide("discard", "lifted out") if now.swum else ready.ask("answer", yes=False)
+        now = (
+            ready.decide("discard", "lifted out")
+            if now.recorded
+            else ready.ask("answer", yes=False)
+        )
     assert now.problem or now.fault
     if now.state in ("ABORTED", "FAULT"):
         assert now.fault
@@ -385,7 +391,7 @@ def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     go.set()
     now = ready.wait(lambda now: now.phase == "idle")
     assert (now.problem, now.experiment, len(now.rows)) == ("", name, 1)
-    assert ready.ask("swim", ritual=False).swum is not None
+    assert ready.ask("swim", ritual=False).recorded is not None
 
 
 def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
@@ -397,8 +403,8 @@ def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
     assert now.pending == 1
     assert ready.journal("decided")[-1]["decision"] == "keep"
     now = ready.ask("swim", ritual=False)  # the old one is settled without asking again
-    assert now.swum is not None
-    assert now.swum.outcome.number == 2
+    assert now.recorded is not None
+    assert now.recorded.outcome.number == 2
     assert now.rows[0].learned
 
 

@@ -100,7 +100,7 @@ def test_reset_forgets() -> None:
     assert feed(fit, line(26, t0=6.0))
 
 
-def swum(seed: int, fps: float, noise_m: float) -> np.ndarray:
+def recorded(seed: int, fps: float, noise_m: float) -> np.ndarray:
     """Pictures (t_s, x_m) of the thesis's swim in the simulated tank, the swim begins at 0."""
     wanted = thesis().speed_m_s
     amplitude = np.where(wanted > 0.002, 0.197 + wanted / 0.219, 0)
@@ -123,8 +123,8 @@ def test_the_speeds_of_a_swim_are_as_good_as_they_say(fps: float) -> None:
     sigma 94.9 and 93.9 % (25 and 60 pictures a second)."""
     errors, sigmas = [], []
     for seed in (1, 2, 3):
-        truth = swum(seed, 240.0, 0.0)
-        for s in feed(BeatFit(fps=fps), [tuple(row) for row in swum(seed, fps, 1e-3)]):
+        truth = recorded(seed, 240.0, 0.0)
+        for s in feed(BeatFit(fps=fps), [tuple(row) for row in recorded(seed, fps, 1e-3)]):
             if 0.5 < s.t_s < 39:
                 ends = np.interp([s.t_s - 0.5, s.t_s + 0.5], truth[:, 0], truth[:, 1])
                 errors.append(s.speed_m_s - (ends[1] - ends[0]))

@@ -73,12 +73,14 @@ def by_film(scene: Scene):
 
     def swim(fish: Fish) -> int:
         fish.params.set("SPD_SOURCE", UPLOAD)
-        swum = swim_before_the_camera(fish, scene, glow=True)
-        start_s = sync(swum.track, swum.trial).start_s
-        count = swum.trial.executed_beats
-        speed, sigma = swim_speed(swum.track, swum.trial.beat_s, start_s, beats=count).beats(count)
-        fish.upload_speeds(swum.trial.number, speed, sigma)
-        return swum.trial.number
+        recorded = swim_before_the_camera(fish, scene, glow=True)
+        start_s = sync(recorded.track, recorded.trial).start_s
+        count = recorded.trial.executed_beats
+        speed, sigma = swim_speed(
+            recorded.track, recorded.trial.beat_s, start_s, beats=count
+        ).beats(count)
+        fish.upload_speeds(recorded.trial.number, speed, sigma)
+        return recorded.trial.number
 
     return swim
 

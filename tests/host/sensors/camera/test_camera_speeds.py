@@ -35,26 +35,29 @@ def filmed(seed: int, fps: float, scene: Scene, lost: float, reference: Referenc
         return swim_before_the_camera(fish, scene, glow=True)
 
 
-def speeds_of(swum: Swum) -> tuple[SpeedCurve, np.ndarray, np.ndarray]:
+def speeds_of(recorded: Swum) -> tuple[SpeedCurve, np.ndarray, np.ndarray]:
     """The curve, error and sigma of every beat."""
-    count = len(swum.true_beats)
-    found = sync_by_led(swum.track, swum.trial)
-    curve = swim_speed(swum.track, swum.trial.beat_s, found.start_s, beats=count)
+    count = len(recorded.true_beats)
+    found = sync_by_led(recorded.track, recorded.trial)
+    curve = swim_speed(recorded.track, recorded.trial.beat_s, found.start_s, beats=count)
     speed, sigma = curve.beats(count)
-    return curve, speed - swum.true_beats, sigma
+    return curve, speed - recorded.true_beats, sigma
 
 
 def test_a_filmed_swim_has_the_right_speeds() -> None:
-    swum = filmed(1, 25.0, SMALL, 0.1, SHORT)
-    _, error, sigma = speeds_of(swum)
+    recorded = filmed(1, 25.0, SMALL, 0.1, SHORT)
+    _, error, sigma = speeds_of(recorded)
     known = np.isfinite(error)
     print(f"seed 1: RMS {np.sqrt(np.mean(error[known] ** 2)):.6f}, {known.sum()} of {len(error)}")
     assert known.mean() > 0.7
     assert np.sqrt(np.mean(error[known] ** 2)) < 0.5e-3
     assert np.mean(np.abs(error[known]) < 2 * sigma[known]) >= 0.75  # of a dozen
-    led, yaw = sync_by_led(swum.track, swum.trial), sync_by_yaw(swum.track, swum.trial)
-    assert abs(led.start_s - swum.start_s) < 0.010
-    assert abs(yaw.start_s - swum.start_s) < 0.040
+    led, yaw = (
+        sync_by_led(recorded.track, recorded.trial),
+        sync_by_yaw(recorded.track, recorded.trial),
+    )
+    assert abs(led.start_s - recorded.start_s) < 0.010
+    assert abs(yaw.start_s - recorded.start_s) < 0.040
 
 
 @pytest.mark.soak
@@ -63,12 +66,12 @@ def test_a_filmed_swim_has_the_right_speeds() -> None:
 def test_filmed_swims_of_many_seeds(name: str, scene: Scene, lost: float, fps: float) -> None:
     errors, sigmas, led, yaw = [], [], [], []
     for seed in range(1, LONG_SEEDS + 1):
-        swum = filmed(seed, fps, scene, lost, thesis())
-        _, error, sigma = speeds_of(swum)
+        recorded = filmed(seed, fps, scene, lost, thesis())
+        _, error, sigma = speeds_of(recorded)
         errors.append(error)
         sigmas.append(sigma)
-        led.append(sync_by_led(swum.track, swum.trial).start_s - swum.start_s)
-        yaw.append(sync_by_yaw(swum.track, swum.trial).start_s - swum.start_s)
+        led.append(sync_by_led(recorded.track, recorded.trial).start_s - recorded.start_s)
+        yaw.append(sync_by_yaw(recorded.track, recorded.trial).start_s - recorded.start_s)
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
     known = np.isfinite(error)
     inside = np.mean(np.abs(error[known]) < 2 * sigma[known])

@@ -49,7 +49,7 @@ class Watcher(SimulatedCamera):
         return found
 
 
-def swum(seed: int, fps: float, lost: float, amplitudes=None):
+def recorded(seed: int, fps: float, lost: float, amplitudes=None):
     """A trial's track, its true beats, and when it began."""
     url = f"sim:tank?seed={seed}"
     with Fish.connect(url, camera_fps=fps, camera_lost=lost) as fish:
@@ -91,7 +91,7 @@ def _start_s(fish: Fish, boot_s: float) -> float:
 def test_speeds_of_simulated_swims_are_right_and_know_how_right(fps: float, lost: float) -> None:
     errors, sigmas, noises = [], [], []
     for seed in SEEDS:
-        track, beats, start_s = swum(seed, fps, lost)
+        track, beats, start_s = recorded(seed, fps, lost)
         curve = swim_speed(track, 1.0, start_s, 0.0, beats=len(beats))
         speed, sigma = curve.beats(len(beats))
         errors.append(speed - beats)
@@ -117,7 +117,7 @@ def test_a_swim_in_steps_has_larger_errors_and_says_so() -> None:
     amplitudes = np.repeat([0.3, 0.75, 0.2], 7)
     errors, sigmas = [], []
     for seed in STEP_SEEDS:
-        track, beats, start_s = swum(seed, 25.0, 0.1, amplitudes)
+        track, beats, start_s = recorded(seed, 25.0, 0.1, amplitudes)
         speed, sigma = swim_speed(track, 1.0, start_s, 0.0, beats=len(beats)).beats(len(beats))
         errors.append(speed - beats)
         sigmas.append(sigma)

@@ -40,7 +40,7 @@ def painter(scene: Scene) -> Painter:
     return Painter(scene)
 
 
-def swum(t_s: float) -> DrawnPose:
+def recorded(t_s: float) -> DrawnPose:
     """Rests half a second, then swims at 0.1 m/s, heading and tail wagging once a second."""
     swims = t_s >= 0.5
     wag = math.sin(2 * math.pi * (t_s - 0.5)) if swims else 0.0
@@ -49,7 +49,7 @@ def swum(t_s: float) -> DrawnPose:
 
 
 def film(
-    scene: Scene, times: Iterable[float], where: Callable[[float], DrawnPose] = swum
+    scene: Scene, times: Iterable[float], where: Callable[[float], DrawnPose] = recorded
 ) -> list[tuple[DrawnPose, TimedImage]]:
     draw = painter(scene).paint
     return [(where(t), TimedImage(k, t, draw(where(t), k))) for k, t in enumerate(times)]
@@ -367,7 +367,7 @@ def test_a_small_blobs_head_is_where_its_tail_is_not_and_its_heading_the_bodys()
 
 def test_a_blobs_glow_is_also_that_of_a_fish_the_other_way_round() -> None:
     scene = Scene(marker="blob")
-    image = painter(scene).paint(replace(swum(0.0), x_m=0.3, heading_rad=0.4), 0)
+    image = painter(scene).paint(replace(recorded(0.0), x_m=0.3, heading_rad=0.4), 0)
     tracker = Tracker(Marker("blob"), scene.calibration(), "a film", glow=True)
     place = tracker.look(TimedImage(0, 0.0, image))
     turned = place.turned()

@@ -49,9 +49,9 @@ def test_true_beats_of_the_whole_simulator(seed: int) -> None:
         for number in (1, 2):
             outcome = run_trial(fish)
             done = np.array([[beat.amplitude_rad for beat in outcome.beats]])
-            swum = batch.run(done, number)
+            recorded = batch.run(done, number)
             np.testing.assert_allclose(
-                swum.true_m_s[0],
+                recorded.true_m_s[0],
                 fish.sim.world.true_beats(),
                 rtol=0,
                 atol=5e-5,
@@ -86,22 +86,22 @@ def world_speeds(seed: int, amplitude: Array, **others: float) -> Array:
 def test_measured_as_beatfit_does(lost: float) -> None:
     others = {"camera_noise_m": 0.002, "camera_lost": lost}
     amplitude = learned(3, beats=20)
-    swum = FishBatch("tank", [{"seed": seed, **others} for seed in (1, 2, 3)]).run(amplitude, 1)
+    recorded = FishBatch("tank", [{"seed": seed, **others} for seed in (1, 2, 3)]).run(amplitude, 1)
     fitted = np.array([world_speeds(i + 1, amplitude[i], **others) for i in range(3)])
     both = np.isfinite(fitted)  # BeatFit wants the pictures at both ends, too
     assert both.mean() > (0.6 if lost else 0.99)
-    assert np.isfinite(swum.speed_m_s[both]).all()
-    np.testing.assert_allclose(swum.speed_m_s[both], fitted[both], rtol=0, atol=1e-4)
+    assert np.isfinite(recorded.speed_m_s[both]).all()
+    np.testing.assert_allclose(recorded.speed_m_s[both], fitted[both], rtol=0, atol=1e-4)
 
 
 def test_sigma_says_how_far_off_a_speed_is() -> None:
     fish = [{**QUIET, "camera_noise_m": 0.005, "seed": seed} for seed in range(200)]
-    swum = FishBatch("tank", fish).run(np.repeat(learned(1), 200, axis=0), 1)
-    error = swum.speed_m_s - swum.true_m_s
+    recorded = FishBatch("tank", fish).run(np.repeat(learned(1), 200, axis=0), 1)
+    error = recorded.speed_m_s - recorded.true_m_s
     spread = error.std(axis=0).mean()
     times = (np.arange(26) - 12.5) / 25
     assert spread == pytest.approx(0.005 / np.sqrt(times @ times), rel=0.05)
-    assert swum.sigma_m_s.mean() == pytest.approx(spread, rel=0.05)
+    assert recorded.sigma_m_s.mean() == pytest.approx(spread, rel=0.05)
     assert abs(error.mean()) < 3e-4
 
 
@@ -109,8 +109,8 @@ def test_learned_beats_are_measured_without_bias() -> None:
     batch = FishBatch("tank", [{**QUIET, "kappa_per_m": kappa} for kappa in (5, 10, 20)])
     wanted = thesis().speed_m_s.astype(np.float64)
     amplitude = np.clip(0.197 + wanted / 0.219, 0, math.pi / 4)
-    swum = batch.run(np.repeat(amplitude[None, :], 3, axis=0), 1)
-    assert np.abs(swum.speed_m_s - swum.true_m_s).max() < 4e-4
+    recorded = batch.run(np.repeat(amplitude[None, :], 3, axis=0), 1)
+    assert np.abs(recorded.speed_m_s - recorded.true_m_s).max() < 4e-4
 
 
 def test_seed_and_number_key_the_noise() -> None:
@@ -143,7 +143,7 @@ def test_a_fish_does_not_feel_its_neighbours() -> None:
 def test_quiet_fish_swim_as_the_plant_alone(plant: str) -> None:
     batch = FishBatch(plant, [QUIET, {**QUIET, "map_bend_m_s_rad2": 0.1}])
     amplitude = learned(2)
-    swum = batch.run(amplitude, 1)
+    recorded = batch.run(amplitude, 1)
     for i in range(2):
         alone = np.empty(BEATS)
         row = np.ascontiguousarray(amplitude[i])
@@ -155,7 +155,7 @@ def test_quiet_fish_swim_as_the_plant_alone(plant: str) -> None:
             ffi.from_buffer("double[]", alone),
         )
         np.testing.assert_allclose(
-            swum.true_m_s[i], alone, rtol=0, atol=0 if plant == "tank" else 1e-9
+            recorded.true_m_s[i], alone, rtol=0, atol=0 if plant == "tank" else 1e-9
         )
     bend_felt = not np.array_equal(
         batch.run(amplitude[:1].repeat(2, 0), 1).true_m_s[0],

@@ -129,16 +129,16 @@ def test_rows_are_what_the_laws_and_the_plant_say(tiny: Recipe) -> None:
     amplitude = first_amplitudes(law, wanted)
     for iteration in (1, 2, 3):
         applied = laws.saturate(law, amplitude)
-        swum = alone.run(applied[None, :].astype(np.float64), iteration)
+        recorded = alone.run(applied[None, :].astype(np.float64), iteration)
         row = 4 + iteration
-        assert rows["max_abs_error_m_s"][row] == np.abs(wanted - swum.speed_m_s[0]).max()
-        assert rows["true_max_abs_error_m_s"][row] == np.abs(wanted - swum.true_m_s[0]).max()
-        rms = np.sqrt(np.mean((wanted - swum.true_m_s[0]) ** 2))
+        assert rows["max_abs_error_m_s"][row] == np.abs(wanted - recorded.speed_m_s[0]).max()
+        assert rows["true_max_abs_error_m_s"][row] == np.abs(wanted - recorded.true_m_s[0]).max()
+        rms = np.sqrt(np.mean((wanted - recorded.true_m_s[0]) ** 2))
         assert rows["true_rms_error_m_s"][row] == pytest.approx(rms, rel=1e-12)
         assert rows["ratio"][row] == pytest.approx(
             rows["max_abs_error_m_s"][row] / rows["max_abs_error_m_s"][row - 1]
         )
-        error, measured = laws.errors_of(wanted, swum.speed_m_s[0])
+        error, measured = laws.errors_of(wanted, recorded.speed_m_s[0])
         amplitude, _ = laws.update(law, amplitude, error, measured)
 
 
@@ -473,10 +473,10 @@ def test_a_reference_for_what_identification_knows() -> None:
 
 def test_a_beat_without_a_speed_has_the_usual_standard_deviation() -> None:
     speed = np.array([[0.1, np.nan]])
-    swum = learners.swims_of(BatchTrials(speed, speed / 50, speed), np.ones((1, 2)), 1.0, 7)[0]
-    assert np.array_equal(swum.sigma_m_s, [0.002, SIGMA_M_S])
-    assert swum.measured.tolist() == [True, False]
-    assert (swum.beat_s, swum.reference_crc) == (1.0, 7)
+    recorded = learners.swims_of(BatchTrials(speed, speed / 50, speed), np.ones((1, 2)), 1.0, 7)[0]
+    assert np.array_equal(recorded.sigma_m_s, [0.002, SIGMA_M_S])
+    assert recorded.measured.tolist() == [True, False]
+    assert (recorded.beat_s, recorded.reference_crc) == (1.0, 7)
 
 
 def test_corners() -> None:
