@@ -28,7 +28,6 @@ LONGER_FILES = {
     "board/fish.py": 585,  # the interface to a board, a third of it the contracts of its methods
     "experiment/folder.py": 585,  # likewise, of an experiment
     "app/web/worker.py": 560,
-    "experiment/analysis.py": 602,
     "learning/convergence.py": 485,
     "session/series.py": 460,
     "session/trial.py": 507,

@@ -11,7 +11,8 @@ import numpy as np
 
 from tailbeat.core.trial_checks import HeadingDrift
 from tailbeat.core.trial_file import Beats, Slots, Trial
-from tailbeat.experiment.analysis import Analysis, IterationStatistics, TrialRow, with_noise
+from tailbeat.experiment.analysis import Analysis, IterationStatistics
+from tailbeat.experiment.trial_rows import TrialRow, with_noise
 
 LIMIT_RAD = 0.6
 BEATS = 40

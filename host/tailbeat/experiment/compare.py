@@ -16,8 +16,9 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.learning.convergence import best_of, judge_all, score_of
 
 if TYPE_CHECKING:

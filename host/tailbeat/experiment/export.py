@@ -16,8 +16,9 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.extras import is_installed, need, remedy
 from tailbeat.core.files import write_whole
 from tailbeat.core.trial_file import Trial
-from tailbeat.experiment.analysis import Analysis, TrialRow, analyse, round_to
+from tailbeat.experiment.analysis import Analysis, analyse, round_to
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.trial_rows import TrialRow
 
 PARQUET = "parquet"
 FORMATS = ("csv", "mat", PARQUET)

@@ -16,7 +16,8 @@ from tailbeat.core.law_memory import LawMemory
 from tailbeat.core.native import lib
 from tailbeat.core.records import decode_learned
 from tailbeat.core.trial_file import Trial
-from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.analysis import Analysis
+from tailbeat.experiment.trial_rows import TrialRow
 
 _BY_THE_BOARD = ("law", "restored", "first", "")  # what makes a trial's amplitudes; "" = not told
 _NOT_HERE = "what the board had learned before is not in the folder"

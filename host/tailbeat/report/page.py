@@ -10,10 +10,11 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
-from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.compare import count
 from tailbeat.experiment.conditions import WATER_TEMPERATURE
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report.style import PAGE, SIMULATED, freedom_words, mm, simulated_mark
 
 _HAPPENED = ("made", "set", "trimmed", "identified", "restored", "resumed")

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replace_file
-from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.analysis import Analysis
+from tailbeat.experiment.trial_rows import TrialRow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,18 +16,10 @@ import pytest
 from tailbeat.app.demo import DemoOptions, run_demo
 from tailbeat.core.errors import InputError
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.analysis import (
-    Analysis,
-    TrialRow,
-    _band,
-    _begun_anew,
-    _noise,
-    _rows,
-    analyse,
-    write_analysis,
-)
+from tailbeat.experiment.analysis import Analysis, _band, _begun_anew, analyse, write_analysis
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Told
+from tailbeat.experiment.trial_rows import TrialRow, _noise, _rows
 
 from .. import made_analyses as made
 from ..swum_experiment import BEATS, REFERENCE, swim_experiment, writable

@@ -17,9 +17,10 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.law_memory import LawMemory, Memory
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.analysis import Analysis, _judges_gaps, _rows
+from tailbeat.experiment.analysis import Analysis, _judges_gaps
 from tailbeat.experiment.journal import Told
 from tailbeat.experiment.relearn import _Board, relearn
+from tailbeat.experiment.trial_rows import _rows
 from tailbeat.learning.convergence import (
     SCATTER_M_S,
     Score,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tailbeat.app.web.view import PageState
     from tailbeat.app.web.worker import Worker
     from tailbeat.core.reference import Reference
-    from tailbeat.experiment.analysis import TrialRow
+    from tailbeat.experiment.trial_rows import TrialRow
 
 Options = dict[str, Any]
 

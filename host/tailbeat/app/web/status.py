@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from tailbeat.app.web.view import PageState
     from tailbeat.app.web.worker import Worker
-    from tailbeat.experiment.analysis import TrialRow
+    from tailbeat.experiment.trial_rows import TrialRow
     from tailbeat.session.events import StepProgress
     from tailbeat.session.outcome import RecordedTrial
 

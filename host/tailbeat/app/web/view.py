@@ -22,7 +22,7 @@ from tailbeat.session.events import (
 from tailbeat.session.presenter import log_line
 
 if TYPE_CHECKING:
-    from tailbeat.experiment.analysis import TrialRow
+    from tailbeat.experiment.trial_rows import TrialRow
     from tailbeat.link.messages import BoardStatus
     from tailbeat.session.outcome import RecordedTrial, Travel
 

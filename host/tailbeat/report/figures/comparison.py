@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.experiment.analysis import Analysis, student_t
+from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.compare import compare, counted
+from tailbeat.experiment.trial_rows import student_t
 from tailbeat.report.style import (
     LOOKS,
     Style,

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from tailbeat.experiment.analysis import Analysis, student_t
+from tailbeat.experiment.analysis import Analysis
+from tailbeat.experiment.trial_rows import student_t
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.experiment.analysis import Analysis, IterationStatistics, TrialRow
+from tailbeat.experiment.analysis import Analysis, IterationStatistics
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,

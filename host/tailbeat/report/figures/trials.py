@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Trial
-from tailbeat.experiment.analysis import Analysis, TrialRow
+from tailbeat.experiment.analysis import Analysis
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report.style import (
     GREY,
     INK,

@@ -10,7 +10,7 @@ import pytest
 from tailbeat.app.web import cards, view
 from tailbeat.app.web.view import LOG_LINES, PageState, after, logged
 from tailbeat.core.trial_checks import HeadingDrift
-from tailbeat.experiment.analysis import TrialRow
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.events import StepProgress, TrialStarted
 
