@@ -19,7 +19,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _band, _begun_anew, analyse, write_analysis
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Told
-from tailbeat.experiment.trial_rows import TrialRow, _noise, _rows
+from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of
 
 from .. import made_analyses as made
 from ..swum_experiment import BEATS, REFERENCE, swim_experiment, writable
@@ -152,7 +152,7 @@ def rows_of(*swims: Trial, decision: str = "keep", learned: bool | None = True) 
     """Made of swims that were never in the water."""
     kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
     said = Told(decision=decision, learned=learned, recorded=True)
-    return _rows(kept, {path.name: said for path, _ in kept}, True)
+    return rows_of(kept, {path.name: said for path, _ in kept}, True)
 
 
 def swum_by(
@@ -191,7 +191,7 @@ def test_a_board_that_began_anew_is_another_epoch() -> None:
     band = _band(rows)
     assert band.swims.tolist() == [1, 1]
     assert band.max_median_m_s == pytest.approx([0.05, 0.03])
-    assert _noise(rows, [*day, *anew])[1] == 0
+    assert noise_of(rows, [*day, *anew])[1] == 0
     (told,) = _begun_anew(rows)
     assert told.startswith("the board began anew with trial 1 (0003.ulg)")
     at_first = rows_of(day[0], anew[0])

@@ -20,7 +20,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.analysis import Analysis, _judges_gaps
 from tailbeat.experiment.journal import Told
 from tailbeat.experiment.relearn import _Board, relearn
-from tailbeat.experiment.trial_rows import _rows
+from tailbeat.experiment.trial_rows import rows_of
 from tailbeat.learning.convergence import (
     SCATTER_M_S,
     Score,
@@ -379,6 +379,6 @@ def test_a_folder_of_an_older_tool_keeps_its_analysis(tmp_path: Path) -> None:
     gapped = replace(trial, beats=replace(trial.beats, speed_m_s=hole))
     told = {path.name: Told(decision="keep", learned=True, recorded=True)}
     for kept, complete in ((settings, True), ({"made": settings["made"]}, False), ({}, True)):
-        (row,) = _rows([(path, gapped)], told, _judges_gaps(kept))
+        (row,) = rows_of([(path, gapped)], told, _judges_gaps(kept))
         assert row.complete == complete
         assert row.measured_beats == len(hole) - 1
