@@ -148,7 +148,7 @@ def test_a_swim_that_the_journal_does_not_know_is_undecided(copy: Experiment) ->
     assert (last.trial, last.decision, last.undecided, last.counts) == (6, "", True, False)
 
 
-def rows_of(*swims: Trial, decision: str = "keep", learned: bool | None = True) -> list[TrialRow]:
+def made_rows(*swims: Trial, decision: str = "keep", learned: bool | None = True) -> list[TrialRow]:
     """Made of swims that were never in the water."""
     kept = [(Path(f"{at:04d}.ulg"), swim) for at, swim in enumerate(swims)]
     said = Told(decision=decision, learned=learned, recorded=True)
@@ -168,15 +168,15 @@ def contractions(rows: list[TrialRow]) -> list[float | None]:
 
 def test_contraction_is_of_the_laws_steps_alone() -> None:
     first = swum_by(1, 1, 0.04, "first")
-    learned = rows_of(first, swum_by(2, 2, 0.02), swum_by(3, 3, 0.01))
+    learned = made_rows(first, swum_by(2, 2, 0.02), swum_by(3, 3, 0.01))
     assert contractions(learned) == [None, 0.5, 0.5]
     for by in ("restored", "uploaded", "first"):
-        assert contractions(rows_of(first, swum_by(2, 2, 0.02, by))) == [None, None]
-    told = rows_of(first, swum_by(2, 2, 0.02, ""), swum_by(3, 3, 0.04, "", rad=0.11))
+        assert contractions(made_rows(first, swum_by(2, 2, 0.02, by))) == [None, None]
+    told = made_rows(first, swum_by(2, 2, 0.02, ""), swum_by(3, 3, 0.04, "", rad=0.11))
     assert contractions(told) == [None, 0.5, None]  # the last swam trial 1's amplitudes
-    undecided = rows_of(first, swum_by(2, 2, 0.02), decision="", learned=False)
+    undecided = made_rows(first, swum_by(2, 2, 0.02), decision="", learned=False)
     assert contractions(undecided) == [None, None]
-    repeats = rows_of(first, swum_by(2, 2, 0.02), decision="repeat", learned=False)
+    repeats = made_rows(first, swum_by(2, 2, 0.02), decision="repeat", learned=False)
     assert contractions(repeats) == [None, None]
 
 
@@ -184,7 +184,7 @@ def test_a_board_that_began_anew_is_another_epoch() -> None:
     """Its first amplitudes are the old ones: no repeats of swims under other numbers."""
     day = [swum_by(1, 1, 0.04, "first"), swum_by(2, 2, 0.02), swum_by(3, 3, 0.01)]
     anew = [swum_by(1, 1, 0.05, "first"), swum_by(2, 2, 0.03)]
-    rows = rows_of(*day, *anew)
+    rows = made_rows(*day, *anew)
     assert [row.epoch for row in rows] == [0, 0, 0, 1, 1]
     assert contractions(rows) == [None, 0.5, 0.5, None, 0.6]
     assert [row.repeat_of for row in rows] == [0] * 5
@@ -194,15 +194,15 @@ def test_a_board_that_began_anew_is_another_epoch() -> None:
     assert noise_of(rows, [*day, *anew])[1] == 0
     (told,) = _begun_anew(rows)
     assert told.startswith("the board began anew with trial 1 (0003.ulg)")
-    at_first = rows_of(day[0], anew[0])
+    at_first = made_rows(day[0], anew[0])
     assert [row.epoch for row in at_first] == [0, 1]
-    given_back = rows_of(*day, swum_by(1, 4, 0.01, "restored"))  # another board, the same learning
+    given_back = made_rows(*day, swum_by(1, 4, 0.01, "restored"))  # another board
     assert [row.epoch for row in given_back] == [0, 0, 0, 0]
 
 
 def test_a_ratio_never_spans_two_epochs() -> None:
     late = [swum_by(1, 1, 0.04, "first"), swum_by(2, 2, 0.02), swum_by(3, 3, 0.01)]
-    rows = rows_of(*late, swum_by(4, 2, 0.005))
+    rows = made_rows(*late, swum_by(4, 2, 0.005))
     assert [row.epoch for row in rows] == [0, 0, 0, 1]
     assert contractions(rows)[-1] is None
 
