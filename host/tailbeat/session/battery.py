@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.journal import Journal
+from tailbeat.board.fish import Fish
+from tailbeat.experiment.journal import Journal
 
 _LOOK_BACK = 3  # swims the fall is averaged over: one reading scatters by some 20 mV
 

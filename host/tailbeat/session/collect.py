@@ -16,31 +16,23 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError, reason
-from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, fault_info
+from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, FaultInfo, fault_info
+from tailbeat.core.frames import Frame
 from tailbeat.core.speed_source import speed_source
-from tailbeat.core.trial_checks import heading_drift, heading_drift_of_frames
-from tailbeat.core.trial_file import read_trial
+from tailbeat.core.trial_checks import HeadingDrift, heading_drift, heading_drift_of_frames
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.folder import Experiment
 from tailbeat.learning.convergence import score_of
 from tailbeat.learning.disturbance import bump_of
 from tailbeat.learning.fish_model import swim_of
-from tailbeat.link.messages import BeatEvent, TrialOutcome
-from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
+from tailbeat.link.messages import BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial, StopKind, StopReason
 from tailbeat.session.trial_camera import as_csv, stash_of
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.faults import FaultInfo
-    from tailbeat.core.frames import Frame
-    from tailbeat.core.trial_checks import HeadingDrift
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.link.messages import BoardStatus
-    from tailbeat.session.outcome import Ready
 
 STOPPED = ("ABORTED", "FAULT")
 _BUSY = ("BOOT", "RUNNING", "SETTLING", "LEARNING")

@@ -10,42 +10,34 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
-from tailbeat.board.fish import board_reference
+from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
-from tailbeat.core.reference import ReferenceLimits
+from tailbeat.core.frames import Camera
+from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.speed_source import SpeedSource, speed_source
-from tailbeat.core.trial_checks import heading_drift
+from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.library import RUN, logbook_of, name_reference, preserve_folder
+from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.library import RUN, Logbook, logbook_of, name_reference, preserve_folder
 from tailbeat.learning.design import design, law_words
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification_runs import Run
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
 from tailbeat.session.events import Notice
+from tailbeat.session.guards import Guard
 from tailbeat.session.identify import Attendant, identify_fish, set_params
 from tailbeat.session.log import SessionLog
+from tailbeat.session.operator import Operator
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.trial_camera import default_camera
 from tailbeat.session.trim import apply, find_centre
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.core.reference import Reference
-    from tailbeat.core.trial_checks import HeadingDrift
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.learning.identification import Identified
-    from tailbeat.learning.identification_runs import Run
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.identify import Attendant
-    from tailbeat.session.operator import Operator
 
 __all__ = ["RAISE_MAX_RAD", "CommissionStep", "Raise", "advice", "first_session", "next_raise"]
 

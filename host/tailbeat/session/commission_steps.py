@@ -12,15 +12,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.frames import Camera
+from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
+from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
+from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 from tailbeat.learning.saturation import (
     GRAIN_RAD,
@@ -30,26 +34,16 @@ from tailbeat.learning.saturation import (
     servo_rad,
     up_to_grain,
 )
+from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Notice
-from tailbeat.session.guards import RoomGuard, together, when
-from tailbeat.session.outcome import BY_HAND
+from tailbeat.session.guards import Guard, RoomGuard, together, when
+from tailbeat.session.operator import Operator
+from tailbeat.session.outcome import BY_HAND, Travel
 from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import countdown
+from tailbeat.session.preflight.step import PreflightLimits, countdown
 from tailbeat.session.shift import slope_of
 from tailbeat.session.travel import travel_of
 from tailbeat.session.trial import run_trial
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.core.reference import Reference
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.learning.identification import Identified
-    from tailbeat.link.messages import TrialOutcome
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Operator
-    from tailbeat.session.outcome import Travel
-    from tailbeat.session.preflight.step import PreflightLimits
 
 AMP_MAX = "AMP_MAX_RAD"
 RAISE_MAX_RAD = 0.1

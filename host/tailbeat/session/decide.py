@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused, TailbeatError
 from tailbeat.core.faults import WRONG_STATE, fault_info
 from tailbeat.experiment.board_state import copy_state
@@ -18,6 +18,7 @@ from tailbeat.experiment.current import current, require_meant, require_meant_he
 from tailbeat.experiment.library import DISCARDED, logbook_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.convergence import rollback_words
+from tailbeat.link.messages import BoardStatus, LearnReport
 from tailbeat.session.collect import (
     STOPPED,
     dangerous,
@@ -29,13 +30,8 @@ from tailbeat.session.collect import (
 )
 from tailbeat.session.events import Notice, TrialDecided
 from tailbeat.session.log import SessionLog
-from tailbeat.session.outcome import Decision
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.link.messages import BoardStatus, LearnReport
-    from tailbeat.session.operator import Operator
-    from tailbeat.session.outcome import DecisionKind, RecordedTrial
+from tailbeat.session.operator import Operator
+from tailbeat.session.outcome import Decision, DecisionKind, RecordedTrial
 
 _NO_REASON = "by command, no reason given"
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tailbeat.board.fish import Fish
 from tailbeat.core import law as laws
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
@@ -14,10 +15,7 @@ from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.core.records import decode_past, decode_reference, past_path, record_crc
 from tailbeat.core.trial_file import Trial, read_trial
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.link.messages import BoardStatus
+from tailbeat.link.messages import BoardStatus
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from tailbeat.link.messages import BeatEvent, LearnReport
-from tailbeat.session.outcome import StopReason
-
-if TYPE_CHECKING:
-    from tailbeat.session.outcome import Decision, RecordedTrial
+from tailbeat.session.outcome import Decision, RecordedTrial, StopReason
 
 
 @dataclass(frozen=True)

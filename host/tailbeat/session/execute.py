@@ -7,30 +7,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.frames import Camera
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
+from tailbeat.learning.convergence import Verdict
+from tailbeat.learning.identification import Identified
 from tailbeat.learning.verdict import progress_of
-from tailbeat.link.messages import SIMULATED_FISH
+from tailbeat.link.mavlink import Message
+from tailbeat.link.messages import SIMULATED_FISH, TrialOutcome
 from tailbeat.session.collect import trial_is_safe
 from tailbeat.session.events import Assessed, Event, LiveValues, Notice, TrialStopped
-from tailbeat.session.guards import Seen, together, when
+from tailbeat.session.guards import Guard, Seen, together, when
+from tailbeat.session.log import SessionLog
+from tailbeat.session.operator import Operator
 from tailbeat.session.outcome import BY_HAND, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import stash_of
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.learning.convergence import Verdict
-    from tailbeat.learning.identification import Identified
-    from tailbeat.link.mavlink import Message
-    from tailbeat.link.messages import TrialOutcome
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.log import SessionLog
-    from tailbeat.session.operator import Operator
 
 
 def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Verdict | None:

@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,10 +16,8 @@ from numpy.typing import ArrayLike
 from tailbeat.core.arrays import F64
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
+from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.session.outcome import StopKind, StopReason
-
-if TYPE_CHECKING:
-    from tailbeat.sensors.camera.calibration.file import Calibration
 
 Guard = Callable[[object], StopReason | None]
 """Sees every Frame, Unseen, Afresh, CameraGone and BeatEvent as they come (ignore what you do not

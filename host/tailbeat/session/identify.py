@@ -7,14 +7,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
+from tailbeat.core.frames import Camera
 from tailbeat.core.speed_source import SpeedSource
 from tailbeat.experiment.current import set_and_save
 from tailbeat.learning.fish_model import FishModel, Swim, swim_of
@@ -22,16 +23,10 @@ from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, Run, identify_runs
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.guards import RoomGuard, together, when
+from tailbeat.session.events import Event
+from tailbeat.session.guards import Guard, RoomGuard, together, when
 from tailbeat.session.outcome import BY_HAND
 from tailbeat.session.trial import run_trial
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.session.events import Event
-    from tailbeat.session.guards import Guard
-
 
 MODEL_PARAMS = {
     "MDL_KAPPA": "kappa_per_m",

@@ -17,16 +17,13 @@ from tailbeat.core.files import plain, write_whole
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import reference_crc
 from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.journal import Journal
 from tailbeat.session.battery import Drain
-from tailbeat.session.outcome import KINDS, Decision, RecordedTrial, StopReason
+from tailbeat.session.outcome import KINDS, Decision, Ready, RecordedTrial, StopReason
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.experiment.journal import Journal
-    from tailbeat.session.outcome import Ready, RecordedTrial
 
 Entry = dict[str, Any]
 _CLOCKS_AGREE_S = 1.0

@@ -9,20 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from tailbeat.board.fish import board_reference
+from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
+from tailbeat.learning.fish_model import Swim
+from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, document_of, foretold, propose, swim_crc
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.learning.fish_model import Swim
-    from tailbeat.learning.identification import Identified
 
 
 @dataclass(frozen=True)

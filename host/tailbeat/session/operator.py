@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from tailbeat.session.events import Event
-from tailbeat.session.outcome import Decision
-
-if TYPE_CHECKING:
-    from tailbeat.session.outcome import RecordedTrial
+from tailbeat.session.outcome import Decision, RecordedTrial
 
 
 class Operator(Protocol):

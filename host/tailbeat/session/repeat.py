@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.faults import NO_BEST, refusal
+from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_learned
-from tailbeat.core.trial_file import read_trial
+from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.board_state import copy_state
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
 from tailbeat.learning.convergence import input_crc
+from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.identification import Identified
 from tailbeat.learning.verdict import series_of
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.collect import (
@@ -24,26 +28,15 @@ from tailbeat.session.collect import (
     record_of,
     settled,
 )
-from tailbeat.session.events import Notice, TrialRecorded
+from tailbeat.session.events import Event, Notice, TrialRecorded
+from tailbeat.session.guards import Guard
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import AGAIN, SessionLog, held_before, repeat_path, write_held
-from tailbeat.session.outcome import Decision
+from tailbeat.session.operator import Operator
+from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.preflight.step import GivenUp
-from tailbeat.session.series import Until, swim_series
+from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.shift import Shift, require_best, shift_of
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.learning.fish_model import FishModel
-    from tailbeat.learning.identification import Identified
-    from tailbeat.session.events import Event
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Operator
-    from tailbeat.session.outcome import RecordedTrial
-    from tailbeat.session.series import Options
 
 __all__ = ["Shift", "end_repeat", "held_before", "idle", "repeat_best", "write_held"]
 

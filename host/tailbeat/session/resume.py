@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.board.snapshot import Differences, Snapshot
 from tailbeat.board.snapshot import restore_params as set_params
@@ -12,13 +12,10 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.records import record_crc
 from tailbeat.experiment.board_state import copy_state, expected_params, held_state
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, preserve_folder
 from tailbeat.session.log import AGAIN
 from tailbeat.session.repeat import end_repeat, idle
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.folder import Experiment
 
 __all__ = ["Restored", "restore"]
 

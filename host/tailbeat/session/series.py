@@ -8,15 +8,18 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import ABORT_COMMAND, BATTERY_CRITICAL, BATTERY_LOW, REBOOT, fault_info
+from tailbeat.core.frames import Camera
 from tailbeat.experiment.board_state import copy_state, require_not_lost
 from tailbeat.experiment.current import require_meant, require_own, require_same
-from tailbeat.experiment.folder import alone
+from tailbeat.experiment.folder import Experiment, alone
 from tailbeat.experiment.library import logbook_of
 from tailbeat.experiment.redo import write_redo
+from tailbeat.learning.convergence import Verdict
+from tailbeat.link.messages import LearnReport
 from tailbeat.session.battery import accepted, forecast, switched_off_since, too_low
 from tailbeat.session.collect import (
     STOPPED,
@@ -34,22 +37,14 @@ from tailbeat.session.collect import (
 from tailbeat.session.decide import Decisions, Done
 from tailbeat.session.events import Notice, TrialRecorded
 from tailbeat.session.execute import TrialSetup, execute, judged, report_assessment
+from tailbeat.session.guards import Guard
 from tailbeat.session.log import AGAIN, SessionLog, held_before
-from tailbeat.session.outcome import BY_HAND, Decision
+from tailbeat.session.operator import Operator
+from tailbeat.session.outcome import BY_HAND, Decision, DecisionKind, Ready, RecordedTrial
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import BatteryLow, GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial_camera import default_camera
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.learning.convergence import Verdict
-    from tailbeat.link.messages import LearnReport
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Operator
-    from tailbeat.session.outcome import DecisionKind, Ready, RecordedTrial
 
 __all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
+from tailbeat.core.trial_checks import HeadingDrift
+from tailbeat.core.trial_file import Trial
 from tailbeat.learning.convergence import (
     NoiseBand,
     Score,
@@ -28,13 +30,9 @@ from tailbeat.learning.convergence import (
     repeat_limits,
     score_of,
 )
+from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.fit import Scatter
-
-if TYPE_CHECKING:
-    from tailbeat.core.trial_checks import HeadingDrift
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.learning.fish_model import FishModel
-    from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification import Identified
 
 Remedy = Literal["go on", "learn on", "trim", "identify"]
 

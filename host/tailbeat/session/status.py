@@ -6,20 +6,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.trial_file import Trial
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
+from tailbeat.learning.convergence import Verdict
 from tailbeat.learning.verdict import progress_of
+from tailbeat.session.battery import Drain
 from tailbeat.session.commission import advice
 from tailbeat.session.log import SessionLog
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.learning.convergence import Verdict
-    from tailbeat.session.battery import Drain
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
@@ -26,15 +27,12 @@ from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import named_reference
 from tailbeat.experiment.folder import list_experiments
+from tailbeat.experiment.library import Logbook
 from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
+from tailbeat.learning.identification import Identified
 from tailbeat.learning.transfer import TOLERANCE, Likeness, Transferred, likeness, transfer
 from tailbeat.session.identify import MODEL_PARAMS
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.learning.identification import Identified
 
 INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
 _NOTHING = "Leave out --warm-start, and the fish learns afresh; or name a trial or an experiment."

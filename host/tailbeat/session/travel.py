@@ -12,16 +12,19 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tailbeat.board.fish import Fish
 from tailbeat.core import law as laws
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, Refused, TransferError
 from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference
-from tailbeat.core.trial_file import read_trial
+from tailbeat.core.trial_file import Trial, read_trial
+from tailbeat.experiment.library import Logbook
 from tailbeat.learning.envelope import farthest, speeds, way
-from tailbeat.learning.fish_model import swim_of
+from tailbeat.learning.fish_model import FishModel, swim_of
 from tailbeat.learning.fit import Prior, Scatter, fit
+from tailbeat.learning.identification import Identified
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.session.guards import RoomGuard
 from tailbeat.session.identify import prior_of
@@ -29,14 +32,6 @@ from tailbeat.session.outcome import Travel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.learning.fish_model import FishModel
-    from tailbeat.learning.fit import Scatter
-    from tailbeat.learning.identification import Identified
-    from tailbeat.session.guards import RoomGuard
 
 
 _TELLING_M = 0.1  # a trial that came less far says nothing of a longer one

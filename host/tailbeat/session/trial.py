@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import astuple, dataclass, field
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
+from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
 from tailbeat.core.faults import (
@@ -27,18 +28,15 @@ from tailbeat.session.events import (
     InterruptRequested,
     LinkLost,
     LinkRestored,
+    OnEvent,
     TrialEnded,
     TrialStarted,
     TrialStopped,
     TrialWarning,
 )
+from tailbeat.session.guards import Guard
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial_camera import TrialCamera, default_camera
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.session.events import OnEvent
-    from tailbeat.session.guards import Guard
 
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SILENCE_S = 3.0  # of board time, after which the link counts as lost

@@ -19,26 +19,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import ConnectError, LinkLostError
 from tailbeat.core.files import MAKE_ROOM, write_whole
 from tailbeat.core.frames import Camera, CameraGone, Frame, TrackReset, Unseen
+from tailbeat.core.trial_file import Trial
+from tailbeat.experiment.folder import Experiment
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent
 from tailbeat.link.sockets import TcpTransport
+from tailbeat.link.timesync import BoardClock
 from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
 from tailbeat.sensors.camera.speed.smoother import BeatFit, SpeedSample
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter, is_computed
-from tailbeat.session.events import TrialWarning
+from tailbeat.session.events import OnEvent, TrialWarning
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.link.timesync import BoardClock
-    from tailbeat.session.events import OnEvent
 
 HEADER = ("t_s", "x_m", "y_m", "heading_rad")
 _BEFORE_S = 30.0  # frames so long before a swim's start may still belong to it

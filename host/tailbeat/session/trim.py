@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import PreservedBoard, preserved
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
-from tailbeat.core.frames import Frame
+from tailbeat.core.frames import Camera, Frame
 from tailbeat.core.trial_checks import (
     HeadingTrace,
     heading_trace,
@@ -20,14 +21,17 @@ from tailbeat.core.trial_checks import (
     imu_drift_rad_s,
     with_way,
 )
+from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.current import current, set_and_save
-from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
+from tailbeat.experiment.library import RUN, Logbook, logbook_of, preserve_folder
 from tailbeat.learning.fit import Scatter
+from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Notice, StepProgress
-from tailbeat.session.guards import RoomGuard, Seen, together, when
+from tailbeat.session.guards import Guard, RoomGuard, Seen, together, when
+from tailbeat.session.operator import Operator
 from tailbeat.session.outcome import BY_HAND, Travel
 from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import GivenUp, countdown
+from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
@@ -35,15 +39,6 @@ from tailbeat.session.trial_camera import default_camera
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera, Frame
-    from tailbeat.core.trial_file import Trial
-    from tailbeat.experiment.library import Logbook
-    from tailbeat.link.messages import TrialOutcome
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.operator import Operator
-    from tailbeat.session.preflight.step import PreflightLimits
 
 
 CENTRE = "SERVO_CENTRE_US"

@@ -12,20 +12,16 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nicegui import events, ui
 
 from tailbeat.app.web.status import wish
-from tailbeat.app.web.view import LOG_LINES
+from tailbeat.app.web.view import LOG_LINES, PageState
+from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import InputError
-from tailbeat.core.reference import from_csv, from_text
-
-if TYPE_CHECKING:
-    from tailbeat.app.web.view import PageState
-    from tailbeat.app.web.worker import Worker
-    from tailbeat.core.reference import Reference
-    from tailbeat.experiment.trial_rows import TrialRow
+from tailbeat.core.reference import Reference, from_csv, from_text
+from tailbeat.experiment.trial_rows import TrialRow
 
 Options = dict[str, Any]
 

@@ -18,16 +18,13 @@ from nicegui import app, ui
 from tailbeat.app.web import cards, view
 from tailbeat.app.web.cards import LogCard, NotesCard, ReferenceCard
 from tailbeat.app.web.status import Asking, Deciding, Header, Status, Trials, dress
-from tailbeat.app.web.view import MOVING
+from tailbeat.app.web.view import MOVING, PageState
 from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_file import beats_csv, read_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from tailbeat.app.web.view import PageState
-    from tailbeat.app.web.worker import Worker
 
 
 _PERIOD_S = 0.2

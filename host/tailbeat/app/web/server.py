@@ -29,12 +29,12 @@ from tailbeat.app.web.access import Access, Rules, is_loopback, new_token
 from tailbeat.app.web.gate import Entrance, Gate
 from tailbeat.app.web.inbox import Turns
 from tailbeat.app.web.page import build
+from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import ConnectError, reason
 
 if TYPE_CHECKING:
     from types import FrameType
 
-    from tailbeat.app.web.worker import Worker
 
 _SIOCGIFADDR = 0x8915
 _ANY = ("0.0.0.0", "::")

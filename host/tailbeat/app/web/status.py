@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING
 from nicegui import ui
 
 from tailbeat.app.web import view
+from tailbeat.app.web.view import PageState
+from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
+from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.session.collect import proposed
+from tailbeat.session.events import StepProgress
+from tailbeat.session.outcome import RecordedTrial
 from tailbeat.session.presenter import record_lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tailbeat.app.web.view import PageState
-    from tailbeat.app.web.worker import Worker
-    from tailbeat.experiment.trial_rows import TrialRow
-    from tailbeat.session.events import StepProgress
-    from tailbeat.session.outcome import RecordedTrial
 
 UNTIL = {
     "1": "one swim",

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from tailbeat.core.printable import mm, printable
-from tailbeat.link.messages import BeatEvent
+from tailbeat.experiment.trial_rows import TrialRow
+from tailbeat.link.messages import BeatEvent, BoardStatus
 from tailbeat.session.events import (
     Assessed,
     Countdown,
@@ -19,12 +20,8 @@ from tailbeat.session.events import (
     StepProgress,
     TrialStarted,
 )
+from tailbeat.session.outcome import RecordedTrial, Travel
 from tailbeat.session.presenter import log_line
-
-if TYPE_CHECKING:
-    from tailbeat.experiment.trial_rows import TrialRow
-    from tailbeat.link.messages import BoardStatus
-    from tailbeat.session.outcome import RecordedTrial, Travel
 
 Phase = Literal[
     "connecting", "idle", "working", "ritual", "countdown", "swimming", "deciding", "asking",

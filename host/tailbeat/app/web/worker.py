@@ -15,36 +15,30 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tailbeat.app.web import notes
 from tailbeat.app.web.inbox import Ask, Asks
 from tailbeat.app.web.view import PageState, Phase, after, by_beat, by_status, logged, travel_line
+from tailbeat.board.fish import Fish
 from tailbeat.board.provision import connect_notice
 from tailbeat.core.errors import ConnectError, InputError, LinkLostError, TailbeatError, reason
+from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
-from tailbeat.core.reference import ReferenceLimits
+from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import begin, current, make, note_board, note_set, require_same
+from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of, name_reference
+from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
-from tailbeat.session.events import TrialDecided
-from tailbeat.session.outcome import KINDS, Decision
+from tailbeat.session.events import Event, TrialDecided
+from tailbeat.session.guards import Guard
+from tailbeat.session.outcome import KINDS, Decision, RecordedTrial
 from tailbeat.session.preflight.step import PreflightLimits
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.travel import travel_next
 from tailbeat.session.trial_camera import default_camera
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.core.reference import Reference
-    from tailbeat.experiment.folder import Experiment
-    from tailbeat.link.mavlink import Message
-    from tailbeat.session.events import Event
-    from tailbeat.session.guards import Guard
-    from tailbeat.session.outcome import Decision, RecordedTrial
-    from tailbeat.session.preflight.step import PreflightLimits
 
 OpenCamera = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
 """Opens the camera of a series, and the guard that goes with it."""

@@ -8,13 +8,16 @@ for passed.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 from weakref import WeakSet
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
+from tailbeat.core.frames import Camera
 from tailbeat.experiment.library import logbook_of
-from tailbeat.session.outcome import Drift, Pose, Ready
+from tailbeat.link.messages import BoardStatus
+from tailbeat.session.operator import Operator
+from tailbeat.session.outcome import Drift, Pose, Ready, Travel
 from tailbeat.session.preflight.pose import Feel, Sight, pose_now, wait_for_pose, what_to_do
 from tailbeat.session.preflight.step import (
     BatteryLow,
@@ -26,13 +29,6 @@ from tailbeat.session.preflight.step import (
 )
 from tailbeat.session.preflight.stillness import rested_s, wait_for_rest, wait_until_still, watch
 from tailbeat.session.travel import travel_next
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.link.messages import BoardStatus
-    from tailbeat.session.operator import Operator
-    from tailbeat.session.outcome import Travel
 
 __all__ = [
     "BatteryLow",

@@ -12,20 +12,15 @@ import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import IMU_STARTING
-from tailbeat.core.frames import CameraGone, Frame
+from tailbeat.core.frames import Camera, CameraGone, Frame
+from tailbeat.link.mavlink import Message
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
 from tailbeat.session.outcome import Pose
-from tailbeat.session.preflight.step import PreflightLimits
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Camera
-    from tailbeat.link.mavlink import Message
-    from tailbeat.session.preflight.step import PreflightStep
+from tailbeat.session.preflight.step import PreflightLimits, PreflightStep
 
 _OVER_S = 1.2  # of board time, so that two lines a second apart are in it
 _LEAST_S = 0.8

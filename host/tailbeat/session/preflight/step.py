@@ -10,17 +10,14 @@ from __future__ import annotations
 import contextlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatError
 from tailbeat.link import _dialect as mavlink
+from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.events import Countdown, Notice, StepProgress
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.link.mavlink import Message
-    from tailbeat.session.operator import Operator
+from tailbeat.session.operator import Operator
 
 
 class NotReady(TailbeatError):

@@ -7,25 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from tailbeat.board.fish import Fish
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.frames import Frame
 from tailbeat.core.trial_file import parse_trial
 from tailbeat.link.ftp.wire import FtpError
+from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.outcome import Drift
-from tailbeat.session.preflight.step import PreflightLimits
-
-if TYPE_CHECKING:
-    from tailbeat.board.fish import Fish
-    from tailbeat.core.frames import Frame
-    from tailbeat.link.mavlink import Message
-    from tailbeat.session.preflight.pose import Feel, Sight
-    from tailbeat.session.preflight.step import PreflightStep
+from tailbeat.session.preflight.pose import Feel, Sight
+from tailbeat.session.preflight.step import PreflightLimits, PreflightStep
 
 _HEAD_BYTES = 1024  # of a trial's file, with when it began and how long its beats are
 
