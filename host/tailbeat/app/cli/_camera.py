@@ -7,7 +7,6 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
 import typer
 
@@ -46,13 +45,11 @@ LATE_MAX_S = 0.03
 class MarkerOptions:
     """What every command that looks through a camera asks for."""
 
-    calibration: Annotated[Path | None, opt("What 'camera calibrate' wrote.", "TANK.json")] = None
-    marker: Annotated[str, opt("What is on the fish.", "|".join(KINDS))] = "aruco"
-    marker_id: Annotated[
-        int | None, opt("Number of the fish's marker; default: any one.", min=0)
-    ] = None
-    marker_side: Annotated[float | None, opt("Side of its black square, to check it.", "M")] = None
-    latency: Annotated[float, opt("How late a picture of a device arrives.", "S")] = 0.0
+    calibration: Path | None = opt("What 'camera calibrate' wrote.", "TANK.json")
+    marker: str = opt("What is on the fish.", "|".join(KINDS), default="aruco")
+    marker_id: int | None = opt("Number of the fish's marker; default: any one.", min=0)
+    marker_side: float | None = opt("Side of its black square, to check it.", "M")
+    latency: float = opt("How late a picture of a device arrives.", "S", default=0.0)
 
     def on_fish(self) -> Marker:
         """The marker. Raises typer.BadParameter."""
@@ -72,13 +69,10 @@ class MarkerOptions:
 class CameraOptions(MarkerOptions):
     """Of commands that run trials."""
 
-    camera: Annotated[
-        str | None,
-        opt(
-            "A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
-            "DEVICE|tcp:HOST:PORT|rendered",
-        ),
-    ] = None
+    camera: str | None = opt(
+        "A camera (0, /dev/video0), a stream of positions, or the simulated fish drawn.",
+        "DEVICE|tcp:HOST:PORT|rendered",
+    )
 
     def live(self, video: Path | None = None) -> LiveOptions:
         """What they say of the camera. Raises typer.BadParameter."""
@@ -89,23 +83,17 @@ class CameraOptions(MarkerOptions):
 class TankCameraOptions(CameraOptions):
     """Of commands that also stop a fish before it meets a wall."""
 
-    wall: Annotated[
-        float | None,
-        opt(
-            "Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
-            " default: where it can just still stop, by its drag.",
-            "M",
-            min=0.0,
-            max=2.0,
-        ),
-    ] = None
+    wall: float | None = opt(
+        "Stop a fish of 0.08 m/s so far from a wall, slower ones later; 0 = never;"
+        " default: where it can just still stop, by its drag.",
+        "M",
+        min=0.0,
+        max=2.0,
+    )
 
     def live(self, video: Path | None = None) -> LiveOptions:
         """With the wall's distance."""
         return replace(super().live(video), wall_m=self.wall)
-
-
-CAMERA = TankCameraOptions()  # none of them given
 
 
 @dataclass(frozen=True)

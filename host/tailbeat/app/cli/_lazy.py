@@ -10,13 +10,13 @@ from functools import cached_property, wraps
 from importlib import import_module
 from inspect import Parameter, signature
 from itertools import groupby
-from types import MappingProxyType
-from typing import Annotated, Any, get_type_hints
+from types import MappingProxyType, NoneType
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
-from typer.models import OptionInfo
+from typer.models import ArgumentInfo, OptionInfo
 
 from tailbeat.app.cli._terminal import Output, json_asked, present
 from tailbeat.core.extras import need
@@ -47,14 +47,18 @@ class Entry:
         return function
 
 
-def opt(help: str, metavar: str | None = None, name: str = "", **settings: Any) -> Any:
-    """An option. Its name is the parameter's, unless it has another one or two (``--x/--no-x``)."""
-    return typer.Option(..., *([name] if name else []), help=help, metavar=metavar, **settings)
+def opt(
+    help: str, metavar: str | None = None, name: str = "", default: Any = None, **settings: Any
+) -> Any:
+    """An option, as a parameter's default or within Annotated. Its name is the parameter's, unless
+    it has another one or two (``--x/--no-x``)."""
+    names = [name] if name else []
+    return typer.Option(default, *names, help=help, metavar=metavar, **settings)
 
 
-def arg(help: str = "", metavar: str | None = None, **settings: Any) -> Any:
-    """A positional argument."""
-    return typer.Argument(help=help or None, metavar=metavar, **settings)
+def arg(help: str = "", metavar: str | None = None, default: Any = None, **settings: Any) -> Any:
+    """A positional argument, as ``opt``."""
+    return typer.Argument(default, help=help or None, metavar=metavar, **settings)
 
 
 JSON = Annotated[bool, opt("Print one JSON document, nothing else.")]
@@ -104,12 +108,18 @@ def _bundle(hint: Any) -> Any:
 
 
 def _parameter(name: str, hint: Any, default: Any) -> Parameter:
-    """An option without a name gets the parameter's; a switch has no --no-NAME."""
-    word = name.rstrip("_").replace("_", "-")
-    info = copy(hint.__metadata__[0])
+    """An option without a name gets the parameter's; a switch has no --no-NAME. One without a
+    default must be given, unless it may be None."""
+    if isinstance(default, OptionInfo | ArgumentInfo):
+        info, default = copy(default), default.default
+    else:
+        hint, info = hint.__origin__, copy(hint.__metadata__[0])
+    info.default = ...
     if isinstance(info, OptionInfo):
-        info.param_decls = info.param_decls or (f"--{word}",)
-    annotation = Annotated[hint.__origin__, info]
+        info.param_decls = info.param_decls or (f"--{name.rstrip('_').replace('_', '-')}",)
+    if default is None and NoneType not in get_args(hint):
+        default = False if hint is bool else Parameter.empty
+    annotation = Annotated[hint, info]
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 from importlib.metadata import version as version_of
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -177,7 +177,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: Annotated[bool, opt("Print the version.", callback=_version, is_eager=True)] = False,
+    version: bool = opt(
+        "Print the version.", name="--version", default=False, callback=_version, is_eager=True
+    ),
 ) -> None:
     del version
 

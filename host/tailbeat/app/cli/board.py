@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from dataclasses import fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -37,9 +36,9 @@ from tailbeat.link.serial import SerialTransport
 
 
 def bluetooth_setup(
-    port: Annotated[str, arg("The USB-serial adapter that the module is wired to.")],
-    name: Annotated[str | None, opt("Name that laptops see, 1 to 20 characters.")] = None,
-    pin: Annotated[str | None, opt("PIN for pairing, four digits.")] = None,
+    port: str = arg("The USB-serial adapter that the module is wired to."),
+    name: str | None = opt("Name that laptops see, 1 to 20 characters."),
+    pin: str | None = opt("PIN for pairing, four digits."),
 ) -> Output:
     """Bring an HC-05 or HC-06 to 115200 baud.
 
@@ -165,7 +164,7 @@ def clear(fish: ConnectedFish) -> Output:
 
 def watch(
     fish: ConnectedFish,
-    count: Annotated[int | None, opt("Stop after this many lines.", min=1)] = None,
+    count: int | None = opt("Stop after this many lines.", min=1),
 ) -> None:
     """Print the board's messages as JSON lines, until Ctrl-C.
 
@@ -177,9 +176,7 @@ def watch(
 
 def crash(
     fish: ConnectedFish,
-    elf: Annotated[
-        Path | None, opt("The .elf that crashed: names the places in the source.")
-    ] = None,
+    elf: Path | None = opt("The .elf that crashed: names the places in the source."),
 ) -> Output:
     """Print how the firmware last crashed, from the board's /crash.bin.
 
@@ -229,25 +226,19 @@ class Tool(StrEnum):
 
 
 def flash(
-    image: Annotated[Path, arg("The .bin; OpenOCD takes the .elf next to it.")] = Path(
-        "build/firmware/tailbeat.bin"
+    image: Path = arg(
+        "The .bin; OpenOCD takes the .elf next to it.", default=Path("build/firmware/tailbeat.bin")
     ),
-    port: Annotated[
-        str | None, opt("The board's USB port; default: the only one there is.")
-    ] = None,
-    tool: Annotated[Tool, opt("By USB with bossac, or over SWD with OpenOCD.")] = Tool.bossac,
-    adapter: Annotated[str, opt("OpenOCD's name for the SWD probe.")] = "cmsis-dap",
-    keep: Annotated[
-        bool, opt("Save what the board holds, and put it back after.", name="--keep/--no-keep")
-    ] = True,
-    out: Annotated[Path, opt("Where it is saved; may be an experiment's folder.")] = Path(
-        "backups"
+    port: str | None = opt("The board's USB port; default: the only one there is."),
+    tool: Tool = opt("By USB with bossac, or over SWD with OpenOCD.", default=Tool.bossac),
+    adapter: str = opt("OpenOCD's name for the SWD probe.", default="cmsis-dap"),
+    keep: bool = opt(
+        "Save what the board holds, and put it back after.", name="--keep/--no-keep", default=True
     ),
-    restore: Annotated[Path | None, opt("Flash nothing; put a backup back.", "BACKUP")] = None,
-    connect: Annotated[
-        str | None, opt("Where to talk to the board, if not by --port.", "URL")
-    ] = None,
-    yes: Annotated[bool, opt("Do not ask before a port of another make is touched.")] = False,
+    out: Path = opt("Where it is saved; may be an experiment's folder.", default=Path("backups")),
+    restore: Path | None = opt("Flash nothing; put a backup back.", "BACKUP"),
+    connect: str | None = opt("Where to talk to the board, if not by --port.", "URL"),
+    yes: bool = opt("Do not ask before a port of another make is touched."),
 ) -> Output:
     """Write new firmware; parameters, reference and learned data are restored on the board.
 

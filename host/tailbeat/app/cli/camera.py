@@ -6,11 +6,11 @@ import math
 import time
 from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from tailbeat.app.cli._camera import CAMERA, MarkerOptions
+from tailbeat.app.cli._camera import MarkerOptions
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._terminal import Output, progress_bar, warn
 from tailbeat.app.exercise import Exercise, ExerciseOptions, make_exercise
@@ -32,21 +32,21 @@ _SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
 
 
 def render(
-    film: Annotated[Path, arg("To write: .mp4 or .mkv.", "FILM")],
-    reference: Annotated[
-        str, opt("The reference: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV.")
-    ] = "thesis",
-    plant: Annotated[str, opt("Model of the fish.", "tank|thesis")] = "tank",
-    seed: Annotated[int, opt("Same seed, same film.", min=0)] = 1,
-    fps: Annotated[float, opt("Pictures per second.", min=1, max=240)] = 25,
-    size: Annotated[str, opt("Of the picture, pixels.", "WxH")] = "1280x720",
-    marker: Annotated[str, opt("What the fish carries.", "|".join(KINDS))] = "aruco",
-    lost: Annotated[float, opt("Part of the pictures never taken.", min=0, max=0.9)] = 0.0,
-    hidden: Annotated[float, opt("Part with half of the marker covered.", min=0, max=1)] = 0.0,
-    glare: Annotated[float, opt("Size of a bright spot that wanders.", min=0, max=1)] = 0.0,
-    noise_mm: Annotated[float, opt("How far a drawn fish is off its place.", min=0)] = 0.0,
-    fish: Annotated[int, opt("Number of fish.", min=1, max=2)] = 1,
-    offset: Annotated[float, opt("Film before the trial begins, s.", min=0.1, max=60)] = 2.0,
+    film: Path = arg("To write: .mp4 or .mkv.", "FILM"),
+    reference: str = opt(
+        "The reference: thesis, trapezoid:V,RAMP_S,HOLD_S, … or a CSV.", default="thesis"
+    ),
+    plant: str = opt("Model of the fish.", "tank|thesis", default="tank"),
+    seed: int = opt("Same seed, same film.", min=0, default=1),
+    fps: float = opt("Pictures per second.", min=1, max=240, default=25),
+    size: str = opt("Of the picture, pixels.", "WxH", default="1280x720"),
+    marker: str = opt("What the fish carries.", "|".join(KINDS), default="aruco"),
+    lost: float = opt("Part of the pictures never taken.", min=0, max=0.9, default=0.0),
+    hidden: float = opt("Part with half of the marker covered.", min=0, max=1, default=0.0),
+    glare: float = opt("Size of a bright spot that wanders.", min=0, max=1, default=0.0),
+    noise_mm: float = opt("How far a drawn fish is off its place.", min=0, default=0.0),
+    fish: int = opt("Number of fish.", min=1, max=2, default=1),
+    offset: float = opt("Film before the trial begins, s.", min=0.1, max=60, default=2.0),
 ) -> Output:
     """Film a simulated trial: the film, its truth, its calibration and the trial's log.
 
@@ -100,17 +100,16 @@ _SIZE_OFF_MAX = 0.02
 
 
 def track(
-    source: Annotated[str, arg("A film, or a camera: 0, /dev/video0.", "VIDEO|DEVICE")],
-    marker: MarkerOptions = CAMERA,
-    trial: Annotated[Path | None, opt("The trial's file: 'trial pull'.", "FILE.ulg")] = None,
-    start: Annotated[
-        float | None, opt("Second of the film at which the trial begins.", "S")
-    ] = None,
-    beat: Annotated[float, opt("Length of a beat; with --trial its own.", "S")] = 1.0,
-    out: Annotated[Path | None, opt("Folder for the results; default: as the film.")] = None,
-    overlay: Annotated[bool, opt("Film of what was seen, as overlay.mp4.")] = False,
-    plot: Annotated[bool, opt("Way and speed as track.png.")] = False,
-    seconds: Annotated[float | None, opt("So long, then end; a device: 60.", "N")] = None,
+    *,
+    source: str = arg("A film, or a camera: 0, /dev/video0.", "VIDEO|DEVICE"),
+    marker: MarkerOptions,
+    trial: Path | None = opt("The trial's file: 'trial pull'.", "FILE.ulg"),
+    start: float | None = opt("Second of the film at which the trial begins.", "S"),
+    beat: float = opt("Length of a beat; with --trial its own.", "S", default=1.0),
+    out: Path | None = opt("Folder for the results; default: as the film."),
+    overlay: bool = opt("Film of what was seen, as overlay.mp4."),
+    plot: bool = opt("Way and speed as track.png."),
+    seconds: float | None = opt("So long, then end; a device: 60.", "N"),
 ) -> Output:
     """Find the fish in a film, and its speed with error bars.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import typer
@@ -39,14 +39,14 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
 
 
 def print_(
-    what: Annotated[str, arg("board, marker (the fish's), anchors or ruler.", "WHAT")],
-    kind: Annotated[TagKind | None, opt("Of the fish's marker. Default: aruco.")] = None,
-    number: Annotated[
-        int | None, opt("Of the fish's marker (default 7), or this one anchor only.", name="--id")
-    ] = None,
-    side: Annotated[float | None, opt("Of a marker's black square.", "MM", min=1.0)] = None,
-    paper: Annotated[Paper, opt("Size of the sheet.")] = "a4",
-    out: Annotated[Path | None, opt("Default: WHAT.pdf here.", "PDF")] = None,
+    what: str = arg("board, marker (the fish's), anchors or ruler.", "WHAT"),
+    kind: TagKind | None = opt("Of the fish's marker. Default: aruco."),
+    number: int | None = opt(
+        "Of the fish's marker (default 7), or this one anchor only.", name="--id"
+    ),
+    side: float | None = opt("Of a marker's black square.", "MM", min=1.0),
+    paper: Paper = opt("Size of the sheet.", default="a4"),
+    out: Path | None = opt("Default: WHAT.pdf here.", "PDF"),
 ) -> Output:
     """Write a sheet to print, exact to the millimetre.
 
@@ -82,38 +82,30 @@ def _sheet(
 
 
 def calibrate(
-    points: Annotated[Path | None, opt("u_px,v_px,x_m,y_m or id,x_m,y_m.", "CSV")] = None,
-    picture: Annotated[Path | None, opt("The tank with these points; or a film.", "FILE")] = None,
-    board: Annotated[
-        list[Path] | None, opt("Pictures of the board, a folder, a film.", "PATH")
-    ] = None,
-    area: Annotated[
-        str | None,
-        opt(
-            "The water, m, from 0,0 on; or X0,Y0,X1,Y1. Default: between the points.",
-            "LENGTH,WIDTH",
-        ),
-    ] = None,
-    raise_m: Annotated[
-        float, opt("The marker's plane is so far above the points.", "M", name="--raise")
-    ] = 0.0,
-    depth_m: Annotated[
-        float,
-        opt(
-            "The marker is so far under water. The points lie on the surface; if not, --raise "
-            "is the surface's height above them.",
-            "M",
-            name="--depth",
-        ),
-    ] = 0.0,
-    ruler: Annotated[list[Path] | None, opt("The ruler at the marker's height.", "FILE")] = None,
-    ruler_length_m: Annotated[
-        float | None, opt("Between the middles of its markers.", "M", name="--ruler-length")
-    ] = None,
-    ruler_points: Annotated[str | None, opt("Its ends, in pixels, instead.", "U1,V1,U2,V2")] = None,
-    camera: Annotated[str, opt("Which camera, in your words.", "TEXT")] = "",
-    out: Annotated[Path, opt("Write it there.", "FILE")] = Path("tank.json"),
-    check: Annotated[Path | None, opt("Check this one by a ruler; write nothing.", "FILE")] = None,
+    points: Path | None = opt("u_px,v_px,x_m,y_m or id,x_m,y_m.", "CSV"),
+    picture: Path | None = opt("The tank with these points; or a film.", "FILE"),
+    board: list[Path] | None = opt("Pictures of the board, a folder, a film.", "PATH"),
+    area: str | None = opt(
+        "The water, m, from 0,0 on; or X0,Y0,X1,Y1. Default: between the points.", "LENGTH,WIDTH"
+    ),
+    raise_m: float = opt(
+        "The marker's plane is so far above the points.", "M", name="--raise", default=0.0
+    ),
+    depth_m: float = opt(
+        "The marker is so far under water. The points lie on the surface; if not, --raise "
+        "is the surface's height above them.",
+        "M",
+        name="--depth",
+        default=0.0,
+    ),
+    ruler: list[Path] | None = opt("The ruler at the marker's height.", "FILE"),
+    ruler_length_m: float | None = opt(
+        "Between the middles of its markers.", "M", name="--ruler-length"
+    ),
+    ruler_points: str | None = opt("Its ends, in pixels, instead.", "U1,V1,U2,V2"),
+    camera: str = opt("Which camera, in your words.", "TEXT", default=""),
+    out: Path = opt("Write it there.", "FILE", default=Path("tank.json")),
+    check: Path | None = opt("Check this one by a ruler; write nothing.", "FILE"),
 ) -> Output:
     """Calibrate a camera over a tank: pixels become metres. See docs/camera-calibration.md.
 

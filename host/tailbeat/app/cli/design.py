@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -28,23 +28,20 @@ from tailbeat.report.figures.law import render_law
 
 def design(
     identified: IdentifiedFile = None,
-    table: Annotated[Path | None, opt("Steady speeds: amplitude_rad,speed_m_s.", "CSV")] = None,
+    table: Path | None = opt("Steady speeds: amplitude_rad,speed_m_s.", "CSV"),
     reference: ReferenceName = None,
-    gain: Annotated[float | None, opt("Judge this gain, rad per m/s.")] = None,
-    lead: Annotated[float | None, opt("Judge this lead: 0, 0.5, 1, ... beats.")] = None,
-    q: Annotated[int | None, opt("Length of the filter Q; 1 = none.", min=1)] = None,
-    amplitude_max_rad: Annotated[
-        float | None,
-        opt(
-            "rad; default: the board's, or pi/4 without a board.",
-            name="--amplitude-max",
-            min=0.01,
-            max=1.0471976,
-            show_default=False,
-        ),
-    ] = None,
-    force: Annotated[bool, opt("Also a law that does not learn.")] = False,
-    apply: Annotated[bool, opt("Make it the connected board's.")] = False,
+    gain: float | None = opt("Judge this gain, rad per m/s."),
+    lead: float | None = opt("Judge this lead: 0, 0.5, 1, ... beats."),
+    q: int | None = opt("Length of the filter Q; 1 = none.", min=1),
+    amplitude_max_rad: float | None = opt(
+        "rad; default: the board's, or pi/4 without a board.",
+        name="--amplitude-max",
+        min=0.01,
+        max=1.0471976,
+        show_default=False,
+    ),
+    force: bool = opt("Also a law that does not learn."),
+    apply: bool = opt("Make it the connected board's."),
     plot: Plot = None,
     connect: Connect = None,
 ) -> Output:

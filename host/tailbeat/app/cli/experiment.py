@@ -51,12 +51,10 @@ FolderOrCurrent = Annotated[
 class ConditionOptions:
     """The conditions of an experiment."""
 
-    water_temp: Annotated[float | None, opt("Of the water, degrees Celsius.", "C")] = None
-    condition: Annotated[
-        list[str] | None, opt("Like water_depth_m=0.35 (unit in the name).", "KEY=VALUE")
-    ] = None
-    configuration: Annotated[str | None, opt("How the fish is built, in a few words.")] = None
-    operator: Annotated[str | None, opt("Who is at the tank.")] = None
+    water_temp: float | None = opt("Of the water, degrees Celsius.", "C")
+    condition: list[str] | None = opt("Like water_depth_m=0.35 (unit in the name).", "KEY=VALUE")
+    configuration: str | None = opt("How the fish is built, in a few words.")
+    operator: str | None = opt("Who is at the tank.")
 
     def numbers(self) -> dict[str, str | float]:
         """Those with a unit. Raises InputError."""
@@ -68,14 +66,12 @@ class ConditionOptions:
         return {key: value.strip() for key, value in given.items() if value is not None}
 
 
-_NONE = ConditionOptions()
-
-
 def new(
+    *,
     reference: ReferenceName = None,
-    fish_name: Annotated[str | None, opt("Name of the fish.", name="--fish")] = None,
-    given: ConditionOptions = _NONE,
-    another: Annotated[bool, opt("Also when the last one has no trial.")] = False,
+    fish_name: str | None = opt("Name of the fish.", name="--fish"),
+    given: ConditionOptions,
+    another: bool = opt("Also when the last one has no trial."),
     root: Root = EXPERIMENTS,
     connect: Connect = None,
 ) -> Output:
@@ -121,8 +117,9 @@ def use(folder: Folder, connect: Connect = None) -> Output:
 
 
 def set_(
+    *,
     folder: FolderOrCurrent = None,
-    given: ConditionOptions = _NONE,
+    given: ConditionOptions,
     connect: Connect = None,
 ) -> Output:
     """Set conditions that became known later; the event log keeps the earlier ones.
@@ -149,7 +146,7 @@ def list_(root: Root = EXPERIMENTS) -> Output:
 
 def show(
     folder: FolderOrCurrent = None,
-    redo: Annotated[bool, opt("Print how to do it again, and write redo.md.")] = False,
+    redo: bool = opt("Print how to do it again, and write redo.md."),
     connect: Connect = None,
 ) -> Output:
     """Print an experiment: conditions, trials with their decisions, notes.
@@ -167,8 +164,8 @@ def show(
 
 
 def note(
-    first: Annotated[str, arg("What to remember.", "[FOLDER] TEXT")],
-    second: Annotated[str | None, arg("", hidden=True)] = None,
+    first: str = arg("What to remember.", "[FOLDER] TEXT"),
+    second: str | None = arg("", hidden=True),
     connect: Connect = None,
 ) -> Output:
     """Add a line with the time to the experiment's notes.
@@ -187,10 +184,10 @@ def note(
 
 
 def compare(
-    a: Annotated[Path, arg("An experiment's folder.", "A")],
-    b: Annotated[Path, arg("Another one, of the same reference.", "B")],
-    what: Annotated[str, opt("Which error.", "max|rms")] = "max",
-    iterations: Annotated[str | None, opt("Default: repeats of the best input.", "4,5,6")] = None,
+    a: Path = arg("An experiment's folder.", "A"),
+    b: Path = arg("Another one, of the same reference.", "B"),
+    what: str = opt("Which error.", "max|rms", default="max"),
+    iterations: str | None = opt("Default: repeats of the best input.", "4,5,6"),
 ) -> Output:
     """Compare two experiments: effect with its confidence interval, repeats needed.
 
@@ -235,9 +232,9 @@ def replay(folder: Folder) -> Output:
 
 def export(
     folder: Folder,
-    formats: Annotated[
-        list[str] | None, opt("Default: all; repeatable.", "csv|mat|parquet", name="--format")
-    ] = None,
+    formats: list[str] | None = opt(
+        "Default: all; repeatable.", "csv|mat|parquet", name="--format"
+    ),
 ) -> Output:
     """Write the trials as CSV, MATLAB and Parquet files.
 

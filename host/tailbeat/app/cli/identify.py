@@ -8,11 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from tailbeat.app.cli._camera import CAMERA, LiveCamera, LiveOptions, TankCameraOptions, live_camera
+from tailbeat.app.cli._camera import LiveCamera, LiveOptions, TankCameraOptions, live_camera
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
 from tailbeat.app.cli._options import Connect, Library, connected
@@ -56,9 +56,9 @@ _FISH = "With --table: the fish's "
 class ResultFiles:
     """Where the result goes, besides the board and the fish's trial library."""
 
-    out: Annotated[Path | None, opt("Write what was found there.")] = None
+    out: Path | None = opt("Write what was found there.")
     library: Library = None
-    plot: Annotated[Path | None, opt("Draw map, runs and residuals.", "PNG")] = None
+    plot: Path | None = opt("Draw map, runs and residuals.", "PNG")
 
     def check(self) -> None:
         """Raises InputError for a folder that is not there."""
@@ -73,14 +73,12 @@ class ResultFiles:
 class TableFish:
     """The fish that a table of steady speeds is of."""
 
-    mass_kg: Annotated[float, opt(_FISH + "mass, kg.", name="--mass")] = 0.4
-    length_m: Annotated[float, opt(_FISH + "length, m.", name="--length")] = 0.36
-    density_kg_m3: Annotated[float, opt("With --table: the water's, kg/m3.", name="--density")] = (
-        1000.0
+    mass_kg: float = opt(_FISH + "mass, kg.", name="--mass", default=0.4)
+    length_m: float = opt(_FISH + "length, m.", name="--length", default=0.36)
+    density_kg_m3: float = opt(
+        "With --table: the water's, kg/m3.", name="--density", default=1000.0
     )
-    tail_area_m2: Annotated[
-        float | None, opt(_FISH + "tail area, m2; default pi*0.165^2/4.", name="--area")
-    ] = None
+    tail_area_m2: float | None = opt(_FISH + "tail area, m2; default pi*0.165^2/4.", name="--area")
 
     def known(self) -> ThesisFish:
         """For the thesis's equations."""
@@ -92,11 +90,11 @@ class TableFish:
 class RunOptions:
     """How the fish swims."""
 
-    yes: Annotated[bool, opt("Neither wait nor ask before a run.")] = False
-    margin_m: Annotated[
-        float, opt("Of the tank's length, left free, m.", name="--margin", min=0.0)
-    ] = 0.15
-    rest: Annotated[float, opt("Rest before each run.", "S", min=0.0, max=3600.0)] = 30.0
+    yes: bool = opt("Neither wait nor ask before a run.")
+    margin_m: float = opt(
+        "Of the tank's length, left free, m.", name="--margin", min=0.0, default=0.15
+    )
+    rest: float = opt("Rest before each run.", "S", min=0.0, max=3600.0, default=30.0)
 
     @property
     def alone(self) -> bool:
@@ -104,25 +102,19 @@ class RunOptions:
         return self.yes or json_asked.get()
 
 
-_WRITE, _TABLE_FISH, _RUNS = ResultFiles(), TableFish(), RunOptions()
-
-
 def identify(
-    files: Annotated[list[Path] | None, arg("More files for --trials.", "FILE")] = None,
-    table_: Annotated[Path | None, opt("Steady speeds: amplitude_rad,speed_m_s.", "CSV")] = None,
-    trials: Annotated[
-        list[Path] | None, opt("Trial files to use; the fish does not swim.", "FILE...")
-    ] = None,
-    experiment: Annotated[
-        Path | None, opt("Its trials are used; the fish does not swim.", "DIR")
-    ] = None,
-    write: ResultFiles = _WRITE,
-    params: Annotated[
-        bool, opt("Set the board's MDL_... and save them.", name="--params/--no-params")
-    ] = True,
-    table_fish: TableFish = _TABLE_FISH,
-    runs: RunOptions = _RUNS,
-    camera: TankCameraOptions = CAMERA,
+    *,
+    files: list[Path] | None = arg("More files for --trials.", "FILE"),
+    table_: Path | None = opt("Steady speeds: amplitude_rad,speed_m_s.", "CSV"),
+    trials: list[Path] | None = opt("Trial files to use; the fish does not swim.", "FILE..."),
+    experiment: Path | None = opt("Its trials are used; the fish does not swim.", "DIR"),
+    write: ResultFiles,
+    params: bool = opt(
+        "Set the board's MDL_... and save them.", name="--params/--no-params", default=True
+    ),
+    table_fish: TableFish,
+    runs: RunOptions,
+    camera: TankCameraOptions,
     connect: Connect = None,
 ) -> Output:
     """Measure the fish: drag, speed over amplitude, dead zone, delay.

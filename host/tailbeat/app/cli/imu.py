@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -104,8 +104,8 @@ def save(fish: ConnectedFish) -> Output:
 
 def record(
     fish: ConnectedFish,
-    out: Annotated[Path, arg("Replaced if it exists.", "OUT.csv")],
-    seconds: Annotated[float | None, opt("Of board time; default: until Ctrl-C.", min=0.0)] = None,
+    out: Path = arg("Replaced if it exists.", "OUT.csv"),
+    seconds: float | None = opt("Of board time; default: until Ctrl-C.", min=0.0),
 ) -> Output:
     """Write the IMU's raw frames to a CSV file as they arrive.
 
@@ -180,37 +180,29 @@ _SILENT_S = 2.0
 class ListenOptions:
     """How to listen to a live sensor."""
 
-    config: Annotated[bool, opt("Set the sensor up as the fish does, until it is reset.")] = False
-    baud: Annotated[
-        int | None,
-        opt(
-            "Listen at this speed only; with --config: bring the line to it "
-            "(default: 115200). Behind tcp: the bridge's speed.",
-            min=9600,
-            max=921600,
-        ),
-    ] = None
-    rate: Annotated[int, opt("With --config: frames per second.", min=1, max=800)] = 100
-    seconds: Annotated[float | None, opt("Listen so long; default: until Ctrl-C.", min=0.0)] = None
-
-
-_LISTEN = ListenOptions()
+    config: bool = opt("Set the sensor up as the fish does, until it is reset.")
+    baud: int | None = opt(
+        "Listen at this speed only; with --config: bring the line to it "
+        "(default: 115200). Behind tcp: the bridge's speed.",
+        min=9600,
+        max=921600,
+    )
+    rate: int = opt("With --config: frames per second.", min=1, max=800, default=100)
+    seconds: float | None = opt("Listen so long; default: until Ctrl-C.", min=0.0)
 
 
 def decode_imu(
-    source: Annotated[
-        str,
-        arg("A recording ('-' = standard input), a serial port, or tcp:HOST:PORT.", "FILE|PORT"),
-    ],
-    csv: Annotated[
-        Path | None,
-        opt(
-            "Write all values there; of several kinds of messages each gets its own file, "
-            "OUT with the kind in its name.",
-            "OUT",
-        ),
-    ] = None,
-    listen: ListenOptions = _LISTEN,
+    *,
+    source: str = arg(
+        "A recording ('-' = standard input), a serial port, or tcp:HOST:PORT.",
+        "FILE|PORT",
+    ),
+    csv: Path | None = opt(
+        "Write all values there; of several kinds of messages each gets its own file, "
+        "OUT with the kind in its name.",
+        "OUT",
+    ),
+    listen: ListenOptions,
 ) -> Output | None:
     """Decode a VN-100's recording, or listen to one; --json prints JSON lines when live.
 

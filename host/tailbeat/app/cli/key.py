@@ -20,7 +20,7 @@ Which = Annotated[str, arg("Fingerprint, name or board, as in 'board key list'."
 
 def set_(
     fish: FishWithoutNotice,
-    name: Annotated[str, opt("What to call it on this computer.")] = "",
+    name: str = opt("What to call it on this computer.", default=""),
 ) -> Output:
     """Give the board a new key. Needs the USB port.
 
@@ -111,8 +111,8 @@ def erase(fish: FishWithoutNotice) -> Output:
 
 
 def export(
-    file: Annotated[Path | None, arg("Where to; default: print it.", "FILE")] = None,
-    key: Annotated[str | None, opt("Which one, if there are several.", "KEY")] = None,
+    file: Path | None = arg("Where to; default: print it.", "FILE"),
+    key: str | None = opt("Which one, if there are several.", "KEY"),
 ) -> Output | None:
     """Write a key into a file, for another computer. The file is a secret.
 
@@ -136,7 +136,7 @@ def export(
 
 
 def import_(
-    file: Annotated[Path, arg("What export wrote; - = stdin.", "FILE")],
+    file: Path = arg("What export wrote; - = stdin.", "FILE"),
 ) -> Output:
     """Read a key from another computer.
 

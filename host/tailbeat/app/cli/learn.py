@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
@@ -45,12 +45,10 @@ from tailbeat.session.presenter import result
 
 
 def learn(
-    number: Annotated[
-        int | None, arg("Default: the pending one.", "[TRIAL]", min=1, max=TRIAL_MAX)
-    ] = None,
-    dry_run: Annotated[bool, opt("Compute the same numbers here; change nothing.")] = False,
-    restore_best: Annotated[bool, opt("Swim the best amplitudes so far next.")] = False,
-    law: Annotated[str, opt("model: this computer plans the next.", "p|model")] = "p",
+    number: int | None = arg("Default: the pending one.", "[TRIAL]", min=1, max=TRIAL_MAX),
+    dry_run: bool = opt("Compute the same numbers here; change nothing."),
+    restore_best: bool = opt("Swim the best amplitudes so far next."),
+    law: str = opt("model: this computer plans the next.", "p|model", default="p"),
     identified: IdentifiedFile = None,
     connect: Connect = None,
 ) -> Output:

@@ -48,7 +48,7 @@ def get_(fish: ConnectedFish, name: Name) -> Output:
 def set_(
     fish: ConnectedFish,
     name: Name,
-    value: Annotated[float, arg("In the parameter's unit.")],
+    value: float = arg("In the parameter's unit."),
 ) -> Output:
     """Change one parameter at once; 'params save' keeps it through a power cycle.
 
@@ -60,7 +60,7 @@ def set_(
 
 
 def preset(
-    name: Annotated[str, arg("Which set of values.", "thesis")],
+    name: str = arg("Which set of values.", "thesis"),
     connect: Connect = None,
 ) -> Output:
     """Set all parameters of a named set: thesis = the learning law of the thesis and its limits.

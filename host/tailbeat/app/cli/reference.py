@@ -198,17 +198,12 @@ def _refusal(problems: list[ReferenceProblem]) -> InputError | None:
 
 def upload(
     what: What,
-    warm_start: Annotated[
-        str | None,
-        opt(
-            "Begin with what was learned along OLD, a reference of the same shape: board (what"
-            " it holds now), a trial's file, an experiment's folder, or a reference.",
-            "OLD",
-        ),
-    ] = None,
-    dry_run: Annotated[
-        bool, opt("With --warm-start: print the amplitudes; change nothing.")
-    ] = False,
+    warm_start: str | None = opt(
+        "Begin with what was learned along OLD, a reference of the same shape: board (what"
+        " it holds now), a trial's file, an experiment's folder, or a reference.",
+        "OLD",
+    ),
+    dry_run: bool = opt("With --warm-start: print the amplitudes; change nothing."),
     identified: IdentifiedFile = None,
     connect: Connect = None,
 ) -> Output:
@@ -235,7 +230,7 @@ def upload(
 
 def show(
     fish: ConnectedFish,
-    csv: Annotated[Path | None, opt("Write the beats there.")] = None,
+    csv: Path | None = opt("Write the beats there."),
 ) -> Output:
     """Print the board's reference.
 
@@ -263,14 +258,12 @@ class _CheckedAgainst:
 
 def check(
     what: What,
-    suggest: Annotated[bool, opt("Write the nearest reference the fish can follow.")] = False,
+    suggest: bool = opt("Write the nearest reference the fish can follow."),
     identified: IdentifiedFile = None,
-    out: Annotated[Path | None, opt("CSV for --suggest; default: NAME-feasible.csv.")] = None,
-    amp_max: Annotated[float | None, opt("Largest amplitude; default: the board's.", "RAD")] = None,
-    tank: Annotated[float | None, opt("Length of the tank; default: the board's.", "M")] = None,
-    slew: Annotated[
-        float | None, opt("Largest change per beat for the error bound; default: any.", "RAD")
-    ] = None,
+    out: Path | None = opt("CSV for --suggest; default: NAME-feasible.csv."),
+    amp_max: float | None = opt("Largest amplitude; default: the board's.", "RAD"),
+    tank: float | None = opt("Length of the tank; default: the board's.", "M"),
+    slew: float | None = opt("Largest change per beat for the error bound; default: any.", "RAD"),
     connect: Connect = None,
 ) -> Output:
     """Check a reference against the board's limits, the tank and the fish.

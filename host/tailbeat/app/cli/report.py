@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from tailbeat.app.cli._experiment import sound_identified
 from tailbeat.app.cli._lazy import arg, opt
@@ -26,14 +26,10 @@ from tailbeat.report.paper import Written, write_report
 
 
 def progress(
-    experiment: Annotated[
-        Path | None, opt("Its trials; default: those of the trial library.", "DIR")
-    ] = None,
-    reference: Annotated[str | None, opt("0x1a2b3c4d, or list; default: the last.", "CRC")] = None,
+    experiment: Path | None = opt("Its trials; default: those of the trial library.", "DIR"),
+    reference: str | None = opt("0x1a2b3c4d, or list; default: the last.", "CRC"),
     plot: Plot = None,
-    apply: Annotated[
-        bool, opt("Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board.")
-    ] = False,
+    apply: bool = opt("Set the advised ILC_DECR_RATE, ILC_DECR_FROM on the board."),
     library: Library = None,
     connect: Connect = None,
 ) -> Output:
@@ -201,21 +197,12 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
 
 
 def report(
-    folder: Annotated[
-        Path | None,
-        arg(
-            "The experiment's folder; default: the newest below --root.",
-            "FOLDER",
-            show_default=False,
-        ),
-    ] = None,
-    paper: Annotated[bool, opt("Also figures as PDF and SVG, captions and tables.")] = False,
-    against: Annotated[
-        list[Path] | None, opt("Compare with another; repeatable.", "FOLDER")
-    ] = None,
-    out: Annotated[
-        Path | None, opt("Default: report/ in the experiment.", "DIR", show_default=False)
-    ] = None,
+    folder: Path | None = arg(
+        "The experiment's folder; default: the newest below --root.", "FOLDER", show_default=False
+    ),
+    paper: bool = opt("Also figures as PDF and SVG, captions and tables."),
+    against: list[Path] | None = opt("Compare with another; repeatable.", "FOLDER"),
+    out: Path | None = opt("Default: report/ in the experiment.", "DIR", show_default=False),
     root: Root = EXPERIMENTS,
 ) -> Output:
     """Write one page about an experiment, and figures and tables for a paper.

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from tailbeat.app.cli._camera import (
-    CAMERA,
     CameraOptions,
     LiveCamera,
     TankCameraOptions,
@@ -42,12 +41,15 @@ Yes = Annotated[bool, opt("Answer every question with yes.", name="--yes")]
 
 
 def commission(
-    reference: Annotated[
-        str, opt("The reference, as for 'reference upload'.", autocompletion=reference_names)
-    ] = "thesis",
+    *,
+    reference: str = opt(
+        "The reference, as for 'reference upload'.",
+        autocompletion=reference_names,
+        default="thesis",
+    ),
     rest: Rest = None,
     yes: Yes = False,
-    camera: TankCameraOptions = CAMERA,
+    camera: TankCameraOptions,
     connect: Connect = None,
 ) -> Output:
     """Check, trim, identify and design for a new fish, then raise its limits.
@@ -75,15 +77,17 @@ def commission(
 
 
 def resume(
+    *,
     into: Into = None,
-    another_board: Annotated[bool, opt("The fish's board was replaced by this one.")] = False,
-    repeat: Annotated[
-        bool,
-        opt("Run the best trial once more, to measure the shift.", name="--repeat/--no-repeat"),
-    ] = True,
+    another_board: bool = opt("The fish's board was replaced by this one."),
+    repeat: bool = opt(
+        "Run the best trial once more, to measure the shift.",
+        name="--repeat/--no-repeat",
+        default=True,
+    ),
     rest: Rest = None,
     yes: Yes = False,
-    camera: TankCameraOptions = CAMERA,
+    camera: TankCameraOptions,
     connect: Connect = None,
 ) -> Output:
     """Restore the board after a battery swap, repeat the best trial, print the shift.
@@ -218,17 +222,15 @@ def _restored_lines(found: Restored, experiment: Experiment) -> list[str]:
 
 
 def trim(
-    to_apply: Annotated[
-        bool | None,
-        opt(
-            "Set SERVO_CENTRE_US to what is found, for good; default: asked.",
-            name="--apply/--no-apply",
-            show_default=False,
-        ),
-    ] = None,
-    yes: Annotated[bool, opt("Do not ask before each trial.")] = False,
-    rest: Annotated[float, opt("Rest before each trial.", "S", min=0.0, max=3600.0)] = 30.0,
-    camera: CameraOptions = CAMERA,
+    *,
+    to_apply: bool | None = opt(
+        "Set SERVO_CENTRE_US to what is found, for good; default: asked.",
+        name="--apply/--no-apply",
+        show_default=False,
+    ),
+    yes: bool = opt("Do not ask before each trial."),
+    rest: float = opt("Rest before each trial.", "S", min=0.0, max=3600.0, default=30.0),
+    camera: CameraOptions,
     connect: Connect = None,
 ) -> Output:
     """Find the servo's centre by how the fish turns in two short trials.

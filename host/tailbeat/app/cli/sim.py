@@ -46,21 +46,15 @@ Set = Annotated[
 
 
 def demo(
-    plant: Annotated[
-        str | None, opt("Model of the fish and the water; default: tank.", "tank|thesis")
-    ] = None,
-    gain: Annotated[float, opt("Learning gain, rad s/m.")] = 4.0,
-    lead: Annotated[
-        float | None, opt("Beats, in halves; default 0 (thesis) or 1 (tank).", min=0)
-    ] = None,
-    trials: Annotated[int, opt("Number of trials.", min=1)] = 6,
-    seed: Annotated[int | None, opt("Same seed, same run, bit for bit; default: 1.", min=0)] = None,
-    out: Annotated[Path | None, opt("Folder to write; default: below experiments/.")] = None,
-    law: Annotated[str, opt("model: identify the fish first.", "p|model")] = "p",
+    plant: str | None = opt("Model of the fish and the water; default: tank.", "tank|thesis"),
+    gain: float = opt("Learning gain, rad s/m.", default=4.0),
+    lead: float | None = opt("Beats, in halves; default 0 (thesis) or 1 (tank).", min=0),
+    trials: int = opt("Number of trials.", min=1, default=6),
+    seed: int | None = opt("Same seed, same run, bit for bit; default: 1.", min=0),
+    out: Path | None = opt("Folder to write; default: below experiments/."),
+    law: str = opt("model: identify the fish first.", "p|model", default="p"),
     settings: Set = None,
-    connect: Annotated[
-        str | None, opt("Learn on this board instead; vboard = flash image.", "URL")
-    ] = None,
+    connect: str | None = opt("Learn on this board instead; vboard = flash image.", "URL"),
 ) -> Output:
     """Show a simulated fish that learns the thesis's profile, from connecting to the report.
 
@@ -130,9 +124,9 @@ def fish(
 
 
 def board(
-    image: Annotated[
-        Path | None, arg("The flash image, .elf; default: build/firmware/tailbeat.elf.", "IMAGE")
-    ] = None,
+    image: Path | None = arg(
+        "The flash image, .elf; default: build/firmware/tailbeat.elf.", "IMAGE"
+    ),
     plant: Plant = "tank",
     seed: Seed = None,
     listen: Listen = "tcp:127.0.0.1:5760",
@@ -176,7 +170,7 @@ def _serve_text(what: str, speed: float, at: Addresses) -> str:
 
 
 def selftest(
-    source: Annotated[Path | None, opt("Folder of a clone; default: look for it.")] = None,
+    source: Path | None = opt("Folder of a clone; default: look for it."),
 ) -> Output:
     """Build the firmware's unit tests for this computer and run them.
 
@@ -195,9 +189,9 @@ def selftest(
 
 
 def law(
-    config: Annotated[Path, opt("LAW.json: fields of the law.")],
-    amplitudes: Annotated[Path, opt("CSV beat,amplitude_rad.", name="--input")],
-    errors: Annotated[Path, opt("CSV beat,error_m_s; empty = none.", name="--error")],
+    config: Path = opt("LAW.json: fields of the law."),
+    amplitudes: Path = opt("CSV beat,amplitude_rad.", name="--input"),
+    errors: Path = opt("CSV beat,error_m_s; empty = none.", name="--error"),
 ) -> Output:
     """Apply the learning law once, with the code of the board.
 

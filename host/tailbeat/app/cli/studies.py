@@ -9,7 +9,7 @@ import textwrap
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 
@@ -34,33 +34,26 @@ _SHOWN = (0, 1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100, 200, 500, 1000)  # iterations
 
 
 def thesis(
-    what: Annotated[
-        str | None, arg("2 to 8, or an example like ch2-ex1; default: all.", "CHAPTER|EXAMPLE")
-    ] = None,
-    figures: Annotated[Path | None, opt("Draw the figures.", "DIR")] = None,
-    lengths: Annotated[
-        str | None,
-        opt(
-            "Lengths of the trials; EXPR: of the iteration i, like 45+3*(i%4).",
-            "full|uniform|pattern:EXPR",
-        ),
-    ] = None,
-    seed: Annotated[int | None, opt("Of the drawn lengths and starts; default: 1.")] = None,
-    step: Annotated[
-        str | None, opt("Integration and control step; a number or 2*pi/5000.", "T")
-    ] = None,
-    iterations: Annotated[int | None, opt("Number of the last iteration.")] = None,
-    m: Annotated[int | None, opt("Moving average over m + 1 trials (chapter 3).")] = None,
-    beta: Annotated[str | None, opt("Gain of each of these trials; default: 1/(m + 1).")] = None,
-    delta: Annotated[str | None, opt("Lead (chapter 7), minutes.", "MIN")] = None,
-    uptake: Annotated[
-        Literal["monod", "abs", "clip"] | None, opt("phi below v = 0 (ch7-printed); default: clip.")
-    ] = None,
-    precision: Annotated[
-        Literal["double", "float"], opt("Of the laws; float is what the board computes in.")
-    ] = "double",
-    cores: Annotated[int | None, opt("Processes; default: one per core.", min=1)] = None,
-    claims: Annotated[bool, opt("Judge the thesis's claims.", name="--claims/--no-claims")] = True,
+    what: str | None = arg("2 to 8, or an example like ch2-ex1; default: all.", "CHAPTER|EXAMPLE"),
+    figures: Path | None = opt("Draw the figures.", "DIR"),
+    lengths: str | None = opt(
+        "Lengths of the trials; EXPR: of the iteration i, like 45+3*(i%4).",
+        "full|uniform|pattern:EXPR",
+    ),
+    seed: int | None = opt("Of the drawn lengths and starts; default: 1."),
+    step: str | None = opt("Integration and control step; a number or 2*pi/5000.", "T"),
+    iterations: int | None = opt("Number of the last iteration."),
+    m: int | None = opt("Moving average over m + 1 trials (chapter 3)."),
+    beta: str | None = opt("Gain of each of these trials; default: 1/(m + 1)."),
+    delta: str | None = opt("Lead (chapter 7), minutes.", "MIN"),
+    uptake: Literal["monod", "abs", "clip"] | None = opt(
+        "phi below v = 0 (ch7-printed); default: clip."
+    ),
+    precision: Literal["double", "float"] = opt(
+        "Of the laws; float is what the board computes in.", default="double"
+    ),
+    cores: int | None = opt("Processes; default: one per core.", min=1),
+    claims: bool = opt("Judge the thesis's claims.", name="--claims/--no-claims", default=True),
 ) -> Output:
     """Recompute the thesis's examples with the board's laws, and judge its claims.
 
@@ -245,15 +238,15 @@ _FAILURES_SHOWN = 5
 
 
 def montecarlo(
-    recipe: Annotated[str | None, arg("Name of one, or a TOML file.", "RECIPE")] = None,
-    out: Annotated[Path | None, opt("Folder of the results; default: sweeps/RECIPE.")] = None,
-    cores: Annotated[int | None, opt("Processes; default: one per core.", min=1)] = None,
-    seeds: Annotated[int | None, opt("Fish of each kind; default: the recipe's.", min=1)] = None,
-    scheduler: Annotated[str | None, opt("Compute on a Dask cluster.", "tcp://HOST:PORT")] = None,
-    plot: Annotated[Path | None, opt("Draw the curves.", "PNG")] = None,
-    check: Annotated[bool, opt("Fail when a claim of the recipe does not hold.")] = False,
-    summary: Annotated[Path | None, opt("Compute nothing; sum up what is there.", "DIR")] = None,
-    list_: Annotated[bool, opt("Print the recipes that come with it.")] = (False),
+    recipe: str | None = arg("Name of one, or a TOML file.", "RECIPE"),
+    out: Path | None = opt("Folder of the results; default: sweeps/RECIPE."),
+    cores: int | None = opt("Processes; default: one per core.", min=1),
+    seeds: int | None = opt("Fish of each kind; default: the recipe's.", min=1),
+    scheduler: str | None = opt("Compute on a Dask cluster.", "tcp://HOST:PORT"),
+    plot: Path | None = opt("Draw the curves.", "PNG"),
+    check: bool = opt("Fail when a claim of the recipe does not hold."),
+    summary: Path | None = opt("Compute nothing; sum up what is there.", "DIR"),
+    list_: bool = opt("Print the recipes that come with it."),
 ) -> Output:
     """Run a study with many simulated fish, and check what holds for all of them.
 

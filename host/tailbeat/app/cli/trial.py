@@ -66,8 +66,8 @@ def list_(fish: ConnectedFish) -> Output:
 
 def pull(
     number: Number = None,
-    every: Annotated[bool, opt("All trials on the board.", name="--all")] = False,
-    into: Annotated[Path, opt("A folder, or an experiment's folder.")] = Path(),
+    every: bool = opt("All trials on the board.", name="--all"),
+    into: Path = opt("A folder, or an experiment's folder.", default=Path()),
     connect: Connect = None,
 ) -> Output:
     """Copy logs from the board. An interrupted copy continues where it stopped.
@@ -110,9 +110,9 @@ def _pull(fish: Fish, number: int, into: Path) -> Path:
 
 
 def show(
-    what: Annotated[str | None, arg("", "TRIAL|FILE")] = None,
-    csv: Annotated[Path | None, opt("Write the beats there.")] = None,
-    recompute: Annotated[bool, opt("Compute the speeds again, by the board's own code.")] = False,
+    what: str | None = arg("", "TRIAL|FILE"),
+    csv: Path | None = opt("Write the beats there."),
+    recompute: bool = opt("Compute the speeds again, by the board's own code."),
     connect: Connect = None,
 ) -> Output:
     """Print a trial: a file, or a number on the board (default: the last one).
@@ -230,11 +230,9 @@ def _trial_text(trial: Trial, saturation: Saturation | None) -> str:
 
 def discard(
     fish: ConnectedFish,
-    number: Annotated[
-        int | None, arg("Default: the pending one.", "TRIAL", min=1, max=TRIAL_MAX)
-    ] = None,
-    repeat: Annotated[bool, opt("It repeats an input: count it for the noise.")] = False,
-    reason: Annotated[str, opt("Why, for the experiment's journal.", "TEXT")] = "",
+    number: int | None = arg("Default: the pending one.", "TRIAL", min=1, max=TRIAL_MAX),
+    repeat: bool = opt("It repeats an input: count it for the noise."),
+    reason: str = opt("Why, for the experiment's journal.", "TEXT", default=""),
 ) -> Output:
     """Drop the pending trial without learning from it; its log stays.
 
@@ -251,11 +249,9 @@ def discard(
 
 
 def speeds(
-    number: Annotated[int, arg("The pending trial.", "TRIAL", min=1, max=TRIAL_MAX)],
-    file: Annotated[Path, arg("t_s,v_m_s or beat,speed_m_s.", "SPEED.csv")],
-    sigma_m_s: Annotated[
-        float | None, opt("Standard deviation of a beat's speed, m/s.", name="--sigma")
-    ] = None,
+    number: int = arg("The pending trial.", "TRIAL", min=1, max=TRIAL_MAX),
+    file: Path = arg("t_s,v_m_s or beat,speed_m_s.", "SPEED.csv"),
+    sigma_m_s: float | None = opt("Standard deviation of a beat's speed, m/s.", name="--sigma"),
     connect: Connect = None,
 ) -> Output:
     """Upload speeds measured after the trial, for example from a video.

@@ -8,12 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from tailbeat.app.cli._camera import (
-    CAMERA,
     LiveCamera,
     TankCameraOptions,
     camera_report,
@@ -57,30 +56,20 @@ class GuideOptions:
     """How ``trial run`` guides. ``guide`` None: when somebody is there, or one of the others was
     given."""
 
-    guide: Annotated[
-        bool | None,
-        opt(
-            "Rest, pose, still water, countdown, trial, keep or not; default: at a terminal.",
-            name="--guide/--no-guide",
-            show_default=False,
-        ),
-    ] = None
-    rest: Rest = None
-    until: Annotated[
-        str | None, opt("Run trials until then; default: 1 kept trial.", "converged|battery|N")
-    ] = None
-    into: Into = None
-    then: Annotated[
-        str | None,
-        opt(
-            "Answer for every trial, given now; one you stop by a key is asked about.",
-            "keep|repeat|discard",
-        ),
-    ] = None
-    reason: Annotated[str | None, opt("Why --then repeat or discard.", "TEXT")] = None
-    learn: Annotated[bool, opt("Learn from what is kept at once.", name="--learn/--no-learn")] = (
-        True
+    guide: bool | None = opt(
+        "Rest, pose, still water, countdown, trial, keep or not; default: at a terminal.",
+        name="--guide/--no-guide",
+        show_default=False,
     )
+    rest: Rest = None
+    until: str | None = opt("Run trials until then; default: 1 kept trial.", "converged|battery|N")
+    into: Into = None
+    then: str | None = opt(
+        "Answer for every trial, given now; one you stop by a key is asked about.",
+        "keep|repeat|discard",
+    )
+    reason: str | None = opt("Why --then repeat or discard.", "TEXT")
+    learn: bool = opt("Learn from what is kept at once.", name="--learn/--no-learn", default=True)
 
     def guided(self) -> bool:
         """Whether it is guided. Raises typer.BadParameter for what contradicts itself, InputError
@@ -128,13 +117,11 @@ class GuideOptions:
         )
 
 
-_NOT_GIVEN = GuideOptions()
-
-
 def run(
-    camera: TankCameraOptions = CAMERA,
-    video: Annotated[Path | None, opt("Film what the camera sees.", "FILM.mkv")] = None,
-    given: GuideOptions = _NOT_GIVEN,
+    *,
+    camera: TankCameraOptions,
+    video: Path | None = opt("Film what the camera sees.", "FILM.mkv"),
+    given: GuideOptions,
     connect: Connect = None,
 ) -> Output:
     """Arm if needed, run the next trial to its end, print how it went. Ctrl-C stops the tail.

@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from threading import Event, Thread
-from typing import Annotated
 
-from tailbeat.app.cli._camera import CAMERA, CameraOptions, LiveOptions, live_camera
+from tailbeat.app.cli._camera import CameraOptions, LiveOptions, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root
 from tailbeat.app.cli._terminal import json_asked, print_line
@@ -22,21 +21,18 @@ from tailbeat.sim.server import SimServer
 
 
 def web(
+    *,
     connect: Connect = None,
-    host: Annotated[
-        str,
-        opt(
-            "Where to listen; 0.0.0.0 = also for a phone in the same network, with a token.",
-            "ADDRESS",
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[int, opt("0 = any that is free.", min=0, max=65535)] = 8080,
-    open_: Annotated[
-        bool, opt("Show the page in a browser at once.", name="--open/--no-open")
-    ] = True,
+    host: str = opt(
+        "Where to listen; 0.0.0.0 = also for a phone in the same network, with a token.",
+        "ADDRESS",
+        default="127.0.0.1",
+    ),
+    port: int = opt("0 = any that is free.", min=0, max=65535, default=8080),
+    open_: bool = opt("Show the page in a browser at once.", name="--open/--no-open", default=True),
     root: Root = EXPERIMENTS,
-    camera: CameraOptions = CAMERA,
-    speed: Annotated[float, opt("With --connect sim: simulated seconds per second.")] = 1.0,
+    camera: CameraOptions,
+    speed: float = opt("With --connect sim: simulated seconds per second.", default=1.0),
 ) -> None:
     """Run the session on a web page: start, stop, decide, look.
 
