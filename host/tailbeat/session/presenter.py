@@ -16,6 +16,7 @@ from tailbeat.session.events import (
     InterruptRequested,
     LinkLost,
     LinkRestored,
+    LiveValues,
     Notice,
     StepProgress,
     TrialDecided,
@@ -33,6 +34,12 @@ _DECIDED = {
     "repeat": "counts as a repeat, nothing is learned; the same amplitudes swim again",
     "discard": "discarded, counts for nothing; the same amplitudes swim again",
 }
+
+
+_SILENT_S = 1.5  # of board time: it says something every second
+_SHORTER = (  # the first first
+    "amplitude", "speed", "beat", "amplitude", "battery", "link", "speed", "speed"
+)  # fmt: skip
 
 
 def alert(event: Event) -> str:
@@ -96,6 +103,48 @@ def countdown_text(event: Countdown) -> str:
     """Hands out of the water."""
     left_s = event.left_s
     return f"it swims in {left_s} s: hands out (any key stops)" if left_s > 0 else "it swims"
+
+
+def live_text(event: LiveValues, keys: bool, width: int) -> str:
+    """The line while it swims, in ``width`` columns: of what has no room the least needed is
+    shortened, or goes, first. What it is, how to stop it and the link stay."""
+    parts = _live_parts(event)
+    fixed = ["simulated"] if event.simulated else []
+    fixed += ["any key stops"] if keys else []
+    used = dict.fromkeys(parts, 0)
+
+    def line() -> str:
+        chosen = [forms[used[name]] for name, forms in parts.items()]
+        return "  ".join(part for part in (*fixed, *chosen) if part)
+
+    for name in _SHORTER:
+        if len(line()) <= width:
+            break
+        used[name] = min(used[name] + 1, len(parts[name]) - 1)
+    return line()
+
+
+def _live_parts(event: LiveValues) -> dict[str, tuple[str, ...]]:
+    """In order on the line, each from its long form to its short one."""
+    at, of = event.beat, event.beats
+    beat = (f"beat {at + 1}/{of}", f"{at + 1}/{of}") if at is not None and of else ("starting",)
+    speed, reference = mm(event.speed_m_s), mm(event.reference_m_s)
+    silent_s, volts, angle_rad = event.silent_s, event.battery_v, event.amplitude_rad
+    silent = silent_s is not None and silent_s > _SILENT_S
+    late = (f"link silent {silent_s:.0f} s", f"silent {silent_s:.0f} s") if silent else ("link ok",)
+    angle = "" if angle_rad is None else f"{math.degrees(angle_rad):.1f} deg"
+    return {
+        "link": late,
+        "beat": beat,
+        "speed": (
+            f"v {speed} mm/s  reference {reference}",
+            f"{speed} of {reference} mm/s",
+            f"{speed}/{reference} mm/s",
+            f"{speed}/{reference}",
+        ),
+        "amplitude": (f"amplitude {angle}" if angle else "", angle, ""),
+        "battery": ("" if volts is None else f"{volts:.2f} V", ""),
+    }
 
 
 def record_lines(record: RecordedTrial) -> list[str]:

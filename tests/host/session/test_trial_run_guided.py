@@ -134,7 +134,7 @@ def test_nobody_there_decides_nothing_else(trial: Command, board: SimBoard) -> N
     ("words", "told"),
     [
         (("--then", "discard"), "--reason"),
-        (("--then", "drop"), "keep, repeat, discard"),
+        (("--then", "drop"), "'drop' is not one of 'keep', 'repeat', 'discard'"),
         (("--reason", "why"), "--then"),
         (("--no-guide", "--until", "3"), "--no-guide"),
         (("--no-guide", "--no-learn"), "--no-guide"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass
@@ -188,51 +188,3 @@ class LazyGroup(TyperGroup):
         for panel, some in groupby(listed, key=lambda one: one.entry.panel):
             with formatter.section(panel):
                 formatter.write_dl([(one.name.ljust(width), one.short_help) for one in some])
-
-
-def grow(
-    root: TyperGroup,
-    groups: Mapping[str, Entry],
-    commands: Mapping[str, Entry],
-    renamed: Mapping[str, str],
-    options: Mapping[str, Mapping[str, str]],
-) -> None:
-    """Hangs the table's commands below ``root``, and hidden ones under the old names."""
-    for path, entry in commands.items():
-        _hang(root, path, entry, groups, options.get(path, {}))
-    for old, path, entry in aliases(commands, renamed):
-        _hang(root, old, entry, groups, options.get(path, {}), renamed)
-
-
-def aliases(
-    commands: Mapping[str, Entry], renamed: Mapping[str, str]
-) -> Iterable[tuple[str, str, Entry]]:
-    """(old path, new path, entry) of each command that has an old name; a group's name stands for
-    all its commands."""
-    for old, new in renamed.items():
-        for path, entry in commands.items():
-            if path == new or path.startswith(f"{new} "):
-                yield old + path.removeprefix(new), path, entry
-
-
-def _hang(
-    root: TyperGroup,
-    path: str,
-    entry: Entry,
-    groups: Mapping[str, Entry],
-    options: Mapping[str, str],
-    renamed: Mapping[str, str] | None = None,
-) -> None:
-    """``renamed``: the path is an old one."""
-    *above, name = path.split()
-    here = root
-    for depth, word in enumerate(above, start=1):
-        if word not in here.commands:
-            path_here = " ".join(above[:depth])
-            known = path_here if renamed is None else renamed.get(path_here, path_here)
-            group = LazyGroup.of(word, groups.get(known, Entry("Old names")), renamed is not None)
-            here.add_command(group)
-        below: Any = here.commands[word]
-        here = below
-    if name not in here.commands:
-        here.add_command(LazyCommand(name, entry, renamed is not None, options))

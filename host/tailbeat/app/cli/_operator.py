@@ -3,7 +3,6 @@ back as it was in every case."""
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -12,7 +11,6 @@ from typing import Protocol
 from tailbeat.app.cli._terminal import Display, ended, json_asked
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import ABORT_COMMAND, fault_info
-from tailbeat.core.printable import mm
 from tailbeat.session.collect import is_good, proposed
 from tailbeat.session.events import (
     Assessed,
@@ -26,7 +24,14 @@ from tailbeat.session.events import (
     TrialStopped,
 )
 from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial
-from tailbeat.session.presenter import alert, countdown_text, record_lines, result, step_text
+from tailbeat.session.presenter import (
+    alert,
+    countdown_text,
+    live_text,
+    record_lines,
+    result,
+    step_text,
+)
 
 _LOOK_S = 0.2  # how long a question goes without a heartbeat to the board
 KINDS = {"k": ("keep", "keep"), "r": ("repeat", "repeat"), "d": ("discard", "discard")}
@@ -200,7 +205,7 @@ class TerminalOperator:
     """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
     who is there and stopped the swim is asked all the same, before it is learned from. ``idle`` is
     called again and again while a question waits. ``kinds``: letter to kind of decision and its
-    word. ``on_event``: gets every event, too."""
+    word. ``on_event``: gets every event, too. ``agrees``: answers every question with yes."""
 
     def __init__(
         self,
@@ -210,8 +215,9 @@ class TerminalOperator:
         idle: Callable[[], None] = lambda: None,
         kinds: Mapping[str, tuple[str, str]] = KINDS,
         on_event: Callable[[Event], None] = lambda event: None,
+        agrees: bool = False,
     ) -> None:
-        self._kinds, self._on_event = kinds, on_event
+        self._kinds, self._on_event, self._agrees = kinds, on_event, agrees
         self._display, self._keys, self._then, self._idle = display, keys, then, idle
         self._enter_may_follow = False  # the one that many type after a letter
         self._stopped_by_hand = False
@@ -284,8 +290,8 @@ class TerminalOperator:
 
     def confirm(self, question: str) -> bool:
         """With y; without a terminal the answer is no."""
-        if self._keys is None:
-            return False
+        if self._agrees or self._keys is None:
+            return self._agrees
         self._keys.forget()
         self._display.ask(f"{question} y/n ")
         key = self._key(self._keys, ("y", "n"))
@@ -339,51 +345,3 @@ def _named(keys: tuple[str, ...]) -> str:
     names = [key for key in keys if key not in _ENTER]
     names += ["Enter"] if len(names) < len(keys) else []
     return f"{', '.join(names[:-1])} or {names[-1]}"
-
-
-_SILENT_S = 1.5  # of board time: it says something every second
-_SHORTER = (  # the first first
-    "amplitude", "speed", "beat", "amplitude", "battery", "link", "speed", "speed"
-)  # fmt: skip
-
-
-def live_text(event: LiveValues, keys: bool, width: int) -> str:
-    """The line while it swims, in ``width`` columns: of what has no room the least needed is
-    shortened, or goes, first. What it is, how to stop it and the link stay."""
-    parts = _live_parts(event)
-    fixed = ["simulated"] if event.simulated else []
-    fixed += ["any key stops"] if keys else []
-    used = dict.fromkeys(parts, 0)
-
-    def line() -> str:
-        chosen = [forms[used[name]] for name, forms in parts.items()]
-        return "  ".join(part for part in (*fixed, *chosen) if part)
-
-    for name in _SHORTER:
-        if len(line()) <= width:
-            break
-        used[name] = min(used[name] + 1, len(parts[name]) - 1)
-    return line()
-
-
-def _live_parts(event: LiveValues) -> dict[str, tuple[str, ...]]:
-    """In order on the line, each from its long form to its short one."""
-    at, of = event.beat, event.beats
-    beat = (f"beat {at + 1}/{of}", f"{at + 1}/{of}") if at is not None and of else ("starting",)
-    speed, wanted = mm(event.speed_m_s), mm(event.reference_m_s)
-    silent_s, volts, angle_rad = event.silent_s, event.battery_v, event.amplitude_rad
-    silent = silent_s is not None and silent_s > _SILENT_S
-    late = (f"link silent {silent_s:.0f} s", f"silent {silent_s:.0f} s") if silent else ("link ok",)
-    angle = "" if angle_rad is None else f"{math.degrees(angle_rad):.1f} deg"
-    return {
-        "link": late,
-        "beat": beat,
-        "speed": (
-            f"v {speed} mm/s  wanted {wanted}",
-            f"{speed} of {wanted} mm/s",
-            f"{speed}/{wanted} mm/s",
-            f"{speed}/{wanted}",
-        ),
-        "amplitude": (f"amplitude {angle}" if angle else "", angle, ""),
-        "battery": ("" if volts is None else f"{volts:.2f} V", ""),
-    }

@@ -96,21 +96,15 @@ FishWithoutNotice = Annotated[Fish, SilentConnectOptions]
 @contextmanager
 def connected(url: str | None, notice: bool = True) -> Iterator[Fish]:
     """A fish for the length of a command, which SIGTERM and SIGHUP end as Ctrl-C does. ``notice``:
-    report on stderr when its key is missing; once a day that it has none."""
+    report on stderr when its key is missing, or was lost; once a day that nobody has set one."""
     with ended_as_by_ctrl_c(), Fish.connect(url) as fish:
-        if notice and (line := new_notice(fish)):
+        line = connect_notice(fish) if notice else None
+        if line and not (line == NO_KEY and _reported_today(fish)):
             warn(line)
         yield fish
 
 
 _REPORTED = "no-key-told"  # in the trial library of the fish: the day
-
-
-def new_notice(fish: Fish) -> str | None:
-    """As ``connect_notice``; that nobody has set a key yet once per board and day. A key that is
-    missing, or was lost, is reported every time."""
-    line = connect_notice(fish)
-    return None if line == NO_KEY and _reported_today(fish) else line
 
 
 def _reported_today(fish: Fish) -> bool:

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.live import Live
 
+Number = TypeVar("Number", int, float)
 TRIAL_MAX = 2**24 - 1  # trials travel as single precision numbers
 
 typed_words: ContextVar[tuple[str, ...]] = ContextVar("typed_words", default=())
@@ -65,6 +66,11 @@ def present(output: Output) -> None:
         raise output.error
     if output.status:
         raise typer.Exit(output.status)
+
+
+def pick(source: object, *names: str) -> dict[str, Any]:
+    """Keys of a document that are attributes of ``source``."""
+    return {name: getattr(source, name) for name in names}
 
 
 def write_json(document: Any) -> None:
@@ -123,6 +129,15 @@ def assignments(pairs: list[str]) -> dict[str, float]:
         if not equals:
             raise InputError(f"'{pair}' is no setting.", "Write it like --set kappa_per_m=5.")
     return values
+
+
+def numbers(text: str, option: str, kind: type[Number]) -> list[Number]:
+    """``"1,2"`` to ``[1, 2]``. Raises typer.BadParameter."""
+    try:
+        return [kind(part) for part in text.split(",")]
+    except ValueError as error:
+        words = f"{option}: '{text}' are no numbers with commas between"
+        raise typer.BadParameter(words) from error
 
 
 @contextmanager

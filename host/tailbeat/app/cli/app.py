@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version as version_of
 from typing import Any
 
 import typer
 
-from tailbeat.app.cli._lazy import Entry, LazyGroup, grow, opt
+from tailbeat.app.cli._lazy import Entry, LazyCommand, LazyGroup, opt
 from tailbeat.app.cli._terminal import echo, json_asked, json_line, typed_words, warn
 from tailbeat.core.errors import TailbeatError, reason
 
@@ -115,6 +116,8 @@ COMMANDS = {
     "sim selftest": Entry("Run the firmware's unit tests on this computer", "sim:selftest"),
 }  # fmt: skip
 
+_OLD_NAMES = Entry("Old names")
+
 RENAMED = {  # hidden until 1.0; a group's name stands for all its commands
     "arm": "board arm",
     "bluetooth setup": "board bluetooth",
@@ -150,12 +153,37 @@ RENAMED_OPTIONS = {  # by a command's new name
 }
 
 
+def aliases() -> Iterator[tuple[str, str]]:
+    """(old path, new path) of each command that has an old name; a group's name stands for all its
+    commands."""
+    for old, new in RENAMED.items():
+        for path in COMMANDS:
+            if path == new or path.startswith(f"{new} "):
+                yield old + path.removeprefix(new), path
+
+
 class Root(LazyGroup):
-    """All commands."""
+    """All commands; hidden ones under their old names."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        grow(self, GROUPS, COMMANDS, RENAMED, RENAMED_OPTIONS)
+        for typed, path in (*((path, path) for path in COMMANDS), *aliases()):
+            self._add(typed, path)
+
+    def _add(self, typed: str, path: str) -> None:
+        """The command of the table's ``path``, under the words ``typed``."""
+        hidden = typed != path
+        *above, name = typed.split()
+        here: Any = self
+        for depth, word in enumerate(above, start=1):
+            if word not in here.commands:
+                words = " ".join(above[:depth])
+                entry = GROUPS.get(RENAMED.get(words, words) if hidden else words, _OLD_NAMES)
+                here.add_command(LazyGroup.of(word, entry, hidden))
+            here = here.commands[word]
+        if name not in here.commands:
+            options = RENAMED_OPTIONS.get(path, {})
+            here.add_command(LazyCommand(name, COMMANDS[path], hidden, options))
 
 
 app = typer.Typer(
@@ -220,7 +248,8 @@ def _failed(error: TailbeatError, status: int = 1) -> int:
 def _usage_error(error: Any) -> TailbeatError:
     message = getattr(error, "format_message", lambda: error)()
     command = getattr(getattr(error, "ctx", None), "command_path", "tailbeat")
-    return TailbeatError(str(message), f"Try: {command} --help")
+    message = str(message).replace("Value error, ", "")  # of a list of words; says nothing
+    return TailbeatError(message, f"Try: {command} --help")
 
 
 def _discard_stdout() -> None:

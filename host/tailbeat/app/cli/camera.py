@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from tailbeat.app.cli._camera import MarkerOptions
+from tailbeat.app.cli._camera import MARKERS_METAVAR, MarkerOptions
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._terminal import Output, progress_bar, warn
 from tailbeat.app.exercise import Exercise, ExerciseOptions, make_exercise
@@ -21,7 +21,7 @@ from tailbeat.experiment.current import named_reference
 from tailbeat.report.figures.track import draw_track
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
 from tailbeat.sensors.camera.film_to_speed import FilmAnalysis, analyse, new_folder, write_analysis
-from tailbeat.sensors.camera.marker.detector import KINDS
+from tailbeat.sensors.camera.marker.detector import MarkerKind
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.open import open_source
 from tailbeat.sensors.camera.source.picture import PictureSource
@@ -40,7 +40,7 @@ def render(
     seed: int = opt("Same seed, same film.", min=0, default=1),
     fps: float = opt("Pictures per second.", min=1, max=240, default=25),
     size: str = opt("Of the picture, pixels.", "WxH", default="1280x720"),
-    marker: str = opt("What the fish carries.", "|".join(KINDS), default="aruco"),
+    marker: MarkerKind = opt("What the fish carries.", MARKERS_METAVAR, default="aruco"),
     lost: float = opt("Part of the pictures never taken.", min=0, max=0.9, default=0.0),
     hidden: float = opt("Part with half of the marker covered.", min=0, max=1, default=0.0),
     glare: float = opt("Size of a bright spot that wanders.", min=0, max=1, default=0.0),
@@ -52,7 +52,9 @@ def render(
 
     Example: tailbeat camera render swim.mp4 --lost 0.1 --glare 0.5
     """
-    scene = _scene(size, marker, glare, hidden, fish, seed)
+    scene = Scene(
+        size_px=_size(size), marker=marker, glare=glare, hidden=hidden, fish=fish, seed=seed
+    )
     options = ExerciseOptions(
         reference=named_reference(reference),
         scene=scene,
@@ -64,13 +66,6 @@ def render(
     with progress_bar("render") as show:
         exercise = make_exercise(film, options, show)
     return Output(exercise, lambda: _render_text(exercise))
-
-
-def _scene(size: str, marker: str, glare: float, hidden: float, fish: int, seed: int) -> Scene:
-    kind = next((kind for kind in KINDS if kind == marker), None)
-    if kind is None:
-        raise InputError(f"there is no marker '{marker}'.", f"Use {', '.join(KINDS)}.")
-    return Scene(size_px=_size(size), marker=kind, glare=glare, hidden=hidden, fish=fish, seed=seed)
 
 
 def _size(text: str) -> tuple[int, int]:

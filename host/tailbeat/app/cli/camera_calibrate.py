@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._terminal import Output, progress_bar
+from tailbeat.app.cli._terminal import Output, numbers, pick, progress_bar
 from tailbeat.sensors.camera.calibration.calibrate import (
     Calibrated,
     Height,
@@ -29,8 +29,10 @@ from tailbeat.sensors.camera.marker.tags import TagKind
 from tailbeat.sensors.camera.source.open import read_all, read_grey
 
 Paper = Literal["a4", "a3", "letter"]
+SheetKind = Literal["board", "marker", "anchors", "ruler"]
 _FISH_ID = 7
-_OPTIONS: dict[str, tuple[str, ...]] = {
+_NO_BOARD: dict[str, Any] = {"used": (), "dropped": {}, "unseen": (), "covered": None}
+_OPTIONS: dict[SheetKind, tuple[str, ...]] = {
     "board": (),
     "marker": ("--kind", "--id", "--side"),
     "anchors": ("--id", "--side"),
@@ -39,7 +41,7 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
 
 
 def print_(
-    what: str = arg("board, marker (the fish's), anchors or ruler.", "WHAT"),
+    what: SheetKind = arg("board, marker (the fish's), anchors or ruler.", "WHAT"),
     kind: TagKind | None = opt("Of the fish's marker. Default: aruco."),
     number: int | None = opt(
         "Of the fish's marker (default 7), or this one anchor only.", name="--id"
@@ -54,8 +56,6 @@ def print_(
 
     Example: tailbeat camera print marker --id 7 --side 60
     """
-    if what not in _OPTIONS:
-        raise typer.BadParameter(f"no sheet '{what}': there are {', '.join(_OPTIONS)}")
     given = {"--kind": kind, "--id": number, "--side": side}
     for option, value in given.items():
         if value is not None and option not in _OPTIONS[what]:
@@ -69,7 +69,7 @@ def print_(
 
 
 def _sheet(
-    what: str, kind: TagKind | None, number: int | None, side: float | None, paper: Paper
+    what: SheetKind, kind: TagKind | None, number: int | None, side: float | None, paper: Paper
 ) -> Sheet:
     if what == "board":
         return sheets.board_sheet(paper)
@@ -135,7 +135,7 @@ def _made(
     rulers: list[Ruler],
 ) -> Calibrated:
     places = read_points(points)
-    area_m = rectangle(_numbers(area, "--area")) if area is not None else None
+    area_m = rectangle(numbers(area, "--area", float)) if area is not None else None
     with progress_bar("looking") as show:
         done = [0]
 
@@ -158,22 +158,13 @@ def _rulers(pictures: list[Path], length_m: float | None, points: str | None) ->
         return [ruler_in(read_grey(path), str(path), length_m) for path in pictures]
     if len(pictures) > 1:
         raise typer.BadParameter("--ruler-points are in one picture")
-    ends = _numbers(points, "--ruler-points")
+    ends = numbers(points, "--ruler-points", float)
     if len(ends) != 4:
         raise typer.BadParameter("--ruler-points are four numbers: U1,V1,U2,V2")
     size = read_grey(pictures[0]).shape[1::-1] if pictures else None
     name = str(pictures[0]) if pictures else "the ruler"
     size_px = (int(size[0]), int(size[1])) if size is not None else None
     return [Ruler(name, np.array(ends).reshape(2, 2), length_m, size_px)]
-
-
-def _numbers(text: str, option: str) -> list[float]:
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise typer.BadParameter(
-            f"{option}: '{text}' are no numbers with commas between"
-        ) from error
 
 
 def _check(path: Path, rulers: list[Ruler]) -> Output:
@@ -197,26 +188,18 @@ def _ruler_text(check: RulerCheck) -> str:
 
 def _document(made: Calibrated, calibration: Calibration, out: Path) -> dict[str, Any]:
     found, plane = made.intrinsics, made.plane
+    board = {f"board_{name}": getattr(found, name, none) for name, none in _NO_BOARD.items()}
     return {
         "file": out,
-        "size_px": calibration.size_px,
-        "rms_px": calibration.rms_px,
+        **pick(calibration, "size_px", "rms_px", "plane", "area_m", "anchors", "scale_error"),
         "focal_sigma": found.focal_sigma if found else None,
-        "board_used": found.used if found else (),
-        "board_dropped": found.dropped if found else {},
-        "board_unseen": found.unseen if found else (),
-        "board_covered": found.covered if found else None,
+        **board,
         "plane_rms_m": plane.rms_m,
         "plane_foretold_m": plane.foretold_m,
         "points_left_out": {made.points[i]: off for i, off in plane.left_out.items()},
-        "plane": calibration.plane,
         "camera_height_m": made.camera.height_m if made.camera else None,
-        "area_m": calibration.area_m,
-        "anchors": calibration.anchors,
-        "mm_per_px": made.mm_per_px,
-        "scale_error": calibration.scale_error,
         "rulers": [_ruler_document(check) for check in made.rulers],
-        "notes": made.notes,
+        **pick(made, "mm_per_px", "notes"),
     }
 
 

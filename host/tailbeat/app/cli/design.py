@@ -11,7 +11,7 @@ import typer
 
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._options import Connect, IdentifiedFile, Plot, ReferenceName, connected
-from tailbeat.app.cli._terminal import Output
+from tailbeat.app.cli._terminal import Output, pick
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain
@@ -110,18 +110,15 @@ def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> No
 
 
 def _document(found: Design, wanted: Reference, known: Identified, applied: bool) -> dict[str, Any]:
-    law = found.law
-    short = {
-        "gain_rad_s_m": law.kp_rad_s_m,
-        "lead_beats": law.lead_beats,
-        "q_len": law.q_len,
+    return {
+        "gain_rad_s_m": found.law.kp_rad_s_m,
+        **pick(found.law, "lead_beats", "q_len"),
         "reference": wanted.name,
-        "source": known.source,
-        "assumed": list(known.assumed),
+        **pick(known, "source", "assumed"),
         "applied": applied,
         "worst_cycles": found.worst_cycles,
+        **plain(found),
     }
-    return {**short, **plain(found)}
 
 
 def _text(found: Design, applied: bool) -> str:

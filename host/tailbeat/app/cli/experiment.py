@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
-
-from tailbeat.app.cli._experiment import (
-    compared_text,
-    folder_or_current,
-    listed,
-    replay_text,
-    show_document,
-    show_text,
-    warn_of_problems,
-)
+from tailbeat.app.cli._experiment import folder_or_current, warn_of_problems
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, ReferenceName, Root, connected
-from tailbeat.app.cli._terminal import Output, warn
+from tailbeat.app.cli._terminal import Output, numbers, pick, table, warn
 from tailbeat.core.errors import InputError
+from tailbeat.core.printable import mm
 from tailbeat.experiment.analysis import analyse
+from tailbeat.experiment.compare import Comparison, other_differences
 from tailbeat.experiment.compare import compare as compare_sides
-from tailbeat.experiment.compare import other_differences
 from tailbeat.experiment.conditions import parse_conditions, set_conditions
 from tailbeat.experiment.current import (
     made_before,
@@ -36,10 +28,12 @@ from tailbeat.experiment.current import (
 from tailbeat.experiment.current import use as make_current
 from tailbeat.experiment.export import export as export_files
 from tailbeat.experiment.export import missing_formats
-from tailbeat.experiment.folder import Experiment
+from tailbeat.experiment.folder import Experiment, list_experiments
 from tailbeat.experiment.library import logbook_of
 from tailbeat.experiment.redo import redo_text, write_redo
+from tailbeat.report.replay import Replay
 from tailbeat.report.replay import replay as replay_all
+from tailbeat.report.style import freedom_words
 
 Folder = Annotated[Path, arg("The experiment's folder.", "FOLDER")]
 FolderOrCurrent = Annotated[
@@ -140,8 +134,19 @@ def list_(root: Root = EXPERIMENTS) -> Output:
 
     Example: tailbeat experiment list
     """
-    rows, text = listed(root)
-    return Output({"experiments": rows}, text, status=int(any(row["problems"] for row in rows)))
+    rows: list[dict[str, Any]] = []
+    lines = []
+    for experiment in list_experiments(root):
+        trials, damaged = len(list(experiment.raw.glob("*.ulg"))), experiment.damaged()
+        row = pick(experiment, "name", "folder") | {"trials": trials, "damaged": damaged}
+        rows.append({**row, "problems": experiment.raw_problems()})
+        line = f"{experiment.name}  {trials} trial{'' if trials == 1 else 's'}"
+        line += f"  DAMAGED: {', '.join(damaged)}" if damaged else ""
+        unlisted = experiment.unlisted()
+        lines.append(line + (f"  NOT LISTED: {', '.join(unlisted)}" if unlisted else ""))
+    status = int(any(row["problems"] for row in rows))
+    text = "\n".join(lines) or f"no experiments in {root}"
+    return Output({"experiments": rows}, text, status)
 
 
 def show(
@@ -159,8 +164,72 @@ def show(
         text = redo_text(experiment)
         warn_of_problems(experiment)
         return Output({"file": write_redo(experiment), "text": text}, text.rstrip(), status)
-    document = show_document(experiment)
-    return Output(document, lambda: show_text(document), status)
+    document = _show_document(experiment)
+    return Output(document, lambda: _show_text(document), status)
+
+
+def _show_document(experiment: Experiment) -> dict[str, Any]:
+    """Settings, trials and notes; an experiment may have no trial yet."""
+    settings = experiment.settings()
+    document: dict[str, Any] = {
+        "name": experiment.name,
+        "folder": experiment.folder,
+        "settings": settings,
+        "conditions": settings.get("conditions", {}),
+        "trials": [],
+        "notes": experiment.notes(),
+        "problems": experiment.raw_problems(),
+    }
+    if list(experiment.raw.glob("*.ulg")):
+        try:
+            found = analyse(experiment).document()
+        except InputError as error:
+            return document | {"problems": [*document["problems"], str(error)]}
+        keys = ("problems", "floor_m_s", "floor_by", "noise_m_s", "noise_freedom")
+        document |= {"trials": found["rows"]} | {key: found[key] for key in keys}
+    return document
+
+
+def _show_text(document: dict[str, Any]) -> str:
+    """The same for people."""
+    settings = document["settings"]
+    simulated = ", simulated" if settings.get("simulated") else ""
+    head = f"{document['name']}: {settings.get('fish')}, reference {settings.get('reference')}"
+    lines = [f"{head}, law {settings.get('law')}{simulated}"]
+    lines += [f"{key}: {settings[key]}" for key in ("configuration", "operator") if key in settings]
+    lines += [f"{key}: {value}" for key, value in document["conditions"].items()]
+    header = ["trial", "iteration", "end", "max|e| mm/s", "RMS", "yaw deg", "V", "decision"]
+    rows = [_trial_cells(row) for row in document["trials"]]
+    lines.append(table(header, rows, left=(2, 7)) if rows else "no trials yet")
+    if document.get("floor_m_s") is not None:
+        lines.append(f"error bound {mm(document['floor_m_s'])} mm/s ({document['floor_by']})")
+    if document.get("noise_m_s") is not None:
+        freedom = freedom_words(document["noise_freedom"])
+        scatter = f"{mm(document['noise_m_s'])} mm/s (standard deviation, {freedom})"
+        lines.append(f"repeats scatter by {scatter}")
+    lines += [f"problem: {line}" for line in document["problems"]]
+    notes = document["notes"].partition("\n")[2].strip()
+    return "\n".join([*lines, *([notes] if notes else [])])
+
+
+def _trial_cells(row: dict[str, Any]) -> list[str]:
+    straight = row["straight"]
+    yaw = "-" if straight is None else f"{math.degrees(straight['worst_yaw_rad']):.0f}"
+    volts = [row["battery_start_v"], row["battery_end_v"]]
+    decision = row["decision"] + (f": {row['reason']}" if row["reason"] else "")
+    decision += f" (repeats trial {row['repeat_of']})" if row["repeat_of"] else ""
+    decision += " (learned)" if row["learned"] and not row["rolled_back"] else ""
+    decision += " (rolled back)" if row["rolled_back"] else ""
+    return [
+        str(row["trial"]),
+        str(row["iteration"]),
+        row["end"],
+        mm(row["max_abs_error_m_s"]),
+        mm(row["rms_error_m_s"]),
+        yaw,
+        "-" if volts[0] is None else f"{volts[0]:.2f}-{volts[1]:.2f}",
+        decision.strip(),
+    ]
 
 
 def note(
@@ -196,23 +265,28 @@ def compare(
     experiments = [Experiment.open(folder) for folder in (a, b)]
     if a.resolve() == b.resolve():
         raise InputError(f"{a} and {b} are the same experiment.", "Name two.")
+    chosen = numbers(iterations, "--iterations", int) if iterations else None
     sides = [analyse(experiment) for experiment in experiments]
-    found = compare_sides(sides[0], sides[1], what, _numbers(iterations))
+    found = compare_sides(sides[0], sides[1], what, chosen)
     others = other_differences(experiments[0], experiments[1])
     document = {**vars(found), "also_different": others}
     for experiment in experiments:
         warn_of_problems(experiment)
     simulated = any(side.simulated for side in sides)
-    return Output(document, lambda: compared_text(found, others, simulated))
+    return Output(document, lambda: _compared_text(found, others, simulated))
 
 
-def _numbers(text: str | None) -> list[int] | None:
-    if text is None:
-        return None
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError:
-        raise typer.BadParameter("--iterations is like 4,5,6") from None
+def _compared_text(found: Comparison, others: list[str], simulated: bool) -> str:
+    """Two lines or three."""
+    effect = f"effect g = {found.g:+.2f} (95 % interval {found.g_low:+.2f} to {found.g_high:+.2f})"
+    need = "more than 1000" if found.repeats is None else str(found.repeats)
+    lines = [
+        found.words + (", simulated" if simulated else ""),
+        f"{effect}, p = {found.p:.2g}; trials on each side to see such an effect: {need}",
+    ]
+    if others:
+        lines.append(f"they differ in: {'; '.join(others)}")
+    return "\n".join(lines)
 
 
 def replay(folder: Folder) -> Output:
@@ -227,7 +301,26 @@ def replay(folder: Folder) -> Output:
     with TemporaryDirectory() as scratch:
         found = replay_all(experiment, Path(scratch))
     document = {**vars(found), "identical": found.identical}
-    return Output(document, lambda: replay_text(found), status=0 if found.identical else 1)
+    return Output(document, lambda: _replay_text(found), status=0 if found.identical else 1)
+
+
+def _replay_text(found: Replay) -> str:
+    """One quiet line when all is well."""
+    head = "identical" if found.identical else "NOT identical"
+    if found.identical and found.not_drawn:
+        head = "nothing differs, but not all was compared"
+    counts = [
+        f"{found.raw} raw files",
+        f"speeds of {len(found.recomputed)} trials",
+        f"learning from {len(found.learned)}",
+        f"{len(found.figures)} derived files",
+    ]
+    lines = [f"{head}: {', '.join(counts)} came out the same"]
+    lines += [f"different: {line}" for line in found.different]
+    lines += [f"not computed: trial {number}: {why}" for number, why in found.not_recomputed]
+    lines += [f"not learned again: trial {number}: {why}" for number, why in found.not_learned]
+    lines += [f"not compared: {name}: {why}" for name, why in found.not_drawn]
+    return "\n".join(lines)
 
 
 def export(

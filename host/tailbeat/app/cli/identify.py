@@ -12,19 +12,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from tailbeat.app.cli._camera import LiveCamera, LiveOptions, TankCameraOptions, live_camera
+from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
 from tailbeat.app.cli._options import Connect, Library, connected
-from tailbeat.app.cli._terminal import (
-    Display,
-    Output,
-    echo,
-    json_asked,
-    progress_bar,
-    table,
-    warn,
-)
+from tailbeat.app.cli._terminal import Display, Output, echo, json_asked, progress_bar, table, warn
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.csv import read_speeds
@@ -134,7 +126,8 @@ def identify(
         return _from_table(table_, table_fish.known(), write)
     if any(sources):
         return _from_trials([*(trials or []), *(files or [])], experiment, write)
-    return _from_runs(connect, camera.live().check(), runs, write, params)
+    camera.check()
+    return _from_runs(connect, camera, runs, write, params)
 
 
 def _from_table(path: Path, fish: ThesisFish, write: ResultFiles) -> Output:
@@ -176,7 +169,7 @@ def _from_trials(files: list[Path], experiment: Path | None, write: ResultFiles)
 
 
 def _from_runs(
-    connect: str | None, camera: LiveOptions, asked: RunOptions, write: ResultFiles, params: bool
+    connect: str | None, camera: CameraOptions, asked: RunOptions, write: ResultFiles, params: bool
 ) -> Output:
     with connected(connect) as fish, live_camera(fish, camera) as live:
         simulated = fish.info().simulated

@@ -44,17 +44,10 @@ from tailbeat.sensors.vn100.live import (
 from tailbeat.sensors.vn100.summary import CsvFiles, StreamSummary, plain_values
 
 _COLUMNS = [
-    "sequence",
-    "t_s",
-    "accel_x_m_s2",
-    "accel_y_m_s2",
-    "accel_z_m_s2",
-    "rate_x_rad_s",
-    "rate_y_rad_s",
-    "rate_z_rad_s",
-    "yaw_deg",
-    "pitch_deg",
-    "roll_deg",
+    *("sequence", "t_s"),
+    *(f"accel_{axis}_m_s2" for axis in "xyz"),
+    *(f"rate_{axis}_rad_s" for axis in "xyz"),
+    *("yaw_deg", "pitch_deg", "roll_deg"),
 ]
 
 

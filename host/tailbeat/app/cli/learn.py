@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import typer
 
@@ -48,7 +48,9 @@ def learn(
     number: int | None = arg("Default: the pending one.", "[TRIAL]", min=1, max=TRIAL_MAX),
     dry_run: bool = opt("Compute the same numbers here; change nothing."),
     restore_best: bool = opt("Swim the best amplitudes so far next."),
-    law: str = opt("model: this computer plans the next.", "p|model", default="p"),
+    law: Literal["p", "model"] = opt(
+        "model: this computer plans the next.", "p|model", default="p"
+    ),
     identified: IdentifiedFile = None,
     connect: Connect = None,
 ) -> Output:
@@ -60,7 +62,11 @@ def learn(
 
     Example: tailbeat learn --law model
     """
-    _require_consistent(dry_run, restore_best, law, identified)
+    if restore_best and (dry_run or law == "model"):
+        other = "--dry-run" if dry_run else "--law model"
+        raise typer.BadParameter(f"--restore-best and {other} exclude each other")
+    if identified is not None and law != "model":
+        raise typer.BadParameter("--identified is for --law model")
     with connected(connect) as fish:
         if law == "model":
             return learn_with_model(fish, number, identified, dry_run)
@@ -68,19 +74,6 @@ def learn(
             found = compute(fish, number)
             return Output(found.as_dict(), found.text)
         return _restore_best(fish) if restore_best else _learn(fish, number)
-
-
-def _require_consistent(
-    dry_run: bool, restore_best: bool, law: str, identified: Path | None
-) -> None:
-    if dry_run and restore_best:
-        raise typer.BadParameter("--dry-run and --restore-best exclude each other")
-    if law not in ("p", "model"):
-        raise typer.BadParameter("--law is p or model")
-    if identified is not None and law != "model":
-        raise typer.BadParameter("--identified is for --law model")
-    if restore_best and law == "model":
-        raise typer.BadParameter("--restore-best and --law model exclude each other")
 
 
 def _restore_best(fish: Fish) -> Output:
@@ -96,12 +89,8 @@ def _learn(fish: Fish, number: int | None) -> Output:
     if line := not_noted(fish):
         warn(line)
     verdict = verdict_after_learning(fish, report.trial, report.rolled_back)
-    document = vars(report) | {
-        "next_iteration": held.iteration,
-        "amplitude_rad": held.values,
-        "visits": visits,
-        "verdict": verdict,
-    }
+    document = vars(report) | {"next_iteration": held.iteration, "amplitude_rad": held.values}
+    document |= {"visits": visits, "verdict": verdict}
     text = result(report)
     text += f"; {rollback_words()}" if report.rolled_back else ""
     missing = never_corrected(visits)
@@ -111,8 +100,7 @@ def _learn(fish: Fish, number: int | None) -> Output:
 _RESTORED = 3  # what made the amplitudes that swim next, memory_input_t
 _ANEW = (
     "trial numbers come again: the trial library holds trials of this board from before its "
-    "restart; "
-    "for another fish name another folder in TAILBEAT_LOGBOOK"
+    "restart; for another fish name another folder in TAILBEAT_LOGBOOK"
 )
 
 

@@ -18,7 +18,7 @@ from tailbeat.app.cli._options import (
     connected,
     reference_names,
 )
-from tailbeat.app.cli._terminal import Output, bytes_bar, warn
+from tailbeat.app.cli._terminal import Output, bytes_bar, pick, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
@@ -29,7 +29,6 @@ from tailbeat.experiment.current import named_reference
 from tailbeat.experiment.library import logbook_of, name_reference
 from tailbeat.learning import feasible
 from tailbeat.learning.error_bound import Band, Spot, band
-from tailbeat.learning.feasible import Suggestion
 from tailbeat.learning.fish_model import Swim
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
@@ -40,15 +39,12 @@ _BOUND_FINE_M_S = 0.002
 
 def bound_document(band: Band) -> dict[str, Any]:
     """Keys of ``reference check --json`` under ``floor``."""
-    found = band.floor
+    names = ("minimax_m_s", "lsq_max_abs_m_s", "lsq_rms_m_s", "spots")
     return {
-        "minimax_m_s": found.minimax_m_s,
-        "lsq_max_abs_m_s": found.lsq_max_abs_m_s,
+        **pick(band.floor, *names),
         "lsq_max_abs_band_m_s": band.lsq_max_abs_m_s,
-        "lsq_rms_m_s": found.lsq_rms_m_s,
-        "minimax_input_rad": found.minimax_input,
-        "lsq_input_rad": found.lsq_input,
-        "spots": found.spots,
+        "minimax_input_rad": band.floor.minimax_input,
+        "lsq_input_rad": band.floor.lsq_input,
     }
 
 
@@ -57,9 +53,9 @@ def bound_text(band: Band, assumed: Sequence[str] = ()) -> str:
     the fish was not identified."""
     found, (low, high) = band.floor, band.lsq_max_abs_m_s
     lines = [
-        f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by "
-        "what "
-        f"is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than that"
+        f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by"
+        f" what is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than"
+        " that"
     ]
     lines += [f"  {_spot_text(spot)}" for spot in found.spots]
     if assumed:
@@ -76,39 +72,6 @@ def _spot_text(spot: Spot) -> str:
     return f"{where}: up to {mm(abs(spot.error_m_s))} mm/s too {way}: {spot.why}"
 
 
-def advice(band: Band, what: str) -> str:
-    """What to do about the error bound of the reference ``what``; empty when it is fine."""
-    if band.floor.lsq_max_abs_m_s <= _BOUND_FINE_M_S:
-        return ""
-    return f"a reference this fish can follow: tailbeat reference check {what} --suggest"
-
-
-def suggestion_document(found: Suggestion, path: str) -> dict[str, Any]:
-    """Keys of ``reference check --suggest --json`` under ``suggestion``."""
-    return {
-        "path": path,
-        "beats": found.reference.beats,
-        "beat_s": found.reference.beat_s,
-        "travel_m": found.reference.travel_m,
-        "speed_m_s": found.reference.speed_m_s,
-        "crc": found.reference.crc,
-        "floor_lsq_m_s": found.floor_m_s,
-        "changes": found.changes,
-    }
-
-
-def suggestion_text(found: Suggestion, path: str) -> str:
-    """What was written, what it changes and how good it is."""
-    reference = found.reference
-    lines = [
-        f"suggested: {reference.beats} beats, {reference.travel_m:.2f} m, "
-        f"error bound (least squares) {mm(found.floor_m_s)} mm/s",
-        *(f"  {change}" for change in found.changes),
-        f"written to {path}; use it: tailbeat reference upload {path}",
-    ]
-    return "\n".join(lines)
-
-
 def _upload_warm(
     fish: Fish, reference: Reference, old: str, identified_file: Path | None, dry_run: bool
 ) -> Output:
@@ -123,7 +86,7 @@ def _upload_warm(
     found = plan(fish, old, reference, identified, book)
     if found.learned.unique_id not in ("", unique_id):
         warn(f"learned by another fish ({found.learned.unique_id})")
-    document = _document(reference, reference.crc, [])
+    document = _document(reference)
     document |= {"like": found.as_dict(), "copy": None, "dry_run": dry_run}
     words = f"{reference.name}: {_line(reference)}; {_words(found)}"
     if dry_run:
@@ -165,15 +128,10 @@ def _limits(fish: Fish) -> ReferenceLimits:
     return ReferenceLimits.from_params({name: fish.params.get(name).value for name in names})
 
 
-def _document(reference: Reference, crc: int, problems: list[ReferenceProblem]) -> dict[str, Any]:
+def _document(reference: Reference, problems: Sequence[ReferenceProblem] = ()) -> dict[str, Any]:
     return {
-        "name": reference.name,
-        "beats": reference.beats,
-        "beat_s": reference.beat_s,
-        "travel_m": reference.travel_m,
+        **pick(reference, "name", "beats", "beat_s", "travel_m", "speed_m_s", "crc"),
         "max_m_s": float(reference.speed_m_s.max()),
-        "crc": crc,
-        "speed_m_s": reference.speed_m_s,
         "problems": problems,
     }
 
@@ -223,9 +181,9 @@ def upload(
         if warm_start is not None:
             return _upload_warm(fish, reference, warm_start, identified, dry_run)
         with bytes_bar("upload") as show:
-            crc = fish.upload_reference(reference.record(), show)
+            fish.upload_reference(reference.record(), show)
         name_reference(fish, reference)
-    return Output(_document(reference, crc, []), f"uploaded {reference.name}: {_line(reference)}")
+    return Output(_document(reference), f"uploaded {reference.name}: {_line(reference)}")
 
 
 def show(
@@ -242,7 +200,7 @@ def show(
     reference = Reference(found.beat_s, found.speed_m_s, f"{found.crc:08x}")
     if csv is not None:
         reference.to_csv(csv)
-    return Output(_document(reference, found.crc, []), f"{reference.name}: {_line(reference)}")
+    return Output(_document(reference), f"{reference.name}: {_line(reference)}")
 
 
 @dataclass(frozen=True)
@@ -278,7 +236,7 @@ def check(
     known = _known(identified, amp_max, tank, connect)
     problems = reference.check(known.limits)
     found = known.identified and band(known.identified, reference, known.amplitude_max_rad, slew)
-    document = _document(reference, reference.crc, problems)
+    document = _document(reference, problems)
     document["floor"] = bound_document(found) if found else None
     saturation = _expected(known, reference)
     document["saturation"] = saturation
@@ -291,10 +249,12 @@ def check(
         lines.append(_UNKNOWN)
     if suggest:
         document["suggestion"], text = _suggested(reference, known, out)
-        return Output(document, "\n".join([*lines, text]))
-    if found and (hint := advice(found, what)):
-        lines.append(hint)
-    return Output(document, "" if problems else "\n".join(lines), error=_refusal(problems))
+        lines.append(text)
+    elif found and found.floor.lsq_max_abs_m_s > _BOUND_FINE_M_S:
+        hint = f"tailbeat reference check {what} --suggest"
+        lines.append(f"a reference this fish can follow: {hint}")
+    refused = None if suggest else _refusal(problems)
+    return Output(document, "" if refused else "\n".join(lines), error=refused)
 
 
 _UNKNOWN = "error bound unknown: this fish has not been identified (tailbeat session identify)"
@@ -335,6 +295,14 @@ def _suggested(
             "Run tailbeat session identify, or name a file with --identified.",
         )
     found = feasible.suggest(known.identified, reference, known.amplitude_max_rad, known.limits)
-    path = out or Path(f"{reference.name}-feasible.csv")
+    path, made = out or Path(f"{reference.name}-feasible.csv"), found.reference
     found.to_csv(path)
-    return suggestion_document(found, str(path)), suggestion_text(found, str(path))
+    document = pick(made, "beats", "beat_s", "travel_m", "speed_m_s", "crc")
+    document |= {"path": path, "floor_lsq_m_s": found.floor_m_s, "changes": found.changes}
+    lines = [
+        f"suggested: {made.beats} beats, {made.travel_m:.2f} m, "
+        f"error bound (least squares) {mm(found.floor_m_s)} mm/s",
+        *(f"  {change}" for change in found.changes),
+        f"written to {path}; use it: tailbeat reference upload {path}",
+    ]
+    return document, "\n".join(lines)

@@ -7,10 +7,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tailbeat.app.cli._experiment import sound_identified
+from tailbeat.app.cli._experiment import sound_identified, verdict_lines
 from tailbeat.app.cli._lazy import arg, opt
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Library, Plot, Root, connected
-from tailbeat.app.cli._terminal import Output, table, warn
+from tailbeat.app.cli._terminal import Output, pick, table, warn
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_measured
@@ -141,14 +141,9 @@ def _apply(found: Progress, connect: str | None) -> dict[str, float]:
 def _progress_document(found: Progress) -> dict[str, Any]:
     fade = found.fade
     return {
-        "reference_crc": found.reference_crc,
+        **pick(found, "reference_crc", "verdict", "floor_m_s", "visits", "fluctuation", "problems"),
         "trials": found.rows,
-        "verdict": found.verdict,
-        "floor_m_s": found.floor_m_s,
-        "visits": found.visits,
-        "fluctuation": found.fluctuation,
         "fade": fade and {"ILC_DECR_RATE": fade.fade, "ILC_DECR_FROM": fade.fade_from},
-        "problems": found.problems,
     }
 
 
@@ -180,12 +175,8 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
         best = f"best: trial {verdict.best_trial}, {mm(verdict.best_max_abs_error_m_s)} mm/s"
         floor = f"; error bound (least squares) {mm(found.floor_m_s)} mm/s"
         lines.append(f"{best}, {verdict.band.text()}{floor if found.floor_m_s else ''}")
-    if verdict.stop:
-        lines += [f"stop: {verdict.stop_reason}", verdict.advice]
-    elif verdict.saturation is not None:
-        lines.append(verdict.saturation.text)
-    else:
-        lines.append("go on: tailbeat trial run, tailbeat learn")
+    go_on = ["go on: tailbeat trial run, tailbeat learn"]
+    lines += verdict_lines(verdict) or go_on
     if found.fade is not None and found.fluctuation is not None:
         names = f"ILC_DECR_RATE {found.fade.fade:g}, ILC_DECR_FROM {found.fade.fade_from}"
         how = "set" if applied else "set it with --apply"

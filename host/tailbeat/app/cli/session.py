@@ -5,12 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from tailbeat.app.cli._camera import (
-    CameraOptions,
-    LiveCamera,
-    TankCameraOptions,
-    live_camera,
-)
+from tailbeat.app.cli._camera import CameraOptions, LiveCamera, TankCameraOptions, live_camera
+from tailbeat.app.cli._experiment import experiment_of, in_no_experiment
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import COUNTS, KINDS, Keys, TerminalOperator, terminal
 from tailbeat.app.cli._options import (
@@ -21,7 +17,7 @@ from tailbeat.app.cli._options import (
     preflight_limits,
     reference_names,
 )
-from tailbeat.app.cli._terminal import Display, Output, command_typed, json_asked
+from tailbeat.app.cli._terminal import Display, Output, command_typed, json_asked, pick
 from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
@@ -61,14 +57,14 @@ def commission(
     Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """
     wanted = named_reference(reference)
-    options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live, terminal() as there:
+    camera.check()
+    with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
         display = there[0]
         operator = _operator(*there, yes)
         steps = []
         limits = preflight_limits(rest)
         for step in first_session(fish, wanted, operator, live.camera, live.guard, limits):
-            display.keep(_step_text(step))
+            display.keep(f"{'ok' if step.done else '--'}  {step.name}: {step.words}")
             steps.append(step)
         held = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
     well = steps[-1].done
@@ -97,12 +93,13 @@ def resume(
 
     Example: tailbeat session resume --camera 0 --calibration tank.json
     """
-    _require_folder(into)
-    options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live, terminal() as there:
+    if into is not None:
+        Experiment.open(into)
+    camera.check()
+    with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
         if (experiment := _to_resume(fish, into)) is None:
             if another_board:
-                raise _in_none(fish)
+                raise in_no_experiment(fish)
             return _restore_without_experiment(fish)
         restored = restore(fish, experiment, another_board)
         for line in _restored_lines(restored, experiment):
@@ -125,38 +122,20 @@ def status(into: Into = None, connect: Connect = None) -> Output:
 
     Example: tailbeat session status
     """
-    _require_folder(into)
-    with connected(connect) as fish:
-        if (experiment := _found(fish, into)) is None:
-            raise _in_none(fish)
-        found = status_of(fish, experiment)
-    return Output(found, lambda: "\n".join(words(found)))
-
-
-def _require_folder(into: Path | None) -> None:
-    """Before anything is connected."""
     if into is not None:
         Experiment.open(into)
-
-
-def _found(fish: Fish, into: Path | None) -> Experiment | None:
-    return Experiment.open(into) if into is not None else current(fish)
+    with connected(connect) as fish:
+        found = status_of(fish, Experiment.open(into) if into else experiment_of(fish))
+    return Output(found, lambda: "\n".join(words(found)))
 
 
 def _to_resume(fish: Fish, into: Path | None) -> Experiment | None:
     """The one that was named, or the one the fish is in; None when the board has been given another
     reference than that one's since, and no experiment of it has begun."""
-    found = _found(fish, into)
-    if into is not None or is_interrupted(fish) or fish.status().reference_crc is None:
-        return found
-    return swims_for(fish)
-
-
-def _in_none(fish: Fish) -> InputError:
-    return InputError(
-        f"this fish ({fish.unique_id()}) is in no experiment.",
-        "Name it: --into FOLDER (tailbeat experiment list), or begin one: tailbeat trial run",
-    )
+    if into is not None:
+        return Experiment.open(into)
+    goes_on = is_interrupted(fish) or fish.status().reference_crc is None
+    return current(fish) if goes_on else swims_for(fish)
 
 
 def _restore_without_experiment(fish: Fish) -> Output:
@@ -166,20 +145,12 @@ def _restore_without_experiment(fish: Fish) -> Output:
     put_back = restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
     params, refused = restore_params(fish)
     if not put_back and not params and current(fish) is None:
-        raise _in_none(fish)
+        raise in_no_experiment(fish)
     lines = [f"{note}; it has it back" for note in notes] + refused
     lines += [f"given back: {name} {now:g} (it had {was:g})" for name, (was, now) in params.items()]
     lines.append("no experiment of this reference has begun: nothing to repeat; tailbeat trial run")
     document = {"experiment": None, "params": params, "notes": notes + refused}
     return Output(document, "\n".join(lines))
-
-
-class Agreeing(TerminalOperator):
-    """Says yes to every question; all else is the person's."""
-
-    def confirm(self, question: str) -> bool:
-        """Yes."""
-        return True
 
 
 def _operator(
@@ -188,11 +159,7 @@ def _operator(
     """``yes``: every answer is yes. ``repeats``: of a trial only whether it counts is asked."""
     then = Decision("keep") if yes and repeats else None
     kinds = COUNTS if repeats else KINDS
-    return (Agreeing if yes else TerminalOperator)(display, keys, then, kinds=kinds)
-
-
-def _step_text(step: CommissionStep) -> str:
-    return f"{'ok' if step.done else '--'}  {step.name}: {step.words}"
+    return TerminalOperator(display, keys, then, kinds=kinds, agrees=yes)
 
 
 def _end_text(last: CommissionStep, limits: dict[str, float]) -> str:
@@ -240,8 +207,8 @@ def trim(
 
     Example: tailbeat session trim
     """
-    options = camera.live().check()
-    with connected(connect) as fish, live_camera(fish, options) as live:
+    camera.check()
+    with connected(connect) as fish, live_camera(fish, camera) as live:
         found, held = _trimmed(fish, live, to_apply, yes, rest)
     return Output(_trim_document(found, held), lambda: _trim_text(found, held))
 
@@ -268,13 +235,9 @@ def _trimmed(
 
 def _trim_document(found: Trim, held: float | None) -> dict[str, Any]:
     return {
-        "was_us": found.was_us,
-        "centre_us": found.centre_us,
-        "sigma_us": found.sigma_us,
+        **pick(found, "was_us", "centre_us", "sigma_us", "source", "swims"),
         "turn_before_rad_m": found.turn_rad(found.was_us, 1.0),
         "turn_sigma_rad_m": abs(found.turn_rad_m_us) * found.sigma_us,
-        "source": found.source,
-        "swims": found.swims,
         "applied": held is not None,
         "held_us": held,
     }

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import signal
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._terminal import (
-    Output,
-    assignments,
-    echo,
-    print_line,
-    progress_bar,
-    table,
-)
+from tailbeat.app.cli._terminal import Output, assignments, echo, print_line, progress_bar, table
 from tailbeat.app.demo import DemoOptions, DemoResult, identified_text, run_demo
 from tailbeat.core import law as laws
 from tailbeat.core.csv import read_column
@@ -27,22 +20,46 @@ from tailbeat.sim.emulated import EmulatedBoard
 from tailbeat.sim.native import SimBoard
 from tailbeat.sim.server import Addresses, SimServer, parse_listen
 
-Plant = Annotated[str, opt("Model of the fish and the water.", "tank|thesis", name="--plant")]
-Seed = Annotated[
-    int | None,
-    opt(
-        "Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
-        " board of its own.",
-        name="--seed",
-        min=0,
-    ),
-]
-Listen = Annotated[str, opt("Port 0 = any free one.", "tcp:HOST:PORT", name="--listen")]
-Pty = Annotated[bool, opt("Serve the USB serial port on a pty too.", name="--pty")]
-Speed = Annotated[float, opt("Simulated seconds per second.", name="--speed")]
 Set = Annotated[
     list[str] | None, opt("A value of the simulator, SI; repeatable.", "KEY=VALUE", name="--set")
 ]
+
+
+@dataclass(frozen=True)
+class ServeOptions:
+    """The simulated world, and where it is served."""
+
+    plant: str = opt("Model of the fish and the water.", "tank|thesis", default="tank")
+    seed: int | None = opt(
+        "Same seed, same board, same run, bit for bit; default: disturbances of 1, and a"
+        " board of its own.",
+        min=0,
+    )
+    listen: str = opt("Port 0 = any free one.", "tcp:HOST:PORT", default="tcp:127.0.0.1:5760")
+    pty: bool = opt("Serve the USB serial port on a pty too.")
+    speed: float = opt("Simulated seconds per second.", default=1.0)
+    settings: Set = None
+
+    def values(self) -> dict[str, float]:
+        """Of the simulator."""
+        seed = {} if self.seed is None else {"seed": self.seed}
+        return seed | assignments(self.settings or [])
+
+    def serve(self, board: SimulatedBoard, what: str) -> None:
+        """Until Ctrl-C."""
+
+        def slow(pace: float) -> None:
+            words = f"falls behind: {pace:.2g} x real time instead of {self.speed:g}"
+            hint = f"For a steady pace: --speed {0.8 * pace:.1g}"
+            echo(f"{words}, as fast as it can. {hint}", err=True)
+
+        stopped: list[int] = []
+        for number in (signal.SIGINT, signal.SIGTERM):  # even if a shell's & has it ignore them
+            signal.signal(number, lambda got, _: stopped.append(got))
+        with closing(SimServer(board, self.listen, self.pty, self.speed, slow)) as server:
+            at = server.addresses
+            print_line(asdict(at), _serve_text(f"{what} ({board.plant})", self.speed, at))
+            server.serve(lambda: bool(stopped))
 
 
 def demo(
@@ -104,14 +121,7 @@ def _demo_text(result: DemoResult) -> str:
     return "\n".join([*lines, f"report {result.report}"])
 
 
-def fish(
-    plant: Plant = "tank",
-    seed: Seed = None,
-    listen: Listen = "tcp:127.0.0.1:5760",
-    pty: Pty = False,
-    speed: Speed = 1.0,
-    settings: Set = None,
-) -> None:
+def fish(serve: ServeOptions) -> None:
     """Serve a simulated fish to other programs, until Ctrl-C.
 
     Its camera, its USB serial port and its fault-injection port are the next three ports. The last
@@ -119,45 +129,21 @@ def fish(
 
     Example: tailbeat sim fish --plant tank --speed 10 --set kappa_per_m=5
     """
-    board = SimBoard(plant, **_values(seed, settings))
-    _serve(board, "simulated fish", listen, pty, speed)
+    serve.serve(SimBoard(serve.plant, **serve.values()), "simulated fish")
 
 
 def board(
+    serve: ServeOptions,
     image: Path | None = arg(
         "The flash image, .elf; default: build/firmware/tailbeat.elf.", "IMAGE"
     ),
-    plant: Plant = "tank",
-    seed: Seed = None,
-    listen: Listen = "tcp:127.0.0.1:5760",
-    pty: Pty = False,
-    speed: Speed = 1.0,
-    settings: Set = None,
 ) -> None:
     """Serve the flash image on an emulated board, with a simulated fish, until Ctrl-C.
 
     Example: tailbeat sim board build/firmware/tailbeat.elf --pty
     """
-    board = EmulatedBoard(image, plant, **_values(seed, settings))
-    _serve(board, "emulated board, simulated fish", listen, pty, speed)
-
-
-def _values(seed: int | None, settings: list[str] | None) -> dict[str, float]:
-    return ({} if seed is None else {"seed": seed}) | assignments(settings or [])
-
-
-def _serve(board: SimulatedBoard, what: str, listen: str, pty: bool, speed: float) -> None:
-    def slow(pace: float) -> None:
-        words = f"falls behind: {pace:.2g} x real time instead of {speed:g}, as fast as it can"
-        echo(f"{words}. For a steady pace: --speed {0.8 * pace:.1g}", err=True)
-
-    stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):  # even if started to ignore them, by a shell's &
-        signal.signal(number, lambda got, _: stopped.append(got))
-    with closing(SimServer(board, listen, pty, speed, slow)) as server:
-        at = server.addresses
-        print_line(asdict(at), _serve_text(f"{what} ({board.plant})", speed, at))
-        server.serve(lambda: bool(stopped))
+    board = EmulatedBoard(image, serve.plant, **serve.values())
+    serve.serve(board, "emulated board, simulated fish")
 
 
 def _serve_text(what: str, speed: float, at: Addresses) -> str:

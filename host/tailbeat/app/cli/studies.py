@@ -8,13 +8,14 @@ import sys
 import textwrap
 import time
 from collections import Counter
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
 import typer
 
 from tailbeat.app.cli._lazy import arg, opt
-from tailbeat.app.cli._terminal import Output, echo, progress_bar, table, warn
+from tailbeat.app.cli._terminal import Output, echo, pick, progress_bar, table, warn
 from tailbeat.core.files import plain
 from tailbeat.core.parallel import cores_here
 from tailbeat.core.printable import mm
@@ -94,18 +95,11 @@ def _examples() -> tuple[Example, ...]:
 
 def _thesis_document(example: Example, result: Result) -> dict[str, Any]:
     return {
-        "id": example.id,
-        "chapter": example.chapter,
-        "title": example.title,
-        "law": example.law,
+        **pick(example, "id", "chapter", "title", "law"),
         "settings": example.settings_of(result.options),
-        "iterations": result.iterations,
-        "max_abs_error": result.max_abs_error,
+        **pick(result, "iterations", "max_abs_error", "lengths", "claims", "figures"),
         "executed_max_abs_error": result.executed,
-        "lengths": result.lengths,
         "diverged_at": result.diverged,
-        "claims": result.claims,
-        "figures": result.figures,
     }
 
 
@@ -197,13 +191,9 @@ def _lines(claim: Claim, columns: tuple[int, ...], width: int) -> list[str]:
 
 def _row(cells: tuple[str, ...], columns: tuple[int, ...]) -> list[str]:
     wrapped = [textwrap.wrap(cell, width) for cell, width in zip(cells, columns, strict=True)]
-    height = max(len(lines) for lines in wrapped)
     return [
-        "  ".join(
-            (lines[i] if i < len(lines) else "").ljust(width)
-            for lines, width in zip(wrapped, columns, strict=True)
-        ).rstrip()
-        for i in range(height)
+        "  ".join(map(str.ljust, line, columns)).rstrip()
+        for line in zip_longest(*wrapped, fillvalue="")
     ]
 
 
@@ -302,13 +292,8 @@ def _duration(seconds: float) -> str:
 def _recipes() -> Output:
     recipes = [load(name) for name in packaged()]
     rows = [
-        {
-            "name": one.name,
-            "title": one.title,
-            "cells": len(cells(one)),
-            "seeds": one.seeds,
-            "claims": [claim.text for claim in one.claims],
-        }
+        pick(one, "name", "title", "seeds")
+        | {"cells": len(cells(one)), "claims": [claim.text for claim in one.claims]}
         for one in recipes
     ]
     text = table(["recipe", "what it shows"], [[r.name, r.title] for r in recipes], left=(0, 1))
@@ -317,10 +302,8 @@ def _recipes() -> Output:
 
 def _study_document(found: StudySummary) -> dict[str, Any]:
     return {
-        "recipe": found.recipe,
-        "title": found.title,
+        **pick(found, "recipe", "title", "claims"),
         "groups": [vars(line) | {"over_floor": line.over_floor} for line in found.lines],
-        "claims": [vars(claim) for claim in found.claims],
         "failed": len(found.failed),
         "failed_fish": found.failures,
     }

@@ -32,7 +32,6 @@ from tailbeat.core.trial_file import Trial, beats_csv, read_trial
 from tailbeat.experiment.current import require_fish
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import DISCARDED, logbook_of
-from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import Saturation, saturation_of
 
 _SAME = "recomputed: the same speeds and sigmas, bit for bit"
@@ -119,28 +118,25 @@ def show(
 
     Example: tailbeat trial show 0003.ulg --csv beats.csv
     """
-    known: tuple[Identified | None, list[Trial]]
-    path = Path(what) if what is not None else None
-    if what is not None and path is not None and (path.is_file() or not what.isdecimal()):
-        trial = read_trial(path)
-        known = (None, [trial])
+    if what is not None and (Path(what).is_file() or not what.isdecimal()):
+        trial = read_trial(Path(what))
+        saturation = saturation_of(trial, None, [trial])
     else:
-        trial, known = _from_board(int(what) if what else None, connect)
-    saturation = saturation_of(trial, *known)
+        trial, saturation = _from_board(int(what) if what else None, connect)
     if csv is not None:
         beats_csv(trial, csv)
     document = _document(trial) | {"saturation": saturation}
-    again = _recomputed(trial) if recompute else None
-    if again is not None:
-        document["recomputed"] = again
-    error = None
-    if again is not None and not again["identical"]:
-        error = TailbeatError(
-            f"the speeds of trial {trial.number} cannot be computed again from its file",
-            "It was written by a firmware that computes otherwise, or is damaged; see the JSON.",
-        )
-    same = "\n" + _SAME if again else ""
-    return Output(document, lambda: _trial_text(trial, saturation) + same, error=error)
+    text = _trial_text(trial, saturation)
+    if not recompute:
+        return Output(document, text)
+    document["recomputed"] = again = _recomputed(trial)
+    if again["identical"]:
+        return Output(document, f"{text}\n{_SAME}")
+    error = TailbeatError(
+        f"the speeds of trial {trial.number} cannot be computed again from its file",
+        "It was written by a firmware that computes otherwise, or is damaged; see the JSON.",
+    )
+    return Output(document, f"{text}\n{_SAME}", error=error)
 
 
 def _recomputed(trial: Trial) -> dict[str, Any]:
@@ -162,17 +158,14 @@ def _recomputed(trial: Trial) -> dict[str, Any]:
     return found | {"identical": identical}
 
 
-def _from_board(
-    number: int | None, connect: str | None
-) -> tuple[Trial, tuple[Identified | None, list[Trial]]]:
-    """The trial, and what the trial library knows of its fish."""
+def _from_board(number: int | None, connect: str | None) -> tuple[Trial, Saturation | None]:
     with connected(connect) as fish, TemporaryDirectory() as folder:
         path = _pull(fish, _which(fish, number), Path(folder))
         trial = read_trial(path)
         if (book := logbook_of(fish)) is None:
-            return trial, (None, [trial])
+            return trial, saturation_of(trial, None, [trial])
         kept = [one.trial for one in book.kept(path)[0] if one.mark != DISCARDED]
-    return trial, (sound_identified(book), kept)
+    return trial, saturation_of(trial, sound_identified(book), kept)
 
 
 def _document(trial: Trial) -> dict[str, Any]:

@@ -12,18 +12,11 @@ from typing import Any
 
 import typer
 
-from tailbeat.app.cli._camera import (
-    LiveCamera,
-    TankCameraOptions,
-    camera_report,
-    camera_text,
-    lateness_warning,
-    live_camera,
-)
+from tailbeat.app.cli._camera import LiveCamera, TankCameraOptions, camera_report, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._operator import TerminalOperator, terminal
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Into, Rest, connected, preflight_limits
-from tailbeat.app.cli._terminal import Output, command_typed, progress_bar, warn
+from tailbeat.app.cli._terminal import Output, command_typed, pick, progress_bar, warn
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.files import plain
@@ -42,7 +35,7 @@ from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
 from tailbeat.session.guards import Guard, together
-from tailbeat.session.outcome import KINDS, Decision
+from tailbeat.session.outcome import Decision, DecisionKind
 from tailbeat.session.presenter import alert
 from tailbeat.session.series import Options, Round, SeriesEnd, Until, swim_series
 from tailbeat.session.travel import room_guard, travel_next
@@ -64,7 +57,7 @@ class GuideOptions:
     rest: Rest = None
     until: str | None = opt("Run trials until then; default: 1 kept trial.", "converged|battery|N")
     into: Into = None
-    then: str | None = opt(
+    then: DecisionKind | None = opt(
         "Answer for every trial, given now; one you stop by a key is asked about.",
         "keep|repeat|discard",
     )
@@ -92,15 +85,12 @@ class GuideOptions:
 
     def answer(self) -> Decision | None:
         """What was decided beforehand."""
-        kind = next((kind for kind in KINDS if kind == self.then), None)
         if self.then is None:
             return None
-        if kind is None:
-            raise typer.BadParameter(f"--then is {', '.join(KINDS)}, not '{self.then}'")
         try:
-            return Decision(kind, self.reason or "")
+            return Decision(self.then, self.reason or "")
         except InputError as error:
-            raise typer.BadParameter(f"--then {kind} needs --reason WHY") from error
+            raise typer.BadParameter(f"--then {self.then} needs --reason WHY") from error
 
     def _until(self) -> Until:
         return Until() if self.until is None else Until.parse(self.until)
@@ -133,9 +123,13 @@ def run(
 
     Example: tailbeat trial run --until converged --rest 60 --camera 0 --calibration tank.json
     """
-    options = camera.live(video).check()
+    camera.check(video)
     guided = given.guided()
-    with _interrupt_reported(), connected(connect) as fish, live_camera(fish, options) as live:
+    with (
+        _interrupt_reported(),
+        connected(connect) as fish,
+        live_camera(fish, camera, video) as live,
+    ):
         return _run_guided(fish, live, given) if guided else _run_once(fish, live, camera.latency)
 
 
@@ -148,10 +142,9 @@ def _run_once(fish: Fish, live: LiveCamera, latency_s: float) -> Output:
     if saturation is not None:
         lines.append(saturation.text)
     if live.video is not None:
-        report = document["camera"] = camera_report(fish, live.video, outcome.number)
-        lines.append(camera_text(report))
-        if warning := lateness_warning(report, latency_s):
-            warn(warning)
+        number = outcome.number
+        document["camera"], text = camera_report(fish, live.video, number, latency_s)
+        lines.append(text)
     status = 130 if outcome.interrupted else int(outcome.end != "complete")
     return Output(document, "\n".join(lines), status)
 
@@ -285,21 +278,11 @@ def _swim_document(one: Round) -> dict[str, Any]:
     recorded = one.recorded
     return {
         "trial": recorded.outcome.number,
-        "iteration": recorded.outcome.iteration,
-        "end": recorded.outcome.end,
-        "executed_beats": recorded.outcome.executed_beats,
+        **pick(recorded.outcome, "iteration", "end", "executed_beats"),
         "decision": one.decision.kind,
         "reason": one.decision.reason,
-        "file": recorded.file,
-        "max_abs_error_m_s": recorded.max_abs_error_m_s,
-        "rms_error_m_s": recorded.rms_error_m_s,
-        "measured_beats": recorded.measured_beats,
-        "beats": recorded.beats,
-        "battery_start_v": recorded.battery_start_v,
-        "battery_end_v": recorded.battery_end_v,
-        "ready": recorded.ready,
-        "straight": recorded.straight,
-        "problems": recorded.problems,
+        **pick(recorded, "file", "max_abs_error_m_s", "rms_error_m_s", "measured_beats", "beats"),
+        **pick(recorded, "battery_start_v", "battery_end_v", "ready", "straight", "problems"),
         "report": one.learned,
     }
 

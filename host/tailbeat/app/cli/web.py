@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from threading import Event, Thread
 
-from tailbeat.app.cli._camera import CameraOptions, LiveOptions, live_camera
+from tailbeat.app.cli._camera import CameraOptions, live_camera
 from tailbeat.app.cli._lazy import opt
 from tailbeat.app.cli._options import EXPERIMENTS, Connect, Root
 from tailbeat.app.cli._terminal import json_asked, print_line
@@ -40,12 +40,12 @@ def web(
 
     Example: tailbeat session web --connect sim --speed 5
     """
-    options = camera.live()
+    camera.on_fish()
     place = listen(host, port)
     with contextlib.closing(place.listener), _board(connect, speed) as make:
         urls = "\n".join(f"the page: {url}" for url in place.urls)
         print_line({"urls": place.urls, "port": place.port}, f"{urls}\n(Ctrl-C ends it)")
-        serve(Worker(make, root, _eyes(options)), place, open_ and not json_asked.get())
+        serve(Worker(make, root, _eyes(camera)), place, open_ and not json_asked.get())
 
 
 @contextlib.contextmanager
@@ -70,7 +70,7 @@ def _board(url: str | None, speed: float) -> Iterator[Callable[[], Fish]]:
         server.close()
 
 
-def _eyes(options: LiveOptions) -> OpenCamera:
+def _eyes(options: CameraOptions) -> OpenCamera:
     """The camera of ``trial run``, opened for each series; that of a simulated board by itself."""
 
     @contextlib.contextmanager

@@ -16,9 +16,8 @@ import pytest
 import typer.main
 
 from tailbeat.app.cli import run
-from tailbeat.app.cli._lazy import aliases
 from tailbeat.app.cli.app import COMMANDS as TABLE
-from tailbeat.app.cli.app import GROUPS, RENAMED, app
+from tailbeat.app.cli.app import GROUPS, RENAMED, aliases, app
 
 ROOT: Any = typer.main.get_command(app)
 
@@ -87,7 +86,7 @@ def test_each_list_of_commands_fits_80_columns(
     assert listed == [name for name, one in here.commands.items() if not one.hidden]
 
 
-OLD = [(old, new) for old, new, _ in aliases(TABLE, RENAMED)]
+OLD = [*aliases()]
 
 
 @pytest.mark.parametrize(("old", "new"), OLD, ids=[old for old, _ in OLD])

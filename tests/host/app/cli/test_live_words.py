@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tailbeat.app.cli._operator import TerminalOperator, live_text
+from tailbeat.app.cli._operator import TerminalOperator
 from tailbeat.app.cli._terminal import Display
 from tailbeat.core.errors import InputError
 from tailbeat.link.messages import TrialOutcome
@@ -21,6 +21,7 @@ from tailbeat.session.events import (
     TrialStopped,
 )
 from tailbeat.session.outcome import BY_HAND, Decision, RecordedTrial, StopKind, StopReason
+from tailbeat.session.presenter import live_text
 
 from ...session.test_trial_run_guided import Typed
 
@@ -39,7 +40,7 @@ def test_the_words_that_matter_stay(width: int, link: dict[str, float]) -> None:
         assert word in line, (width, line)
     assert ("7.92 V" in line) == (width >= 80), line
     assert late or ("40.1 deg" in line) == (width >= 80), line
-    assert ("amplitude 40.1 deg" in line and "wanted 170.0" in line) == (width == 120), line
+    assert ("amplitude 40.1 deg" in line and "reference 170.0" in line) == (width == 120), line
 
 
 def test_where_nothing_fits_the_stop_is_what_is_left() -> None:
@@ -47,7 +48,7 @@ def test_where_nothing_fits_the_stop_is_what_is_left() -> None:
 
 
 def test_the_line_without_a_key_and_of_what_is_not_known() -> None:
-    assert live_text(UNKNOWN, False, 80) == "link ok  starting  v - mm/s  wanted -"
+    assert live_text(UNKNOWN, False, 80) == "link ok  starting  v - mm/s  reference -"
 
 
 def test_the_line_is_as_wide_as_the_window(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1028,7 +1028,7 @@ def test_print(files: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("foo",), "no sheet 'foo': there are board, marker, anchors, ruler"),
+        (("foo",), "'foo' is not one of 'board', 'marker', 'anchors', 'ruler'"),
         (("board", "--side", "30"), "--side does not apply to the sheet 'board'"),
         (("anchors", "--kind", "aruco"), "--kind does not apply to the sheet 'anchors'"),
         (("ruler", "--id", "7"), "--id does not apply to the sheet 'ruler'"),
