@@ -1,20 +1,22 @@
-"""What may be asked of an example beyond the thesis's own settings.
+"""The nouns: an example, a run of it, what the thesis claims of it, what came out, what is drawn.
 
-The nouns: an example, a run of it, what the thesis claims of it and what came out.
+An example is a row of data. Claims and figures are functions that name their example:
+``@claim(EXAMPLE, text, source)`` and ``@figure(EXAMPLE, file, name, caption)``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.learner import Precision
+from tailbeat.studies.thesis.picture import Panels, draw
 
 Uptake = Literal["clip", "abs", "monod", "none"]
 
@@ -24,7 +26,7 @@ class ExampleOptions:
     """None = as the thesis has it. An example refuses those that it does not know
     (``Example.knows``) when it is asked for by name."""
 
-    lengths: str | None = None  # how long the trials are: see tailbeat.thesis.lengths
+    lengths: str | None = None  # how long the trials are: see ``options.parse``
     seed: int = 1  # of what is drawn
     step: float | None = None  # integration and control step, in the example's unit of time
     iterations: int | None = None  # the last iteration; the first is 0, in chapters 4 and 5 1
@@ -55,37 +57,53 @@ class Claim:
     ours: bool = False
 
 
-def verdict(plainly: bool, under_a_reading: bool = False) -> str:
-    """Of what was found as it is printed, and of what was found under the reading that the note
-    tells. The first outweighs the second."""
-    if plainly:
-        return COMES_OUT
-    return UNDER_A_READING if under_a_reading else DOES_NOT
+@dataclass(frozen=True)
+class Found:
+    """What the check of a claim found. ``holds``: as it is printed; ``reading``: under the reading
+    that the note states. The first outweighs the second."""
+
+    holds: bool | np.bool_
+    measured: ArrayLike
+    note: str = ""
+    reading: bool | np.bool_ = False
+
+    @property
+    def verdict(self) -> str:
+        """One of ``VERDICTS``."""
+        return COMES_OUT if self.holds else UNDER_A_READING if self.reading else DOES_NOT
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A claim that is yet to be judged, by ``check``."""
+
+    text: str
+    source: str
+    check: Callable[[Any], Found]
+    ours: bool
+
+    def judge(self, study: Any) -> Claim:
+        """The claim as the runs of ``study`` have it."""
+        found = self.check(study)
+        number = found.measured
+        measured = number if isinstance(number, str) else np.asarray(number, np.float64).tolist()
+        return Claim(self.text, self.source, found.verdict, measured, found.note, self.ours)
 
 
 @dataclass(frozen=True)
 class ExampleRun:
-    """Errors per iteration. ``max_abs_error``: over the whole wanted record, beyond a cut too (the
+    """Errors per iteration. ``max_abs_error``: over the whole reference, beyond a cut too (the
     plant goes on virtually); one value per iteration, or one row of one per component.
     ``executed``: over what each trial reached, where trials are cut. ``diverged``: the iteration
-    at which it could not be computed any more; the arrays end before it."""
+    at which it could not be computed any more; the arrays end before it. ``traces``: the
+    ``SeriesOutcome`` or the ``LoopTrials``, for claims and figures; not in JSON."""
 
     iterations: NDArray[np.int64]
     max_abs_error: F64
     executed: F64 | None = None
     lengths: F64 | None = None
     diverged: int | None = None
-    traces: dict[str, Any] = field(default_factory=dict)  # for figures; not in JSON
-
-
-class Study(Protocol):
-    """What claims and figures are computed with. Runs with the same options are computed once."""
-
-    def run(self, **changes: Any) -> ExampleRun:
-        """A run of this example with the thesis's settings but for ``changes`` (of ``Options``)."""
-
-    def tick(self, done: float) -> None:
-        """Tells how much of the claims is done, 0 to 1."""
+    traces: Any = None
 
 
 @dataclass(frozen=True)
@@ -99,27 +117,89 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Sketch:
+    """A figure that is yet to be drawn, by ``compose``."""
+
+    file: str
+    name: str
+    caption: str
+    compose: Callable[[Any], Panels]
+
+    def draw(self, study: Any, folder: Path) -> Figure:
+        """Writes it into ``folder``."""
+        drawing = self.compose(study)
+        draw(folder / self.file, drawing)
+        return Figure(folder / self.file, self.name, self.caption, drawing.contradicts)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """An example with options: the settings that its run uses of all that it knows (a seed of None:
+    it draws nothing), and the run."""
+
+    settings: dict[str, Any]
+    run: Callable[[], ExampleRun]
+
+
+Setting = Any  # of a chapter: the case of its law and plant, or a gain
+
+
+@dataclass(frozen=True)
 class Example:
-    """An example of the thesis. The functions are pure but for files in the figures' folder."""
+    """An example of the thesis. ``prepare``: (setting, options) -> what they come to; it raises
+    InputError before anything is computed."""
 
     id: str
-    chapter: int
     title: str
     law: str  # short, with the equation's number
-    knows: frozenset[str]  # names of Options it takes, beside precision
-    run: Callable[[ExampleOptions], ExampleRun]
-    claims: Callable[[Study], list[Claim]]
-    figures: Callable[[Study, Path], list[Figure]]
+    setting: Setting
+    prepare: Callable[[Setting, ExampleOptions], Prepared]
+    knows: frozenset[str]  # names of ExampleOptions it takes, beside precision
     weight: float = 1.0  # seconds that run and claims take, about
-    settings: Callable[[ExampleOptions], dict[str, Any]] | None = None
-    """What a run with these options uses of all that the example knows; a seed of None: it draws
-    nothing. Raises InputError as ``run`` does, before anything is computed."""
+    claims: list[Statement] = field(default_factory=list)
+    figures: list[Sketch] = field(default_factory=list)
+
+    @property
+    def chapter(self) -> int:
+        """Of the thesis."""
+        return int(self.id[2])
+
+    def run(self, options: ExampleOptions) -> ExampleRun:
+        """Pure."""
+        return self.prepare(self.setting, options).run()
 
     def settings_of(self, options: ExampleOptions) -> dict[str, Any]:
-        """The same with the precision; by default the options as they are."""
-        found = (
-            {name: getattr(options, name) for name in self.knows}
-            if self.settings is None
-            else self.settings(options)
-        )
+        """What ``run`` uses, with the precision."""
+        found = self.prepare(self.setting, options).settings
         return dict(sorted(found.items())) | {"precision": options.precision}
+
+    def with_setting(self, setting: Setting) -> Example:
+        """The same example of another case."""
+        return replace(self, setting=setting)
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def claim(
+    examples: Example | Sequence[Example], text: str, source: str, ours: bool = False
+) -> Callable[[Function], Function]:
+    """The function checks this claim: Study -> Found. Claims are judged in the order of their
+    functions. ``text`` is a template of the example's setting."""
+
+    def keep(check: Function) -> Function:
+        for one in [examples] if isinstance(examples, Example) else examples:
+            one.claims.append(Statement(text.format(one.setting), source, check, ours))
+        return check
+
+    return keep
+
+
+def figure(example: Example, file: str, name: str, caption: str) -> Callable[[Function], Function]:
+    """The function composes this figure: Study -> Panels."""
+
+    def keep(compose: Function) -> Function:
+        example.figures.append(Sketch(file, name, caption, compose))
+        return compose
+
+    return keep

@@ -33,11 +33,15 @@ def load(precision: Precision = "double") -> Native:
     return load_library(HERE / f"thesis{bits}.cdef", HERE / f"libtailbeat_thesis{bits}.so")
 
 
+def pointer(native: Native, values: F64 | None) -> Any:
+    """``double *`` to the array's own numbers; NULL for None."""
+    return native.ffi.NULL if values is None else native.ffi.from_buffer("double[]", values)
+
+
 UNLIMITED = 1e30  # of inputs: LAW_LIMIT
 PASTS = {"last": 0, "mean": 1, "window": 2}
 HISTORIES = {"zero": 0, "first": 1, "none": 2}
 TAILS = {"error": 0, "keep": 1, "hold-new": 2, "hold-old": 3}
-_BAD_INPUT = 2
 
 
 class LearnerRefused(TailbeatError):
@@ -65,6 +69,19 @@ class LearnerConfig:
     history: str = "zero"
     weights: Sequence[tuple[float, float, float]] = field(default=())
 
+    def native(self) -> dict[str, Any]:
+        """As the struct's fields."""
+        law = {
+            "kp_rad_s_m": self.kp, "kd_rad_s2_m": self.kd, "amplitude_min_rad": self.low,
+            "amplitude_max_rad": self.high, "beat_s": self.step, "lead_beats": self.lead,
+            "q_len": self.q_len, "tail": TAILS[self.tail],
+        }  # fmt: skip
+        return {
+            "law": law, "samples": self.samples, "past": PASTS[self.past],
+            "history": HISTORIES[self.history], "window": len(self.weights),
+            "weight": [dict(zip(("input", "kp", "kd"), one, strict=True)) for one in self.weights],
+        }  # fmt: skip
+
 
 class Learner:
     """One learner; memory of its own. Not for threads.
@@ -79,73 +96,47 @@ class Learner:
         first: ArrayLike | None = None,
         precision: Precision = "double",
     ):
-        native = load(precision)
-        self._ffi, self._lib = native.ffi, native.lib
+        self._native = load(precision)
+        ffi, lib = self._native.ffi, self._native.lib
         self.config = config
-        self._number = "double" if precision == "double" else "float"
-        made = self._native_config(config)
-        size = self._lib.learner_bytes(made)
-        self._memory = self._ffi.new("double[]", size // 8 + 1)  # aligned for either number
-        self._learner = self._ffi.new("learner_t *")
-        self._report = self._ffi.new("law_report_t *")
-        start = (
-            self._ffi.NULL
-            if first is None
-            else self._ffi.new(f"{self._number}[]", np.asarray(first, np.float64).tolist())
-        )
-        if first is not None and np.shape(first) != (config.samples,):
-            raise LearnerRefused(
-                f"{np.shape(first)} first inputs for {config.samples} samples.", "Give one of each."
-            )
-        if size == 0 or self._lib.learner_init(self._learner, made, start, self._memory, size):
+        made = ffi.new("learner_config_t *", config.native())
+        size = lib.learner_bytes(made)
+        self._memory = ffi.new("double[]", size // 8 + 1)  # aligned for either number
+        self._learner = ffi.new("learner_t *")
+        self._report = ffi.new("law_report_t *")
+        start = ffi.NULL
+        if first is not None:
+            start = ffi.new(f"{precision}[]", self._samples(first, "first inputs").tolist())
+        if size == 0 or lib.learner_init(self._learner, made, start, self._memory, size):
             raise LearnerRefused(
                 "the law does not fit the trial.",
                 "Lead and filter must be shorter than it, every number finite.",
             )
 
-    def _native_config(self, config: LearnerConfig) -> Any:
-        law = {
-            "kp_rad_s_m": config.kp,
-            "kd_rad_s2_m": config.kd,
-            "amplitude_min_rad": config.low,
-            "amplitude_max_rad": config.high,
-            "beat_s": config.step,
-            "lead_beats": config.lead,
-            "q_len": config.q_len,
-            "tail": TAILS[config.tail],
-        }
-        made = self._ffi.new("learner_config_t *")
-        made.law = law
-        made.samples = config.samples
-        made.past, made.history = PASTS[config.past], HISTORIES[config.history]
-        made.window = len(config.weights)
-        for j, (weight, kp, kd) in enumerate(config.weights):
-            made.weight[j] = {"input": weight, "kp": kp, "kd": kd}
-        return made
-
     def input(self) -> F64:
         """What the plant gets in the next trial, saturated; a new array."""
         values = np.empty(self.config.samples)
-        self._lib.whole_trial_input(self._learner, self._pointer(values))
+        self._native.lib.whole_trial_input(self._learner, pointer(self._native, values))
         return values
 
     def learn(self, error: ArrayLike, valid: int | None = None) -> None:
-        """Ends a trial. ``error`` = wanted - measured, one per sample, NaN = not measured;
+        """Ends a trial. ``error`` = reference - measured, one per sample, NaN = not measured;
         samples from ``valid`` on (default: none) count as not measured, too.
 
         Raises:
             LearnerRefused: when the errors are too large to compute with; nothing is learned.
         """
-        values = np.ascontiguousarray(error, dtype=np.float64)
-        if values.shape != (self.config.samples,):
-            raise LearnerRefused(
-                f"{values.shape} errors for {self.config.samples} samples.", "Give one of each."
-            )
+        values = pointer(self._native, self._samples(error, "errors"))
         until = self.config.samples if valid is None else valid
-        if self._lib.whole_trial_learn(self._learner, self._pointer(values), until, self._report):
+        if self._native.lib.whole_trial_learn(self._learner, values, until, self._report):
             raise LearnerRefused(
                 "the errors have grown beyond what can be computed with.", "The law diverges here."
             )
 
-    def _pointer(self, values: F64) -> Any:
-        return self._ffi.cast("double *", self._ffi.from_buffer(values))
+    def _samples(self, given: ArrayLike, what: str) -> F64:
+        values = np.ascontiguousarray(given, dtype=np.float64)
+        if values.shape != (self.config.samples,):
+            raise LearnerRefused(
+                f"{values.shape} {what} for {self.config.samples} samples.", "Give one of each."
+            )
+        return values

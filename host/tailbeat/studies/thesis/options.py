@@ -12,7 +12,6 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -43,16 +42,10 @@ _OPERATORS = (
     ast.Not, ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE,
 )  # fmt: skip
 _FUNCTIONS: dict[str, Callable[..., float]] = {
-    "abs": abs,
-    "floor": lambda x: float(math.floor(x)),
-    "ceil": lambda x: float(math.ceil(x)),
-    "round": lambda x: float(round(x)),
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "min": lambda *given: min(given),
+    "abs": abs, "floor": math.floor, "ceil": math.ceil, "round": round, "sqrt": math.sqrt,
+    "sin": math.sin, "cos": math.cos, "min": lambda *given: min(given),
     "max": lambda *given: max(given),
-}
+}  # fmt: skip
 _MANY = ("min", "max")
 _KNOWN = {"pi": math.pi, "bool": bool, "power": _power, "__builtins__": {}, **_FUNCTIONS}
 
@@ -62,8 +55,8 @@ class _Unknown(Exception):
 
 
 def expression(text: str, names: tuple[str, ...] = ()) -> Value:
-    """The function that ``text`` is of ``names``. All values are floats, so that nothing grows
-    beyond a float; the function raises InputError where it has no finite value.
+    """The function that ``text`` is of ``names``. Numbers and powers are floats, so that nothing
+    grows far beyond one; the function raises InputError where it has no finite value.
 
     Raises:
         InputError: when the text is anything but arithmetic, with what is allowed.
@@ -82,8 +75,11 @@ def expression(text: str, names: tuple[str, ...] = ()) -> Value:
         raise InputError(f"'{text}' is no arithmetic expression.", may) from None
 
     def finite(given: Mapping[str, float]) -> float:
-        found = _evaluate(code, given)
-        if found is None:
+        try:
+            found = float(eval(code, {**_KNOWN, **given}))
+        except (ArithmeticError, ValueError):
+            found = math.nan
+        if not math.isfinite(found):
             where = "".join(f" at {name} = {given[name]:g}" for name in names)
             raise InputError(f"'{text}' has no finite value{where}.", "Change it.")
         return found
@@ -91,17 +87,8 @@ def expression(text: str, names: tuple[str, ...] = ()) -> Value:
     return finite
 
 
-def _evaluate(code: CodeType, given: Mapping[str, float]) -> float | None:
-    try:
-        found = float(eval(code, {**_KNOWN, **given}))
-    except (ArithmeticError, ValueError):
-        return None
-    return found if math.isfinite(found) else None
-
-
 class _Arithmetic(ast.NodeTransformer):
-    """Refuses all that is not arithmetic of ``names``. What is left computes with floats, so that
-    nothing grows beyond one."""
+    """Refuses all that is not arithmetic of ``names``; makes floats of numbers and powers."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = (*names, "pi")
@@ -169,7 +156,20 @@ def parse(text: str, full: float, draw: Callable[[int, int], float], seed: int) 
         return lambda iteration: draw(seed, iteration)
     if not text.startswith(_PATTERN):
         raise InputError(f"'{text}' are no lengths of trials.", _REMEDY)
-    return _pattern(text.removeprefix(_PATTERN))
+    pattern = text.removeprefix(_PATTERN)
+    value = expression(pattern, ("i",))
+
+    def length(iteration: int) -> float:
+        found = value({"i": float(iteration)})
+        if not found > 0:
+            raise InputError(
+                f"the pattern '{pattern}' gives a trial of length {found:g} in iteration "
+                f"{iteration}.",
+                "Every trial has a positive length: take max(1, ...) of it.",
+            )
+        return found
+
+    return length
 
 
 def settings(options: ExampleOptions, usual: str) -> dict[str, Any]:
@@ -178,21 +178,6 @@ def settings(options: ExampleOptions, usual: str) -> dict[str, Any]:
     text = options.lengths or usual
     drawn = text in _DRAWN
     return {"lengths": "uniform" if drawn else text, "seed": options.seed if drawn else None}
-
-
-def _pattern(text: str) -> Length:
-    value = expression(text, ("i",))
-
-    def length(iteration: int) -> float:
-        found = value({"i": float(iteration)})
-        if not found > 0:
-            raise InputError(
-                f"the pattern '{text}' gives a trial of length {found:g} in iteration {iteration}.",
-                "Every trial has a positive length: take max(1, ...) of it.",
-            )
-        return found
-
-    return length
 
 
 ITERATIONS_MAX = 10_000
@@ -215,9 +200,9 @@ def last_iteration(asked: int | None, usual: int, first: int = 0) -> int:
     return last
 
 
-def errors_beyond(wanted: F64) -> float:
-    """Errors above this are divergence: no digit of what was wanted is left in them."""
-    return float(np.max(np.abs(wanted)) / np.finfo(np.float64).eps)
+def errors_beyond(reference: F64) -> float:
+    """Errors above this are divergence: no digit of the reference is left in them."""
+    return float(np.max(np.abs(reference)) / np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,26 @@
-"""How the thesis's figures look: greys and line styles, made to survive a printer."""
+"""The thesis's figures as data, and how they look: greys and line styles, made to survive a
+printer."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tailbeat.core.arrays import F64
 from tailbeat.core.files import replace_file
 from tailbeat.core.lazy import lazy
 from tailbeat.report.style import STYLE
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes
+else:
+    Axes = Any
 
 mpl: Any = lazy("matplotlib")
 mpl_figure: Any = lazy("matplotlib.figure")
@@ -28,27 +35,131 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": "0.62", "lw": 2.4, "ls": "-"},
     {"color": "0.25", "lw": 1.4, "ls": (0, (3, 1.5))},
 )
-WANTED: dict[str, Any] = {"color": "0.8", "lw": 6.0, "ls": "-", "zorder": 1}
+REFERENCE: dict[str, Any] = {"color": "0.8", "lw": 6.0, "ls": "-", "zorder": 1}
+THIN: dict[str, Any] = {"color": "0.4", "lw": 1.0}
 
 
-@contextmanager
-def picture(path: Path, panels: int = 1, across: bool = True) -> Iterator[list[Axes]]:
-    """Axes to draw on, side by side or on top of each other; written as a PNG at the end."""
+@dataclass(frozen=True)
+class Curve:
+    """``style``: as ``Axes.plot`` takes it. ``fill``: shade up to these values instead."""
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    style: Mapping[str, Any] = field(default_factory=LINES[0].copy)
+    fill: ArrayLike | None = None
+
+    def plot(self, axes: Axes) -> None:
+        """Draws it."""
+        if self.fill is None:
+            axes.plot(self.x, self.y, label=self.label or "_", **self.style)
+        else:
+            axes.fill_between(self.x, self.y, self.fill, color="0.88", lw=0, zorder=0)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes. ``levels``: values that the text states, drawn across. ``more``: what else there is to
+    draw. ``axes``: settings of ``Axes.set``, the labels among them."""
+
+    curves: Sequence[Curve]
+    axes: Mapping[str, Any]
+    levels: Sequence[float] = ()
+    columns: int = 2  # of the legend
+    more: Callable[[Axes], None] | None = None
+
+    def plot(self, axes: Axes) -> None:
+        """Draws all of it."""
+        for curve in self.curves:
+            curve.plot(axes)
+        for value in self.levels:
+            level(axes, value, f"{value:g}, of the text")
+        if self.more is not None:
+            self.more(axes)
+        axes.set(**self.axes)
+        if any(curve.label for curve in self.curves):
+            axes.legend(
+                frameon=False, fontsize=12.5, handlelength=2.8, loc="lower left",
+                bbox_to_anchor=(0.0, 1.0), ncols=self.columns,
+            )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Panels:
+    """Panels side by side or, not ``across``, on top of each other. ``contradicts``: what the
+    text's own numbers say against it."""
+
+    panels: Sequence[Panel]
+    across: bool = True
+    contradicts: str = ""
+
+
+def draw(path: Path, drawing: Panels) -> None:
+    """Writes it as a PNG."""
+    count = len(drawing.panels)
+    size = (8.0 * count, 6.0) if drawing.across else (10.0, 4.2 * count)
+    rows, columns = (1, count) if drawing.across else (count, 1)
     with mpl.rc_context(STYLE):
-        size = (8.0 * panels, 6.0) if across else (10.0, 4.2 * panels)
-        figure = mpl_figure.Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
-        grid: Any = figure.subplots(1 if across else panels, panels if across else 1, squeeze=False)
-        axes = list(grid.ravel())
-        for one in axes:
-            one.grid(color="0.93", lw=1)
-            one.set_axisbelow(True)
-        yield axes
+        sheet = mpl_figure.Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
+        for panel, axes in zip(
+            drawing.panels, sheet.subplots(rows, columns, squeeze=False).flat, strict=True
+        ):
+            axes.grid(color="0.93", lw=1)
+            axes.set_axisbelow(True)
+            panel.plot(axes)
         out = io.BytesIO()
-        figure.savefig(out, format="png", dpi=_DPI)
-        replace_file(path, out.getvalue())
+        sheet.savefig(out, format="png", dpi=_DPI)
+    replace_file(path, out.getvalue())
 
 
-def legend(axes: Axes, **where: Any) -> None:
-    """Beside the axes' box or in a corner that holds no data: over the plot by default."""
-    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 2} | where
-    axes.legend(frameon=False, fontsize=12.5, handlelength=2.8, **place)
+def level(axes: Axes, value: float, text: str, place: float = 1.0) -> None:
+    """A line across with its name above it, at its right end or, with ``place`` 0, its left."""
+    axes.axhline(value, **THIN)
+    axes.annotate(
+        text, (place, value), (5 - 5 * place, 4), xycoords=("axes fraction", "data"),
+        textcoords="offset points", ha="right" if place else "left", fontsize=12,
+    )  # fmt: skip
+
+
+def errors(
+    series: Mapping[str, ArrayLike],
+    first: int = 0,
+    band: tuple[str, F64] | None = None,
+    marker: float = 0.0,
+    levels: Sequence[float] = (),
+    columns: int = 2,
+    more: Callable[[Axes], None] | None = None,
+    **axes: Any,
+) -> Panel:
+    """Errors per iteration, by name, on a logarithmic axis. ``band``: of many series (series,
+    iterations) the median and the middle 80 %."""
+    curves: list[Curve] = []
+    if band is not None:
+        low, median, high = np.quantile(band[1], (0.1, 0.5, 0.9), axis=0)
+        at = np.arange(len(median))
+        curves = [Curve(at, low, fill=high), Curve(at, median, band[0])]
+    dots = {"marker": "o", "ms": marker} if marker else {}
+    styles = LINES[len(curves) // 2 :]
+    for (name, values), style in zip(series.items(), styles, strict=False):
+        at = np.arange(first, first + len(np.asarray(values)))
+        curves.append(Curve(at, values, name, style | dots))
+    settings = {"yscale": "log", "xlabel": "iteration i", "ylabel": "max|e_i(t)|"} | axes
+    return Panel(curves, settings, levels, columns, more)
+
+
+def field_map(time: F64, field: F64, name: str) -> Panels:
+    """A field (samples, nodes) over place and time as a map with lines of equal height."""
+    where = np.linspace(0.0, 1.0, field.shape[1])
+    low, high = float(field.min()), float(field.max())
+    light = high + 0.9 * (high - low)  # or lines and labels drown in black
+
+    def contours(axes: Axes) -> None:
+        shades = axes.contourf(time, where, field.T, levels=24, cmap="Greys", vmin=low, vmax=light)
+        lines = axes.contour(
+            time, where, field.T, levels=8, colors="0.1", linewidths=1.0, negative_linestyles="--"
+        )
+        axes.figure.colorbar(shades, ax=axes, ticks=lines.levels).add_lines(lines)
+        axes.grid(False)
+        axes.set_title(f"{name}(x, t)", fontsize=14, fontweight="normal")
+
+    return Panels([Panel([], {"xlabel": "t, min", "ylabel": "x"}, more=contours)])

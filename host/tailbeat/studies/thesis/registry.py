@@ -13,12 +13,5 @@ from tailbeat.studies.thesis import (
 )
 from tailbeat.studies.thesis.example import Example
 
-EXAMPLES: tuple[Example, ...] = (
-    *chapter2.EXAMPLES,
-    *chapter3.EXAMPLES,
-    *chapter4.EXAMPLES,
-    *chapter5.EXAMPLES,
-    *chapter6.EXAMPLES,
-    *chapter7.EXAMPLES,
-    *chapter8.EXAMPLES,
-)
+_CHAPTERS = (chapter2, chapter3, chapter4, chapter5, chapter6, chapter7, chapter8)
+EXAMPLES: tuple[Example, ...] = tuple(one for chapter in _CHAPTERS for one in chapter.EXAMPLES)

@@ -1,6 +1,6 @@
 """Which examples are meant, and which of them take the options that were given.
 
-How much of the run that was asked for is done. Whoever computes tells it; nobody need listen.
+How much of the run that was asked for is done. Whoever computes reports it; nobody need listen.
 
 Runs examples, alone or many on all cores. Who computes one, and when, changes no bit of it.
 """
@@ -12,14 +12,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import one_thread
 from tailbeat.studies.pool import CONTEXT, each_result
@@ -101,40 +100,30 @@ def checked(
     """
     if lengths_text is not None:
         lengths.parse(lengths_text, 1.0, lambda seed, iteration: 1.0, 1)
-    _within("seed", seed, 0, 2**63 - 1)
-    _within("iterations", iterations, 1, ITERATIONS_MAX)
-    _within("m", m, 0, M_MAX)
+    whole = {"seed": (seed, 0, 2**63 - 1), "iterations": (iterations, 1, ITERATIONS_MAX),
+             "m": (m, 0, M_MAX)}  # fmt: skip
+    for name, (value, low, high) in whole.items():
+        if value is not None and not low <= value <= high:
+            raise InputError(f"--{name} {value} is out of range.", f"Give {low} to {high}.")
     given = {
-        "lengths": lengths_text,
-        "seed": seed,
-        "step": None if step is None else positive("step", step),
-        "iterations": iterations,
-        "m": m,
-        "beta": None if beta is None else _nonzero("beta", beta),
-        "delta": None if delta is None else positive("delta", delta),
-        "uptake": uptake,
-    }
+        "lengths": lengths_text, "seed": seed, "step": _number("step", step),
+        "iterations": iterations, "m": m, "beta": _number("beta", beta, signed=True),
+        "delta": _number("delta", delta), "uptake": uptake,
+    }  # fmt: skip
     return {name: value for name, value in given.items() if value is not None}
 
 
-def positive(name: str, text: str) -> float:
-    """The value of an arithmetic expression above 0; InputError otherwise."""
+def _number(name: str, text: str | None, signed: bool = False) -> float | None:
+    """The value of an arithmetic expression above 0 or, ``signed``, other than 0; InputError
+    otherwise."""
+    if text is None:
+        return None
     value = expression(text)({})
-    if not value > 0:
+    if signed and value == 0:
+        raise InputError(f"--{name} {text} is 0.", "Give any other number.")
+    if not signed and not value > 0:
         raise InputError(f"--{name} {text} is {value:g}.", "Give a number above 0.")
     return value
-
-
-def _nonzero(name: str, text: str) -> float:
-    value = expression(text)({})
-    if value == 0:
-        raise InputError(f"--{name} {text} is 0.", "Give any other number.")
-    return value
-
-
-def _within(name: str, value: int | None, low: int, high: int) -> None:
-    if value is not None and not low <= value <= high:
-        raise InputError(f"--{name} {value} is out of range.", f"Give {low} to {high}.")
 
 
 Show = Callable[[float], None]  # part of the work done, 0 to 1
@@ -165,19 +154,13 @@ _FIGURES_PART = 0.1
 _POLL_S = 0.2
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, kw_only=True)
+class Result(ExampleRun):
     """What came of one example. Without traces, as it travels between processes."""
 
-    example_id: str
     options: ExampleOptions
-    iterations: NDArray[np.int64]
-    max_abs_error: F64
-    executed: F64 | None
-    lengths: F64 | None
-    diverged: int | None
-    claims: list[Claim] = field(default_factory=list)
-    figures: list[Figure] = field(default_factory=list)
+    claims: list[Claim]
+    figures: list[Figure]
 
 
 @dataclass(frozen=True)
@@ -191,87 +174,105 @@ class Order:
     registry: str = REGISTRY
 
 
-class CachedStudy:
-    """``Study`` of an example: the same run is computed once. Claims judge the thesis's own
-    settings, so of the options only the precision of the laws is taken over."""
+Value = TypeVar("Value")
 
-    def __init__(self, example: Example, options: ExampleOptions, tick: Show | None = None) -> None:
-        self._example = example
-        self._options = ExampleOptions(precision=options.precision)
-        self._tick = tick or (lambda done: None)
-        self._runs: dict[ExampleOptions, ExampleRun] = {}
+
+class Study:
+    """What claims and figures of an example are computed with: the same run is computed once.
+    Claims judge the thesis's own settings, so of the options only the precision of the laws is
+    taken over."""
+
+    def __init__(self, example: Example, options: ExampleOptions | None = None) -> None:
+        self.example = example
+        self._options = ExampleOptions(precision=(options or ExampleOptions()).precision)
+        self._computed: dict[Any, Any] = {}
+
+    @property
+    def setting(self) -> Any:
+        """The example's."""
+        return self.example.setting
 
     def run(self, **changes: Any) -> ExampleRun:
+        """A run of the example with the thesis's settings but for ``changes``."""
         return self.run_with(replace(self._options, **changes))
 
     def run_with(self, options: ExampleOptions) -> ExampleRun:
         """A run with exactly these options."""
-        if options not in self._runs:
-            self._runs[options] = self._example.run(options)
-        return self._runs[options]
+        return self.once(self.example.run, options)
 
-    def tick(self, done: float) -> None:
-        self._tick(min(max(done, 0.0), 1.0))
+    def once(self, compute: Callable[..., Value], *arguments: Any) -> Value:
+        """``compute(*arguments)``, computed for the first who asks."""
+        key = compute, *arguments
+        if key not in self._computed:
+            self._computed[key] = compute(*arguments)
+        value: Value = self._computed[key]
+        return value
+
+    def judge(self, show: Show = lambda done: None) -> list[Claim]:
+        """The example's claims."""
+        judged = []
+        for statement in self.example.claims:
+            judged.append(statement.judge(self))
+            show(len(judged) / len(self.example.claims))
+        return judged
+
+    def draw(self, folder: Path) -> list[Figure]:
+        """The example's figures."""
+        return [sketch.draw(self, folder) for sketch in self.example.figures]
 
 
-def compute(order: Order, tick: Show | None = None) -> Result:
+def once(compute: Callable[[Study], Value]) -> Callable[[Study], Value]:
+    """Makes a function of a study compute once for each."""
+
+    @wraps(compute)
+    def computed(study: Study) -> Value:
+        return study.once(compute, study)
+
+    return computed
+
+
+def compute(order: Order, show: Show = lambda done: None) -> Result:
     """Runs the example, then judges its claims and draws its figures. Raises InputError, with the
     example's name, when its settings make no sense."""
-    example = _find(order)
-    show = tick or (lambda done: None)
+    examples: Sequence[Example] = importlib.import_module(order.registry).EXAMPLES
+    example = next(one for one in examples if one.id == order.example_id)
     part = 1 - _FIGURES_PART if order.figures else 1.0
     begun = _RUN_PART if order.claims else part
-    study = CachedStudy(example, order.options, lambda done: show(begun + (part - begun) * done))
+    study = Study(example, order.options)
     with one_thread(), np.errstate(all="ignore"):
         with heard(lambda done: show(begun * done)):
-            run = _told(_run(example, study, order.options))
-        claims = example.claims(study) if order.claims else []
+            run = _with_a_row(_run(study, order.options))
+        claims = []
+        if order.claims:
+            claims = study.judge(lambda done: show(begun + (part - begun) * done))
         show(part)
-        figures = example.figures(study, order.figures) if order.figures else []
+        figures = study.draw(order.figures) if order.figures else []
     show(1.0)
-    return Result(
-        example_id=example.id,
-        options=order.options,
-        iterations=run.iterations,
-        max_abs_error=run.max_abs_error,
-        executed=run.executed,
-        lengths=run.lengths,
-        diverged=run.diverged,
-        claims=claims,
-        figures=figures,
-    )
+    found = vars(run) | {"traces": None}
+    return Result(**found, options=order.options, claims=claims, figures=figures)
 
 
-def _told(run: ExampleRun) -> ExampleRun:
+def _with_a_row(run: ExampleRun) -> ExampleRun:
     """With a row even when the very first iteration diverged: nothing finite is known of it."""
     if len(run.iterations) or run.diverged is None:
         return run
-
-    def unknown(column: F64) -> F64:
-        return np.full((1, *column.shape[1:]), np.nan)
-
-    return replace(
-        run,
-        iterations=np.array([run.diverged]),
-        max_abs_error=unknown(run.max_abs_error),
-        executed=None if run.executed is None else unknown(run.executed),
-        lengths=None if run.lengths is None else unknown(run.lengths),
-    )
+    columns: dict[str, Any] = {
+        name: np.full((1, *column.shape[1:]), np.nan)
+        for name in ("max_abs_error", "executed", "lengths")
+        if (column := getattr(run, name)) is not None
+    }
+    return replace(run, iterations=np.array([run.diverged]), **columns)
 
 
-def _find(order: Order) -> Example:
-    examples: Sequence[Example] = importlib.import_module(order.registry).EXAMPLES
-    return next(one for one in examples if one.id == order.example_id)
-
-
-def _run(example: Example, study: CachedStudy, options: ExampleOptions) -> ExampleRun:
+def _run(study: Study, options: ExampleOptions) -> ExampleRun:
+    name = study.example.id
     try:
         return study.run_with(options)
     except InputError as error:
-        raise InputError(f"{example.id}: {error.message}", error.remedy) from error
+        raise InputError(f"{name}: {error.message}", error.remedy) from error
     except (MemoryError, OverflowError) as error:
         raise InputError(
-            f"{example.id}: these settings are more than this computer can compute.",
+            f"{name}: these settings are more than this computer can compute.",
             "Take a longer step or fewer iterations.",
         ) from error
 
@@ -280,7 +281,7 @@ def run_many(
     orders: Sequence[Order],
     weights: Sequence[float],
     cores: int,
-    progress: Show | None = None,
+    progress: Show = lambda done: None,
 ) -> list[Result]:
     """All orders' results in their order. ``weights``: how long each takes, about; the longest
     begins first. With one core or one order this process computes itself.
@@ -289,43 +290,35 @@ def run_many(
         InputError: when settings make no sense, or a process died.
         KeyboardInterrupt: at Ctrl-C, after its processes have ended.
     """
-    show = progress or (lambda done: None)
-    if cores <= 1 or len(orders) <= 1:
-        return _here(orders, weights, show)
-    parts = CONTEXT.Array("d", len(orders), lock=False)
+    alone = cores <= 1 or len(orders) <= 1
+    parts: Any = [0.0] * len(orders) if alone else CONTEXT.Array("d", len(orders), lock=False)
+
+    def show() -> None:
+        progress(sum(w * p for w, p in zip(weights, parts, strict=True)) / math.fsum(weights))
+
+    if alone:
+        return [_compute_part(parts, show, i, order) for i, order in enumerate(orders)]
     died = InputError(
         "a process that computed examples has died.",
         "It may have run out of memory: give fewer --cores.",
     )
-    total = math.fsum(weights)
+    heaviest_first = sorted(range(len(orders)), key=lambda i: -weights[i])
+    tasks = ((i, (i, orders[i])) for i in heaviest_first)
     found = dict(
         each_result(
-            _work,
-            ((i, (i, orders[i])) for i in sorted(range(len(orders)), key=lambda i: -weights[i])),
-            min(cores, len(orders)),
-            died,
-            begin=_begin_worker,
-            shared=(parts,),
-            poll_s=_POLL_S,
-            polled=lambda: show(sum(w * p for w, p in zip(weights, parts, strict=True)) / total),
+            _work, tasks, min(cores, len(orders)), died,
+            begin=_begin_worker, shared=(parts,), poll_s=_POLL_S, polled=show,
         )
-    )
+    )  # fmt: skip
     return [found[index] for index in range(len(orders))]
 
 
-def _here(orders: Sequence[Order], weights: Sequence[float], show: Show) -> list[Result]:
-    done, total = 0.0, math.fsum(weights)
-    results = []
-    for order, weight in zip(orders, weights, strict=True):
-        begun = done / total
+def _compute_part(parts: Any, shown: Callable[[], None], index: int, order: Order) -> Result:
+    def show(part: float) -> None:
+        parts[index] = part
+        shown()
 
-        def tick(part: float, begun: float = begun, share: float = weight / total) -> None:
-            show(begun + share * part)
-
-        results.append(compute(order, tick))
-        done += weight
-        show(done / total)
-    return results
+    return compute(order, show)
 
 
 _shared_parts: Any = None  # of a worker: how much of each order is done
@@ -337,7 +330,4 @@ def _begin_worker(parts: Any) -> None:
 
 
 def _work(index: int, order: Order) -> Result:
-    def tick(part: float) -> None:
-        _shared_parts[index] = part
-
-    return compute(order, tick)
+    return _compute_part(_shared_parts, lambda: None, index, order)

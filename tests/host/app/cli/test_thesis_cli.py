@@ -25,7 +25,10 @@ import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import study as progress
-from tailbeat.studies.thesis.example import Claim, Example, Figure, ExampleRun, VERDICTS
+from tailbeat.studies.thesis.example import (
+    Example, ExampleRun, Found, Prepared, Sketch, Statement, VERDICTS,
+)
+from tailbeat.studies.thesis.picture import Curve, Panels, Panel
 
 LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"
 
@@ -56,25 +59,27 @@ def two(options):
     return ExampleRun(i, np.array([[1.0, 2.0], [np.nan, 3.0], [0.5, np.inf]]), diverged=4)
 
 
-def claims(study):
+def first(study):
     calls = study.run(iterations=5)
     assert study.run(iterations=5) is calls, "not cached"
-    study.tick(0.5)
-    return [
-        Claim("first", "(2.1)", VERDICTS[0], float(calls.max_abs_error[5])),
-        Claim(LONG, "Fig. 2.3 and section 2.4", VERDICTS[1], [0.5, float("nan")], "a note " * 30),
-        Claim("third", "(2.3)", VERDICTS[2], "never"),
-        Claim("said by nobody else", "beside (2.3)", VERDICTS[0], 4, ours=True),
-    ]
+    return Found(True, calls.max_abs_error[5])
 
 
-def figures(study, folder):
-    (folder / "fig2-3.png").write_bytes(b"PNG")
-    return [Figure(folder / "fig2-3.png", "Fig. 2.3", "errors", "its numbers")]
+def said(text, source, found, ours=False):
+    return Statement(text, source, found if callable(found) else lambda study: found, ours)
 
 
-def none(*anything):
-    return []
+CLAIMS = (
+    said("first", "(2.1)", first),
+    said(LONG, "Fig. 2.3 and section 2.4", Found(False, [0.5, np.nan], "a note " * 30, True)),
+    said("third", "(2.3)", Found(False, "never")),
+    said("said by nobody else", "beside (2.3)", Found(True, 4), ours=True),
+)
+FIGURES = (
+    Sketch("fig2-3.png", "Fig. 2.3", "errors", lambda study: Panels(
+        [Panel([Curve([0, 1], [1, 0])], {})], contradicts="its numbers"
+    )),
+)
 
 
 def forever(options):
@@ -88,17 +93,22 @@ def dies(options):
     os._exit(1)
 
 
-def made(name, chapter, run, knows, claims=none, figures=none, weight=1.0):
+def made(name, run, knows, claims=(), figures=(), weight=1.0):
+    def prepare(setting, options):
+        return Prepared({one: getattr(options, one) for one in knows}, lambda: run(options))
+
     title, law = f"stub {name}", "P (2.3)"
-    return Example(name, chapter, title, law, frozenset(knows), run, claims, figures, weight)
+    return Example(
+        name, title, law, None, prepare, frozenset(knows), weight, list(claims), list(figures)
+    )
 
 
 EXAMPLES = (
-    made("ch2-a", 2, partial(run, 1.0), {"seed", "step", "iterations", "lengths"}, claims, figures),
-    made("ch2-b", 2, partial(run, 2.0), {"iterations", "m", "beta"}, weight=3.0),
-    made("ch3-c", 3, two, {"delta"}),
+    made("ch2-a", partial(run, 1.0), {"seed", "step", "iterations", "lengths"}, CLAIMS, FIGURES),
+    made("ch2-b", partial(run, 2.0), {"iterations", "m", "beta"}, weight=3.0),
+    made("ch3-c", two, {"delta"}),
 )
-SLOW = (*EXAMPLES, made("ch4-d", 4, forever, set(), weight=9.0))
+SLOW = (*EXAMPLES, made("ch4-d", forever, set(), weight=9.0))
 '''
 
 
@@ -220,8 +230,8 @@ def test_many_numbers_have_a_line_of_their_own(
     stubs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     at: Any = importlib.import_module("thesis_stubs")
-    many = at.Claim("many", "(2.1)", at.VERDICTS[0], [0.1234] * 30, "a note")
-    at.EXAMPLES = (at.made("ch2-a", 2, at.two, (), lambda study: [many]),)
+    many = at.said("many", "(2.1)", at.Found(True, [0.1234] * 30, "a note"))
+    at.EXAMPLES = (at.made("ch2-a", at.two, (), [many]),)
     assert run(["sim", "thesis", "--cores", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     row = next(i for i, line in enumerate(lines) if line.startswith("many"))
@@ -318,7 +328,7 @@ def test_progress_rises_to_the_end(stubs: Path) -> None:
         assert parts == sorted(parts) and parts[-1] == pytest.approx(1.0)
         if cores == 1:
             found = [round(5 * part, 6) for part in parts if part < 0.19]  # of the first
-            assert found == [0.05, 0.55]  # half of its run, half of its claims
+            assert found == [0.05, 0.325, 0.55, 0.775]  # half of its run, each of its claims
 
 
 def script(folder: Path, body: str) -> subprocess.CompletedProcess[str]:
@@ -361,7 +371,7 @@ def test_ctrl_c_ends_all_of_it_with_one_line(stubs: Path) -> None:
 
 def test_a_process_that_dies_is_told(stubs: Path) -> None:
     done = script(stubs, """
-        dying = thesis_stubs.made("ch4-d", 4, thesis_stubs.dies, set(), weight=9.0)
+        dying = thesis_stubs.made("ch4-d", thesis_stubs.dies, set(), weight=9.0)
         thesis_stubs.EXAMPLES = (*thesis_stubs.EXAMPLES, dying)
         """)  # fmt: skip
     assert done.returncode == 1 and done.stderr.count("\n") == 1

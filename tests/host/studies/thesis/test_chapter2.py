@@ -16,26 +16,24 @@ import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import chapter2, picture
-from tailbeat.studies.thesis.chapter2 import claims as chapter2_claims
-from tailbeat.studies.thesis.chapter2 import figures as chapter2_figures
-from tailbeat.studies.thesis.chapter2 import plants as average
-from tailbeat.studies.thesis.chapter2.plants import (
-    EXAMPLE1,
-    EXAMPLE1_N30,
-    EXAMPLE2,
-    SUBSTITUTE,
-    WANTED,
-    reached_probability,
-)
-from tailbeat.studies.thesis.cut import first_within, stays_within
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
     UNDER_A_READING,
-    Example,
     ExampleOptions,
-    ExampleRun,
 )
+from tailbeat.studies.thesis.plants import linear
+from tailbeat.studies.thesis.plants.linear import (
+    EXAMPLE1,
+    EXAMPLE1_N30,
+    EXAMPLE2,
+    REFERENCE,
+    SUBSTITUTE,
+    Average,
+    reached_probability,
+)
+from tailbeat.studies.thesis.series import first_within, stays_within
+from tailbeat.studies.thesis.study import Study
 
 EXAMPLES = {example.id: example for example in chapter2.EXAMPLES}
 SEEDS, GOLDEN_SEEDS = 60, 400
@@ -48,19 +46,6 @@ MEAN_N5 = (1.933, 2.186, 3.109, 2.180, 0.4569, 0.0919, 0.02295, 0.01766, 0.00623
 MEAN_N30 = (1.933, 2.244, 3.381, 2.416, 0.6885, 0.2242, 0.0777, 0.0661, 0.0136, 0.00527, 0.00304)
 MEAN_P = (1.933, 1.614, 0.737, 0.309, 0.0585, 0.00893, 0.00135, 0.00089, 1.8e-5, 1.1e-7, 4.6e-9)
 _PRINTED = 0.006  # relative, of numbers printed with two to four digits
-
-
-class PlainStudy:
-    """Runs without a cache."""
-
-    def __init__(self, example: Example):
-        self._example = example
-
-    def run(self, **changes: Any) -> ExampleRun:
-        return self._example.run(ExampleOptions(**changes))
-
-    def tick(self, done: float) -> None:
-        assert 0.0 <= done <= 1.0
 
 
 # --- the law and the plants once more, from the formulas
@@ -165,7 +150,7 @@ def check_means(
 
 
 def test_random_lengths_n5() -> None:
-    found = EXAMPLE1.series(range(1, SEEDS + 1), 100)
+    found = EXAMPLE1.problem().series(range(1, SEEDS + 1), 100)
     check_means("N=5", found.max_abs_error, MEAN_N5, ROWS)
     first = first_within(found.max_abs_error, 0.0098)
     executed = first_within(found.executed, 0.0098)
@@ -176,26 +161,26 @@ def test_random_lengths_n5() -> None:
 
 
 def test_random_lengths_n30() -> None:
-    found = EXAMPLE1_N30.series(range(1, SEEDS + 1), 200).max_abs_error
+    found = EXAMPLE1_N30.problem().series(range(1, SEEDS + 1), 200).max_abs_error
     check_means("N=30", found, MEAN_N30, ROWS)
     assert 55 <= np.median(first_within(found, 0.0097)) <= 63
     assert 62 <= np.median(stays_within(found, 0.0097)) <= 74
 
 
 def test_p_type_with_zero_fill() -> None:
-    found = EXAMPLE1.series(range(1, SEEDS + 1), 60, past="last").max_abs_error
+    found = EXAMPLE1.problem("last").series(range(1, SEEDS + 1), 60).max_abs_error
     check_means("P", found, MEAN_P, ROWS[:9])
 
 
 def test_random_start() -> None:
     """What a single series expects of its next trial: 0.451 by the average, 0.446 by P."""
-    claims = chapter2_claims
     for past, golden in (("mean", 0.451), ("last", 0.446)):
-        found = EXAMPLE1.series(range(1, 41), 200, past, random_start=True, keep=(200,))
-        value = claims._expected(found, 200)
+        seeds = range(1, 41)
+        found = EXAMPLE1.problem(past, seeds).series(seeds, 200)
+        value = chapter2.expected(found, 200)
         print(past, value, "golden", golden, "within 0.04")
         assert abs(value - golden) < 0.04
-    starts = average._random_start(tuple(range(300)), 7)[:, 2]
+    starts = linear._random_start(range(300), 7)[:, 2]
     assert set(starts) == {-1.0, 0.0, 1.0}
     assert all(70 < count < 130 for count in Counter(starts).values())
 
@@ -214,17 +199,17 @@ def test_the_printed_plant_of_example_2_diverges() -> None:
 
 def test_wanted_inputs() -> None:
     for setting, largest in ((EXAMPLE1, 2.9976), (EXAMPLE2, 2.5e32)):
-        found = setting.plant.wanted_input(WANTED)
+        found = setting.plant.exact_input()
         assert np.abs(found).max() == pytest.approx(largest, rel=0.01)
-    exact = np.append(EXAMPLE1.plant.wanted_input(WANTED), 0.0)
-    np.testing.assert_allclose(EXAMPLE1.plant.respond(exact[np.newaxis])[0], WANTED, atol=1e-12)
+    exact = np.append(EXAMPLE1.plant.exact_input(), 0.0)
+    np.testing.assert_allclose(EXAMPLE1.plant.respond(exact[np.newaxis])[0], REFERENCE, atol=1e-12)
 
 
 # --- lengths and conditions
 
 
 def test_reached_probability_of_figure_2_2() -> None:
-    found = reached_probability(np.arange(14), 10, 3, 2, [1 / 6] * 6)
+    found = reached_probability(np.arange(14), 7, [1 / 6] * 6)
     wanted = [1.0] * 8 + [5 / 6, 4 / 6, 3 / 6, 2 / 6, 1 / 6, 0.0]
     np.testing.assert_allclose(found, wanted, atol=1e-15)
 
@@ -263,16 +248,16 @@ def test_iterations_that_make_no_sense_are_refused() -> None:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chapter2_claims, "SEEDS", range(1, 41))
-    monkeypatch.setattr(chapter2_claims, "LATE", 100)
-    monkeypatch.setattr(chapter2_claims, "_KEPT", (20, 80, 100))
-    monkeypatch.setattr(chapter2_claims, "_START_SEEDS", range(1, 31))
-    monkeypatch.setattr(chapter2_figures, "_SEEDS", range(1, 4))
+    monkeypatch.setattr(chapter2, "SEEDS", range(1, 41))
+    monkeypatch.setattr(chapter2, "LATE", 100)
+    monkeypatch.setattr(chapter2, "_START_SEEDS", range(1, 31))
+    monkeypatch.setattr(chapter2, "_FIGURE_SEEDS", range(1, 4))
     monkeypatch.setattr(picture, "_DPI", 30)
 
 
-def verdicts(name: str) -> list[str]:
-    return [claim.verdict for claim in EXAMPLES[name].claims(PlainStudy(EXAMPLES[name]))]
+def verdicts(name: str, setting: Average | None = None) -> list[str]:
+    example = EXAMPLES[name] if setting is None else EXAMPLES[name].with_setting(setting)
+    return [claim.verdict for claim in Study(example).judge()]
 
 
 @pytest.mark.usefixtures("quick")
@@ -284,31 +269,22 @@ def test_claims() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_verdicts_follow_the_computation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verdicts_follow_the_computation() -> None:
     """Other lengths or another gain, another verdict."""
-    monkeypatch.setattr(chapter2_claims, "EXAMPLE1_N30", replace(EXAMPLE1, masses=(1.0,)))
-    assert verdicts("ch2-ex1-n30") == [DOES_NOT, DOES_NOT]  # uncut: nothing is slower
-    monkeypatch.setattr(chapter2_claims, "SUBSTITUTE", replace(SUBSTITUTE, gain=0.05))
-    assert verdicts("ch2-ex2-substitute") == [DOES_NOT]
-    slow = replace(EXAMPLE1, gain=0.1)
-    monkeypatch.setattr(chapter2_claims, "EXAMPLE1", slow)
-    example = replace(EXAMPLES["ch2-ex1"], run=lambda options: chapter2._run(slow, options))
-    found = [claim.verdict for claim in example.claims(PlainStudy(example))]
-    assert found[:2] == [DOES_NOT, DOES_NOT]
+    uncut = replace(EXAMPLE1, masses=(1.0,))  # nothing is slower
+    assert verdicts("ch2-ex1-n30", uncut) == [DOES_NOT, DOES_NOT]
+    assert verdicts("ch2-ex2-substitute", replace(SUBSTITUTE, gain=0.05)) == [DOES_NOT]
+    assert verdicts("ch2-ex1", replace(EXAMPLE1, gain=0.1))[:2] == [DOES_NOT, DOES_NOT]
 
 
-def test_a_plant_that_learns_flips_the_verdict_on_example_2(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(chapter2_claims, "EXAMPLE2", SUBSTITUTE)
-    study = PlainStudy(EXAMPLES["ch2-ex2-substitute"])
-    assert chapter2_claims.example2(study)[1].verdict == UNDER_A_READING
+def test_a_plant_that_learns_flips_the_verdict_on_example_2() -> None:
+    assert verdicts("ch2-ex2", SUBSTITUTE)[1] == UNDER_A_READING
 
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_figures(name: str, tmp_path: Path) -> None:
-    figures = EXAMPLES[name].figures(PlainStudy(EXAMPLES[name]), tmp_path)
+    figures = Study(EXAMPLES[name]).draw(tmp_path)
     assert figures
     for figure in figures:
         assert figure.path.stat().st_size > 1_500
@@ -322,4 +298,4 @@ def test_random_lengths_of_as_many_seeds_as_the_table() -> None:
     for setting, past, golden in (
         (EXAMPLE1, "mean", MEAN_N5), (EXAMPLE1_N30, "mean", MEAN_N30), (EXAMPLE1, "last", MEAN_P),
     ):  # fmt: skip
-        check_means(past, setting.series(seeds, 100, past).max_abs_error, golden, ROWS)
+        check_means(past, setting.problem(past).series(seeds, 100).max_abs_error, golden, ROWS)

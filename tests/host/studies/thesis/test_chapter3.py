@@ -12,28 +12,25 @@ import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.studies.thesis import chapter3, picture
-from tailbeat.studies.thesis.chapter3 import claims as chapter3_claims
-from tailbeat.studies.thesis.chapter3 import figures as chapter3_figures
-from tailbeat.studies.thesis.chapter3.plants import (
-    EXAMPLE1,
-    FISH,
-    Moving,
-    beta_bounds,
-    fish_rate_printed,
-    fish_wanted_input,
-    normal_reached,
-    rho_least,
-    window_contraction,
-)
-from tailbeat.studies.thesis.cut import run_series
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
     UNDER_A_READING,
     Example,
     ExampleOptions,
-    ExampleRun,
 )
+from tailbeat.studies.thesis.plants.held import (
+    EXAMPLE1,
+    FISH,
+    Moving,
+    beta_bounds,
+    contraction,
+    example1_reached,
+    fish_exact_input,
+    fish_rate_printed,
+    rho_least,
+)
+from tailbeat.studies.thesis.study import Study
 
 EXAMPLES = {example.id: example for example in chapter3.EXAMPLES}
 SEEDS, GOLDEN_SEEDS = 100, 200
@@ -46,22 +43,8 @@ M5_MEAN = (1.95, 0.562, 0.287, 0.0917, 0.0297, 2.9e-3, 4.0e-4)
 _PRINTED = 0.02
 
 
-class PlainStudy:
-    """Runs without a cache."""
-
-    def __init__(self, example: Example):
-        self._example = example
-
-    def run(self, **changes: Any) -> ExampleRun:
-        return self._example.run(ExampleOptions(**changes))
-
-    def tick(self, done: float) -> None:
-        assert 0.0 <= done <= 1.0
-
-
 def uncut(setting: Moving, iterations: int) -> np.ndarray:
-    task = setting.task()
-    return run_series(task, [task.length("full", 1)], iterations).max_abs_error[0]
+    return setting.problem().uncut(iterations)
 
 
 # --- the laws and plants once more, from the formulas
@@ -221,7 +204,7 @@ def check_medians(name: str, found: np.ndarray, golden: tuple[float, ...]) -> No
 
 
 def test_example1_random_lengths() -> None:
-    found = EXAMPLE1.series(range(1, SEEDS + 1), 20)
+    found = EXAMPLE1.problem().series(range(1, SEEDS + 1), 20)
     check_means("m=4", found.max_abs_error, M4_MEAN)
     check_medians("m=4", found.max_abs_error, M4_MEDIAN)
     check_medians("m=4, executed", found.executed, M4_EXECUTED)
@@ -232,7 +215,7 @@ def test_example1_random_lengths_with_other_m_and_a_total_gain_of_1(
     m: int, golden: tuple[float, ...]
 ) -> None:
     setting = replace(EXAMPLE1, m=m, beta=1 / (m + 1))
-    found = setting.series(range(1, SEEDS + 1), 20).max_abs_error
+    found = setting.problem().series(range(1, SEEDS + 1), 20).max_abs_error
     check_means(f"m={m}", found, golden)
 
 
@@ -241,7 +224,7 @@ def test_example1_as_many_seeds_and_iterations_as_the_table() -> None:
     seeds = range(1001, 1001 + GOLDEN_SEEDS)
     for m, golden in ((0, M0_MEAN), (4, M4_MEAN), (5, M5_MEAN)):
         setting = replace(EXAMPLE1, m=m, beta=1 / (m + 1))
-        check_means(f"m={m}", setting.series(seeds, 40).max_abs_error, golden)
+        check_means(f"m={m}", setting.problem().series(seeds, 40).max_abs_error, golden)
 
 
 def test_fish_ratio() -> None:
@@ -285,7 +268,7 @@ def test_fish_gains(kp: float, wanted: float) -> None:
 
 @pytest.mark.soak
 def test_fish_random_lengths() -> None:
-    found = FISH.series(range(1, 201), 30).max_abs_error
+    found = FISH.problem().series(range(1, 201), 30).max_abs_error
     ratios = found[:, 0] / found[:, 30]
     assert np.median(ratios) == pytest.approx(113.6, abs=0.1)
     assert (ratios > 90).mean() >= 0.96
@@ -294,17 +277,17 @@ def test_fish_random_lengths() -> None:
 
 
 def test_printed_drag_escapes_in_the_first_learned_trial() -> None:
-    found = replace(FISH, rate=fish_rate_printed, step=0.1).series(range(1, 21), 2)
+    found = replace(FISH, rate=fish_rate_printed, step=0.1).problem().series(range(1, 21), 2)
     assert (found.diverged == 1).all()
     assert np.isnan(found.max_abs_error[:, 1:]).all()
-    run = found.run()
+    run = found.example_run(cut=True)
     assert run.diverged == 1
     assert len(run.max_abs_error) == 1
 
 
 def test_wanted_thrust_of_the_fish() -> None:
     t = np.linspace(0.0, 50.0, 500_001)
-    u = fish_wanted_input(t)
+    u = fish_exact_input(t)
     assert u.max() == pytest.approx(0.11255, abs=5e-6)
     assert t[u.argmax()] == pytest.approx(24.73, abs=0.005)
     assert u.min() == pytest.approx(-0.0016391, abs=5e-8)
@@ -316,11 +299,11 @@ def test_wanted_thrust_of_the_fish() -> None:
 
 
 def test_conditions() -> None:
-    reached = normal_reached(2.0, 0.25)(EXAMPLE1.times())
+    reached = example1_reached()
     assert reached[-1] == pytest.approx(0.5, abs=1e-12)
-    np.testing.assert_allclose(window_contraction([0.2] * 5, (0.5, 1.5), reached), 0.15, atol=1e-12)
-    fish = window_contraction([1 / 3] * 3, (1.0, 1.0), [1.0, 8 / 14])
-    assert sum(fish) == pytest.approx(3 / 7, abs=1e-12)
+    assert contraction(0.2, 5, (0.5, 1.5), reached) == pytest.approx(0.15, abs=1e-12)
+    fish = contraction(1 / 3, 3, (1.0, 1.0), [1.0, 8 / 14])
+    assert 3 * fish == pytest.approx(3 / 7, abs=1e-12)
     assert rho_least(0.5, (0.5, 1.5)) == pytest.approx(0.75)
     np.testing.assert_allclose(beta_bounds(5, 0.5, (0.5, 1.5), 0.75), (0.2, 0.2))
 
@@ -349,19 +332,22 @@ def test_options_that_do_not_fit_are_refused(options: dict[str, Any]) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, seeds in (("SEEDS", 40), ("_SWEEP_SEEDS", 5), ("_ESCAPE_SEEDS", 5)):
-        monkeypatch.setattr(chapter3_claims, name, range(1, seeds + 1))
-    monkeypatch.setattr(chapter3_claims, "FISH", replace(FISH, step=0.25))
-    monkeypatch.setattr(chapter3_figures, "_SEEDS", range(1, 4))
-    monkeypatch.setattr(chapter3_figures, "_LAST1", 6)
-    monkeypatch.setattr(chapter3_figures, "_LAST2", 4)
+        monkeypatch.setattr(chapter3, name, range(1, seeds + 1))
+    monkeypatch.setattr(chapter3, "_FIGURE_SEEDS", range(1, 4))
+    monkeypatch.setattr(chapter3, "_FIGURE_LAST", (6, 4))
     monkeypatch.setattr(picture, "_DPI", 30)
-    monkeypatch.setattr(chapter3_figures, "FISH", replace(FISH, step=0.25))
+
+
+def coarse(example: Example, **changes: float) -> Study:
+    """Of the fish with a longer step."""
+    step = {"step": 0.25} if example is chapter3.EX2 else {}
+    return Study(example.with_setting(replace(example.setting, **step, **changes)))
 
 
 @pytest.mark.usefixtures("quick")
 def test_claims() -> None:
     found = {
-        name: [claim.verdict for claim in example.claims(PlainStudy(example))]
+        name: [claim.verdict for claim in coarse(example).judge()]
         for name, example in EXAMPLES.items()
     }
     assert found["ch3-ex1"] == [COMES_OUT, COMES_OUT, COMES_OUT, UNDER_A_READING]
@@ -369,26 +355,17 @@ def test_claims() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_verdicts_follow_the_computation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chapter3_claims, "EXAMPLE1", replace(EXAMPLE1, beta=0.05))
-    study = PlainStudy(EXAMPLES["ch3-ex1"])
-    found = [claim.verdict for claim in chapter3_claims.example1(study)]
+def test_verdicts_follow_the_computation() -> None:
+    found = [claim.verdict for claim in coarse(EXAMPLES["ch3-ex1"], beta=0.05).judge()]
     assert found[:2] == [DOES_NOT, DOES_NOT]
     assert found[3] == DOES_NOT
-    slow = replace(FISH, step=0.25, kp=0.1)
-    monkeypatch.setattr(chapter3_claims, "FISH", slow)
-    study = PlainStudy(EXAMPLES["ch3-fish"])
-    assert chapter3_claims.fish(study)[0].verdict == DOES_NOT
+    assert coarse(EXAMPLES["ch3-fish"], kp=0.1).judge()[0].verdict == DOES_NOT
 
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_figures(name: str, tmp_path: Path) -> None:
-    example = EXAMPLES[name]
-    coarse = replace(
-        example, run=lambda o: example.run(replace(o, step=0.25 if "fish" in name else None))
-    )
-    figures = example.figures(PlainStudy(coarse), tmp_path)
+    figures = coarse(EXAMPLES[name]).draw(tmp_path)
     assert len(figures) == 3
     for figure in figures:
         assert figure.path.stat().st_size > 1_500

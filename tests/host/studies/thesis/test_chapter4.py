@@ -14,8 +14,8 @@ import pytest
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis.chapter4 import EXAMPLES, claims
-from tailbeat.studies.thesis.chapter4.claims import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH
+from tailbeat.studies.thesis import chapter4
+from tailbeat.studies.thesis.chapter4 import EXAMPLE2_SIGN, EXAMPLE2_SMOOTH, EXAMPLES, apart, peaks
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -25,9 +25,15 @@ from tailbeat.studies.thesis.example import (
     ExampleOptions,
     ExampleRun,
 )
-from tailbeat.studies.thesis.feedback import Chapter4, LoopTrials, Scheme, TimeGrid, run_trials
 from tailbeat.studies.thesis.learner import Precision
-from tailbeat.studies.thesis.study import CachedStudy
+from tailbeat.studies.thesis.plants.feedback import (
+    Chapter4,
+    LoopTrials,
+    Scheme,
+    TimeGrid,
+    run_trials,
+)
+from tailbeat.studies.thesis.study import Study
 
 Doubles = F64
 Slope = Callable[[float, Doubles], Doubles]
@@ -257,7 +263,7 @@ def test_coarse_steps_cannot_be_computed() -> None:
 def test_the_sign_law_grows_when_it_is_sampled() -> None:
     found = run_trials(replace(EXAMPLE2_SIGN, grid=TimeGrid(500, "held")), 60)
     assert found.diverged is not None and 40 <= found.diverged <= 50
-    assert claims.grows(found)
+    assert found.grows()
 
 
 def test_total_variation_tells_chatter() -> None:
@@ -291,28 +297,18 @@ def test_iterations_begin_at_one() -> None:
 
 def quick(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[Claim]]:
     """Claims on coarser grids, which change no verdict."""
-    monkeypatch.setattr(claims, "COARSE", (200, 2000))
-    monkeypatch.setattr(claims, "EXAMPLE1_BLOCK", Chapter4(TimeGrid(2000, "rk4"), block=True))
-    monkeypatch.setattr(claims, "SAMPLED", ((500, 60),))
-    monkeypatch.setattr(
-        claims, "EXAMPLE2_SIGN", replace(EXAMPLE2_SIGN, grid=TimeGrid(4000, "held"))
-    )
-    monkeypatch.setattr(
-        claims, "EXAMPLE2_SMOOTH", replace(EXAMPLE2_SMOOTH, grid=TimeGrid(1000, "rk4"))
-    )
-
-    def judge(id: str) -> list[Claim]:
-        study = Coarse(example(id))
-        return study.example.claims(study)
-
-    return judge
+    coarse = {
+        "COARSE": {200: 100, 2000: 100}, "SAMPLED": {500: 60},
+        "EXAMPLE1_BLOCK": Chapter4(TimeGrid(2000, "rk4"), block=True),
+        "EXAMPLE2_SIGN": replace(EXAMPLE2_SIGN, grid=TimeGrid(4000, "held")),
+        "EXAMPLE2_SMOOTH": replace(EXAMPLE2_SMOOTH, grid=TimeGrid(1000, "rk4")),
+    }  # fmt: skip
+    for name, value in coarse.items():
+        monkeypatch.setattr(chapter4, name, value)
+    return lambda id: Coarse(example(id)).judge()
 
 
-class Coarse(CachedStudy):
-    def __init__(self, example: Example) -> None:
-        super().__init__(example, ExampleOptions())
-        self.example = example
-
+class Coarse(Study):
     def run(self, **changes: Any) -> ExampleRun:
         return super().run(step=2 * math.pi / 2000, **changes)
 
@@ -332,9 +328,9 @@ def test_verdicts(id: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.soak
 @pytest.mark.parametrize("id", VERDICTS)
 def test_verdicts_as_printed(id: str, tmp_path: Path) -> None:
-    study = CachedStudy(example(id), ExampleOptions())
-    assert [claim.verdict for claim in example(id).claims(study)] == VERDICTS[id]
-    for figure in example(id).figures(study, tmp_path):
+    study = Study(example(id))
+    assert [claim.verdict for claim in study.judge()] == VERDICTS[id]
+    for figure in study.draw(tmp_path):
         assert figure.path.stat().st_size > 10_000
 
 
@@ -344,14 +340,14 @@ def test_a_line_s_width_is_judged_over_the_trials_about_100() -> None:
     found = run_trials(Chapter4(TimeGrid(2000, "rk4")), 110, traced={97, 100})
     shares = []
     for trial in range(91, 111):
-        peaks = claims._peaks(trial)
-        if trial in found.traces:
-            assert peaks == pytest.approx(np.abs(found.traces[trial][:, 3:5]).max(axis=0), rel=1e-5)
-        shares.append(found.max_abs_error[trial - 1] / peaks)
+        highest = np.abs(found.traces[trial][:, 3:5]).max(axis=0) if trial in found.traces else None
+        if highest is not None:
+            assert peaks(trial) == pytest.approx(highest, rel=1e-5)
+        shares.append(found.max_abs_error[trial - 1] / peaks(trial))
     assert shares[9] == pytest.approx([0.02985, 0.00887], abs=2e-5)
     assert np.max(shares) > 0.07
-    assert claims._apart(found) == pytest.approx([0.01956, 0.01104], abs=2e-5)
-    assert not np.any(np.isfinite(claims._apart(run_trials(Chapter4(TimeGrid(2000, "rk4")), 109))))
+    assert apart(found) == pytest.approx([0.01956, 0.01104], abs=2e-5)
+    assert not np.any(np.isfinite(apart(run_trials(Chapter4(TimeGrid(2000, "rk4")), 109))))
 
 
 def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -364,17 +360,17 @@ def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> N
 
     class Flat(Coarse):
         def run(self, **changes: Any) -> ExampleRun:
-            return ExampleRun(np.arange(1, 111), series, traces={"trials": flat})
+            return ExampleRun(np.arange(1, 111), series, traces=flat)
 
     judge = quick(monkeypatch)
     assert judge("ch4-ex1")[0].verdict == COMES_OUT
     ex1, smooth = example("ch4-ex1"), example("ch4-ex2-smooth")
-    assert [c.verdict for c in ex1.claims(Flat(ex1))] == [DOES_NOT] * 3
-    assert [c.ours for c in ex1.claims(Flat(ex1))] == [False, False, True]
+    assert [c.verdict for c in Flat(ex1).judge()] == [DOES_NOT] * 3
+    assert [c.ours for c in Flat(ex1).judge()] == [False, False, True]
     sign = example("ch4-ex2-sign")
-    assert sign.claims(Flat(sign))[0].verdict == DOES_NOT
+    assert Flat(sign).judge()[0].verdict == DOES_NOT
     grown = replace(flat, max_abs_error=np.linspace(0.1, 1, 100)[:, np.newaxis] * np.ones(2))
-    assert claims.grows(grown) and not claims.grows(flat)
-    monkeypatch.setattr(claims, "SAMPLED", ())
-    assert sign.claims(Flat(sign))[1].verdict == COMES_OUT
-    assert smooth.claims(Flat(smooth))[1].verdict == COMES_OUT  # slower it is
+    assert grown.grows() and not flat.grows()
+    monkeypatch.setattr(chapter4, "SAMPLED", {})
+    assert Flat(sign).judge()[1].verdict == COMES_OUT
+    assert Flat(smooth).judge()[1].verdict == COMES_OUT  # slower it is

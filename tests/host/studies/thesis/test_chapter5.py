@@ -13,9 +13,16 @@ import pytest
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis.chapter4.claims import grows
-from tailbeat.studies.thesis.chapter5 import EXAMPLES, claims
-from tailbeat.studies.thesis.chapter5.claims import CASE1_SIGN, CASE1_SMOOTH, CASE2
+from tailbeat.studies.thesis import chapter5
+from tailbeat.studies.thesis.chapter5 import (
+    CASE1_SIGN,
+    CASE1_SMOOTH,
+    CASE2,
+    EXAMPLES,
+    bounded,
+    input_gain,
+    inverse_by_norm,
+)
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -24,9 +31,9 @@ from tailbeat.studies.thesis.example import (
     ExampleOptions,
     ExampleRun,
 )
-from tailbeat.studies.thesis.feedback import Chapter5, TimeGrid, run_trials
 from tailbeat.studies.thesis.learner import Precision
-from tailbeat.studies.thesis.study import CachedStudy
+from tailbeat.studies.thesis.plants.feedback import Chapter5, TimeGrid, run_trials
+from tailbeat.studies.thesis.study import Study
 
 Doubles = F64
 
@@ -216,14 +223,14 @@ def test_sampled_the_sign_law_cannot_be_computed_in_the_end(
 ) -> None:
     found = run_trials(replace(CASE1_SIGN, grid=TimeGrid(steps, "held")), last)
     assert found.diverged is not None and not_before < found.diverged <= last
-    assert grows(found)
+    assert found.grows()
 
 
 def test_sampled_finely_it_passes_a_minimum_and_grows() -> None:
     found = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held")), 400)
     assert found.largest(50) == pytest.approx(0.0041, rel=0.05)
     assert found.largest(400) == pytest.approx(0.11, rel=0.15)
-    assert grows(found)
+    assert found.grows()
 
 
 def test_a_dead_zone_and_leakage_cure_it() -> None:
@@ -232,7 +239,7 @@ def test_a_dead_zone_and_leakage_cure_it() -> None:
     assert dead.error(1000) == pytest.approx([0.004, 0.020], rel=0.05)
     # 3 % apart: where exactly a dead zone begins is not the thesis's.
     assert dead.max_estimate[-1, 0] == pytest.approx(3.98, rel=0.04)
-    assert not grows(dead)
+    assert not dead.grows()
     leaky = run_trials(replace(CASE1_SMOOTH, leak=1e-2), 1000)
     assert leaky.error(1000) == pytest.approx([0.0164, 0.0315], rel=0.01)
     creeping = run_trials(CASE1_SMOOTH, 1000)
@@ -278,8 +285,7 @@ VERDICTS = {
 
 
 def test_verdicts_of_case2() -> None:
-    study = CachedStudy(example("ch5-case2"), ExampleOptions())
-    found = example("ch5-case2").claims(study)
+    found = Study(example("ch5-case2")).judge()
     assert [claim.verdict for claim in found] == VERDICTS["ch5-case2"]
     assert found[0].measured == 3.0
     assert found[3].measured == pytest.approx([13.3547, 0.007267, 0.005778], rel=2e-4)
@@ -291,38 +297,38 @@ def test_the_norm_of_the_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
     t = np.linspace(0.0, 0.5, 2001)
     largest = max(
         np.linalg.norm(np.linalg.inv(b), 2) * np.linalg.norm(b, 2)
-        for b in (np.diag(b) for b in claims._input_gain(t).T)
+        for b in (np.diag(b) for b in input_gain(t).T)
     )
-    assert claims._inverse_by_norm() == pytest.approx(largest, rel=1e-12)
+    assert inverse_by_norm(input_gain(t)) == pytest.approx(largest, rel=1e-12)
     first = [2 + math.sin(1.0), 1 + math.sin(-0.75)]
-    assert claims._input_gain(np.zeros(1))[:, 0] == pytest.approx(first)
-    monkeypatch.setattr(claims, "_input_gain", lambda t: np.full((2, len(t)), -1.5))
-    run = run_trials(CASE2, 50)
-    assert claims._norm(run, run).verdict == COMES_OUT
+    assert input_gain(np.zeros(1))[:, 0] == pytest.approx(first)
+    monkeypatch.setattr(chapter5, "input_gain", lambda t: np.full((2, len(t)), -1.5))
+    assert Study(example("ch5-case2")).judge()[3].verdict == COMES_OUT
 
 
 def test_what_is_ours_follows_what_is_computed() -> None:
     """The cures, judged on the law that they cure."""
     growing = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held")), 1000)
     kept = run_trials(replace(CASE1_SIGN, grid=TimeGrid(1000, "held"), dead_zone=0.02), 1000)
-    found = [claims._cured("so", trials) for trials in (growing, kept)]
-    assert [claim.verdict for claim in found] == [DOES_NOT, COMES_OUT]
-    assert all(claim.ours for claim in found)
+    assert [bounded(trials).verdict for trials in (growing, kept)] == [DOES_NOT, COMES_OUT]
+    sign = example("ch5-case1-sign")
+    assert [one.ours for one in sign.claims] == [False, False, False, True, True]
 
 
-def test_rho_has_to_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = run_trials(CASE1_SMOOTH, 10)
-    assert claims._rho(found, found).verdict == UNDER_A_READING
-    monkeypatch.setattr(claims, "CASE1_SMOOTH", replace(CASE1_SMOOTH, bound=0.9))
-    assert claims._rho(found, found).verdict == DOES_NOT
+def test_rho_has_to_bound() -> None:
+    smooth = example("ch5-case1-smooth")
+    check = smooth.claims[2].check
+    assert check(Study(smooth)).verdict == UNDER_A_READING
+    less = smooth.with_setting(replace(CASE1_SMOOTH, bound=0.9))
+    assert check(Study(less)).verdict == DOES_NOT
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("id", VERDICTS)
 def test_verdicts(id: str, tmp_path: Path) -> None:
-    study = CachedStudy(example(id), ExampleOptions())
-    assert [claim.verdict for claim in example(id).claims(study)] == VERDICTS[id]
-    for figure in example(id).figures(study, tmp_path):
+    study = Study(example(id))
+    assert [claim.verdict for claim in study.judge()] == VERDICTS[id]
+    for figure in study.draw(tmp_path):
         assert figure.path.stat().st_size > 10_000
 
 
@@ -332,15 +338,15 @@ def test_verdicts_flip_with_what_comes_out(monkeypatch: pytest.MonkeyPatch) -> N
         bad, max_abs_error=bad.max_abs_error + 0.1, input_variation=1e6 + bad.input_variation
     )
 
-    class Rough(CachedStudy):
+    class Rough(Study):
         def run(self, **changes: Any) -> ExampleRun:
-            return ExampleRun(np.arange(1, 51), rough.max_abs_error, traces={"trials": rough})
+            return ExampleRun(np.arange(1, 51), rough.max_abs_error, traces=rough)
 
-    monkeypatch.setattr(claims, "LATE", 120)
-    monkeypatch.setattr(claims, "SAMPLED", ((5000, 50),))
+    monkeypatch.setattr(chapter5, "LATE", 120)
+    monkeypatch.setattr(chapter5, "SAMPLED", {5000: 50})
 
     def judged(id: str) -> list[str]:
-        return [claim.verdict for claim in example(id).claims(Rough(example(id), ExampleOptions()))]
+        return [claim.verdict for claim in Rough(example(id)).judge()]
 
     assert judged("ch5-case2")[:2] == [DOES_NOT, DOES_NOT]
     assert judged("ch5-case1-smooth")[0] == DOES_NOT

@@ -15,8 +15,6 @@ from scipy.linalg import expm
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import one_thread
 from tailbeat.studies.thesis import chapter6
-from tailbeat.studies.thesis.chapter6 import plants
-from tailbeat.studies.thesis.chapter6 import plants as rod
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -25,28 +23,26 @@ from tailbeat.studies.thesis.example import (
     Claim,
     ExampleOptions,
 )
-from tailbeat.studies.thesis.heat import (
+from tailbeat.studies.thesis.learner import LearnerConfig, Precision
+from tailbeat.studies.thesis.plants import rod
+from tailbeat.studies.thesis.plants.heat import (
     CHAPTER6,
     HeatPlant,
-    Scheme,
-    learn,
+    problem,
     reference,
     slope,
     times,
     zero_phase,
 )
-from tailbeat.studies.thesis.learner import LearnerConfig, Precision
-from tailbeat.studies.thesis.study import CachedStudy
+from tailbeat.studies.thesis.study import Study
 
 (EXAMPLE,) = chapter6.EXAMPLES
 PRECISIONS = get_args(Precision)
 
 G6 = {
-    "modal": "52.469444 14.637351 4.050000 1.117498 0.309328 0.086640 0.028726 0.017485 0.018686 "
+    True: "52.469444 14.637351 4.050000 1.117498 0.309328 0.086640 0.028726 0.017485 0.018686 "
     "0.019051 0.019163",
-    "crank-nicolson": "52.469447 14.637412 4.050029 1.117509 0.309331 0.086639 0.028721 0.017489 "
-    "0.018689 0.019054 0.019166",
-    "backward-euler": "52.519447 14.613588 4.035085 1.111400 0.307251 0.086108 0.028790 0.017518 "
+    False: "52.519447 14.613588 4.035085 1.111400 0.307251 0.086108 0.028790 0.017518 "
     "0.018737 0.019123 0.019238",
 }
 
@@ -72,37 +68,37 @@ def rounded(values: np.ndarray, text: str) -> bool:
 
 
 @cache
-def plant(scheme: Scheme = "backward-euler", step: float = 0.01, cells: int = 100) -> HeatPlant:
-    return HeatPlant(CHAPTER6, step, scheme, cells)
+def plant(exact: bool = False, step: float = 0.01, cells: int = 100) -> HeatPlant:
+    return HeatPlant(CHAPTER6, step, exact, cells)
 
 
 def exact(iterations: int, **changes: float) -> np.ndarray:
-    return learn(plant("modal"), rod.law(**changes), iterations).max_abs_error
+    return rod.exact(rod.law(**changes), iterations)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("scheme", get_args(Scheme))
-def test_g6(scheme: Scheme, precision: Precision) -> None:
-    run = learn(plant(scheme), rod.law(), 10, precision)
-    assert run.max_abs_error == pytest.approx(numbers(G6[scheme]), rel=1e-5, abs=1e-5)
+@pytest.mark.parametrize("exact", G6)
+def test_g6(exact: bool, precision: Precision) -> None:
+    run = problem(plant(exact), rod.law()).run(10, precision=precision)
+    assert run.max_abs_error[0] == pytest.approx(numbers(G6[exact]), rel=1e-5, abs=1e-5)
 
 
 def test_the_default_is_backward_euler_to_iteration_7() -> None:
     run = EXAMPLE.run(ExampleOptions())
     assert run.iterations.tolist() == list(range(8))
-    assert run.max_abs_error == pytest.approx(numbers(G6["backward-euler"])[:8], rel=1e-5, abs=1e-5)
+    assert run.max_abs_error == pytest.approx(numbers(G6[False])[:8], rel=1e-5, abs=1e-5)
 
 
 def test_inputs_of_iterations_1_and_7() -> None:
-    first = EXAMPLE.run(ExampleOptions(iterations=1)).traces["input"]
+    first, _ = EXAMPLE.run(ExampleOptions(iterations=1)).traces.trial()
     at = [0, 1, 10, 20, 100, 300, 500, 700, 900, 990, 1000]
     wanted = "-0.106769 -0.11106 -0.157699 -0.201413 0.521402 1.503718 -3.929479 -9.339487 "
     assert first[at] == pytest.approx(numbers(wanted + "-8.330456 -7.586109 -7.601905"), abs=2e-6)
-    seventh = EXAMPLE.run(ExampleOptions()).traces["input"]
+    seventh, _ = EXAMPLE.run(ExampleOptions()).traces.trial()
     wanted = "-0.49566 1.005547 1.745744 -6.019138 -12.780361 -10.890771 -10.243768"
     at = [0, 100, 300, 500, 700, 900, 1000]
     assert seventh[at] == pytest.approx(numbers(wanted), abs=1e-5)
-    on_modes = learn(plant("modal"), rod.law(), 7).traces["input"]
+    on_modes, _ = problem(plant(exact=True), rod.law()).run(7).trial()
     assert [on_modes.min(), on_modes.max()] == pytest.approx([-13.044, 2.543], abs=5e-4)
 
 
@@ -119,24 +115,23 @@ def test_other_steps_keep_the_window(step: float, wanted: str) -> None:
     assert rod.law(step).q_len == {0.02: 10, 0.005: 40}[step]
 
 
-def test_coarser_cells() -> None:
-    run = learn(plant("crank-nicolson", cells=50), rod.law(), 7)
-    wanted = numbers("52.4695 14.6376 4.0501 1.1176 .30935 .08665 .02872 .01749")
-    assert run.max_abs_error == pytest.approx(wanted, rel=3e-4)
-
-
-def test_euler_in_quarters_of_a_sample() -> None:
-    run = learn(HeatPlant(CHAPTER6, substeps=4), rod.law(), 10)
-    wanted = "52.48195 14.63146 4.04629 1.11598 .30881 .08651 .02874 .01749 .0187 .01907 .01918"
-    assert run.max_abs_error == pytest.approx(numbers(wanted), rel=3e-4)
+def test_finer_steps_come_to_the_exact_rod() -> None:
+    exactly = numbers(G6[True])[:8]
+    off = [
+        np.abs(EXAMPLE.run(ExampleOptions(step=step)).max_abs_error - exactly).max()
+        for step in (0.02, 0.01, 0.005)
+    ]
+    assert off[0] > 1.8 * off[1] > 1.8**2 * off[2] and off[2] < 0.03
 
 
 def test_the_limit_and_its_rms() -> None:
-    run = learn(plant("modal"), rod.law(), 50)
-    assert run.max_abs_error[11:] == pytest.approx(0.0193, abs=1.5e-4)
-    assert run.max_abs_error[7:].max() < 0.025
-    wanted = [20.781, 6.136, 0.01104, 0.01102]
-    assert run.traces["rms"][[0, 1, 7, 50]] == pytest.approx(wanted, rel=5e-4)
+    run = problem(plant(exact=True), rod.law()).run(50, keep=(0, 1, 7))
+    errors = run.max_abs_error[0]
+    assert errors[11:] == pytest.approx(0.0193, abs=1.5e-4)
+    assert errors[7:].max() < 0.025
+    off = [run.problem.reference - run.trial(i)[1] for i in (0, 1, 7, 50)]
+    rms = [np.sqrt(np.mean(one**2)) for one in off]
+    assert rms == pytest.approx([20.781, 6.136, 0.01104, 0.01102], rel=5e-4)
 
 
 @pytest.mark.parametrize(
@@ -172,16 +167,21 @@ def test_gains(rho: float, wanted: str) -> None:
     assert rounded(errors, wanted), errors
 
 
+def filter_on_the_error() -> np.ndarray:
+    """u + rho * d/dt Q(e), the other way to read section 6.5."""
+    return rod.exact(rod.law(q_len=1), 50, lambda error: zero_phase(error, 20))
+
+
 def test_where_the_filter_acts() -> None:
     at = [5, 7, 10, 20, 30, 40, 50]
     rows = {
         rod.with_filter: ".0866 .0175 .0192 .0193 .0193 .0193 .0193",
         rod.with_filter_on_the_correction: ".0889 .0088 .0072 .0086 .0120 .0184 .0293",
-        rod.with_filter_on_the_error: ".186 .0932 .0721 .0479 .0371 .0308 .0403",
+        filter_on_the_error: ".186 .0932 .0721 .0479 .0371 .0308 .0403",
         rod.without_filter: ".0891 .0139 .0171 .0633 .305 1.608 8.827",
     }
     for run, wanted in rows.items():
-        errors = run(50).max_abs_error[at]
+        errors = run()[at]
         assert rounded(errors, wanted), (run, errors)
     errors = EXAMPLE.run(ExampleOptions(iterations=10)).max_abs_error
     assert errors[5] == pytest.approx(0.0861, abs=1e-4)
@@ -221,9 +221,9 @@ def test_other_settings_against_plain_numpy(
             weights = q_len - np.abs(near - k)
             u[k] = weights @ raw[near] / weights.sum()
     config = LearnerConfig(len(time), step=step, kd=rho, q_len=q_len)
-    run = learn(plant("backward-euler", step, cells), config, 5, precision)
+    run = problem(plant(False, step, cells), config).run(5, precision=precision)
     tolerance = 1e-9 if precision == "double" else 1e-5
-    assert run.max_abs_error == pytest.approx(errors, rel=tolerance, abs=tolerance)
+    assert run.max_abs_error[0] == pytest.approx(errors, rel=tolerance, abs=tolerance)
 
 
 def test_the_rod_against_a_stiff_solver() -> None:
@@ -245,14 +245,14 @@ def test_the_rod_against_a_stiff_solver() -> None:
         rate, (0, 10), np.zeros(cells + 1), "LSODA", time, rtol=1e-7, atol=1e-8, max_step=0.1,
         lband=1, uband=1,
     )  # fmt: skip
-    assert plant("modal", 0.1).output(u) == pytest.approx(found.y[0], abs=5e-4)
+    assert plant(exact=True, step=0.1).output(u) == pytest.approx(found.y[0], abs=5e-4)
 
 
 def test_the_field_ends_in_the_output() -> None:
     u = np.cos(times(0.01))
     assert plant().field(u)[:, 0] == pytest.approx(plant().output(u), abs=1e-9)
     with pytest.raises(ValueError, match="no nodes"):
-        plant("modal").field(u)
+        plant(exact=True).field(u)
 
 
 def test_the_filter() -> None:
@@ -267,43 +267,43 @@ def test_the_filter() -> None:
 
 def test_frequencies() -> None:
     omega, wide = np.linspace(0, 10, 10_001), np.linspace(0, 300, 60_001)
-    assert plants.cut_off(20, 0.01, 2) == pytest.approx(10.03, abs=0.005)
-    assert plants.cut_off(20, 0.01, 1) == pytest.approx(13.93, abs=0.005)
-    assert plants.best_rho(plants.modelled, 0.01)[0] == pytest.approx(2.84033, abs=1e-5)
-    assert plants.best_rho(plants.rod, 0.01)[0] == pytest.approx(1, abs=1e-5)
-    by_model = plants.best_rho(plants.modelled, omega)
+    assert rod.cut_off(20, 0.01, 2) == pytest.approx(10.03, abs=0.005)
+    assert rod.cut_off(20, 0.01, 1) == pytest.approx(13.93, abs=0.005)
+    assert rod.best_rho(rod.modelled, 0.01)[0] == pytest.approx(2.84033, abs=1e-5)
+    assert rod.best_rho(rod.rod, 0.01)[0] == pytest.approx(1, abs=1e-5)
+    by_model = rod.best_rho(rod.modelled, omega)
     assert by_model == pytest.approx((2.05252, 0.66767), abs=1e-5)
-    unrounded = plants.modelled_unrounded
-    assert plants.best_rho(unrounded, 0.01)[0] == pytest.approx(2.84157, abs=1e-5)
-    assert plants.best_rho(unrounded, omega) == pytest.approx((2.05317, 0.66778), abs=1e-5)
-    assert plants.widest_band(0.01) == pytest.approx(11.187, abs=5e-4)
-    assert plants.best_rho(plants.rod, omega) == pytest.approx((0.19406, 0.99141), rel=1e-4)
-    with_q = plants.best_rho(plants.rod, wide, plants.zero_phase_frequency(wide, 20, 0.01))
+    unrounded = rod.modelled_unrounded
+    assert rod.best_rho(unrounded, 0.01)[0] == pytest.approx(2.84157, abs=1e-5)
+    assert rod.best_rho(unrounded, omega) == pytest.approx((2.05317, 0.66778), abs=1e-5)
+    assert rod.widest_band(0.01) == pytest.approx(11.187, abs=5e-4)
+    assert rod.best_rho(rod.rod, omega) == pytest.approx((0.19406, 0.99141), rel=1e-4)
+    with_q = rod.best_rho(rod.rod, wide, rod.zero_phase_frequency(wide, 20, 0.01))
     assert with_q == pytest.approx((0.5088, 0.7507), rel=1e-3)
-    assert plants.left_over(plants.rod, 0.7444, omega) == pytest.approx(1.0585, abs=5e-5)
+    assert rod.left_over(rod.rod, 0.7444, omega) == pytest.approx(1.0585, abs=5e-5)
     narrow = np.linspace(0, 5.567, 4001)
-    assert plants.best_rho(plants.rod, narrow)[0] == pytest.approx(0.7444, rel=1e-3)
+    assert rod.best_rho(rod.rod, narrow)[0] == pytest.approx(0.7444, rel=1e-3)
 
 
 def test_the_half_differentiator() -> None:
     at = np.array([1.0, 5.0, 10.0, 20.0, 100.0, 250.0])
     true = np.sqrt(1j * at)
-    off = np.abs(plants.half_differentiator(at) / true - 1)
+    off = np.abs(rod.half_differentiator(at) / true - 1)
     assert off == pytest.approx([2.13, 0.70, 0.40, 0.22, 0.10, 0.49], abs=0.025)
-    assert abs(plants.half_differentiator(0.0)[0]) == pytest.approx(5.302 / 1.925, rel=1e-6)
-    assert abs(plants.modelled(0.0)[0]) == pytest.approx(0.352, abs=5e-4)
-    over, under = plants.half_differentiator_coefficients()
+    assert abs(rod.half_differentiator(0.0)[0]) == pytest.approx(5.302 / 1.925, rel=1e-6)
+    assert abs(rod.modelled(0.0)[0]) == pytest.approx(0.352, abs=5e-4)
+    over, under = rod.half_differentiator_coefficients()
     assert over == pytest.approx([1, -0.5, 0.1, -0.175, 0.05, -0.1])
     assert under == pytest.approx(np.abs(over))
-    assert np.sqrt(200) * over == pytest.approx(plants.PRINTED_OVER, rel=2.5e-4)
-    assert under == pytest.approx(plants.PRINTED_UNDER)
+    assert np.sqrt(200) * over == pytest.approx(rod.PRINTED_OVER, rel=2.5e-4)
+    assert under == pytest.approx(rod.PRINTED_UNDER)
 
 
 def test_what_acts_at_the_ends_and_inside() -> None:
     """Lemma 6.1 against closed forms, and, as printed, against the slips that it leads to."""
     s, x = 0.7 - 2.1j, 0.3
     r = np.sqrt(s)
-    ends = plants.from_the_ends(x, s)
+    ends = rod.from_the_ends(x, s)
     hyperbolic = np.sinh(r)
     wanted = [
         [-np.cosh(r * (1 - x)) / (r * hyperbolic), np.cosh(r * x) / (r * hyperbolic)],
@@ -311,23 +311,21 @@ def test_what_acts_at_the_ends_and_inside() -> None:
     ]
     assert ends.ravel() == pytest.approx(np.ravel(wanted), rel=1e-12)
     assert expm(np.array([[0, 1], [s, 0]]) * x).ravel() == pytest.approx(
-        plants.along(x, s).ravel(), rel=1e-12
+        rod.along(x, s).ravel(), rel=1e-12
     )
-    printed = plants.from_the_ends(x, s, plants.along_printed)
+    printed = rod.from_the_ends(x, s, rod.along_printed)
     assert printed[:, 0] == pytest.approx([-np.exp(-r * x) / r, 0], abs=1e-12)
-    kernel = plants.from_inside(0.0, x, s)[0, 1]
+    kernel = rod.from_inside(0.0, x, s)[0, 1]
     assert kernel == pytest.approx(-np.cosh(r * (1 - x)) / (r * hyperbolic), rel=1e-12)
-    kernel = plants.from_inside(0.0, x, s, plants.along_printed)[0, 1]
+    kernel = rod.from_inside(0.0, x, s, rod.along_printed)[0, 1]
     assert kernel == pytest.approx(-np.sinh(r * (1 - x)) / (r * hyperbolic), rel=1e-12)
-    assert max(plants.off_at_the_ends(s)) < 1e-4 and plants.off_inside(s) < 1e-6
-    assert min(plants.off_at_the_ends(s, plants.along_printed)) > 0.1
+    assert max(rod.off_at_the_ends(s)) < 1e-4 and rod.off_inside(s) < 1e-6
+    assert min(rod.off_at_the_ends(s, rod.along_printed)) > 0.1
 
 
 @cache
 def claims(precision: Precision) -> dict[str, Claim]:
-    return {
-        c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, ExampleOptions(precision=precision)))
-    }
+    return {c.text: c for c in Study(EXAMPLE, ExampleOptions(precision=precision)).judge()}
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -365,9 +363,9 @@ def test_a_verdict_follows_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> 
     """With another gain, and the right exp(Fx), the same claims read otherwise."""
     good = rod.law
     monkeypatch.setattr(rod, "law", lambda step=0.01, rho=2.839, q_len=None: good(step, rho, q_len))
-    monkeypatch.setattr(plants, "along_printed", plants.along)
-    monkeypatch.setattr(plants, "PRINTED_OVER", (20.0, *plants.PRINTED_OVER[1:]))
-    found = {c.text: c for c in EXAMPLE.claims(CachedStudy(EXAMPLE, ExampleOptions()))}
+    monkeypatch.setattr(rod, "along_printed", rod.along)
+    monkeypatch.setattr(rod, "PRINTED_OVER", (20.0, *rod.PRINTED_OVER[1:]))
+    found = {c.text: c for c in Study(EXAMPLE).judge()}
     assert found["it is 0.0371 within 7 iterations"].verdict == DOES_NOT
     assert found["each trial shrinks the error"].verdict == DOES_NOT
     assert found["h11, h21 as printed solve (6.35)"].verdict == COMES_OUT
@@ -377,7 +375,7 @@ def test_a_verdict_follows_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_divergence_ends_the_run() -> None:
-    run = learn(plant(step=0.1), rod.law(0.1, rho=-900.0), 1000)
+    run = problem(plant(step=0.1), rod.law(0.1, rho=-900.0)).run(1000).example_run(cut=False)
     assert run.diverged == len(run.max_abs_error) < 1000
     assert np.all(np.isfinite(run.max_abs_error))
 
@@ -391,7 +389,7 @@ def test_options_that_make_no_sense(options: dict[str, float]) -> None:
 
 
 def test_figures(tmp_path: Path) -> None:
-    drawn = EXAMPLE.figures(CachedStudy(EXAMPLE, ExampleOptions()), tmp_path)
+    drawn = Study(EXAMPLE).draw(tmp_path)
     assert {f.path.name for f in drawn} >= {"fig6-1.png", "fig6-2.png", "fig6-3.png"}
     assert all(f.path.read_bytes()[:4] == b"\x89PNG" for f in drawn)
     assert "13.20" in next(f for f in drawn if f.name == "Fig. 6.1").contradicts

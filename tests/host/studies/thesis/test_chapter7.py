@@ -16,17 +16,6 @@ from scipy.integrate import solve_ivp
 from tailbeat.core.errors import InputError
 from tailbeat.core.parallel import one_thread
 from tailbeat.studies.thesis import chapter7
-from tailbeat.studies.thesis.chapter7 import claims as judging
-from tailbeat.studies.thesis.chapter7 import plants as anticipatory
-from tailbeat.studies.thesis.chapter7.plants import (
-    BY_TIME,
-    DELTAS,
-    STEADY,
-    AdvectionPlant,
-    gain_for,
-    promised,
-    theta,
-)
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -38,9 +27,20 @@ from tailbeat.studies.thesis.example import (
     ExampleRun,
     Uptake,
 )
-from tailbeat.studies.thesis.heat import CHAPTER7, HeatPlant, PlantFailed, learn, reference, times
 from tailbeat.studies.thesis.learner import Precision
-from tailbeat.studies.thesis.study import CachedStudy
+from tailbeat.studies.thesis.plants import advection
+from tailbeat.studies.thesis.plants.advection import (
+    BY_TIME,
+    DELTAS,
+    STEADY,
+    AdvectionPlant,
+    gain_for,
+    law,
+    promised,
+    theta,
+)
+from tailbeat.studies.thesis.plants.heat import CHAPTER7, HeatPlant, problem, reference, times
+from tailbeat.studies.thesis.study import Study
 
 PRINTED, HEAT = chapter7.EXAMPLES
 PRECISIONS = get_args(Precision)
@@ -93,7 +93,7 @@ def test_g7b(delta: float, precision: Precision) -> None:
 @pytest.mark.parametrize(("uptake", "delta"), PLANT_AS_PRINTED)
 def test_the_plant_as_printed(uptake: Uptake, delta: float, precision: Precision) -> None:
     plant = AdvectionPlant(uptake=uptake)
-    errors = learn(plant, anticipatory.law(delta), 5, precision).max_abs_error
+    errors = problem(plant, law(delta)).run(5, precision=precision).max_abs_error[0]
     wanted = [15.536284, *numbers(PLANT_AS_PRINTED[uptake, delta])]
     assert errors == pytest.approx(wanted, abs=2e-6)
 
@@ -108,7 +108,7 @@ def test_defaults() -> None:
 
 
 def test_the_input_of_iteration_1() -> None:
-    values = HEAT.run(ExampleOptions(delta=0.1, iterations=1)).traces["input"]
+    values, _ = HEAT.run(ExampleOptions(delta=0.1, iterations=1)).traces.trial()
     wanted = numbers("2.085434 -1.514383 -5.070902 1.677795 7.638237 3.1735 1.20422")
     assert values[[0, 100, 300, 500, 700, 900, 1000]] == pytest.approx(wanted, rel=2e-6)
 
@@ -116,18 +116,18 @@ def test_the_input_of_iteration_1() -> None:
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_another_law_learns_the_plant_as_printed(precision: Precision) -> None:
     wanted = "15.536284 10.184285 6.722473 4.534900 3.111580 2.164929 1.524389 1.084853 .779696 "
-    run = STEADY.learn(13, precision=precision)
+    run = STEADY.problem().run(13, precision=precision)
     steady = numbers(wanted + ".565709 .414362 .306545 .229309 .228738")
-    assert run.max_abs_error == pytest.approx(steady, rel=1e-4)
-    by_time = BY_TIME.learn(5, precision=precision).max_abs_error
+    assert run.max_abs_error[0] == pytest.approx(steady, rel=1e-4)
+    by_time = BY_TIME.problem().run(5, precision=precision).max_abs_error[0]
     assert by_time == pytest.approx([15.536, 6.675, 2.759, 1.144, 0.477, 0.2487], abs=5.1e-4)
     assert by_time[5] == pytest.approx(0.2487, abs=5.1e-5)
 
 
 def test_the_printed_tail_holds_the_old_input() -> None:
     for delta, wanted in ((0.25, 0.5211), (0.02, 0.2441)):
-        errors = learn(HeatPlant(CHAPTER7), anticipatory.law(delta, tail="hold-old"), 5)
-        assert errors.max_abs_error[5] == pytest.approx(wanted, abs=5.1e-5)
+        errors = problem(HeatPlant(CHAPTER7), replace(law(delta), tail="hold-old")).uncut(5)
+        assert errors[5] == pytest.approx(wanted, abs=5.1e-5)
 
 
 def test_other_schemes_and_steps() -> None:
@@ -137,18 +137,12 @@ def test_other_schemes_and_steps() -> None:
         0.02: "10.42538 2.53465 .49507 .29464 .27428 .26717",
     }
     for delta, wanted in exact.items():
-        run = learn(HeatPlant(CHAPTER7, scheme="modal"), anticipatory.law(delta), 5)
-        assert run.max_abs_error == pytest.approx(numbers(wanted), abs=1e-5)
-    for delta, crank, fine, cells in (
-        (0.25, 0.4244, 0.4188, 0.4171),
-        (0.02, 0.2765, 0.2520, 0.2441),
-    ):
-        law = anticipatory.law(delta)
-        crank_nicolson = learn(HeatPlant(CHAPTER7, scheme="crank-nicolson"), law, 5)
-        assert crank_nicolson.max_abs_error[5] == pytest.approx(crank, abs=5.1e-5)
+        errors = problem(HeatPlant(CHAPTER7, exact=True), law(delta)).uncut(5)
+        assert errors == pytest.approx(numbers(wanted), abs=1e-5)
+    for delta, fine, cells in ((0.25, 0.4188, 0.4171), (0.02, 0.2520, 0.2441)):
         finer = HEAT.run(ExampleOptions(delta=delta, step=0.005)).max_abs_error
         assert finer[5] == pytest.approx(fine, abs=5.1e-5)
-        coarse = learn(HeatPlant(CHAPTER7, cells=50), law, 5).max_abs_error
+        coarse = problem(HeatPlant(CHAPTER7, cells=50), law(delta)).uncut(5)
         assert coarse[5] == pytest.approx(cells, abs=3e-4)
 
 
@@ -160,7 +154,7 @@ def test_long_runs_of_the_plant_as_printed() -> None:
 
 def test_without_inflow_a_larger_delta_is_better() -> None:
     plant = HeatPlant(replace(CHAPTER7, inflow=0.0))
-    runs = [learn(plant, anticipatory.law(delta), 5).max_abs_error for delta in DELTAS]
+    runs = [problem(plant, law(delta)).uncut(5) for delta in DELTAS]
     assert [run[0] for run in runs] == pytest.approx([15.625] * 5)
     assert [run[5] for run in runs] == pytest.approx([0.0048, 0.0050, 0.0054, 0.0063, 0.0073],
                                                      abs=6e-5)  # fmt: skip
@@ -169,9 +163,9 @@ def test_without_inflow_a_larger_delta_is_better() -> None:
 def test_less_advection() -> None:
     wanted = {0.0: 0.9648, 0.005: 0.962, 0.01: 0.958}
     for carried, reduction in wanted.items():
-        errors = anticipatory.variant(0.25, carried).max_abs_error
+        errors = problem(AdvectionPlant(carried=carried), law(0.25)).uncut(5)
         assert 1 - errors[5] / errors[0] == pytest.approx(reduction, abs=5e-4)
-    errors = anticipatory.variant(0.25, 0.0, "abs").max_abs_error
+    errors = problem(AdvectionPlant(carried=0.0, uptake="abs"), law(0.25)).uncut(5)
     assert 1 - errors[5] / errors[0] == pytest.approx(0.949, abs=6e-4)
 
 
@@ -249,10 +243,15 @@ def test_the_input_is_no_integral_of_the_plant_as_printed() -> None:
 
 
 def test_a_plant_that_cannot_be_computed() -> None:
-    with pytest.raises(PlantFailed):
-        AdvectionPlant(uptake="monod").output(np.full(1001, np.nan))
-    with pytest.raises(ValueError, match="for 1001 samples"):
-        AdvectionPlant().output(np.zeros(7))
+    output = AdvectionPlant(uptake="monod").output(np.r_[np.zeros(500), np.full(501, np.nan)])
+    assert np.isfinite(output[:500]).all() and np.isnan(output[500:]).all()
+
+    class Breaks(AdvectionPlant):
+        def output(self, values: np.ndarray) -> np.ndarray:
+            return super().output(np.where(np.abs(values) > 2.0, np.nan, values))
+
+    run = problem(Breaks(), law()).run(9).example_run(cut=False)
+    assert run.diverged == len(run.max_abs_error) == 1 and run.traces.kept.keys() == {0}
 
 
 def test_theta() -> None:
@@ -278,9 +277,7 @@ def test_theta() -> None:
 @cache
 def claims(example_id: str, precision: Precision) -> dict[str, Claim]:
     example = {e.id: e for e in chapter7.EXAMPLES}[example_id]
-    return {
-        c.text: c for c in example.claims(CachedStudy(example, ExampleOptions(precision=precision)))
-    }
+    return {c.text: c for c in Study(example, ExampleOptions(precision=precision)).judge()}
 
 
 @pytest.mark.parametrize(
@@ -347,27 +344,32 @@ def test_theorem_7_1_and_its_rule() -> None:
     assert isinstance(found, list) and found[0] == pytest.approx(0.9999642, abs=5e-8)
     errors = numbers(G7B[0.02])[:6]
     assert found[1:] == pytest.approx([b / a for a, b in pairwise(errors)], rel=1e-4)
-    assert judging._longest(0.0, 100.0) == pytest.approx(0.0025)
-    assert judging._longest(0.5, 100.0) == pytest.approx(0.001)
+    assert chapter7.longest(0.0, 100.0) == pytest.approx(0.0025)
+    assert chapter7.longest(0.5, 100.0) == pytest.approx(0.001)
     longest = printed["the five delta meet the thesis's own rule, (7.18)"].measured
     assert isinstance(longest, list) and max(longest) < 0.01
 
 
 def test_a_gain_too_large_for_the_rod_breaks_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """What theta(1, .02) promises is next to nothing; the rod sees the whole gain."""
-    monkeypatch.setattr(anticipatory, "RHO", -2.4)
-    monkeypatch.setattr(judging, "RHO", -2.4)
-    study = CachedStudy(HEAT, ExampleOptions())
-    assert judging._contraction(study)[0].verdict == DOES_NOT
-    monkeypatch.setattr(judging, "promised", lambda gain, lead: 0.5)
-    runs = [ExampleRun(np.arange(1), np.ones(1), traces={"input": np.full(3, 1e-6)})] * 5
-    assert judging._own_rule(runs).verdict == COMES_OUT
+    monkeypatch.setattr(advection, "RHO", -2.4)
+    monkeypatch.setattr(chapter7, "RHO", -2.4)
+    (contracts,) = (one for one in HEAT.claims if "than theorem 7.1 allows" in one.text)
+    assert contracts.judge(Study(HEAT)).verdict == DOES_NOT
+
+
+def test_small_inputs_meet_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With next to no gain the inputs are small, so (7.18) allows any of the delta."""
+    monkeypatch.setattr(advection, "RHO", -1e-6)
+    (rule,) = (one for one in PRINTED.claims if "own rule" in one.text)
+    monkeypatch.setattr(chapter7, "promised", lambda gain, lead: 0.5)
+    assert rule.judge(Study(PRINTED)).verdict == COMES_OUT
 
 
 def test_verdicts_follow_what_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a tenth of the gain nothing gets below 1 in five trials on the rod either."""
-    monkeypatch.setattr(anticipatory, "RHO", -0.12041)
-    found = HEAT.claims(CachedStudy(HEAT, ExampleOptions()))
+    monkeypatch.setattr(advection, "RHO", -0.12041)
+    found = Study(HEAT).judge()
     assert [claim.verdict for claim in found[:3]] == [DOES_NOT] * 3
 
 
@@ -395,7 +397,7 @@ def test_a_delta_as_long_as_the_trial(delta: float) -> None:
 def test_figures(tmp_path: Path) -> None:
     drawn = []
     for example in chapter7.EXAMPLES:
-        drawn += example.figures(CachedStudy(example, ExampleOptions()), tmp_path)
+        drawn += Study(example).draw(tmp_path)
     names = {f.path.name for f in drawn}
     assert names >= {f"fig7-{n}.png" for n in (1, 2, 3, 5, 6, 7)}
     assert len(names) == len(drawn)

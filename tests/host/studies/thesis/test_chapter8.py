@@ -13,18 +13,8 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import thesis
 from tailbeat.learning.error_bound_solve import plant_beats
-from tailbeat.studies.thesis.chapter8 import EXAMPLES, draw
-from tailbeat.studies.thesis.chapter8 import claims as fishclaims
-from tailbeat.studies.thesis.chapter8 import plants as fish_module
-from tailbeat.studies.thesis.chapter8.plants import (
-    AMPLITUDE_MAX_RAD,
-    TABLE_8_1,
-    CruisePlant,
-    FishTask,
-    Lags,
-    trials,
-    wanted_beats,
-)
+from tailbeat.studies.thesis import chapter8
+from tailbeat.studies.thesis.chapter8 import EXAMPLES
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -35,7 +25,17 @@ from tailbeat.studies.thesis.example import (
     ExampleRun,
 )
 from tailbeat.studies.thesis.learner import Precision
-from tailbeat.studies.thesis.study import CachedStudy
+from tailbeat.studies.thesis.plants.cruise import (
+    AMPLITUDE_MAX_RAD,
+    TABLE_8_1,
+    CruisePlant,
+    FishTask,
+    Lags,
+    applied,
+    draw,
+    reference_beats,
+)
+from tailbeat.studies.thesis.study import Study
 
 Doubles = F64
 
@@ -69,13 +69,12 @@ def example(gain: float) -> Example:
     return next(one for one in EXAMPLES if one.id == f"ch8-sim-{gain:g}")
 
 
-def errors(task: FishTask) -> list[float]:
-    return [trial.max_abs_error_m_s for trial in trials(task)]
+def errors(task: FishTask, iterations: int) -> Doubles:
+    return task.problem().uncut(iterations)
 
 
-def at(task: FishTask, *iterations: int) -> list[float]:
-    found = errors(replace(task, iterations=max(iterations)))
-    return [found[i] for i in iterations]
+def at(task: FishTask, *iterations: int) -> Doubles:
+    return errors(task, max(iterations))[list(iterations)]
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
@@ -97,11 +96,12 @@ def test_golden_fine_samples(gain: int, precision: Precision) -> None:
 
 
 def test_goldens_that_were_recomputed_twice() -> None:
-    np.testing.assert_allclose(errors(FishTask(7, 6)), BEATS_7, rtol=0, atol=2e-5)
+    np.testing.assert_allclose(errors(FishTask(7), 6), BEATS_7, rtol=0, atol=2e-5)
     for gain, golden in TRAP.items():
-        found = at(FishTask(gain, 0, step_s=0.1, pairing=0), 3, 6, 10, 20, 40)
+        found = at(FishTask(gain, step_s=0.1, pairing=0), 3, 6, 10, 20, 40)
         np.testing.assert_allclose(found, golden, rtol=0, atol=2e-5)
-    way = [float(trial.speed_m_s.sum()) for trial in trials(FishTask(10, 6))]
+    run = FishTask(10).problem().run(6, keep=range(6))
+    way = [run.trial(i)[1].sum() for i in range(7)]
     np.testing.assert_allclose(way, WAY_10_M, rtol=0, atol=2e-5)
 
 
@@ -147,7 +147,7 @@ def series_in_numpy(gain: float, step: float | None, iterations: int) -> list[fl
     ("gain", "step", "iterations"), [(5.5, None, 4), (10, 0.05, 3), (4, 0.25, 5), (8.0, 1.6, 4)]
 )
 def test_rows_that_are_in_no_table(gain: float, step: float | None, iterations: int) -> None:
-    found = errors(FishTask(gain, iterations, step_s=step))
+    found = errors(FishTask(gain, step_s=step), iterations)
     wanted = series_in_numpy(gain, step, iterations)
     np.testing.assert_allclose(found, wanted, rtol=0.02, atol=5e-5)
 
@@ -159,7 +159,7 @@ def test_the_plant_is_the_simulators() -> None:
     np.testing.assert_allclose(mean, plant_beats(fish.config, amplitude, 1.0), rtol=1e-6)
     _, fine = CruisePlant(0.01).speeds(np.repeat(amplitude, 100))
     np.testing.assert_allclose(fine.reshape(40, 100).mean(axis=1), mean, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(wanted_beats(), thesis().speed_m_s, rtol=1e-7)
+    np.testing.assert_allclose(reference_beats(), thesis().speed_m_s, rtol=1e-7)
     steady = fish.steady_m_s(np.array([angle for angle, _ in TABLE_8_1]))
     np.testing.assert_allclose(steady, [0.1274, 0.0914, 0.0620], atol=5e-5)
 
@@ -167,16 +167,16 @@ def test_the_plant_is_the_simulators() -> None:
 @pytest.mark.parametrize(
     ("task", "iterations", "golden"),
     [
-        (FishTask(4, 0, lead=1), (1, 2, 3, 4, 5, 6),
+        (FishTask(4, lead=1), (1, 2, 3, 4, 5, 6),
          [0.0389, 0.0189, 0.0082, 0.0045, 0.0048, 0.0056]),
-        (FishTask(4, 0, lead=1), (40,), [0.11]),
-        (FishTask(4, 0, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0052, 0.0023, 0.0121, 0.0601]),
-        (FishTask(4, 0, step_s=0.1), (3, 6, 10, 40), [0.0049, 0.0011, 0.0011, 0.0011]),
-        (FishTask(7, 0, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0017, 0.0108, 0.0573, 0.0666]),
-        (FishTask(7, 0, step_s=0.1), (3, 6, 10, 40), [0.0011] * 4),
-        (FishTask(7, 0, step_s=1.0, pairing=0), (1, 8), [0.0128, 0.10]),
-        (FishTask(4, 0, step_s=1.0, pairing=0), (3, 20), [0.0082, 0.108]),
-        (FishTask(7, 0, step_s=1.0), (1, 4), [0.0021, 0.00098]),
+        (FishTask(4, lead=1), (40,), [0.11]),
+        (FishTask(4, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0052, 0.0023, 0.0121, 0.0601]),
+        (FishTask(4, step_s=0.1), (3, 6, 10, 40), [0.0049, 0.0011, 0.0011, 0.0011]),
+        (FishTask(7, step_s=0.1, pairing=0), (3, 6, 10, 20), [0.0017, 0.0108, 0.0573, 0.0666]),
+        (FishTask(7, step_s=0.1), (3, 6, 10, 40), [0.0011] * 4),
+        (FishTask(7, step_s=1.0, pairing=0), (1, 8), [0.0128, 0.10]),
+        (FishTask(4, step_s=1.0, pairing=0), (3, 20), [0.0082, 0.108]),
+        (FishTask(7, step_s=1.0), (1, 4), [0.0021, 0.00098]),
     ],
 )  # fmt: skip
 def test_the_index_trap(task: FishTask, iterations: tuple[int, ...], golden: list[float]) -> None:
@@ -188,16 +188,16 @@ def test_the_index_trap(task: FishTask, iterations: tuple[int, ...], golden: lis
 @pytest.mark.parametrize(
     ("task", "golden"),
     [
-        (FishTask(4, 0, lags=LAGS, pairing=0), [0.0083, 0.0059, 0.0119, 0.0438, 0.0599]),
-        (FishTask(4, 0, lags=LAGS, pairing=0, q_len=10), [0.0085, 0.0017, 0.0025, 0.0024, 0.0024]),
-        (FishTask(4, 0, lags=LAGS, pairing=0, lead=10), [0.0062, 0.0016, 0.0015, 0.0015, 0.0036]),
-        (FishTask(4, 0, lags=LAGS, pairing=0, lead=10, q_len=10),
+        (FishTask(4, lags=LAGS, pairing=0), [0.0083, 0.0059, 0.0119, 0.0438, 0.0599]),
+        (FishTask(4, lags=LAGS, pairing=0, q_len=10), [0.0085, 0.0017, 0.0025, 0.0024, 0.0024]),
+        (FishTask(4, lags=LAGS, pairing=0, lead=10), [0.0062, 0.0016, 0.0015, 0.0015, 0.0036]),
+        (FishTask(4, lags=LAGS, pairing=0, lead=10, q_len=10),
          [0.0074, 0.0025, 0.0024, 0.0023, 0.0023]),
-        (FishTask(7, 0, lags=LAGS, pairing=0, q_len=10), [0.0047, 0.0033, 0.0028, 0.0036, 0.0092]),
-        (FishTask(7, 0, lags=LAGS, pairing=0, lead=10, q_len=10), [0.0019] * 5),
-        (FishTask(7, 0, lags=LONG_LAGS, pairing=0, q_len=10),
+        (FishTask(7, lags=LAGS, pairing=0, q_len=10), [0.0047, 0.0033, 0.0028, 0.0036, 0.0092]),
+        (FishTask(7, lags=LAGS, pairing=0, lead=10, q_len=10), [0.0019] * 5),
+        (FishTask(7, lags=LONG_LAGS, pairing=0, q_len=10),
          [0.0104, 0.0129, 0.0205, 0.0428, 0.0457]),
-        (FishTask(7, 0, lags=LONG_LAGS, pairing=0, lead=18, q_len=10), [0.0034] + [0.0033] * 4),
+        (FishTask(7, lags=LONG_LAGS, pairing=0, lead=18, q_len=10), [0.0034] + [0.0033] * 4),
     ],
 )  # fmt: skip
 def test_a_fish_with_delay_needs_lead_and_filter(task: FishTask, golden: list[float]) -> None:
@@ -206,15 +206,18 @@ def test_a_fish_with_delay_needs_lead_and_filter(task: FishTask, golden: list[fl
 
 
 def test_saturation_in_memory_keeps_from_winding_up() -> None:
-    task = FishTask(4, 11, step_s=0.1, target=lambda i: 1.9 if i < 6 else 1.0)
-    saturated = errors(task)[6:11]
-    raw = errors(replace(task, remembered_sat=False))[6:11]
+    task = FishTask(4, step_s=0.1, target=lambda i: 1.9 if i < 6 else 1.0)
+    saturated = errors(task, 11)[6:11]
+    raw = errors(replace(task, remembered_sat=False), 11)[6:11]
     np.testing.assert_allclose(saturated, [0.060, 0.014, 0.0055, 0.0022, 0.0011], atol=5e-4)
     np.testing.assert_allclose(raw, [0.060, 0.053, 0.048, 0.016, 0.0044], atol=5e-4)
 
 
 def test_inputs_of_the_first_trials() -> None:
-    largest = {g: [t.amplitude_rad.max() for t in trials(FishTask(g, 6))] for g in (4.0, 10.0)}
+    runs = {gain: FishTask(gain).problem().run(6, keep=range(6)) for gain in (4.0, 10.0)}
+    largest = {
+        gain: [applied(run.trial(i)[0]).max() for i in range(7)] for gain, run in runs.items()
+    }
     assert largest[4.0][1] == pytest.approx(0.3164, abs=1e-6)
     saturated = [i for i, one in enumerate(largest[10.0]) if one >= AMPLITUDE_MAX_RAD]
     assert 1 in saturated and not {2, 4, 6} & set(saturated)
@@ -247,7 +250,7 @@ def test_a_cut_trial_learns_to_its_end_and_is_judged_beyond() -> None:
     assert run.lengths.tolist() == [30, 50, 30, 50, 30]
     full, reached = run.max_abs_error, run.executed
     coasting = math.log1p(414.264 * 0.0791) / 414.264
-    assert reached[1] == full[1] == pytest.approx(wanted_beats()[30] - coasting, rel=0.01)
+    assert reached[1] == full[1] == pytest.approx(reference_beats()[30] - coasting, rel=0.01)
     assert reached[2] < 0.1 * full[2]
     uncut = example(7).run(ExampleOptions(lengths="full", iterations=4))
     assert uncut.executed is not None
@@ -264,11 +267,7 @@ def test_steps_that_make_no_trial_are_refused(step: float) -> None:
 
 @pytest.fixture(scope="module")
 def judged() -> dict[tuple[str, str], Claim]:
-    return {
-        (one.id, claim.text): claim
-        for one in EXAMPLES
-        for claim in one.claims(CachedStudy(one, ExampleOptions()))
-    }
+    return {(one.id, claim.text): claim for one in EXAMPLES for claim in Study(one).judge()}
 
 
 def find(judged: dict[tuple[str, str], Claim], gain: int, words: str) -> Claim:
@@ -320,28 +319,23 @@ def test_verdicts_follow_the_computation(monkeypatch: pytest.MonkeyPatch) -> Non
     """Another fish, other verdicts: one whose speeds were measured at twice the angle, and a tank
     of 1 m."""
     wrong = tuple((angle / 2, speed) for angle, speed in TABLE_8_1)
-    monkeypatch.setattr(fishclaims, "TABLE_8_1", wrong)
-    monkeypatch.setattr(fishclaims, "_TANK_M", 1.0)
-    found = {c.text: c for c in fishclaims.claims(4.0, CachedStudy(example(4), ExampleOptions()))}
+    monkeypatch.setattr(chapter8, "TABLE_8_1", wrong)
+    monkeypatch.setattr(chapter8, "_TANK_M", 1.0)
+    found = {c.text: c for c in Study(example(4)).judge()}
     flipped = [c for text, c in found.items() if "drag fitted" in text or "can be tried" in text]
     assert len(flipped) == 2 and all(c.verdict == DOES_NOT for c in flipped)
 
 
-def test_a_fish_that_can_brake_can_swim_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    flat = fish_module.wanted_at
-
-    def at_rest(t_s: Doubles) -> Doubles:
-        return np.minimum(flat(t_s), 0.0)
-
-    monkeypatch.setattr(fishclaims, "wanted_at", at_rest)
-    claim = fishclaims._reference_is_realizable()
-    assert (claim.verdict, claim.measured) == (COMES_OUT, "everywhere")
+def test_a_reference_without_braking_can_be_swum() -> None:
+    t_s = np.linspace(0, 40, 4001)
+    found = chapter8.realizable(t_s, np.zeros_like(t_s))
+    assert (found.verdict, found.measured) == (COMES_OUT, "everywhere")
 
 
 def test_eighty_percent_can_fail() -> None:
-    slow = CachedStudy(example(4), ExampleOptions())
+    slow = Study(example(4))
     slow.run = lambda **changes: ExampleRun(np.arange(7), 0.079 * 0.9 ** np.arange(7))  # type: ignore[method-assign]
-    claim = fishclaims._eighty_percent(slow)
+    claim = example(4).claims[0].judge(slow)
     assert (claim.verdict, claim.measured) == (DOES_NOT, pytest.approx(1 - 0.9**6))
 
 
@@ -352,11 +346,7 @@ def test_which_claims_are_not_the_thesis_s(judged: dict[tuple[str, str], Claim])
 
 
 def test_figures_are_drawn_once(tmp_path: Path) -> None:
-    drawn = [
-        figure
-        for one in EXAMPLES
-        for figure in one.figures(CachedStudy(one, ExampleOptions()), tmp_path)
-    ]
+    drawn = [figure for one in EXAMPLES for figure in Study(one).draw(tmp_path)]
     assert [figure.name for figure in drawn] == ["Fig. 8.3", "Fig. 8.4", "Fig. A.1"]
     for figure in drawn:
         assert figure.path.read_bytes().startswith(b"\x89PNG") and figure.path.parent == tmp_path

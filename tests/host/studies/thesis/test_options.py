@@ -23,6 +23,7 @@ from tailbeat.studies.thesis.options import (
     expression,
     last_iteration,
 )
+from tailbeat.studies.thesis.plants import feedback
 from tailbeat.studies.thesis.registry import EXAMPLES
 from tailbeat.studies.thesis.study import Order, checked, choose, compute
 
@@ -244,10 +245,12 @@ def test_the_limit_of_trials_with_feedback(monkeypatch: pytest.MonkeyPatch) -> N
         peaks.append(float(np.abs(wanted).max()))
         return 0.3
 
-    monkeypatch.setattr("tailbeat.studies.thesis.feedback.errors_beyond", low)
+    monkeypatch.setattr(feedback, "errors_beyond", low)
     run = BY_ID["ch5-case1-sign"].run(ExampleOptions(iterations=4))
     assert run.diverged == 1 and len(peaks) == 1
-    monkeypatch.setattr("tailbeat.studies.thesis.feedback.errors_beyond", lambda wanted: 0.51)
+    monkeypatch.setattr(
+        "tailbeat.studies.thesis.plants.feedback.errors_beyond", lambda wanted: 0.51
+    )
     assert BY_ID["ch5-case1-sign"].run(ExampleOptions(iterations=4)).diverged is None
     assert 0.5 < peaks[0] < 10.0
 

@@ -19,12 +19,10 @@ from scipy.signal import fftconvolve
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis import study
-from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun
-from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused, Precision, load
-from tailbeat.studies.thesis.options import Span, errors_beyond, last_iteration
-
-Scheme = Literal["backward-euler", "crank-nicolson", "modal"]
+from tailbeat.studies.thesis.example import ExampleOptions
+from tailbeat.studies.thesis.learner import LearnerConfig, load, pointer
+from tailbeat.studies.thesis.options import Span, last_iteration
+from tailbeat.studies.thesis.series import LearningProblem
 
 HORIZON = 10.0  # min, T of both chapters
 STEP = 0.01  # min
@@ -72,39 +70,24 @@ def reference(time: F64) -> F64:
 
 
 class HeatPlant:
-    """A rod, sampled. The input is one value per sample: held over the step that ends with it in
-    backward Euler, a straight line from sample to sample in the other two.
-
-    ``scheme``: ``backward-euler`` and ``crank-nicolson`` are the method of lines on ``cells`` equal
-    cells, with half a cell of heat at either end and the source at the middles of the cells;
-    ``modal`` is the exact solution as a sum of cosines. ``substeps``: of the method of lines within
-    a sample, along the straight line.
+    """A rod, sampled. The input is one value per sample: held over the step that ends with it, by
+    backward Euler on ``cells`` equal cells, with half a cell of heat at either end and the source
+    at the middles of the cells. ``exact``: a straight line from sample to sample, and the exact
+    solution as a sum of cosines.
     """
 
-    def __init__(
-        self,
-        rod: Rod,
-        step: float = STEP,
-        scheme: Scheme = "backward-euler",
-        cells: int = CELLS,
-        substeps: int = 1,
-    ):
-        self.rod, self.step, self.time = rod, step, times(step)
-        made = _modal(rod, self.time) if scheme == "modal" else None
-        self._line = None if made else _Line(rod, self.time, scheme, cells, substeps)
-        if self._line is not None:
-            zero = np.zeros(len(self.time))
-            first, second = zero.copy(), zero.copy()
-            first[0] = second[1] = 1.0
-            free = self._line.march(zero, heated=True)
-            at = -rod.measured_end
-            made = (
-                free[:, at],
-                self._line.march(first, heated=False)[:, at],
-                self._line.march(second, heated=False)[:, at],
-            )
-        assert made is not None
-        self._free, self._first, self._second = made
+    def __init__(self, rod: Rod, step: float = STEP, exact: bool = False, cells: int = CELLS):
+        self.time = times(step)
+        self._line = None if exact else _Line(rod, self.time, cells)
+        if self._line is None:
+            self._free, self._first, self._second = _modal(rod, self.time)
+            return
+        still, first, second = np.zeros((3, len(self.time)))
+        first[0] = second[1] = 1.0
+        at = -rod.measured_end
+        self._free = self._line.march(still, heated=True)[:, at]
+        self._first = self._line.march(first, heated=False)[:, at]
+        self._second = self._line.march(second, heated=False)[:, at]
 
     def output(self, values: F64) -> F64:
         """y of a trial, a new array."""
@@ -116,34 +99,31 @@ class HeatPlant:
         """w of a trial, one row per sample, one column per node.
 
         Raises:
-            ValueError: of a modal plant, which has no nodes.
+            ValueError: of an exact plant, which has no nodes.
         """
         if self._line is None:
-            raise ValueError("the modal solution has no nodes")
+            raise ValueError("the exact solution has no nodes")
         return self._line.march(values, heated=True)
 
 
 @lru_cache(maxsize=8)
-def heat_plant(rod: Rod, step: float = STEP, scheme: Scheme = "backward-euler") -> HeatPlant:
+def heat_plant(rod: Rod, step: float = STEP, exact: bool = False) -> HeatPlant:
     """A plant of 100 cells, made once; it keeps nothing of a trial."""
-    return HeatPlant(rod, step, scheme)
+    return HeatPlant(rod, step, exact)
 
 
 class _Line:
     """The method of lines: C dw/dt = L w + load."""
 
-    def __init__(self, rod: Rod, time: F64, scheme: Scheme, cells: int, substeps: int):
-        self.rod, self.time, self.substeps = rod, time, substeps
-        self.implicit = 1.0 if scheme == "backward-euler" else 0.5
-        self.held = scheme == "backward-euler" and substeps == 1
+    def __init__(self, rod: Rod, time: F64, cells: int):
         h = 1.0 / cells
-        self.tau = (time[1] - time[0]) / substeps
+        self._step = time[1] - time[0]
         heat = np.full(cells + 1, h)
         heat[[0, -1]] = h / 2
         flow = (np.eye(cells + 1, k=1) + np.eye(cells + 1, k=-1) - 2 * np.eye(cells + 1)) / h
         flow[0, 0] = flow[-1, -1] = -1 / h
-        inverse = np.linalg.inv(np.diag(heat / self.tau) - self.implicit * flow)
-        self._kept = inverse @ (np.diag(heat / self.tau) + (1 - self.implicit) * flow)
+        inverse = np.linalg.inv(np.diag(heat / self._step) - flow)
+        self._kept = inverse @ np.diag(heat / self._step)
         self._driven = rod.sign * inverse[:, -rod.driven_end]
         middle = (np.arange(cells, dtype=np.float64) + 0.5) * h
         a, b, c, d, e = rod.source
@@ -153,18 +133,13 @@ class _Line:
 
     def march(self, values: F64, heated: bool) -> F64:
         """All nodes at all samples; ``heated``: by source and inflow, not only by the input."""
-        out = np.zeros((len(self.time), len(self._load)))
-        inside = np.arange((len(self.time) - 1) * self.substeps + 1) / self.substeps
-        fine = np.interp(inside, np.arange(len(values)), values)
-        drive = self.implicit * fine[1:] + (1 - self.implicit) * fine[:-1]
-        at = self.tau * (np.arange(len(drive)) + self.implicit) * heated
-        w = np.zeros(len(self._load))
-        for i, (driven, time) in enumerate(zip(drive, at, strict=True)):
-            w = self._kept @ w + driven * self._driven
+        out = np.zeros((len(values), len(self._load)))
+        w = out[0]
+        for k in range(1, len(values)):
+            w = self._kept @ w + values[k] * self._driven
             if heated:
-                w += self._load + time * self._load_by_t
-            if (i + 1) % self.substeps == 0:
-                out[(i + 1) // self.substeps] = w
+                w += self._load + self._step * k * self._load_by_t
+            out[k] = w
         return out
 
 
@@ -238,12 +213,9 @@ def undriven_as_printed(time: float) -> float:
     return float(np.real(np.sum(transform * np.exp(s * time) * along) / (1j * time)))
 
 
-class PlantFailed(ArithmeticError):
-    """The plant could not be computed to the end of the trial."""
-
-
 class SampledPlant(Protocol):
-    """From rest, one trial after the other; nothing is carried over."""
+    """From rest, one trial after the other; nothing is carried over. NaN from where it cannot be
+    computed any more."""
 
     @property
     def time(self) -> F64: ...
@@ -289,47 +261,15 @@ def asked(options: ExampleOptions, usual: int) -> tuple[float, int]:
     return step, last
 
 
-def learn(
-    plant: SampledPlant,
-    law: LearnerConfig,
-    iterations: int,
-    precision: Precision = "double",
-    prepare: Callable[[F64], F64] | None = None,
-) -> ExampleRun:
-    """Iterations 0 (zero input) to ``iterations``. ``prepare``: what the law gets for the errors.
+def problem(
+    plant: SampledPlant, law: LearnerConfig, taught: Callable[[F64], F64] | None = None
+) -> LearningProblem:
+    """The reference of both chapters on a plant. ``taught``: as of ``LearningProblem``."""
 
-    Traces: ``time``, ``reference``, and of the last iteration ``input``, ``output``; ``first``, the
-    output of iteration 0; ``rms``, the error's, per iteration.
-    """
-    learner = Learner(law, precision=precision)
-    wanted = reference(plant.time)
-    limit = errors_beyond(wanted)
-    traces: dict[str, F64] = {"time": plant.time, "reference": wanted}
-    worst: list[float] = []
-    rms: list[float] = []
-    diverged = None
-    for iteration in range(iterations + 1):
-        values = learner.input()
-        try:
-            output = plant.output(values)
-            error = wanted - output
-            if not np.max(np.abs(error)) <= limit:
-                raise PlantFailed("no digit of the reference is left in the error")
-            worst.append(float(np.max(np.abs(error))))
-            rms.append(float(np.sqrt(np.mean(error**2))))
-            traces |= {"input": values, "output": output}
-            traces.setdefault("first", output)
-            if iteration < iterations:
-                learner.learn(error if prepare is None else prepare(error))
-            study.tell(iteration + 1, iterations + 1)
-        except PlantFailed:
-            diverged = iteration
-            break
-        except LearnerRefused:
-            diverged = iteration + 1
-            break
-    traces["rms"] = np.array(rms)
-    return ExampleRun(np.arange(len(worst)), np.array(worst), diverged=diverged, traces=traces)
+    def respond(inputs: F64, iteration: int) -> F64:
+        return np.stack([plant.output(one) for one in inputs])
+
+    return LearningProblem(plant.time, reference(plant.time), respond, law, taught=taught)
 
 
 def zero_phase(values: F64, q_len: int) -> F64:
@@ -337,8 +277,7 @@ def zero_phase(values: F64, q_len: int) -> F64:
     native = load("double")
     given = np.ascontiguousarray(values, dtype=np.float64)
     out = np.empty_like(given)
-    pointers = [native.ffi.cast("double *", native.ffi.from_buffer(a)) for a in (given, out)]
-    native.lib.law_zero_phase(*pointers, len(given), q_len)
+    native.lib.law_zero_phase(pointer(native, given), pointer(native, out), len(given), q_len)
     return out
 
 

@@ -13,19 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq, minimize_scalar
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun
-from tailbeat.studies.thesis.heat import (
+from tailbeat.studies.thesis.example import ExampleOptions, Prepared
+from tailbeat.studies.thesis.learner import LearnerConfig
+from tailbeat.studies.thesis.plants.heat import (
     CHAPTER6,
     STEP,
     asked,
     heat_plant,
-    learn,
+    problem,
     slope,
     times,
     window,
     zero_phase,
 )
-from tailbeat.studies.thesis.learner import LearnerConfig
+from tailbeat.studies.thesis.series import LearningProblem, prepared
 
 Complexes = NDArray[np.complex128]
 Gain = Callable[[F64], Complexes]
@@ -46,8 +47,7 @@ def rod(frequency: ArrayLike) -> Complexes:
     """s * h12(0, s) on s = jw, exactly: sqrt(s) / sinh(sqrt(s)). With the law's rho * s it is the
     whole loop, and 1 - rho * rod what a trial leaves of an error."""
     root = np.sqrt(1j * _band(frequency))
-    loop: Complexes = root / np.sinh(root)
-    return loop
+    return np.asarray(root / np.sinh(root))
 
 
 def along(x: float, s: complex) -> Complexes:
@@ -111,24 +111,17 @@ def widest_band(step: float) -> float:
 def h12(x: float, frequency: ArrayLike) -> Complexes:
     """From the driven end x = 1 to w(x), K0 = 1."""
     root = np.sqrt(1j * _band(frequency))
-    gain: Complexes = np.cosh(root * x) / (root * np.sinh(root))
-    return gain
+    return np.asarray(np.cosh(root * x) / (root * np.sinh(root)))
 
 
-def half_differentiator(frequency: ArrayLike, step: float = 0.01) -> Complexes:
-    """A(z) of section 6.6 on the unit circle, its coefficients rounded as there."""
-    return _on_the_circle(PRINTED_OVER, PRINTED_UNDER, frequency, step)
-
-
-def half_differentiator_unrounded(frequency: ArrayLike, step: float = 0.01) -> Complexes:
-    """What A(z) is rounded from: sqrt(s) by Tustin's rule with Muir's recursion."""
-    over, under = half_differentiator_coefficients()
-    return _on_the_circle(np.sqrt(2 / step) * over, under, frequency, step)
-
-
-def _on_the_circle(
-    over: ArrayLike, under: ArrayLike, frequency: ArrayLike, step: float
+def half_differentiator(
+    frequency: ArrayLike, rounded: bool = True, step: float = 0.01
 ) -> Complexes:
+    """A(z) of section 6.6 on the unit circle: sqrt(s) by Tustin's rule with Muir's recursion, its
+    coefficients rounded as there, or not."""
+    over, under = half_differentiator_coefficients()
+    over = np.array(PRINTED_OVER) if rounded else np.sqrt(2 / step) * over
+    under = np.array(PRINTED_UNDER) if rounded else under
     back = np.exp(-1j * _band(frequency) * step)
     return np.asarray(np.polyval(np.flip(over), back) / np.polyval(np.flip(under), back), complex)
 
@@ -149,31 +142,26 @@ def half_differentiator_coefficients(order: int = 5) -> tuple[F64, F64]:
     return _muir(order, 0.5), _muir(order, -0.5)
 
 
-def modelled(frequency: ArrayLike) -> Complexes:
+def modelled(frequency: ArrayLike, rounded: bool = True) -> Complexes:
     """``rod`` as the thesis approximates it: A / sinh(A)."""
-    root = half_differentiator(frequency)
-    loop: Complexes = root / np.sinh(root)
-    return loop
+    root = half_differentiator(frequency, rounded)
+    return np.asarray(root / np.sinh(root))
 
 
 def modelled_unrounded(frequency: ArrayLike) -> Complexes:
     """The same before A(z) was rounded."""
-    root = half_differentiator_unrounded(frequency)
-    loop: Complexes = root / np.sinh(root)
-    return loop
+    return modelled(frequency, rounded=False)
 
 
 def moving_mean(frequency: ArrayLike, length: int, step: float) -> F64:
     """abs(H) of (6.42)."""
     half = _band(frequency) * step / 2
-    gain: F64 = np.abs(np.sin(length * half) / (length * np.sin(half)))
-    return gain
+    return np.asarray(np.abs(np.sin(length * half) / (length * np.sin(half))))
 
 
 def zero_phase_frequency(frequency: ArrayLike, length: int, step: float) -> F64:
     """Q = H(z) * H(1/z) of (6.42): real and positive."""
-    gain: F64 = moving_mean(frequency, length, step) ** 2
-    return gain
+    return np.asarray(moving_mean(frequency, length, step) ** 2)
 
 
 def cut_off(length: int, step: float, passes: int) -> float:
@@ -219,48 +207,34 @@ def law(step: float = STEP, rho: float = RHO, q_len: int | None = None) -> Learn
     )
 
 
-def run(options: ExampleOptions) -> ExampleRun:
-    """The rod by backward Euler on 100 cells."""
-    step, iterations = asked(options, ITERATIONS)
-    return learn(heat_plant(CHAPTER6, step), law(step), iterations, options.precision)
+def prepare(setting: None, options: ExampleOptions) -> Prepared:
+    """The example: the rod by backward Euler on 100 cells."""
+    step, last = asked(options, ITERATIONS)
+
+    def learned() -> LearningProblem:
+        return problem(heat_plant(CHAPTER6, step), law(step))
+
+    return prepared(learned, options, last, step=step)
 
 
-def settings(options: ExampleOptions) -> dict[str, int | float]:
-    """What ``run`` uses."""
-    step, iterations = asked(options, ITERATIONS)
-    return {"iterations": iterations, "step": step}
+def exact(
+    config: LearnerConfig, iterations: int, taught: Callable[[F64], F64] | None = None
+) -> F64:
+    """Errors of any law of the thesis's step on the exact rod."""
+    return problem(heat_plant(CHAPTER6, exact=True), config, taught).uncut(iterations)
 
 
-def exact(config: LearnerConfig, iterations: int) -> ExampleRun:
-    """Any law of the thesis's step on the exact rod."""
-    return learn(heat_plant(CHAPTER6, scheme="modal"), config, iterations)
+def with_filter() -> F64:
+    """Errors of ``LONG`` iterations as the thesis has it."""
+    return exact(law(), LONG)
 
 
-def with_filter(iterations: int) -> ExampleRun:
-    """As the thesis has it."""
-    return exact(law(), iterations)
-
-
-def without_filter(iterations: int) -> ExampleRun:
+def without_filter() -> F64:
     """(6.19)."""
-    return exact(law(q_len=1), iterations)
+    return exact(law(q_len=1), LONG)
 
 
-def with_filter_on_the_correction(iterations: int) -> ExampleRun:
+def with_filter_on_the_correction() -> F64:
     """u + rho * Q(de/dt), as the words of section 6.5 may be read."""
-
-    def filtered(error: F64) -> F64:
-        return zero_phase(slope(error), Q_LEN)
-
     config = LearnerConfig(samples=len(times(STEP)), step=STEP, kp=RHO)
-    return learn(heat_plant(CHAPTER6, scheme="modal"), config, iterations, prepare=filtered)
-
-
-def with_filter_on_the_error(iterations: int) -> ExampleRun:
-    """u + rho * d/dt Q(e), the other way to read them."""
-
-    def filtered(error: F64) -> F64:
-        return zero_phase(error, Q_LEN)
-
-    plant = heat_plant(CHAPTER6, scheme="modal")
-    return learn(plant, law(q_len=1), iterations, prepare=filtered)
+    return exact(config, LONG, lambda error: zero_phase(slope(error), Q_LEN))

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import THESIS_PLATEAU_M_S, thesis_speed
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.studies.thesis.learner import UNLIMITED, Learner, LearnerConfig, Precision
-from tailbeat.studies.thesis.options import Span
+from tailbeat.studies.thesis.example import ExampleOptions, Prepared
+from tailbeat.studies.thesis.learner import UNLIMITED, LearnerConfig
+from tailbeat.studies.thesis.options import Span, last_iteration, settings
+from tailbeat.studies.thesis.series import LearningProblem, always, prepared
 
 AMPLITUDE_MAX_RAD = math.pi / 4
 DURATION_S = 40.0
@@ -39,9 +42,8 @@ class CruisePlant:
     """The plant (8.13), from rest, its amplitude held for samples of ``step_s``. The step is exact
     for thrust held within it; what lags is held for ``_SUBSTEP_S`` at most."""
 
-    def __init__(self, step_s: float, lags: Lags | None = None) -> None:
-
-        self.lags = lags or Lags()
+    def __init__(self, step_s: float, lags: Lags = Lags()) -> None:
+        self.lags = lags
         self._parts = math.ceil(step_s / _SUBSTEP_S - 1e-9) if self.lags != Lags() else 1
         self.step_s = step_s / self._parts
         self.config: Any = plant_config("thesis", {})
@@ -79,19 +81,12 @@ def _lagged(values: F64, lag_s: float, step_s: float) -> F64:
     """First order, from 0, exact for values held within a step."""
     if lag_s <= 0:
         return np.ascontiguousarray(values)
-    from scipy.signal import lfilter
-
     keep = math.exp(-step_s / lag_s)
     return np.ascontiguousarray(lfilter([1 - keep], [1, -keep], values))
 
 
-def wanted_at(t_s: F64) -> F64:
-    """v_d of (8.31), m/s."""
-    return thesis_speed(t_s)
-
-
-def wanted_beats() -> F64:
-    """Its mean over every beat, m/s, in double."""
+def reference_beats() -> F64:
+    """The mean of (8.31) over every beat, m/s, in double."""
     t = np.arange(BEATS + 1) * BEAT_S
     way = 2.25 / 40.0**4 * (t**5 / 5 - 20 * t**4 + 1600 * t**3 / 3)
     polynomial = np.diff(way) / BEAT_S
@@ -101,87 +96,80 @@ def wanted_beats() -> F64:
 
 @dataclass(frozen=True)
 class FishTask:
-    """A series of trials. ``step_s`` None: one amplitude per beat, errors are beat means; else
-    sampled control, u(k) held from t_k on and paired with e(k + ``pairing``), 1 as it must be, 0
-    the trap. ``lead`` in samples more; ``q_len`` of Q; ``lags`` of the fish; ``remembered_sat``:
+    """The law (8.16) on the fish. ``step_s`` None: one amplitude per beat, errors are beat means;
+    else sampled control, u(k) held from t_k on and paired with e(k + ``pairing``), 1 as it must be,
+    0 the trap. ``lead`` in samples more; ``q_len`` of Q; ``lags`` of the fish; ``remembered_sat``:
     whether what is stored is saturated first, as (8.16) has it. ``target``: factor on the
-    reference, by iteration; ``length_beats``: of the trial, by iteration."""
+    reference, by iteration."""
 
     gain: float
-    iterations: int
     step_s: float | None = None
     pairing: int = 1
     lead: float = 0.0
     q_len: int = 1
     tail: str = "error"
-    lags: Lags | None = None
+    lags: Lags = Lags()
     remembered_sat: bool = True
-    target: Callable[[int], float] | None = None
-    length_beats: Callable[[int], float] | None = None
-    precision: Precision = "double"
+    target: Callable[[int], float] = always
 
-    def samples(self) -> int:
-        """Raises InputError when no trial can be made of such steps."""
-        return BEATS if self.step_s is None else TRIAL.steps(self.step_s)
+    def problem(self) -> LearningProblem:
+        """Iteration 0 has no amplitude. Beyond a cut the fish swims on virtually.
 
+        Raises:
+            InputError: when no trial can be made of such steps.
+        """
+        beats = self.step_s is None
+        step = BEAT_S if self.step_s is None else self.step_s
+        fish = CruisePlant(step, self.lags)
+        ends: F64 = step * np.arange(1, trial_samples(self.step_s) + 1, dtype=np.float64)
 
-@dataclass(frozen=True)
-class FishTrial:
-    """One iteration. Arrays by sample: ``t_s`` at which the speed is told (the middle of a beat,
-    the end of a sample), the amplitude as applied, the speed and the error."""
+        def respond(inputs: F64, iteration: int) -> F64:
+            both = [fish.speeds(applied(one)) for one in inputs]
+            return np.stack([mean if beats else at_end for at_end, mean in both])
 
-    iteration: int
-    t_s: F64
-    amplitude_rad: F64
-    speed_m_s: F64
-    error_m_s: F64
-    length_beats: float
-    valid: int  # samples that the trial reached
+        return LearningProblem(
+            ends, reference_beats() if beats else thesis_speed(ends), respond,
+            self._law(len(ends), step), draw, taught=None if self.pairing else _before,
+            target=self.target,
+        )  # fmt: skip
 
-    @property
-    def max_abs_error_m_s(self) -> float:
-        """Over the whole reference; beyond a cut the fish swims on virtually."""
-        return float(np.max(np.abs(self.error_m_s)))
-
-    @property
-    def executed_max_abs_error_m_s(self) -> float:
-        return float(np.max(np.abs(self.error_m_s[: self.valid]), initial=0.0))
-
-
-def trials(task: FishTask) -> Iterator[FishTrial]:
-    """Iterations 0 (no amplitude) to ``task.iterations``."""
-    samples = task.samples()
-    step = BEAT_S if task.step_s is None else task.step_s
-    fish = CruisePlant(step, task.lags)
-    learner = Learner(_config(task, samples, step), precision=task.precision)
-    ends: F64 = step * np.arange(1, samples + 1, dtype=np.float64)
-    beats = task.step_s is None
-    wanted = wanted_beats() if beats else wanted_at(ends)
-    for iteration in range(task.iterations + 1):
-        amplitude = np.clip(learner.input(), 0.0, AMPLITUDE_MAX_RAD)
-        at_end, mean = fish.speeds(amplitude)
-        speed = mean if beats else at_end
-        target = wanted * (task.target(iteration) if task.target else 1.0)
-        error = target - speed
-        length = task.length_beats(iteration) if task.length_beats else float(BEATS)
-        valid = min(samples, math.floor(length * BEAT_S / step + 1e-9))
-        told = ends - step / 2 if beats else ends
-        yield FishTrial(iteration, told, amplitude, speed, error, length, valid)
-        if task.pairing == 0:  # e(0) = 0: fish and reference start from rest
-            learner.learn(np.r_[0.0, error[:-1]], valid)
-        else:
-            learner.learn(error, valid)
+    def _law(self, samples: int, step: float) -> LearnerConfig:
+        low, high = (0.0, AMPLITUDE_MAX_RAD) if self.remembered_sat else (-UNLIMITED, UNLIMITED)
+        return LearnerConfig(
+            samples, step=step, kp=self.gain, lead=self.lead, q_len=self.q_len, tail=self.tail,
+            low=low, high=high,
+        )  # fmt: skip
 
 
-def _config(task: FishTask, samples: int, step: float) -> LearnerConfig:
-    limits = (0.0, AMPLITUDE_MAX_RAD) if task.remembered_sat else (-UNLIMITED, UNLIMITED)
-    return LearnerConfig(
-        samples,
-        step=step,
-        kp=task.gain,
-        lead=task.lead,
-        q_len=task.q_len,
-        tail=task.tail,
-        low=limits[0],
-        high=limits[1],
-    )
+def trial_samples(step_s: float | None) -> int:
+    """Raises InputError when no trial can be made of such steps."""
+    return BEATS if step_s is None else TRIAL.steps(step_s)
+
+
+def applied(input_rad: F64) -> F64:
+    """The amplitude that an input comes to."""
+    return np.clip(input_rad, 0.0, AMPLITUDE_MAX_RAD)
+
+
+def _before(error: F64) -> F64:
+    """The error before each sample; the first is 0: fish and reference start from rest."""
+    return np.append(0.0, error[:-1])
+
+
+ITERATIONS = 20
+_SHORTEST, _LONGEST = 20, 50  # beats of a trial that is cut at random
+
+
+def draw(seed: int, iteration: int) -> float:
+    """Beats of a trial, U(20, 50), whatever was drawn before; beyond 40 it is a full one."""
+    random = np.random.default_rng((seed, iteration))
+    return float(random.integers(_SHORTEST, _LONGEST, endpoint=True))
+
+
+def prepare(gain: float, options: ExampleOptions) -> Prepared:
+    """An example of the chapter. A step of None: one amplitude per beat."""
+    last = last_iteration(options.iterations, ITERATIONS)
+    TRIAL.afford(trial_samples(options.step), last)
+    task = FishTask(gain, step_s=options.step)
+    lengths = settings(options, "full")
+    return prepared(task.problem, options, last, whole=BEATS, step=options.step, **lengths)

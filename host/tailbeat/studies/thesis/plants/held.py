@@ -5,9 +5,8 @@ The examples of chapter 3 as tasks: plant, moving average (3.12), (3.43), length
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Literal
 
@@ -16,9 +15,10 @@ from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis.cut import LearningProblem, SeriesOutcome, chance, run_series
+from tailbeat.studies.thesis.example import ExampleOptions, Prepared
 from tailbeat.studies.thesis.learner import UNLIMITED, LearnerConfig
-from tailbeat.studies.thesis.options import M_MAX, Span
+from tailbeat.studies.thesis.options import M_MAX, Span, last_iteration
+from tailbeat.studies.thesis.series import LearningProblem, chance, prepared
 
 Rate = Callable[[F64, F64], F64]
 """(state, input) -> time derivative of the state."""
@@ -35,9 +35,9 @@ class HeldPlant:
     step: float
     method: Method
 
-    def respond(self, inputs: F64) -> F64:
-        """Outputs of inputs (series, samples). An input acts from its own sample on, so that the
-        last one moves nothing."""
+    def respond(self, inputs: F64, iteration: int = 0) -> F64:
+        """Outputs of inputs (series, samples), the same in every iteration. An input acts from its
+        own sample on, so that the last one moves nothing."""
         advance = self._rk4 if self.method == "rk4" else self._euler
         state = np.zeros(len(inputs))
         outputs = np.empty_like(inputs)
@@ -63,7 +63,7 @@ def example1_rate(x: F64, u: F64) -> F64:
     return 0.5 * np.cos(x) + u + 0.5 * np.sin(u)
 
 
-def example1_wanted(t: F64) -> F64:
+def example1_reference(t: F64) -> F64:
     return np.sin(2 * np.pi * t) + np.sin(2 * np.pi * t / 5) + np.sin(5 * np.pi * t)
 
 
@@ -77,15 +77,15 @@ def fish_rate_printed(v: F64, u: F64) -> F64:
     return u - FISH_DRAG * v * v
 
 
-def fish_wanted(t: F64) -> F64:
+def fish_reference(t: F64) -> F64:
     """m/s; 0.06 at its peak, 25 s."""
     return 48.0 / 50.0**5 * t**2 * (t - 50.0) ** 2
 
 
-def fish_wanted_input(t: F64) -> F64:
-    """u_d, m/s^2: negative where the wanted speed falls faster than drag alone would let it."""
+def fish_exact_input(t: F64) -> F64:
+    """u_d, m/s^2: negative where the reference falls faster than drag alone would let it."""
     slope = 48.0 / 50.0**5 * (2.0 * t * (t - 50.0) ** 2 + 2.0 * t**2 * (t - 50.0))
-    return slope + FISH_DRAG * fish_wanted(t) ** 2
+    return slope + FISH_DRAG * fish_reference(t) ** 2
 
 
 _STEPS_MAX = 65_534  # a learner's samples, less one
@@ -108,7 +108,7 @@ class Moving:
     method: Method
     step: float  # of integration and control
     duration: float
-    wanted: Callable[[F64], F64]
+    reference: Callable[[F64], F64]
     draw: Callable[[int, int], float]  # (seed, iteration) -> T_i
     m: int  # m + 1 trials are averaged
     beta: float  # of each of them
@@ -116,6 +116,8 @@ class Moving:
     first_input: float = 0.0
     history: str = "zero"
     low: float = -UNLIMITED  # of the input
+    iterations: int = 0  # the last one
+    kept: tuple[int, ...] = ()  # iterations that figures show
 
     @property
     def trial(self) -> Span:
@@ -125,32 +127,32 @@ class Moving:
         """Raises InputError for a step that makes no trial."""
         return np.arange(self.trial.steps(self.step) + 1, dtype=np.float64) * np.float64(self.step)
 
-    def law(self) -> LearnerConfig:
-        """(3.12); (3.43) with ``kp``, which looks at the newest trial only."""
+    def problem(self) -> LearningProblem:
+        """The law: (3.12); (3.43) with ``kp``, which looks at the newest trial only."""
+        times = self.times()
         part = share(self.m)
-        return LearnerConfig(
-            samples=len(self.times()), step=self.step, kp=self.kp, kd=1.0, low=self.low,
+        law = LearnerConfig(
+            samples=len(times), step=self.step, kp=self.kp, kd=1.0, low=self.low,
             past="window", history=self.history,
             weights=[(part, 1.0 if j == 0 else 0.0, self.beta) for j in range(self.m + 1)],
         )  # fmt: skip
-
-    def task(self) -> LearningProblem:
-        times = self.times()
         plant = HeldPlant(self.rate, self.step, self.method)
+        reference = self.reference(times)
+        return LearningProblem(times, reference, plant.respond, law, self.draw, self.first_input)
 
-        def respond(inputs: F64, _: int) -> F64:
-            return plant.respond(inputs)
 
-        return LearningProblem(
-            times, self.wanted(times), respond, self.law(), self.draw, self.first_input
-        )
-
-    def series(
-        self, seeds: Sequence[int], iterations: int, keep: tuple[int, ...] = ()
-    ) -> SeriesOutcome:
-        """One series per seed, of random lengths."""
-        task = self.task()
-        return run_series(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
+def prepare(setting: Moving, options: ExampleOptions) -> Prepared:
+    """An example of the chapter. Another m shares the same total gain out among its trials, as 1/5
+    and 1/3 do in the two examples, unless beta says otherwise."""
+    m = setting.m if options.m is None else options.m
+    beta = share(m) if options.beta is None else options.beta
+    step = setting.step if options.step is None else options.step
+    asked = replace(setting, step=step, m=m, beta=beta)
+    last = last_iteration(options.iterations, setting.iterations)
+    asked.trial.afford(asked.trial.steps(step), last)
+    return prepared(
+        asked.problem, options, last, "uniform", setting.kept, beta=beta, m=m, step=step
+    )
 
 
 EXAMPLE1_LENGTHS = NormalDist(2.0, 0.25)
@@ -167,26 +169,24 @@ def _uniform(seed: int, iteration: int) -> float:
 
 
 EXAMPLE1 = Moving(
-    example1_rate, "euler", 0.01, 2.0, example1_wanted, _normal,
-    m=4, beta=1.0 / 5.0,
+    example1_rate, "euler", 0.01, 2.0, example1_reference, _normal,
+    m=4, beta=1.0 / 5.0, iterations=40, kept=(0, 5, 10, 20),
 )  # fmt: skip
 FISH = Moving(
-    fish_rate, "rk4", 0.05, 50.0, fish_wanted, _uniform,
-    m=2, beta=1.0 / 3.0, kp=1.0, first_input=0.05,
+    fish_rate, "rk4", 0.05, 50.0, fish_reference, _uniform,
+    m=2, beta=1.0 / 3.0, kp=1.0, first_input=0.05, iterations=30, kept=(0, 1, 5, 30),
 )  # fmt: skip
 
 
-def window_contraction(
-    betas: Sequence[float], slopes: tuple[float, float], reached: ArrayLike
-) -> list[float]:
-    """eta_j of (3.13) and (3.36) for an input gain c'f_u anywhere in ``slopes`` and samples that
-    are reached with the probabilities ``reached``, q(t)."""
-    part = 1.0 / len(betas)
+def contraction(beta: float, trials: int, slopes: tuple[float, float], reached: ArrayLike) -> float:
+    """eta_j of (3.13) and (3.36), the same for each of ``trials`` with the gain ``beta``, for an
+    input gain c'f_u anywhere in ``slopes`` and samples that are reached with the probabilities
+    ``reached``, q(t)."""
+    part = 1.0 / trials
     q = np.asarray(reached, np.float64)
-    return [
-        float(max(np.max(np.abs(part - beta * slope) * q + (1.0 - q) * part) for slope in slopes))
-        for beta in betas
-    ]
+    return float(
+        max(np.max(np.abs(part - beta * slope) * q + (1.0 - q) * part) for slope in slopes)
+    )
 
 
 def beta_bounds(
@@ -205,13 +205,7 @@ def rho_least(missed: float, slopes: tuple[float, float]) -> float:
     return (high + 2.0 * missed * low - low) / (high + low)
 
 
-def normal_reached(mean: float, deviation: float) -> Callable[[ArrayLike], F64]:
-    """q(t) = 1 - F(t), (3.6), for normally distributed lengths."""
-
-    def reached(times: ArrayLike) -> F64:
-        scaled = (np.atleast_1d(np.asarray(times, np.float64)) - mean) / (
-            deviation * math.sqrt(2.0)
-        )
-        return np.array([0.5 * math.erfc(x) for x in scaled])
-
-    return reached
+def example1_reached() -> list[float]:
+    """q(t) = 1 - F(t), (3.6), of example 1's samples."""
+    mean = EXAMPLE1_LENGTHS.mean
+    return [EXAMPLE1_LENGTHS.cdf(mean + (mean - t)) for t in EXAMPLE1.times()]

@@ -6,6 +6,7 @@ length 1 arrives along it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,21 +14,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Uptake
-from tailbeat.studies.thesis.heat import (
+from tailbeat.studies.thesis.example import ExampleOptions, Prepared, Uptake
+from tailbeat.studies.thesis.learner import LearnerConfig, load, pointer
+from tailbeat.studies.thesis.plants.heat import (
     CELLS,
     CHAPTER7,
     STEP,
-    PlantFailed,
     SampledPlant,
     asked,
     heat_plant,
     lead_samples,
-    learn,
+    problem,
     times,
     window,
 )
-from tailbeat.studies.thesis.learner import LearnerConfig, Precision, load
+from tailbeat.studies.thesis.series import LearningProblem, prepared
 
 RHO = -1.2041
 DELTAS = (0.25, 0.15, 0.10, 0.05, 0.02)  # min, the thesis's five
@@ -57,48 +58,23 @@ class AdvectionPlant:
         return times(self.step)
 
     def output(self, values: F64) -> F64:
-        """y of a trial.
-
-        Raises:
-            PlantFailed: when v jumps the pole of phi, or is not finite any more.
-        """
+        """y of a trial; NaN from where v jumps the pole of phi, or is not finite any more."""
         return self._run(values, None)
 
     def field(self, values: F64) -> F64:
-        """v of a trial, one row per sample, one column per node. Raises as ``output``."""
-        field = np.empty((len(self.time), self.cells + 1))
+        """v of a trial, one row per sample, one column per node."""
+        field = np.empty((len(values), self.cells + 1))
         self._run(values, field)
         return field
 
     def _run(self, values: F64, field: F64 | None) -> F64:
         native = load("double")
-        samples = len(self.time)
-        if np.shape(values) != (samples,):
-            raise ValueError(f"{np.shape(values)} inputs for {samples} samples")
-        plant = native.ffi.new(
-            "advection_plant_t *",
-            {
-                "samples": samples,
-                "cells": self.cells,
-                "step": self.step,
-                "carried": self.carried,
-                "uptake_max": self.uptake_max,
-                "half_at": self.half_at,
-                "inflow": self.inflow,
-                "uptake": _UPTAKES.index(self.uptake),
-            },
-        )
-        out = np.empty(samples)
-
-        def pointer(array: F64 | None) -> Any:
-            if array is None:
-                return native.ffi.NULL
-            return native.ffi.cast("double *", native.ffi.from_buffer(array))
-
-        given = np.ascontiguousarray(values, dtype=np.float64)
-        done = native.lib.advection_plant_run(plant, pointer(given), pointer(out), pointer(field))
-        if done < samples:
-            raise PlantFailed(f"v cannot be computed beyond {done * self.step:.2f} min")
+        fields = asdict(self) | {"samples": len(values), "uptake": _UPTAKES.index(self.uptake)}
+        plant = native.ffi.new("advection_plant_t *", fields)
+        out = np.empty(len(values))
+        given, *made = (pointer(native, one) for one in (np.ascontiguousarray(values), out, field))
+        done = native.lib.advection_plant_run(plant, given, *made)
+        out[done:] = np.nan
         return out
 
 
@@ -118,49 +94,31 @@ def law(delta: float = DELTA, step: float = STEP, tail: str = "hold-new") -> Lea
     )
 
 
-def printed(options: ExampleOptions) -> ExampleRun:
-    """(7.10) on (7.31) as printed, its phi below v = 0 as the options have it, or clipped."""
-    given = _asked(options)
-    return _run(AdvectionPlant(given.step, options.uptake or UPTAKE), given, options.precision)
+def printed_plant(step: float, options: ExampleOptions) -> SampledPlant:
+    """(7.31) as printed, its phi below v = 0 as the options have it, or clipped."""
+    return AdvectionPlant(step, options.uptake or UPTAKE)
 
 
-def printed_settings(options: ExampleOptions) -> dict[str, Any]:
-    """What ``printed`` uses."""
-    return {**asdict(_asked(options)), "uptake": options.uptake or UPTAKE}
+def rod_plant(step: float, options: ExampleOptions) -> SampledPlant:
+    """The heat equation, F = 0."""
+    return heat_plant(CHAPTER7, step)
 
 
-def heat(options: ExampleOptions) -> ExampleRun:
-    """(7.10) on the heat equation, F = 0."""
-    given = _asked(options)
-    return _run(heat_plant(CHAPTER7, given.step), given, options.precision)
-
-
-def heat_settings(options: ExampleOptions) -> dict[str, Any]:
-    """What ``heat`` uses."""
-    return asdict(_asked(options))
-
-
-@dataclass(frozen=True)
-class _Chosen:
-    delta: float
-    iterations: int
-    step: float
-
-
-def _asked(options: ExampleOptions) -> _Chosen:
+def prepare(
+    setting: Callable[[float, ExampleOptions], SampledPlant], options: ExampleOptions
+) -> Prepared:
+    """(7.10) on one of these plants."""
     step, last = asked(options, ITERATIONS)
     delta = DELTA if options.delta is None else options.delta
     lead_samples(delta, step)
-    return _Chosen(delta, last, step)
+    uptake: dict[str, Any] = (
+        {"uptake": options.uptake or UPTAKE} if setting is printed_plant else {}
+    )
 
+    def learned() -> LearningProblem:
+        return problem(setting(step, options), law(delta, step))
 
-def _run(plant: SampledPlant, given: _Chosen, precision: Precision) -> ExampleRun:
-    return learn(plant, law(given.delta, given.step), given.iterations, precision)
-
-
-def variant(delta: float, carried: float, uptake: Uptake = "clip") -> ExampleRun:
-    """(7.10) on (7.31) with another varsigma or phi."""
-    return learn(AdvectionPlant(uptake=uptake, carried=carried), law(delta), ITERATIONS)
+    return prepared(learned, options, last, delta=delta, step=step, **uptake)
 
 
 @dataclass(frozen=True)
@@ -173,9 +131,7 @@ class Proportional:
     by_time: bool = False
     lead: float = 0.10  # min
 
-    def learn(
-        self, iterations: int, step: float = STEP, precision: Precision = "double"
-    ) -> ExampleRun:
+    def problem(self, step: float = STEP) -> LearningProblem:
         """On the printed plant, clipped."""
         config = LearnerConfig(
             samples=len(times(step)),
@@ -190,7 +146,7 @@ class Proportional:
         def weighted(error: F64) -> F64:
             return np.asarray(error * (2 * at_input + 3)) if self.by_time else error
 
-        return learn(AdvectionPlant(step), config, iterations, precision, weighted)
+        return problem(AdvectionPlant(step), config, weighted)
 
 
 STEADY = Proportional(gain=-4.0, window=0.2)
@@ -217,16 +173,14 @@ def _by_images(x: float, time: F64, images: int) -> F64:
     at = x + 2 * np.arange(-images, images + 1)
     with np.errstate(under="ignore"):
         kernels = np.exp(-(at**2) / (4 * time[..., None]))
-    total: F64 = kernels.sum(axis=-1) / np.sqrt(4 * np.pi * time)
-    return total
+    return np.asarray(kernels.sum(axis=-1) / np.sqrt(4 * np.pi * time))
 
 
 def _by_modes(x: float, time: F64) -> F64:
     """(7.6): the same as a sum of cosines."""
     n = np.arange(1, _TERMS)
     modes = np.cos(n * np.pi * x) * np.exp(-((n * np.pi) ** 2) * time[..., None])
-    total: F64 = 0.5 + modes.sum(axis=-1)
-    return total
+    return np.asarray(0.5 + modes.sum(axis=-1))
 
 
 def gain_for(lead: float) -> float:

@@ -6,7 +6,7 @@ The examples of chapter 2 as tasks: plant, law (2.10), distribution of the lengt
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -16,32 +16,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.cut import LearningProblem, SeriesOutcome, chance, run_series
+from tailbeat.studies.thesis.example import ExampleOptions, Prepared
 from tailbeat.studies.thesis.learner import LearnerConfig
+from tailbeat.studies.thesis.options import last_iteration
+from tailbeat.studies.thesis.series import LearningProblem, chance, prepared
 
 LAST = 50  # T_d, samples
 TIMES: NDArray[np.int64] = np.arange(LAST + 1)
-# Both examples want the same. Its printed third term, sin(50 pi t), is 0 at whole t.
-WANTED: F64 = np.sin(2 * np.pi * TIMES / 50) + np.sin(2 * np.pi * TIMES / 5)
+# Of both examples. Its printed third term, sin(50 pi t), is 0 at whole t.
+REFERENCE: F64 = np.sin(2 * np.pi * TIMES / 50) + np.sin(2 * np.pi * TIMES / 5)
 
 
-def reached_probability(
-    times: ArrayLike, wanted: int, before: int, after: int, masses: Sequence[float]
-) -> F64:
-    """p(t), (2.5): the probability that a trial reaches sample t. Trials end at
-    ``wanted - before`` … ``wanted + after`` with the probabilities ``masses``, N1 + N2 + 1 of them.
-    """
-    if len(masses) != before + after + 1:
-        raise ValueError("one probability per possible end")
+def reached_probability(times: ArrayLike, earliest: int, masses: Sequence[float]) -> F64:
+    """p(t), (2.5): the probability that a trial reaches sample t. Trials end at ``earliest``,
+    ``earliest + 1``, … with the probabilities ``masses``."""
     tails = np.append(np.cumsum(np.asarray(masses, np.float64)[::-1])[::-1], 0.0)
-    first = np.clip(np.asarray(times, np.int64) - (wanted - before), 0, len(masses))
+    first = np.clip(np.asarray(times, np.int64) - earliest, 0, len(masses))
     return np.where(first == 0, 1.0, tails[first])
-
-
-def contraction(probability: ArrayLike, gain: ArrayLike) -> float:
-    """sup |1 - p LCB|, (2.11) and (2.32), for one input and one output. ``probability`` and
-    ``gain`` belong to the samples that the law corrects with: p(t+1), L C(t+1) B(t)."""
-    return float(np.abs(1.0 - np.asarray(probability) * np.asarray(gain)).max())
 
 
 @dataclass(frozen=True)
@@ -66,37 +57,31 @@ class LinearPlant:
         """CB: what an input does to the next output."""
         return float(self.c @ self.b)
 
-    def wanted_input(self, wanted: F64) -> F64:
-        """u_d: the input that follows ``wanted`` exactly from the state 0; one sample less."""
+    def exact_input(self) -> F64:
+        """u_d: the input that follows the reference exactly from the state 0; one sample less."""
         state = np.zeros(len(self.b))
-        found = np.empty(len(wanted) - 1)
-        for t in range(len(found)):
+        found = np.empty(LAST)
+        for t in range(LAST):
             free = self.a[t] @ state
-            found[t] = (wanted[t + 1] - self.c @ free) / self.first_markov
+            found[t] = (REFERENCE[t + 1] - self.c @ free) / self.first_markov
             state = free + self.b * found[t]
         return found
 
 
-def example1() -> LinearPlant:
+def _example1() -> LinearPlant:
     """Example 1: CB = 1, zeros at 0.5 and 0.3."""
     a = np.array([[0.5, 0.0, 1.0], [0.15, 0.3, 0.0], [-0.75, 0.25, -0.25]])
     third = np.array([0.0, 0.0, 1.0])
     return LinearPlant(np.broadcast_to(a, (len(TIMES), 3, 3)), third, third)
 
 
-def example2() -> LinearPlant:
+def _example2() -> LinearPlant:
     """(2.37), as printed: CB = 0.1. Its inverse is unstable, frozen zeros up to -11.7."""
     a = np.zeros((len(TIMES), 3, 3))
     a[:, 0, 0], a[:, 0, 1] = 0.2 * np.exp(-TIMES / 100), -0.6
     a[:, 1, 1], a[:, 1, 2] = 0.5, np.sin(TIMES)
     a[:, 2, 2] = 0.7
     return LinearPlant(a, np.array([1.3, 0.5, 0.6]), np.array([-0.5, 1.5, 0.0]))
-
-
-def example2_substitute() -> LinearPlant:
-    """A and B of (2.37), its third state as the output: CB = 0.6, and a stable inverse."""
-    printed = example2()
-    return LinearPlant(printed.a, printed.b, np.array([0.0, 0.0, 1.0]))
 
 
 _START_STREAM = 1
@@ -125,40 +110,37 @@ class Average:
         return list(accumulate(self.masses))
 
     def reached(self) -> F64:
-        """p(t), (2.5), of the wanted samples."""
-        return reached_probability(TIMES, LAST, self.spread, self.spread, self.masses)
+        """p(t), (2.5), of the reference's samples."""
+        return reached_probability(TIMES, LAST - self.spread, self.masses)
 
     def condition(self) -> float:
         """sup |1 - p(t+1) L C B|, (2.11), (2.32)."""
-        return contraction(self.reached()[1:], self.gain * self.plant.first_markov)
+        gain = self.gain * self.plant.first_markov
+        return float(np.abs(1.0 - self.reached()[1:] * gain).max())
 
-    def law(self, past: str = "mean") -> LearnerConfig:
-        """(2.10), or with ``past`` "last" the classic (2.3) with the same L."""
-        return LearnerConfig(samples=LAST + 1, kp=self.gain, lead=1, past=past)
-
-    def task(self, past: str = "mean", random_start: tuple[int, ...] = ()) -> LearningProblem:
-        """``random_start``: seeds of series that begin in (0, 0, -1), (0, 0, 0) or (0, 0, 1)."""
+    def problem(self, past: str = "mean", random_start: Sequence[int] = ()) -> LearningProblem:
+        """(2.10), or with ``past`` "last" the classic (2.3) with the same L. ``random_start``:
+        seeds of series that begin in (0, 0, -1), (0, 0, 0) or (0, 0, 1)."""
 
         def respond(inputs: F64, iteration: int) -> F64:
             start = _random_start(random_start, iteration) if random_start else None
             return self.plant.respond(inputs, start)
 
-        return LearningProblem(TIMES.astype(np.float64), WANTED, respond, self.law(past), self.draw)
-
-    def series(
-        self,
-        seeds: range,
-        iterations: int,
-        past: str = "mean",
-        random_start: bool = False,
-        keep: Collection[int] = (),
-    ) -> SeriesOutcome:
-        """One series per seed, of random lengths."""
-        task = self.task(past, tuple(seeds) if random_start else ())
-        return run_series(task, [task.length(None, seed) for seed in seeds], iterations, keep=keep)
+        law = LearnerConfig(samples=LAST + 1, kp=self.gain, lead=1, past=past)
+        return LearningProblem(TIMES.astype(np.float64), REFERENCE, respond, law, self.draw)
 
 
-def _random_start(seeds: tuple[int, ...], iteration: int) -> F64:
+ITERATIONS = 80
+KEPT = (0, 5, 20, 40)  # iterations that figures show
+
+
+def prepare(setting: Average, options: ExampleOptions) -> Prepared:
+    """An example of the chapter."""
+    last = last_iteration(options.iterations, ITERATIONS)
+    return prepared(setting.problem, options, last, "uniform", KEPT)
+
+
+def _random_start(seeds: Sequence[int], iteration: int) -> F64:
     start = np.zeros((len(seeds), 3))
     start[:, 2] = [int(3 * chance(seed, iteration, _START_STREAM)) - 1 for seed in seeds]
     return start
@@ -172,7 +154,8 @@ def _uniform(spread: int) -> tuple[float, ...]:
 # The thesis prints C(11, m) for the eleven lengths; only with C(10, m) do they sum to 1.
 BINOMIAL = tuple(comb(10, m) * 0.5**10 for m in range(11))
 
-EXAMPLE1 = Average(example1(), 0.5, _uniform(5))
+EXAMPLE1 = Average(_example1(), 0.5, _uniform(5))
 EXAMPLE1_N30 = replace(EXAMPLE1, masses=_uniform(30))
-EXAMPLE2 = Average(example2(), 2.0, BINOMIAL)
-SUBSTITUTE = Average(example2_substitute(), 1.0 / 3.0, BINOMIAL)
+EXAMPLE2 = Average(_example2(), 2.0, BINOMIAL)
+SUBSTITUTE = Average(replace(_example2(), c=np.array([0.0, 0.0, 1.0])), 1.0 / 3.0, BINOMIAL)
+"""A and B of (2.37), its third state as the output: CB = 0.6, and a stable inverse."""
