@@ -84,7 +84,7 @@ def test_a_folder_of_trials(recorded: Path, tailbeat: Run, tmp_path: Path) -> No
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     text, _ = tailbeat("experiment", "progress", "--experiment", str(recorded))
     assert text.splitlines()[0].split() == [
-        "trial", "iteration", "max|e|", "mm/s", "RMS", "mm/s", "repeats", "verdict",
+        "trial", "iteration", "max|e|", "mm/s", "RMS", "mm/s", "repeats", "assessment",
     ]  # fmt: skip
     assert f"best: trial {1 + int(np.argmin(worst))}" in text
 

@@ -1,4 +1,4 @@
-"""The person at a terminal: sees what goes on, stops it with a key, decides. The terminal is put
+"""The operator at a terminal: sees what goes on, stops it with a key, decides. The terminal is put
 back as it was in every case."""
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class TerminalGone(TailbeatError):
 
 
 class Keys(Protocol):
-    """What a person types."""
+    """What the operator types."""
 
     def pressed(self) -> bool:
         """Whether any key was pressed since the last question; never waits."""
@@ -189,7 +189,7 @@ else:
 
 
 class Undecided(TailbeatError):
-    """There is nobody to say what becomes of a swim; it waits on the board."""
+    """There is nobody to say what becomes of a trial; it waits on the board."""
 
 
 @contextmanager
@@ -203,7 +203,7 @@ def terminal(single_keys: bool = True) -> Iterator[tuple[Display, Keys | None]]:
 
 class TerminalOperator:
     """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
-    who is there and stopped the swim is asked all the same, before it is learned from. ``idle`` is
+    who is there and stopped the trial is asked all the same, before it is learned from. ``idle`` is
     called again and again while a question waits. ``kinds``: letter to kind of decision and its
     word. ``on_event``: gets every event, too. ``agrees``: answers every question with yes."""
 
@@ -273,7 +273,7 @@ class TerminalOperator:
 
     def decide(self, recorded: RecordedTrial) -> Decision:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
-        the swim is not plainly good."""
+        the trial is not plainly good."""
         proposal = proposed(recorded)
         learned_unseen = proposal.kind != "keep" and self._then == Decision("keep")
         if self._then is not None and not (self._keys is not None and learned_unseen):
@@ -321,8 +321,8 @@ class TerminalOperator:
         self._enter_may_follow = False
         return reason
 
-    def _key(self, keys: Keys, wanted: tuple[str, ...]) -> str:
-        """One of ``wanted``, however long it takes; what else there is to press is said once.
+    def _key(self, keys: Keys, answers: tuple[str, ...]) -> str:
+        """One of ``answers``, however long it takes; what else there is to press is said once.
         Escape puts the question off, as Ctrl-C."""
         reminded = False
         while True:
@@ -331,12 +331,12 @@ class TerminalOperator:
                 raise KeyboardInterrupt(why)
             if key == _ESCAPE:
                 raise KeyboardInterrupt("put off")
-            if key is not None and key in wanted:
+            if key is not None and key in answers:
                 self._enter_may_follow = key not in _ENTER
                 return key
             if key is not None and not reminded:
                 reminded = True
-                self._display.ask(f"({_named(wanted)}) ")
+                self._display.ask(f"({_named(answers)}) ")
             self._idle()
 
 

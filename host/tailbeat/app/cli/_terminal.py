@@ -142,15 +142,17 @@ def numbers(text: str, option: str, kind: type[Number]) -> list[Number]:
 
 @contextmanager
 def progress_bar(label: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
-    """Gives ``show(fraction, text)``: a bar when a person watches, otherwise nothing."""
+    """Gives ``show(fraction, text)``: a bar and the time left at a terminal, otherwise nothing."""
     if quiet or json_asked.get() or not sys.stderr.isatty():
         yield lambda fraction, text: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.fields[label]}"), BarColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    label_column, text_column = map(TextColumn, ("{task.fields[label]}", "{task.description}"))
+    columns = (label_column, BarColumn(), text_column, TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, speed_estimate_period=600) as bar:
         task = bar.add_task("", total=1.0, label=label)
         yield lambda fraction, text: bar.update(task, completed=fraction, description=text)
 

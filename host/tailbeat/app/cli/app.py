@@ -197,8 +197,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(asked: bool) -> None:
+    if asked:
         echo(f"tailbeat {version_of('tailbeat')}")
         raise typer.Exit
 

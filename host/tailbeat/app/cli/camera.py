@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Any
@@ -120,7 +119,7 @@ def track(
         raise typer.BadParameter("--seconds is more than 0")
     on_fish = marker.on_fish()
     known = _calibration(marker.calibration)
-    swim = read_trial(trial) if trial is not None else None
+    log = read_trial(trial) if trial is not None else None
     folder = out or _folder(source)
     with (
         closing(open_source(source, seconds, marker.latency, known.size_px)) as pictures,
@@ -131,7 +130,7 @@ def track(
         progress_bar("tracking") as show,
     ):
         progress = _progress(show, pictures, seconds)
-        found = analyse(pictures, on_fish, known, swim, start, beat, progress, film)
+        found = analyse(pictures, on_fish, known, log, start, beat, progress, film)
         if plot:
             draw_track(found.track, found.curve, part / "track.png", known)
         write_analysis(found, part)
@@ -159,17 +158,12 @@ def _folder(source: str) -> Path:
 
 
 def _progress(show: Any, pictures: PictureSource, seconds: float | None) -> Progress:
-    """Pictures done, and how long it still takes."""
-    begin = time.monotonic()
+    """Pictures done, of those that come in so many seconds."""
     expected = seconds * pictures.fps if seconds is not None else math.nan
 
     def follow(done: int, part: float) -> None:
         part = min(1.0, done / expected) if math.isnan(part) and expected else part
-        if math.isnan(part):
-            show(0.0, f"{done} pictures")
-            return
-        left_s = (time.monotonic() - begin) * (1 - part) / max(part, 1e-9)
-        show(part, f"{done} pictures, {left_s:.0f} s left")
+        show(0.0 if math.isnan(part) else part, f"{done} pictures")
 
     return follow
 

@@ -57,19 +57,19 @@ def design(
     needs_fish = apply or (identified is None and table is None)
     with connected(connect) if needs_fish else nullcontext() as fish:
         known = _identified(identified, table, fish)
-        wanted = _reference(reference, fish)
+        chosen = _reference(reference, fish)
         step_rad = fish.params.get("DU_MAX_RAD").value if fish else 0.0
         if amplitude_max_rad is None:
             amplitude_max_rad = fish.params.get("AMP_MAX_RAD").value if fish else math.pi / 4
-        found = design_law(known, wanted, amplitude_max_rad, gain, lead, q, step_max_rad=step_rad)
+        found = design_law(known, chosen, amplitude_max_rad, gain, lead, q, step_max_rad=step_rad)
         if found.refused and not force:
             remedy = f"Use --gain {found.static_gain_best:.2f}, or --force to insist."
             raise InputError(found.refused, remedy)
         if apply and fish is not None:
             _apply(fish, found)
         if plot is not None:
-            _plot(plot, known, wanted, found)
-    return Output(_document(found, wanted, known, apply), lambda: _text(found, apply))
+            _plot(plot, known, chosen, found)
+    return Output(_document(found, chosen, known, apply), lambda: _text(found, apply))
 
 
 def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Identified:
@@ -102,18 +102,18 @@ def _apply(fish: Fish, found: Design) -> None:
     note_set(fish, {name: fish.params.set(name, value).value for name, value in law.items()})
 
 
-def _plot(path: Path, known: Identified, wanted: Reference, found: Design) -> None:
+def _plot(path: Path, known: Identified, chosen: Reference, found: Design) -> None:
     thesis = design_law(
-        known, wanted, found.law.amplitude_max_rad, 4.0, 0.0, 1, step_max_rad=found.law.step_max_rad
+        known, chosen, found.law.amplitude_max_rad, 4.0, 0.0, 1, step_max_rad=found.law.step_max_rad
     )
     render_law(found, thesis, path)
 
 
-def _document(found: Design, wanted: Reference, known: Identified, applied: bool) -> dict[str, Any]:
+def _document(found: Design, chosen: Reference, known: Identified, applied: bool) -> dict[str, Any]:
     return {
         "gain_rad_s_m": found.law.kp_rad_s_m,
         **pick(found.law, "lead_beats", "q_len"),
-        "reference": wanted.name,
+        "reference": chosen.name,
         **pick(known, "source", "assumed"),
         "applied": applied,
         "worst_cycles": found.worst_cycles,

@@ -79,12 +79,12 @@ def new(
     named = None if reference is None else named_reference(reference)
     conditions, words = given.numbers(), given.words()
     with connected(connect) as fish:
-        wanted = named or own_reference(fish)
+        profile = named or own_reference(fish)
         settings = {"conditions": conditions, **words, **({"fish": fish_name} if fish_name else {})}
-        made = None if another else made_before(fish, root, wanted, settings)
+        made = None if another else made_before(fish, root, profile, settings)
         if made is None:
-            made = make(fish, root, wanted, fish_name, conditions, words)
-        same = fish.status().reference_crc == wanted.crc
+            made = make(fish, root, profile, fish_name, conditions, words)
+        same = fish.status().reference_crc == profile.crc
     if not same:
         warn(f"the board has another reference: tailbeat reference upload {reference}")
     return Output({"folder": made.folder, "board_has_reference": same}, str(made.folder))

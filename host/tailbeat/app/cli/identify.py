@@ -80,7 +80,7 @@ class TableFish:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How the fish swims."""
+    """How the runs are done."""
 
     yes: bool = opt("Neither wait nor ask before a run.")
     margin_m: float = opt(

@@ -325,7 +325,7 @@ def _message_document(message: Message, time_s: float) -> dict[str, Any]:
 
 @dataclass
 class _LiveLine:
-    """One line that is kept up to date while a person watches."""
+    """One line that is kept up to date at a terminal."""
 
     live: LiveSensor
     summary: StreamSummary

@@ -87,7 +87,7 @@ def _identified_in(experiment: Path) -> Identified | None:
 
 
 def references_of(known: _Material) -> list[dict[str, Any]]:
-    """Every reference that was swum, in the order of its last trial."""
+    """Every reference that was used, in the order of its last trial."""
     rows: dict[int, dict[str, Any]] = {}
     for one in known.kept:
         if one.mark:
@@ -131,9 +131,9 @@ def _apply(found: Progress, connect: str | None) -> dict[str, float]:
             "there is nothing to apply: the series fluctuates no more than its noise.",
             "Run it without --apply.",
         )
-    wanted = {"ILC_DECR_RATE": found.fade.fade, "ILC_DECR_FROM": float(found.fade.fade_from)}
+    values = {"ILC_DECR_RATE": found.fade.fade, "ILC_DECR_FROM": float(found.fade.fade_from)}
     with connected(connect) as fish:
-        held = {name: fish.params.set(name, value).value for name, value in wanted.items()}
+        held = {name: fish.params.set(name, value).value for name, value in values.items()}
         note_set(fish, held)
     return held
 
@@ -148,7 +148,7 @@ def _progress_document(found: Progress) -> dict[str, Any]:
 
 
 def _progress_text(found: Progress, applied: dict[str, float] | None, discarded: list[int]) -> str:
-    header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "verdict"]
+    header = ["trial", "iteration", "max|e| mm/s", "RMS mm/s", "repeats", "assessment"]
     rows = [
         [
             row.trial,
@@ -182,7 +182,7 @@ def _conclusion(found: Progress, applied: dict[str, float] | None) -> list[str]:
         how = "set" if applied else "set it with --apply"
         lines.append(
             f"trials fluctuate {found.fluctuation:.1f} times as much as repeats: "
-            f"let the gain fall, {names} ({how})"
+            f"use a decreasing gain, {names} ({how})"
         )
     return lines
 

@@ -56,14 +56,14 @@ def commission(
 
     Example: tailbeat session commission --reference thesis --camera 0 --calibration tank.json
     """
-    wanted = named_reference(reference)
+    profile = named_reference(reference)
     camera.check()
     with connected(connect) as fish, live_camera(fish, camera) as live, terminal() as there:
         display = there[0]
         operator = _operator(*there, yes)
         steps = []
         limits = preflight_limits(rest)
-        for step in first_session(fish, wanted, operator, live.camera, live.guard, limits):
+        for step in first_session(fish, profile, operator, live.camera, live.guard, limits):
             display.keep(f"{'ok' if step.done else '--'}  {step.name}: {step.words}")
             steps.append(step)
         held = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}

@@ -6,7 +6,6 @@ import importlib
 import shutil
 import sys
 import textwrap
-import time
 from collections import Counter
 from itertools import zip_longest
 from pathlib import Path
@@ -248,15 +247,15 @@ def montecarlo(
         return _recipes()
     if summary is not None:
         store, about = StudyFolder(summary), {"out": summary}
-        wanted = store.recipe() if recipe is None else load(recipe)
+        chosen = store.recipe() if recipe is None else load(recipe)
     else:
         if recipe is None:
             raise typer.BadParameter("no recipe; 'tailbeat sim montecarlo --list' names them")
-        wanted = load(recipe)
-        wanted = wanted if seeds is None else wanted.with_seeds(seeds)
-        out = out or SWEEPS / wanted.name
-        store, about = StudyFolder(out), _compute(wanted, out, cores, scheduler)
-    found = summarise(wanted, store.read())
+        chosen = load(recipe)
+        chosen = chosen if seeds is None else chosen.with_seeds(seeds)
+        out = out or SWEEPS / chosen.name
+        store, about = StudyFolder(out), _compute(chosen, out, cores, scheduler)
+    found = summarise(chosen, store.read())
     if plot is not None:
         render(found, plot)
         about["plot"] = plot
@@ -265,16 +264,10 @@ def montecarlo(
 
 
 def _compute(recipe: Recipe, out: Path, cores: int | None, scheduler: str | None) -> dict[str, Any]:
-    begin_s = time.monotonic()
-    first: list[int] = []
     with progress_bar(recipe.name) as show:
 
         def progress(done: int, total: int) -> None:
-            first.append(done)
-            spent_s = time.monotonic() - begin_s
-            left_s = spent_s / (done - first[0]) * (total - done) if done > first[0] else None
-            words = f"{done}/{total} cells"
-            show(done / total, words + (f", {_duration(left_s)} left" if left_s else ""))
+            show(done / total, f"{done}/{total} cells")
 
         try:
             outcome = run_study(recipe, out, cores, scheduler, progress)
@@ -282,11 +275,6 @@ def _compute(recipe: Recipe, out: Path, cores: int | None, scheduler: str | None
             warn(stopped)
             raise typer.Exit(130) from None
     return {"out": out, "results": outcome.results, "computed_cells": outcome.computed}
-
-
-def _duration(seconds: float) -> str:
-    whole = round(seconds)
-    return f"{whole} s" if whole < 100 else f"{round(whole / 60)} min"
 
 
 def _recipes() -> Output:
@@ -340,7 +328,7 @@ def _group_table(lines: list[GroupSummary]) -> str:
         for name in ("plant", "law", "noise", "corner", "reference")
         if len({getattr(line, name) for line in lines}) > 1
     ] or ["plant"]
-    header = [*names, "fish", *map(str, shown), "floor", "last/floor"]
+    header = [*names, "fish", *map(str, shown), "bound", "last/bound"]
     rows = [
         [
             *(getattr(line, name) for name in names),

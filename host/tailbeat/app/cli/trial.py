@@ -76,7 +76,7 @@ def pull(
     into.mkdir(parents=True, exist_ok=True)
     with connected(connect) as fish:
         numbers = [t.number for t in fish.trials()] if every else [_which(fish, number)]
-        paths = [_pull(fish, wanted, into) for wanted in numbers]
+        paths = [_pull(fish, one, into) for one in numbers]
         for path in paths:
             keep_in_library(fish, path)
     return Output({"files": paths}, "\n".join(map(str, paths)) or "no trials on the board")
@@ -185,7 +185,7 @@ def _document(trial: Trial) -> dict[str, Any]:
 
 
 def _battery(trial: Trial) -> tuple[float | None, float | None]:
-    """At the begin and at the end of the swim."""
+    """At the begin and at the end of the trial."""
     volts = [volt for _, volt in trial.battery_v]
     return (volts[0], volts[-1]) if volts else (None, None)
 

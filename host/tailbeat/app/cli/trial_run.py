@@ -211,7 +211,7 @@ def _outcome_text(outcome: TrialOutcome) -> str:
 
 def _next_words(measured: bool) -> str:
     """After a trial that did not end by itself."""
-    learn = ", then tailbeat learn (the beats it swam count) or tailbeat trial discard"
+    learn = ", then tailbeat learn (the measured beats count) or tailbeat trial discard"
     return "tailbeat board clear" + (learn if measured else "")
 
 
@@ -233,7 +233,7 @@ def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
 
 
 def _experiment_for(fish: Fish, into: Path | None, tell: Callable[[str], None]) -> Experiment:
-    """The folder that was named, else the one this fish is in, else a new one, told. Raises
+    """The folder that was named, else the one this fish is in, else a new one. Raises
     InputError."""
     require_own(fish)
     if into is not None:
