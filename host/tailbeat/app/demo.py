@@ -28,9 +28,9 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import Experiment
-from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.fish_model import FishModel, swim_of
+from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
 from tailbeat.report.paper import write_report
@@ -162,14 +162,14 @@ class _Demo:
             self._one_trial(experiment)
         progress(1.0, "report")
         experiment.note(f"demo: {count} trials")
-        floor = self._floor()
+        bound = self._floor()
         return DemoResult(
             plant=self.plant,
             gain=self.options.gain,
             lead=self.lead,
             seed=self.sim.seed if self.sim else None,
-            floor_m_s=floor[0],
-            floor_lsq_m_s=floor[1],
+            floor_m_s=bound[0],
+            floor_lsq_m_s=bound[1],
             trials=self.rows,
             report=write_report(experiment).page,
             law=self.options.law,
@@ -292,7 +292,7 @@ class _Demo:
         fixed = ("seed", "plant")
         values = {name: v for name, v in self.sim.config.items() if name not in fixed}
         config = plant_config(self.plant, values)
-        found = floor(config, self.reference, AMPLITUDE_MAX_RAD)
+        found = error_bound(config, self.reference, AMPLITUDE_MAX_RAD)
         return found.minimax_m_s, found.lsq_max_abs_m_s
 
 
@@ -308,7 +308,7 @@ class Teacher:
     def teach(self, trials: list[Trial]) -> None:
         """After ``trials``, all since the identification."""
 
-        step = next_step(self.setting, self.identified, [swim_of(trial) for trial in trials])
+        step = next_step(self.setting, self.identified, [trial_speeds(trial) for trial in trials])
         name = f"proposal-{len(trials) + 1:04d}.json"
         self.experiment.add_raw(name, _json_bytes(step.document))
         upload(self.fish, self.setting, step.proposal)

@@ -28,9 +28,9 @@ from tailbeat.experiment.folder import JUDGING, Experiment
 from tailbeat.experiment.journal import told_of
 from tailbeat.experiment.trial_rows import TrialRow, noise_of, rows_of, with_noise
 from tailbeat.learning.convergence import best_of, score_of
-from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
-from tailbeat.learning.fish_model import swim_of
+from tailbeat.learning.fish_model import trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import swim_crc
 from tailbeat.learning.saturation import saturation_of
@@ -152,7 +152,7 @@ def analyse(experiment: Experiment) -> Analysis:
     noise = noise_of(rows, recorded)
     rows = with_noise(rows, *noise)
     limit = recorded[-1].params.get("AMP_MAX_RAD", math.pi / 4)
-    floor = _floor(identified, settings, held, limit)
+    bound = _floor(identified, settings, held, limit)
     problems += [
         f"trial {row.trial} swam up to {math.degrees(abs(row.straight.worst_yaw_rad)):.0f} degrees"
         f" off its way: its speed along the way is less than its own"
@@ -179,12 +179,12 @@ def analyse(experiment: Experiment) -> Analysis:
         rows=rows,
         trials=recorded,
         band=_band(rows),
-        floor_m_s=floor[0],
-        floor_lsq_m_s=floor[1],
+        floor_m_s=bound[0],
+        floor_lsq_m_s=bound[1],
         noise_m_s=noise[0],
         start_error_m_s=float(np.max(np.abs(held.speed_m_s))),
         problems=problems,
-        floor_by=floor[2],
+        floor_by=bound[2],
         noise_freedom=noise[1],
     )
 
@@ -308,7 +308,7 @@ def _is_of(
     if identified is None or identified.source != "runs":
         return True
 
-    return swim_crc(swim_of(trial)) not in {swim_crc(swim) for swim in identified.swims}
+    return swim_crc(trial_speeds(trial)) not in {swim_crc(swim) for swim in identified.swims}
 
 
 def _judges_gaps(settings: Mapping[str, Any]) -> bool:
@@ -356,12 +356,12 @@ def _floor(
 
     simulator = settings.get("simulator")
     if identified is not None:
-        found = floor(identified.model, held, limit)
+        found = error_bound(identified.model, held, limit)
         return (*_of_a_fit(found.minimax_m_s, found.lsq_max_abs_m_s), "identified")
     if isinstance(simulator, dict) and settings.get("plant"):
         values = {name: v for name, v in simulator.items() if name not in ("seed", "plant")}
         try:
-            found = floor(plant_config(str(settings["plant"]), values), held, limit)
+            found = error_bound(plant_config(str(settings["plant"]), values), held, limit)
         except InputError:  # a simulator of another version had other settings
             return math.nan, math.nan, ""
         return (*_of_a_fit(found.minimax_m_s, found.lsq_max_abs_m_s), "simulator")

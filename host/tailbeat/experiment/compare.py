@@ -19,7 +19,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.trial_rows import TrialRow
-from tailbeat.learning.convergence import best_of, judge_all, score_of
+from tailbeat.learning.convergence import assess_all, best_of, score_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,7 +103,7 @@ def count(analysis: Analysis, iterations: Sequence[int] | None = None) -> Counte
     repeats = [row for row, score in pairs if score.input_crc == best.input_crc]
     if len(repeats) >= _REPEATS_MIN:
         return Counted([row for row in repeats if row.trial != best.trial])
-    kinds = [one.kind for one in judge_all(scores, None, None, analysis.start_error_m_s)]
+    kinds = [one.kind for one in assess_all(scores, None, None, analysis.start_error_m_s)]
     last = max(at for at, kind in enumerate(kinds) if kind in ("first", "progress"))
     since = [
         (row, (row.rolled_back or kind == "worse") and score.input_crc != best.input_crc)

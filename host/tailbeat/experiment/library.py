@@ -25,7 +25,7 @@ from tailbeat.core.files import replace_file, sync_folder, write_whole
 from tailbeat.core.locks import locked
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_file import Trial, parse_trial, read_trial
-from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, known_fish
 
@@ -128,11 +128,11 @@ class Logbook:
             found.append(found.pop(self._join(found, latest.read_bytes(), latest)))
         return [kept for _, kept in found], problems
 
-    def swims(self, latest: Path | None = None) -> list[Swim]:
+    def swims(self, latest: Path | None = None) -> list[TrialSpeeds]:
         """As the model sees them, without those that have no speed or were discarded."""
 
         counting = [kept.trial for kept in self.kept(latest)[0] if kept.mark != DISCARDED]
-        swims = [swim_of(trial) for trial in counting]
+        swims = [trial_speeds(trial) for trial in counting]
         return [swim for swim in swims if swim.measured.any()]
 
     def identified(self) -> Identified | None:

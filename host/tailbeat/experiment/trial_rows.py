@@ -13,9 +13,9 @@ import numpy as np
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift, on_common_beats
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.journal import Told
+from tailbeat.learning.assessment import scores_of
 from tailbeat.learning.convergence import Score, comparable, score_of
 from tailbeat.learning.saturation import at_limit
-from tailbeat.learning.verdict import scores_of
 
 DISCARD = "discard"
 _CONFIDENCE = 0.95

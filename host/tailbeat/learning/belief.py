@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.learning.fish_model import PARAMS, Conditions, FishModel, Swim
+from tailbeat.learning.fish_model import PARAMS, Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Fit, Prior, fit, speed_and_slopes, steepness
 from tailbeat.learning.identification import Identified
 
@@ -101,7 +101,7 @@ class Belief:
 
     identified: Identified
     prior: Prior
-    swims: tuple[Swim, ...] = ()
+    swims: tuple[TrialSpeeds, ...] = ()
     fit: Fit | None = None
     refuted: bool = False
     chance: float = 1.0
@@ -133,7 +133,7 @@ class Belief:
             (_IDENTIFIED_BEATS * self.identified_imperfection + odd) / (_IDENTIFIED_BEATS + beats),
         )
 
-    def _oddity(self, swims: Sequence[Swim], found: Fit | None) -> tuple[float, int]:
+    def _oddity(self, swims: Sequence[TrialSpeeds], found: Fit | None) -> tuple[float, int]:
         """(sum over the measured beats of what is left out, squared and over the usual; beats)"""
         total, beats = 0.0, 0
         for swim, residual in zip(swims, found.residual_m_s if found else (), strict=True):
@@ -221,7 +221,7 @@ class Belief:
         """``sigma_m_s``: the measurement's. ``imperfect_min``: as for ``disturbance``."""
         beats = len(amplitude_rad)
         sigma = np.broadcast_to(np.asarray(sigma_m_s, dtype=np.float64), (beats,))
-        swim = Swim(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
+        swim = TrialSpeeds(amplitude_rad, np.full(beats, np.nan), sigma, beat_s)
         scatter = self.identified.scatter
         speed, by = speed_and_slopes(self.model, swim, self.typical)
         swims_differ = [_STD_ABS * scatter.start_m_s, scatter.flow_m_s, scatter.gain]
@@ -238,7 +238,7 @@ class Belief:
         p = self.prior
         return np.diag([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]) ** 2
 
-    def after(self, swim: Swim) -> Belief:
+    def after(self, swim: TrialSpeeds) -> Belief:
         """With one more swim. It is tested as if the model were as imperfect as usual: what some
         swims did not show is seldom reason enough for P."""
         found = self.predict(
@@ -251,7 +251,7 @@ class Belief:
             return self._resting_on((swim,), chance, refuted=True)
         return self._resting_on((*self.swims, swim)[-MEMORY_SWIMS:], chance, refuted=False)
 
-    def _resting_on(self, swims: tuple[Swim, ...], chance: float, refuted: bool) -> Belief:
+    def _resting_on(self, swims: tuple[TrialSpeeds, ...], chance: float, refuted: bool) -> Belief:
         priors = [_prior(self.identified, far) for far in (AGED, OTHER)]
         fits = [fit(swims, prior, self.identified.scatter) for prior in priors]
         found, prior = max(zip(fits, priors, strict=True), key=lambda one: one[0].log_evidence)
@@ -268,7 +268,7 @@ class Belief:
         )
 
 
-def believe(identified: Identified, swims: Sequence[Swim]) -> Belief:
+def believe(identified: Identified, swims: Sequence[TrialSpeeds]) -> Belief:
     """After ``swims``, oldest first, of which the last 24 count; those without a speed tell
     nothing."""
     belief = Belief(identified, _prior(identified, AGED)).begun()

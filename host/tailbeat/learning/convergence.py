@@ -81,7 +81,7 @@ class NoiseBand:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Assessment:
     """``kind``: ``first``, ``progress``, ``noise``, ``worse``, ``rolled_back``, ``incomplete``.
     ``words``: one line for people. ``best_trial``: ``best_of``, 0 = none was
     judged (``best_max_abs_error_m_s`` is NaN then). ``stop``: nothing more to gain;
@@ -99,12 +99,12 @@ class Verdict:
     saturation: Saturation | None = None
 
 
-def judge(
+def assess(
     scores: Sequence[Score],
     expected: NoiseBand | None = None,
     floor_m_s: float | None = None,
     rest_m_s: float | None = None,
-) -> Verdict:
+) -> Assessment:
     """The verdict on the last of ``scores`` (all of one reference, oldest first, at least one).
     ``floor_m_s``: max|e| of the best any input can do. ``rest_m_s``: max|e| of a fish that stays
     where it is; a series is not ended before the fish swims."""
@@ -114,7 +114,7 @@ def judge(
     kind, words = _kind_and_words(scores, band)
     words += _common_words(scores)
     stop_reason = _stop_reason(scores, kind, band, floor_m_s, rest_m_s)
-    return Verdict(
+    return Assessment(
         kind=kind,
         words=words,
         best_trial=best.trial if best else 0,
@@ -126,12 +126,12 @@ def judge(
     )
 
 
-def judge_all(
+def assess_all(
     scores: Sequence[Score],
     expected: Callable[[Score], NoiseBand] | None = None,
     floor_m_s: float | None = None,
     rest_m_s: float | None = None,
-) -> list[Verdict]:
+) -> list[Assessment]:
     """What ``judge`` said, or would have said, after each trial. ``expected``: the band for the
     best trial of those up to then."""
     bands: dict[int, NoiseBand] = {}
@@ -143,7 +143,7 @@ def judge_all(
             if best.input_crc not in bands:
                 bands[best.input_crc] = expected(best)
             band = bands[best.input_crc]
-        verdicts.append(judge(scores[:end], band, floor_m_s, rest_m_s))
+        verdicts.append(assess(scores[:end], band, floor_m_s, rest_m_s))
     return verdicts
 
 

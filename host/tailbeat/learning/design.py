@@ -17,20 +17,17 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
-from tailbeat.learning.expected_series import Series, expected_series, next_ratio
 from tailbeat.learning.fish_model import FishModel
-from tailbeat.learning.frequency_response import (
+from tailbeat.learning.identification import Identified
+from tailbeat.learning.law_prediction import (
     FREQUENCIES,
+    ExpectedSeries,
     Plants,
+    expected_series,
     input_norm,
     plants_of,
-    response,
 )
-from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import Plan, plan
-
-__all__ = ["Design", "Series", "design", "next_ratio", "response"]
-
 
 LEAD_MAX_BEATS = 16.0
 _Q_LENS = (1, 2, 3, 4, 6, 8)
@@ -67,7 +64,7 @@ class Design:
     slow_from_m_s: float
     models: int
     floor_m_s: float
-    series: Series
+    series: ExpectedSeries
     refused: str = ""
     warnings: list[str] = field(default_factory=list)
 

@@ -21,23 +21,9 @@ from tailbeat.learning.error_bound_solve import (
     Task,
     least_squares,
     minimax,
-    plant_beats,
-    plant_config,
 )
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
-
-__all__ = [
-    "Band",
-    "Floor",
-    "Spot",
-    "band",
-    "floor",
-    "lsq_max_abs_m_s",
-    "plant_beats",
-    "plant_config",
-]
-
 
 NEGLIGIBLE_M_S = 0.0005  # errors below are nobody's concern: a camera's sigma per beat is 0.7 mm/s
 _SPOT = 0.5  # of the largest error: beats above belong to a spot
@@ -51,7 +37,7 @@ COUPLED = "neighbouring beats cannot be had at once"
 
 
 @dataclass(frozen=True)
-class Spot:
+class Miss:
     """Beats ``first`` to ``last`` in a row where the least-squares optimum misses the reference.
 
     ``error_m_s``: the largest among them, signed (positive = the fish is too slow), at beat
@@ -66,7 +52,7 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Floor:
+class ErrorBound:
     """What no learning law can beat on this fish with this reference.
 
     ``lsq_…``: of the least-squares optimum, "the" floor where nothing else is said. Inputs are
@@ -81,23 +67,23 @@ class Floor:
     lsq_input: F32
     lsq_error_m_s: F64
     where_s: float  # middle of the last beat with the largest remaining error of the minimax
-    spots: tuple[Spot, ...]
+    spots: tuple[Miss, ...]
 
 
 @dataclass(frozen=True)
-class Band:
+class ErrorBoundRange:
     """The floor of an identified fish, by its model, and the 90 % interval over its models."""
 
-    floor: Floor
+    bound: ErrorBound
     lsq_max_abs_m_s: tuple[float, float]
 
 
-def floor(
+def error_bound(
     fish: Any,
     reference: Reference,
     amplitude_max_rad: float,
     slew_rad: float | None = None,
-) -> Floor:
+) -> ErrorBound:
     """``fish``: a ``FishModel`` (some 50 ms) or the simulator's ``sim_config_t *`` (about 0.3 s).
 
     ``slew_rad``: largest change of the amplitude from beat to beat; None = any. Raises InputError
@@ -109,7 +95,7 @@ def floor(
     error, largest_error = task.error(squares), np.abs(task.error(largest))
     value = float(largest_error.max())
     last = float(np.flatnonzero(largest_error >= 0.999 * value)[-1])
-    return Floor(
+    return ErrorBound(
         minimax_m_s=value,
         lsq_max_abs_m_s=float(np.abs(error).max()),
         lsq_rms_m_s=float(np.sqrt(np.mean(error**2))),
@@ -132,20 +118,20 @@ def lsq_max_abs_m_s(
     return float(np.abs(task.error(least_squares(task))).max())
 
 
-def band(
+def error_bound_range(
     identified: Identified,
     reference: Reference,
     amplitude_max_rad: float,
     slew_rad: float | None = None,
-) -> Band:
+) -> ErrorBoundRange:
     """The floor before the first trial, and how sure it is."""
     each = [
         lsq_max_abs_m_s(model, reference, amplitude_max_rad, slew_rad)
         for model in identified.models
     ]
     low, high = np.percentile(each, [5, 95])
-    return Band(
-        floor(identified.model, reference, amplitude_max_rad, slew_rad),
+    return ErrorBoundRange(
+        error_bound(identified.model, reference, amplitude_max_rad, slew_rad),
         (float(low), float(high)),
     )
 
@@ -165,7 +151,7 @@ def _task(
     return Task(plant, reference.speed_m_s.astype(np.float64), slew_rad)
 
 
-def _spots(task: Task, w: F64, error: F64, beat_s: float) -> tuple[Spot, ...]:
+def _spots(task: Task, w: F64, error: F64, beat_s: float) -> tuple[Miss, ...]:
     size = np.abs(error)
     limit = max(_SPOT * float(size.max()), NEGLIGIBLE_M_S)
     slopes = task.plant.slopes(w, task.wanted_m_s - error)
@@ -174,7 +160,7 @@ def _spots(task: Task, w: F64, error: F64, beat_s: float) -> tuple[Spot, ...]:
         if group.size:
             worst = int(group[np.argmax(size[group])])
             why = _why(task, w, error, slopes[worst], worst, beat_s)
-            found.append(Spot(int(group[0]), int(group[-1]), worst, float(error[worst]), why))
+            found.append(Miss(int(group[0]), int(group[-1]), worst, float(error[worst]), why))
     return tuple(sorted(found, key=lambda spot: -abs(spot.error_m_s)))
 
 

@@ -97,7 +97,7 @@ SIGMA_M_S = 0.001  # of a beat's speed that tells none
 
 
 @dataclass(frozen=True)
-class Swim:
+class TrialSpeeds:
     """All arrays have one value per beat. ``amplitude_rad``: as the tail did it (saturated; 0 where
     the swim was over). ``speed_m_s``: measured over ground, NaN = not measured. ``sigma_m_s``: its
     standard deviation, the measurement's alone. ``reference_crc``, ``trial``: 0 = unknown.
@@ -124,7 +124,7 @@ class Swim:
         return np.isfinite(self.speed_m_s)
 
 
-def swim_of(trial: Trial) -> Swim:
+def trial_speeds(trial: Trial) -> TrialSpeeds:
     """From a trial's file. Beats after an early end have amplitude 0 and no speed."""
     beats = trial.beats
     recorded = np.arange(len(beats.applied_rad)) < trial.executed_beats
@@ -133,7 +133,7 @@ def swim_of(trial: Trial) -> Swim:
     known = np.isfinite(beats.sigma_m_s) & (beats.sigma_m_s > 0)
     sigma = np.where(known, beats.sigma_m_s, SIGMA_M_S).astype(np.float64)
     volts = [volt for _, volt in trial.battery_v]
-    return Swim(
+    return TrialSpeeds(
         amplitude_rad=amplitude.astype(np.float64),
         speed_m_s=speed,
         sigma_m_s=sigma,
@@ -146,7 +146,7 @@ def swim_of(trial: Trial) -> Swim:
     )
 
 
-def last_input(swims: Sequence[Swim], beats: int) -> F64:
+def last_input(swims: Sequence[TrialSpeeds], beats: int) -> F64:
     """The amplitudes that were swum last, beat by beat, by ``swims`` of one reference: what lies
     beyond an early end is of an earlier swim, NaN where no swim came so far."""
     amplitude = np.full(beats, np.nan)

@@ -5,6 +5,8 @@ each swim its own start speed, flow and gain, which are kept near (0, 0, 1) by w
 swims differ. Every beat counts by its measurement's sigma and the model's own imperfection. The
 delay is told best by swims whose amplitude changes gently from beat to beat: in a hard step the
 servo hides it.
+
+How far amplitudes carry a fish, and one that is as strong as may still be believed.
 """
 
 from __future__ import annotations
@@ -14,10 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,9 @@ _SIGMA_MIN = 1e-4
 _BLOCK_BEATS = 3
 
 
-def fit(swims: Sequence[Swim], prior: Prior | None = None, scatter: Scatter | None = None) -> Fit:
+def fit(
+    swims: Sequence[TrialSpeeds], prior: Prior | None = None, scatter: Scatter | None = None
+) -> Fit:
     """The most probable model. Raises InputError when no beat has a speed.
 
     Costs about 5 ms for four swims of 40 beats.
@@ -97,7 +102,7 @@ def sample(found: Fit, count: int = 40, seed: int = 1) -> list[FishModel]:
 
 
 def bootstrap(
-    swims: Sequence[Swim],
+    swims: Sequence[TrialSpeeds],
     found: Fit,
     count: int = 40,
     seed: int = 1,
@@ -120,8 +125,8 @@ def bootstrap(
 
 
 def _swum_again(
-    swim: Swim, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
-) -> Swim:
+    swim: TrialSpeeds, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
+) -> TrialSpeeds:
     conditions = Conditions(
         start_m_s=abs(rng.normal(0, differ.start_m_s)),
         flow_m_s=rng.normal(0, differ.flow_m_s),
@@ -157,7 +162,7 @@ class _Problem:
     """Residuals over sigma and their Jacobian, as functions of one vector: the four shared numbers,
     then (start, flow, log gain) of every swim."""
 
-    def __init__(self, swims: Sequence[Swim], prior: Prior, scatter: Scatter) -> None:
+    def __init__(self, swims: Sequence[TrialSpeeds], prior: Prior, scatter: Scatter) -> None:
         self.swims = swims
         self.sigma = [beat_sigma(swim, prior.model, scatter) for swim in swims]
         differ = [
@@ -218,7 +223,7 @@ class _Problem:
         )
 
 
-def beat_sigma(swim: Swim, model: FishModel, scatter: Scatter) -> F64:
+def beat_sigma(swim: TrialSpeeds, model: FishModel, scatter: Scatter) -> F64:
     """Standard deviation of measured minus modelled speed per beat, conditions known."""
     switched = scatter.switch * steepness(model.steady_m_s(swim.amplitude_rad))
     sigma: F64 = np.sqrt(swim.sigma_m_s**2 + scatter.model_m_s**2 + switched**2)
@@ -232,7 +237,7 @@ def steepness(steady_m_s: F64) -> F64:
     return steepest
 
 
-def speed_and_slopes(model: FishModel, swim: Swim, given: Conditions) -> tuple[F64, F64]:
+def speed_and_slopes(model: FishModel, swim: TrialSpeeds, given: Conditions) -> tuple[F64, F64]:
     """Beat means and their derivatives by (log kappa, log slope, dead zone, delay, start, flow, log
     gain)."""
     steady = given.gain * model.steady_m_s(swim.amplitude_rad)
@@ -281,3 +286,73 @@ def _levenberg_marquardt(problem: _Problem) -> F64:
         if gained < _CONVERGED * cost:
             break
     return x
+
+
+PESSIMISM = 2.0  # sigmas
+_COAST_S = 5.0  # after the last beat, until somebody is at the fish
+
+
+def speeds_with_coast(
+    model: FishModel, amplitude_rad: ArrayLike, beat_s: float, given: Conditions | None = None
+) -> F64:
+    """Mean speed over ground per beat, m/s: of ``amplitude_rad`` and then of the coast after it,
+    shape (beats + some,)."""
+    coast = np.zeros(max(1, round(_COAST_S / beat_s)))
+    amplitude = np.concatenate([np.asarray(amplitude_rad, dtype=np.float64), coast])
+    return model.beats(amplitude, beat_s, given)
+
+
+def travel_m(
+    model: FishModel, amplitude_rad: ArrayLike, beat_s: float, given: Conditions | None = None
+) -> float:
+    """Way over ground until the coast after the last beat is over, m."""
+    return float(np.sum(speeds_with_coast(model, amplitude_rad, beat_s, given))) * beat_s
+
+
+def farthest(
+    model: FishModel, covariance: F64, scatter: Scatter, amplitude_rad: ArrayLike, beat_s: float
+) -> tuple[FishModel, Conditions]:
+    """The most probable of the fish and days that travel ``PESSIMISM`` sigmas too far.
+
+    Of all (log kappa, log slope, dead zone, delay, gain, flow) at that distance from the best, in
+    units of what is known of them, the one straight up the slope of the way. ``covariance``: 4 x 4
+    of the first four.
+    """
+    centre = _as_vector(model)
+    whole = np.zeros((6, 6))
+    whole[:4, :4] = covariance
+    whole[4, 4], whole[5, 5] = scatter.gain**2, scatter.flow_m_s**2
+    sigma = np.sqrt(np.diag(whole))
+
+    def way_of(x: F64) -> float:
+        fish, day = _from_vector(x)
+        return travel_m(fish, amplitude_rad, beat_s, day)
+
+    slope = np.zeros(6)
+    for i in np.flatnonzero(sigma > 0):
+        step = np.zeros(6)
+        step[i] = sigma[i]
+        slope[i] = (way_of(centre + step) - way_of(centre - step)) / (2 * sigma[i])
+    spread = math.sqrt(float(slope @ whole @ slope))
+    if spread == 0:
+        return model, Conditions()
+    return _from_vector(centre + PESSIMISM * (whole @ slope) / spread)
+
+
+def _as_vector(model: FishModel) -> F64:
+    return np.array(
+        [
+            math.log(model.kappa_per_m),
+            math.log(model.slope_m_s_rad),
+            model.dead_zone_rad,
+            model.delay_s,
+            1.0,
+            0.0,
+        ]
+    )
+
+
+def _from_vector(x: F64) -> tuple[FishModel, Conditions]:
+    kappa, slope, dead, delay, gain, flow = map(float, x)
+    model = FishModel(math.exp(kappa), math.exp(slope), max(dead, 0.0), max(delay, 0.0))
+    return model, Conditions(gain=max(gain, 0.0), flow_m_s=flow)

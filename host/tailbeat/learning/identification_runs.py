@@ -16,9 +16,8 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.learning import fit
-from tailbeat.learning.envelope import farthest, way
-from tailbeat.learning.fish_model import FishModel, Swim
-from tailbeat.learning.fit import Fit, Prior, Scatter
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
+from tailbeat.learning.fit import Fit, Prior, Scatter, farthest, travel_m
 from tailbeat.learning.identification import Identified
 
 CRUISE, COAST = "cruise", "coast-down"
@@ -66,7 +65,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Run:
+class IdentificationRun:
     """One run, planned. ``number`` counts from 1. ``travel_m``: until some seconds after its last
     beat, by the best model; ``travel_worst_m``: by one that is as far off as may be believed."""
 
@@ -85,13 +84,13 @@ class Run:
 
 
 @dataclass
-class Course:
+class IdentificationSeries:
     """What runs have taught so far. ``still_rad``: the largest amplitude that moved nothing."""
 
     limits: Limits
     prior: Prior = field(default_factory=Prior)
     scatter: Scatter = field(default_factory=Scatter)
-    swims: list[Swim] = field(default_factory=list)
+    swims: list[TrialSpeeds] = field(default_factory=list)
     found: Fit | None = None
     still_rad: float = 0.0
     cruised_rad: float | None = None
@@ -118,7 +117,7 @@ class Course:
         p = self.prior
         return np.diag(np.square([p.kappa, p.slope, p.dead_zone_rad, p.delay_s]))
 
-    def next_run(self) -> Run:
+    def next_run(self) -> IdentificationRun:
         """The next run. Raises InputError when none fits, or nothing ever moves."""
         kind = CRUISE if self.stage < len(FRACTIONS) else COAST
         number = len(self.swims) + 1
@@ -130,7 +129,7 @@ class Course:
             )
         return self._sized(number, kind, wanted)
 
-    def add(self, run: Run, swim: Swim) -> None:
+    def add(self, run: IdentificationRun, swim: TrialSpeeds) -> None:
         """What was measured. Raises InputError when it was nothing."""
         if not swim.measured.any():
             raise InputError(
@@ -155,7 +154,7 @@ class Course:
             wanted = min(wanted, self.cruised_rad + self.limits.step_max_rad)
         return min(wanted, most)
 
-    def _sized(self, number: int, kind: str, wanted_rad: float) -> Run:
+    def _sized(self, number: int, kind: str, wanted_rad: float) -> IdentificationRun:
         """As long as fits, and slower only if even the shortest does not."""
         longest_rad = self._profile(kind, wanted_rad, self._beats(_CRUISE_S[1]))
         beat_s = self.limits.beat_s
@@ -163,7 +162,7 @@ class Course:
         usable_m = self.limits.usable_m
 
         def worst(amplitude: F64) -> float:
-            return way(edge, amplitude, beat_s, day)
+            return travel_m(edge, amplitude, beat_s, day)
 
         shortest, longest = (self._beats(s) for s in self._cruise_s(kind, wanted_rad))
         amplitude = self._profile(kind, wanted_rad, shortest)
@@ -186,13 +185,13 @@ class Course:
             else:
                 longest = middle - 1
         model = self.model
-        return Run(
+        return IdentificationRun(
             number=number,
             kind=kind,
             cruise_rad=wanted_rad,
             amplitude_rad=amplitude,
             predicted_m_s=model.beats(amplitude, beat_s),
-            travel_m=way(model, amplitude, beat_s),
+            travel_m=travel_m(model, amplitude, beat_s),
             travel_worst_m=worst(amplitude),
         )
 
@@ -218,7 +217,7 @@ class Course:
         return np.concatenate([ramp, cruise, coast])
 
 
-def _moved(swim: Swim, cruise_rad: float) -> bool:
+def _moved(swim: TrialSpeeds, cruise_rad: float) -> bool:
     """By the later half of the beats at the cruise amplitude."""
     cruise = np.flatnonzero((swim.amplitude_rad >= 0.99 * cruise_rad) & swim.measured)
     later = cruise[len(cruise) // 2 :]
@@ -227,11 +226,11 @@ def _moved(swim: Swim, cruise_rad: float) -> bool:
 
 
 def identify_runs(
-    swim: Callable[[F64], Swim],
+    swim: Callable[[F64], TrialSpeeds],
     limits: Limits,
     prior: Prior | None = None,
     scatter: Scatter | None = None,
-    on_run: Callable[[Run], None] | None = None,
+    on_run: Callable[[IdentificationRun], None] | None = None,
     quick: bool = False,
     unique_id: str = "",
 ) -> Identified:
@@ -241,7 +240,7 @@ def identify_runs(
     the fit's normal posterior only, not from a bootstrap too (a hundredth of the time). Whatever
     ``swim`` or ``on_run`` raises passes through.
     """
-    course = Course(limits, prior or Prior(), scatter or Scatter())
+    course = IdentificationSeries(limits, prior or Prior(), scatter or Scatter())
     while not course.done:
         run = course.next_run()
         if on_run is not None:
@@ -252,7 +251,7 @@ def identify_runs(
 
 
 def identify_swims(
-    swims: Sequence[Swim],
+    swims: Sequence[TrialSpeeds],
     prior: Prior | None = None,
     scatter: Scatter | None = None,
     source: str = "trials",
@@ -260,12 +259,14 @@ def identify_swims(
     quick: bool = False,
 ) -> Identified:
     """From swims of any kind that exist. Raises InputError when no beat of them has a speed."""
-    course = Course(Limits(), prior or Prior(), scatter or Scatter(), list(swims))
+    course = IdentificationSeries(Limits(), prior or Prior(), scatter or Scatter(), list(swims))
     found = fit.fit(swims, course.prior, course.scatter)
     return _identified(found, course, source, unique_id, quick)
 
 
-def _identified(found: Fit, course: Course, source: str, unique_id: str, quick: bool) -> Identified:
+def _identified(
+    found: Fit, course: IdentificationSeries, source: str, unique_id: str, quick: bool
+) -> Identified:
     models = fit.sample(found, _MODELS)
     if not quick:
         # Alone either is a little narrow: the bootstrap when a few swims happen to be alike, the

@@ -28,7 +28,7 @@ from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import Belief, believe
 from tailbeat.learning.convergence import input_crc
-from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, Swim, last_input
+from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, TrialSpeeds, last_input
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 
@@ -73,7 +73,7 @@ def propose(
     identified: Identified,
     reference: Reference,
     amplitude_max_rad: float,
-    swims: Sequence[Swim] = (),
+    swims: Sequence[TrialSpeeds] = (),
     fallback: Law | None = None,
     step_max_rad: float = 0.0,
 ) -> Proposal:
@@ -118,8 +118,8 @@ def propose(
     )
 
 
-def foretold(
-    identified: Identified, reference: Reference, swims: Sequence[Swim]
+def predicted_before(
+    identified: Identified, reference: Reference, swims: Sequence[TrialSpeeds]
 ) -> tuple[float, float, float] | None:
     """max|e| of the last of ``swims`` by what was known before it, over the beats that it has: 5 %,
     median, 95 %, m/s. None when it was not of this reference or not measured."""
@@ -132,7 +132,7 @@ def foretold(
     return found.max_abs_error(reference.speed_m_s.astype(np.float64), last.measured)
 
 
-def _swims_of(reference: Reference, swims: Sequence[Swim]) -> list[Swim]:
+def _swims_of(reference: Reference, swims: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
     """Those of this reference."""
     own = [swim for swim in swims if swim.reference_crc == reference.crc and swim.measured.any()]
     for swim in own:
@@ -182,7 +182,9 @@ def _planned(
     ).amplitude_rad
 
 
-def _p_step(law: Law, amplitude_max_rad: float, wanted: F64, last: Swim, start_rad: F64) -> F64:
+def _p_step(
+    law: Law, amplitude_max_rad: float, wanted: F64, last: TrialSpeeds, start_rad: F64
+) -> F64:
     """The P law applied to a swim: from ``start_rad``, by its errors."""
     limited = replace(law, amplitude_max_rad=amplitude_max_rad, beat_s=last.beat_s)
     error, measured = laws.errors_of(wanted, last.speed_m_s)
@@ -190,7 +192,7 @@ def _p_step(law: Law, amplitude_max_rad: float, wanted: F64, last: Swim, start_r
     return np.clip(following.astype(np.float64), 0.0, amplitude_max_rad)
 
 
-def _sigma(identified: Identified, swims: Sequence[Swim]) -> float:
+def _sigma(identified: Identified, swims: Sequence[TrialSpeeds]) -> float:
     """What the next swim will probably be measured with."""
     for swim in [*identified.swims, *swims][::-1]:
         known = swim.sigma_m_s[np.isfinite(swim.sigma_m_s)]
@@ -241,7 +243,7 @@ def document_of(
     identified: Identified,
     reference: Reference,
     amplitude_max_rad: float,
-    swims: Sequence[Swim],
+    swims: Sequence[TrialSpeeds],
     fallback: Law,
     step_max_rad: float,
 ) -> dict[str, Any]:
@@ -276,7 +278,7 @@ def document_of(
     }
 
 
-def again(document: dict[str, Any], swims: Sequence[Swim]) -> Proposal:
+def repropose(document: dict[str, Any], swims: Sequence[TrialSpeeds]) -> Proposal:
     """The proposal made anew; ``swims``: of the fish, in any order, those it names among them.
 
     Raises InputError when one is missing or no longer what it was, or the document is damaged.
@@ -301,7 +303,7 @@ def again(document: dict[str, Any], swims: Sequence[Swim]) -> Proposal:
         ) from error
 
 
-def _named(names: Sequence[dict[str, Any]], swims: Sequence[Swim]) -> list[Swim]:
+def _named(names: Sequence[dict[str, Any]], swims: Sequence[TrialSpeeds]) -> list[TrialSpeeds]:
     by_crc = {swim_crc(swim): swim for swim in swims}
     missing = [str(name["trial"]) for name in names if name["crc"] not in by_crc]
     if missing:
@@ -312,7 +314,7 @@ def _named(names: Sequence[dict[str, Any]], swims: Sequence[Swim]) -> list[Swim]
     return [by_crc[name["crc"]] for name in names]
 
 
-def swim_crc(swim: Swim) -> int:
+def swim_crc(swim: TrialSpeeds) -> int:
     """CRC-32 of all that the model learns from a swim."""
     crc = zlib.crc32(f"{swim.trial} {swim.reference_crc} {swim.beat_s!r}".encode())
     for values in (swim.amplitude_rad, swim.speed_m_s, swim.sigma_m_s):

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.core.trial_file import Trial
-from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import identify_swims
 from tailbeat.learning.planner import plan
@@ -81,7 +81,7 @@ class KnownFish:
     basis: str
 
 
-def known_fish(identified: Identified | None, swims: Sequence[Swim]) -> KnownFish | None:
+def known_fish(identified: Identified | None, swims: Sequence[TrialSpeeds]) -> KnownFish | None:
     """The identified model, else one fitted to trials of any reference (some 10 ms). None when no
     beat of them has a speed."""
     if identified is not None:
@@ -105,7 +105,7 @@ def saturation_of(
     count = trial.executed_beats
     if limit is None or not (at := at_limit(trial.beats.applied_rad[:count], limit)):
         return None
-    known = known_fish(identified, [swim_of(one) for one in trials])
+    known = known_fish(identified, [trial_speeds(one) for one in trials])
     reference = Reference(trial.beat_s, trial.beats.reference_m_s, "")
     return _judged(at, count, reference, trial.params, known, learned=True)
 

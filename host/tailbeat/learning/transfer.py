@@ -121,7 +121,7 @@ _TINY = 1e-4  # of the largest speed: misfits that are no more than rounding
 
 
 @dataclass(frozen=True)
-class Likeness:
+class Similarity:
     """``magnitude`` m and ``time_factor`` s (> 1: the new one is over sooner) by least squares over
     beats. ``residual_m_s``: largest misfit of a beat of the new reference; ``peak_m_s``: its
     largest speed."""
@@ -137,7 +137,7 @@ class Likeness:
         return self.residual_m_s <= TOLERANCE * self.peak_m_s
 
 
-def likeness(old: Reference, new: Reference) -> Likeness:
+def similarity(old: Reference, new: Reference) -> Similarity:
     """The best m and s. Raises InputError when one of the two is zero throughout."""
     for reference in (old, new):
         if not np.any(reference.speed_m_s > 0):
@@ -151,7 +151,7 @@ def likeness(old: Reference, new: Reference) -> Likeness:
     usual, found = fit.rms(plain), fit.rms(best)
     s = plain if usual <= _AS_GOOD * found + _TINY * fit.peak else best
     m, misfit = fit.scaled(s)
-    return Likeness(m, s, float(np.abs(misfit).max()), fit.peak)
+    return Similarity(m, s, float(np.abs(misfit).max()), fit.peak)
 
 
 class _Fit:
@@ -218,7 +218,7 @@ def transfer(
     amplitude_rad: ArrayLike,
     old: Reference,
     new: Reference,
-    by: Likeness,
+    by: Similarity,
     model: FishModel,
     amplitude_max_rad: float,
 ) -> Transferred:

@@ -28,8 +28,8 @@ from tailbeat.core.trial_checks import HeadingDrift, heading_drift, heading_drif
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.folder import Experiment
 from tailbeat.learning.convergence import score_of
-from tailbeat.learning.disturbance import bump_of
-from tailbeat.learning.fish_model import swim_of
+from tailbeat.learning.fish_model import trial_speeds
+from tailbeat.learning.fit_quality import disturbance_of
 from tailbeat.link.messages import BeatEvent, BoardStatus, TrialOutcome
 from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial, StopKind, StopReason
 from tailbeat.session.trial_camera import as_csv, stash_of
@@ -174,7 +174,7 @@ def _problems(
     if log.straight is not None and log.straight.crooked:
         off_deg = math.degrees(log.straight.worst_yaw_rad)
         problems.append(f"not straight: {off_deg:+.0f} degrees off ({log.straight.source})")
-    if (bump := bump_of(swim_of(trial))) is not None:
+    if (bump := disturbance_of(trial_speeds(trial))) is not None:
         problems.append(bump.words())
     return problems + list(trial.problems)
 

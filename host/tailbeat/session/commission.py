@@ -26,7 +26,7 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import RUN, Logbook, logbook_of, name_reference, preserve_folder
 from tailbeat.learning.design import design, law_words
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.identification_runs import Run
+from tailbeat.learning.identification_runs import IdentificationRun
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
 from tailbeat.session.events import Notice
@@ -235,7 +235,7 @@ class _Session:
 
     def _attendant(self, book: Logbook | None) -> Attendant:
 
-        def before(run: Run) -> None:
+        def before(run: IdentificationRun) -> None:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
             text += f"{run.travel_m:.2f} m, at worst {run.travel_worst_m:.2f}. {_HANDS}"
             self._ask(text, "Not identified")

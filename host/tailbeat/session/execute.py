@@ -14,9 +14,9 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
-from tailbeat.learning.convergence import Verdict
+from tailbeat.learning.assessment import progress_of
+from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.verdict import progress_of
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import SIMULATED_FISH, TrialOutcome
 from tailbeat.session.collect import trial_is_safe
@@ -29,7 +29,7 @@ from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import stash_of
 
 
-def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Verdict | None:
+def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Assessment | None:
     """On the last trial; None, with a notice, when it cannot be given: the board has learned all
     the same."""
 
@@ -41,7 +41,7 @@ def judged(account: SessionLog, around: TrialSetup, rolled_back: bool) -> Verdic
         return None
 
 
-def report_assessment(operator: Operator, verdict: Verdict | None) -> None:
+def report_assessment(operator: Operator, verdict: Assessment | None) -> None:
     """Tells it."""
     if verdict is None:
         return

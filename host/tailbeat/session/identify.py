@@ -18,10 +18,10 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.core.speed_source import SpeedSource
 from tailbeat.experiment.current import set_and_save
-from tailbeat.learning.fish_model import FishModel, Swim, swim_of
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds, trial_speeds
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.identification_runs import Limits, Run, identify_runs
+from tailbeat.learning.identification_runs import IdentificationRun, Limits, identify_runs
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Event
 from tailbeat.session.guards import Guard, RoomGuard, together, when
@@ -49,7 +49,7 @@ class Attendant:
     little. ``wants_abort``: whether to stop the tail and end it all, asked some ten times a
     second."""
 
-    before: Callable[[Run], None] = lambda run: None
+    before: Callable[[IdentificationRun], None] = lambda run: None
     speeds: Callable[[int, int, float], ArrayLike] | None = None
     event: Callable[[Event], None] = lambda event: None
     keep: Callable[[Path], object] = lambda path: None
@@ -113,13 +113,13 @@ class _IdentificationRunner:
     attendant: Attendant
     source: SpeedSource
     camera: Camera | None
-    run: Run | None = field(default=None)
+    run: IdentificationRun | None = field(default=None)
     stopped: bool = field(default=False, init=False)
 
-    def begin(self, run: Run) -> None:
+    def begin(self, run: IdentificationRun) -> None:
         self.run = run
 
-    def swim(self, amplitude: F64) -> Swim:
+    def swim(self, amplitude: F64) -> TrialSpeeds:
         run = self.run
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
@@ -127,13 +127,13 @@ class _IdentificationRunner:
         guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
         outcome = run_trial(self.board.fish, self.camera, self.attendant.event, guard)
         recorded = self.board.collect(outcome, self._judge, self.attendant.keep)
-        return swim_of(recorded)
+        return trial_speeds(recorded)
 
     def _stop(self) -> bool:
         self.stopped = self.stopped or self.attendant.wants_abort()
         return self.stopped
 
-    def _room(self, run: Run) -> RoomGuard:
+    def _room(self, run: IdentificationRun) -> RoomGuard:
         """A run ends in its coast-down, so that what is predicted of it is all there is."""
         kappa = self.board.params["MDL_KAPPA"] * _COASTS_ON
         return RoomGuard.of_params(self.board.params, 1.0, kappa, run.predicted_m_s)
@@ -145,7 +145,7 @@ class _IdentificationRunner:
         if self.source.uploaded:
             self._upload_speeds(outcome.number)
 
-    def _judge_end(self, run: Run, end: str, beats: int) -> None:
+    def _judge_end(self, run: IdentificationRun, end: str, beats: int) -> None:
         """A run that was stopped for lack of room has told enough."""
         self.board.fish.clear()
         if self.stopped:

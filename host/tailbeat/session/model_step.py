@@ -17,9 +17,9 @@ from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
-from tailbeat.learning.fish_model import Swim
+from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import Proposal, document_of, foretold, propose, swim_crc
+from tailbeat.learning.model_law import Proposal, document_of, predicted_before, propose, swim_crc
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,9 @@ def setting_of(fish: Fish) -> ModelStepSetting:
     )
 
 
-def swims_since(identified: Identified, swims: Sequence[Swim], unique_id: str) -> list[Swim]:
+def swims_since(
+    identified: Identified, swims: Sequence[TrialSpeeds], unique_id: str
+) -> list[TrialSpeeds]:
     """Those of ``swims`` (oldest first) that came after the runs the fish was identified by; all,
     when it was identified by another fish's or by a table. Runs are known by what is in them: the
     numbers of a simulated board that starts again, or of one that lost its store, come again."""
@@ -67,7 +69,7 @@ def swims_since(identified: Identified, swims: Sequence[Swim], unique_id: str) -
     return list(swims[last + 1 :])
 
 
-def numbered_anew(every: Sequence[Swim], since: Sequence[Swim]) -> bool:
+def numbered_anew(every: Sequence[TrialSpeeds], since: Sequence[TrialSpeeds]) -> bool:
     """Whether the board started anew within ``since`` (a part of ``every``): numbers go back, and
     one names two swims. (Trials that were pulled late go back, too.)"""
     numbers = [swim.trial for swim in since]
@@ -99,7 +101,7 @@ def next_of(proposal: Proposal, restored: bool, best_m_s: float | None) -> Next:
 
 
 def next_step(
-    setting: ModelStepSetting, identified: Identified, swims: Sequence[Swim]
+    setting: ModelStepSetting, identified: Identified, swims: Sequence[TrialSpeeds]
 ) -> ModelStep:
     """Proposes; changes nothing."""
     proposal = propose(
@@ -119,7 +121,7 @@ def next_step(
         setting.law,
         setting.step_max_rad,
     )
-    return ModelStep(proposal, foretold(identified, setting.reference, swims), document)
+    return ModelStep(proposal, predicted_before(identified, setting.reference, swims), document)
 
 
 def upload(fish: Fish, setting: ModelStepSetting, proposal: Proposal) -> None:

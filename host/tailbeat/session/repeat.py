@@ -14,10 +14,10 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
+from tailbeat.learning.assessment import series_of
 from tailbeat.learning.convergence import input_crc
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.verdict import series_of
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.collect import (
     STOPPED,

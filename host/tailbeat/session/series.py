@@ -18,7 +18,7 @@ from tailbeat.experiment.current import require_meant, require_own, require_same
 from tailbeat.experiment.folder import Experiment, alone
 from tailbeat.experiment.library import logbook_of
 from tailbeat.experiment.redo import write_redo
-from tailbeat.learning.convergence import Verdict
+from tailbeat.learning.convergence import Assessment
 from tailbeat.link.messages import LearnReport
 from tailbeat.session.battery import accepted, forecast, switched_off_since, too_low
 from tailbeat.session.collect import (
@@ -114,7 +114,7 @@ class SeriesEnd:
     why: str
     words: str
     rounds: list[Round]
-    verdict: Verdict | None
+    verdict: Assessment | None
 
     @property
     def records(self) -> list[RecordedTrial]:
@@ -202,7 +202,7 @@ class _Series:
     decisions: Decisions
     rounds: list[Round] = field(default_factory=list)
     counted: int = 0
-    verdict: Verdict | None = None
+    verdict: Assessment | None = None
     yaw_deg: float | None = None  # of the first start, for the ritual to compare with
 
     def end(self, why: str, words: str) -> SeriesEnd:

@@ -12,8 +12,8 @@ from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import logbook_of
-from tailbeat.learning.convergence import Verdict
-from tailbeat.learning.verdict import progress_of
+from tailbeat.learning.assessment import progress_of
+from tailbeat.learning.convergence import Assessment
 from tailbeat.session.battery import Drain
 from tailbeat.session.commission import advice
 from tailbeat.session.log import SessionLog
@@ -39,7 +39,7 @@ class SessionStatus:
     fall_v: float | None
     trials_left: int | None
     rolled_back: bool
-    verdict: Verdict | None
+    verdict: Assessment | None
     problem: str
     advice: list[str]
 
@@ -90,7 +90,7 @@ def swims_left(now_v: float, low_v: float, fall_v: float | None) -> int | None:
     return math.floor((now_v - low_v) / fall_v + 1e-9) + 1
 
 
-def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Verdict | None, str]:
+def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Assessment | None, str]:
 
     try:
         book = logbook_of(fish)
@@ -141,7 +141,7 @@ def _battery(found: SessionStatus) -> str:
     return f"{text}, about {found.trials_left} swim{'' if found.trials_left == 1 else 's'} left"
 
 
-def _judgement(found: SessionStatus, verdict: Verdict) -> str:
+def _judgement(found: SessionStatus, verdict: Assessment) -> str:
     if verdict.stop:
         return f"{verdict.words}; stop: {verdict.stop_reason}; {verdict.advice}"
     if verdict.saturation is not None:

@@ -31,7 +31,7 @@ from tailbeat.experiment.library import Logbook
 from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.transfer import TOLERANCE, Likeness, Transferred, likeness, transfer
+from tailbeat.learning.transfer import TOLERANCE, Similarity, Transferred, similarity, transfer
 from tailbeat.session.identify import MODEL_PARAMS
 
 INPUT_LAW, INPUT_FIRST, INPUT_UPLOADED, INPUT_RESTORED = range(4)  # memory_input_t
@@ -153,7 +153,7 @@ class TransferPlan:
 
     learned: Learned
     new: Reference
-    by: Likeness
+    by: Similarity
     transferred: Transferred
     travel_m: float
     model_of: str
@@ -192,7 +192,7 @@ def plan(
     long."""
     state = _state(fish, new)
     learned = _learned(fish, like, new, state, book, experiments)
-    by = likeness(learned.reference, new)
+    by = similarity(learned.reference, new)
     if not by.alike:
         raise InputError(
             f"{new.name} is no scaled copy of the reference that was learned "

@@ -21,9 +21,8 @@ from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import Logbook
-from tailbeat.learning.envelope import farthest, speeds, way
-from tailbeat.learning.fish_model import FishModel, swim_of
-from tailbeat.learning.fit import Prior, Scatter, fit
+from tailbeat.learning.fish_model import FishModel, trial_speeds
+from tailbeat.learning.fit import Prior, Scatter, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
 from tailbeat.link.ftp.wire import FtpError
 from tailbeat.session.guards import RoomGuard
@@ -60,7 +59,7 @@ class TravelModel:
     def speeds(self, amplitude_rad: ArrayLike, beat_s: float) -> F64:
         """Mean speed of each beat and of the coast after the last one, m/s."""
 
-        return self.more * speeds(self.model, amplitude_rad, beat_s)
+        return self.more * speeds_with_coast(self.model, amplitude_rad, beat_s)
 
 
 def travel_model_of(
@@ -82,7 +81,7 @@ def travel_model_of(
     before = TravelModel(*known, by)
     if last is None:
         return before
-    swim = swim_of(last)
+    swim = trial_speeds(last)
     swum_m = float(np.nansum(swim.speed_m_s)) * swim.beat_s
     if 2 * np.count_nonzero(swim.measured) < last.executed_beats or swum_m < _TELLING_M:
         return before
@@ -105,7 +104,7 @@ def travel_by(
     recorded = np.clip(np.asarray(amplitude_rad, dtype=np.float64), 0.0, params["AMP_MAX_RAD"])
     expected_m = float(np.sum(belief.speeds(recorded, beat_s))) * beat_s
     edge, day = farthest(belief.model, belief.covariance, belief.scatter, recorded, beat_s)
-    worst_m = belief.more * way(edge, recorded, beat_s, day)
+    worst_m = belief.more * travel_m(edge, recorded, beat_s, day)
     return Travel(expected_m, max(worst_m, expected_m), room_m(params), belief.by)
 
 

@@ -17,7 +17,7 @@ from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -51,7 +51,7 @@ def commands(text: str) -> list[list[str]]:
 @cache
 def bound_m_s() -> float:
     """The smallest max|e| of any input on the simulated fish, without noise."""
-    return floor(plant_config("tank", {}), REFERENCE, ANY_RAD).minimax_m_s
+    return error_bound(plant_config("tank", {}), REFERENCE, ANY_RAD).minimax_m_s
 
 
 def noise_free_m_s(trial: Trial) -> float:

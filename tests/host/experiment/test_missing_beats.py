@@ -21,16 +21,16 @@ from tailbeat.experiment.analysis import Analysis, _judges_gaps
 from tailbeat.experiment.journal import Told
 from tailbeat.experiment.relearn import _Board, relearn
 from tailbeat.experiment.trial_rows import rows_of
+from tailbeat.learning.assessment import progress_of, scores_of
 from tailbeat.learning.convergence import (
     SCATTER_M_S,
     Score,
+    assess_all,
     best_of,
     comparable,
-    judge_all,
     noise_band,
     repeat_limits,
 )
-from tailbeat.learning.verdict import progress_of, scores_of
 from tailbeat.session.dry_run import dry_run
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.batch import FishBatch
@@ -70,12 +70,12 @@ def test_share_and_gap_decide_whether_a_trial_is_judged() -> None:
 def test_missing_the_worst_beat_does_not_make_a_trial_the_best() -> None:
     peak, missed = [6.0] * 10, [7.0] * 10
     peak[4], missed[4] = 16.0, MISSING
-    found = judge_all(scores(peak, missed))[-1]
+    found = assess_all(scores(peak, missed))[-1]
     assert (found.best_trial, found.kind) == (1, "noise")
     assert found.words.endswith("; compared on the 9 of 10 beats both measured")
     whole = [0.9] * 10
     whole[4] = 15.0
-    better = judge_all(scores(peak, [1.0] * 4 + [MISSING] + [1.0] * 5, [15.0] * 10, whole))
+    better = assess_all(scores(peak, [1.0] * 4 + [MISSING] + [1.0] * 5, [15.0] * 10, whole))
     assert [one.best_trial for one in better] == [1, 2, 2, 4]  # 15 against the 16 of beat 4
 
 
@@ -185,7 +185,7 @@ def test_lost_beats_neither_hide_nor_make_a_best_and_a_stop(
     for errors, whole, true in zip(found.seen_m_s, found.whole_m_s, found.true_m_s, strict=True):
         told = scores_by(errors)
         judged += [score.judged for score in told]
-        verdicts = judge_all(told, rest_m_s=REST)
+        verdicts = assess_all(told, rest_m_s=REST)
         best, _ = board(errors)
         assert best == [one.best_trial for one in verdicts]
         wrong += wrong_of(best, whole).tolist()
@@ -257,10 +257,10 @@ def swim(fish: Fish, lost: NDArray[np.bool_], folder: Path) -> tuple[Trial, bool
     speed = read_trial(fish.pull_trial(number, folder / "before")).beats.speed_m_s
     fish.upload_speeds(number, np.where(lost, MISSING, speed), np.full(len(speed), 1e-3))
     trial = read_trial(fish.pull_trial(number, folder))
-    foretold = dry_run(fish)
+    predicted_before = dry_run(fish)
     learned = fish.learn()
-    assert foretold.rolled_back == learned.rolled_back
-    assert foretold.amplitude_rad.tobytes() == fish.amplitudes().values.tobytes()
+    assert predicted_before.rolled_back == learned.rolled_back
+    assert predicted_before.amplitude_rad.tobytes() == fish.amplitudes().values.tobytes()
     return trial, learned.rolled_back
 
 

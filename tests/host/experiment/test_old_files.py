@@ -30,8 +30,7 @@ from tailbeat.experiment.current import current, strayed
 from tailbeat.experiment.export import export
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import FOLDER_VARIABLE, Logbook
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.speed_table import read_rows
+from tailbeat.learning.identification import Identified, read_rows
 from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
 from tailbeat.sensors.camera.calibration.file import load_calibration

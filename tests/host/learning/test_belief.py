@@ -11,10 +11,10 @@ import pytest
 from tailbeat.core.arrays import F64
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.learning.belief import believe
-from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.feasible import suggest
-from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import propose
 from tailbeat.studies.montecarlo.batch import FishBatch
@@ -29,13 +29,13 @@ AMPLITUDE = 0.42 + 0.12 * np.sin(np.arange(40) / 5)
 SIGMA = np.full(40, 0.0007)
 
 
-def recorded(model: FishModel, conditions: Conditions, trial: int = 1) -> Swim:
+def recorded(model: FishModel, conditions: Conditions, trial: int = 1) -> TrialSpeeds:
     """Without noise."""
     speed = model.beats(AMPLITUDE, 1.0, conditions)
-    return Swim(AMPLITUDE, speed, SIGMA, 1.0, thesis().crc, trial)
+    return TrialSpeeds(AMPLITUDE, speed, SIGMA, 1.0, thesis().crc, trial)
 
 
-def expected(swims: list[Swim]) -> Array:
+def expected(swims: list[TrialSpeeds]) -> Array:
     belief = believe(SURE, swims)
     return belief.predict(AMPLITUDE, 1.0, thesis().crc, 0.0007).mean_m_s
 
@@ -94,13 +94,13 @@ def followed(kappa: float, wanted: Reference, seeds: range, trials: int) -> tupl
     for seed in seeds:
         fish = {"kappa_per_m": kappa, "seed": float(seed)}
         known = identify("tank", fish, LIMIT, 1.0)
-        batch, swims = FishBatch("tank", [fish]), list[Swim]()
+        batch, swims = FishBatch("tank", [fish]), list[TrialSpeeds]()
         for number in range(1, trials + 1):
             found = propose(known, wanted, LIMIT, swims)
             run = batch.run(found.amplitude_rad[None, :], number, 1.0)
             speed = run.speed_m_s[0]
             swims.append(
-                Swim(found.amplitude_rad, speed, run.sigma_m_s[0], 1.0, wanted.crc, number)
+                TrialSpeeds(found.amplitude_rad, speed, run.sigma_m_s[0], 1.0, wanted.crc, number)
             )
             low, _, high = found.predicted_max_abs_error_m_s
             inside.append(low <= np.nanmax(np.abs(wanted.speed_m_s - speed)) <= high)
@@ -111,7 +111,7 @@ def followed(kappa: float, wanted: Reference, seeds: range, trials: int) -> tupl
 
 def repeated(kappa: float, wanted: Reference, seeds: range, trials: int) -> Array:
     """True max|e| of the same fish with an input that is nearly the best, (fish, trials)."""
-    best = floor(plant_config("tank", {"kappa_per_m": kappa}), wanted, LIMIT).lsq_input
+    best = error_bound(plant_config("tank", {"kappa_per_m": kappa}), wanted, LIMIT).lsq_input
     batch = FishBatch("tank", [{"kappa_per_m": kappa, "seed": float(seed)} for seed in seeds])
     still = np.tile(best.astype(np.float64), (len(seeds), 1))
     runs = [batch.run(still, number, 1.0).true_m_s for number in range(1, trials + 1)]
@@ -139,7 +139,9 @@ def test_interval_holds_what_it_says(name: str, kappa: float) -> None:
 @pytest.mark.parametrize("speed", [0.0, np.nan])
 def test_a_swim_that_nobody_measured_leaves_the_prediction_a_number(speed: float) -> None:
     nothing = np.full(40, np.nan)
-    blind = Swim(AMPLITUDE, nothing, nothing if np.isnan(speed) else SIGMA, 1.0, thesis().crc)
+    blind = TrialSpeeds(
+        AMPLITUDE, nothing, nothing if np.isnan(speed) else SIGMA, 1.0, thesis().crc
+    )
     found = propose(SURE, thesis(), LIMIT, [blind])
     told = (found.predicted_m_s, found.low_m_s, found.high_m_s)
     assert np.isfinite([*told]).all()

@@ -22,16 +22,14 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import thesis
-from tailbeat.learning import frequency_response
+from tailbeat.learning import law_prediction
 from tailbeat.learning.design import Design, design
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
-from tailbeat.learning.expected_series import expected_series, next_ratio
-from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
 from tailbeat.learning.fit import Scatter
-from tailbeat.learning.frequency_response import response
-from tailbeat.learning.identification import Identified
+from tailbeat.learning.identification import Identified, identify_table
+from tailbeat.learning.law_prediction import expected_series, next_ratio, response
 from tailbeat.learning.planner import plan
-from tailbeat.learning.speed_table import identify_table
 from tailbeat.studies.montecarlo.batch import FishBatch
 from tailbeat.studies.montecarlo.learners import identify
 
@@ -94,9 +92,9 @@ def first_order(model: FishModel, speed: float, beats: int) -> Array:
 def test_a_fish_that_forgets_slowly_has_the_maps_slope_all_the_same() -> None:
     """And at other frequencies the answer of the differential equation, d(dv)/dt = -rate*dv."""
     model, speed = tank(0.3, 0.3), 0.008
-    found = frequency_response.frequency_response(model, speed, 1.0)
+    found = law_prediction.frequency_response(model, speed, 1.0)
     assert found[0].real == pytest.approx(model.slope_m_s_rad, rel=0.005)
-    s = 2j * np.pi * frequency_response.FREQUENCIES[1:4]
+    s = 2j * np.pi * law_prediction.FREQUENCIES[1:4]
     rate = 2 * model.kappa_per_m * speed
     assert np.abs(found[1:4]) == pytest.approx(
         np.abs(model.slope_m_s_rad * rate / (s + rate)), rel=0.02
@@ -149,12 +147,12 @@ def test_standstill_has_no_response() -> None:
 @pytest.mark.parametrize("lead", [0, 1, 2])
 def test_ratios_are_those_by_hand_over_the_set(lead: int) -> None:
     models = [tank(5.0), tank(20.0, 0.1)]
-    plants = frequency_response.plants_of(models, REFERENCE, LIMIT)
+    plants = law_prediction.plants_of(models, REFERENCE, LIMIT)
     found = plants.ratio(4.0, lead, 1)
     low, high = plants.speeds_m_s
     assert (low, high) == pytest.approx((CRUISE / 2, CRUISE), rel=1e-6)
     speeds = np.linspace(low, high, 9)[::2]
-    frequency = frequency_response.FREQUENCIES
+    frequency = law_prediction.FREQUENCIES
     worst = np.max([ratio_by_hand(m, 4, lead, frequency, s) for m in models for s in speeds], 0)
     assert found == pytest.approx(worst, abs=2e-4)
 
@@ -163,7 +161,7 @@ def test_published_ratios_of_leads_0_and_1() -> None:
     """Cruise, delay 0.3 s, coasting times of 0.3 to 1.3 s: one beat of lead gives 0.67 to 0.93 for
     gains of 2 to 7; without lead all grow, from 0.1 to 0.34 cycles/beat on; gain 10 fails at 0.
     Their plant was slightly another."""
-    frequency = frequency_response.FREQUENCIES
+    frequency = law_prediction.FREQUENCIES
     for coasting_s in (0.32, 0.6, 1.3):
         model = tank(1 / (2 * CRUISE * coasting_s), 0.3)
         impulse = np.fft.rfft(np.r_[response(model, CRUISE, 1.0, 200), np.zeros(200)])
@@ -185,16 +183,16 @@ def test_the_matrices_are_the_c_laws(lead: float, q_len: int, tail: int) -> None
     amplitude, error = rng.uniform(0.2, 0.5, 20), rng.normal(0, 0.02, 20)
     law = Law(kp_rad_s_m=4.0, lead_beats=lead, q_len=q_len, tail=tail)
     following, _ = laws.update(law, amplitude, error)
-    lead_matrix = frequency_response.lead_matrix(20, lead, keep_tail=tail == 1)
-    by_hand = frequency_response.filter_matrix(20, q_len) @ (amplitude + 4.0 * lead_matrix @ error)
+    lead_matrix = law_prediction.lead_matrix(20, lead, keep_tail=tail == 1)
+    by_hand = law_prediction.filter_matrix(20, q_len) @ (amplitude + 4.0 * lead_matrix @ error)
     assert following == pytest.approx(by_hand, abs=1e-6)
 
 
 @pytest.mark.parametrize("q_len", [1, 2, 5])
 def test_the_filters_response_is_its_matrixs(q_len: int) -> None:
-    middle = frequency_response.filter_matrix(81, q_len)[40]
-    z = np.exp(2j * np.pi * np.outer(frequency_response.FREQUENCIES, np.arange(81) - 40))
-    assert frequency_response.filter_response(q_len) == pytest.approx((z @ middle).real, abs=1e-12)
+    middle = law_prediction.filter_matrix(81, q_len)[40]
+    z = np.exp(2j * np.pi * np.outer(law_prediction.FREQUENCIES, np.arange(81) - 40))
+    assert law_prediction.filter_response(q_len) == pytest.approx((z @ middle).real, abs=1e-12)
 
 
 def test_table_8_1(table: Identified) -> None:
@@ -240,7 +238,7 @@ def test_an_identified_tank_gets_a_beat_of_lead_and_all_shrinks(kappa: float) ->
 def test_no_gain_and_lead_do_better() -> None:
     identified = around(tank(10.0), count=6)
     found = design(identified, REFERENCE, LIMIT, iterations=1)
-    plants = frequency_response.plants_of([identified.model, *identified.models], REFERENCE, LIMIT)
+    plants = law_prediction.plants_of([identified.model, *identified.models], REFERENCE, LIMIT)
     gains = np.linspace(0.05, found.static_gain_best, 60)
     best = min(plants.ratio(gain, lead, 1).max() for gain in gains for lead in LEADS)
     assert found.ratio_max <= best + 0.02
@@ -348,7 +346,7 @@ def bracketed(kappa: float, law: Law | None, seeds: range, trials: int) -> tuple
                 inside.append(low <= np.abs(error).max() / worst <= high)
                 width.append(high / low)
             memory, _ = laws.update(used, memory, error)
-            before = Swim(amplitude, recorded.speed_m_s[0], recorded.sigma_m_s[0])
+            before = TrialSpeeds(amplitude, recorded.speed_m_s[0], recorded.sigma_m_s[0])
     return float(np.mean(inside)), float(np.median(width))
 
 
@@ -373,7 +371,7 @@ def test_the_ratio_of_a_quiet_fish_is_the_models() -> None:
     quiet = Scatter(0.0, 0.0, 0.0, 1e-5, 0.0)
     one = Identified(model, [model], np.zeros((4, 4)), scatter=quiet)
     best = plan(model, WANTED, 1.0, LIMIT).amplitude_rad
-    recorded = Swim(0.9 * best, model.beats(0.9 * best, 1.0), np.full(40, 1e-6))
+    recorded = TrialSpeeds(0.9 * best, model.beats(0.9 * best, 1.0), np.full(40, 1e-6))
     low, high = next_ratio(one, REFERENCE, recorded, best)
     wanted = np.abs(WANTED - model.beats(best, 1.0)).max()
     right = wanted / np.abs(WANTED - recorded.speed_m_s).max()
@@ -389,7 +387,7 @@ def test_what_the_model_leaves_out_comes_again() -> None:
     best = plan(model, WANTED, 1.0, LIMIT).amplitude_rad
     dip = np.zeros(40)
     dip[15:21] = -0.03
-    recorded = Swim(best, model.beats(best, 1.0) + dip, np.full(40, 0.0007))
+    recorded = TrialSpeeds(best, model.beats(best, 1.0) + dip, np.full(40, 0.0007))
     low, high = next_ratio(one, REFERENCE, recorded, best)
     assert 0.7 < low < 1 < high < 1.8
 
@@ -401,15 +399,15 @@ def test_the_ratio_is_a_number_though_beats_were_lost() -> None:
     speed, sigma = identified.model.beats(best, 1.0), np.full(40, 7e-4)
     lost = np.isin(np.arange(40), (7, 8, 20))
     speed[lost] = np.nan
-    known = next_ratio(identified, REFERENCE, Swim(best, speed, sigma), best)
+    known = next_ratio(identified, REFERENCE, TrialSpeeds(best, speed, sigma), best)
     sigma = np.where(lost, np.nan, sigma)
-    assert next_ratio(identified, REFERENCE, Swim(best, speed, sigma), best) == known
-    nothing = next_ratio(identified, REFERENCE, Swim(best, speed, np.full(40, np.nan)), best)
+    assert next_ratio(identified, REFERENCE, TrialSpeeds(best, speed, sigma), best) == known
+    nothing = next_ratio(identified, REFERENCE, TrialSpeeds(best, speed, np.full(40, np.nan)), best)
     assert np.isfinite([*known, *nothing]).all()
 
 
 def test_a_swim_without_speeds_has_no_ratio(table: Identified) -> None:
-    nothing = Swim(np.zeros(40), np.full(40, np.nan), np.full(40, 0.001))
+    nothing = TrialSpeeds(np.zeros(40), np.full(40, np.nan), np.full(40, 0.001))
     with pytest.raises(InputError, match="speed"):
         next_ratio(table, REFERENCE, nothing, np.zeros(40))
 

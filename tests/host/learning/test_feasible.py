@@ -14,7 +14,7 @@ from tailbeat.app.cli import run
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import ReferenceLimits, from_csv
-from tailbeat.learning.error_bound import floor, lsq_max_abs_m_s
+from tailbeat.learning.error_bound import error_bound, lsq_max_abs_m_s
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.feasible import TARGET_M_S, Suggestion, suggest
 from tailbeat.learning.fish_model import FishModel
@@ -47,7 +47,7 @@ def test_the_thesis_made_feasible(kappa: float) -> None:
     wanted = reference.thesis()
     found = suggest(replace(TANK, kappa_per_m=kappa), wanted, AMPLITUDE_MAX_RAD)
     config = plant_config("tank", {"kappa_per_m": kappa})
-    left = floor(config, found.reference, AMPLITUDE_MAX_RAD)
+    left = error_bound(config, found.reference, AMPLITUDE_MAX_RAD)
     assert left.lsq_max_abs_m_s < 0.0005
     assert left.spots == ()
     assert found.reference.beats == wanted.beats

@@ -7,7 +7,7 @@ import pytest
 
 from tailbeat.core.errors import InputError
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
-from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior, Scatter, bootstrap, fit, sample
 
 SIGMA_M_S = 0.0007
@@ -16,16 +16,16 @@ GENTLE = [np.r_[np.linspace(0.2, top, 8), np.full(6, top), np.linspace(top, 0.1,
           for top in (0.45, 0.6, 0.75)]  # fmt: skip
 
 
-def swim(amplitude: np.ndarray, speed: np.ndarray, rng: np.random.Generator | None) -> Swim:
+def swim(amplitude: np.ndarray, speed: np.ndarray, rng: np.random.Generator | None) -> TrialSpeeds:
     noise = 0.0 if rng is None else rng.normal(0, SIGMA_M_S, len(speed))
-    return Swim(amplitude, speed + noise, np.full(len(speed), SIGMA_M_S))
+    return TrialSpeeds(amplitude, speed + noise, np.full(len(speed), SIGMA_M_S))
 
 
-def of_the_model(rng: np.random.Generator | None) -> list[Swim]:
+def of_the_model(rng: np.random.Generator | None) -> list[TrialSpeeds]:
     return [swim(u, TRUE.beats(u, 1.0), rng) for u in GENTLE]
 
 
-def of_the_tank(kappa: float, rng: np.random.Generator) -> list[Swim]:
+def of_the_tank(kappa: float, rng: np.random.Generator) -> list[TrialSpeeds]:
     swims = []
     for amplitude in GENTLE:
         config = plant_config("tank", {"kappa_per_m": kappa})
@@ -74,13 +74,13 @@ def test_beats_without_a_speed_do_not_count() -> None:
     swims = of_the_model(np.random.default_rng(4))
     speed = swims[0].speed_m_s.copy()
     speed[5:9] = np.nan
-    holed = Swim(swims[0].amplitude_rad, speed, swims[0].sigma_m_s)
+    holed = TrialSpeeds(swims[0].amplitude_rad, speed, swims[0].sigma_m_s)
     found = fit([holed, *swims[1:]])
     assert found.beats == sum(s.beats for s in swims) - 4
     assert np.isnan(found.residual_m_s[0][5:9]).all()
     assert found.model.kappa_per_m == pytest.approx(TRUE.kappa_per_m, rel=0.1)
     with pytest.raises(InputError, match="no beat"):
-        fit([Swim(GENTLE[0], np.full(26, np.nan), np.full(26, 1e-3))])
+        fit([TrialSpeeds(GENTLE[0], np.full(26, np.nan), np.full(26, 1e-3))])
 
 
 def test_bootstrap_and_posterior_agree() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
-from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
 from tailbeat.learning.fit import Fit, Scatter
 from tailbeat.learning.identification import Identified
 
@@ -18,7 +18,9 @@ MODEL = FishModel(10.0, 0.2126, 0.2047, 0.316)
 
 def identified() -> Identified:
     models = [FishModel(k, 0.2126, 0.2047, 0.316) for k in np.linspace(8, 12, 41)]
-    swim = Swim(np.array([0.3, 0.5]), np.array([0.01, np.nan]), np.array([1e-3, 1e-3]), trial=7)
+    swim = TrialSpeeds(
+        np.array([0.3, 0.5]), np.array([0.01, np.nan]), np.array([1e-3, 1e-3]), trial=7
+    )
     fit = Fit(MODEL, np.diag([1e-2, 1e-3, 1e-4, 1e-3]), [], [], 0.001, 1)
     return Identified.of(fit, models, [swim], unique_id="ab12", scatter=Scatter(gain=0.03))
 

@@ -28,10 +28,15 @@ from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.frames import Frame
 from tailbeat.core.records import record_crc
 from tailbeat.learning.error_bound_solve import plant_beats, plant_config
-from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.fit_quality import account_of, from_trials
-from tailbeat.learning.identification_runs import Course, Limits, Run, identify_runs
+from tailbeat.learning.identification_runs import (
+    IdentificationRun,
+    IdentificationSeries,
+    Limits,
+    identify_runs,
+)
 from tailbeat.link.messages import BeatEvent, Event
 from tailbeat.session.identify import Attendant, identify_fish, set_params
 from tailbeat.session.outcome import StopKind, StopReason
@@ -56,14 +61,14 @@ class Pond:
         self.slope = fish.get("slope_m_s_rad", 0.219)
         self.ways_m: list[float] = []
 
-    def __call__(self, amplitude: Array) -> Swim:
+    def __call__(self, amplitude: Array) -> TrialSpeeds:
         gain, flow = self.rng.normal(0, [0.02, 0.0015]) * self.noise
         config = plant_config("tank", self.fish | {"slope_m_s_rad": self.slope * (1 + gain)})
         speed = plant_beats(config, np.r_[amplitude, COAST], 1.0) + flow
         self.ways_m.append(float(speed.sum()))
         speed = speed[: len(amplitude)]
         speed += self.rng.normal(0, SIGMA_M_S, len(speed)) * self.noise
-        return Swim(amplitude, speed, np.full(len(speed), SIGMA_M_S))
+        return TrialSpeeds(amplitude, speed, np.full(len(speed), SIGMA_M_S))
 
 
 @pytest.mark.parametrize("kappa", [5.0, 10.0, 20.0])
@@ -112,7 +117,7 @@ def test_never_beyond_the_tank(tank_m: float, most_rad: float) -> None:
         fish = {"slope_m_s_rad": 0.219 * slope, "dead_zone_rad": 0.197 * dead}
         pond = Pond(None, kappa_per_m=kappa, **fish)
         limits = Limits(most_rad, tank_m=tank_m)
-        runs: list[Run] = []
+        runs: list[IdentificationRun] = []
         identify_runs(pond, limits, on_run=runs.append, quick=True)
         assert 4 <= len(runs) <= 6  # in a short tank the first may be too gentle to move it
         for one, way_m in zip(runs, pond.ways_m, strict=True):
@@ -123,7 +128,7 @@ def test_never_beyond_the_tank(tank_m: float, most_rad: float) -> None:
 
 def test_the_pessimistic_edge_is_where_it_says() -> None:
     """Of fish drawn from what is believed before the first run, 2.3 % may go farther."""
-    first = Course(Limits(math.pi / 4)).next_run()
+    first = IdentificationSeries(Limits(math.pi / 4)).next_run()
     rng = np.random.default_rng(5)
     prior = Prior()
     ways = []
@@ -140,7 +145,7 @@ def test_the_pessimistic_edge_is_where_it_says() -> None:
 
 
 def test_gentlest_first_and_later_ones_know_more() -> None:
-    runs: list[Run] = []
+    runs: list[IdentificationRun] = []
     identify_runs(Pond(1, kappa_per_m=10.0), Limits(math.pi / 4), on_run=runs.append, quick=True)
     assert [one.kind for one in runs] == ["cruise", "cruise", "cruise", "coast-down"]
     tops = [one.cruise_rad for one in runs]
@@ -157,7 +162,7 @@ def test_gentlest_first_and_later_ones_know_more() -> None:
 
 def test_a_fast_fish_is_slowed_down() -> None:
     def tops(slope: float) -> list[float]:
-        runs: list[Run] = []
+        runs: list[IdentificationRun] = []
         pond = Pond(1, kappa_per_m=10.0, slope_m_s_rad=slope)
         identify_runs(pond, Limits(math.pi / 4), on_run=runs.append, quick=True)
         assert max(pond.ways_m) < 2.64
@@ -169,7 +174,7 @@ def test_a_fast_fish_is_slowed_down() -> None:
 
 
 def test_the_step_limit() -> None:
-    runs: list[Run] = []
+    runs: list[IdentificationRun] = []
     limits = Limits(math.pi / 4, step_max_rad=0.1)
     identify_runs(Pond(1, kappa_per_m=10.0), limits, on_run=runs.append, quick=True)
     tops = np.array([one.cruise_rad for one in runs])
@@ -178,7 +183,7 @@ def test_the_step_limit() -> None:
 
 
 def test_where_nothing_moves_the_next_run_is_stronger() -> None:
-    runs: list[Run] = []
+    runs: list[IdentificationRun] = []
     pond = Pond(2, kappa_per_m=10.0, dead_zone_rad=0.5, **NO_SERVO)
     found = identify_runs(pond, Limits(math.pi / 4), on_run=runs.append, quick=True)
     still = [one for one, way in zip(runs, pond.ways_m, strict=True) if way < 0.1]
@@ -200,8 +205,10 @@ def test_a_tank_that_is_too_short() -> None:
 
 
 def test_speeds_that_nobody_measured() -> None:
-    def blind(amplitude: Array) -> Swim:
-        return Swim(amplitude, np.full(len(amplitude), np.nan), np.full(len(amplitude), 0.001))
+    def blind(amplitude: Array) -> TrialSpeeds:
+        return TrialSpeeds(
+            amplitude, np.full(len(amplitude), np.nan), np.full(len(amplitude), 0.001)
+        )
 
     with pytest.raises(InputError, match="run 1 has no speeds"):
         identify_runs(blind, Limits(0.5), quick=True)
@@ -315,7 +322,7 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
 def test_the_wall_guard_is_asked(learned: Fish) -> None:
     """What it stops has told enough, and the next run is swum."""
     seen: list[object] = []
-    runs: list[Run] = []
+    runs: list[IdentificationRun] = []
 
     def guard(what: object) -> StopReason | None:
         seen.append(what)
@@ -539,10 +546,10 @@ def test_a_run_is_announced_but_not_with_json(capsys: pytest.CaptureFixture[str]
     """A simulated fish waits for nobody."""
     still = np.zeros(3)
     view = RunView(Limits(0.75), TerminalOperator(Display(), None), lambda *_: None)
-    view.before(Run(1, "cruise", 0.3, still, still, 0.2, 0.4))
+    view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
     assert capsys.readouterr().err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
     asked = json_asked.set(True)
-    view.before(Run(1, "cruise", 0.3, still, still, 0.2, 0.4))
+    view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
     json_asked.reset(asked)
     assert capsys.readouterr().err == ""
 
@@ -598,7 +605,7 @@ def test_files_of_two_fish_do_not_mix(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_references_of_runs_are_told_apart() -> None:
-    runs: list[Run] = []
+    runs: list[IdentificationRun] = []
     identify_runs(Pond(1, kappa_per_m=10.0), Limits(0.5), on_run=runs.append, quick=True)
     crcs = {
         record_crc(reference.Reference(1.0, one.predicted_m_s.astype(np.float32), "").record())

@@ -11,8 +11,13 @@ import pytest
 
 from tailbeat.app.cli import run
 from tailbeat.core.errors import InputError
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.speed_table import Table, ThesisFish, from_table, identify_table
+from tailbeat.learning.identification import (
+    Identified,
+    SpeedTable,
+    ThesisFish,
+    from_table,
+    identify_table,
+)
 
 AMPLITUDES = (math.pi / 4, 7 * math.pi / 36, 5 * math.pi / 36)
 SPEEDS = (0.12762, 0.09282, 0.05117)
@@ -101,7 +106,7 @@ def test_rows_in_any_order_and_repeats(table_8_1: Path, tmp_path: Path) -> None:
 
 
 def test_two_rows_are_a_line() -> None:
-    found: Table = identify_table(np.array([0.4, 0.8]), np.array([0.05, 0.13]))
+    found: SpeedTable = identify_table(np.array([0.4, 0.8]), np.array([0.05, 0.13]))
     assert found.line.slope_m_s_rad == pytest.approx(0.2)
     assert found.line.dead_zone_rad == pytest.approx(0.15)
     assert len(found.identified.models) == 9

@@ -25,10 +25,10 @@ from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import Logbook
 from tailbeat.learning.belief import believe
-from tailbeat.learning.fish_model import Conditions, FishModel, Swim
+from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import Proposal, again, document_of, foretold, propose
+from tailbeat.learning.model_law import Proposal, document_of, predicted_before, propose, repropose
 from tailbeat.session.model_step import ModelStep, next_of, numbered_anew, swims_since
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.batch import FishBatch
@@ -51,7 +51,7 @@ class Tank:
 
     def __init__(self, seed: int, **settings: float) -> None:
         self.batch = FishBatch("tank", [{"seed": float(seed), **settings}])
-        self.swims: list[Swim] = []
+        self.swims: list[TrialSpeeds] = []
         self.flow_m_s = 0.0
 
     def swim(self, amplitude: Array, reference: Reference) -> float:
@@ -59,7 +59,7 @@ class Tank:
         number = len(self.swims) + 1
         recorded = self.batch.run(amplitude[None, :], number, reference.beat_s)
         self.swims.append(
-            Swim(
+            TrialSpeeds(
                 amplitude_rad=amplitude,
                 speed_m_s=recorded.speed_m_s[0] + self.flow_m_s,
                 sigma_m_s=recorded.sigma_m_s[0],
@@ -184,7 +184,7 @@ def test_step_of_p_is_the_laws() -> None:
 
 def test_fish_of_no_sense_is_left_to_p() -> None:
     identified, said = known(TRUE), []
-    swims: list[Swim] = []
+    swims: list[TrialSpeeds] = []
     for number in range(1, 5):
         proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, swims)
         said.append(proposal.law)
@@ -193,11 +193,13 @@ def test_fish_of_no_sense_is_left_to_p() -> None:
     assert said == ["model", "p", "p", "p"]
 
 
-def _as_modelled(model: FishModel, amplitude: Array, reference: Reference, trial: int = 1) -> Swim:
+def _as_modelled(
+    model: FishModel, amplitude: Array, reference: Reference, trial: int = 1
+) -> TrialSpeeds:
     """A swim without noise."""
     speed = model.beats(amplitude, reference.beat_s, Conditions(start_m_s=0.0016))
     sigma = np.full(len(speed), 0.0007)
-    return Swim(amplitude, speed, sigma, reference.beat_s, reference.crc, trial, trial)
+    return TrialSpeeds(amplitude, speed, sigma, reference.beat_s, reference.crc, trial, trial)
 
 
 def test_disturbance_is_a_scalar_kalman_filter_per_beat() -> None:
@@ -275,25 +277,25 @@ def test_decision_is_made_again_bit_for_bit() -> None:
     proposal = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims, law, 0.1)
     document = document_of(proposal, identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims, law, 0.1)
     read = json.loads(json.dumps(document, allow_nan=False))
-    made = again(read, tank.swims[::-1])
+    made = repropose(read, tank.swims[::-1])
     for name in ("amplitude_rad", "predicted_m_s", "low_m_s", "disturbance_m_s"):
         assert getattr(made, name).tobytes() == getattr(proposal, name).tobytes()
     assert made.model == proposal.model and read["input_crc"] == document["input_crc"]
     touched = replace(tank.swims[1], speed_m_s=tank.swims[1].speed_m_s + 1e-12)
     with pytest.raises(InputError, match="trial 2"):
-        again(read, [tank.swims[0], touched])
+        repropose(read, [tank.swims[0], touched])
     with pytest.raises(InputError, match="no proposal"):
-        again(read | {"fallback": {"gain": 4}}, tank.swims)
+        repropose(read | {"fallback": {"gain": 4}}, tank.swims)
 
 
 def test_foretold_is_what_was_known_before() -> None:
     identified, tank = known(TRUE), Tank(1)
     tank.learn(identified, thesis(), 2)
-    said = foretold(identified, thesis(), tank.swims)
+    said = predicted_before(identified, thesis(), tank.swims)
     before = propose(identified, thesis(), AMPLITUDE_MAX_RAD, tank.swims[:1])
     assert said == pytest.approx(before.predicted_max_abs_error_m_s, rel=0.02)
-    assert foretold(identified, thesis(), []) is None
-    assert foretold(identified, cosine(0.05, 8, 10), tank.swims) is None
+    assert predicted_before(identified, thesis(), []) is None
+    assert predicted_before(identified, cosine(0.05, 8, 10), tank.swims) is None
 
 
 def test_no_swim_no_speed_and_damage() -> None:
@@ -459,7 +461,7 @@ def test_session_on_a_board(
     assert [swim.trial for swim in book.swims()] == [1]
     kept = book.proposals()
     assert [one["input_crc"] for one in kept] == [planned["input_crc"], learned["input_crc"]]
-    assert again(kept[1], book.swims()).amplitude_rad.tolist() == learned["amplitude_rad"]
+    assert repropose(kept[1], book.swims()).amplitude_rad.tolist() == learned["amplitude_rad"]
     replanned = learn()
     assert replanned["amplitude_rad"] == learned["amplitude_rad"]
     assert fish.status().iteration == 2

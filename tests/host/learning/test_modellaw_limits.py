@@ -10,9 +10,9 @@ import pytest
 
 from tailbeat.core.law import Law
 from tailbeat.core.reference import thesis
-from tailbeat.learning.fish_model import FishModel, Swim, last_input
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds, last_input
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.model_law import Proposal, foretold, propose
+from tailbeat.learning.model_law import Proposal, predicted_before, propose
 from tailbeat.studies.montecarlo.batch import FishBatch
 
 LIMIT_RAD = math.pi / 4
@@ -24,11 +24,11 @@ def known(kappa: float, slope: float = 0.219) -> Identified:
     return Identified(model, [model], np.diag(np.square([0.1, 0.02, 0.01, 0.05])))
 
 
-def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[Swim, float]:
+def recorded(batch: FishBatch, proposal: Proposal, number: int) -> tuple[TrialSpeeds, float]:
     """One swim, and its true max|e|."""
     found = batch.run(proposal.amplitude_rad[None, :], number)
     error = np.abs(REFERENCE.speed_m_s - found.true_m_s[0]).max()
-    swim = Swim(
+    swim = TrialSpeeds(
         proposal.amplitude_rad,
         found.speed_m_s[0],
         found.sigma_m_s[0],
@@ -44,7 +44,7 @@ def test_a_step_limit_delays_and_does_not_prevent(believed: float, kappa: float)
     """Beats that were planned to rest have to push once the drag is known."""
     step = 0.15
     batch = FishBatch("tank", [{"seed": 1.0, "kappa_per_m": kappa}])
-    swims: list[Swim] = []
+    swims: list[TrialSpeeds] = []
     errors = []
     for number in range(1, 6):
         proposal = propose(known(believed), REFERENCE, LIMIT_RAD, swims, None, step)
@@ -71,8 +71,8 @@ def test_only_what_the_step_limit_holds_is_counted() -> None:
     assert 10 < held.limited_beats <= np.count_nonzero(binds)
 
 
-def cut(swim: Swim, beats: int) -> Swim:
-    """As swim_of gives a trial that was stopped."""
+def cut(swim: TrialSpeeds, beats: int) -> TrialSpeeds:
+    """As trial_speeds gives a trial that was stopped."""
     executed = np.arange(swim.beats) < beats
     return replace(
         swim,
@@ -111,7 +111,7 @@ def test_what_was_foretold_is_of_the_beats_that_were_swum() -> None:
     """Cut before the end that nobody can follow: the error to expect is a small one."""
     batch = FishBatch("tank", [{"seed": 5.0}])
     first, _ = recorded(batch, propose(known(10), REFERENCE, LIMIT_RAD), 1)
-    whole = foretold(known(10), REFERENCE, [first])
-    early = foretold(known(10), REFERENCE, [cut(first, 20)])
+    whole = predicted_before(known(10), REFERENCE, [first])
+    early = predicted_before(known(10), REFERENCE, [cut(first, 20)])
     assert whole is not None and early is not None
     assert whole[1] > 0.009 and early[1] < 0.6 * whole[1]

@@ -17,9 +17,9 @@ from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.library import Kept, Logbook
-from tailbeat.learning.fish_model import FishModel, swim_of
+from tailbeat.learning.assessment import progress_of, series_of
+from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.verdict import progress_of, series_of
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -248,7 +248,7 @@ def identified_by(trials: list[Trial], source: str = "runs") -> Identified:
     model = FishModel(10.0, 0.219, 0.197, 0.3)
     return Identified(
         model, [model], np.diag([0.01, 0.001, 1e-4, 1e-3]), source=source,
-        unique_id=trials[0].unique_id, swims=[swim_of(trial) for trial in trials],
+        unique_id=trials[0].unique_id, swims=[trial_speeds(trial) for trial in trials],
     )  # fmt: skip
 
 

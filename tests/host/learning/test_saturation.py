@@ -12,7 +12,8 @@ from tailbeat.app.web.view import PageState, after
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import thesis, trapezoid
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.learning.fish_model import FishModel, swim_of
+from tailbeat.learning.assessment import progress_of
+from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import (
     KnownFish,
@@ -22,7 +23,6 @@ from tailbeat.learning.saturation import (
     needed_rad,
     saturation_of,
 )
-from tailbeat.learning.verdict import progress_of
 from tailbeat.link.params import known_parameters
 from tailbeat.session.events import Event
 from tailbeat.session.execute import report_assessment
@@ -106,7 +106,7 @@ def test_beforehand(series: list[Trial]) -> None:
     assert found is not None and found.expected and found.beats == 24
     assert found.text.startswith("saturation expected: 24 of 40 beats at the limit 0.50 rad; ")
     assert "--warm-start" not in found.action, "nothing was learned yet"
-    one = known_fish(None, [swim_of(series[0])])
+    one = known_fish(None, [trial_speeds(series[0])])
     assert one is not None and "fitted to 1 trial," in one.basis
     assert expected_saturation(one, thesis(), PARAMS) is not None
     assert known_fish(None, []) is None

@@ -18,10 +18,10 @@ from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.transfer import (
     TOLERANCE,
     BeatCurve,
-    Likeness,
-    likeness,
+    Similarity,
     overlap,
     scaled_input,
+    similarity,
     transfer,
 )
 
@@ -132,7 +132,7 @@ def test_the_same_reference_gives_the_same_bits(
     case: tuple[F32, Reference, FishModel],
 ) -> None:
     amplitude, wanted, model = case
-    done = transfer(amplitude, wanted, wanted, Likeness(1, 1, 0, 1), model, float(LIMIT))
+    done = transfer(amplitude, wanted, wanted, Similarity(1, 1, 0, 1), model, float(LIMIT))
     assert done.amplitude_rad.tobytes() == amplitude.tobytes()
     assert (done.saturated_beats, done.share) == (0, 1.0)
 
@@ -143,7 +143,7 @@ def test_magnitudes_compose_on_beats(model: FishModel, m: float, n: float, seed:
     old = references.thesis()
     mid, new = references.thesis(m * V, 40), references.thesis(m * n * V, 40)
     amplitude = model.dead_zone_rad + np.random.default_rng(seed).uniform(0.2, 0.3, 40)
-    here = Likeness(m, 1, 0, 1), Likeness(n, 1, 0, 1), Likeness(m * n, 1, 0, 1)
+    here = Similarity(m, 1, 0, 1), Similarity(n, 1, 0, 1), Similarity(m * n, 1, 0, 1)
     first = transfer(amplitude, old, mid, here[0], model, 9.0)
     assume(np.all(first.amplitude_rad > model.dead_zone_rad + 1e-3))
     second = transfer(first.amplitude_rad, mid, new, here[1], model, 9.0)
@@ -177,7 +177,7 @@ def test_amplitudes_are_those_of_the_scaled_curve(m: float, s: float, model: Fis
     new = references.curve(t2, m * hump(s * t2), 1.0, "new")
     w1 = ideal(hump, 40, 40, model)
     w2 = ideal(lambda t: m * hump(s * t), 40 / s, beats, model)
-    found = likeness(old, new)
+    found = similarity(old, new)
     assert (found.magnitude, found.time_factor) == pytest.approx((m, s), rel=2e-4)
     got = transfer(model.amplitude_rad(np.sqrt(np.maximum(w1, 0))), old, new, found, model, 2.0)
     want = model.dead_zone_rad + np.sqrt(np.maximum(w2, 0)) / model.slope_m_s_rad
@@ -194,7 +194,7 @@ def test_where_the_tail_did_not_push_the_reference_says_what_was_wanted() -> Non
     old, new = references.trapezoid(0.08, 4, 20), references.trapezoid(0.08, 16, 80)
     w1 = np.maximum(np.concatenate([np.arange(4) + 0.5, [4] * 20, np.arange(4)[::-1] + 0.5]), 0)
     amplitude = np.where(np.arange(28) < 24, 0.2 + 0.02 * w1 / 0.2, 0.05)
-    by = likeness(old, new)
+    by = similarity(old, new)
     assert (by.magnitude, by.time_factor) == pytest.approx((1, 0.25), rel=1e-3)
     got = transfer(amplitude, old, new, by, model, 1.0).amplitude_rad
     for beat in (102, 103, 104):
@@ -206,7 +206,7 @@ def test_where_the_tail_did_not_push_the_reference_says_what_was_wanted() -> Non
 def test_no_thrust_wanted_leaves_the_dead_zone_as_it_was() -> None:
     amplitude = np.array([0.1, 0.3, 0.3, 0.05, 0.0], np.float32)
     wanted = Reference(1.0, np.array([0.001, 0.02, 0.02, 0.01, 0.0], np.float32), "five")
-    got = transfer(amplitude, wanted, wanted, Likeness(1.5, 1, 0, 1), TANK, 1.0).amplitude_rad
+    got = transfer(amplitude, wanted, wanted, Similarity(1.5, 1, 0, 1), TANK, 1.0).amplitude_rad
     assert got[3:] == pytest.approx([0.05, 0.0])
     assert got[1] > 0.3
 
@@ -216,8 +216,8 @@ def test_what_the_limit_takes_is_told() -> None:
     w = ideal(references.thesis_speed, 40, 40, TANK)
     amplitude = TANK.amplitude_rad(np.sqrt(np.maximum(w, 0)))
     faster = references.thesis(1.2 * V, 40)
-    free = transfer(amplitude, wanted, faster, likeness(wanted, faster), TANK, 2.0)
-    held = transfer(amplitude, wanted, faster, likeness(wanted, faster), TANK, 0.6)
+    free = transfer(amplitude, wanted, faster, similarity(wanted, faster), TANK, 2.0)
+    held = transfer(amplitude, wanted, faster, similarity(wanted, faster), TANK, 0.6)
     assert free.saturated_beats == 0
     assert held.saturated_beats == np.count_nonzero(free.amplitude_rad > np.float32(0.6)) > 10
     assert held.amplitude_rad.max() == np.float32(0.6)
@@ -230,7 +230,7 @@ def test_what_the_limit_takes_is_told() -> None:
 def test_amplitudes_that_are_not_a_trials_are_refused(amplitude: Array) -> None:
     wanted = references.thesis()
     with pytest.raises(InputError, match="for 40 beats"):
-        transfer(amplitude, wanted, wanted, Likeness(1, 1, 0, 1), TANK, 1.0)
+        transfer(amplitude, wanted, wanted, Similarity(1, 1, 0, 1), TANK, 1.0)
 
 
 means = arrays(np.float64, st.integers(1, 20), elements=st.floats(0, 1))
@@ -276,7 +276,7 @@ def test_stairs_go_on_beyond_their_ends() -> None:
     ],
 )
 def test_scaled_copies_are_alike(old: str, new: str, m: float, s: float) -> None:
-    found = likeness(references.from_text(old), references.from_text(new))
+    found = similarity(references.from_text(old), references.from_text(new))
     assert found.alike
     assert (found.magnitude, found.time_factor) == pytest.approx((m, s), rel=2e-3)
 
@@ -284,7 +284,7 @@ def test_scaled_copies_are_alike(old: str, new: str, m: float, s: float) -> None
 @pytest.mark.parametrize("text", ["thesis", "thesis:0.06,41.5", "trapezoid:0.05,2,2"])
 def test_a_reference_is_like_itself(text: str) -> None:
     wanted = references.from_text(text)
-    found = likeness(wanted, wanted)
+    found = similarity(wanted, wanted)
     assert (found.magnitude, found.time_factor, found.residual_m_s) == (1, 1, 0)
 
 
@@ -298,7 +298,7 @@ def test_a_reference_is_like_itself(text: str) -> None:
     ],
 )
 def test_other_shapes_are_not(old: str, new: str) -> None:
-    found = likeness(references.from_text(old), references.from_text(new))
+    found = similarity(references.from_text(old), references.from_text(new))
     assert not found.alike
     assert found.residual_m_s > TOLERANCE * found.peak_m_s
 
@@ -307,7 +307,7 @@ def test_a_reference_of_rest_is_like_nothing() -> None:
     rest = Reference(1.0, np.zeros(5, np.float32), "rest")
     for pair in ((rest, references.thesis()), (references.thesis(), rest)):
         with pytest.raises(InputError, match="zero throughout"):
-            likeness(*pair)
+            similarity(*pair)
 
 
 def test_the_thesis_profile_in_another_size() -> None:

@@ -13,9 +13,9 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.current import current
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import DISCARDED, Logbook, logbook_of
-from tailbeat.learning.convergence import Verdict
+from tailbeat.learning.assessment import progress_of
+from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.verdict import progress_of
 from tailbeat.session.decide import not_noted, noted_decision, pending_of, withdrawn_if_refused
 
 
@@ -91,7 +91,7 @@ def _given(number: int | None, repeat: bool, reason: str) -> str:
 
 def verdict_after_learning(
     fish: Fish, number: int, rolled_back: bool, kept: Path | None = None
-) -> Verdict | None:
+) -> Assessment | None:
     """Assesses the trial by what the library has; fetches it unless it is ``kept`` there already.
     None without a library, or when the trial cannot be had (reported on stderr): the board has
     learned all the same."""
@@ -133,14 +133,14 @@ def sound_identified(book: Logbook) -> Identified | None:
         return None
 
 
-def verdict_lines(verdict: Verdict) -> list[str]:
+def verdict_lines(verdict: Assessment) -> list[str]:
     """Why to stop, or what is saturated."""
     if verdict.stop:
         return [f"stop: {verdict.stop_reason}", verdict.advice]
     return [] if verdict.saturation is None else [verdict.saturation.text]
 
 
-def verdict_text(verdict: Verdict | None) -> str:
+def verdict_text(verdict: Assessment | None) -> str:
     """The lines that follow what was learned."""
     lines = [] if verdict is None else [verdict.words, *verdict_lines(verdict)]
     return "".join(f"\n{line}" for line in lines)

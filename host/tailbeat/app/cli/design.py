@@ -21,8 +21,7 @@ from tailbeat.experiment.current import named_reference, note_set
 from tailbeat.experiment.library import Logbook
 from tailbeat.learning.design import Design, law_words
 from tailbeat.learning.design import design as design_law
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.speed_table import from_table
+from tailbeat.learning.identification import Identified, from_table
 from tailbeat.report.figures.law import render_law
 
 

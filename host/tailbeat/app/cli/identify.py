@@ -27,9 +27,8 @@ from tailbeat.core.speed_source import speed_source
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import RUN, Logbook, logbook_of, preserve_folder
 from tailbeat.learning.fit_quality import NAMES, Account, account_of, from_trials, with_drag
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.identification_runs import FRACTIONS, Limits, Run
-from tailbeat.learning.speed_table import Table, ThesisFish, from_table
+from tailbeat.learning.identification import Identified, SpeedTable, ThesisFish, from_table
+from tailbeat.learning.identification_runs import FRACTIONS, IdentificationRun, Limits
 from tailbeat.link.messages import BeatEvent
 from tailbeat.report.figures.identification import draw_account, draw_table
 from tailbeat.session.events import Event
@@ -140,7 +139,7 @@ def _from_table(path: Path, fish: ThesisFish, write: ResultFiles) -> Output:
     return Output(document, lambda: _table_text(found, write.out))
 
 
-def _table_text(found: Table, out: Path | None) -> str:
+def _table_text(found: SpeedTable, out: Path | None) -> str:
     names = ("speed_m_s", "line_m_s", "line_residual_m_s", "thesis_m_s", "thesis_residual_m_s")
     rows = [
         [f"{row['amplitude_rad']:.4f}", *(mm(row[name]) for name in names)] for row in found.rows()
@@ -236,9 +235,9 @@ class RunView:
     keys: bool = False
     display: Display | None = None
     check: Callable[[], None] = lambda: None
-    run: Run | None = None
+    run: IdentificationRun | None = None
 
-    def before(self, run: Run) -> None:
+    def before(self, run: IdentificationRun) -> None:
         """Begins it."""
         self.run = run
         if not json_asked.get():
@@ -274,7 +273,7 @@ def ask_for_speeds(trial: int, beats: int, beat_s: float) -> ArrayLike:
             warn(str(error))
 
 
-def _run_text(run: Run, limits: Limits) -> str:
+def _run_text(run: IdentificationRun, limits: Limits) -> str:
     room = f" of {limits.usable_m:.2f} m" if math.isfinite(limits.usable_m) else ""
     return (
         f"run {run.number}, {run.kind}: {run.beats} beats, up to {run.cruise_rad:.2f} rad "

@@ -25,8 +25,8 @@ from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import Logbook, logbook_of
-from tailbeat.learning.convergence import Verdict, rollback_words
-from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.convergence import Assessment, rollback_words
+from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
 from tailbeat.session.decide import learn_noted, not_noted, restore_best_noted, state_noted
@@ -153,7 +153,7 @@ def _identified(book: Logbook | None, file: Path | None) -> Identified:
 
 def _swims(
     fish: Fish, pending: int | None, book: Logbook | None, dry_run: bool
-) -> tuple[list[Swim], Path | None]:
+) -> tuple[list[TrialSpeeds], Path | None]:
     """All in the library and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""
     if pending is None:
@@ -161,7 +161,7 @@ def _swims(
     with TemporaryDirectory() as folder:
         path = pull_with_bar(fish, pending, Path(folder))
         if book is None:
-            swim = swim_of(read_trial(path))
+            swim = trial_speeds(read_trial(path))
             return [swim] if swim.measured.any() else [], None
         if dry_run:
             return book.swims(path), None
@@ -174,7 +174,7 @@ def _output(
     pending: int | None,
     report: LearnReport | None,
     following: Next | None,
-    verdict: Verdict | None,
+    verdict: Assessment | None,
 ) -> Output:
     """``following`` None: a dry run."""
     document: dict[str, Any] = {

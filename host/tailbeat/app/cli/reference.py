@@ -28,8 +28,8 @@ from tailbeat.core.reference import Reference, ReferenceLimits, ReferenceProblem
 from tailbeat.experiment.current import named_reference
 from tailbeat.experiment.library import logbook_of, name_reference
 from tailbeat.learning import feasible
-from tailbeat.learning.error_bound import Band, Spot, band
-from tailbeat.learning.fish_model import Swim
+from tailbeat.learning.error_bound import ErrorBoundRange, Miss, error_bound_range
+from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
 from tailbeat.session.transfer import TransferPlan, carry, plan
@@ -37,21 +37,21 @@ from tailbeat.session.transfer import TransferPlan, carry, plan
 _BOUND_FINE_M_S = 0.002
 
 
-def bound_document(band: Band) -> dict[str, Any]:
+def bound_document(around: ErrorBoundRange) -> dict[str, Any]:
     """Keys of ``reference check --json`` under ``floor``."""
     names = ("minimax_m_s", "lsq_max_abs_m_s", "lsq_rms_m_s", "spots")
     return {
-        **pick(band.floor, *names),
-        "lsq_max_abs_band_m_s": band.lsq_max_abs_m_s,
-        "minimax_input_rad": band.floor.minimax_input,
-        "lsq_input_rad": band.floor.lsq_input,
+        **pick(around.bound, *names),
+        "lsq_max_abs_band_m_s": around.lsq_max_abs_m_s,
+        "minimax_input_rad": around.bound.minimax_input,
+        "lsq_input_rad": around.bound.lsq_input,
     }
 
 
-def bound_text(band: Band, assumed: Sequence[str] = ()) -> str:
+def bound_text(around: ErrorBoundRange, assumed: Sequence[str] = ()) -> str:
     """One line, and one for each place where the reference cannot be reached. ``assumed``: what of
     the fish was not identified."""
-    found, (low, high) = band.floor, band.lsq_max_abs_m_s
+    found, (low, high) = around.bound, around.lsq_max_abs_m_s
     lines = [
         f"error bound (least squares) {mm(found.lsq_max_abs_m_s)} mm/s ({mm(low)} to {mm(high)} by"
         f" what is known of the fish), minimax {mm(found.minimax_m_s)}: no input can do better than"
@@ -66,7 +66,7 @@ def bound_text(band: Band, assumed: Sequence[str] = ()) -> str:
     return "\n".join(lines)
 
 
-def _spot_text(spot: Spot) -> str:
+def _spot_text(spot: Miss) -> str:
     where = f"beat {spot.first}" if spot.first == spot.last else f"beats {spot.first}-{spot.last}"
     way = "slow" if spot.error_m_s > 0 else "fast"
     return f"{where}: up to {mm(abs(spot.error_m_s))} mm/s too {way}: {spot.why}"
@@ -235,7 +235,9 @@ def check(
     reference = named_reference(what)
     known = _known(identified, amp_max, tank, connect)
     problems = reference.check(known.limits)
-    found = known.identified and band(known.identified, reference, known.amplitude_max_rad, slew)
+    found = known.identified and error_bound_range(
+        known.identified, reference, known.amplitude_max_rad, slew
+    )
     document = _document(reference, problems)
     document["floor"] = bound_document(found) if found else None
     saturation = _expected(known, reference)
@@ -250,7 +252,7 @@ def check(
     if suggest:
         document["suggestion"], text = _suggested(reference, known, out)
         lines.append(text)
-    elif found and found.floor.lsq_max_abs_m_s > _BOUND_FINE_M_S:
+    elif found and found.bound.lsq_max_abs_m_s > _BOUND_FINE_M_S:
         hint = f"tailbeat reference check {what} --suggest"
         lines.append(f"a reference this fish can follow: {hint}")
     refused = None if suggest else _refusal(problems)
@@ -269,7 +271,7 @@ def _expected(known: _CheckedAgainst, reference: Reference) -> Saturation | None
 def _known(
     path: Path | None, amp_max: float | None, tank: float | None, connect: str | None
 ) -> _CheckedAgainst:
-    swims: list[Swim] = []
+    swims: list[TrialSpeeds] = []
     loaded = Identified.load(path) if path is not None else None
     if loaded is not None and amp_max is not None:
         limits = ReferenceLimits()

@@ -19,8 +19,8 @@ from tailbeat.experiment.export import missing_formats
 from tailbeat.experiment.folder import Experiment, list_experiments
 from tailbeat.experiment.library import DISCARDED, Kept, logbook_of, read_trials
 from tailbeat.experiment.redo import write_redo
+from tailbeat.learning.assessment import Progress, progress_of
 from tailbeat.learning.identification import Identified
-from tailbeat.learning.verdict import Progress, progress_of
 from tailbeat.report.figures.series import progress_png
 from tailbeat.report.paper import Written, write_report
 

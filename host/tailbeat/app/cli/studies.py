@@ -19,10 +19,15 @@ from tailbeat.core.files import plain
 from tailbeat.core.parallel import cores_here
 from tailbeat.core.printable import mm
 from tailbeat.studies.montecarlo.cell import cells
-from tailbeat.studies.montecarlo.plot import render
 from tailbeat.studies.montecarlo.recipe import Recipe, load, packaged
 from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, run_study
-from tailbeat.studies.montecarlo.summary import ClaimResult, GroupSummary, StudySummary, summarise
+from tailbeat.studies.montecarlo.summary import (
+    ClaimResult,
+    GroupSummary,
+    StudySummary,
+    render,
+    summarise,
+)
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import VERDICTS, Claim, Example, ExampleOptions
 from tailbeat.studies.thesis.study import Result, checked, choose

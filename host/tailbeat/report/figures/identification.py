@@ -11,8 +11,7 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.files import replace_file
 from tailbeat.learning.fit_quality import NAMES, Account, SwimAccount, steady_band
-from tailbeat.learning.identification import Identified
-from tailbeat.learning.speed_table import Table
+from tailbeat.learning.identification import Identified, SpeedTable
 from tailbeat.report.style import STYLE
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def draw_account(account: Account, path: Path, simulated: bool = False) -> None:
         _write(figure, path)
 
 
-def draw_table(table: Table, path: Path) -> None:
+def draw_table(table: SpeedTable, path: Path) -> None:
     """Writes a PNG of 1000 x 700 px: the map through the rows of a table."""
     import matplotlib as mpl
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tailbeat.core.files import replace_file
-from tailbeat.learning.verdict import Progress, Row
+from tailbeat.learning.assessment import Progress, Row
 from tailbeat.report.style import STYLE
 
 if TYPE_CHECKING:

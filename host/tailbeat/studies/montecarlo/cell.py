@@ -15,7 +15,7 @@ from tailbeat.core import reference as references
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.reference import Reference
-from tailbeat.learning.error_bound import floor
+from tailbeat.learning.error_bound import error_bound
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import FishModel
@@ -164,7 +164,7 @@ def _ground(
 ) -> _Ground:
     config = plant_config(plant, dict(values))
     wanted = _reference(plant, dict(values), name, amplitude_max_rad)
-    found = floor(config, wanted, amplitude_max_rad)
+    found = error_bound(config, wanted, amplitude_max_rad)
     return _Ground(
         wanted,
         found.minimax_m_s,

@@ -18,12 +18,12 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.law import Law
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
-from tailbeat.learning.convergence import Score, input_crc, judge
+from tailbeat.learning.convergence import Score, assess, input_crc
 from tailbeat.learning.design import design
-from tailbeat.learning.expected_series import next_ratio
-from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, Swim
+from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, identify_runs
+from tailbeat.learning.law_prediction import next_ratio
 from tailbeat.learning.model_law import Proposal, propose
 from tailbeat.learning.planner import plan
 from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
@@ -197,7 +197,7 @@ class DesignedLaw:
         self._board = BoardLaw(laws, self.spec.rollback_ratio)
         self._board.begin(reference)
         self._judges = [ConvergenceJudge(reference) for _ in laws]
-        self._swum: list[Swim] = []
+        self._swum: list[TrialSpeeds] = []
         models = [one.model for one in self.identified]
         self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
 
@@ -231,7 +231,7 @@ class ModelBasedLaw:
         self.fallback = fallback
         self.amplitude_max_rad = amplitude_max_rad
         self.floor_m_s = np.full(len(self.identified), np.nan)
-        self._swims: list[list[Swim]] = [[] for _ in self.identified]
+        self._swims: list[list[TrialSpeeds]] = [[] for _ in self.identified]
 
     def begin(self, reference: Reference) -> None:
         """From the identification, and all that was swum along other references."""
@@ -274,7 +274,7 @@ class ConvergenceJudge:
     reference: Reference
     scores: list[Score] = field(default_factory=list)
 
-    def verdict(self, swim: Swim) -> str:
+    def verdict(self, swim: TrialSpeeds) -> str:
         """The kind of assessment of a trial."""
         error = self.reference.speed_m_s - swim.speed_m_s
         largest = float(np.nanmax(np.abs(error))) if swim.measured.any() else float("nan")
@@ -289,21 +289,21 @@ class ConvergenceJudge:
                 error_m_s=error.astype(np.float32),
             )
         )
-        return judge(self.scores).kind
+        return assess(self.scores).kind
 
 
-def verdicts(judges: Sequence[ConvergenceJudge], swims: Sequence[Swim]) -> list[str]:
+def verdicts(judges: Sequence[ConvergenceJudge], swims: Sequence[TrialSpeeds]) -> list[str]:
     """Of one trial of every fish."""
-    return [judge.verdict(swim) for judge, swim in zip(judges, swims, strict=True)]
+    return [one.verdict(swim) for one, swim in zip(judges, swims, strict=True)]
 
 
 def swims_of(
     swims: BatchTrials, amplitude_rad: F64, beat_s: float, reference_crc: int = 0
-) -> list[Swim]:
+) -> list[TrialSpeeds]:
     """One ``Swim`` per fish; the standard deviation of what was not measured is the usual one."""
     sigma = np.where(np.isfinite(swims.sigma_m_s), swims.sigma_m_s, SIGMA_M_S)
     return [
-        Swim(
+        TrialSpeeds(
             amplitude_rad=amplitude_rad[i],
             speed_m_s=swims.speed_m_s[i],
             sigma_m_s=sigma[i],
@@ -322,7 +322,7 @@ def identify(
     batch = FishBatch(plant, [settings])
     number = FIRST_RUN
 
-    def swim(amplitude_rad: F64) -> Swim:
+    def swim(amplitude_rad: F64) -> TrialSpeeds:
         nonlocal number
         recorded = batch.run(amplitude_rad[None, :], number, beat_s)
         number += 1

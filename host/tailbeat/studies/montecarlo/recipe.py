@@ -2,7 +2,7 @@
 
 A recipe is the product of its ``[[plant]]``, ``[[law]]``, ``[[noise]]`` and corners, each for
 ``seeds`` seeds. ``[[claim]]`` says in figures what the result must hold to (``claims``).
-docs/sweep.md lists every key.
+docs/monte-carlo.md lists every key.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from tailbeat.board.snapshot import Snapshot
 from tailbeat.core import reference as references
 from tailbeat.core.errors import LinkLostError
 from tailbeat.learning.fish_model import FishModel
-from tailbeat.learning.transfer import likeness, transfer
+from tailbeat.learning.transfer import similarity, transfer
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.transfer import carry, plan
 from tailbeat.session.trial import run_trial
@@ -100,7 +100,7 @@ def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
 def expected(fish: Fish, amplitude: Any, new: str) -> np.ndarray[Any, Any]:
     old, wanted = references.from_text(OLD), references.from_text(new)
     limit = fish.params.get("AMP_MAX_RAD").value
-    return transfer(amplitude, old, wanted, likeness(old, wanted), TANK, limit).amplitude_rad
+    return transfer(amplitude, old, wanted, similarity(old, wanted), TANK, limit).amplitude_rad
 
 
 def test_from_the_board(learned: Fish, shell: Shell) -> None:

@@ -14,7 +14,7 @@ from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Beats, Slots, Trial
 from tailbeat.learning import convergence
-from tailbeat.learning.convergence import NoiseBand, Score, judge, judge_all, noise_band
+from tailbeat.learning.convergence import NoiseBand, Score, assess, assess_all, noise_band
 from tailbeat.learning.fish_model import Conditions, FishModel
 from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified
@@ -76,7 +76,7 @@ def good_input(kappa: float) -> Array:
 
 
 def test_words() -> None:
-    kinds = {v.kind: v.words for v in judge_all(scored(67.7, 28.7, 15.9, 11.6, 12.7, 19.0))}
+    kinds = {v.kind: v.words for v in assess_all(scored(67.7, 28.7, 15.9, 11.6, 12.7, 19.0))}
     assert kinds == {
         "first": "the first trial: 67.7 mm/s",
         "progress": "progress: 15.9 -> 11.6 mm/s",
@@ -85,7 +85,7 @@ def test_words() -> None:
         "worse": "worse than noise explains: 19.0 mm/s "
         "(the best: 11.6 mm/s, repeats are expected to scatter by -27..+27 %)",
     }
-    better = judge(scored(30, 12.0, 11.5))
+    better = assess(scored(30, 12.0, 11.5))
     assert (better.kind, better.best_trial) == ("noise", 3)
     assert better.words.startswith("the best, but within noise of trial 2 (12.0 mm/s")
 
@@ -93,13 +93,13 @@ def test_words() -> None:
 def test_a_rollback_names_whose_input_comes_back() -> None:
     scores = scored(30, 12, 17, 18)
     scores[-1] = replace(scores[-1], rolled_back=True)
-    found = judge(scores)
+    found = assess(scores)
     assert (found.kind, found.words) == ("rolled_back", "worse: rolled back to trial 2's input")
     assert found.best_max_abs_error_m_s == 0.012
 
 
 def test_the_best_input_doing_badly_points_at_the_fish() -> None:
-    found = judge(scored(30, 12, 22, crcs=(1, 2, 2)))
+    found = assess(scored(30, 12, 22, crcs=(1, 2, 2)))
     assert found.kind == "worse"
     assert "with the best's own input; has the water, the battery" in found.words
 
@@ -114,14 +114,14 @@ def test_a_trial_cut_short_is_compared_on_the_beats_it_had() -> None:
     best = np.full(40, 0.012)
     best[:13] = 0.005
     whole = Score(1, 1, 1, 0.012, True, error_m_s=best.astype(np.float32))
-    found = judge([whole, cut_short(np.full(40, -0.0041), 13)])
+    found = assess([whole, cut_short(np.full(40, -0.0041), 13)])
     assert found.kind == "incomplete"
     assert found.words == "incomplete: the first 13 beats 4.1 mm/s, the best had 5.0 there"
     assert (found.best_trial, found.stop) == (1, False)
-    lonely = judge([cut_short(np.full(40, 0.004), 2)])
+    lonely = assess([cut_short(np.full(40, 0.004), 2)])
     assert (lonely.kind, lonely.best_trial) == ("incomplete", 0)
     nothing = Score(1, 1, 1, math.nan, False, error_m_s=np.full(4, np.nan, np.float32))
-    assert judge([nothing]).words == "incomplete: no beat has a speed"
+    assert assess([nothing]).words == "incomplete: no beat has a speed"
 
 
 def test_a_band_from_repeats_by_the_formula() -> None:
@@ -233,7 +233,7 @@ def test_repeats_of_one_input_are_taken_for_noise(kappa: float) -> None:
     kinds: list[str] = []
     for _ in range(runs):
         worst = [np.abs(swim(model, amplitude, random)).max() for _ in range(10)]
-        kinds += [v.kind for v in judge_all(scored(*np.array(worst) * 1e3))[1:]]
+        kinds += [v.kind for v in assess_all(scored(*np.array(worst) * 1e3))[1:]]
     assert kinds.count("worse") / len(kinds) <= 0.06
     assert kinds.count("progress") / len(kinds) <= 0.06
 
@@ -247,7 +247,7 @@ def test_stops_when_learned_and_not_before(kappa: float, gain: float) -> None:
         seen, true = p_law(kappa, gain, trials, seed)
         scores = scored(*seen * 1e3)
         ends = range(1, trials + 1)
-        stop = next((n for n in ends if judge(scores[:n], rest_m_s=REST).stop), trials + 9)
+        stop = next((n for n in ends if assess(scores[:n], rest_m_s=REST).stop), trials + 9)
         learned = 1 + int(np.flatnonzero(true <= 1.1 * true.min())[0])
         early += bool(true[:stop].min() - true.min() > convergence.SCATTER_M_S)
         late += stop > learned + 4
@@ -256,35 +256,35 @@ def test_stops_when_learned_and_not_before(kappa: float, gain: float) -> None:
 
 
 def test_the_reasons_to_stop_and_what_to_do() -> None:
-    settled = judge(scored(30, 12, 12.5, 11.8, 12.4))
+    settled = assess(scored(30, 12, 12.5, 11.8, 12.4))
     assert settled.stop_reason == "the last 3 trials brought no progress beyond noise"
     assert settled.advice.startswith(
         "repeat the best twice to be sure: tailbeat learn --restore-best, trial run, "
         "trial discard --repeat"
     )
-    fallen = judge(scored(30, 12, 12.5, 11.8, 22))
+    fallen = assess(scored(30, 12, 12.5, 11.8, 22))
     assert fallen.words.startswith("worse than noise explains")
     assert fallen.stop_reason == "the last 3 trials brought nothing better, and this one is worse"
-    growing = judge(scored(30, 12, 20, 25, 30))
+    growing = assess(scored(30, 12, 20, 25, 30))
     assert growing.stop_reason.startswith("the last 3 trials are worse than noise explains")
-    near = judge(scored(60, 12.6, 12.3), floor_m_s=0.0113)
+    near = assess(scored(60, 12.6, 12.3), floor_m_s=0.0113)
     assert (
         near.stop_reason
         == "the last 2 trials are within noise of the floor (least squares, 11.3 mm/s)"
     )
-    assert not judge(scored(60, 12.6, 12.3), floor_m_s=0.005).stop
-    sure = judge(scored(30, 12, 12.5, 12.8, 12.4, crcs=(1, 2, 3, 2, 2)))
+    assert not assess(scored(60, 12.6, 12.3), floor_m_s=0.005).stop
+    sure = assess(scored(30, 12, 12.5, 12.8, 12.4, crcs=(1, 2, 3, 2, 2)))
     assert sure.advice.startswith("done: trial 2's input was swum 3 times, repeats scatter by")
 
 
 def test_a_series_is_not_ended_before_it_begins() -> None:
     stuck = scored(79.1, 79.0, 79.1, 79.0, 79.1)
-    assert judge(stuck).stop
-    assert not judge(stuck, rest_m_s=REST).stop
-    assert not any(judge(scored(60, 30, 15, 12)[:n]).stop for n in (1, 2, 3, 4))
-    assert judge(scored(30, 12, 18.2, 12.2, 12.8, 11.8)).stop  # back at the level
+    assert assess(stuck).stop
+    assert not assess(stuck, rest_m_s=REST).stop
+    assert not any(assess(scored(60, 30, 15, 12)[:n]).stop for n in (1, 2, 3, 4))
+    assert assess(scored(30, 12, 18.2, 12.2, 12.8, 11.8)).stop  # back at the level
     sinking = scored(30, 28.5, 27, 25.5, 24, 22.5)
-    assert not any(v.stop for v in judge_all(sinking))
+    assert not any(v.stop for v in assess_all(sinking))
 
 
 def test_each_verdict_has_the_band_of_the_best_until_then() -> None:
@@ -296,7 +296,7 @@ def test_each_verdict_has_the_band_of_the_best_until_then() -> None:
         asked.append(score.trial)
         return bands[score.trial]
 
-    found = judge_all(scores, expected)
+    found = assess_all(scores, expected)
     assert [v.band.high for v in found] == [1.1, 1.2, 1.3, 1.3]
     assert asked == [1, 2, 3]
 
@@ -354,7 +354,7 @@ def test_visits_count_what_each_beat_was_swum() -> None:
 
 
 def test_a_rollback_is_seen_in_the_files() -> None:
-    from tailbeat.learning.verdict import progress_of, scores_of
+    from tailbeat.learning.assessment import progress_of, scores_of
 
     inputs = [0.1, 0.2, 0.3, 0.4, 0.2, 0.25]
     worst = [0.03, 0.012, 0.017, 0.018, 0.0121, 0.0119]

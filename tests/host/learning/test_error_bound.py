@@ -11,9 +11,17 @@ import pytest
 from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.reference import Reference
-from tailbeat.learning.error_bound import DRAG, SATURATED, SLEW, START, band, floor, lsq_max_abs_m_s
+from tailbeat.learning.error_bound import (
+    DRAG,
+    SATURATED,
+    SLEW,
+    START,
+    error_bound,
+    error_bound_range,
+    lsq_max_abs_m_s,
+)
 from tailbeat.learning.error_bound_solve import SimulatedPlant, plant_beats, plant_config
-from tailbeat.learning.fish_model import FishModel, Swim
+from tailbeat.learning.fish_model import FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior, fit
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
@@ -32,14 +40,14 @@ def of_beats(*speed_m_s: float) -> Reference:
 )
 def test_tank(kappa: float, minimax_mm: float, lsq_mm: float) -> None:
     config = plant_config("tank", {"kappa_per_m": kappa})
-    found = floor(config, reference.thesis(), math.pi / 4)
+    found = error_bound(config, reference.thesis(), math.pi / 4)
     assert found.minimax_m_s * 1e3 == pytest.approx(minimax_mm, rel=0.01)
     assert found.lsq_max_abs_m_s * 1e3 == pytest.approx(lsq_mm, rel=0.01)
     assert found.where_s == 39.5
 
 
 def test_thesis() -> None:
-    found = floor(plant_config("thesis", {}), reference.thesis(), math.pi / 4)
+    found = error_bound(plant_config("thesis", {}), reference.thesis(), math.pi / 4)
     assert found.minimax_m_s * 1e3 == pytest.approx(0.83, rel=0.02)
     assert found.lsq_max_abs_m_s * 1e3 == pytest.approx(0.88, rel=0.02)
 
@@ -47,7 +55,7 @@ def test_thesis() -> None:
 def test_the_input_reaches_the_floor_and_stays_in_bounds() -> None:
     config = plant_config("tank", {})
     wanted = reference.thesis()
-    found = floor(config, wanted, 0.6)
+    found = error_bound(config, wanted, 0.6)
     reached = plant_beats(config, found.minimax_input.astype(np.float64), 1.0)
     assert np.abs(wanted.speed_m_s - reached).max() == pytest.approx(found.minimax_m_s, rel=1e-3)
     assert found.minimax_input.min() >= 0
@@ -59,7 +67,7 @@ def test_values_that_make_no_sense_are_refused() -> None:
         plant_config("tank", {"colour": 1})
     config = plant_config("tank", {"kappa_per_m": -1})
     with pytest.raises(InputError):
-        floor(config, reference.thesis(), 0.7)
+        error_bound(config, reference.thesis(), 0.7)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +78,7 @@ def test_an_identified_model_tells_the_floor(
     kappa: float, minimax_mm: float, lsq_mm: float
 ) -> None:
     """The published values are of the tank with its servo and its ripple, which the model lacks."""
-    found = floor(replace(TANK, kappa_per_m=kappa), reference.thesis(), AMPLITUDE_MAX_RAD)
+    found = error_bound(replace(TANK, kappa_per_m=kappa), reference.thesis(), AMPLITUDE_MAX_RAD)
     assert found.minimax_m_s * 1e3 == pytest.approx(minimax_mm, rel=0.03)
     assert found.lsq_max_abs_m_s * 1e3 == pytest.approx(lsq_mm, rel=0.03)
     assert found.lsq_rms_m_s < found.minimax_m_s < found.lsq_max_abs_m_s
@@ -83,7 +91,7 @@ def test_an_identified_model_tells_the_floor(
 def test_least_squares_is_where_no_beat_wants_to_move(kappa: float) -> None:
     """The conditions of Karush, Kuhn and Tucker, by differences; and the planner agrees."""
     model, wanted = replace(TANK, kappa_per_m=kappa), reference.thesis()
-    found = floor(model, wanted, AMPLITUDE_MAX_RAD)
+    found = error_bound(model, wanted, AMPLITUDE_MAX_RAD)
     u, size = found.lsq_input.astype(np.float64), 1e-4
 
     def cost(amplitude: np.ndarray) -> float:
@@ -102,7 +110,7 @@ def test_least_squares_is_where_no_beat_wants_to_move(kappa: float) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_no_input_beats_the_minimax(seed: int) -> None:
     wanted = reference.thesis()
-    found = floor(TANK, wanted, AMPLITUDE_MAX_RAD)
+    found = error_bound(TANK, wanted, AMPLITUDE_MAX_RAD)
     best = found.minimax_input.astype(np.float64)
     generator = np.random.default_rng(seed)
     for scale in (1e-4, 1e-3, 1e-2, 0.1):
@@ -119,17 +127,17 @@ def test_a_start_too_quick_is_late_by_what_full_thrust_gives(beat_s: float) -> N
     top = 0.219 * (AMPLITUDE_MAX_RAD - 0.197)
     most = math.log(math.cosh(10 * top * (beat_s - 0.3))) / 10 / beat_s
     wanted = Reference(beat_s, np.array([0.1], dtype=np.float32), "start")
-    found = floor(TANK, wanted, AMPLITUDE_MAX_RAD)
+    found = error_bound(TANK, wanted, AMPLITUDE_MAX_RAD)
     assert found.minimax_m_s == pytest.approx(0.1 - most, rel=1e-5)
     assert found.lsq_max_abs_m_s == pytest.approx(0.1 - most, rel=1e-5)
     assert found.where_s == beat_s / 2
     assert [(spot.worst, spot.why) for spot in found.spots] == [(0, START)]
-    silent = floor(replace(TANK, delay_s=1.5), of_beats(0.05, 0.05, 0.05), AMPLITUDE_MAX_RAD)
+    silent = error_bound(replace(TANK, delay_s=1.5), of_beats(0.05, 0.05, 0.05), AMPLITUDE_MAX_RAD)
     assert silent.minimax_m_s == pytest.approx(0.05)
 
 
 def test_a_cruise_too_fast_saturates() -> None:
-    found = floor(TANK, reference.trapezoid(0.1, 10, 20), 0.5)
+    found = error_bound(TANK, reference.trapezoid(0.1, 10, 20), 0.5)
     (cruise,) = [spot for spot in found.spots if spot.error_m_s > 0]
     assert cruise.why == SATURATED
     assert found.minimax_m_s == pytest.approx(0.1 - 0.219 * (0.5 - 0.197), abs=2e-4)
@@ -137,22 +145,22 @@ def test_a_cruise_too_fast_saturates() -> None:
 
 
 def test_an_amplitude_without_thrust_leaves_the_reference() -> None:
-    found = floor(TANK, reference.thesis(), 0.15)
+    found = error_bound(TANK, reference.thesis(), 0.15)
     assert found.minimax_m_s == pytest.approx(0.0791, rel=1e-4)
     assert found.spots[0].why == SATURATED
 
 
 def test_a_reference_within_reach_has_no_spots() -> None:
     up = of_beats(*0.08 * np.linspace(0.05, 1, 20) ** 2)
-    assert floor(TANK, up, AMPLITUDE_MAX_RAD).spots == ()
+    assert error_bound(TANK, up, AMPLITUDE_MAX_RAD).spots == ()
 
 
 def test_a_slew_limit_costs() -> None:
     wanted = reference.thesis()
-    free = floor(TANK, wanted, AMPLITUDE_MAX_RAD)
+    free = error_bound(TANK, wanted, AMPLITUDE_MAX_RAD)
     before = free.minimax_m_s * (1 - 1e-4)
     for slew in (0.2, 0.05, 0.03, 0.015):
-        found = floor(TANK, wanted, AMPLITUDE_MAX_RAD, slew)
+        found = error_bound(TANK, wanted, AMPLITUDE_MAX_RAD, slew)
         for u in (found.minimax_input, found.lsq_input):
             assert np.abs(np.diff(u)).max() <= slew + 1e-6
         assert before <= found.minimax_m_s <= found.lsq_max_abs_m_s
@@ -165,7 +173,7 @@ def test_the_slew_limited_floor_against_a_general_solver() -> None:
     from scipy.optimize import minimize
 
     wanted, slew = of_beats(0.01, 0.06, 0.08, 0.02, 0.01, 0.05), 0.06
-    found = floor(TANK, wanted, AMPLITUDE_MAX_RAD, slew)
+    found = error_bound(TANK, wanted, AMPLITUDE_MAX_RAD, slew)
     change = np.diff(np.eye(6), axis=0)
     limits = {"type": "ineq", "fun": lambda u: slew - np.r_[change @ u, -change @ u]}
 
@@ -221,7 +229,7 @@ def test_the_floor_before_the_first_trial(
     for u in RUNS:
         speed = plant_beats(config, u, 1.0) * (1 + 0.02 * generator.normal())
         speed += 0.0015 * generator.normal() + 0.0007 * generator.normal(size=len(u))
-        swims.append(Swim(u, speed, np.full(len(u), 0.0007)))
+        swims.append(TrialSpeeds(u, speed, np.full(len(u), 0.0007)))
     drag, later, gain, dead = corner
     belief = FishModel(kappa * drag, 0.219 * gain, 0.197 * dead, 0.3 + later)
     model = fit(swims, Prior(model=belief)).model
@@ -232,20 +240,22 @@ def test_the_floor_before_the_first_trial(
 
 def test_the_band_is_of_the_models() -> None:
     models = [replace(TANK, kappa_per_m=kappa) for kappa in np.linspace(8, 12, 21)]
-    found = band(Identified(TANK, models, np.eye(4)), reference.thesis(), AMPLITUDE_MAX_RAD)
+    found = error_bound_range(
+        Identified(TANK, models, np.eye(4)), reference.thesis(), AMPLITUDE_MAX_RAD
+    )
     low, high = found.lsq_max_abs_m_s
     expected = [
         lsq_max_abs_m_s(replace(TANK, kappa_per_m=kappa), reference.thesis(), AMPLITUDE_MAX_RAD)
         for kappa in (11.8, 8.2)
     ]
     assert [low, high] == pytest.approx(expected)
-    assert low < found.floor.lsq_max_abs_m_s < high
+    assert low < found.bound.lsq_max_abs_m_s < high
 
 
 @pytest.mark.parametrize(("amplitude_max", "slew"), [(0.0, None), (0.5, 0.0), (-1.0, None)])
 def test_limits_that_make_no_sense_are_refused(amplitude_max: float, slew: float | None) -> None:
     with pytest.raises(InputError, match="more than 0 rad"):
-        floor(TANK, reference.thesis(), amplitude_max, slew)
+        error_bound(TANK, reference.thesis(), amplitude_max, slew)
 
 
 def test_a_map_that_falls_again_is_used_up_to_its_top() -> None:
@@ -256,6 +266,6 @@ def test_a_map_that_falls_again_is_used_up_to_its_top() -> None:
     assert SimulatedPlant(config, 1.0, AMPLITUDE_MAX_RAD).w_max == pytest.approx(
         SimulatedPlant(config, 1.0, top).w_max, rel=1e-3
     )
-    all_of_it, below = (floor(config, wanted, most) for most in (AMPLITUDE_MAX_RAD, top))
+    all_of_it, below = (error_bound(config, wanted, most) for most in (AMPLITUDE_MAX_RAD, top))
     assert all_of_it.minimax_input.max() <= top + 0.005
     assert all_of_it.minimax_m_s == pytest.approx(below.minimax_m_s, rel=0.01)

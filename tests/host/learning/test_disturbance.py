@@ -11,8 +11,8 @@ import pytest
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.learning.disturbance import bump_of
-from tailbeat.learning.fish_model import Swim, swim_of
+from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
+from tailbeat.learning.fit_quality import disturbance_of
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.collect import Log, outcome_of, record_of
 from tailbeat.session.trial import run_trial
@@ -64,11 +64,11 @@ def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:
     tank.fish.params.set("ILC_LEAD", 0)  # with 1, the push back in beat 2 is taken for one ahead
     for at in (2, 7, 11):
         clean = tank.swims()
-        assert bump_of(swim_of(clean)) is None and problems(clean) == ()
+        assert disturbance_of(trial_speeds(clean)) is None and problems(clean) == ()
         tank.fish.learn()
         pushed = tank.swims(PUSH_M_S if at == 7 else -PUSH_M_S, at)
         tank.fish.discard()
-        found = bump_of(swim_of(pushed))
+        found = disturbance_of(trial_speeds(pushed))
         assert found is not None and (found.by_m_s > 0) == (at == 7)
         assert 0.012 < abs(found.by_m_s) <= PUSH_M_S
         assert at < found.beats.start <= at + 4  # beats are heard of 2.5 s after their end
@@ -77,19 +77,19 @@ def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:
 
 def test_what_is_said() -> None:
     speed = np.r_[np.full(10, 0.05), 0.09, 0.07, np.full(8, 0.05)]
-    swim = Swim(np.full(20, 0.4253), speed, np.full(20, 0.0005))
-    found = bump_of(swim)
+    swim = TrialSpeeds(np.full(20, 0.4253), speed, np.full(20, 0.0005))
+    found = disturbance_of(swim)
     assert found is not None
     assert found.words() == "beats 10-11 jump by +40 mm/s: a bump or a wave?"
-    noisy = Swim(swim.amplitude_rad, speed, np.full(20, 0.007))
-    assert bump_of(noisy) is None, "the camera is no better than that"
+    noisy = TrialSpeeds(swim.amplitude_rad, speed, np.full(20, 0.007))
+    assert disturbance_of(noisy) is None, "the camera is no better than that"
 
 
 def test_too_little_to_tell() -> None:
     speed = np.full(20, np.nan)
-    assert bump_of(Swim(np.full(20, 0.4), speed, np.full(20, 0.001))) is None
+    assert disturbance_of(TrialSpeeds(np.full(20, 0.4), speed, np.full(20, 0.001))) is None
     speed[3:8] = (0.05, 0.05, 0.05, 0.05, 0.15)
-    assert bump_of(Swim(np.full(20, 0.4), speed, np.full(20, 0.001))) is None
+    assert disturbance_of(TrialSpeeds(np.full(20, 0.4), speed, np.full(20, 0.001))) is None
 
 
 def test_a_camera_that_was_away_is_the_reason_of_missing_speeds(tank: Tank) -> None:
@@ -109,9 +109,9 @@ def test_many_fish(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     tank = Tank(tmp_path, seed, thesis())
     for _ in range(10):
-        assert bump_of(swim_of(tank.swims())) is None
+        assert disturbance_of(trial_speeds(tank.swims())) is None
         tank.fish.learn()
         at, by = int(rng.integers(0, 36)), float(rng.choice([-PUSH_M_S, PUSH_M_S]))
-        assert bump_of(swim_of(tank.swims(by, at))) is not None, (at, by)
+        assert disturbance_of(trial_speeds(tank.swims(by, at))) is not None, (at, by)
         tank.fish.discard()
     tank.fish.close()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
+from tailbeat.learning.assessment import fluctuation, gain_schedule, repeat_variance
 from tailbeat.learning.convergence import NoiseBand, Score
-from tailbeat.learning.gain_schedule import fade_advice, fluctuation, repeat_variance
 
 NOISE = 4e-6  # (2 mm/s)**2, of a beat between repeats on the tank plant
 
@@ -32,7 +32,7 @@ def test_a_fixed_gain_leaves_what_the_formula_says() -> None:
 @pytest.mark.parametrize("start", [NOISE, 1e-4, 1e-3])
 def test_no_fixed_gain_learns_as_well(start: float, walk: float) -> None:
     """After 12 trials; the board's sequence comes near the filter's."""
-    found = fade_advice(NOISE, start, 1.0, walk, trials=12)
+    found = gain_schedule(NOISE, start, 1.0, walk, trials=12)
     kalman = learned_variance(list(found.kalman), start, walk)
     board = learned_variance(list(found.board), start, walk)
     fixed = [learned_variance([a] * 12, start, walk) for a in np.arange(0.1, 1.01, 0.1)]
@@ -41,24 +41,24 @@ def test_no_fixed_gain_learns_as_well(start: float, walk: float) -> None:
 
 
 def test_without_wandering_the_gain_falls_as_one_over_the_trials() -> None:
-    found = fade_advice(NOISE, 1e3 * NOISE, 1.0, trials=10)
+    found = gain_schedule(NOISE, 1e3 * NOISE, 1.0, trials=10)
     np.testing.assert_allclose(found.kalman, 1 / (np.arange(10) + 1 + 1e-3), rtol=1e-9)
     assert (found.fade, found.fade_from) == (pytest.approx(1.0, abs=0.01), 0)
     np.testing.assert_allclose(found.board, found.kalman, atol=0.01)
 
 
 def test_the_full_gain_stays_as_long_as_it_is_needed() -> None:
-    found = fade_advice(NOISE, 1e-3, 0.85, settled_after=4)
+    found = gain_schedule(NOISE, 1e-3, 0.85, settled_after=4)
     np.testing.assert_array_equal(found.kalman[:4], 1.0)
     np.testing.assert_array_equal(found.board[: found.fade_from + 1], 1.0)
     assert found.fade_from == 3
-    assert fade_advice(NOISE, 1e-3, 0.02, trials=3).fade == 0.0
+    assert gain_schedule(NOISE, 1e-3, 0.02, trials=3).fade == 0.0
 
 
 def test_variances_that_make_no_sense() -> None:
     for wrong in ((0.0, 1e-4), (NOISE, -1.0), (float("nan"), 1e-4)):
         with pytest.raises(InputError, match="variances"):
-            fade_advice(*wrong)
+            gain_schedule(*wrong)
 
 
 def scored(*mm: float) -> list[Score]:
