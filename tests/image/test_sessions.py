@@ -41,7 +41,7 @@ def prepare(fish: Fish, source: int, beats: int = BEATS) -> None:
 
 
 def law_of(fish: Fish) -> laws.Law:
-    return laws.Law.from_params({n: p.value for n, p in fish.params.list().items()}, BEAT_S)
+    return laws.Law.from_params(fish.params.values(), BEAT_S)
 
 
 def learn_from_true_speeds(fish: Fish) -> list[np.ndarray]:

@@ -78,7 +78,7 @@ def test_a_stock_client_reads_parameters_and_pulls_a_trial(address: str, tmp_pat
     told = json.loads(done.stdout.splitlines()[-1])
     assert (told["type"], told["autopilot"]) == (12, 0)
     with Fish.connect(address) as fish:
-        ours = {name: p.value for name, p in fish.params.list().items()}
+        ours = fish.params.values()
     assert told["params"] == ours
     assert (told["list_error"], told["get_error"]) == (0, 0)
     assert ["0001.ulg", len(expected)] in told["entries"]

@@ -185,7 +185,7 @@ class _Demo:
             )
         law = {"ILC_GAIN": self.options.gain, "ILC_LEAD": float(self.lead)}
         presets.apply(fish, {**THESIS, **law})
-        self.params = {name: p.value for name, p in fish.params.list().items()}
+        self.params = fish.params.values()
         self.law = laws.Law.from_params(self.params, self.reference.beat_s)
         for problem in self.reference.check(reference.ReferenceLimits.from_params(self.params)):
             raise InputError(problem.meaning, problem.remedy)

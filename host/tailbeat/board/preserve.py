@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.board.fish import REST, Fish
-from tailbeat.board.snapshot import BOARD_FILE, Snapshot, board_params
+from tailbeat.board.snapshot import BOARD_FILE, Snapshot
 from tailbeat.core import law
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, TailbeatError
@@ -102,7 +102,7 @@ def preserved(
     InputError when the board cannot begin."""
     restore_interrupted(fish, copy, note)
     _require_ready(fish, what)
-    params = board_params(fish)
+    params = fish.params.values()
     held = _held(fish, params, changes)
     if copy is not None:
         _write_copy(copy, held, note)

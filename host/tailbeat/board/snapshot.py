@@ -63,7 +63,7 @@ class Snapshot:
         """What the board holds now, without its crash record. ``params``: by default all that it
         has. ``info``: what it said of itself already; without it the build is not in it."""
         if params is None:
-            params = board_params(fish)
+            params = fish.params.values()
         reference = fish.reference_record()
         status = fish.status() if info is None else info.status
         return cls(
@@ -251,11 +251,6 @@ def new_folder(root: Path, unique_id: str, now: datetime | None = None) -> Path:
     raise InputError(f"{root} holds 99 backups of this second", "Use another folder: --out FOLDER")
 
 
-def board_params(fish: Fish) -> dict[str, float]:
-    """All parameters of the board, by name."""
-    return {name: p.value for name, p in fish.params.list().items()}
-
-
 def same_value(value: float, other: float) -> bool:
     """Whether a board, which holds float32, has both as the same value."""
     return struct.pack("<f", value) == struct.pack("<f", other)
@@ -345,7 +340,7 @@ def restore_params(
 
 
 def _restore_params(fish: Fish, expected: Mapping[str, float], report: RestoreReport) -> None:
-    present = board_params(fish)
+    present = fish.params.values()
     changed = differences(present, expected)
     given, refused = restore_params(fish, {name: value for name, (_, value) in changed.items()})
     for name, value in expected.items():

@@ -22,7 +22,7 @@ from typing import Any
 
 from tailbeat.board.fish import Fish, board_reference
 from tailbeat.board.preserve import RESTORE_COMMAND, was_interrupted
-from tailbeat.board.snapshot import Differences, board_params, differences, same_value
+from tailbeat.board.snapshot import Differences, differences, same_value
 from tailbeat.core import decode
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import NO_REFERENCE, refusal
@@ -182,7 +182,7 @@ def make(
 
     require_as_set(fish)
     info = fish.info()
-    params = board_params(fish)
+    params = fish.params.values()
     note_board(fish, params)
     label = (
         Averaging.from_params(params).label() + Law.from_params(params, reference.beat_s).label()
@@ -265,35 +265,35 @@ def note_board(fish: Fish, params: Mapping[str, float]) -> None:
 def set_and_save(fish: Fish, values: Mapping[str, float]) -> dict[str, float]:
     """Sets and saves these parameters, and notes it in the experiment the fish is in; others that
     were changed but not saved stay so. What the board then holds."""
-    now = board_params(fish)
+    now = fish.params.values()
     fish.params.load()
-    stored = board_params(fish)
+    stored = fish.params.values()
     for name, value in values.items():
         fish.params.set(name, value)
     fish.params.save()
     for name, value in now.items():
         if name not in values and stored[name] != value:
             fish.params.set(name, value)
-    held = {name: fish.params.get(name).value for name in values}
+    held = fish.params.values(*values) if values else {}
     note_set(fish, held)
     return held
 
 
 def note_all(fish: Fish) -> None:
     """Whatever the board has now was set on purpose."""
-    note_set(fish, board_params(fish))
+    note_set(fish, fish.params.values())
 
 
 def note_restored(fish: Fish) -> None:
     """The board has what it is meant to have again: the logbook follows. Raises InputError."""
-    note_board(fish, board_params(fish))
+    note_board(fish, fish.params.values())
 
 
 def strayed(fish: Fish, experiment: Experiment | None) -> Differences:
     """From what ``experiment`` had, or without one from what was set. What only one of the two
     knows is another firmware's."""
     wanted = _board_params(fish) if experiment is None else expected_params(experiment)
-    return differences(board_params(fish), wanted)
+    return differences(fish.params.values(), wanted)
 
 
 def require_meant(fish: Fish, experiment: Experiment) -> None:
@@ -374,7 +374,7 @@ def made_before(
     if reference_crc(found) != reference.crc or not untouched(found):
         return None
     held = found.settings()
-    if held.get("params") != board_params(fish):
+    if held.get("params") != fish.params.values():
         return None
     if all(held.get(key) == value for key, value in wanted.items()):
         return found

@@ -116,7 +116,7 @@ def saturation_next(
     """Of the trial that waits on the board to be learned from, without pulling its file. ``known``
     is called when beats are at the limit."""
 
-    params = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", *_SERVO)}
+    params = fish.params.values("AMP_MAX_RAD", *_SERVO)
     count = at_limit(fish.amplitudes().values[:executed_beats], params["AMP_MAX_RAD"])
     if not count or (reference := board_reference(fish)) is None:
         return None

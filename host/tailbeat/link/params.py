@@ -93,6 +93,12 @@ class Parameters:
             barren = 0 if len(found) > had else barren + 1
         raise self._link.lost(barren, barren * _LIST_SILENCE_S)
 
+    def values(self, *names: str) -> dict[str, float]:
+        """Values by name, of these or of all."""
+        if not names:
+            return {name: one.value for name, one in self.list().items()}
+        return {name: self.get(name).value for name in names}
+
     def get(self, name: str) -> Parameter:
         """One parameter. Raises Refused when the board has none of that name."""
         return self._about(name, _read_request)

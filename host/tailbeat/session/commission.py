@@ -36,7 +36,7 @@ from tailbeat.session.log import SessionLog
 from tailbeat.session.operator import Operator
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
-from tailbeat.session.trial_camera import default_camera
+from tailbeat.session.trial_camera import camera_of
 from tailbeat.session.trim import apply, find_centre
 
 __all__ = ["RAISE_MAX_RAD", "CommissionStep", "Raise", "advice", "first_session", "next_raise"]
@@ -69,15 +69,9 @@ def first_session(
     anything is raised; ``wanted``: of the ritual before every swim. Saves what it sets. Uploads the
     reference. Ends early, with a step that is not done, when one fails that the next ones need.
     Raises LinkLostError."""
-    own = default_camera(fish) if camera is None else None
-    try:
-        session = _Session(
-            fish, reference, operator, camera or own, guard, wanted or PreflightLimits()
-        )
-        yield from _steps(session)
-    finally:
-        if own is not None:
-            own.close()
+    with camera_of(fish, camera) as used:
+        limits = wanted or PreflightLimits()
+        yield from _steps(_Session(fish, reference, operator, used, guard, limits))
 
 
 def _steps(session: _Session) -> Iterator[CommissionStep]:
@@ -105,7 +99,7 @@ def advice(fish: Fish, experiment: Experiment) -> list[str]:
     reference = board_reference(fish)
     if reference is None:
         return []
-    params = _params(fish)
+    params = fish.params.values()
     trials = SessionLog(experiment, experiment.journal).counting()
     if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
         return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
@@ -151,7 +145,7 @@ class _Session:
         fish = self.fish
         restore_interrupted(fish, preserve_folder(logbook_of(fish)), self._note)
         _require_idle(fish)
-        params = _params(fish)
+        params = fish.params.values()
         findings = look_at(fish)
         problems = [f"{one.name}: {one.line}" for one in findings if one.status == PROBLEM]
         told = [f"{one.name}: {one.text}" for one in findings if one.status != PROBLEM]
@@ -184,7 +178,7 @@ class _Session:
 
     def _give_reference(self) -> None:
 
-        problems = self.reference.check(ReferenceLimits.from_params(_params(self.fish)))
+        problems = self.reference.check(ReferenceLimits.from_params(self.fish.params.values()))
         if problems:
             raise InputError(problems[0].meaning, problems[0].remedy)
         status = self.fish.status()
@@ -263,7 +257,7 @@ class _Session:
         """For the limit that the reference will need."""
 
         assert self.identified is not None
-        params = _params(self.fish)
+        params = self.fish.params.values()
         most = min(needed_rad(self.identified, self.reference), servo_rad(params))
         found = design(self.identified, self.reference, most, step_max_rad=params["DU_MAX_RAD"])
         if found.refused:
@@ -281,7 +275,9 @@ class _Session:
 
     def raise_limit(self) -> CommissionStep:
         """One step; a swim with it proves it before it is set."""
-        found = next_raise(_params(self.fish), self.reference, self.identified, self.straight)
+        found = next_raise(
+            self.fish.params.values(), self.reference, self.identified, self.straight
+        )
         if isinstance(found, str):
             return CommissionStep("limits", True, found)
         assert self.identified is not None
@@ -334,10 +330,6 @@ def _tank_question(params: dict[str, float]) -> str:
         f"By TANK_LEN_M the tank is {tank_m:.2f} m long and by FISH_LEN_M the fish {fish_m:.2f} m: "
         f"it may swim {tank_m - fish_m:.2f} m. Is that right?"
     )
-
-
-def _params(fish: Fish) -> dict[str, float]:
-    return {name: p.value for name, p in fish.params.list().items()}
 
 
 def _identified(fish: Fish) -> Identified | None:

@@ -56,7 +56,7 @@ def dry_run(fish: Fish, number: int | None = None) -> DryRun:
     if record is None:
         raise InputError("the board has no reference.", "Upload one first.")
     wanted = decode_reference(record)
-    params = {name: p.value for name, p in fish.params.list().items()}
+    params = fish.params.values()
     law = laws.Law.from_params(params, wanted.beat_s)
     trial = _pulled(fish, pending)
     error, measured = laws.errors_of(wanted.speed_m_s, trial.beats.speed_m_s)

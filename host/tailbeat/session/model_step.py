@@ -47,7 +47,7 @@ def setting_of(fish: Fish) -> ModelStepSetting:
     wanted = board_reference(fish)
     if wanted is None:
         raise InputError("the board has no reference.", "tailbeat reference upload thesis")
-    params = {name: p.value for name, p in fish.params.list().items()}
+    params = fish.params.values()
     return ModelStepSetting(
         reference=wanted,
         amplitude_max_rad=params["AMP_MAX_RAD"],

@@ -264,4 +264,4 @@ def _model(fish: Fish, identified: Identified | None) -> FishModel:
     if identified is not None:
         return identified.model
 
-    return prior_of({name: p.value for name, p in fish.params.list().items()}).model
+    return prior_of(fish.params.values()).model

@@ -44,7 +44,7 @@ from tailbeat.session.outcome import BY_HAND, Decision, DecisionKind, Ready, Rec
 from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import BatteryLow, GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import room_guard, travel_next
-from tailbeat.session.trial_camera import default_camera
+from tailbeat.session.trial_camera import camera_of
 
 __all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
 
@@ -328,7 +328,7 @@ class _Series:
         """Before each swim: whether the battery still allows it."""
         fish = self.around.fish
         now_v = fish.status().battery_v
-        params = {name: fish.params.get(name).value for name in ("BATT_LOW_V", "BATT_CRIT_V")}
+        params = fish.params.values("BATT_LOW_V", "BATT_CRIT_V")
         if (words := too_low(now_v, params)) is not None:
             return self.end("battery", f"{words}; change it, then: tailbeat session resume")
         if (words := forecast(now_v, self.account.drains(), params)) is not None:
@@ -336,20 +336,16 @@ class _Series:
         return None
 
     def _round(self) -> SeriesEnd | None:
-        camera = self.around.camera
-        own = default_camera(self.around.fish) if camera is None else None
-        try:
-            around = replace(self.around, camera=camera or own)
-            swam = self._swim(around, *self._prepare(around))
+        try:  # nobody looks at the camera's pictures while the operator decides
+            with camera_of(self.around.fish, self.around.camera) as camera:
+                around = replace(self.around, camera=camera)
+                swam = self._swim(around, *self._prepare(around))
         except BatteryLow as low:
             return self.end("battery", f"{low}")
         except Refused as refused:
             if refused.number != BATTERY_LOW:
                 raise
             return self.end("battery", f"{refused}")
-        finally:
-            if own is not None:  # nobody looks at its pictures while the operator decides
-                own.close()
         if isinstance(swam, SeriesEnd):
             return swam
         recorded, by_hand = swam

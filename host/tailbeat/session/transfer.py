@@ -201,7 +201,7 @@ def plan(
             f"largest speed; {TOLERANCE:.0%} are allowed.",
             "Scale speed and time of the old reference only, or leave out --warm-start.",
         )
-    params = {name: p.value for name, p in fish.params.list().items()}
+    params = fish.params.values()
     transferred = transfer(
         learned.amplitude_rad,
         learned.reference,

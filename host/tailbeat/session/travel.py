@@ -164,7 +164,7 @@ def _next(fish: Fish, book: Logbook | None) -> _Next:
     if record is None:
         raise refusal(NO_REFERENCE)
     wanted = decode_reference(record)
-    params = {name: p.value for name, p in fish.params.list().items()}
+    params = fish.params.values()
     law = laws.Law.from_params(params, wanted.beat_s)
     held = fish.amplitudes() if fish.status().iteration else None
     if held is None or held.input == _FIRST:

@@ -36,7 +36,7 @@ from tailbeat.session.events import (
 )
 from tailbeat.session.guards import Guard
 from tailbeat.session.outcome import StopKind, StopReason
-from tailbeat.session.trial_camera import TrialCamera, default_camera
+from tailbeat.session.trial_camera import TrialCamera, camera_of
 
 _POLL_S = 0.02  # of board time; a camera behind another socket does not end a wait
 _SILENCE_S = 3.0  # of board time, after which the link counts as lost
@@ -124,14 +124,8 @@ def run_trial(
     """
     run = _Run(fish, on_event or (lambda _: None), guard, reconnect_s)
     run.direction_rad = direction_rad
-    if camera is not None:
-        return _execute(run, camera)
-    own = default_camera(fish)
-    try:
-        return _execute(run, own)
-    finally:
-        if own is not None:
-            own.close()
+    with camera_of(fish, camera) as used:
+        return _execute(run, used)
 
 
 def _execute(run: _Run, camera: Camera | None) -> TrialOutcome:

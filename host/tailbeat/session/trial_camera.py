@@ -14,7 +14,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -267,6 +267,14 @@ def vision_message(board_s: float, sample: SpeedSample) -> Message:
     return mavlink.MAVLink_vision_speed_estimate_message(
         round(board_s * 1e6), sample.speed_m_s, math.nan, math.nan, covariance, 0
     )
+
+
+@contextmanager
+def camera_of(fish: Fish, camera: Camera | None) -> Iterator[Camera | None]:
+    """``camera``, which stays open, or else that of a simulated board."""
+    own = default_camera(fish) if camera is None else None
+    with closing(own) if own is not None else nullcontext(camera) as used:
+        yield used
 
 
 def default_camera(fish: Fish) -> Camera | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,7 @@ from tailbeat.session.preflight.checklist import prepare
 from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
-from tailbeat.session.trial_camera import default_camera
+from tailbeat.session.trial_camera import camera_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -202,8 +202,7 @@ def find_centre(
         operator.tell(Notice(text))
 
     with ExitStack() as stack:
-        if camera is None and (own := default_camera(fish)) is not None:
-            camera = stack.enter_context(closing(own))
+        camera = stack.enter_context(camera_of(fish, camera))
         board = stack.enter_context(preserved(fish, preserve_folder(book), note, "trim", (CENTRE,)))
         swimmer = _TrimRunner(board, operator, camera, guard, wanted, book)
         planned = plan(belief, board.params)
@@ -230,7 +229,7 @@ def apply(fish: Fish, trim: Trim) -> float:
 
 
 def _belief(fish: Fish, book: Logbook | None) -> TravelModel:
-    params = {name: p.value for name, p in fish.params.list().items()}
+    params = fish.params.values()
     identified = book.identified() if book is not None else None
     return travel_model_of(params, identified, last_measured(fish, book))
 

@@ -307,7 +307,7 @@ def taught(due: Due) -> Content:
         return Content(
             reference,
             fish.learned_record(),
-            {name: p.value for name, p in fish.params.list().items()},
+            fish.params.values(),
             {f"{t.number:04d}.ulg": fish.ftp.read(t.path) for t in fish.trials()},
         )
 
@@ -317,7 +317,7 @@ def on_board(due: Due) -> Content:
         return Content(
             fish.reference_record(),
             fish.learned_record(),
-            {name: p.value for name, p in fish.params.list().items()},
+            fish.params.values(),
             {f"{t.number:04d}.ulg": fish.ftp.read(t.path) for t in fish.trials()},
         )
 

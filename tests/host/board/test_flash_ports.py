@@ -332,7 +332,7 @@ def test_there_and_back_over_a_serial_line(console: Console, tmp_path: Path) -> 
         fish.upload_reference(records.encode_reference(1.0, np.full(5, 0.03)))
         result = restore(fish, kept.snapshot)
         assert fish.learned_record() == learned is not None
-        assert {n: p.value for n, p in fish.params.list().items()} == kept.snapshot.params
+        assert fish.params.values() == kept.snapshot.params
     assert steps[-1] == "pulling trial 1"
     assert result.back[1:] == ["the reference", "all that was learned"]
     assert "SERVO_CENTRE_US" in kept.snapshot.params

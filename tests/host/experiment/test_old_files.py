@@ -104,7 +104,7 @@ def stored() -> Iterator[Fish]:
 def defaults() -> dict[str, float]:
     """Of every parameter, by its name of now."""
     with Fish.connect("sim:tank?seed=3") as fish:
-        return {name: one.value for name, one in fish.params.list().items()}
+        return fish.params.values()
 
 
 def renamed(told: Json) -> Json:
@@ -310,7 +310,7 @@ def test_a_backup_goes_back(fresh: Fish, defaults: dict[str, float]) -> None:
     told = params_of(json.loads((folder / "board.json").read_bytes())["params"])
     restored = restore(fresh, backup)
     assert not restored.missing
-    now = {name: one.value for name, one in fresh.params.list().items()}
+    now = fresh.params.values()
     assert {name: now[name] for name in told} == told
     assert all(now[name] != defaults[name] for name in names_of(AWAY))
     assert bits(fresh) == EXPECTED["learned"]
@@ -351,7 +351,7 @@ def test_other_files(old: Path) -> None:
 def test_the_store_boots(stored: Fish, defaults: dict[str, float]) -> None:
     told, status = EXPECTED["store"], stored.status()
     assert (status.state, status.fault.name, status.next_trial) == ("IDLE", "NONE", 4)
-    now = {name: one.value for name, one in stored.params.list().items()}
+    now = stored.params.values()
     wanted = params_of(told["params"])
     assert {name: now[name] for name in wanted} == wanted
     assert all(wanted[name] != defaults[name] for name in names_of(AWAY))

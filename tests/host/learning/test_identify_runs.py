@@ -250,7 +250,7 @@ def state(fish: Fish) -> dict[str, Any]:
             status.state, status.iteration, status.best_iteration, status.pending_trial,
             status.best_max_abs_error_m_s, status.worse_streak,
         ],
-        "params": {name: p.value for name, p in fish.params.list().items()},
+        "params": fish.params.values(),
     }  # fmt: skip
 
 

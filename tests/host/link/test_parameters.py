@@ -64,7 +64,7 @@ def test_the_thesis_preset_is_the_law_of_8_16(fish: Fish) -> None:
     assert fish.params.get("ILC_LEAD").value == 1
     fish.params.set("ILC_DECR_RATE", 0.5)
     changed = presets.apply(fish, presets.preset("thesis"))
-    params = {name: p.value for name, p in fish.params.list().items()}
+    params = fish.params.values()
     assert Law.from_params(params) == Law(amplitude_max_rad=float(np.float32(math.pi / 4)))
     assert Averaging.from_params(params) == Averaging()
     assert changed["ILC_LEAD"][0] == 1 and changed["ILC_LEAD"][1].value == 0

@@ -219,12 +219,12 @@ def test_the_line_stays_full(
 
 def test_parameters_over_a_bad_line() -> None:
     with over(ALL, seed=4) as fish:
-        held = {name: p.value for name, p in fish.params.list().items()}
+        held = fish.params.values()
         fish.params.set("ILC_GAIN", 7.5)
         fish.params.save()
         fish.params.set("ILC_GAIN", 1.5)
         fish.params.load()
-        assert {n: p.value for n, p in fish.params.list().items()} == held | {"ILC_GAIN": 7.5}
+        assert fish.params.values() == held | {"ILC_GAIN": 7.5}
 
 
 def test_a_late_answer_to_an_earlier_change_is_not_a_refusal() -> None:

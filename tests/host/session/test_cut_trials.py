@@ -62,7 +62,7 @@ def test_a_series_of_cut_trials_on_the_board(past: PastKind, params: dict[str, f
         values = {"SPD_SOURCE": UPLOAD, "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, **base, **params}
         for name, value in values.items():
             fish.params.set(name, value)
-        known = {name: param.value for name, param in fish.params.list().items()}
+        known = fish.params.values()
         law, ratio = Law.from_params(known, reference.beat_s), known["ROLLBACK_RATIO"]
         batch = learners.BoardLaw([law], ratio, past)
         batch.begin(reference)

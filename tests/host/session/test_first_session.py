@@ -233,10 +233,10 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
         # 0.05 rad askew; what the servo does to a beat is left of it
         centre = fish.params.get("SERVO_CENTRE_US").value
         assert centre == pytest.approx(1500 - 0.05 * DEFAULTS["SERVO_US_RAD"], abs=6)
-        held = {name: p.value for name, p in fish.params.list().items()}
+        held = fish.params.values()
         board.world.power_cycle()
         fish.link.run(1.0)
-        assert {name: p.value for name, p in fish.params.list().items()} == held  # saved
+        assert fish.params.values() == held  # saved
         for question in somebody.asked:
             assert question.endswith("?"), question
     assert (tmp_path / fish_folder(tmp_path) / "identified.json").is_file()

@@ -129,7 +129,7 @@ def after_a_swap(flash: bytes, seed: int = SEED, gain: float = 1.0) -> Fish:
 
 
 def values(fish: Fish) -> dict[str, float]:
-    return {name: fish.params.get(name).value for name in PARAMS}
+    return fish.params.values(*PARAMS)
 
 
 def as_float32(params: dict[str, float]) -> dict[str, float]:
@@ -320,11 +320,11 @@ def test_a_refusal_has_changed_nothing(
     fish = after_a_swap(SimBoard("tank", seed=seed).flash, seed=seed)
     fish.upload_reference(WANTED)
     fish.upload_learned(_record_with(pool.learned or b"", last_trial=2, iteration=9))
-    before = {name: p.value for name, p in fish.params.list().items()}
+    before = fish.params.values()
     settings = experiment.settings()
     with pytest.raises(InputError, match=r"Nothing was changed\."):
         restore(fish, experiment, another_board)
-    assert {name: p.value for name, p in fish.params.list().items()} == before
+    assert fish.params.values() == before
     assert experiment.settings() == settings
 
 
@@ -342,7 +342,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
                 raise Killed
 
     restore(swapped, experiment)
-    before = {name: p.value for name, p in swapped.params.list().items()}
+    before = swapped.params.values()
     with monkeypatch.context() as patch, pytest.raises(Killed):
         patch.setattr(preserve, "_put_back", lambda *_: None)
         find_centre(swapped, Dying())
@@ -358,7 +358,7 @@ def test_a_trim_that_was_broken_off_is_put_back(
     assert "broken off" in found.notes[0]
     assert found.pending_trial is None and not found.reference and not found.learned
     assert swapped.learned_record() == pool.learned
-    assert {name: p.value for name, p in swapped.params.list().items()} == before
+    assert swapped.params.values() == before
     assert not is_interrupted(swapped)
     assert repeat_best(swapped, experiment, Somebody(), ONE)[0].outcome.number == 6
 

@@ -78,10 +78,10 @@ def test_the_usual_inputs_of_the_thesis_s_reference_fit(
 
 
 def test_nothing_on_the_board_changes_and_arming_makes_what_was_said(tank: Fish) -> None:
-    before = tank.status(), {name: p.value for name, p in tank.params.list().items()}
+    before = tank.status(), tank.params.values()
     found = travel_next(tank, None)
     assert before[0].iteration == tank.status().iteration == 0
-    assert before[1] == {name: p.value for name, p in tank.params.list().items()}
+    assert before[1] == tank.params.values()
     tank.arm()
     tank.disarm()
     assert travel_next(tank, None) == found
@@ -104,7 +104,7 @@ def test_the_step_limit_does_not_shorten_a_swim(tank: Fish, tmp_path: Path) -> N
 
 
 def test_what_a_trial_came_farther_is_expected_again(tank: Fish, tmp_path: Path) -> None:
-    params = {name: p.value for name, p in tank.params.list().items()}
+    params = tank.params.values()
     wanted = reference.cosine(0.06, 8, 2)
     amplitude = np.full(wanted.beats, 0.45)
     tank.upload_reference(wanted.record())
@@ -122,7 +122,7 @@ def test_what_a_trial_came_farther_is_expected_again(tank: Fish, tmp_path: Path)
 
 
 def test_a_trial_that_tells_nothing_teaches_nothing(tank: Fish, tmp_path: Path) -> None:
-    params = {name: p.value for name, p in tank.params.list().items()}
+    params = tank.params.values()
     amplitude = np.full(12, 0.45)
     _, trial = swim(tank, tmp_path)
     plain = travel_of(amplitude, params, 1.0)

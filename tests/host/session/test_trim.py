@@ -84,7 +84,7 @@ def state(fish: Fish) -> dict[str, Any]:
         "amplitudes": fish.amplitudes().values.tobytes(),
         "best": best.values.tobytes(),
         "status": [status.state, status.iteration, status.best_iteration, status.pending_trial],
-        "params": {name: p.value for name, p in fish.params.list().items()},
+        "params": fish.params.values(),
     }
 
 

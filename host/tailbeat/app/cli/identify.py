@@ -174,7 +174,7 @@ def _from_runs(
         simulated = fish.info().simulated
         book = logbook_of(fish, write.library)
         restore_interrupted(fish, preserve_folder(book), warn)
-        values = {name: p.value for name, p in fish.params.list().items()}
+        values = fish.params.values()
         limits = replace(Limits.from_params(values), margin_m=asked.margin_m)
         by_hand = speed_source(values).uploaded
         found = _found(fish, live, book, limits, asked, by_hand)

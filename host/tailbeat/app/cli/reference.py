@@ -125,7 +125,7 @@ What = Annotated[
 
 def _limits(fish: Fish) -> ReferenceLimits:
     names = ("REF_MAX_M_S", "TANK_LEN_M", "FISH_LEN_M")
-    return ReferenceLimits.from_params({name: fish.params.get(name).value for name in names})
+    return ReferenceLimits.from_params(fish.params.values(*names))
 
 
 def _document(reference: Reference, problems: Sequence[ReferenceProblem] = ()) -> dict[str, Any]:

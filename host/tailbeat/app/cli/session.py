@@ -66,7 +66,7 @@ def commission(
         for step in first_session(fish, profile, operator, live.camera, live.guard, limits):
             display.keep(f"{'ok' if step.done else '--'}  {step.name}: {step.words}")
             steps.append(step)
-        held = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "DU_MAX_RAD")}
+        held = fish.params.values("AMP_MAX_RAD", "DU_MAX_RAD")
     well = steps[-1].done
     document = {"ok": well, "steps": steps, "params": held}
     return Output(document, _end_text(steps[-1], held), status=0 if well else 1)

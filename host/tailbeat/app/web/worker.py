@@ -38,7 +38,7 @@ from tailbeat.session.outcome import KINDS, Decision, RecordedTrial
 from tailbeat.session.preflight.step import PreflightLimits
 from tailbeat.session.series import Options, Until, swim_series
 from tailbeat.session.travel import travel_next
-from tailbeat.session.trial_camera import default_camera
+from tailbeat.session.trial_camera import camera_of
 
 OpenCamera = Callable[["Fish"], AbstractContextManager[tuple["Camera | None", "Guard | None"]]]
 """Opens the camera of a series, and the guard that goes with it."""
@@ -55,12 +55,8 @@ class Closed(TailbeatError):
 @contextmanager
 def simulated_camera(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]:
     """The camera of a simulated board, if it is one."""
-    camera = default_camera(fish)
-    try:
+    with camera_of(fish, None) as camera:
         yield camera, None
-    finally:
-        if camera is not None:
-            camera.close()
 
 
 @dataclass
@@ -310,7 +306,7 @@ class Worker:
 
     def _look_at_reference(self, fish: Fish) -> None:
         record = fish.reference_record()
-        params = {name: fish.params.get(name).value for name in ("AMP_MAX_RAD", "BATT_LOW_V")}
+        params = fish.params.values("AMP_MAX_RAD", "BATT_LOW_V")
         found = decode_reference(record) if record is not None else None
         speeds = tuple(map(float, found.speed_m_s)) if found else ()
         none = (None,) * len(speeds)
@@ -403,7 +399,7 @@ class Worker:
         )
 
     def _upload(self, fish: Fish, reference: Reference) -> None:
-        limits = ReferenceLimits.from_params({n: p.value for n, p in fish.params.list().items()})
+        limits = ReferenceLimits.from_params(fish.params.values())
         if problems := reference.check(limits):
             raise InputError(
                 " ".join(p.meaning for p in problems), " ".join(p.remedy for p in problems)

@@ -333,7 +333,7 @@ def of_connected(fish: Fish, measure_s: float) -> BoardEvidence:
     board.status = fish.status()
     board.health = fish.health()
     board.imu = fish.imu_verdict()
-    board.parameters = {name: fish.params.get(name).value for name in PARAMETERS}
+    board.parameters = fish.params.values(*PARAMETERS)
     return board
 
 

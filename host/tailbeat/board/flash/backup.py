@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import MISSING, trust_of
-from tailbeat.board.snapshot import Snapshot, board_params, new_folder
+from tailbeat.board.snapshot import Snapshot, new_folder
 from tailbeat.core import records
 from tailbeat.core.errors import InputError
 from tailbeat.link.messages import TrialFile
@@ -48,7 +48,7 @@ def back_up(fish: Fish, places: BackupPlaces, on_step: OnStep) -> Backup:
     info = fish.info()
     folder = new_folder(places.root, info.unique_id)
     on_step(0.0, "saving parameters, reference and learned input")
-    held = replace(Snapshot.take(fish, board_params(fish), info), crash=fish.crash_record())
+    held = replace(Snapshot.take(fish, fish.params.values(), info), crash=fish.crash_record())
     held.write(folder)
     return Backup(folder, held, _pull_trials(fish, places, folder / "trials", on_step))
 

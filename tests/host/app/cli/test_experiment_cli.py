@@ -84,7 +84,7 @@ def test_done_again_as_redo_says(
     with Fish.connect("it") as fish:
         again = current(fish)
         assert again is not None and again.folder.parent == copy.folder.parent
-        params = {name: param.value for name, param in fish.params.list().items()}
+        params = fish.params.values()
         require_same(fish, again)
     old, new = copy.settings(), again.settings()
     assert params == old["params"] and new["reference"] == old["reference"] == REFERENCE.name

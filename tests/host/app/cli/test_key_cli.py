@@ -383,7 +383,7 @@ READS = [
 def test_a_stranger_changes_nothing(owner: Laptop, laptop: Callable[[str], Laptop]) -> None:
     with owner.fish() as fish:
         record = upload_reference(fish)
-        params = {name: p.value for name, p in fish.params.list().items()}
+        params = fish.params.values()
         run_trial(fish)
     stranger = laptop("stranger")
     flash = owner.board.flash
@@ -393,7 +393,7 @@ def test_a_stranger_changes_nothing(owner: Laptop, laptop: Callable[[str], Lapto
         assert err.count("\n") == (1 if "key" in words else 2), words
     assert owner.board.flash == flash
     with owner.fish() as fish:
-        assert {name: p.value for name, p in fish.params.list().items()} == params
+        assert fish.params.values() == params
         assert fish.reference_record() == record
         assert fish.status().pending_trial == 1
         assert int(fish.health()["refused_unsigned"]) > 0
