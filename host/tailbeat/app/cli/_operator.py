@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from tailbeat.app.cli._terminal import Display, ended, json_asked
@@ -201,35 +202,31 @@ def terminal(single_keys: bool = True) -> Iterator[tuple[Display, Keys | None]]:
         yield display, keys if display.moves else None
 
 
+@dataclass
 class TerminalOperator:
     """``keys`` None: nobody is there to press any. ``then``: the answer given beforehand; somebody
     who is there and stopped the trial is asked all the same, before it is learned from. ``idle`` is
     called again and again while a question waits. ``kinds``: letter to kind of decision and its
     word. ``on_event``: gets every event, too. ``agrees``: answers every question with yes."""
 
-    def __init__(
-        self,
-        display: Display,
-        keys: Keys | None,
-        then: Decision | None = None,
-        idle: Callable[[], None] = lambda: None,
-        kinds: Mapping[str, tuple[str, str]] = KINDS,
-        on_event: Callable[[Event], None] = lambda event: None,
-        agrees: bool = False,
-    ) -> None:
-        self._kinds, self._on_event, self._agrees = kinds, on_event, agrees
-        self._display, self._keys, self._then, self._idle = display, keys, then, idle
-        self._enter_may_follow = False  # the one that many type after a letter
-        self._stopped_by_hand = False
+    display: Display
+    keys: Keys | None
+    then: Decision | None = None
+    idle: Callable[[], None] = lambda: None
+    kinds: Mapping[str, tuple[str, str]] = field(default_factory=lambda: KINDS)
+    on_event: Callable[[Event], None] = lambda event: None
+    agrees: bool = False
+    _enter_may_follow: bool = False  # the one that many type after a letter
+    _stopped_by_hand: bool = False
 
     def tell(self, event: Event) -> None:
         """Shows it."""
-        self._on_event(event)
-        display = self._display
+        self.on_event(event)
+        display = self.display
         match event:
             case StepProgress():
-                if self._keys is not None and event.step == _FIRST_STEP:
-                    self._keys.forget()
+                if self.keys is not None and event.step == _FIRST_STEP:
+                    self.keys.forget()
                 line = step_text(event)
                 display.show(line) if event.ok is None else display.keep(line)
             case Countdown():
@@ -239,7 +236,7 @@ class TerminalOperator:
             case TrialStarted():
                 self._enter_may_follow = self._stopped_by_hand = False
             case LiveValues():
-                display.show(live_text(event, self._keys is not None, display.width))
+                display.show(live_text(event, self.keys is not None, display.width))
             case TrialRecorded(record):
                 for line in record_lines(record):
                     display.keep(line)
@@ -255,15 +252,15 @@ class TerminalOperator:
         if isinstance(event, TrialStopped) and event.reason == BY_HAND:
             self._stopped_by_hand = True
         if words := alert(event):
-            self._display.keep(f"tailbeat: {words}", loud=True)
+            self.display.keep(f"tailbeat: {words}", loud=True)
         elif words := result(event):
-            self._display.keep(words)
+            self.display.keep(words)
         if isinstance(event, Assessed) and event.saturation and not event.stop:
-            self._display.keep(event.saturation)
+            self.display.keep(event.saturation)
 
     def wants_abort(self) -> bool:
         """Any key, but for the Enter after an answer."""
-        keys = self._keys
+        keys = self.keys
         if keys is None or not keys.pressed():
             return False
         if self._enter_may_follow:
@@ -275,11 +272,11 @@ class TerminalOperator:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
         the trial is not plainly good."""
         proposal = proposed(recorded)
-        learned_unseen = proposal.kind != "keep" and self._then == Decision("keep")
-        if self._then is not None and not (self._keys is not None and learned_unseen):
-            return self._then
-        if self._keys is not None:
-            return self._ask(self._keys, recorded, proposal)
+        learned_unseen = proposal.kind != "keep" and self.then == Decision("keep")
+        if self.then is not None and not (self.keys is not None and learned_unseen):
+            return self.then
+        if self.keys is not None:
+            return self._ask(self.keys, recorded, proposal)
         if is_good(recorded):
             return Decision("keep")
         raise Undecided(
@@ -290,34 +287,34 @@ class TerminalOperator:
 
     def confirm(self, question: str) -> bool:
         """With y; without a terminal the answer is no."""
-        if self._agrees or self._keys is None:
-            return self._agrees
-        self._keys.forget()
-        self._display.ask(f"{question} y/n ")
-        key = self._key(self._keys, ("y", "n"))
-        self._display.keep(key)
+        if self.agrees or self.keys is None:
+            return self.agrees
+        self.keys.forget()
+        self.display.ask(f"{question} y/n ")
+        key = self._key(self.keys, ("y", "n"))
+        self.display.keep(key)
         return key == "y"
 
     def _ask(self, keys: Keys, recorded: RecordedTrial, proposal: Decision) -> Decision:
         letters = [
-            k for k, (kind, _) in self._kinds.items() if kind != "keep" or recorded.measured_beats
+            k for k, (kind, _) in self.kinds.items() if kind != "keep" or recorded.measured_beats
         ]
-        words = ", ".join(f"{letter} = {self._kinds[letter][1]}" for letter in letters)
-        usual = next(pair for pair in self._kinds.values() if pair[0] == proposal.kind)
+        words = ", ".join(f"{letter} = {self.kinds[letter][1]}" for letter in letters)
+        usual = next(pair for pair in self.kinds.values() if pair[0] == proposal.kind)
         keys.forget()  # the key that stopped the tail is no answer
-        self._display.bell()
-        self._display.ask(f"{words}, Enter = {usual[1]}: ")
+        self.display.bell()
+        self.display.ask(f"{words}, Enter = {usual[1]}: ")
         key = self._key(keys, (*letters, *_ENTER))
-        kind, word = usual if key in _ENTER else self._kinds[key]
-        self._display.keep(word)
+        kind, word = usual if key in _ENTER else self.kinds[key]
+        self.display.keep(word)
         if kind == "keep":
             return Decision("keep")
         return Decision(kind, self._reason(keys, proposal.reason))  # type: ignore[arg-type]
 
     def _reason(self, keys: Keys, usual: str) -> str:
-        self._display.ask(f"why? [{usual}] " if usual else "why? ")
+        self.display.ask(f"why? [{usual}] " if usual else "why? ")
         while not (reason := keys.line() or usual):
-            self._display.ask("a reason is needed, one word is enough: ")
+            self.display.ask("a reason is needed, one word is enough: ")
         self._enter_may_follow = False
         return reason
 
@@ -336,8 +333,8 @@ class TerminalOperator:
                 return key
             if key is not None and not reminded:
                 reminded = True
-                self._display.ask(f"({_named(answers)}) ")
-            self._idle()
+                self.display.ask(f"({_named(answers)}) ")
+            self.idle()
 
 
 def _named(keys: tuple[str, ...]) -> str:

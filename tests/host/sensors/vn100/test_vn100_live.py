@@ -271,6 +271,11 @@ def test_a_lost_port_is_an_error_behind_the_summary(
     out, err = capsys.readouterr()
     assert "$VNYMR: 50 lines" in out
     assert err == "tailbeat: the port is gone. Look.\n"
+    use(ScriptedSource(make))
+    assert run(["board", "imu", "decode", "port", "--json"]) == 1
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-2]["event"] == "summary"
+    assert lines[-1] == {"error": {"message": "the port is gone", "remedy": "Look."}}
 
 
 def test_a_person_sees_one_line(
