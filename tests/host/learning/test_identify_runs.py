@@ -542,16 +542,18 @@ def test_a_real_fish_waits_for_somebody(
     assert not list(tmp_path.rglob("before-identify"))
 
 
-def test_a_run_is_announced_but_not_with_json(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("with_json", [False, True])
+def test_a_run_is_announced_but_not_with_json(
+    capsys: pytest.CaptureFixture[str], with_json: bool
+) -> None:
     """A simulated fish waits for nobody."""
     still = np.zeros(3)
     view = RunView(Limits(0.75), TerminalOperator(Display(), None), lambda *_: None)
-    view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
-    assert capsys.readouterr().err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
-    asked = json_asked.set(True)
-    view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
+    asked = json_asked.set(with_json)
+    view.before(Run(1, "cruise", 0.3, still, still, 0.2, 0.4))
     json_asked.reset(asked)
-    assert capsys.readouterr().err == ""
+    err = capsys.readouterr().err
+    assert err == "" if with_json else err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
 
 
 @pytest.mark.parametrize("yes", [False, True])

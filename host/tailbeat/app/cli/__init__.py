@@ -22,6 +22,9 @@ def main() -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Runs one command and returns its exit status. An error is one line on stderr; with --json
     also one JSON document on stdout, together with what the command has computed."""
+    from contextvars import copy_context
+
     from tailbeat.app.cli.app import run_command
 
-    return run_command(sys.argv[1:] if arguments is None else arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    return copy_context().run(run_command, words)  # what is set for it ends with it
