@@ -10,17 +10,7 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
 from tailbeat.studies.thesis.picture import ACCENT, Axes, Panel, Panels, errors
-from tailbeat.studies.thesis.plants.linear import (
-    EXAMPLE1,
-    EXAMPLE1_N30,
-    EXAMPLE2,
-    KEPT,
-    REFERENCE,
-    SUBSTITUTE,
-    Average,
-    prepare,
-    reached_probability,
-)
+from tailbeat.studies.thesis.plants import linear
 from tailbeat.studies.thesis.series import (
     CUT_OUTPUTS,
     SeriesOutcome,
@@ -31,21 +21,21 @@ from tailbeat.studies.thesis.series import (
 from tailbeat.studies.thesis.study import Study, once
 
 _example = partial(
-    Example, law="iteration average, (2.10)", prepare=prepare,
+    Example, law="iteration average, (2.10)", prepare=linear.prepare,
     knows=frozenset({"lengths", "seed", "iterations"}),
 )  # fmt: skip
 EX1 = _example(
-    "ch2-ex1", "Linear plant, trials of 45 to 55 samples (2.4, example 1)", setting=EXAMPLE1,
+    "ch2-ex1", "Linear plant, trials of 45 to 55 samples (2.4, example 1)", setting=linear.EXAMPLE1,
     weight=8.0,
 )  # fmt: skip
 EX1_N30 = _example(
-    "ch2-ex1-n30", "The same, trials of 20 to 80 samples", setting=EXAMPLE1_N30, weight=3.0
+    "ch2-ex1-n30", "The same, trials of 20 to 80 samples", setting=linear.EXAMPLE1_N30, weight=3.0
 )
 EX2 = _example(
-    "ch2-ex2", "Time-varying plant (2.37) as printed: diverges", setting=EXAMPLE2, weight=0.5
+    "ch2-ex2", "Time-varying plant (2.37) as printed: diverges", setting=linear.EXAMPLE2, weight=0.5
 )
 EX2_SUBSTITUTE = _example(
-    "ch2-ex2-substitute", "(2.37) with its third state as the output", setting=SUBSTITUTE
+    "ch2-ex2-substitute", "(2.37) with its third state as the output", setting=linear.SUBSTITUTE
 )
 EXAMPLES = (EX1, EX1_N30, EX2, EX2_SUBSTITUTE)
 
@@ -88,12 +78,9 @@ def _error_within(study: Study) -> Found:
         float(np.median(first_within(one, bound)))
         for one in (found.max_abs_error, found.executed, full[np.newaxis])
     )
-    note = (
-        "First error, then the iteration that reaches the bound: median of "
-        f"{len(SEEDS)} seeds over the whole record, over what the trials reached, and with uncut "
-        "trials. u_0 = 0 and x_0 = 0 make the first error the maximum of y_d. The reading: errors "
-        "count where the trial got to."
-    )
+    note = f"""First error, then the iteration that reaches the bound: median of {len(SEEDS)} seeds
+    over the whole record, over what the trials reached, and with uncut trials. u_0 = 0 and x_0 = 0
+    make the first error the maximum of y_d. The reading: errors count where the trial got to."""
     plainly = _same(start, full[0], 5e-4) and whole <= iterations
     reading = min(executed, uncut) <= iterations
     return Found(plainly, [full[0], whole, executed, uncut], note, reading)
@@ -116,12 +103,10 @@ def _random_start_mean(study: Study) -> Found:
     found, at = _random_starts(study)[0], _RANDOM_START_WITHIN
     sigmas = max(_mean_in_sigmas(found, at), _mean_in_sigmas(found, LATE))
     single = [expected(found, i) for i in (at, LATE)]
-    note = (
-        f"Mean error of {len(_START_SEEDS)} series in its standard errors, the largest of 51 "
-        f"samples at the iterations {at} and {LATE}; then what a single series expects of its "
-        "next trial, sup |E{e_i | u_i}|, at both. The reading: the mean over many series; the "
-        "inputs of any one of them go on wandering."
-    )
+    note = f"""Mean error of {len(_START_SEEDS)} series in its standard errors, the largest of 51
+    samples at the iterations {at} and {LATE}; then what a single series expects of its next trial,
+    sup |E{{e_i | u_i}}|, at both. The reading: the mean over many series; the inputs of any one of
+    them go on wandering."""
     small = sigmas < _SIGMAS
     return Found(small and single[0] < 0.01, [sigmas, *single], note, small)
 
@@ -132,16 +117,14 @@ def _random_start_mean(study: Study) -> Found:
 )  # fmt: skip
 def _random_start_better(study: Study) -> Found:
     late, early = ([expected(one, i) for one in _random_starts(study)] for i in (LATE, _EARLY))
-    note = (
-        "Mean of sup |E{e_i | u_i}|, average and P-type (2.3) with zero fill and the same L, at "
-        f"iteration {LATE} and at {_EARLY}. Superior would be a floor lower by a tenth. [24] is "
-        "taken to be the P-type."
-    )
+    note = f"""Mean of sup |E{{e_i | u_i}}|, average and P-type (2.3) with zero fill and the same L,
+    at iteration {LATE} and at {_EARLY}. Superior would be a floor lower by a tenth. [24] is taken
+    to be the P-type."""
     return Found(late[0] < _SUPERIOR * late[1], [*late, *early], note)
 
 
 def _mean_in_sigmas(found: SeriesOutcome, iteration: int) -> float:
-    errors = REFERENCE - found.kept[iteration][1]
+    errors = linear.REFERENCE - found.kept[iteration][1]
     deviation = errors.std(axis=0, ddof=1) / np.sqrt(len(errors))
     return float((np.abs(errors.mean(axis=0)) / deviation).max())
 
@@ -149,8 +132,8 @@ def _mean_in_sigmas(found: SeriesOutcome, iteration: int) -> float:
 def expected(found: SeriesOutcome, iteration: int) -> float:
     """Mean over the series of sup |E{e_i | u_i}|: the plant is linear, so that the mean error over
     all starts is the one from their mean, 0."""
-    responses = EXAMPLE1.plant.respond(found.kept[iteration][0])
-    return float(np.abs(REFERENCE - responses).max(axis=1).mean())
+    responses = linear.EXAMPLE1.plant.respond(found.kept[iteration][0])
+    return float(np.abs(linear.REFERENCE - responses).max(axis=1).mean())
 
 
 @claim(EX1_N30, "sup |1 - p(t) L CB| is about 0.7417 for N = 30", _SOURCE)
@@ -163,16 +146,14 @@ def _condition_n30(study: Study) -> Found:
 @claim(EX1_N30, "N = 30 takes more than 60 iterations to 0.0097, longer than N = 5", _SOURCE)
 def _slower(study: Study) -> Found:
     bound, iterations = 0.0097, 60
-    wide, narrow = _random(study), EXAMPLE1.problem().series(SEEDS, LATE)
+    wide, narrow = _random(study), linear.EXAMPLE1.problem().series(SEEDS, LATE)
     reaches, stays, narrow_reaches = (
         float(np.median(within(one.max_abs_error, bound)))
         for within, one in ((first_within, wide), (stays_within, wide), (first_within, narrow))
     )
     slower = reaches > narrow_reaches
-    note = (
-        f"Medians of {len(SEEDS)} seeds: iteration that first reaches the bound, iteration "
-        "from which on the error stays within it, and the first one with N = 5."
-    )
+    note = f"""Medians of {len(SEEDS)} seeds: iteration that first reaches the bound, iteration from
+    which on the error stays within it, and the first one with N = 5."""
     return Found(slower and stays > iterations, [reaches, stays, narrow_reaches], note, slower)
 
 
@@ -180,10 +161,8 @@ def _slower(study: Study) -> Found:
 def _condition2(study: Study) -> Found:
     computed = study.setting.condition()
     printed = sum(comb(11, m) * 0.5**11 for m in range(5))
-    note = (
-        "p(50) = 0.5 is the coin's probability, not that of a whole trial. With the printed "
-        f"C(11, m), which sum to 2047/2048, it would be {1 - 0.2 * (1 - printed):.4f}."
-    )
+    note = f"""p(50) = 0.5 is the coin's probability, not that of a whole trial. With the printed
+    C(11, m), which sum to 2047/2048, it would be {1 - 0.2 * (1 - printed):.4f}."""
     return Found(_same(0.9, computed), computed, note)
 
 
@@ -195,10 +174,8 @@ def _example2(study: Study) -> Found:
     reached = all((e[:81] <= 0.0058).any() for e in (errors, study.run().max_abs_error))
     ends = f", in iteration {run.diverged} no digit of y_d is left in it" if run.diverged else ""
     grows = "It diverges: the error grows" if errors[-1] > 1e6 * errors[0] else "The error stays"
-    note = (
-        f"max|e| at the iterations 0, 1, 2, 3, 10, 20, uncut. {grows}{ends}. "
-        f"The printed plant has an unstable inverse: max|u_d| = {needed:.2g}."
-    )
+    note = f"""max|e| at the iterations 0, 1, 2, 3, 10, 20, uncut. {grows}{ends}. The printed plant
+    has an unstable inverse: max|u_d| = {needed:.2g}."""
     shown = errors[[i for i in (0, 1, 2, 3, 10, 20) if i < len(errors)]]
     return Found(reached and _same(1.553, errors[0], 5e-4), shown, note, reached)
 
@@ -214,11 +191,9 @@ def _substitute(study: Study) -> Found:
     whole = float(np.median(first_within(errors, 0.0058)))
     condition, start = study.setting.condition(), float(errors[0, 0])
     needed = float(np.abs(study.setting.plant.exact_input()).max())
-    note = (
-        "The supremum, the first error, the median iteration that reaches 0.0058 and max|u_d|. "
-        "The reading: y = x_3 and L = 1/3 instead of the printed C and L, with the same A, B "
-        "and L C B."
-    )
+    note = """The supremum, the first error, the median iteration that reaches 0.0058 and
+    max|u_d|. The reading: y = x_3 and L = 1/3 instead of the printed C and L, with the same A, B
+    and L C B."""
     plainly, reading = _same(1.553, start, 5e-4), condition < 1.0
     measured = [condition, start, whole, needed]
     return Found(whole <= 80 and plainly, measured, note, whole <= 80 and reading)
@@ -228,64 +203,66 @@ def _substitute(study: Study) -> Found:
     EX1, "fig2-2.png", "Fig. 2.2",
     "p(t), (2.5), for T_d = 10, N_1 = 3, N_2 = 2 and equally likely lengths.",
 )  # fmt: skip
-def _reached(study: Study) -> Panels:
+def _reached(study: Study) -> Panel:
     times = np.arange(13)
-    likely = reached_probability(times, 10 - 3, (1 / 6,) * 6)
+    likely = linear.reached_probability(times, 10 - 3, (1 / 6,) * 6)
 
     def stems(axes: Axes) -> None:
         axes.vlines(times, 0.0, likely, color=ACCENT, lw=2.4)
         axes.plot(times, likely, "o", ms=9, color=ACCENT)
 
     labels = {"xlabel": "sample t", "ylabel": "probability p(t) that a trial gets there"}
-    return Panels([Panel([], {**labels, "ylim": (0.0, 1.08)}, more=stems)])
+    return Panel([], {**labels, "ylim": (0.0, 1.08)}, more=stems)
 
 
-def _spread(setting: Average) -> F64:
+def _spread(setting: linear.Average) -> F64:
     """Errors of many series of random lengths."""
     return setting.problem().series(_FIGURE_SEEDS, _FIGURE_LAST).max_abs_error
 
 
 @figure(EX1, "ch2-ex1-error.png", "Ch. 2, example 1, max|e|", "Error per iteration, N = 5.")
-def _errors1(study: Study) -> Panels:
+def _errors1(study: Study) -> Panel:
     full = study.run(lengths="full", iterations=_FIGURE_LAST).max_abs_error
     executed: F64 = study.run(iterations=_FIGURE_LAST).traces.executed[0]
-    panel = errors(
+    starts = f"The text starts at 1.801; from u_0 = 0 and x_0 = 0 it is max|y_d| = {full[0]:.4f}."
+    return errors(
         {"uncut trials": full, "executed part, seed 1": executed},
         band=("median, 80 % of 100 seeds (grey)", _spread(study.setting)), levels=[0.0098],
+        contradicts="" if _same(1.801, full[0], 5e-4) else starts,
     )  # fmt: skip
-    starts = f"The text starts at 1.801; from u_0 = 0 and x_0 = 0 it is max|y_d| = {full[0]:.4f}."
-    return Panels([panel], contradicts="" if _same(1.801, full[0], 5e-4) else starts)
 
 
 @figure(
     EX1_N30, "ch2-ex1-n30-error.png", "Ch. 2, example 1, N = 30, max|e|",
     "Error per iteration, N = 30.",
 )  # fmt: skip
-def _errors1_n30(study: Study) -> Panels:
-    narrow = np.median(_spread(EXAMPLE1), axis=0)
+def _errors1_n30(study: Study) -> Panel:
+    narrow = np.median(_spread(linear.EXAMPLE1), axis=0)
     band = ("N = 30: median, 80 % of 100 seeds (grey)", _spread(study.setting))
-    return Panels([errors({"N = 5: median": narrow}, band=band, levels=[0.0097])])
+    return errors({"N = 5: median": narrow}, band=band, levels=[0.0097])
 
 
 @figure(
     EX2, "ch2-ex2-error.png", "Ch. 2, example 2, max|e|",
     "Error per iteration on (2.37) as printed.",
 )  # fmt: skip
-def _errors2(study: Study) -> Panels:
+def _errors2(study: Study) -> Panel:
     found = study.run().max_abs_error
-    contradicts = "The text ends at 0.0058; the plant it prints diverges."
-    panel = errors({"": found}, levels=[0.0058], ylim=(1e-4, None))
-    return Panels([panel], contradicts=contradicts if found[-1] > found[0] else "")
+    diverges = "The text ends at 0.0058; the plant it prints diverges."
+    return errors(
+        {"": found}, levels=[0.0058], ylim=(1e-4, None),
+        contradicts=diverges if found[-1] > found[0] else "",
+    )  # fmt: skip
 
 
 @figure(
     EX2_SUBSTITUTE, "ch2-ex2-substitute-error.png", "Ch. 2, example 2, substitute, max|e|",
     "Error per iteration on (2.37) with the output x_3.",
 )  # fmt: skip
-def _errors2_substitute(study: Study) -> Panels:
+def _errors2_substitute(study: Study) -> Panel:
     full = study.run(lengths="full", iterations=_FIGURE_LAST).max_abs_error
     band = ("median, 80 % of 100 seeds (grey)", _spread(study.setting))
-    return Panels([errors({"uncut trials": full}, band=band, levels=[0.0058])])
+    return errors({"uncut trials": full}, band=band, levels=[0.0058])
 
 
 @figure(
@@ -298,4 +275,4 @@ def _errors2_substitute(study: Study) -> Panels:
 )  # fmt: skip
 def _outputs(study: Study) -> Panels:
     found = study.run(iterations=_FIGURE_LAST).traces
-    return outputs(found, KEPT, "sample t", "y")
+    return outputs(found, linear.KEPT, "sample t", "y")

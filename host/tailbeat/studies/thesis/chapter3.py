@@ -9,41 +9,22 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import (
-    REFERENCE,
-    THIN,
-    Axes,
-    Curve,
-    Panel,
-    Panels,
-    errors,
-)
-from tailbeat.studies.thesis.plants.held import (
-    EXAMPLE1,
-    FISH,
-    Moving,
-    beta_bounds,
-    contraction,
-    example1_reached,
-    fish_exact_input,
-    fish_rate_printed,
-    prepare,
-    rho_least,
-)
+from tailbeat.studies.thesis.picture import REFERENCE, THIN, Axes, Curve, Panel, Panels, errors
+from tailbeat.studies.thesis.plants import held
 from tailbeat.studies.thesis.series import CUT_OUTPUTS, outputs
 from tailbeat.studies.thesis.study import Study, once
 
 _example = partial(
-    Example, prepare=prepare,
+    Example, prepare=held.prepare,
     knows=frozenset({"lengths", "seed", "iterations", "step", "m", "beta"}),
 )  # fmt: skip
 EX1 = _example(
     "ch3-ex1", "Nonlinear plant, trials of about 2 s (3.4, example 1)",
-    "moving average D, (3.12)", EXAMPLE1, weight=5.0,
+    "moving average D, (3.12)", held.EXAMPLE1, weight=5.0,
 )  # fmt: skip
 EX2 = _example(
     "ch3-fish", "Robotic fish, trials of 44 to 58 s (3.4, example 2)",
-    "moving average PD, (3.43)", FISH, weight=12.0,
+    "moving average PD, (3.43)", held.FISH, weight=12.0,
 )  # fmt: skip
 EXAMPLES = (EX1, EX2)
 
@@ -61,7 +42,7 @@ _ORDERS = range(6)
 @claim(EX1, "eta_j = 3/20, their sum 3/4", _SOURCE1)
 def _eta(study: Study) -> Found:
     beta, trials = study.setting.beta, study.setting.m + 1
-    eta = [contraction(beta, trials, _SLOPES, example1_reached())] * trials
+    eta = [held.contraction(beta, trials, _SLOPES, held.example1_reached())] * trials
     as_claimed = abs(eta[0] - 3 / 20) < 1e-12 and abs(sum(eta) - 0.75) < 1e-12
     return Found(as_claimed, [eta[0], sum(eta)])
 
@@ -69,8 +50,8 @@ def _eta(study: Study) -> Found:
 @claim(EX1, "beta_j = 1/5 needs no more of the distribution than (3.34)", "(3.34), 3.4, example 1")
 def _bounds(study: Study) -> Found:
     missed = 0.5
-    rho = rho_least(missed, _SLOPES)
-    low, high = beta_bounds(study.setting.m + 1, missed, _SLOPES, rho)
+    rho = held.rho_least(missed, _SLOPES)
+    low, high = held.beta_bounds(study.setting.m + 1, missed, _SLOPES, rho)
     inside = low - 1e-12 <= study.setting.beta <= high + 1e-12
     note = "The least rho and the bounds of beta_j for it, with alpha_2 = 1/2."
     return Found(inside and rho < 1.0, [rho, low, high], note)
@@ -85,16 +66,14 @@ def _falls1(study: Study) -> Found:
         float(np.median(one[:, at])) for one in (random.executed, random.max_abs_error)
     )
     reaches = min(executed, uncut[at]) <= bound
-    note = (
-        f"First error; at iteration {at} the medians of {len(SEEDS)} seeds over what the trials "
-        "reached and over the whole record, and with uncut trials. Step 0.01 s; the first error "
-        "nears 2.351 with smaller ones."
-    )
+    note = f"""First error; at iteration {at} the medians of {len(SEEDS)} seeds over what the trials
+    reached and over the whole record, and with uncut trials. Step 0.01 s; the first error nears
+    2.351 with smaller ones."""
     starts = abs(uncut[0] - 2.351) < 1e-3
     return Found(starts and reaches, [uncut[0], executed, whole, uncut[at]], note, reaches)
 
 
-def _of_order(setting: Moving, m: int, total: bool) -> Moving:
+def _of_order(setting: held.Moving, m: int, total: bool) -> held.Moving:
     """``total``: the gains add up to 1 with every m, instead of 1/5 each."""
     return replace(setting, m=m, beta=1.0 / (m + 1) if total else setting.beta)
 
@@ -117,12 +96,10 @@ def _more_memory(study: Study) -> Found:
         bool(np.all(np.diff(one[:-1]) < 0.0)) and one[-1] > one[-2] for one in (each, shared)
     )
     slower = bool(np.all(np.diff(shared) > 0.0))
-    note = (
-        f"Uncut error at iteration {_ITERATIONS1} for m = 0 … 5. The reading: beta_j = 1/5 with "
-        f"every m, so that m sets the total gain. With beta_j = 1/(m+1) {_listed(shared)}: "
-        f"{'a larger m is always slower' if slower else 'no clear order'}. Random lengths, median "
-        f"of {len(_SWEEP_SEEDS)} seeds with 1/5: {_listed(each_random)}."
-    )
+    note = f"""Uncut error at iteration {_ITERATIONS1} for m = 0 … 5. The reading: beta_j = 1/5 with
+    every m, so that m sets the total gain. With beta_j = 1/(m+1) {_listed(shared)}:
+    {"a larger m is always slower" if slower else "no clear order"}. Random lengths, median of
+    {len(_SWEEP_SEEDS)} seeds with 1/5: {_listed(each_random)}."""
     return Found(fixed and normed, each, note, fixed or normed)
 
 
@@ -133,13 +110,13 @@ def _listed(values: list[float]) -> str:
 @once
 def _escaped(study: Study) -> list[float]:
     """Shares of series of the fish as printed that diverge, with zero history and with u_0."""
-    printed = replace(study.setting, rate=fish_rate_printed)
+    printed = replace(study.setting, rate=held.fish_rate_printed)
     both = (replace(printed, history=history) for history in ("zero", "first"))
     found = [one.problem().series(_ESCAPE_SEEDS, _ITERATIONS2) for one in both]
     return [float((one.diverged >= 0).mean()) for one in found]
 
 
-def _ratios(setting: Moving) -> F64:
+def _ratios(setting: held.Moving) -> F64:
     """How many times smaller the error has become; 0 for a series that diverged."""
     errors = setting.problem().series(SEEDS, _ITERATIONS2).max_abs_error
     return np.where(np.isnan(errors[:, -1]), 0.0, errors[:, 0] / errors[:, -1])
@@ -150,22 +127,18 @@ def _falls2(study: Study) -> Found:
     zero, first = _ratios(study.setting), _ratios(replace(study.setting, history="first"))
     with_zero, with_first = float(np.median(zero)), float(np.median(first))
     falls = min(with_zero, with_first) > 90.0
-    note = (
-        f"Medians of {len(zero)} seeds with zero history, as printed, and with u_0 as the history; "
-        "the share of seeds above 90 with zero history. The reading: drag -alpha v|v|, and a "
-        "thrust that may be negative."
-    )
+    note = f"""Medians of {len(zero)} seeds with zero history, as printed, and with u_0 as the
+    history; the share of seeds above 90 with zero history. The reading: drag -alpha v|v|, and a
+    thrust that may be negative."""
     measured = [with_zero, with_first, float((zero > 90.0).mean())]
     return Found(falls and _escaped(study)[0] == 0.0, measured, note, falls)
 
 
 @claim(EX2, "The fish as printed, v' = -alpha v^2 + u, learns with zero history", _SOURCE2)
 def _printed_drag(study: Study) -> Found:
-    note = (
-        f"Share of {len(_ESCAPE_SEEDS)} seeds whose speed escapes to minus infinity in a trial, "
-        "with zero history and with u_0 as the history. Zero history makes u_1 negative; the fish "
-        "reverses, and -alpha v^2 drives it on."
-    )
+    note = f"""Share of {len(_ESCAPE_SEEDS)} seeds whose speed escapes to minus infinity in a trial,
+    with zero history and with u_0 as the history. Zero history makes u_1 negative; the fish
+    reverses, and -alpha v^2 drives it on."""
     return Found(_escaped(study)[0] == 0.0, _escaped(study), note)
 
 
@@ -173,28 +146,26 @@ def _printed_drag(study: Study) -> Found:
 def _pushing_only(study: Study) -> Found:
     errors = replace(study.setting, low=0.0).problem().uncut(_ITERATIONS2)
     times = study.setting.times()
-    needed = fish_exact_input(times)
+    needed = held.fish_exact_input(times)
     negative = times[1:-1][needed[1:-1] < 0.0]
     since = f" (u_d < 0 from {negative[0]:.2f} s on)" if len(negative) else ""
-    note = (
-        f"Uncut: how often the error becomes smaller within {_ITERATIONS2} iterations, the error "
-        f"that stays, m/s, and the least thrust that the reference needs, m/s^2{since}."
-    )
+    note = f"""Uncut: how often the error becomes smaller within {_ITERATIONS2} iterations, the
+    error that stays, m/s, and the least thrust that the reference needs, m/s^2{since}."""
     ratio = errors[0] / errors[-1]
     return Found(ratio > 90.0, [ratio, errors[-1], needed.min()], note)
 
 
-def _spread(setting: Moving, last: int) -> F64:
+def _spread(setting: held.Moving, last: int) -> F64:
     """Errors of many series of random lengths."""
     return setting.problem().series(_FIGURE_SEEDS, last).max_abs_error
 
 
 @figure(EX1, "ch3-ex1-error.png", "Ch. 3, example 1, max|e|", "Error per iteration, m = 4.")
-def _errors1(study: Study) -> Panels:
+def _errors1(study: Study) -> Panel:
     last = _FIGURE_LAST[0]
     band = (f"m = 4: median, 80 % of {len(_FIGURE_SEEDS)} seeds (grey)",
             _spread(study.setting, last))  # fmt: skip
-    return Panels([errors({"uncut trials": study.setting.problem().uncut(last)}, band=band)])
+    return errors({"uncut trials": study.setting.problem().uncut(last)}, band=band)
 
 
 @figure(
@@ -216,11 +187,11 @@ def _orders(study: Study) -> Panels:
 
 @figure(EX1, "ch3-ex1-output.png", "Ch. 3, example 1, outputs", CUT_OUTPUTS)
 def _outputs(study: Study) -> Panels:
-    return outputs(study.run().traces, study.setting.kept, "t, s", "y")
+    return outputs(study.traces, study.setting.kept, "t, s", "y")
 
 
 @figure(EX2, "ch3-fish-error.png", "Ch. 3, example 2, max|e|", "Error per iteration, drag v|v|.")
-def _errors2(study: Study) -> Panels:
+def _errors2(study: Study) -> Panel:
     last = _FIGURE_LAST[1]
     first, pushing = replace(study.setting, history="first"), replace(study.setting, low=0.0)
     band = (f"median, 80 % of {len(_FIGURE_SEEDS)} seeds (grey)", _spread(study.setting, last))
@@ -228,12 +199,12 @@ def _errors2(study: Study) -> Panels:
         "history u_0, uncut": first.problem().uncut(last),
         "u ≥ 0, uncut": pushing.problem().uncut(last),
     }
-    return Panels([errors(found, band=band, ylabel="max|e_i(t)|, m/s")])
+    return errors(found, band=band, ylabel="max|e_i(t)|, m/s")
 
 
 @figure(EX2, "ch3-fish-speed.png", "Ch. 3, example 2, speed", CUT_OUTPUTS)
 def _speeds(study: Study) -> Panels:
-    return outputs(study.run().traces, study.setting.kept, "t, s", "v, mm/s", 1000.0)
+    return outputs(study.traces, study.setting.kept, "t, s", "v, mm/s", 1000.0)
 
 
 @figure(
@@ -241,14 +212,14 @@ def _speeds(study: Study) -> Panels:
     "Thrust that the reference needs and that was learned; right: the end, enlarged.",
 )  # fmt: skip
 def _thrust(study: Study) -> Panels:
-    found = study.run().traces
+    found = study.traces
     times, learned = found.problem.times, found.trial()[0]
 
     def zero(axes: Axes) -> None:
         axes.axhline(0.0, **THIN)
 
     curves = [
-        Curve(times, 1e3 * fish_exact_input(times), "needed, u_d", REFERENCE),
+        Curve(times, 1e3 * held.fish_exact_input(times), "needed, u_d", REFERENCE),
         Curve(times, 1e3 * learned, f"learned, iteration {max(found.kept)}"),
     ]
     labels = {"xlabel": "t, s", "ylabel": "thrust per mass, mm/s²"}

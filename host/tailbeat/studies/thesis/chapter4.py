@@ -4,34 +4,24 @@ trial."""
 from __future__ import annotations
 
 from functools import partial
+from typing import cast
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
 from tailbeat.studies.thesis.picture import Panels
-from tailbeat.studies.thesis.plants import feedback
-from tailbeat.studies.thesis.plants.feedback import (
-    CHATTER,
-    Chapter4,
-    LoopTrials,
-    TimeGrid,
-    listed,
-    other,
-    prepare,
-    run_trials,
-    sampled,
-)
+from tailbeat.studies.thesis.plants import feedback as loop
 from tailbeat.studies.thesis.study import Study
 
-EXAMPLE1_BLOCK = Chapter4(TimeGrid(5000, "rk4"), block=True)
-EXAMPLE2_SIGN = Chapter4(TimeGrid(5000, "held"), varying=True)
-EXAMPLE2_SMOOTH = Chapter4(TimeGrid(5000, "rk4"), varying=True, smooth=True)
+EXAMPLE1_BLOCK = loop.Chapter4(loop.TimeGrid(5000, "rk4"), block=True)
+EXAMPLE2_SIGN = loop.Chapter4(loop.TimeGrid(5000, "held"), varying=True)
+EXAMPLE2_SMOOTH = loop.Chapter4(loop.TimeGrid(5000, "rk4"), varying=True, smooth=True)
 
-_example = partial(Example, prepare=prepare, knows=frozenset({"step", "iterations"}))
+_example = partial(Example, prepare=loop.prepare, knows=frozenset({"step", "iterations"}))
 EX1 = _example(
     "ch4-ex1", "Constant parameters, a reference that changes (example 1)",
-    "adaptive, (4.5)-(4.6)", Chapter4(TimeGrid(20000, "rk4")), weight=10.0,
+    "adaptive, (4.5)-(4.6)", loop.Chapter4(loop.TimeGrid(20000, "rk4")), weight=10.0,
 )  # fmt: skip
 SIGN = _example(
     "ch4-ex2-sign", "Time-varying parameters, sign law (example 2)",
@@ -43,21 +33,15 @@ SMOOTH = _example(
 )  # fmt: skip
 EXAMPLES = (EX1, SIGN, SMOOTH)
 
-LAST = Chapter4.ITERATIONS
+LAST = loop.Chapter4.ITERATIONS
 COARSE = dict.fromkeys((200, 500, 1000, 2000), LAST)  # steps of a held input: trials; example 1
 SAMPLED = {500: 100, 1000: 200, 2000: 200}  # sign law of example 2
 AROUND = (91, 110)  # trials about i = 100: their references differ, one alone may be the odd one
 _LINE_WIDTH = 0.03  # of the peak: one or two lines' width in a printed figure
 
 
-def _found(study: Study) -> LoopTrials:
-    found: LoopTrials = study.run().traces
-    return found
-
-
-def _longer(study: Study) -> LoopTrials:
-    found: LoopTrials = study.run(iterations=AROUND[1]).traces
-    return found
+def _longer(study: Study) -> loop.LoopTrials:
+    return cast(loop.LoopTrials, study.run(iterations=AROUND[1]).traces)
 
 
 def peaks(trial: int) -> F64:
@@ -69,7 +53,7 @@ def peaks(trial: int) -> F64:
     return np.asarray(np.abs([first, second]).max(axis=1))
 
 
-def apart(found: LoopTrials) -> F64:
+def apart(found: loop.LoopTrials) -> F64:
     """Median over the trials ``AROUND`` of each state's largest error by its reference's peak."""
     first, last = AROUND
     if len(found.max_abs_error) < last:
@@ -82,62 +66,52 @@ def apart(found: LoopTrials) -> F64:
 def _indistinguishable(study: Study) -> Found:
     found = _longer(study)
     begun, highest, share = found.error(1), peaks(LAST), apart(found)
-    note = (
-        f"max|e| of both states; the references' peaks are {highest[0]:.2f} and {highest[1]:.2f}, "
-        f"the errors of trial 1 {begun[0]:.3f} and {begun[1]:.3f}. Judged by the "
-        f"median of trials {AROUND[0]}-{AROUND[1]}, {share[0]:.1%} and {share[1]:.1%} of the peak; "
-        f"below {_LINE_WIDTH:.0%} is a line's width. Every trial has another reference, so errors "
-        "do not fall in each."
-    )
+    note = f"""max|e| of both states; the references' peaks are {highest[0]:.2f} and
+    {highest[1]:.2f}, the errors of trial 1 {begun[0]:.3f} and {begun[1]:.3f}. Judged by the median
+    of trials {AROUND[0]}-{AROUND[1]}, {share[0]:.1%} and {share[1]:.1%} of the peak; below
+    {_LINE_WIDTH:.0%} is a line's width. Every trial has another reference, so errors do not fall in
+    each."""
     return Found(np.all(share < _LINE_WIDTH), found.error(LAST), note)
 
 
 @claim(EX1, "The errors converge along the trials with (4.5)-(4.6)", "ch. 4, (4.5)-(4.6)")
 def _converges(study: Study) -> Found:
     late, early = _longer(study).settled(91, 100), _longer(study).settled(1, 10)
-    coarse, words = sampled(study.setting, COARSE)
+    coarse, words = loop.sampled(study.setting, COARSE)
     falls = late < 0.2 * early
     robust = all(trials.settled(91, 100) < 0.2 * early for trials in coarse.values())
-    note = (
-        "Largest error of trials 1-10 and 91-100, in continuous time. (4.6) acts as a damper of "
-        "rate (drho/dt)^2 |f|^2, up to 4 * 2.5^6 here, so a sampled law needs steps below 2 over "
-        f"that, about 2 ms at worst. With a held input, {words}."
-    )
+    note = f"""Largest error of trials 1-10 and 91-100, in continuous time. (4.6) acts as a damper
+    of rate (drho/dt)^2 |f|^2, up to 4 * 2.5^6 here, so a sampled law needs steps below 2 over that,
+    about 2 ms at worst. With a held input, {words}."""
     return Found(falls and robust, [early, late], note, falls)
 
 
 @claim(EX1, "(4.6) learns all of Theta, though Theta is block diagonal", "ch. 4, (4.6)", ours=True)
 def _full(study: Study) -> Found:
-    found, block = _longer(study), run_trials(EXAMPLE1_BLOCK, LAST)
+    found, block = _longer(study), loop.run_trials(EXAMPLE1_BLOCK, LAST)
     reads, full = (one.largest(LAST) < 0.1 * one.largest(1) for one in (block, found))
-    note = (
-        "max|e| at i = 100 when only the diagonal is learned, against "
-        f"{listed(found.error(LAST), '.4f')} with all of it; "
-        f"{'both converge' if reads and full else 'they differ'}."
-    )
+    note = f"""max|e| at i = 100 when only the diagonal is learned, against
+    {loop.pair(found.error(LAST), ".4f")} with all of it;
+    {"both converge" if reads and full else "they differ"}."""
     return Found(full, block.error(LAST), note)
 
 
 @claim(SIGN, "The sign law chatters", "ch. 4, example 2, (4.15)-(4.17)")
 def _chatters(study: Study) -> Found:
-    variation = np.array(_found(study).variation(LAST))
-    ratio = variation / other(EXAMPLE2_SMOOTH).variation(LAST)
-    note = (
-        "Total variation of both inputs in trial 100 with 5000 steps, "
-        f"{listed(ratio, '.0f')} times that of the smooth law."
-    )
-    return Found(np.all(ratio > CHATTER), variation, note)
+    variation = np.array(study.traces.variation(LAST))
+    ratio = variation / loop.other(EXAMPLE2_SMOOTH).variation(LAST)
+    note = f"""Total variation of both inputs in trial 100 with 5000 steps,
+    {loop.pair(ratio, ".0f")} times that of the smooth law."""
+    return Found(np.all(ratio > loop.CHATTER), variation, note)
 
 
 @claim(SIGN, "The errors converge along the trials with the sign law", "ch. 4, (4.15)-(4.17)")
 def _sampled(study: Study) -> Found:
-    found, words = sampled(study.setting, SAMPLED)
-    note = (
-        "Sampled, chatter keeps |e| above zero, lambda's estimate never falls, and the loop "
-        "diverges along the trials, later with shorter steps. A dead zone in lambda's update only "
-        "delays it. Tanh and leakage, (4.18)-(4.20), cure it."
-    )
-    return Found(not any(one.grows() for one in (_found(study), *found.values())), words, note)
+    found, words = loop.sampled(study.setting, SAMPLED)
+    note = """Sampled, chatter keeps |e| above zero, lambda's estimate never falls, and the loop
+    diverges along the trials, later with shorter steps. A dead zone in lambda's update only delays
+    it. Tanh and leakage, (4.18)-(4.20), cure it."""
+    return Found(not any(one.grows() for one in (study.traces, *found.values())), words, note)
 
 
 @claim(
@@ -151,10 +125,8 @@ def _expansion(study: Study) -> Found:
     for theta in (np.exp(np.sin(t)) + 2.0 * np.sin(np.cos(t)), np.sin(t) ** 2):
         fitted = basis @ np.linalg.lstsq(basis, theta, rcond=None)[0]
         rests.append(float(np.max(np.abs(theta - fitted))))
-    note = (
-        "Largest rest of a least-squares fit over a period, of theta_1 and theta_2. The basis is "
-        "called orthonormal but is not normalised; harmless."
-    )
+    note = """Largest rest of a least-squares fit over a period, of theta_1 and theta_2. The basis
+    is called orthonormal but is not normalised; harmless."""
     return Found(max(rests) < 0.1, rests, note)
 
 
@@ -164,37 +136,32 @@ def _bounding(study: Study) -> Found:
     angle = np.linspace(0.0, 2.0 * np.pi, 3601)
     ratio = 0.5 * (np.abs(np.cos(angle)) + 2.0 * np.abs(np.sin(angle)))
     smallest, at = ratio.min(), angle[ratio.argmin()]
-    note = (
-        f"Smallest g/|f|, at f/|f| = ({np.cos(at):.2g}, {np.sin(at):.2g}). Harmless: lambda's "
-        "estimate grows to that much more."
-    )
+    note = f"""Smallest g/|f|, at f/|f| = ({np.cos(at):.2g}, {np.sin(at):.2g}). Harmless: lambda's
+    estimate grows to that much more."""
     return Found(smallest >= 1.0, smallest, note)
 
 
 @claim(SMOOTH, "The tanh law's input is smooth", "ch. 4, example 2, (4.18)-(4.20)")
 def _smooth(study: Study) -> Found:
-    mine, others = (one.variation(LAST) for one in (_found(study), other(EXAMPLE2_SIGN)))
-    note = f"Total variation of both inputs in trial 100; of the sign law {listed(others, '.0f')}."
-    return Found(np.all(np.array(others) / np.array(mine) > CHATTER), mine, note)
+    mine, others = (one.variation(LAST) for one in (study.traces, loop.other(EXAMPLE2_SIGN)))
+    by_sign = loop.pair(others, ".0f")
+    note = f"Total variation of both inputs in trial 100; of the sign law {by_sign}."
+    return Found(np.all(np.array(others) / np.array(mine) > loop.CHATTER), mine, note)
 
 
 @claim(SMOOTH, "The tanh law converges more slowly than the sign law", "ch. 4, example 2")
 def _slower(study: Study) -> Found:
-    mine, others = (one.error(LAST) for one in (_found(study), other(EXAMPLE2_SIGN)))
-    note = (
-        f"max|e| at i = 100; of the sign law {listed(others, '.4f')} "
-        "(its second one is the chatter's, in proportion to the step)."
-    )
+    mine, others = (one.error(LAST) for one in (study.traces, loop.other(EXAMPLE2_SIGN)))
+    note = f"""max|e| at i = 100; of the sign law {loop.pair(others, ".4f")} (its second one is the
+    chatter's, in proportion to the step)."""
     return Found(np.all(np.array(mine) > others), mine, note)
 
 
 @claim(SMOOTH, "With leakage the errors end within a bound", "ch. 4, (4.21)")
 def _bounded(study: Study) -> Found:
-    early, late = (_found(study).settled(*trials) for trials in ((1, 50), (51, LAST)))
-    note = (
-        "Largest error of trials 1-50 and 51-100. The bound (4.21) itself lacks a factor T: (A.33) "
-        "holds at each moment and is integrated over the trial."
-    )
+    early, late = (study.traces.settled(*trials) for trials in ((1, 50), (51, LAST)))
+    note = """Largest error of trials 1-50 and 51-100. The bound (4.21) itself lacks a factor T:
+    (A.33) holds at each moment and is integrated over the trial."""
     return Found(late <= early, [early, late], note)
 
 
@@ -204,13 +171,13 @@ _FIRST_AND_LAST = f"Trials 1 and {LAST} with their references."
 
 @figure(EX1, "ch4-ex1-error.png", "Ch. 4, example 1, max|e|", _EACH_ANOTHER)
 def _errors1(study: Study) -> Panels:
-    return feedback.errors({"all of Theta, (4.6)": _found(study)})
+    return loop.errors({"all of Theta, (4.6)": study.traces})
 
 
 @figure(EX1, "ch4-ex1-states.png", "Ch. 4, example 1, states", _FIRST_AND_LAST)
 @figure(SIGN, "ch4-ex2-sign-states.png", "Ch. 4, example 2, sign law, states", _FIRST_AND_LAST)
 def _states(study: Study) -> Panels:
-    return feedback.states(_found(study))
+    return loop.states(study.traces)
 
 
 @figure(
@@ -218,14 +185,17 @@ def _states(study: Study) -> Panels:
     "The inputs of both laws in the same trial.",
 )  # fmt: skip
 def _inputs(study: Study) -> Panels:
-    both = {"sign law": _found(study), "smooth law": other(EXAMPLE2_SMOOTH)}
-    return feedback.inputs(both, LAST)
+    both = {"sign law": study.traces, "smooth law": loop.other(EXAMPLE2_SMOOTH)}
+    return loop.inputs(both, LAST)
 
 
 @figure(SMOOTH, "ch4-ex2-error.png", "Ch. 4, example 2, max|e|", _EACH_ANOTHER)
 def _errors2(study: Study) -> Panels:
-    both = {"smooth, (4.18)-(4.20)": _found(study), "sign, (4.15)-(4.17)": other(EXAMPLE2_SIGN)}
-    return feedback.errors(both)
+    both = {
+        "smooth, (4.18)-(4.20)": study.traces,
+        "sign, (4.15)-(4.17)": loop.other(EXAMPLE2_SIGN),
+    }
+    return loop.errors(both)
 
 
 figure(

@@ -10,26 +10,14 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
 from tailbeat.studies.thesis.picture import Panels
-from tailbeat.studies.thesis.plants import feedback
-from tailbeat.studies.thesis.plants.feedback import (
-    CHATTER,
-    Chapter5,
-    LoopTrials,
-    TimeGrid,
-    listed,
-    on,
-    other,
-    prepare,
-    run_trials,
-    sampled,
-)
+from tailbeat.studies.thesis.plants import feedback as loop
 from tailbeat.studies.thesis.study import Study
 
-CASE1_SIGN = Chapter5(TimeGrid(5000, "held"))
-CASE1_SMOOTH = Chapter5(TimeGrid(500, "rk4"), smooth=True)
-CASE2 = Chapter5(TimeGrid(500, "rk4"), smooth=True, uncertain=True)
+CASE1_SIGN = loop.Chapter5(loop.TimeGrid(5000, "held"))
+CASE1_SMOOTH = loop.Chapter5(loop.TimeGrid(500, "rk4"), smooth=True)
+CASE2 = loop.Chapter5(loop.TimeGrid(500, "rk4"), smooth=True, uncertain=True)
 
-_example = partial(Example, prepare=prepare, knows=frozenset({"step", "iterations"}))
+_example = partial(Example, prepare=loop.prepare, knows=frozenset({"step", "iterations"}))
 SIGN = _example(
     "ch5-case1-sign", "Input gain known, sign law (case 1)", "robust with sgn, (5.5)-(5.6)",
     CASE1_SIGN, weight=6.0,
@@ -44,7 +32,7 @@ UNCERTAIN = _example(
 )  # fmt: skip
 EXAMPLES = (SIGN, SMOOTH, UNCERTAIN)
 
-LAST = Chapter5.ITERATIONS
+LAST = loop.Chapter5.ITERATIONS
 SAMPLED = {250: 200, 500: 400, 1000: 600}  # steps of 0.5 s: trials
 LATE = 1000
 DEAD_ZONE, LEAK, SOFTNESS = 0.02, 1e-2, 0.01
@@ -52,47 +40,37 @@ _BOUND, _WITHIN = 0.1, 10  # of the text, case 2
 _UNREAD = "rho of case 1 is never given; 2|f|, the alpha of case 2, is taken."
 
 
-def _found(study: Study) -> LoopTrials:
-    found: LoopTrials = study.run().traces
-    return found
-
-
 @claim(SIGN, "I_1 tracks better than I_2", "ch. 5, case 1")
 def _tracks_better(study: Study) -> Found:
-    mine, others = (one.error(LAST) for one in (_found(study), other(CASE1_SMOOTH)))
-    note = f"max|e| at i = {LAST}; of I_2 {listed(others)}. {_UNREAD}"
+    mine, others = (one.error(LAST) for one in (study.traces, loop.other(CASE1_SMOOTH)))
+    note = f"max|e| at i = {LAST}; of I_2 {loop.pair(others)}. {_UNREAD}"
     return Found(np.all(np.array(mine) < others), mine, note)
 
 
 @claim(SIGN, "I_1 chatters", "ch. 5, case 1, (5.5)")
 def _chatters(study: Study) -> Found:
-    mine, others = (one.variation(LAST) for one in (_found(study), other(CASE1_SMOOTH)))
-    note = (
-        f"Total variation of both inputs in trial {LAST} with 5000 steps; of I_2 {listed(others)}."
-    )
-    return Found(np.all(np.array(mine) / np.array(others) > CHATTER), mine, note)
+    mine, others = (one.variation(LAST) for one in (study.traces, loop.other(CASE1_SMOOTH)))
+    steps = "with 5000 steps"
+    note = f"Total variation of both inputs in trial {LAST} {steps}; of I_2 {loop.pair(others)}."
+    return Found(np.all(np.array(mine) / np.array(others) > loop.CHATTER), mine, note)
 
 
 @claim(SIGN, "The error of I_1 goes to 0 as i grows (Theorem 5.1)", "ch. 5, theorem 5.1")
 def _theorem(study: Study) -> Found:
-    found, words = sampled(CASE1_SIGN, SAMPLED)
+    found, words = loop.sampled(CASE1_SIGN, SAMPLED)
     steps = max(SAMPLED)
     worst = found[steps].max_abs_error.max(axis=1)
-    note = (
-        "Not when sampled: chatter of about step * theta * rho feeds (5.6), theta's estimate grows "
-        "by a factor per trial, and the error passes a minimum and then grows exponentially in i. "
-        f"With {steps} steps the minimum is {worst.min():.2g}, at trial {worst.argmin() + 1}."
-    )
+    note = f"""Not when sampled: chatter of about step * theta * rho feeds (5.6), theta's estimate
+    grows by a factor per trial, and the error passes a minimum and then grows exponentially in i.
+    With {steps} steps the minimum is {worst.min():.2g}, at trial {worst.argmin() + 1}."""
     return Found(not any(trials.grows() for trials in found.values()), words, note)
 
 
-def bounded(trials: LoopTrials) -> Found:
+def bounded(trials: loop.LoopTrials) -> Found:
     """Whether the errors of a law stay bounded for ``LATE`` trials."""
     middle, end = trials.settled(101, 200), trials.settled(LATE - 99, LATE)
-    note = (
-        f"Largest error of trials 101-200 and {LATE - 99}-{LATE} with 1000 steps. Not the thesis's "
-        "law: a cure for the claim above."
-    )
+    note = f"""Largest error of trials 101-200 and {LATE - 99}-{LATE} with 1000 steps. Not the
+    thesis's law: a cure for the claim above."""
     return Found(np.isfinite(end) and not trials.grows(), [middle, end], note)
 
 
@@ -104,7 +82,7 @@ _ANOTHER_LAW = "ch. 5, theorem 5.1, another law"
     _ANOTHER_LAW, ours=True,
 )  # fmt: skip
 def _dead_zone(study: Study) -> Found:
-    return bounded(run_trials(on(CASE1_SIGN, 1000, dead_zone=DEAD_ZONE), LATE))
+    return bounded(loop.run_trials(loop.on(CASE1_SIGN, 1000, dead_zone=DEAD_ZONE), LATE))
 
 
 @claim(
@@ -112,34 +90,32 @@ def _dead_zone(study: Study) -> Found:
     ours=True,
 )  # fmt: skip
 def _leakage(study: Study) -> Found:
-    return bounded(run_trials(on(CASE1_SIGN, 1000, leak=LEAK), LATE))
+    return bounded(loop.run_trials(loop.on(CASE1_SIGN, 1000, leak=LEAK), LATE))
 
 
 @claim(SMOOTH, "I_2's input is smooth", "ch. 5, case 1, (5.8)-(5.9)")
 def _smooth(study: Study) -> Found:
-    mine, others = (one.variation(LAST) for one in (_found(study), other(CASE1_SIGN)))
-    note = f"Total variation of both inputs in trial {LAST}; of I_1 {listed(others)}."
-    return Found(np.all(np.array(others) / np.array(mine) > CHATTER), mine, note)
+    mine, others = (one.variation(LAST) for one in (study.traces, loop.other(CASE1_SIGN)))
+    note = f"Total variation of both inputs in trial {LAST}; of I_1 {loop.pair(others)}."
+    return Found(np.all(np.array(others) / np.array(mine) > loop.CHATTER), mine, note)
 
 
 @claim(SMOOTH, "I_2's errors end within a bound", "ch. 5, (5.9)-(5.10)")
 def _within_a_bound(study: Study) -> Found:
-    late, leaky = (run_trials(replace(CASE1_SMOOTH, leak=leak), LATE) for leak in (0.0, LEAK))
+    late, leaky = (loop.run_trials(replace(CASE1_SMOOTH, leak=leak), LATE) for leak in (0.0, LEAK))
     creep = late.max_estimate[:, 0]
     words = (
         f"{creep[LAST - 1]:.1f} at trial {LAST} and {creep[-1]:.1f} at trial {LATE}"
         if late.diverged is None
         else f"beyond bounds at trial {late.diverged}"
     )
-    note = (
-        f"max|e| at i = {LAST}. With mu = 0 theta's estimate keeps creeping up: {words}; "
-        f"mu = {LEAK} ends at errors of {listed(leaky.error(LATE))}. The first term of (5.10) "
-        "lacks a factor T (0.5 here)."
-    )
-    return Found(not late.grows() and not leaky.grows(), _found(study).error(LAST), note)
+    note = f"""max|e| at i = {LAST}. With mu = 0 theta's estimate keeps creeping up: {words}; mu =
+    {LEAK} ends at errors of {loop.pair(leaky.error(LATE))}. The first term of (5.10) lacks a factor
+    T (0.5 here)."""
+    return Found(not late.grows() and not leaky.grows(), study.traces.error(LAST), note)
 
 
-def _first_within(trials: LoopTrials, bound: float) -> float:
+def _first_within(trials: loop.LoopTrials, bound: float) -> float:
     """The trial from which on all errors are below ``bound``; NaN if there is none."""
     above = np.flatnonzero(trials.max_abs_error.max(axis=1) >= bound)
     first = int(above[-1]) + 2 if above.size else 1
@@ -149,8 +125,8 @@ def _first_within(trials: LoopTrials, bound: float) -> float:
 @claim(SMOOTH, "rho bounds the uncertainty of case 1, |f| <= rho", "ch. 5, case 1")
 def _rho(study: Study) -> Found:
     covers = study.setting.bound
-    less = run_trials(replace(CASE1_SMOOTH, bound=1.0), LAST)
-    trials = [_first_within(one, _BOUND) for one in (_found(study), less)]
+    less = loop.run_trials(replace(CASE1_SMOOTH, bound=1.0), LAST)
+    trials = [_first_within(one, _BOUND) for one in (study.traces, less)]
     note = (
         f"{_UNREAD} Measured: rho/|f|, and the trial from which both errors are below {_BOUND} "
         "with this rho and with |f| itself."
@@ -160,38 +136,34 @@ def _rho(study: Study) -> Found:
 
 @claim(UNCERTAIN, "Both errors are within 0.1 after 10 iterations", "ch. 5, case 2")
 def _within(study: Study) -> Found:
-    first = _first_within(_found(study), _BOUND)
-    at = listed(_found(study).error(_WITHIN))
+    first = _first_within(study.traces, _BOUND)
+    at = loop.pair(study.traces.error(_WITHIN))
     return Found(first <= _WITHIN, first, f"The trial from which both are; {at} at i = {_WITHIN}.")
 
 
 @claim(UNCERTAIN, "No discontinuity of the input with (5.19)", "ch. 5, case 2")
 def _continuous(study: Study) -> Found:
-    found = _found(study)
+    found = study.traces
     here = found.variation(LAST)
     slow, soft = (
-        run_trials(on(CASE2, 100, softness=softness), LAST).variation(LAST)
+        loop.run_trials(loop.on(CASE2, 100, softness=softness), LAST).variation(LAST)
         for softness in (0.0, SOFTNESS)
     )
-    smooth = np.all(np.isfinite(here)) and max(here) < CHATTER * max(found.max_abs_input[-1])
-    note = (
-        f"Total variation of both inputs in trial {LAST}, continuous time. But the unit "
-        "vectors B'e/|B'e| are not smoothed: with the input held for 5 ms it is "
-        f"{listed(slow)}, and {listed(soft)} with {SOFTNESS} added to |B'e|."
-    )
+    smooth = np.all(np.isfinite(here)) and max(here) < loop.CHATTER * max(found.max_abs_input[-1])
+    note = f"""Total variation of both inputs in trial {LAST}, continuous time. But the unit vectors
+    B'e/|B'e| are not smoothed: with the input held for 5 ms it is {loop.pair(slow)}, and
+    {loop.pair(soft)} with {SOFTNESS} added to |B'e|."""
     return Found(smooth, here, note)
 
 
 @claim(UNCERTAIN, "beta bounds |d|", "ch. 5, case 2")
 def _beta(study: Study) -> Found:
-    fitting = run_trials(replace(CASE2, beta_power=2), LAST).max_abs_error[1:10]
-    gap = np.max(np.abs(fitting / _found(study).max_abs_error[1:10] - 1.0))
+    fitting = loop.run_trials(replace(CASE2, beta_power=2), LAST).max_abs_error[1:10]
+    gap = np.max(np.abs(fitting / study.traces.max_abs_error[1:10] - 1.0))
     covered, fitted = (_beta_covers(power) for power in (CASE2.beta_power, 2))
-    note = (
-        "Smallest beta/|d| along the reference. As printed beta has sin^4 x_2 though "
-        f"d_2 = 0.2 sin x_2; with sin^2 the ratio is {fitted:.3g} throughout, as with the "
-        f"other two bounds. Errors of trials 2-10 change by {100 * gap:.0f} % at most."
-    )
+    note = f"""Smallest beta/|d| along the reference. As printed beta has sin^4 x_2 though d_2 = 0.2
+    sin x_2; with sin^2 the ratio is {fitted:.3g} throughout, as with the other two bounds. Errors
+    of trials 2-10 change by {100 * gap:.0f} % at most."""
     return Found(covered >= 1.0, covered, note, fitted >= 1.0)
 
 
@@ -212,13 +184,11 @@ def _norm(study: Study) -> Found:
     largest = inverse_by_norm(input_gain(_TIMES))
     errors = [
         one.error(LAST)[0]
-        for one in (_found(study), run_trials(replace(CASE2, inverse_norm=True), LAST))
+        for one in (study.traces, loop.run_trials(replace(CASE2, inverse_norm=True), LAST))
     ]
-    note = (
-        "Largest |B^-1| |B| along the reference, which is 1 or more for any matrix; max|e_1| at "
-        f"i = {LAST} as printed and with the safe |B^-1|. The example learns all the same; "
-        "for a fish, whose plant is scalar, both are one."
-    )
+    note = f"""Largest |B^-1| |B| along the reference, which is 1 or more for any matrix; max|e_1|
+    at i = {LAST} as printed and with the safe |B^-1|. The example learns all the same; for a fish,
+    whose plant is scalar, both are one."""
     return Found(largest <= 1.0 + 1e-12, [largest, *errors], note)
 
 
@@ -246,14 +216,14 @@ _FIRST_AND_LAST = f"Trials 1 and {LAST} with the reference."
 
 @figure(SIGN, "ch5-case1-sign-states.png", f"{_CASE1}, I_1, states", _FIRST_AND_LAST)
 def _states(study: Study) -> Panels:
-    return feedback.states(_found(study))
+    return loop.states(study.traces)
 
 
 @figure(
     SIGN, "ch5-case1-inputs.png", f"{_CASE1}, inputs", "The inputs of both laws in the same trial."
 )
 def _inputs(study: Study) -> Panels:
-    return feedback.inputs({"I_1": _found(study), "I_2": other(CASE1_SMOOTH)}, LAST)
+    return loop.inputs({"I_1": study.traces, "I_2": loop.other(CASE1_SMOOTH)}, LAST)
 
 
 @figure(
@@ -261,21 +231,21 @@ def _inputs(study: Study) -> Panels:
     "Error per iteration for several control periods: it grows again, against theorem 5.1.",
 )  # fmt: skip
 def _sampled(study: Study) -> Panels:
-    found, _ = sampled(CASE1_SIGN, SAMPLED)
+    found, _ = loop.sampled(CASE1_SIGN, SAMPLED)
     steps = max(SAMPLED)
     series = {f"{500.0 / n:g} ms": trials for n, trials in found.items()}
-    cured = run_trials(on(CASE1_SIGN, steps, dead_zone=DEAD_ZONE), SAMPLED[steps])
-    return feedback.errors({**series, f"{500.0 / steps:g} ms, dead zone": cured})
+    cured = loop.run_trials(loop.on(CASE1_SIGN, steps, dead_zone=DEAD_ZONE), SAMPLED[steps])
+    return loop.errors({**series, f"{500.0 / steps:g} ms, dead zone": cured})
 
 
 @figure(SMOOTH, "ch5-case1-error.png", f"{_CASE1}, max|e|", "Error per iteration.")
 def _errors1(study: Study) -> Panels:
-    return feedback.errors({"I_2, smooth": _found(study), "I_1, sign": other(CASE1_SIGN)})
+    return loop.errors({"I_2, smooth": study.traces, "I_1, sign": loop.other(CASE1_SIGN)})
 
 
 @figure(UNCERTAIN, "ch5-case2-error.png", f"{_CASE2}, max|e|", "Error per iteration.")
 def _errors2(study: Study) -> Panels:
-    return feedback.errors({"(5.17)-(5.19)": _found(study)})
+    return loop.errors({"(5.17)-(5.19)": study.traces})
 
 
 figure(SMOOTH, "ch5-case1-smooth-states.png", f"{_CASE1}, I_2, states", _FIRST_AND_LAST)(_states)
@@ -287,4 +257,4 @@ figure(UNCERTAIN, "ch5-case2-states.png", f"{_CASE2}, states", _FIRST_AND_LAST)(
     f"The inputs of trial {LAST}, continuous time.",
 )  # fmt: skip
 def _inputs2(study: Study) -> Panels:
-    return feedback.inputs({"(5.19)": _found(study)}, LAST)
+    return loop.inputs({"(5.19)": study.traces}, LAST)

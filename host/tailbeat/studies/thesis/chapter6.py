@@ -8,25 +8,8 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.example import Example, Found, claim, figure
-from tailbeat.studies.thesis.picture import (
-    REFERENCE,
-    Axes,
-    Curve,
-    Panel,
-    Panels,
-    errors,
-    field_map,
-    level,
-)
-from tailbeat.studies.thesis.plants import rod
-from tailbeat.studies.thesis.plants.heat import (
-    CHAPTER6,
-    HORIZON,
-    STEP,
-    heat_plant,
-    times,
-    undriven_as_printed,
-)
+from tailbeat.studies.thesis.picture import REFERENCE, Axes, Curve, Panel, errors, field_map, level
+from tailbeat.studies.thesis.plants import heat, rod
 from tailbeat.studies.thesis.plants.rod import ITERATIONS, LONG, Q_LEN, RHO
 from tailbeat.studies.thesis.study import Study
 
@@ -50,7 +33,7 @@ def _near(value: float, printed: float, part: float) -> bool:
     HEAT, "Q with N0 = 20 at 0.6 s has its cut-off at 10 rad per unit of time", "sec. 6.6, (6.42)"
 )
 def _cut_off(study: Study) -> Found:
-    cut, alone = (rod.cut_off(Q_LEN, STEP, passes) for passes in (2, 1))
+    cut, alone = (rod.cut_off(Q_LEN, heat.STEP, passes) for passes in (2, 1))
     note = f"-3 dB of Q, rad/min (the text mixes s and min); H alone: {alone:.2f}."
     return Found(_near(cut, 10, 0.01), cut, note)
 
@@ -62,10 +45,8 @@ def _follows(study: Study) -> Found:
     by_model, unrounded = (
         rod.best_rho(gain, _BASE_FREQUENCY)[0] for gain in (rod.modelled, rod.modelled_unrounded)
     )
-    note = (
-        "A(z) rounded as in the text, and unrounded; it is Tustin's rule with Muir's "
-        "recursion, not Oustaloup's."
-    )
+    note = """A(z) rounded as in the text, and unrounded; it is Tustin's rule with Muir's recursion,
+    not Oustaloup's."""
     return Found(_near(by_model, _PRINTED_RHO_AT_ONE_FREQUENCY, 0.001), [by_model, unrounded], note)
 
 
@@ -75,10 +56,8 @@ def _best_there(study: Study) -> Found:
     by_rod, _ = rod.best_rho(rod.rod, _BASE_FREQUENCY)
     at_rest = np.abs(rod.modelled(0.0))[0]
     left = rod.left_over(rod.rod, printed, _BASE_FREQUENCY)
-    note = (
-        f"A(z) is wrong at low frequencies: abs(A/sinh A) at 0 is {at_rest:.3f}, of the "
-        f"rod 1. On the rod 2.839 leaves {left:.3f} of an error per trial."
-    )
+    note = f"""A(z) is wrong at low frequencies: abs(A/sinh A) at 0 is {at_rest:.3f}, of the rod 1.
+    On the rod 2.839 leaves {left:.3f} of an error per trial."""
     return Found(_near(by_rod, printed, 0.01), by_rod, note)
 
 
@@ -91,37 +70,33 @@ def _diverges(study: Study) -> Found:
 
 
 _OMEGA: F64 = np.linspace(*rod.BAND, 10_001)
-_WIDE: F64 = np.linspace(0.0, np.pi / STEP, 60_001)
+_WIDE: F64 = np.linspace(0.0, np.pi / heat.STEP, 60_001)
 
 
 @claim(HEAT, "rho0 = 0.7444 is the optimum (6.41) over [0, 10]", "sec. 6.6, (6.41)")
 def _optimum(study: Study) -> Found:
-    q = rod.zero_phase_frequency(_WIDE, Q_LEN, STEP)
+    q = rod.zero_phase_frequency(_WIDE, Q_LEN, heat.STEP)
     by_model, unrounded, by_rod, with_q = (
         rod.best_rho(rod.modelled, _OMEGA), rod.best_rho(rod.modelled_unrounded, _OMEGA),
         rod.best_rho(rod.rod, _OMEGA), rod.best_rho(rod.rod, _WIDE, q),
     )  # fmt: skip
     found = [rho for rho, _ in (by_model, unrounded, by_rod, with_q)]
-    note = (
-        f"By A(z) rounded as in the text, unrounded, by the rod, by the rod with Q; they leave "
-        f"{by_model[1]:.4f}, {by_rod[1]:.4f} (rod), {with_q[1]:.4f} (with Q) of an error."
-    )
+    note = f"""By A(z) rounded as in the text, unrounded, by the rod, by the rod with Q; they leave
+    {by_model[1]:.4f}, {by_rod[1]:.4f} (rod), {with_q[1]:.4f} (with Q) of an error."""
     return Found(any(_near(rho, RHO, 0.02) for rho in found), found, note)
 
 
 @claim(HEAT, "0.7444 meets (6.20): sup|1 - rho h| < 1 over [0, 10]", "theorem 6.1")
 def _unfiltered(study: Study) -> Found:
     left = rod.left_over(rod.rod, RHO, _OMEGA)
-    note = (
-        f"On the rod itself. Beyond {rod.widest_band(STEP):.2f} rad/min, where Re(s h) "
-        "changes sign, no gain does."
-    )
+    note = f"""On the rod itself. Beyond {rod.widest_band(heat.STEP):.2f} rad/min, where Re(s h)
+    changes sign, no gain does."""
     return Found(left < 1, left, note)
 
 
 @claim(HEAT, "with Q it meets (6.32): sup|Q(1 - rho h)| < 1", "theorem 6.3")
 def _filtered(study: Study) -> Found:
-    left = np.abs(rod.zero_phase_frequency(_WIDE, Q_LEN, STEP) * (1 - RHO * rod.rod(_WIDE)))
+    left = np.abs(rod.zero_phase_frequency(_WIDE, Q_LEN, heat.STEP) * (1 - RHO * rod.rod(_WIDE)))
     note = f"Over all frequencies; the largest at {_WIDE[left.argmax()]:.2f} rad/min."
     return Found(left.max() < 1, left.max(), note)
 
@@ -129,10 +104,8 @@ def _filtered(study: Study) -> Found:
 @claim(HEAT, "the largest error is 13.20 at first", "sec. 6.6, fig. 6.1")
 def _first_error(study: Study) -> Found:
     first, second = study.run().max_abs_error[:2]
-    note = (
-        "Iterations 0 and 1, which would be the reading. With u^0 = 0 the mean temperature is "
-        f"t^2/2 + t/3, so that y^0(10) = {_undriven():.3f} by any solver."
-    )
+    note = f"""Iterations 0 and 1, which would be the reading. With u^0 = 0 the mean temperature is
+    t^2/2 + t/3, so that y^0(10) = {_undriven():.3f} by any solver."""
     reading = _near(second, _FIRST_OF_TEXT, 0.05)
     return Found(_near(first, _FIRST_OF_TEXT, 0.01), [first, second], note, reading)
 
@@ -140,10 +113,8 @@ def _first_error(study: Study) -> Found:
 @claim(HEAT, "it is 0.0371 within 7 iterations", "sec. 6.6, fig. 6.1")
 def _last_error(study: Study) -> Found:
     last = study.run().max_abs_error[-1]
-    note = (
-        "Reading: 0.0371 or less. So small a figure hangs on the solver's own tolerance, so "
-        "that its digits cannot be had again."
-    )
+    note = """Reading: 0.0371 or less. So small a figure hangs on the solver's own tolerance, so
+    that its digits cannot be had again."""
     return Found(_near(last, _LAST_OF_TEXT, 0.02), last, note, last <= _LAST_OF_TEXT)
 
 
@@ -165,22 +136,18 @@ def _by_eye(study: Study) -> Found:
 def _robust(study: Study) -> Found:
     with_q, without = rod.with_filter(), rod.without_filter()
     least = int(without.argmin())
-    note = (
-        f"max|e| of iteration {LONG}, exact rod, with Q and without; without it noise grows from "
-        f"iteration {least} ({without[least]:.3f}) on."
-    )
+    note = f"""max|e| of iteration {LONG}, exact rod, with Q and without; without it noise grows
+    from iteration {least} ({without[least]:.3f}) on."""
     robust = with_q[-1] <= 1.2 * with_q[10] and without[-1] > 10 * without[10]
     return Found(robust, [with_q[LONG], without[LONG]], note)
 
 
 @claim(HEAT, "h12(0, s) is positive real, with real zeros", "sec. 6.6")
 def _positive_real(study: Study) -> Found:
-    omega = np.geomspace(1e-2, np.pi / STEP, 4001)
+    omega = np.geomspace(1e-2, np.pi / heat.STEP, 4001)
     across, beside = (rod.h12(x, omega).real.min() for x in (0.0, 1.0))
-    note = (
-        f"min Re over frequency; it has no zeros at all. True of the output beside the heater, "
-        f"w(1): {beside:.3f}."
-    )
+    note = f"""min Re over frequency; it has no zeros at all. True of the output beside the heater,
+    w(1): {beside:.3f}."""
     return Found(across >= 0, across, note)
 
 
@@ -190,42 +157,38 @@ _AT = 1.0 + 1.0j  # s
 @claim(HEAT, "h11, h21 as printed solve (6.35)", "sec. 6.6")
 def _ends(study: Study) -> Found:
     ends = rod.off_at_the_ends(_AT, rod.along_printed)
-    note = (
-        "At s = 1 + i: abs(dh11/dx) at x = 1, where the rod is insulated, and abs(h21 - 1) at "
-        f"x = 0, where w_x is given; both are 0 (with cosh for sinh in exp(Fx) "
-        f"{max(rod.off_at_the_ends(_AT)):.1e}). The law does not use them."
-    )
+    note = f"""At s = 1 + i: abs(dh11/dx) at x = 1, where the rod is insulated, and abs(h21 - 1) at
+    x = 0, where w_x is given; both are 0 (with cosh for sinh in exp(Fx)
+    {max(rod.off_at_the_ends(_AT)):.1e}). The law does not use them."""
     return Found(max(ends) < 1e-3, ends, note)
 
 
 @claim(HEAT, "G as printed solves (6.35)", "sec. 6.6, lemma 6.1")
 def _inside(study: Study) -> Found:
     inside = rod.off_inside(_AT, rod.along_printed)
-    note = (
-        "By the printed exp(Fx), s = 1 + i, a source at x = 0.4: what is left of w_x at the "
-        "insulated ends or of its jump at the source; with cosh for sinh "
-        f"{rod.off_inside(_AT):.1e}. The law does not use it."
-    )
+    note = f"""By the printed exp(Fx), s = 1 + i, a source at x = 0.4: what is left of w_x at the
+    insulated ends or of its jump at the source; with cosh for sinh {rod.off_inside(_AT):.1e}. The
+    law does not use it."""
     return Found(inside < 1e-3, inside, note)
 
 
 @claim(HEAT, "(6.39), with its source term, gives the undriven output", "(6.39)")
 def _undriven_output(study: Study) -> Found:
-    printed, exactly = undriven_as_printed(HORIZON), _undriven()
-    note = (
-        "y^0(10) with the printed kernel, and exactly. sinh must be cosh there; the law does "
-        "not use it."
-    )
+    printed, exactly = heat.undriven_as_printed(heat.HORIZON), _undriven()
+    note = """y^0(10) with the printed kernel, and exactly. sinh must be cosh there; the law does
+    not use it."""
     return Found(_near(printed, exactly, 1e-3), [printed, exactly], note)
 
 
 def _undriven() -> float:
     """y^0(T), exactly."""
-    return float(heat_plant(CHAPTER6, exact=True).output(np.zeros(len(times(STEP))))[-1])
+    return float(
+        heat.heat_plant(heat.CHAPTER6, exact=True).output(np.zeros(len(heat.times(heat.STEP))))[-1]
+    )
 
 
 @figure(HEAT, "fig6-1.png", "Fig. 6.1", "Largest error per iteration.")
-def _errors(study: Study) -> Panels:
+def _errors(study: Study) -> Panel:
     found = study.run().max_abs_error
 
     def of_the_text(axes: Axes) -> None:
@@ -236,32 +199,34 @@ def _errors(study: Study) -> Panels:
         f"The text starts at {_FIRST_OF_TEXT:.2f}; the heat that f brings in makes it "
         f"{found[0]:.2f}."
     )
-    panel = errors({"": found}, marker=8, more=of_the_text)
-    return Panels([panel], contradicts="" if abs(found[0] - _FIRST_OF_TEXT) < 0.05 else starts)
+    contradicts = "" if abs(found[0] - _FIRST_OF_TEXT) < 0.05 else starts
+    return errors({"": found}, marker=8, more=of_the_text, contradicts=contradicts)
 
 
 @figure(HEAT, "fig6-2.png", "Fig. 6.2", "Output of iteration 7 and the reference.")
-def _output(study: Study) -> Panels:
-    found = study.run().traces
+def _output(study: Study) -> Panel:
+    found = study.traces
     time = found.problem.times
     curves = [
         Curve(time, found.problem.reference, "reference", REFERENCE),
         Curve(time, found.trial()[1], f"y of iteration {ITERATIONS}"),
     ]
-    return Panels([Panel(curves, {"xlabel": "t, min", "ylabel": "y = w(0, t)"})])
+    return Panel(curves, {"xlabel": "t, min", "ylabel": "y = w(0, t)"})
 
 
 @figure(HEAT, "fig6-3.png", "Fig. 6.3", "w(x, t) of iteration 7, as a map.")
-def _surface(study: Study) -> Panels:
-    found = study.run().traces
-    return field_map(found.problem.times, heat_plant(CHAPTER6).field(found.trial()[0]), "w")
+def _surface(study: Study) -> Panel:
+    found = study.traces
+    return field_map(
+        found.problem.times, heat.heat_plant(heat.CHAPTER6).field(found.trial()[0]), "w"
+    )
 
 
 @figure(HEAT, "ch6-filter.png", "Ch. 6, where the filter acts", f"{LONG} trials on the exact rod.")
-def _filter(study: Study) -> Panels:
+def _filter(study: Study) -> Panel:
     runs = {
         "Q on input and correction, (6.31)": rod.with_filter(),
         "Q on the correction alone": rod.with_filter_on_the_correction(),
         "no Q": rod.without_filter(),
     }
-    return Panels([errors(runs)])
+    return errors(runs)

@@ -14,69 +14,43 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis.example import Example, ExampleRun, Found, claim, figure
-from tailbeat.studies.thesis.picture import (
-    LINES,
-    REFERENCE,
-    Axes,
-    Curve,
-    Panel,
-    Panels,
-    errors,
-    field_map,
+from tailbeat.studies.thesis.example import (
+    Example,
+    ExampleOptions,
+    ExampleRun,
+    Found,
+    claim,
+    figure,
 )
-from tailbeat.studies.thesis.plants.advection import (
-    BY_TIME,
-    DELTA,
-    DELTAS,
-    ITERATIONS,
-    RHO,
-    STEADY,
-    AdvectionPlant,
-    gain_for,
-    law,
-    prepare,
-    printed_plant,
-    promised,
-    rod_plant,
-    theta,
-)
-from tailbeat.studies.thesis.plants.heat import (
-    CHAPTER7,
-    HORIZON,
-    STEP,
-    heat_plant,
-    problem,
-    reference,
-    times,
-)
+from tailbeat.studies.thesis.picture import LINES, REFERENCE, Axes, Curve, Panel, errors, field_map
+from tailbeat.studies.thesis.plants import advection, heat
 from tailbeat.studies.thesis.study import Study
 
 _KNOWS = frozenset({"step", "iterations", "delta"})
-_example = partial(Example, law="D-type with lead (7.10)", prepare=prepare)
+_example = partial(Example, law="D-type with lead (7.10)", prepare=advection.prepare)
 PRINTED = _example(
     "ch7-printed", "Advection and Monod uptake (7.31), phi clipped below v = 0 unless --uptake",
-    setting=printed_plant, knows=_KNOWS | {"uptake"}, weight=4.0,
+    setting=advection.printed_plant, knows=_KNOWS | {"uptake"}, weight=4.0,
 )  # fmt: skip
 HEAT = _example(
     "ch7-heat", "The heat equation (7.3): (7.31) without advection and uptake",
-    setting=rod_plant, knows=_KNOWS, weight=3.0,
+    setting=advection.rod_plant, knows=_KNOWS, weight=3.0,
 )  # fmt: skip
 EXAMPLES = (PRINTED, HEAT)
 
 _ACCURATE = 1.0  # epsilon of the example
 _REDUCTION = 0.96
-_STEPS = (0.02, STEP, 0.005)
+_STEPS = (0.02, heat.STEP, 0.005)
 _LONG, _LONG_DELTAS = 60, (0.25, 0.10, 0.02)
 _LISTED = ", ".join(f"{delta:g}" for delta in _LONG_DELTAS)
-_SHORTEST = DELTAS[-1]
+_SHORTEST = advection.DELTAS[-1]
 _PULL, _AT = -100.0, 5.0  # input that is held, and when its output is looked at, min
 _HEAT_ONLY = "Reading: F = 0, the heat equation alone."
 _FIVE = "delta = .25, .15, .10, .05, .02 min."
 
 
 def _all_deltas(study: Study) -> list[ExampleRun]:
-    return [study.run(delta=delta) for delta in DELTAS]
+    return [study.run(delta=delta) for delta in advection.DELTAS]
 
 
 def _long_runs(study: Study) -> list[ExampleRun]:
@@ -94,21 +68,22 @@ def _falling(values: ArrayLike) -> bool:
 
 @claim(PRINTED, "rho = -1 / (2 theta(1, 0.25)) = -1.2041", "sec. 7.5")
 def _gain(study: Study) -> Found:
-    return Found(abs(gain_for(DELTA) - RHO) < 5e-5, gain_for(DELTA))
+    gain = advection.gain_for(advection.DELTA)
+    return Found(abs(gain - advection.RHO) < 5e-5, gain)
 
 
-_TIME: F64 = np.linspace(0.001, HORIZON, 100_001)
+_TIME: F64 = np.linspace(0.001, heat.HORIZON, 100_001)
 
 
 @claim(PRINTED, "theta(1, t) <= 1/2", "(7.16)")
 def _at_most_half(study: Study) -> Found:
-    most = np.max(theta(1.0, _TIME))
+    most = np.max(advection.theta(1.0, _TIME))
     return Found(most <= 0.5 + 1e-12, most, "sup over t in (0, 10]; theta(1, t) rises to it.")
 
 
 def _by_images() -> F64:
     """The sum's largest values, cut at 0 to 8 images."""
-    return np.array([np.max(theta(1.0, _TIME, images)) for images in range(9)])
+    return np.array([np.max(advection.theta(1.0, _TIME, images)) for images in range(9)])
 
 
 @claim(PRINTED, "few terms of the sum are enough", "figs 7.1-7.3")
@@ -120,13 +95,13 @@ def _few_terms(study: Study) -> Found:
 
 def _found(study: Study, holds: bool | np.bool_, measured: ArrayLike, note: str) -> Found:
     """By the plant as printed it comes out as it is; by the heat equation under a reading."""
-    return Found(holds and study.setting is printed_plant, measured, note, holds)
+    return Found(holds and study.example is PRINTED, measured, note, holds)
 
 
 @claim(EXAMPLES, "the largest error is below 1 after 5 iterations, for each delta", "sec. 7.5 (i)")
 def _accurate(study: Study) -> Found:
     errors = _last(_all_deltas(study))
-    why = _why_not() if study.setting is printed_plant else _HEAT_ONLY
+    why = _why_not() if study.example is PRINTED else _HEAT_ONLY
     return _found(study, np.all(errors < _ACCURATE), errors, f"max|e^5| for {_FIVE} {why}")
 
 
@@ -134,7 +109,7 @@ def _accurate(study: Study) -> Found:
 def _reduced(study: Study) -> Found:
     runs = _all_deltas(study)
     reductions = 1 - _last(runs) / runs[0].max_abs_error[0]
-    reading = "" if study.setting is printed_plant else f" {_HEAT_ONLY}"
+    reading = "" if study.example is PRINTED else f" {_HEAT_ONLY}"
     note = f"1 - max|e^5|/max|e^0| for {_FIVE} To the hundredth of a per cent.{reading}"
     return _found(study, np.min(reductions) >= _REDUCTION - 5e-5, reductions, note)
 
@@ -144,16 +119,16 @@ def _smaller_delta(study: Study) -> Found:
     errors = _last(_all_deltas(study))
     note = (
         "Differences between runs that did not learn are no accuracy."
-        if study.setting is printed_plant
+        if study.example is PRINTED
         else f"{_HEAT_ONLY} At iteration 5 only, and only because g = 1 sets in at once: see below."
     )
     return _found(study, _falling(errors) and np.all(errors < _ACCURATE), errors, note)
 
 
 def _why_not() -> str:
-    samples = reference(times(STEP))
-    a_trial = abs(RHO) * np.abs(np.diff(samples)).max() / STEP
-    held = samples[round(_AT / STEP)] / _gain_at_rest()
+    samples = heat.reference(heat.times(heat.STEP))
+    a_trial = abs(advection.RHO) * np.abs(np.diff(samples)).max() / heat.STEP
+    held = samples[round(_AT / heat.STEP)] / _gain_at_rest()
     return (
         "What flows out with the advection, 2(t + 1/2) y, leaves the input no integral; a D-law "
         f"gives about {a_trial:.1f} per trial at most, and at t = {_AT:g} it takes an input of "
@@ -165,21 +140,23 @@ def _why_not() -> str:
 def _finer(study: Study) -> Found:
     errors = _last([study.run(step=step) for step in _STEPS])
     note = "max|e^5| for delta = .25 at 0.02, 0.01 and 0.005 min; better counts from 2 % on."
-    return Found(_falling(errors) and errors[-1] < 0.98 * errors[0], errors, note)
+    return Found(
+        _falling(errors) and errors[-1] < 0.98 * errors[0],
+        errors,
+        note,
+    )
 
 
 @claim(PRINTED, "the five delta meet the thesis's own rule, (7.18)", "(7.18), sec. 7.5")
 def _own_rule(study: Study) -> Found:
     largest = [float(np.abs(run.traces.trial()[0]).max()) for run in _all_deltas(study)]
-    gammas = [promised(RHO, delta) for delta in DELTAS]
+    gammas = [advection.promised(advection.RHO, delta) for delta in advection.DELTAS]
     allowed = [longest(gamma, most) for gamma, most in zip(gammas, largest, strict=True)]
-    note = (
-        "The longest delta that (7.18) allows for an accuracy of 1, at the factor of (7.13) of "
-        f"each, with the largest input so far ({min(largest):.0f} to {max(largest):.0f}) for its "
-        f"bound; with any gain at most {longest(0.0, min(largest)):.4f}. A bound of 100 makes "
-        f"that {longest(0.0, 100.0):.4f}, less than a sample."
-    )
-    return Found(np.all(np.array(DELTAS) <= allowed), allowed, note)
+    note = f"""The longest delta that (7.18) allows for an accuracy of 1, at the factor of (7.13) of
+    each, with the largest input so far ({min(largest):.0f} to {max(largest):.0f}) for its bound;
+    with any gain at most {longest(0.0, min(largest)):.4f}. A bound of 100 makes that
+    {longest(0.0, 100.0):.4f}, less than a sample."""
+    return Found(np.all(np.array(advection.DELTAS) <= allowed), allowed, note)
 
 
 def longest(gamma: float, input_bound: float) -> float:
@@ -192,13 +169,14 @@ def longest(gamma: float, input_bound: float) -> float:
     "sec. 7.5 (iii), with another varsigma", ours=True,
 )  # fmt: skip
 def _nearly_no_advection(study: Study) -> Found:
-    plants = [AdvectionPlant(carried=carried) for carried in (0.0, 0.005, 0.01, 2.0)]
-    runs = [problem(plant, law(DELTA)).uncut(ITERATIONS) for plant in plants]
+    plants = [advection.AdvectionPlant(carried=carried) for carried in (0.0, 0.005, 0.01, 2.0)]
+    runs = [
+        heat.problem(plant, advection.law(advection.DELTA)).uncut(advection.ITERATIONS)
+        for plant in plants
+    ]
     worst = [1 - errors[-1] / errors[0] for errors in runs]
-    note = (
-        "delta = .25, phi clipped, varsigma = 0, 0.005, 0.01, and 2 as printed. Whether the heat "
-        "equation or one of these was run cannot be told."
-    )
+    note = """delta = .25, phi clipped, varsigma = 0, 0.005, 0.01, and 2 as printed. Whether the
+    heat equation or one of these was run cannot be told."""
     return Found(min(worst[:2]) >= _REDUCTION > worst[-1], worst, note)
 
 
@@ -207,11 +185,9 @@ def _nearly_no_advection(study: Study) -> Found:
     f"(7.13), delta = {_SHORTEST:g}",
 )  # fmt: skip
 def _contraction(study: Study) -> Found:
-    bound, factors = promised(RHO, _SHORTEST), _factors(study)
-    note = (
-        "Factor per trial: the bound's, without the rest (7.14) that it allows beside, then "
-        f"those of max|e| in the {len(factors)} trials of the example."
-    )
+    bound, factors = advection.promised(advection.RHO, _SHORTEST), _factors(study)
+    note = f"""Factor per trial: the bound's, without the rest (7.14) that it allows beside, then
+    those of max|e| in the {len(factors)} trials of the example."""
     return Found(max(factors) <= bound, [bound, *factors], note)
 
 
@@ -224,12 +200,10 @@ def _factors(study: Study) -> list[float]:
     HEAT, "this bound is sharp: learning is no faster", f"(7.13), delta = {_SHORTEST:g}", ours=True
 )
 def _sharp(study: Study) -> Found:
-    bound, first = promised(RHO, _SHORTEST), _factors(study)[0]
-    note = (
-        f"The bound and the first trial. theta(1, {_SHORTEST:g}) is "
-        f"{float(theta(1.0, _SHORTEST)):.1e}, but slow errors shrink by "
-        f"abs(1 + rho) = {abs(1 + RHO):.3f}."
-    )
+    bound, first = advection.promised(advection.RHO, _SHORTEST), _factors(study)[0]
+    note = f"""The bound and the first trial. theta(1, {_SHORTEST:g}) is
+    {float(advection.theta(1.0, _SHORTEST)):.1e}, but slow errors shrink by abs(1 + rho) =
+    {abs(1 + advection.RHO):.3f}."""
     return Found(bound < 2 * first, [bound, first], note)
 
 
@@ -238,12 +212,13 @@ def _sharp(study: Study) -> Found:
     ours=True,
 )  # fmt: skip
 def _without_inflow(study: Study) -> Found:
-    plant = heat_plant(replace(CHAPTER7, inflow=0.0))
-    errors = [problem(plant, law(delta)).uncut(ITERATIONS)[-1] for delta in DELTAS]
-    note = (
-        "max|e^5| with g = 0, where the rod is consistent at t = 0: now a larger delta is better. "
-        "With g = 1 the first moments cannot be learned by any input."
-    )
+    plant = heat.heat_plant(replace(heat.CHAPTER7, inflow=0.0))
+    errors = [
+        heat.problem(plant, advection.law(delta)).uncut(advection.ITERATIONS)[-1]
+        for delta in advection.DELTAS
+    ]
+    note = """max|e^5| with g = 0, where the rod is consistent at t = 0: now a larger delta is
+    better. With g = 1 the first moments cannot be learned by any input."""
     return Found(_falling(errors), errors, note)
 
 
@@ -255,10 +230,8 @@ def _long_run(study: Study) -> Found:
         for run in runs
     ]
     ends = [f"{d}: {_ended(run)}" for d, run in zip(_LONG_DELTAS, runs, strict=True)]
-    note = (
-        f"max|e| of the last of {_LONG} iterations that could be computed, delta = {_LISTED}. "
-        f"It has no filter: what grows is fast. {'; '.join(ends)}."
-    )
+    note = f"""max|e| of the last of {_LONG} iterations that could be computed, delta = {_LISTED}.
+    It has no filter: what grows is fast. {"; ".join(ends)}."""
     return Found(all(sound), [run.max_abs_error[-1] for run in runs], note)
 
 
@@ -272,17 +245,15 @@ def _ended(run: ExampleRun) -> str:
 @cache
 def _gain_at_rest() -> float:
     """y/u of the printed plant at ``_AT``, for an input that was held from the start on."""
-    output = AdvectionPlant().output(np.full(len(times(STEP)), _PULL))
-    return float(output[round(_AT / STEP)]) / _PULL
+    output = advection.AdvectionPlant().output(np.full(len(heat.times(heat.STEP)), _PULL))
+    return float(output[round(_AT / heat.STEP)]) / _PULL
 
 
 @claim(PRINTED, "the input acts as an integral, as (7.8) has it", "sec. 7.4 and 7.5")
 def _at_rest(study: Study) -> Found:
     gain, balance = _gain_at_rest(), -1 / (2 * _AT + 1)
-    note = (
-        f"y({_AT:g})/u for u = {_PULL:g} from t = 0 on; an integral would give {-_AT:g}, what "
-        f"flows out makes it -1/(2t + 1) = {balance:.4f}."
-    )
+    note = f"""y({_AT:g})/u for u = {_PULL:g} from t = 0 on; an integral would give {-_AT:g}, what
+    flows out makes it -1/(2t + 1) = {balance:.4f}."""
     return Found(abs(gain) >= _AT / 2, gain, note)
 
 
@@ -301,18 +272,16 @@ _OTHER_LAW = "Another law than the thesis's: (7.10) with P for D, and Q."
     "sec. 7.5, with another law", ours=True,
 )  # fmt: skip
 def _steady(study: Study) -> Found:
-    found = STEADY.problem().uncut(13)
+    found = advection.STEADY.problem().uncut(13)
     note = f"{_OTHER_LAW} u[t] += -4 e(t + 0.10), Q with N0 = 20; iterations 0 to 13."
     return Found(found[-1] < _ACCURATE, found, note)
 
 
 @claim(PRINTED, "and by 96 % within 5 iterations", "sec. 7.5, with another law", ours=True)
 def _by_time(study: Study) -> Found:
-    found = BY_TIME.problem().uncut(ITERATIONS)
-    note = (
-        f"{_OTHER_LAW} u[t] += -0.5 (2t + 3) e(t + 0.10), N0 = 10: the gain at rest falls with "
-        "time, the correction rises with it."
-    )
+    found = advection.BY_TIME.problem().uncut(advection.ITERATIONS)
+    note = f"""{_OTHER_LAW} u[t] += -0.5 (2t + 3) e(t + 0.10), N0 = 10: the gain at rest falls with
+    time, the correction rises with it."""
     return Found(found[-1] <= (1 - _REDUCTION) * found[0], found, note)
 
 
@@ -320,42 +289,42 @@ _SHOWN_DELTA = 0.02  # of figures 7.5 to 7.7
 
 
 @figure(PRINTED, "fig7-1.png", "Fig. 7.1", "theta(1, t) of (7.5), and its sum cut short.")
-def _theta_cut(study: Study) -> Panels:
-    time = np.linspace(0.002, HORIZON, 4000)
+def _theta_cut(study: Study) -> Panel:
+    time = np.linspace(0.002, heat.HORIZON, 4000)
     curves = [
-        Curve(time, theta(1.0, time, images), f"N = {images}", style)
+        Curve(time, advection.theta(1.0, time, images), f"N = {images}", style)
         for images, style in zip((8, 0, 1, 2), LINES, strict=False)
     ]
     labels = {"xlabel": "t, min", "ylabel": "theta(1, t), summed over |m| <= N"}
-    return Panels([Panel(curves, labels, columns=4)])
+    return Panel(curves, labels, columns=4)
 
 
 @figure(
     PRINTED, "fig7-2.png", "Fig. 7.2",
     "theta(1, t) at first, with the five delta and the gains -1/(2 theta) they ask for.",
 )  # fmt: skip
-def _theta_early(study: Study) -> Panels:
+def _theta_early(study: Study) -> Panel:
     time = np.linspace(0.001, 0.6, 2000)
 
     def leads(axes: Axes) -> None:
-        for lead in DELTAS:
-            at = lead, float(theta(1.0, lead))
+        for lead in advection.DELTAS:
+            at = lead, float(advection.theta(1.0, lead))
             axes.plot(*at, "o", ms=9, mfc="white", mec="0.1", mew=1.8)
             axes.annotate(
-                f"delta = {lead:g}: rho = {gain_for(lead):.5g}", at,
+                f"delta = {lead:g}: rho = {advection.gain_for(lead):.5g}", at,
                 (12, -20 if lead == _SHORTEST else -5), textcoords="offset points", fontsize=12,
             )  # fmt: skip
 
     labels = {"ylim": (-0.05, None), "xlabel": "t, min", "ylabel": "theta(1, t)"}
-    return Panels([Panel([Curve(time, theta(1.0, time))], labels, more=leads)])
+    return Panel([Curve(time, advection.theta(1.0, time))], labels, more=leads)
 
 
 @figure(
     PRINTED, "fig7-3.png", "Fig. 7.3", "How the sum's largest value gets to 1/2 with its terms."
 )
-def _theta_sup(study: Study) -> Panels:
+def _theta_sup(study: Study) -> Panel:
     missing = np.maximum(0.5 - _by_images(), 1e-13)
-    return Panels([errors({"": missing}, marker=8, xlabel="N", ylabel="1/2 - sup theta_N(1, t)")])
+    return errors({"": missing}, marker=8, xlabel="N", ylabel="1/2 - sup theta_N(1, t)")
 
 
 @figure(
@@ -365,67 +334,69 @@ def _theta_sup(study: Study) -> Panels:
     "The D-law with lead.",
 )
 @figure(HEAT, "ch7-heat-error.png", "Ch. 7, the heat equation, max|e|", "The D-law with lead.")
-def _deltas(study: Study) -> Panels:
-    runs = {f"delta = {delta:g}": study.run(delta=delta).max_abs_error for delta in DELTAS}
+def _deltas(study: Study) -> Panel:
+    runs = {
+        f"delta = {delta:g}": study.run(delta=delta).max_abs_error for delta in advection.DELTAS
+    }
     left = max(found[-1] for found in runs.values())
-    against = f"The text has it below 1 after {ITERATIONS}; by this plant {left:.1f} are left."
-    scale = "linear" if study.setting is printed_plant else "log"
-    panel = errors(runs, marker=6, columns=3, yscale=scale)
-    return Panels([panel], contradicts=against if left >= 1 else "")
+    scale = "linear" if study.example is PRINTED else "log"
+    return errors(runs, marker=6, columns=3, yscale=scale, contradicts=_left(
+        left, f"The text has it below 1 after {advection.ITERATIONS}; by this plant"
+    ))  # fmt: skip
+
+
+def _left(error: float, words: str) -> str:
+    """What an error of 1 or more contradicts."""
+    return f"{words} {error:.1f} are left." if error >= 1 else ""
 
 
 @figure(
     PRINTED, "ch7-printed-learned.png", "Ch. 7, the plant as printed with another law, max|e|",
     "The plant as printed, learned by a P-law with lead and Q.",
 )  # fmt: skip
-def _other_law(study: Study) -> Panels:
-    runs = {"-4 e(t + 0.10), N0 = 20": STEADY, "-0.5 (2t + 3) e(t + 0.10), N0 = 10": BY_TIME}
+def _other_law(study: Study) -> Panel:
+    runs = {
+        "-4 e(t + 0.10), N0 = 20": advection.STEADY,
+        "-0.5 (2t + 3) e(t + 0.10), N0 = 10": advection.BY_TIME,
+    }
     found = {name: one.problem().uncut(13) for name, one in runs.items()}
-    return Panels([errors(found, marker=6, columns=1)])
+    return errors(found, marker=6, columns=1)
 
 
 def _fifth(study: Study) -> tuple[F64, F64, F64, str]:
     """Time, input and output of iteration 5, and what the text says against them."""
     run = study.run(delta=_SHOWN_DELTA)
-    left = run.max_abs_error[-1]
-    against = f"The text's y^5 is within 1 of y^d; here {left:.1f} are left." if left >= 1 else ""
+    against = _left(run.max_abs_error[-1], "The text's y^5 is within 1 of y^d; here")
     return run.traces.problem.times, *run.traces.trial(), against
 
 
-_LAW = f"delta = {_SHOWN_DELTA:g}, rho = {RHO:g}"
-_BY = "by the plant as printed"
-
-
-@figure(
-    PRINTED,
-    "fig7-5-printed.png",
-    f"Fig. 7.5 {_BY}",
-    f"Output of iteration 5 and reference, {_LAW}.",
-)
-@figure(HEAT, "fig7-5.png", "Fig. 7.5", f"Output of iteration 5 and reference, {_LAW}.")
-def _output(study: Study) -> Panels:
+def _output(study: Study) -> Panel:
     time, _, output, against = _fifth(study)
     curves = [
-        Curve(time, reference(time), "reference", REFERENCE),
+        Curve(time, heat.reference(time), "reference", REFERENCE),
         Curve(time, output, "y of iteration 5"),
     ]
-    panel = Panel(curves, {"xlabel": "t, min", "ylabel": "y = v(1, t)"})
-    return Panels([panel], contradicts=against)
+    return Panel(curves, {"xlabel": "t, min", "ylabel": "y = v(1, t)"}, contradicts=against)
 
 
-@figure(PRINTED, "fig7-6-printed.png", f"Fig. 7.6 {_BY}", f"Input of iteration 5, {_LAW}.")
-@figure(HEAT, "fig7-6.png", "Fig. 7.6", f"Input of iteration 5, {_LAW}.")
-def _input(study: Study) -> Panels:
+def _input(study: Study) -> Panel:
     time, values, _, against = _fifth(study)
-    panel = Panel([Curve(time, values)], {"xlabel": "t, min", "ylabel": "u = v_x(0, t)"})
-    return Panels([panel], contradicts=against)
+    labels = {"xlabel": "t, min", "ylabel": "u = v_x(0, t)"}
+    return Panel([Curve(time, values)], labels, contradicts=against)
 
 
-@figure(
-    PRINTED, "fig7-7-printed.png", f"Fig. 7.7 {_BY}", f"v(x, t) of iteration 5 as a map, {_LAW}."
-)
-@figure(HEAT, "fig7-7.png", "Fig. 7.7", f"v(x, t) of iteration 5 as a map, {_LAW}.")
-def _field(study: Study) -> Panels:
+def _field(study: Study) -> Panel:
     time, values, _, against = _fifth(study)
-    plant = AdvectionPlant() if study.setting is printed_plant else heat_plant(CHAPTER7)
-    return replace(field_map(time, plant.field(values), "v"), contradicts=against)
+    plant = study.setting(heat.STEP, ExampleOptions())
+    return field_map(time, plant.field(values), "v", against)
+
+
+_LAW = f"delta = {_SHOWN_DELTA:g}, rho = {advection.RHO:g}"
+for one, ending, by in ((PRINTED, "-printed", " by the plant as printed"), (HEAT, "", "")):
+    figure(
+        one, f"fig7-5{ending}.png", f"Fig. 7.5{by}", f"Output of iteration 5 and reference, {_LAW}."
+    )(_output)
+    figure(one, f"fig7-6{ending}.png", f"Fig. 7.6{by}", f"Input of iteration 5, {_LAW}.")(_input)
+    figure(
+        one, f"fig7-7{ending}.png", f"Fig. 7.7{by}", f"v(x, t) of iteration 5 as a map, {_LAW}."
+    )(_field)

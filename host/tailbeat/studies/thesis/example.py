@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.studies.thesis.learner import Precision
-from tailbeat.studies.thesis.picture import Panels, draw
+from tailbeat.studies.thesis.picture import Panel, Panels, draw
 
 Uptake = Literal["clip", "abs", "monod", "none"]
 
@@ -60,7 +60,7 @@ class Claim:
 @dataclass(frozen=True)
 class Found:
     """What the check of a claim found. ``holds``: as it is printed; ``reading``: under the reading
-    that the note states. The first outweighs the second."""
+    that the note states. The first outweighs the second. Lines of the note are joined."""
 
     holds: bool | np.bool_
     measured: ArrayLike
@@ -87,7 +87,8 @@ class Statement:
         found = self.check(study)
         number = found.measured
         measured = number if isinstance(number, str) else np.asarray(number, np.float64).tolist()
-        return Claim(self.text, self.source, found.verdict, measured, found.note, self.ours)
+        note = " ".join(found.note.split())
+        return Claim(self.text, self.source, found.verdict, measured, note, self.ours)
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class Sketch:
     file: str
     name: str
     caption: str
-    compose: Callable[[Any], Panels]
+    compose: Callable[[Any], Panel | Panels]
 
     def draw(self, study: Any, folder: Path) -> Figure:
         """Writes it into ``folder``."""

@@ -60,13 +60,15 @@ class Curve:
 @dataclass(frozen=True)
 class Panel:
     """Axes. ``levels``: values that the text states, drawn across. ``more``: what else there is to
-    draw. ``axes``: settings of ``Axes.set``, the labels among them."""
+    draw. ``axes``: settings of ``Axes.set``, the labels among them. ``contradicts``: what the
+    text's own numbers say against it."""
 
     curves: Sequence[Curve]
     axes: Mapping[str, Any]
     levels: Sequence[float] = ()
     columns: int = 2  # of the legend
     more: Callable[[Axes], None] | None = None
+    contradicts: str = ""
 
     def plot(self, axes: Axes) -> None:
         """Draws all of it."""
@@ -86,24 +88,27 @@ class Panel:
 
 @dataclass(frozen=True)
 class Panels:
-    """Panels side by side or, not ``across``, on top of each other. ``contradicts``: what the
-    text's own numbers say against it."""
+    """Panels side by side or, not ``across``, on top of each other."""
 
     panels: Sequence[Panel]
     across: bool = True
-    contradicts: str = ""
+
+    @property
+    def contradicts(self) -> str:
+        """What the text's own numbers say against them."""
+        return "".join(panel.contradicts for panel in self.panels)
 
 
-def draw(path: Path, drawing: Panels) -> None:
+def draw(path: Path, drawing: Panel | Panels) -> None:
     """Writes it as a PNG."""
-    count = len(drawing.panels)
-    size = (8.0 * count, 6.0) if drawing.across else (10.0, 4.2 * count)
-    rows, columns = (1, count) if drawing.across else (count, 1)
+    all_of_it = drawing if isinstance(drawing, Panels) else Panels([drawing])
+    count, across = len(all_of_it.panels), all_of_it.across
+    size = (8.0 * count, 6.0) if across else (10.0, 4.2 * count)
+    rows, columns = (1, count) if across else (count, 1)
     with mpl.rc_context(STYLE):
         sheet = mpl_figure.Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
-        for panel, axes in zip(
-            drawing.panels, sheet.subplots(rows, columns, squeeze=False).flat, strict=True
-        ):
+        grid = sheet.subplots(rows, columns, squeeze=False)
+        for panel, axes in zip(all_of_it.panels, grid.flat, strict=True):
             axes.grid(color="0.93", lw=1)
             axes.set_axisbelow(True)
             panel.plot(axes)
@@ -129,6 +134,7 @@ def errors(
     levels: Sequence[float] = (),
     columns: int = 2,
     more: Callable[[Axes], None] | None = None,
+    contradicts: str = "",
     **axes: Any,
 ) -> Panel:
     """Errors per iteration, by name, on a logarithmic axis. ``band``: of many series (series,
@@ -144,10 +150,10 @@ def errors(
         at = np.arange(first, first + len(np.asarray(values)))
         curves.append(Curve(at, values, name, style | dots))
     settings = {"yscale": "log", "xlabel": "iteration i", "ylabel": "max|e_i(t)|"} | axes
-    return Panel(curves, settings, levels, columns, more)
+    return Panel(curves, settings, levels, columns, more, contradicts)
 
 
-def field_map(time: F64, field: F64, name: str) -> Panels:
+def field_map(time: F64, field: F64, name: str, contradicts: str = "") -> Panel:
     """A field (samples, nodes) over place and time as a map with lines of equal height."""
     where = np.linspace(0.0, 1.0, field.shape[1])
     low, high = float(field.min()), float(field.max())
@@ -162,4 +168,5 @@ def field_map(time: F64, field: F64, name: str) -> Panels:
         axes.grid(False)
         axes.set_title(f"{name}(x, t)", fontsize=14, fontweight="normal")
 
-    return Panels([Panel([], {"xlabel": "t, min", "ylabel": "x"}, more=contours)])
+    labels = {"xlabel": "t, min", "ylabel": "x"}
+    return Panel([], labels, more=contours, contradicts=contradicts)

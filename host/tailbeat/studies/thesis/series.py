@@ -17,15 +17,7 @@ from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Prepared
 from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused, Precision
 from tailbeat.studies.thesis.options import Length, errors_beyond
-from tailbeat.studies.thesis.picture import (
-    LINES,
-    REFERENCE,
-    THIN,
-    Axes,
-    Curve,
-    Panel,
-    Panels,
-)
+from tailbeat.studies.thesis.picture import LINES, REFERENCE, THIN, Axes, Curve, Panel, Panels
 
 Respond = Callable[[F64, int], F64]
 """Inputs (series, samples) and the iteration -> outputs (series, samples)."""

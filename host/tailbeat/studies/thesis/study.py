@@ -38,7 +38,7 @@ def choose(
             by name does not know or has no use for; for one that none of several knows; for
             settings that an example refuses.
     """
-    found = _named(examples, what)
+    found = _meant(examples, what)
     alone = what is not None and found[0].id == what
     for name in given:
         if not any(name in example.knows for example in found):
@@ -48,7 +48,8 @@ def choose(
         for one in found
     ]
     for one, asked in orders:
-        settings = _settings(one, asked)
+        with _named(one):
+            settings = one.settings_of(asked)
         if alone and "seed" in given and settings["seed"] is None:
             raise InputError(
                 f"{one.id} draws nothing with these lengths, so --seed changes nothing.",
@@ -57,14 +58,21 @@ def choose(
     return orders
 
 
-def _settings(example: Example, options: ExampleOptions) -> Mapping[str, Any]:
+@contextmanager
+def _named(example: Example) -> Iterator[None]:
+    """Puts the example's name before what refuses its settings."""
     try:
-        return example.settings_of(options)
+        yield
     except InputError as error:
         raise InputError(f"{example.id}: {error.message}", error.remedy) from error
+    except (MemoryError, OverflowError) as error:
+        raise InputError(
+            f"{example.id}: these settings are more than this computer can compute.",
+            "Take a longer step or fewer iterations.",
+        ) from error
 
 
-def _named(examples: Sequence[Example], what: str | None) -> list[Example]:
+def _meant(examples: Sequence[Example], what: str | None) -> list[Example]:
     if what is None:
         return list(examples)
     found = [one for one in examples if what in (one.id, str(one.chapter), f"ch{one.chapter}")]
@@ -76,10 +84,10 @@ def _named(examples: Sequence[Example], what: str | None) -> list[Example]:
 
 
 def _unknown(name: str, examples: Sequence[Example], alone: bool) -> InputError:
+    options = sorted(set().union(*(one.knows for one in examples)))
+    known = ", ".join(f"--{one}" for one in options) or "no option"
     if alone:
-        known = ", ".join(f"--{one}" for one in sorted(examples[0].knows)) or "no option"
         return InputError(f"{examples[0].id} does not know --{name}.", f"It knows {known}.")
-    known = ", ".join(f"--{one}" for one in sorted(set().union(*(e.knows for e in examples))))
     return InputError(f"none of these examples knows --{name}.", f"They know {known}.")
 
 
@@ -196,6 +204,11 @@ class Study:
         """A run of the example with the thesis's settings but for ``changes``."""
         return self.run_with(replace(self._options, **changes))
 
+    @property
+    def traces(self) -> Any:
+        """Of the example's own run."""
+        return self.run().traces
+
     def run_with(self, options: ExampleOptions) -> ExampleRun:
         """A run with exactly these options."""
         return self.once(self.example.run, options)
@@ -240,8 +253,8 @@ def compute(order: Order, show: Show = lambda done: None) -> Result:
     begun = _RUN_PART if order.claims else part
     study = Study(example, order.options)
     with one_thread(), np.errstate(all="ignore"):
-        with heard(lambda done: show(begun * done)):
-            run = _with_a_row(_run(study, order.options))
+        with heard(lambda done: show(begun * done)), _named(example):
+            run = _with_a_row(study.run_with(order.options))
         claims = []
         if order.claims:
             claims = study.judge(lambda done: show(begun + (part - begun) * done))
@@ -262,19 +275,6 @@ def _with_a_row(run: ExampleRun) -> ExampleRun:
         if (column := getattr(run, name)) is not None
     }
     return replace(run, iterations=np.array([run.diverged]), **columns)
-
-
-def _run(study: Study, options: ExampleOptions) -> ExampleRun:
-    name = study.example.id
-    try:
-        return study.run_with(options)
-    except InputError as error:
-        raise InputError(f"{name}: {error.message}", error.remedy) from error
-    except (MemoryError, OverflowError) as error:
-        raise InputError(
-            f"{name}: these settings are more than this computer can compute.",
-            "Take a longer step or fewer iterations.",
-        ) from error
 
 
 def run_many(

@@ -28,7 +28,7 @@ from tailbeat.studies.thesis import study as progress
 from tailbeat.studies.thesis.example import (
     Example, ExampleRun, Found, Prepared, Sketch, Statement, VERDICTS,
 )
-from tailbeat.studies.thesis.picture import Curve, Panels, Panel
+from tailbeat.studies.thesis.picture import Curve, Panel
 
 LONG = "a claim that is far too long for one line of any terminal and is wrapped, word by word"
 
@@ -76,8 +76,8 @@ CLAIMS = (
     said("said by nobody else", "beside (2.3)", Found(True, 4), ours=True),
 )
 FIGURES = (
-    Sketch("fig2-3.png", "Fig. 2.3", "errors", lambda study: Panels(
-        [Panel([Curve([0, 1], [1, 0])], {})], contradicts="its numbers"
+    Sketch("fig2-3.png", "Fig. 2.3", "errors", lambda study: Panel(
+        [Curve([0, 1], [1, 0])], {}, contradicts="its numbers"
     )),
 )
 

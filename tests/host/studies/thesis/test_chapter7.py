@@ -353,7 +353,6 @@ def test_theorem_7_1_and_its_rule() -> None:
 def test_a_gain_too_large_for_the_rod_breaks_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """What theta(1, .02) promises is next to nothing; the rod sees the whole gain."""
     monkeypatch.setattr(advection, "RHO", -2.4)
-    monkeypatch.setattr(chapter7, "RHO", -2.4)
     (contracts,) = (one for one in HEAT.claims if "than theorem 7.1 allows" in one.text)
     assert contracts.judge(Study(HEAT)).verdict == DOES_NOT
 
@@ -362,7 +361,7 @@ def test_small_inputs_meet_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     """With next to no gain the inputs are small, so (7.18) allows any of the delta."""
     monkeypatch.setattr(advection, "RHO", -1e-6)
     (rule,) = (one for one in PRINTED.claims if "own rule" in one.text)
-    monkeypatch.setattr(chapter7, "promised", lambda gain, lead: 0.5)
+    monkeypatch.setattr(advection, "promised", lambda gain, lead: 0.5)
     assert rule.judge(Study(PRINTED)).verdict == COMES_OUT
 
 

@@ -25,6 +25,7 @@ from tailbeat.studies.thesis.example import (
     ExampleRun,
 )
 from tailbeat.studies.thesis.learner import Precision
+from tailbeat.studies.thesis.plants import cruise
 from tailbeat.studies.thesis.plants.cruise import (
     AMPLITUDE_MAX_RAD,
     TABLE_8_1,
@@ -319,7 +320,7 @@ def test_verdicts_follow_the_computation(monkeypatch: pytest.MonkeyPatch) -> Non
     """Another fish, other verdicts: one whose speeds were measured at twice the angle, and a tank
     of 1 m."""
     wrong = tuple((angle / 2, speed) for angle, speed in TABLE_8_1)
-    monkeypatch.setattr(chapter8, "TABLE_8_1", wrong)
+    monkeypatch.setattr(cruise, "TABLE_8_1", wrong)
     monkeypatch.setattr(chapter8, "_TANK_M", 1.0)
     found = {c.text: c for c in Study(example(4)).judge()}
     flipped = [c for text, c in found.items() if "drag fitted" in text or "can be tried" in text]

@@ -146,6 +146,7 @@ class LoopTrials:
         return bool(worst[-1] > _GROWTH * worst.min())
 
 
+_ROWS = ("max_abs_error", "input_variation", "max_abs_input", "max_estimate")
 CHATTER = 10.0  # times the total variation of a smooth input
 _GROWTH = 3.0  # times the smallest error so far, from where it is no scatter of the references
 
@@ -180,7 +181,7 @@ def other(setting: Chapter4 | Chapter5) -> LoopTrials:
     return run_trials(setting, setting.ITERATIONS, traced={setting.ITERATIONS})
 
 
-def listed(both: Sequence[float] | F64, form: str = ".4g") -> str:
+def pair(both: Sequence[float] | F64, form: str = ".4g") -> str:
     """Two numbers in a sentence."""
     return f"{both[0]:{form}} and {both[1]:{form}}"
 
@@ -210,27 +211,28 @@ def run_trials(
     be computed any more, or no digit of what trial 1's reference was is left in the error. Pure;
     costs about 0.3 µs per law, estimate and step."""
     loop = _Loop(setting, precision)
-    rows = [np.zeros((iterations, width)) for width in (STATES, STATES, STATES, loop.estimates)]
+    rows = {name: np.zeros((iterations, STATES)) for name in _ROWS[:-1]}
+    rows[_ROWS[-1]] = np.zeros((iterations, loop.estimates))
     traces: dict[int, F64] = {}
     done, limit = 0, 0.0
     for trial in range(1, iterations + 1):
         trace = None
         if trial in traced or trial == 1:
             trace = np.empty((setting.grid.steps + 1, len(TRACE_COLUMNS)))
-        report = loop.trial(trial, trace)
-        if report is not None and trial == 1 and trace is not None:
+        computed = loop.trial(trial, trace)
+        if trial == 1 and trace is not None:
             limit = errors_beyond(trace[:, _REFERENCE])
-        if report is None or not max(report[0]) <= limit:
+        if not computed or not max(loop.report.max_abs_error) <= limit:
             break
-        for column, values in zip(rows, report, strict=True):
-            column[trial - 1] = values
+        for name, column in rows.items():
+            column[trial - 1] = list(getattr(loop.report, name))[: column.shape[1]]
         if trial in traced and trace is not None:
             traces[trial] = trace
         done = trial
         study.tell(trial, iterations)
     diverged = None if done == iterations else done + 1
-    columns = [column[:done] for column in rows]
-    return LoopTrials(columns[0], columns[1], columns[2], columns[3], diverged, traces)
+    columns = {name: column[:done] for name, column in rows.items()}
+    return LoopTrials(**columns, diverged=diverged, traces=traces)
 
 
 class _Loop:
@@ -247,21 +249,14 @@ class _Loop:
         self._state = None
         if isinstance(setting, Chapter5):
             self._state = ffi.new("double[]", setting.FIRST_STATE)
-        self._report = ffi.new("loop_report_t *")
+        self.report = ffi.new("loop_report_t *")
 
-    def trial(self, trial: int, trace: F64 | None) -> tuple[list[float], ...] | None:
+    def trial(self, trial: int, trace: F64 | None) -> bool:
+        """Whether it could be computed; ``report`` is of it."""
         where = trial if self._state is None else self._state
         rows = pointer(self._native, trace)
-        result = self._run(self._setting, where, self._bank, rows, self._report)
-        if result != self._native.lib.FEEDBACK_OK:
-            return None
-        report = self._report
-        return (
-            list(report.max_abs_error),
-            list(report.input_variation),
-            list(report.max_abs_input),
-            list(report.max_estimate)[: self.estimates],
-        )
+        result = self._run(self._setting, where, self._bank, rows, self.report)
+        return bool(result == self._native.lib.FEEDBACK_OK)
 
 
 _POINTS = 1250  # of states, which move slowly
