@@ -43,6 +43,15 @@ _SLOT_COLUMNS = {
     "way_um": np.int16,
     "turn_100urad": np.int16,
 }
+_BEAT_COLUMNS = {
+    "amplitude_rad": np.float32,
+    "applied_rad": np.float32,
+    "reference_m_s": np.float32,
+    "speed_m_s": np.float32,
+    "sigma_m_s": np.float32,
+    "samples": np.uint16,
+}
+_BEAT_LATER = frozenset[str]()  # columns that files of older boards lack
 _SLOT_LATER = frozenset({"turn_100urad"})  # files of older boards lack these
 
 
@@ -105,6 +114,13 @@ class Beats:
         """Reference minus speed; NaN where not measured."""
         with np.errstate(invalid="ignore"):  # a damaged file may hold infinities
             return self.reference_m_s - self.speed_m_s
+
+    def table(self) -> dict[str, NDArray[Any]]:
+        """All columns by name, in the order of tables; the error stands behind the speed's
+        sigma."""
+        columns = {name: getattr(self, name) for name in _BEAT_COLUMNS}
+        samples = columns.pop("samples")
+        return columns | {"error_m_s": self.error_m_s, "samples": samples}
 
 
 @dataclass(frozen=True)
@@ -342,19 +358,16 @@ def _rests(table: dict[str, Any] | None) -> list[Rest]:
 
 
 def _beats(table: dict[str, Any] | None, beats: int) -> Beats:
-    columns = {
-        name: np.full(beats, np.nan, dtype=np.float32)
-        for name in ("amplitude_rad", "applied_rad", "reference_m_s", "speed_m_s", "sigma_m_s")
+    columns: dict[str, NDArray[Any]] = {
+        name: np.full(beats, 0 if kind is np.uint16 else np.nan, kind)
+        for name, kind in _BEAT_COLUMNS.items()
     }
-    samples = np.zeros(beats, dtype=np.uint16)
-    for row, beat in enumerate(table["beat"] if table else ()):
-        if beat >= beats:
-            continue
-        assert table is not None
-        for name, column in columns.items():
-            column[beat] = table[name][row]
-        samples[beat] = table["samples"][row]
-    return Beats(**columns, samples=samples)
+    table = table or {"beat": ()}
+    for row, beat in enumerate(table["beat"]):
+        for name, column in columns.items() if beat < beats else ():
+            if name not in _BEAT_LATER or name in table:
+                column[beat] = table[name][row]
+    return Beats(**columns)
 
 
 def _uploaded(beats: dict[str, Any] | None, end: dict[str, Any] | None) -> bool:
@@ -371,16 +384,14 @@ def _battery(table: dict[str, Any] | None, start_us: int) -> list[tuple[float, f
 
 def beats_csv(trial: Trial, path: Path) -> None:
     """Writes one row per beat, units in the header; empty cells where nothing is known."""
-    header = ["beat", "t_s", "amplitude_rad", "applied_rad", "reference_m_s", "speed_m_s"]
-    header += ["sigma_m_s", "error_m_s", "samples"]
-    b = trial.beats
-    columns = (b.amplitude_rad, b.applied_rad, b.reference_m_s, b.speed_m_s, b.sigma_m_s)
+    table = trial.beats.table()
+    samples = table.pop("samples")
     with replacing_text(path) as file:
         out = csv.writer(file, lineterminator="\n")
-        out.writerow(header)
-        for k in range(len(b.samples)):
-            row = [_cell(column[k]) for column in (*columns, b.error_m_s)]
-            out.writerow([k, _cell((k + 0.5) * trial.beat_s), *row, int(b.samples[k])])
+        out.writerow(["beat", "t_s", *table, "samples"])
+        for k, count in enumerate(samples):
+            cells = [_cell(column[k]) for column in table.values()]
+            out.writerow([k, _cell((k + 0.5) * trial.beat_s), *cells, int(count)])
 
 
 def _cell(value: Any) -> str:

@@ -25,15 +25,6 @@ FORMATS = ("csv", "mat", PARQUET)
 _ARROW = "pyarrow"
 _NEEDS_ARROW = "Writing Parquet files needs pyarrow"
 
-_BEAT_COLUMNS = (
-    "amplitude_rad",
-    "applied_rad",
-    "reference_m_s",
-    "speed_m_s",
-    "sigma_m_s",
-    "error_m_s",
-    "samples",
-)
 _ROW_COLUMNS = (
     "epoch",
     "undecided",
@@ -157,8 +148,8 @@ def _beat_table(analysis: Analysis) -> Table:
         "iteration": np.repeat([trial.iteration for trial in trials], beats),
         "beat": np.concatenate([np.arange(count) for count in beats]),
     }
-    for name in _BEAT_COLUMNS:
-        table[name] = np.concatenate([getattr(trial.beats, name) for trial in trials])
+    columns = [trial.beats.table() for trial in trials]
+    table |= {name: np.concatenate([held[name] for held in columns]) for name in columns[0]}
     return table | _beside(analysis, beats)
 
 
@@ -219,11 +210,11 @@ def _write_mat(folder: Path, analysis: Analysis) -> list[Path]:
         "max_abs_error_m_s": np.array([trial.max_abs_error_m_s() for trial in trials]),
         "end": np.array([trial.end for trial in trials], dtype=object),
     }
-    for name in _BEAT_COLUMNS:
+    columns = [trial.beats.table() for trial in trials]
+    for name in columns[0]:
         matrix = np.full((len(trials), beats), np.nan)
-        for i, trial in enumerate(trials):
-            values = getattr(trial.beats, name)
-            matrix[i, : len(values)] = values
+        for i, held in enumerate(columns):
+            matrix[i, : len(held[name])] = held[name]
         content[name] = matrix
     table = _trial_table(analysis)
     for name in (*_MAT_COLUMNS, *_COMPUTED):
