@@ -634,7 +634,7 @@ def test_who_what_and_how_warm_is_on_the_page() -> None:
     assert cells["water temperature"] == "21.5 °C"
     assert cells["fish"] == "carl" and cells["wall"] == "glass"
     bare = page([replace(analysis, conditions={})], Material(), [])
-    assert bare.count("<td>not told</td>") >= 3
+    assert bare.count("<td>not recorded</td>") >= 3
 
 
 def test_notes_keep_their_times(reported: Path) -> None:
@@ -646,12 +646,12 @@ def test_headline_has_the_numbers(analyses: list[Analysis]) -> None:
     analysis = made.series([0.06, 0.03, 0.02, 0.012], noise_m_s=0.0015)
     line = headline(analysis)
     assert line.startswith("Largest error over the beats: from 60.0 mm/s")
-    for part in ("12.0 mm/s in one swim, trial 4", "never repeated", "85 % less", "79.1", "10.5",
+    for part in ("12.0 mm/s in one trial, 4", "never repeated", "85 % less", "79.1", "10.5",
                  "scatter by 1.5 mm/s"):  # fmt: skip
         assert part in line
-    assert re.search(r"mean of \d swims of the best input", headline(analyses[0]))
+    assert re.search(r"mean of \d trials of the best input", headline(analyses[0]))
     nothing = replace(analysis, rows=[replace(row, decision="discard") for row in analysis.rows])
-    assert "none of 4 swims" in headline(nothing) and "4 discarded" in headline(nothing)
+    assert "none of 4 trials" in headline(nothing) and "4 discarded" in headline(nothing)
 
 
 # ------------------------------------------------------------------------------ edge cases
