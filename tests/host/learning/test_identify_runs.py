@@ -550,7 +550,7 @@ def test_a_run_is_announced_but_not_with_json(
     still = np.zeros(3)
     view = RunView(Limits(0.75), TerminalOperator(Display(), None), lambda *_: None)
     asked = json_asked.set(with_json)
-    view.before(Run(1, "cruise", 0.3, still, still, 0.2, 0.4))
+    view.before(IdentificationRun(1, "cruise", 0.3, still, still, 0.2, 0.4))
     json_asked.reset(asked)
     err = capsys.readouterr().err
     assert err == "" if with_json else err.startswith("run 1, cruise: 3 beats, up to 0.30 rad")
