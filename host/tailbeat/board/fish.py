@@ -35,7 +35,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages
 from tailbeat.link.ftp.client import FtpClient
 from tailbeat.link.ftp.wire import FtpError, Progress
-from tailbeat.link.mavlink import Link, Message, text_of
+from tailbeat.link.mavlink import Link, Message
 from tailbeat.link.messages import (
     WATCHED,
     BoardInfo,
@@ -73,7 +73,6 @@ LEARN_TIMEOUT_S = 2.0  # a learning step ends with a flash write
 _IMU_VERDICT_S = 6.0  # of board time, after which it knows
 _IMU_LOOK_S = 0.25
 _FTP_NOT_FOUND = 10
-_NAME = "tailbeat "
 _STOPPED = ("ABORTED", "FAULT")
 
 
@@ -162,7 +161,7 @@ class Fish:
         kind = messages.BOARD_KINDS.get(m.board_version, "unknown")
         version = m.flight_sw_version
         return BoardInfo(
-            build_id=self._build_id() or text_of(bytes(m.flight_custom_version)),
+            build_id=messages.build_id_of(self.link, m),
             version=f"{version >> 24 & 255}.{version >> 16 & 255}.{version >> 8 & 255}",
             board=kind,
             simulated=kind in messages.SIMULATED_FISH,
@@ -535,12 +534,6 @@ class Fish:
             message = self.link.recv(kinds, 1.0)
             if message is not None:
                 yield WATCHED[message.get_type()](message)
-
-    def _build_id(self) -> str | None:
-        """The board says it in a line of text behind its version."""
-        patience_s = self.link.patient(0.5)
-        m = self.link.recv("STATUSTEXT", patience_s, lambda m: text_of(m.text).startswith(_NAME))
-        return text_of(m.text).removeprefix(_NAME) if m else None
 
     def kind(self) -> str:
         """Of the board: "fish", "simulated" …, one of messages.BOARD_KINDS."""

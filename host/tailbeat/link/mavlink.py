@@ -273,7 +273,9 @@ class Link:
                 return ack
         raise AssertionError("attempts always raises at its end")
 
-    def request(self, kind: str, *params: float, where: Where | None = None) -> Message:
+    def request(
+        self, kind: str, *params: float, where: Where | None = None, tries: int = TRIES
+    ) -> Message:
         """Asks for a message by name and returns it; ``params`` from param2 on. Raises Refused.
 
         From a board that does not obey us we take it when it comes by itself."""
@@ -292,7 +294,7 @@ class Link:
             return message.command == command and _denied(message)
 
         self.begin()
-        for attempt, patience_s in enumerate(self.attempts()):
+        for attempt, patience_s in enumerate(self.attempts(tries)):
             self.send(self._command_long(command, values, attempt))
             message = self.recv((kind, "COMMAND_ACK"), patience_s, fits)
             if message is None:

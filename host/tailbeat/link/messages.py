@@ -35,6 +35,7 @@ IMU_HEALTH = {
 }
 RESET_CAUSES = ("power", "backup", "watchdog", "software", "reset pin")
 
+_BUILD = "tailbeat "
 _MEASURED, _SATURATED, _PROVISIONAL = 1, 2, 4
 _IMPROVED, _ROLLED_BACK = 1, 2
 
@@ -232,6 +233,20 @@ class ImuFrame:
 def imu_health(bits: int) -> list[tuple[str, str]]:
     """What is not as it should be, and what to do about it."""
     return [words for bit, words in IMU_HEALTH.items() if bits & bit]
+
+
+def build_id_of(link: Link, version: Message, tries: int = 1) -> str:
+    """The firmware's build: the board sends it as a line of text behind its AUTOPILOT_VERSION,
+    whose own field cuts it."""
+    for attempt in range(tries):
+        if attempt:
+            link.request("AUTOPILOT_VERSION")
+        heard = link.recv(
+            "STATUSTEXT", link.patient(0.5), lambda m: text_of(m.text).startswith(_BUILD)
+        )
+        if heard is not None:
+            return text_of(heard.text).removeprefix(_BUILD)
+    return text_of(bytes(version.flight_custom_version))
 
 
 def health_dict(m: Message) -> dict[str, int | str]:

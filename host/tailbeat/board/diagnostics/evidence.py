@@ -19,9 +19,10 @@ from tailbeat.board.crash import CrashReport
 from tailbeat.board.fish import Fish
 from tailbeat.board.provision import MISSING, KeyStatus, key_status, trust_of
 from tailbeat.core.errors import ConnectError, LinkLostError, Refused, TailbeatError
+from tailbeat.core.faults import NOT_SIGNED
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link import messages as results
-from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message, text_of
+from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link, Message
 from tailbeat.link.messages import BoardStatus, ImuInfo
 from tailbeat.link.serial import CLOSE_IT, SerialTransport, holders, is_radio
 from tailbeat.link.timesync import ClockSample
@@ -264,7 +265,6 @@ PARAMETERS = ("BATT_LOW_V", "BATT_CRIT_V", "SPD_SOURCE", "IMU_TIMEOUT_S")
 _TRIES, _TRIES_LOSSY = 4, 12
 _REPLY_S = 0.7
 _BUSY = ("RUNNING", "SETTLING", "LEARNING")
-_NAME = "tailbeat "
 
 Health = dict[str, int | str]
 
@@ -309,9 +309,10 @@ def gather(transport: Transport, measure_s: float) -> BoardEvidence:
     fish.clock.sync()
     link = fish.link
     # An unauthenticated host would have to wait for it twice.
-    before = None if link.signing.locked else _ask(link, "TAILBEAT_HEALTH")
     damaged = link.framer.bad_frames
     board = BoardEvidence(by_radio(transport), in_process(transport) is not None, Pings(0, []))
+    before = None if link.signing.locked else _ask(board, link, "TAILBEAT_HEALTH", _TRIES)
+    board.unanswered.clear()
     board.pings = ping(link, measure_s)
     _read(board, link)
     if not board.busy:
@@ -339,26 +340,32 @@ def of_connected(fish: Fish, measure_s: float) -> BoardEvidence:
 
 def _read(board: BoardEvidence, link: Link) -> None:
     tries = _TRIES_LOSSY if board.pings.lost else _TRIES
-    messages: dict[str, Message | None] = dict.fromkeys(ASKED)
-    for kind in ASKED:
-        try:
-            messages[kind] = _ask(link, kind, tries)
-        except Refused:
-            board.untold.append(kind)
-    silent = [kind for kind, message in messages.items() if message is None]
-    board.unanswered = [kind for kind in silent if kind not in board.untold]
+    answers = {kind: _ask(board, link, kind, tries) for kind in ASKED}
     if len(board.unanswered) == len(ASKED):
         raise link.lost(tries, tries * _REPLY_S)
-    status, health, imu, version = (messages[kind] for kind in ASKED)
+    status, health, imu, version = (answers[kind] for kind in ASKED)
     if version is not None:
         board.version = version
-        board.build_id = _build_id(link) or text_of(bytes(version.flight_custom_version))
+        with contextlib.suppress(TailbeatError):
+            board.build_id = results.build_id_of(link, version, _TRIES)
     if status is not None:
         board.status = BoardStatus.of(status)
     if health is not None:
         board.health = results.health_dict(health)
     if imu is not None:
         board.imu = ImuInfo.of(imu)
+
+
+def _ask(board: BoardEvidence, link: Link, kind: str, tries: int) -> Message | None:
+    """A message, or why there is none: it may be one that never comes."""
+    try:
+        return link.request(kind, tries=tries)
+    except LinkLostError:
+        board.unanswered.append(kind)
+    except Refused as refused:
+        untold = refused.number == NOT_SIGNED
+        (board.untold if untold else board.unanswered).append(kind)
+    return None
 
 
 def _look_further(board: BoardEvidence, fish: Fish) -> None:
@@ -374,40 +381,3 @@ def _look_further(board: BoardEvidence, fish: Fish) -> None:
     told = board.version is not None and board.health is not None
     if told or trust_of(fish) == MISSING:
         board.key = key_status(fish, board.health or {})
-
-
-def _ask(link: Link, kind: str, tries: int = _TRIES) -> Message | None:
-    """A message, with less patience than link.request: it may be one that never comes. Raises
-    Refused when the board tells it to authenticated hosts only."""
-    if link.signing.locked:
-        return _overhear(link, kind)
-    number = next(n for n, message in mavlink.mavlink_map.items() if message.msgname == kind)
-    request = mavlink.MAVLink_command_long_message(
-        BOARD_SYSTEM, BOARD_COMPONENT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, number, 0, 0, 0, 0, 0, 0
-    )
-    link.flush()
-    for _ in range(tries):
-        link.send(request)
-        message = link.recv(kind, link.patient(_REPLY_S))
-        if message is not None:
-            return message
-    return None
-
-
-def _overhear(link: Link, kind: str) -> Message | None:
-    """What a board tells by itself; the rest it refuses."""
-    with contextlib.suppress(LinkLostError):
-        return link.request(kind)
-    return None
-
-
-def _build_id(link: Link) -> str | None:
-    """The board says it in a line of text behind its version."""
-    for _ in range(_TRIES):
-        heard = link.recv(
-            "STATUSTEXT", link.patient(0.5), lambda m: text_of(m.text).startswith(_NAME)
-        )
-        if heard is not None:
-            return text_of(heard.text).removeprefix(_NAME)
-        _ask(link, "AUTOPILOT_VERSION")
-    return None
