@@ -150,7 +150,7 @@ def _finer(study: Study) -> Found:
 @claim(PRINTED, "the five delta meet the thesis's own rule, (7.18)", "(7.18), sec. 7.5")
 def _own_rule(study: Study) -> Found:
     largest = [float(np.abs(run.traces.trial()[0]).max()) for run in _all_deltas(study)]
-    gammas = [advection.promised(advection.RHO, delta) for delta in advection.DELTAS]
+    gammas = [advection.contraction_bound(advection.RHO, delta) for delta in advection.DELTAS]
     allowed = [longest(gamma, most) for gamma, most in zip(gammas, largest, strict=True)]
     note = f"""The longest delta that (7.18) allows for an accuracy of 1, at the factor of (7.13) of
     each, with the largest input so far ({min(largest):.0f} to {max(largest):.0f}) for its bound;
@@ -185,7 +185,7 @@ def _nearly_no_advection(study: Study) -> Found:
     f"(7.13), delta = {_SHORTEST:g}",
 )  # fmt: skip
 def _contraction(study: Study) -> Found:
-    bound, factors = advection.promised(advection.RHO, _SHORTEST), _factors(study)
+    bound, factors = advection.contraction_bound(advection.RHO, _SHORTEST), _factors(study)
     note = f"""Factor per trial: the bound's, without the rest (7.14) that it allows beside, then
     those of max|e| in the {len(factors)} trials of the example."""
     return Found(max(factors) <= bound, [bound, *factors], note)
@@ -200,7 +200,7 @@ def _factors(study: Study) -> list[float]:
     HEAT, "this bound is sharp: learning is no faster", f"(7.13), delta = {_SHORTEST:g}", ours=True
 )
 def _sharp(study: Study) -> Found:
-    bound, first = advection.promised(advection.RHO, _SHORTEST), _factors(study)[0]
+    bound, first = advection.contraction_bound(advection.RHO, _SHORTEST), _factors(study)[0]
     note = f"""The bound and the first trial. theta(1, {_SHORTEST:g}) is
     {float(advection.theta(1.0, _SHORTEST)):.1e}, but slow errors shrink by abs(1 + rho) =
     {abs(1 + advection.RHO):.3f}."""

@@ -3,8 +3,8 @@
 By default as the fish does it: one amplitude per beat, errors of beat means. With a step: sampled
 control, the amplitude held for a step and paired with the error at its end.
 
-Which curves stand under the numbers of its figures in the thesis its text does not tell; these are
-what the text around them speaks of.
+The thesis's text does not say which curves its figures show; these are what the text around them
+is about.
 """
 
 from __future__ import annotations

@@ -172,7 +172,7 @@ def parse(text: str, full: float, draw: Callable[[int, int], float], seed: int) 
     return length
 
 
-def settings(options: ExampleOptions, usual: str) -> dict[str, Any]:
+def length_settings(options: ExampleOptions, usual: str) -> dict[str, Any]:
     """Lengths and seed that ``options`` come to; no seed where nothing is drawn. ``usual``: the
     lengths where they say nothing."""
     text = options.lengths or usual

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.studies.thesis import options as asked
 from tailbeat.studies.thesis import study
 from tailbeat.studies.thesis.example import ExampleOptions, ExampleRun, Prepared
 from tailbeat.studies.thesis.learner import Learner, LearnerConfig, LearnerRefused, Precision
-from tailbeat.studies.thesis.options import Length, errors_beyond
+from tailbeat.studies.thesis.options import Length, errors_beyond, length_settings, parse
 from tailbeat.studies.thesis.picture import LINES, REFERENCE, THIN, Axes, Curve, Panel, Panels
 
 Respond = Callable[[F64, int], F64]
@@ -126,12 +125,12 @@ def prepared(
     iterations and lengths."""
     text = options.lengths or usual
     if usual is not None:
-        settings |= asked.settings(options, usual)
+        settings |= length_settings(options, usual)
 
     def run() -> ExampleRun:
         made = problem()
         end = float(made.times[-1]) if whole is None else whole
-        length = asked.parse(text or "full", end, made.draw, options.seed)
+        length = parse(text or "full", end, made.draw, options.seed)
         return made.run(last, [length], options.precision, keep).example_run(text is not None)
 
     return Prepared({"iterations": last, **settings}, run)
@@ -176,7 +175,7 @@ class _SeriesRunner:
             trial = self._trial(i, alive, learns=i + 1 < count)
             if np.isfinite(self._errors[:, i]).any():
                 kept = {n: one for n, one in kept.items() if n in keep} | {i: trial}
-            study.tell(i + 1, count)
+            study.report_progress(i + 1, count)
         return SeriesOutcome(
             self._problem, self._errors, self._executed, self._drawn, self._diverged, kept
         )

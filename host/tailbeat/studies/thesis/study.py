@@ -1,6 +1,4 @@
-"""Which examples are meant, and which of them take the options that were given.
-
-How much of the run that was asked for is done. Whoever computes reports it; nobody need listen.
+"""Chooses examples, with the options that each of them takes, and reports how much is done.
 
 Runs examples, alone or many on all cores. Who computes one, and when, changes no bit of it.
 """
@@ -38,7 +36,7 @@ def choose(
             by name does not know or has no use for; for one that none of several knows; for
             settings that an example refuses.
     """
-    found = _meant(examples, what)
+    found = _matching(examples, what)
     alone = what is not None and found[0].id == what
     for name in given:
         if not any(name in example.knows for example in found):
@@ -72,7 +70,7 @@ def _named(example: Example) -> Iterator[None]:
         ) from error
 
 
-def _meant(examples: Sequence[Example], what: str | None) -> list[Example]:
+def _matching(examples: Sequence[Example], what: str | None) -> list[Example]:
     if what is None:
         return list(examples)
     found = [one for one in examples if what in (one.id, str(one.chapter), f"ch{one.chapter}")]
@@ -140,8 +138,8 @@ _listener: ContextVar[Show | None] = ContextVar("listener", default=None)
 
 
 @contextmanager
-def heard(show: Show) -> Iterator[None]:
-    """``show`` gets what is told within."""
+def progress_shown(show: Show) -> Iterator[None]:
+    """``show`` gets what is reported within."""
     token = _listener.set(show)
     try:
         yield
@@ -149,7 +147,7 @@ def heard(show: Show) -> Iterator[None]:
         _listener.reset(token)
 
 
-def tell(done: int, of: int) -> None:
+def report_progress(done: int, of: int) -> None:
     """Trials that are done. Costs nothing that counts beside a trial."""
     show = _listener.get()
     if show is not None:
@@ -253,7 +251,7 @@ def compute(order: Order, show: Show = lambda done: None) -> Result:
     begun = _RUN_PART if order.claims else part
     study = Study(example, order.options)
     with one_thread(), np.errstate(all="ignore"):
-        with heard(lambda done: show(begun * done)), _named(example):
+        with progress_shown(lambda done: show(begun * done)), _named(example):
             run = _with_a_row(study.run_with(order.options))
         claims = []
         if order.claims:

@@ -46,7 +46,7 @@ def run(scale, options):
     errors = scale / (i + 1.0) * (1 + 0.1 * options.seed)
     if options.m is not None:
         errors = errors + options.m
-    progress.tell(1, 2)
+    progress.report_progress(1, 2)
     random = np.random.default_rng(options.seed).normal(size=(300, 300))
     errors[-1] += np.linalg.norm(np.linalg.inv(random) @ random - np.eye(300))  # last bits alone
     if options.precision == "float":

@@ -34,9 +34,9 @@ from tailbeat.studies.thesis.plants.advection import (
     DELTAS,
     STEADY,
     AdvectionPlant,
+    contraction_bound,
     gain_for,
     law,
-    promised,
     theta,
 )
 from tailbeat.studies.thesis.plants.heat import CHAPTER7, HeatPlant, problem, reference, times
@@ -263,7 +263,7 @@ def test_theta() -> None:
     for delta, (value, gain, left) in table.items():
         assert theta(1.0, delta) == pytest.approx(value, rel=2e-6)
         assert gain_for(delta) == pytest.approx(gain, rel=2e-6)
-        assert promised(-1.2041, delta) == pytest.approx(left, abs=5.1e-6)
+        assert contraction_bound(-1.2041, delta) == pytest.approx(left, abs=5.1e-6)
     time = np.linspace(0.001, 10, 100_001)
     sup = [theta(1.0, time, n).max() for n in range(6)]
     assert sup == pytest.approx([0.24197, 0.48924, 0.499584, 0.499983, 0.4999993, 0.49999997],
@@ -361,7 +361,7 @@ def test_small_inputs_meet_the_rule(monkeypatch: pytest.MonkeyPatch) -> None:
     """With next to no gain the inputs are small, so (7.18) allows any of the delta."""
     monkeypatch.setattr(advection, "RHO", -1e-6)
     (rule,) = (one for one in PRINTED.claims if "own rule" in one.text)
-    monkeypatch.setattr(advection, "promised", lambda gain, lead: 0.5)
+    monkeypatch.setattr(advection, "contraction_bound", lambda gain, lead: 0.5)
     assert rule.judge(Study(PRINTED)).verdict == COMES_OUT
 
 

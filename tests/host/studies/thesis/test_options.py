@@ -190,7 +190,7 @@ def test_last_iteration() -> None:
 @pytest.mark.parametrize("example", CHEAP)
 def test_progress_is_told_trial_by_trial(example: str) -> None:
     told: list[float] = []
-    with study.heard(told.append):
+    with study.progress_shown(told.append):
         BY_ID[example].run(ExampleOptions(iterations=5))
     assert len(told) >= 5 and told == sorted(told) and told[-1] == 1.0
     BY_ID[example].run(ExampleOptions(iterations=1))  # nobody listens any more

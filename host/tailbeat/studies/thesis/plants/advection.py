@@ -21,10 +21,10 @@ from tailbeat.studies.thesis.plants.heat import (
     CHAPTER7,
     STEP,
     SampledPlant,
-    asked,
     heat_plant,
     lead_samples,
     problem,
+    step_and_last,
     times,
     window,
 )
@@ -108,7 +108,7 @@ def prepare(
     setting: Callable[[float, ExampleOptions], SampledPlant], options: ExampleOptions
 ) -> Prepared:
     """(7.10) on one of these plants."""
-    step, last = asked(options, ITERATIONS)
+    step, last = step_and_last(options, ITERATIONS)
     delta = DELTA if options.delta is None else options.delta
     lead_samples(delta, step)
     uptake: dict[str, Any] = (
@@ -188,6 +188,6 @@ def gain_for(lead: float) -> float:
     return float(-1 / (2 * theta(1.0, lead)))
 
 
-def promised(gain: float, lead: float) -> float:
-    """abs(1 + 2 * gain * theta(1, lead)): the factor per trial that theorem 7.1 promises."""
+def contraction_bound(gain: float, lead: float) -> float:
+    """abs(1 + 2 * gain * theta(1, lead)): the factor per trial that theorem 7.1 allows."""
     return float(abs(1 + 2 * gain * theta(1.0, lead)))

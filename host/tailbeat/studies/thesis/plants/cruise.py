@@ -16,7 +16,7 @@ from tailbeat.core.reference import THESIS_PLATEAU_M_S, thesis_speed
 from tailbeat.learning.error_bound_solve import plant_config
 from tailbeat.studies.thesis.example import ExampleOptions, Prepared
 from tailbeat.studies.thesis.learner import UNLIMITED, LearnerConfig
-from tailbeat.studies.thesis.options import Span, last_iteration, settings
+from tailbeat.studies.thesis.options import Span, last_iteration, length_settings
 from tailbeat.studies.thesis.series import LearningProblem, always, prepared
 
 AMPLITUDE_MAX_RAD = math.pi / 4
@@ -52,10 +52,10 @@ class CruisePlant:
         """(speed at the end of each sample, mean speed over it), m/s."""
         h1, h2 = self.thrust(self._tail(np.repeat(amplitude_rad, self._parts)))
         h1 = _lagged(h1, self.lags.thrust_s, self.step_s)
-        speed, way = np.empty_like(h1), np.empty_like(h1)
-        arrays = [ffi.from_buffer("double[]", a) for a in (h1, h2, speed, way)]
+        speed, distance = np.empty_like(h1), np.empty_like(h1)
+        arrays = [ffi.from_buffer("double[]", a) for a in (h1, h2, speed, distance)]
         lib.cruise_speeds(self.config, *arrays[:2], len(h1), self.step_s, *arrays[2:])
-        mean = way.reshape(-1, self._parts).sum(axis=1) / (self._parts * self.step_s)
+        mean = distance.reshape(-1, self._parts).sum(axis=1) / (self._parts * self.step_s)
         return speed[self._parts - 1 :: self._parts], mean
 
     def thrust(self, amplitude_rad: F64) -> tuple[F64, F64]:
@@ -88,8 +88,8 @@ def _lagged(values: F64, lag_s: float, step_s: float) -> F64:
 def reference_beats() -> F64:
     """The mean of (8.31) over every beat, m/s, in double."""
     t = np.arange(BEATS + 1) * BEAT_S
-    way = 2.25 / 40.0**4 * (t**5 / 5 - 20 * t**4 + 1600 * t**3 / 3)
-    polynomial = np.diff(way) / BEAT_S
+    distance = 2.25 / 40.0**4 * (t**5 / 5 - 20 * t**4 + 1600 * t**3 / 3)
+    polynomial = np.diff(distance) / BEAT_S
     plateau = (t[:-1] >= 10) & (t[:-1] < 30)
     return np.where(plateau, THESIS_PLATEAU_M_S, polynomial)
 
@@ -171,5 +171,5 @@ def prepare(gain: float, options: ExampleOptions) -> Prepared:
     last = last_iteration(options.iterations, ITERATIONS)
     TRIAL.afford(trial_samples(options.step), last)
     task = FishTask(gain, step_s=options.step)
-    lengths = settings(options, "full")
+    lengths = length_settings(options, "full")
     return prepared(task.problem, options, last, whole=BEATS, step=options.step, **lengths)

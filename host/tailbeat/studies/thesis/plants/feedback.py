@@ -229,7 +229,7 @@ def run_trials(
         if trial in traced and trace is not None:
             traces[trial] = trace
         done = trial
-        study.tell(trial, iterations)
+        study.report_progress(trial, iterations)
     diverged = None if done == iterations else done + 1
     columns = {name: column[:done] for name, column in rows.items()}
     return LoopTrials(**columns, diverged=diverged, traces=traces)

@@ -249,7 +249,7 @@ def lead_samples(minutes: float, step: float) -> float:
     return halves / 2
 
 
-def asked(options: ExampleOptions, usual: int) -> tuple[float, int]:
+def step_and_last(options: ExampleOptions, usual: int) -> tuple[float, int]:
     """Step and last iteration of the options; ``usual`` where they say nothing of the latter.
 
     Raises:

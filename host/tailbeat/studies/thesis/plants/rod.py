@@ -18,10 +18,10 @@ from tailbeat.studies.thesis.learner import LearnerConfig
 from tailbeat.studies.thesis.plants.heat import (
     CHAPTER6,
     STEP,
-    asked,
     heat_plant,
     problem,
     slope,
+    step_and_last,
     times,
     window,
     zero_phase,
@@ -209,7 +209,7 @@ def law(step: float = STEP, rho: float = RHO, q_len: int | None = None) -> Learn
 
 def prepare(setting: None, options: ExampleOptions) -> Prepared:
     """The example: the rod by backward Euler on 100 cells."""
-    step, last = asked(options, ITERATIONS)
+    step, last = step_and_last(options, ITERATIONS)
 
     def learned() -> LearningProblem:
         return problem(heat_plant(CHAPTER6, step), law(step))
