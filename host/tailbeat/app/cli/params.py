@@ -74,14 +74,15 @@ def preset(
         held = presets.apply(fish, values)
         note_set(fish, {now.name: now.value for _, now in held.values()})
     rows = [
-        [now.name, _number(now.value), now.unit, _was(before, now)] for before, now in held.values()
+        [now.name, _number(now.value), now.unit, _unlike("was", before, now.value)]
+        for before, now in held.values()
     ]
     document = {"preset": name, "params": [_document(now) for _, now in held.values()]}
     return Output(document, lambda: table(["name", "value", "unit", ""], rows, left=(0, 2, 3)))
 
 
-def _was(before: float, now: Parameter) -> str:
-    return "" if before == now.value else f"(was {_number(before)})"
+def _unlike(word: str, other: float, value: float) -> str:
+    return "" if other == value else f"({word} {_number(other)})"
 
 
 def list_(fish: ConnectedFish) -> Output:
@@ -91,13 +92,7 @@ def list_(fish: ConnectedFish) -> Output:
     """
     found = list(fish.params.list().values())
     rows = [
-        [
-            p.name,
-            _number(p.value),
-            p.unit,
-            "" if p.value == p.default else f"(default {_number(p.default)})",
-            p.text,
-        ]
+        [p.name, _number(p.value), p.unit, _unlike("default", p.default, p.value), p.text]
         for p in found
     ]
     header = ["name", "value", "unit", "", "meaning"]
