@@ -3,7 +3,7 @@
 Every line has ``time`` (ISO 8601 with zone, local) and ``what``:
 
 ``made``, ``opened``; ``typed`` {command}: what makes the fish swim; ``set`` {params, conditions,
-...}: what is new of them; ``begun`` and ``recorded`` {trial, iteration, end, file, rested_s, pose,
+...}: what is new of them; ``begun`` and ``swum`` {trial, iteration, end, file, rested_s, pose,
 drift, travel, battery_start_v, battery_end_v, board_s}; ``void`` {trial, end}: begun, but not
 swum; ``decided`` {trial, decision, reason, file}, ``withdrawn`` {trial, file, reason};
 ``learned`` {trial, ..., rolled_back}; ``note`` {text}; ``resumed`` {..., board_s}; ``restarted``
