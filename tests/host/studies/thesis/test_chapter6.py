@@ -28,6 +28,7 @@ from tailbeat.studies.thesis.plants import rod
 from tailbeat.studies.thesis.plants.heat import (
     CHAPTER6,
     HeatPlant,
+    Scheme,
     problem,
     reference,
     slope,
@@ -40,9 +41,11 @@ from tailbeat.studies.thesis.study import Study
 PRECISIONS = get_args(Precision)
 
 G6 = {
-    True: "52.469444 14.637351 4.050000 1.117498 0.309328 0.086640 0.028726 0.017485 0.018686 "
+    "modal": "52.469444 14.637351 4.050000 1.117498 0.309328 0.086640 0.028726 0.017485 0.018686 "
     "0.019051 0.019163",
-    False: "52.519447 14.613588 4.035085 1.111400 0.307251 0.086108 0.028790 0.017518 "
+    "crank-nicolson": "52.469447 14.637412 4.050029 1.117509 0.309331 0.086639 0.028721 0.017489 "
+    "0.018689 0.019054 0.019166",
+    "backward-euler": "52.519447 14.613588 4.035085 1.111400 0.307251 0.086108 0.028790 0.017518 "
     "0.018737 0.019123 0.019238",
 }
 
@@ -68,8 +71,8 @@ def rounded(values: np.ndarray, text: str) -> bool:
 
 
 @cache
-def plant(exact: bool = False, step: float = 0.01, cells: int = 100) -> HeatPlant:
-    return HeatPlant(CHAPTER6, step, exact, cells)
+def plant(scheme: Scheme = "backward-euler", step: float = 0.01, cells: int = 100) -> HeatPlant:
+    return HeatPlant(CHAPTER6, step, scheme, cells)
 
 
 def exact(iterations: int, **changes: float) -> np.ndarray:
@@ -77,16 +80,16 @@ def exact(iterations: int, **changes: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("exact", G6)
-def test_g6(exact: bool, precision: Precision) -> None:
-    run = problem(plant(exact), rod.law()).run(10, precision=precision)
-    assert run.max_abs_error[0] == pytest.approx(numbers(G6[exact]), rel=1e-5, abs=1e-5)
+@pytest.mark.parametrize("scheme", get_args(Scheme))
+def test_g6(scheme: Scheme, precision: Precision) -> None:
+    run = problem(plant(scheme), rod.law()).run(10, precision=precision)
+    assert run.max_abs_error[0] == pytest.approx(numbers(G6[scheme]), rel=1e-5, abs=1e-5)
 
 
 def test_the_default_is_backward_euler_to_iteration_7() -> None:
     run = EXAMPLE.run(ExampleOptions())
     assert run.iterations.tolist() == list(range(8))
-    assert run.max_abs_error == pytest.approx(numbers(G6[False])[:8], rel=1e-5, abs=1e-5)
+    assert run.max_abs_error == pytest.approx(numbers(G6["backward-euler"])[:8], rel=1e-5, abs=1e-5)
 
 
 def test_inputs_of_iterations_1_and_7() -> None:
@@ -98,7 +101,7 @@ def test_inputs_of_iterations_1_and_7() -> None:
     wanted = "-0.49566 1.005547 1.745744 -6.019138 -12.780361 -10.890771 -10.243768"
     at = [0, 100, 300, 500, 700, 900, 1000]
     assert seventh[at] == pytest.approx(numbers(wanted), abs=1e-5)
-    on_modes, _ = problem(plant(exact=True), rod.law()).run(7).trial()
+    on_modes, _ = problem(plant(scheme="modal"), rod.law()).run(7).trial()
     assert [on_modes.min(), on_modes.max()] == pytest.approx([-13.044, 2.543], abs=5e-4)
 
 
@@ -115,8 +118,20 @@ def test_other_steps_keep_the_window(step: float, wanted: str) -> None:
     assert rod.law(step).q_len == {0.02: 10, 0.005: 40}[step]
 
 
+def test_coarser_cells() -> None:
+    run = problem(plant("crank-nicolson", cells=50), rod.law()).run(7)
+    wanted = numbers("52.4695 14.6376 4.0501 1.1176 .30935 .08665 .02872 .01749")
+    assert run.max_abs_error[0] == pytest.approx(wanted, rel=3e-4)
+
+
+def test_euler_in_quarters_of_a_sample() -> None:
+    run = problem(HeatPlant(CHAPTER6, substeps=4), rod.law()).run(10)
+    wanted = "52.48195 14.63146 4.04629 1.11598 .30881 .08651 .02874 .01749 .0187 .01907 .01918"
+    assert run.max_abs_error[0] == pytest.approx(numbers(wanted), rel=3e-4)
+
+
 def test_finer_steps_come_to_the_exact_rod() -> None:
-    exactly = numbers(G6[True])[:8]
+    exactly = numbers(G6["modal"])[:8]
     off = [
         np.abs(EXAMPLE.run(ExampleOptions(step=step)).max_abs_error - exactly).max()
         for step in (0.02, 0.01, 0.005)
@@ -125,7 +140,7 @@ def test_finer_steps_come_to_the_exact_rod() -> None:
 
 
 def test_the_limit_and_its_rms() -> None:
-    run = problem(plant(exact=True), rod.law()).run(50, keep=(0, 1, 7))
+    run = problem(plant(scheme="modal"), rod.law()).run(50, keep=(0, 1, 7))
     errors = run.max_abs_error[0]
     assert errors[11:] == pytest.approx(0.0193, abs=1.5e-4)
     assert errors[7:].max() < 0.025
@@ -221,7 +236,7 @@ def test_other_settings_against_plain_numpy(
             weights = q_len - np.abs(near - k)
             u[k] = weights @ raw[near] / weights.sum()
     config = LearnerConfig(len(time), step=step, kd=rho, q_len=q_len)
-    run = problem(plant(False, step, cells), config).run(5, precision=precision)
+    run = problem(plant("backward-euler", step, cells), config).run(5, precision=precision)
     tolerance = 1e-9 if precision == "double" else 1e-5
     assert run.max_abs_error[0] == pytest.approx(errors, rel=tolerance, abs=tolerance)
 
@@ -245,14 +260,14 @@ def test_the_rod_against_a_stiff_solver() -> None:
         rate, (0, 10), np.zeros(cells + 1), "LSODA", time, rtol=1e-7, atol=1e-8, max_step=0.1,
         lband=1, uband=1,
     )  # fmt: skip
-    assert plant(exact=True, step=0.1).output(u) == pytest.approx(found.y[0], abs=5e-4)
+    assert plant(scheme="modal", step=0.1).output(u) == pytest.approx(found.y[0], abs=5e-4)
 
 
 def test_the_field_ends_in_the_output() -> None:
     u = np.cos(times(0.01))
     assert plant().field(u)[:, 0] == pytest.approx(plant().output(u), abs=1e-9)
     with pytest.raises(ValueError, match="no nodes"):
-        plant(exact=True).field(u)
+        plant(scheme="modal").field(u)
 
 
 def test_the_filter() -> None:

@@ -24,6 +24,8 @@ from tailbeat.studies.thesis.learner import LearnerConfig, load, pointer
 from tailbeat.studies.thesis.options import Span, last_iteration
 from tailbeat.studies.thesis.series import LearningProblem
 
+Scheme = Literal["backward-euler", "crank-nicolson", "modal"]
+
 HORIZON = 10.0  # min, T of both chapters
 STEP = 0.01  # min
 CELLS = 100
@@ -70,15 +72,26 @@ def reference(time: F64) -> F64:
 
 
 class HeatPlant:
-    """A rod, sampled. The input is one value per sample: held over the step that ends with it, by
-    backward Euler on ``cells`` equal cells, with half a cell of heat at either end and the source
-    at the middles of the cells. ``exact``: a straight line from sample to sample, and the exact
-    solution as a sum of cosines.
+    """A rod, sampled. The input is one value per sample: held over the step that ends with it in
+    backward Euler, a straight line from sample to sample in the other two.
+
+    ``scheme``: ``backward-euler`` and ``crank-nicolson`` are the method of lines on ``cells`` equal
+    cells, with half a cell of heat at either end and the source at the middles of the cells;
+    ``modal`` is the exact solution as a sum of cosines. ``substeps``: of the method of lines within
+    a sample, along the straight line.
     """
 
-    def __init__(self, rod: Rod, step: float = STEP, exact: bool = False, cells: int = CELLS):
+    def __init__(
+        self,
+        rod: Rod,
+        step: float = STEP,
+        scheme: Scheme = "backward-euler",
+        cells: int = CELLS,
+        substeps: int = 1,
+    ):
         self.time = times(step)
-        self._line = None if exact else _Line(rod, self.time, cells)
+        modal = scheme == "modal"
+        self._line = None if modal else _Line(rod, self.time, scheme, cells, substeps)
         if self._line is None:
             self._free, self._first, self._second = _modal(rod, self.time)
             return
@@ -99,31 +112,32 @@ class HeatPlant:
         """w of a trial, one row per sample, one column per node.
 
         Raises:
-            ValueError: of an exact plant, which has no nodes.
+            ValueError: of a modal plant, which has no nodes.
         """
         if self._line is None:
-            raise ValueError("the exact solution has no nodes")
+            raise ValueError("the modal solution has no nodes")
         return self._line.march(values, heated=True)
 
 
 @lru_cache(maxsize=8)
-def heat_plant(rod: Rod, step: float = STEP, exact: bool = False) -> HeatPlant:
+def heat_plant(rod: Rod, step: float = STEP, scheme: Scheme = "backward-euler") -> HeatPlant:
     """A plant of 100 cells, made once; it keeps nothing of a trial."""
-    return HeatPlant(rod, step, exact)
+    return HeatPlant(rod, step, scheme)
 
 
 class _Line:
     """The method of lines: C dw/dt = L w + load."""
 
-    def __init__(self, rod: Rod, time: F64, cells: int):
+    def __init__(self, rod: Rod, time: F64, scheme: Scheme, cells: int, substeps: int):
         h = 1.0 / cells
-        self._step = time[1] - time[0]
+        self._substeps, self._step = substeps, (time[1] - time[0]) / substeps
+        self._implicit = 1.0 if scheme == "backward-euler" else 0.5
         heat = np.full(cells + 1, h)
         heat[[0, -1]] = h / 2
         flow = (np.eye(cells + 1, k=1) + np.eye(cells + 1, k=-1) - 2 * np.eye(cells + 1)) / h
         flow[0, 0] = flow[-1, -1] = -1 / h
-        inverse = np.linalg.inv(np.diag(heat / self._step) - flow)
-        self._kept = inverse @ np.diag(heat / self._step)
+        inverse = np.linalg.inv(np.diag(heat / self._step) - self._implicit * flow)
+        self._kept = inverse @ (np.diag(heat / self._step) + (1 - self._implicit) * flow)
         self._driven = rod.sign * inverse[:, -rod.driven_end]
         middle = (np.arange(cells, dtype=np.float64) + 0.5) * h
         a, b, c, d, e = rod.source
@@ -133,14 +147,17 @@ class _Line:
 
     def march(self, values: F64, heated: bool) -> F64:
         """All nodes at all samples; ``heated``: by source and inflow, not only by the input."""
-        out = np.zeros((len(values), len(self._load)))
+        inside = np.arange((len(values) - 1) * self._substeps + 1) / self._substeps
+        fine = np.interp(inside, np.arange(len(values)), values)
+        drive = self._implicit * fine[1:] + (1 - self._implicit) * fine[:-1]
+        out = np.zeros((len(fine), len(self._load)))
         w = out[0]
-        for k in range(1, len(values)):
-            w = self._kept @ w + values[k] * self._driven
+        for k, driven in enumerate(drive):
+            w = self._kept @ w + driven * self._driven
             if heated:
-                w += self._load + self._step * k * self._load_by_t
-            out[k] = w
-        return out
+                w += self._load + self._step * (k + self._implicit) * self._load_by_t
+            out[k + 1] = w
+        return out[:: self._substeps]
 
 
 def _to_nodes(middles: F64, h: float) -> F64:

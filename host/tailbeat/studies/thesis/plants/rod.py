@@ -221,7 +221,7 @@ def exact(
     config: LearnerConfig, iterations: int, taught: Callable[[F64], F64] | None = None
 ) -> F64:
     """Errors of any law of the thesis's step on the exact rod."""
-    return problem(heat_plant(CHAPTER6, exact=True), config, taught).uncut(iterations)
+    return problem(heat_plant(CHAPTER6, scheme="modal"), config, taught).uncut(iterations)
 
 
 def with_filter() -> F64:
