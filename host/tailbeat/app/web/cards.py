@@ -251,8 +251,8 @@ def reference_of_csv(name: str, content: bytes) -> Reference:
 class ReferenceCard:
     """The wanted speed: by its name or as a file."""
 
-    def __init__(self, conductor: Worker) -> None:
-        self._conductor = conductor
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
         self._wanted: Reference | None = None
         self._is_known = False
         with (
@@ -311,7 +311,7 @@ class ReferenceCard:
         except InputError as error:
             ui.notify(str(error), type="warning", position="top", multi_line=True, timeout=8000)
             return
-        now = self._conductor.now
+        now = self._worker.now
         if now.iteration == 0 or not now.reference_m_s:
             self._use()
             return
@@ -323,15 +323,15 @@ class ReferenceCard:
 
     def _use(self) -> None:
         self._sure.close()
-        if wish(self._conductor, "upload", reference=self._wanted):
+        if wish(self._worker, "upload", reference=self._wanted):
             self._fold.set_value(False)
 
 
 class NotesCard:
     """A line with its time for the experiment's notes."""
 
-    def __init__(self, conductor: Worker) -> None:
-        self._conductor = conductor
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
         with ui.element("section").classes("card notes"):
             ui.label("Note").classes("title")
             ui.label("Water temperature, who helped, what was odd: kept with its time.").classes(
@@ -343,7 +343,7 @@ class NotesCard:
                 ui.button("Add", on_click=self._add).classes("add").style("min-height:56px")
 
     def _add(self) -> None:
-        if wish(self._conductor, "note", text=self._text.value or ""):
+        if wish(self._worker, "note", text=self._text.value or ""):
             self._text.set_value("")
 
 

@@ -31,13 +31,13 @@ _PERIOD_S = 0.2
 _TICKS = 5  # periods between two signs of life
 
 
-def build(conductor: Worker) -> None:
+def build(worker: Worker) -> None:
     """Registers the page and what goes with it."""
-    serve_downloads(conductor)
+    serve_downloads(worker)
 
     @ui.page("/", title="tailbeat")
     def page() -> None:
-        _Page(conductor)
+        _Page(worker)
 
 
 def _asset(name: str) -> str:
@@ -77,8 +77,8 @@ class _Chart:
 class _Page:
     """One browser's."""
 
-    def __init__(self, conductor: Worker) -> None:
-        self._conductor = conductor
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
         self._serial = -1
         self._periods = 0
         ui.add_head_html(f"<style>{_asset('page.css')}</style>")
@@ -88,15 +88,15 @@ class _Page:
             self._header = Header()
             with ui.element("main").classes("all"):
                 with ui.element("div").classes("side"):
-                    self._status = Status(conductor)
-                    self._reference = ReferenceCard(conductor)
-                    self._notes = NotesCard(conductor)
+                    self._status = Status(worker)
+                    self._reference = ReferenceCard(worker)
+                    self._notes = NotesCard(worker)
                 with ui.element("div").classes("main"):
                     self._charts = self._make_charts()
                     self._trials = Trials()
                     self._log = LogCard()
             self._tick = ui.label("0").classes("tick")
-        others = (self._trials, self._log, Deciding(conductor), Asking(conductor))
+        others = (self._trials, self._log, Deciding(worker), Asking(worker))
         self._parts: list[_Part] = [self._status, self._reference, *self._charts, *others]
         self.refresh()
         ui.timer(_PERIOD_S, self.refresh)
@@ -131,7 +131,7 @@ class _Page:
 
     def refresh(self) -> None:
         """Draws what has changed."""
-        now, silent_s = self._conductor.now, self._conductor.silent_s()
+        now, silent_s = self._worker.now, self._worker.silent_s()
         self._header.refresh(now, silent_s)
         dress(self._root, "stale" if view.is_stale(now, silent_s) else "fresh", ("stale", "fresh"))
         self._periods += 1
@@ -148,19 +148,19 @@ class _Page:
             part.refresh(now)
 
 
-def serve_downloads(conductor: Worker) -> None:
+def serve_downloads(worker: Worker) -> None:
     """``/raw/NAME``: a log; ``/beats/NAME.csv``: its beats. Only those in the trial list."""
 
     @app.get("/raw/{name}")
     def raw(name: str) -> Response:
-        path = conductor.raw_file(name)
+        path = worker.raw_file(name)
         if path is None or not path.is_file():
             raise HTTPException(404, "there is no such trial")
         return FileResponse(path, media_type="application/octet-stream", filename=name)
 
     @app.get("/beats/{name}.csv")
     def beats(name: str) -> Response:
-        path = conductor.raw_file(f"{name}.ulg")
+        path = worker.raw_file(f"{name}.ulg")
         if path is None or not path.is_file():
             raise HTTPException(404, "there is no such trial")
         try:

@@ -134,9 +134,9 @@ class _TailFirst(uvicorn.Server):
         self._gate.open(Entrance(self, asyncio.get_running_loop()).take)
 
 
-def serve(conductor: Worker, place: ListenAddress, show: bool = False) -> None:
+def serve(worker: Worker, place: ListenAddress, show: bool = False) -> None:
     """Runs until a signal ends it. Blocks; in the main thread only."""
-    build(conductor)
+    build(worker)
     outer = FastAPI(openapi_url=None)
     ui.run_with(
         outer,
@@ -152,7 +152,7 @@ def serve(conductor: Worker, place: ListenAddress, show: bool = False) -> None:
     in_turn = Turns(outer)
 
     def abort() -> None:
-        conductor.ask("abort")
+        worker.ask("abort")
 
     door = Access(in_turn, place.token, place.port, abort)
     gate = Gate(place.listener, Rules(place.token, place.port), abort)
@@ -170,12 +170,12 @@ def serve(conductor: Worker, place: ListenAddress, show: bool = False) -> None:
     server = _TailFirst(config, gate, abort)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, server.handle_exit)  # the terminal was closed
-    conductor.start()
+    worker.start()
     try:
         server.run()
     finally:
         gate.close()
-        conductor.close()
+        worker.close()
 
 
 def _open(url: str) -> None:

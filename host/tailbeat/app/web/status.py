@@ -38,18 +38,18 @@ UNTIL = {
 _LOOKS = ("well", "low", "unknown")
 
 
-def refused(conductor: Worker, what: str, **values: object) -> str:
+def refused(worker: Worker, what: str, **values: object) -> str:
     """Asks; why not, empty = it was taken in."""
     try:
-        conductor.ask(what, **values)
+        worker.ask(what, **values)
     except InputError as error:
         return str(error)
     return ""
 
 
-def wish(conductor: Worker, what: str, **values: object) -> bool:
+def wish(worker: Worker, what: str, **values: object) -> bool:
     """Asks, and tells whoever pressed the button why not."""
-    if why := refused(conductor, what, **values):
+    if why := refused(worker, what, **values):
         ui.notify(why, type="warning", position="top", multi_line=True, timeout=6000)
     return not why
 
@@ -87,8 +87,8 @@ class Header:
 class Status:
     """What is going on, what is wrong, and START."""
 
-    def __init__(self, conductor: Worker) -> None:
-        self._conductor = conductor
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
         self._steps_shown: tuple[StepProgress, ...] | None = None
         with ui.element("section").classes("card now"):
             self._headline = ui.label().classes("headline")
@@ -111,10 +111,10 @@ class Status:
             self._start.classes("start")
 
     def _swim(self) -> None:
-        wish(self._conductor, "swim", until=self._until.value, ritual=self._ritual.value)
+        wish(self._worker, "swim", until=self._until.value, ritual=self._ritual.value)
 
     def _clear(self) -> None:
-        wish(self._conductor, "clear")
+        wish(self._worker, "clear")
 
     def refresh(self, now: PageState) -> None:
         """Shows it."""
@@ -216,15 +216,15 @@ class _Refusal:
     """Why a button of a dialog did nothing: beside that button, for on a phone nothing else of the
     page can be seen."""
 
-    def __init__(self, conductor: Worker) -> None:
-        self._conductor = conductor
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
         self._text = ui.label().classes("banner problem refusal")
         self._text.props("role=alert").set_visibility(False)
 
     def ask(self, what: str, **values: object) -> None:
         """Asks, and shows why not."""
-        why = refused(self._conductor, what, **values)
-        if why and self._conductor.now.phase not in ("deciding", "asking"):
+        why = refused(self._worker, what, **values)
+        if why and self._worker.now.phase not in ("deciding", "asking"):
             ui.notify(why, type="warning", position="top")  # somebody else was quicker
         else:
             self.show(why)
@@ -242,7 +242,7 @@ class _Refusal:
 class Deciding:
     """Opens in every browser when a swim is to be decided on, and closes once somebody has."""
 
-    def __init__(self, conductor: Worker) -> None:
+    def __init__(self, worker: Worker) -> None:
         self._shown: RecordedTrial | None = None
         with (
             ui.dialog().props("persistent no-focus") as self._dialog,
@@ -261,7 +261,7 @@ class Deciding:
                     button.classes(f"choose-{kind}").props("unelevated")
                     if kind == "keep":
                         self._keep = button
-            self._refusal = _Refusal(conductor)
+            self._refusal = _Refusal(worker)
             for name, meaning in view.DECISIONS.values():
                 ui.label(f"{name}: {meaning}.").classes("hint")
 
@@ -299,7 +299,7 @@ class Deciding:
 class Asking:
     """A question with yes or no."""
 
-    def __init__(self, conductor: Worker) -> None:
+    def __init__(self, worker: Worker) -> None:
         self._shown = ""
         with ui.dialog().props("persistent") as self._dialog, ui.card().classes("dialog asking"):
             self._text = ui.label().style("line-height:1.4")
@@ -307,7 +307,7 @@ class Asking:
                 for name, yes in (("Yes", True), ("No", False)):
                     button = ui.button(name, on_click=self._maker(yes)).classes(name.lower())
                     button.props("unelevated" if yes else "outline")
-            self._refusal = _Refusal(conductor)
+            self._refusal = _Refusal(worker)
 
     def _maker(self, yes: bool) -> Callable[[], object]:
         return lambda: self._refusal.ask("answer", yes=yes)

@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 
 
 class Closed(TailbeatError):
-    """The conductor ends; whatever is under way is left as it is, the tail still."""
+    """The worker ends; whatever is under way is left as it is, the tail still."""
 
 
 @contextmanager
@@ -61,14 +61,14 @@ def simulated_camera(fish: Fish) -> Iterator[tuple[Camera | None, Guard | None]]
 
 @dataclass
 class Worker:
-    """``connect`` makes the Fish, in the conductor's thread; a lost link is connected again, with
-    what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``eyes`` opens
+    """``connect`` makes the Fish, in the worker's thread; a lost link is connected again, with
+    what was wrong in ``now.problem`` meanwhile. ``root``: of new experiments. ``open_camera`` opens
     the camera for each series. ``wanted``: of the ritual, None = the usual. ``look_s``: how
     long a wish may lie; ``retry_s``: between two tries to connect."""
 
     connect: Callable[[], Fish]
     root: Path
-    eyes: OpenCamera = simulated_camera
+    open_camera: OpenCamera = simulated_camera
     wanted: PreflightLimits | None = None
     now: PageState = field(default_factory=PageState)
     wall_s: Callable[[], float] = time.monotonic
@@ -78,7 +78,7 @@ class Worker:
     def __post_init__(self) -> None:
         self._asks = Asks()
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="conductor", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._heard_s: float | None = None
         self._board_s = 0.0
         self._imu_changed = False
@@ -125,7 +125,7 @@ class Worker:
             self._thread.join(_END_S)
 
     def _show(self, snapshot: PageState) -> None:
-        """Only ever called in the conductor's thread: snapshots do not overtake each other."""
+        """Only ever called in the worker's thread: snapshots do not overtake each other."""
         with self._changed:
             self.now = replace(snapshot, serial=self.now.serial + 1)
             self._changed.notify_all()
@@ -437,7 +437,7 @@ class Worker:
         self._asks.open("note")
         self._set(steps=(), phase="ritual" if ritual else "working")
         try:
-            with self.eyes(fish) as (camera, guard):
+            with self.open_camera(fish) as (camera, guard):
                 end = swim_series(
                     fish, self._experiment, PageOperator(self, fish), options, camera, guard
                 )
@@ -472,34 +472,34 @@ class Worker:
 
 @dataclass(frozen=True)
 class PageOperator:
-    """A person who sits before a browser: day.person.Person."""
+    """The operator at a browser."""
 
-    conductor: Worker
+    worker: Worker
     fish: Fish
 
     def tell(self, event: Event) -> None:
         """Shown at once."""
-        conductor = self.conductor
-        conductor._show(after(conductor.now, event, _clock()))
+        worker = self.worker
+        worker._show(after(worker.now, event, _clock()))
         match event:
             case LearnReport() | TrialDecided(_, Decision("repeat" | "discard")):
-                conductor._look_at_trials()
+                worker._look_at_trials()
 
     def wants_abort(self) -> bool:
         """The flag itself."""
-        return self.conductor._asks.abort
+        return self.worker._asks.abort
 
     def decide(self, recorded: RecordedTrial) -> Decision:
         """Whoever decides first decides."""
-        self.conductor._look_at_trials()
-        ask = self.conductor._answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
-        self.conductor._phase("working", "note", recorded=None, steps=())
+        self.worker._look_at_trials()
+        ask = self.worker._answered(self.fish, "decide", recorded=recorded, step="", left_s=None)
+        self.worker._phase("working", "note", recorded=None, steps=())
         return Decision(ask.values["kind"], ask.values["reason"])
 
     def confirm(self, question: str) -> bool:
         """Likewise."""
-        ask = self.conductor._answered(self.fish, "answer", question=question)
-        self.conductor._phase("working", "note", question="")
+        ask = self.worker._answered(self.fish, "answer", question=question)
+        self.worker._phase("working", "note", question="")
         return bool(ask.values["yes"])
 
 

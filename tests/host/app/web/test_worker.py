@@ -1,5 +1,5 @@
 """The thread behind the page: what it shows, what it takes, and that ABORT overtakes. The board is
-simulated in this process; its time passes only while the conductor waits, so that what happens at a
+simulated in this process; its time passes only while the worker waits, so that what happens at a
 beat happens at that beat on every machine."""
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Line(SimTransport):
 
 
 class Tank:
-    """A board that outlives its connections, and a conductor that was asked for it."""
+    """A board that outlives its connections, and a worker that was asked for it."""
 
     def __init__(self, root: Path, board: SimBoard | None = None) -> None:
         self.board = board or SimBoard("tank", seed=1)
@@ -56,7 +56,7 @@ class Tank:
         self.gate: Callable[[], None] = lambda: None
         self.at_start: Callable[[], None] = lambda: None
         self.on_beat: Callable[[int], None] = lambda beat: None
-        self.conductor = Worker(self.connect, root, self.eyes, look_s=0.005, retry_s=0.0)
+        self.worker = Worker(self.connect, root, self.open_camera, look_s=0.005, retry_s=0.0)
 
     def connect(self) -> Fish:
         self.gate()
@@ -66,7 +66,7 @@ class Tank:
         return fish
 
     @contextmanager
-    def eyes(self, fish: Fish) -> Iterator[Any]:
+    def open_camera(self, fish: Fish) -> Iterator[Any]:
         self.at_start()
         with simulated_camera(fish) as (camera, _):
             yield camera, self._guard
@@ -76,12 +76,12 @@ class Tank:
             self.on_beat(seen.beat)
 
     def wait(self, until: Callable[[PageState], bool]) -> PageState:
-        return self.conductor.wait(until, PATIENCE_S)
+        return self.worker.wait(until, PATIENCE_S)
 
     def ask(self, what: str, **values: Any) -> PageState:
         """Until it is done, or something has to be decided first."""
-        done, was = self.conductor.now.done, self.conductor.now.recorded
-        self.conductor.ask(what, **values)
+        done, was = self.worker.now.done, self.worker.now.recorded
+        self.worker.ask(what, **values)
         return self.wait(
             lambda now: (
                 now.done > done
@@ -94,7 +94,7 @@ class Tank:
         return self.ask("decide", kind=kind, reason=reason)
 
     def journal(self, what: str) -> list[dict[str, Any]]:
-        folder = self.conductor.root / self.conductor.now.experiment
+        folder = self.worker.root / self.worker.now.experiment
         return Journal(folder / "journal.jsonl").entries(what)
 
 
@@ -102,13 +102,13 @@ class Tank:
 def tank(tmp_path: Path) -> Iterator[Tank]:
     made = Tank(tmp_path / "experiments")
     yield made
-    made.conductor.close()
+    made.worker.close()
 
 
 @pytest.fixture
 def ready(tank: Tank) -> Tank:
     """Connected, with a reference."""
-    tank.conductor.start()
+    tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     now = tank.ask("upload", reference=from_text(SHORT))
     assert (now.problem, len(now.reference_m_s)) == ("", 8)
@@ -116,7 +116,7 @@ def ready(tank: Tank) -> Tank:
 
 
 def test_it_connects_and_says_to_what(tank: Tank) -> None:
-    tank.conductor.start()
+    tank.worker.start()
     now = tank.wait(lambda now: now.phase == "idle")
     assert (now.board, now.simulated, now.state) == ("simulated", True, "IDLE")
     assert now.battery_v == pytest.approx(8.2)
@@ -139,17 +139,17 @@ def test_a_swim_from_the_ritual_to_what_was_learned(ready: Tank) -> None:
 
 def test_steps_of_the_ritual_are_shown_in_their_order(ready: Tank) -> None:
     seen: list[tuple[str, ...]] = []
-    ready.on_beat = lambda beat: seen.append(tuple(s.step for s in ready.conductor.now.steps))
+    ready.on_beat = lambda beat: seen.append(tuple(s.step for s in ready.worker.now.steps))
     ready.ask("swim", until="1", ritual=True)
     assert seen[0] == tuple(dict.fromkeys(seen[0]))
     assert {"rest", "room", "pose"} <= set(seen[0]) or len(seen[0]) >= 3
-    assert all(step.ok for step in ready.conductor.now.steps)
+    assert all(step.ok for step in ready.worker.now.steps)
 
 
 def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
     def press(beat: int) -> None:
         if beat == 3:
-            ready.conductor.ask("abort")
+            ready.worker.ask("abort")
 
     ready.on_beat = press
     now = ready.ask("swim", until="10", ritual=False)
@@ -159,7 +159,7 @@ def test_abort_in_the_middle_of_a_swim(ready: Tank) -> None:
     assert now.recorded.outcome.executed_beats < 8
     assert ready.board.world.truth().pulse_ticks == 0
     with pytest.raises(InputError, match="needs a reason"):
-        ready.conductor.ask("decide", kind="discard")
+        ready.worker.ask("decide", kind="discard")
     now = ready.decide("discard", "bumped the wall")
     assert (now.phase, now.iteration, now.next_trial) == ("idle", 1, 2)
     assert [(row.decision, row.reason) for row in now.rows] == [("discard", "bumped the wall")]
@@ -176,7 +176,7 @@ def test_one_swim_is_one_swim_whatever_becomes_of_it(ready: Tank) -> None:
 
 
 def test_the_next_swim_is_not_stopped_by_an_old_abort(ready: Tank) -> None:
-    ready.on_beat = lambda beat: ready.conductor.ask("abort") if beat == 2 else None
+    ready.on_beat = lambda beat: ready.worker.ask("abort") if beat == 2 else None
     ready.ask("swim", ritual=False)
     ready.decide("discard", "stopped")
     ready.on_beat = lambda beat: None
@@ -186,7 +186,7 @@ def test_the_next_swim_is_not_stopped_by_an_old_abort(ready: Tank) -> None:
 
 
 def test_abort_before_the_start_ends_the_waiting(ready: Tank) -> None:
-    ready.at_start = lambda: ready.conductor.ask("abort")
+    ready.at_start = lambda: ready.worker.ask("abort")
     now = ready.ask("swim", ritual=True)
     assert (now.phase, now.state, now.next_trial, now.rows) == ("idle", "IDLE", 1, ())
     assert ready.board.world.truth().swims == 0
@@ -208,10 +208,10 @@ def test_abort_while_connecting_is_the_first_thing_said(tank: Tank) -> None:
         assert go.wait(PATIENCE_S)
 
     tank.gate = gate
-    tank.conductor.start()
+    tank.worker.start()
     assert trying.wait(PATIENCE_S)
-    assert tank.conductor.now.phase == "connecting"
-    tank.conductor.ask("abort")
+    assert tank.worker.now.phase == "connecting"
+    tank.worker.ask("abort")
     begun_s = tank.board.time_s
     go.set()
     now = tank.wait(lambda now: now.phase == "idle")
@@ -232,10 +232,10 @@ def test_abort_says_no_to_a_question(ready: Tank, monkeypatch: pytest.MonkeyPatc
         return SeriesEnd("stopped", "not now.", [], None)
 
     monkeypatch.setattr("tailbeat.app.web.worker.swim_series", series)
-    ready.conductor.ask("swim", ritual=False)
+    ready.worker.ask("swim", ritual=False)
     ready.wait(lambda now: now.phase == "asking" and now.question == "go on?")
-    done = ready.conductor.now.done
-    ready.conductor.ask("abort")
+    done = ready.worker.now.done
+    ready.worker.ask("abort")
     now = ready.wait(lambda now: now.done > done)
     assert (answers, now.phase, now.question, now.problem) == ([False], "idle", "", "not now.")
 
@@ -265,12 +265,12 @@ def test_whoever_decides_first_decides(ready: Tank) -> None:
     def browser(number: int) -> None:
         start.wait()
         try:
-            ready.conductor.ask("decide", kind="discard", reason=f"by {number}")
+            ready.worker.ask("decide", kind="discard", reason=f"by {number}")
             outcomes.append(f"by {number}")
         except InputError as error:
             assert "decided already" in str(error)
 
-    done = ready.conductor.now.done
+    done = ready.worker.now.done
     browsers = [threading.Thread(target=browser, args=(number,)) for number in range(4)]
     for thread in browsers:
         thread.start()
@@ -300,7 +300,7 @@ def test_the_second_of_two_wishes_hears_that_it_is_late() -> None:
 
 
 def test_what_makes_no_sense_now_is_refused(ready: Tank) -> None:
-    ask = ready.conductor.ask
+    ask = ready.worker.ask
     with pytest.raises(InputError, match="nothing to decide"):
         ask("decide", kind="keep")
     with pytest.raises(InputError, match="note is empty"):
@@ -325,10 +325,10 @@ def test_what_makes_no_sense_now_is_refused(ready: Tank) -> None:
 
 def test_notes_are_taken_while_it_waits_for_a_decision(ready: Tank) -> None:
     ready.ask("swim", ritual=False)
-    ready.conductor.ask("note", text="water 22 degrees")
+    ready.worker.ask("note", text="water 22 degrees")
     ready.wait(lambda now: any("water 22 degrees" in line for line in now.log))
     assert [entry["text"] for entry in ready.journal("note")] == ["water 22 degrees"]
-    assert ready.conductor.now.phase == "deciding"
+    assert ready.worker.now.phase == "deciding"
 
 
 def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -> None:
@@ -336,16 +336,16 @@ def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -
     board = SimBoard("tank", seed=1)
     for text in ("water 21 degrees", "fish was repaired"):
         before = Tank(tmp_path / "experiments", board)
-        before.conductor.start()
+        before.worker.start()
         before.wait(lambda now: now.phase == "idle")
         now = before.ask("note", text=text)
         assert (now.problem, now.experiment) == ("", "")
         assert text in now.log[-1]
-        before.conductor.close()
+        before.worker.close()
     (waiting,) = (tmp_path / "experiments").glob("notes-*.jsonl")
     written = [entry["time"] for entry in Journal(waiting).entries("note")]
     tank = Tank(tmp_path / "experiments", board)
-    tank.conductor.start()
+    tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.ask("upload", reference=from_text(SHORT))
     tank.ask("swim", ritual=False)
@@ -353,7 +353,7 @@ def test_a_note_before_the_first_swim_waits_for_the_experiment(tmp_path: Path) -
     found = [(entry["text"], entry["time"]) for entry in tank.journal("note")]
     assert found == [("water 21 degrees", written[0]), ("fish was repaired", written[1])]
     assert not waiting.exists()
-    tank.conductor.close()
+    tank.worker.close()
 
 
 def test_a_note_that_cannot_be_written_stops_nothing(
@@ -364,7 +364,7 @@ def test_a_note_that_cannot_be_written_stops_nothing(
 
     ready.ask("swim", ritual=False)
     monkeypatch.setattr("tailbeat.experiment.folder.Experiment.note", full)
-    ready.conductor.ask("note", text="water 22 degrees")
+    ready.worker.ask("note", text="water 22 degrees")
     ready.wait(lambda now: "disk is full" in now.problem)
     assert ready.decide("keep").iteration == 2
 
@@ -372,7 +372,7 @@ def test_a_note_that_cannot_be_written_stops_nothing(
 def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     ready.ask("swim", ritual=False)
     ready.decide("keep")
-    name = ready.conductor.now.experiment
+    name = ready.worker.now.experiment
     tries: list[int] = []
     go = threading.Event()
 
@@ -387,7 +387,7 @@ def test_a_link_that_is_lost_comes_back(ready: Tank) -> None:
     now = ready.wait(lambda now: now.phase == "connecting" and "nobody" in now.problem)
     assert now.problem == "nobody answers. Switch it on."
     with pytest.raises(InputError, match="cannot swim now"):
-        ready.conductor.ask("swim")
+        ready.worker.ask("swim")
     go.set()
     now = ready.wait(lambda now: now.phase == "idle")
     assert (now.problem, now.experiment, len(now.rows)) == ("", name, 1)
@@ -398,7 +398,7 @@ def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
     ready.ask("swim", ritual=False)
     ready.lines[-1].cut = True
     connected = len(ready.lines)
-    ready.conductor.ask("decide", kind="keep")
+    ready.worker.ask("decide", kind="keep")
     now = ready.wait(lambda now: now.phase == "idle" and len(ready.lines) > connected)
     assert now.pending == 1
     assert ready.journal("decided")[-1]["decision"] == "keep"
@@ -409,22 +409,22 @@ def test_a_link_lost_while_deciding_keeps_the_decision(ready: Tank) -> None:
 
 
 def test_closing_in_the_middle_of_a_swim_stops_the_tail(ready: Tank) -> None:
-    ready.on_beat = lambda beat: ready.conductor._asks.close() if beat == 2 else None
-    ready.conductor.ask("swim", ritual=False)
-    ready.conductor._thread.join(PATIENCE_S)
-    assert not ready.conductor._thread.is_alive()
+    ready.on_beat = lambda beat: ready.worker._asks.close() if beat == 2 else None
+    ready.worker.ask("swim", ritual=False)
+    ready.worker._thread.join(PATIENCE_S)
+    assert not ready.worker._thread.is_alive()
     assert ready.board.world.truth().pulse_ticks == 0
     fish = Fish(SimTransport(ready.board))
     fish.clock.sync()
     status = fish.status()
     assert (status.state, status.pending_trial) == ("ABORTED", 1)
     assert status.beat < 8
-    raw = ready.conductor.root / ready.conductor.now.experiment / "raw" / "0001.ulg"
+    raw = ready.worker.root / ready.worker.now.experiment / "raw" / "0001.ulg"
     assert raw.read_bytes() == fish.ftp.read("/trials/0001.ulg")
 
 
 def test_a_board_that_starts_again_is_greeted_anew(ready: Tank) -> None:
-    greeted = sum("connected to" in line for line in ready.conductor.now.log)
+    greeted = sum("connected to" in line for line in ready.worker.now.log)
     ready.board.world.power_cycle()
     now = ready.wait(lambda now: sum("connected to" in s for s in now.log) > greeted)
     assert any("restarted" in line for line in now.log)
@@ -452,32 +452,32 @@ def test_a_reference_that_does_not_fit_is_refused(ready: Tank) -> None:
 
 def test_silence_is_told_by_the_wall_clock(tank: Tank) -> None:
     clock = [100.0]
-    tank.conductor.wall_s = lambda: clock[0]
-    assert tank.conductor.silent_s() is None
-    tank.conductor.start()
+    tank.worker.wall_s = lambda: clock[0]
+    assert tank.worker.silent_s() is None
+    tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.board.world.set_radio(False)
-    done = tank.conductor.now.done
-    tank.conductor.ask("set", name="ILC_GAIN", value=3.0)  # a round trip that nothing comes back of
+    done = tank.worker.now.done
+    tank.worker.ask("set", name="ILC_GAIN", value=3.0)  # a round trip that nothing comes back of
     clock[0] = 107.0
     tank.wait(lambda now: now.done > done or now.phase == "connecting")
-    assert tank.conductor.silent_s() == pytest.approx(7.0)
+    assert tank.worker.silent_s() == pytest.approx(7.0)
     tank.board.world.set_radio(True)
 
 
 def test_only_listed_logs_are_given_out(ready: Tank) -> None:
     ready.ask("swim", ritual=False)
-    assert ready.conductor.raw_file("0001.ulg") is not None
+    assert ready.worker.raw_file("0001.ulg") is not None
     for name in ("SHA256SUMS", "../settings.json", "reference.bin", "0002.ulg", ""):
-        assert ready.conductor.raw_file(name) is None
+        assert ready.worker.raw_file(name) is None
 
 
 def test_the_ritual_may_be_set(tmp_path: Path) -> None:
     tank = Tank(tmp_path / "experiments")
-    tank.conductor.wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
-    tank.conductor.start()
+    tank.worker.wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=1.0)
+    tank.worker.start()
     tank.wait(lambda now: now.phase == "idle")
     tank.ask("upload", reference=from_text(SHORT))
     now = tank.ask("swim", ritual=True)
     assert any("over 2 s" in line for line in now.log)
-    tank.conductor.close()
+    tank.worker.close()
