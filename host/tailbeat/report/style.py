@@ -10,25 +10,35 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError
-from tailbeat.core.files import replace_file
+from tailbeat.core.files import write_whole
+from tailbeat.core.lazy import lazy
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.trial_rows import TrialRow
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:
+    Axes = Figure = Any
 
+mpl_figure: Any = lazy("matplotlib.figure")
+_lines: Any = lazy("matplotlib.lines")
+mpl_patches: Any = lazy("matplotlib.patches")
+mpl_ticker: Any = lazy("matplotlib.ticker")
+_agg: Any = lazy("matplotlib.backends.backend_agg")
+_style: Any = lazy("matplotlib.style")
 
-Draw = Callable[["Sequence[Analysis]", "Style"], "Figure"]
+Draw = Callable[[Sequence[Analysis], "Style"], Figure]
 
 TEXT_PT_MIN = 6.0  # what journals ask for, as printed
-INK, GREY, FAINT, BAND = "0.10", "0.40", "0.62", "0.87"
+INK, GREY, FAINT, BAND, GRID = "0.10", "0.40", "0.62", "0.87", "0.93"
+ACCENT = "#0b5394"  # prints as dark grey
+DASHED, DOTTED = (0, (5, 2)), (0, (1.2, 1.6))
 SIMULATED = "simulated"
 _INCH_M = 0.0254
 _PT_PER_INCH = 72.0
@@ -36,6 +46,7 @@ _NAME_CHARS_MAX = 34
 _HEAD_PT = 11.0  # the strip above everything that says simulated
 _EDGE_PT = 2.0
 _DPI = 300
+_SCREEN_DPI = 100
 _NOTHING_ELSE: dict[str, dict[str, Any]] = {  # matplotlib's version and the date are left out
     "pdf": {"Creator": "tailbeat", "Producer": None, "CreationDate": None},
     "svg": {"Creator": None, "Date": None},
@@ -75,6 +86,7 @@ class Style:
 
 PAGE = Style("page", 0.190, 9.0)
 PAPER = Style("paper", 0.0889, 8.0)  # one column of an IEEE journal, 3.5 inches; phones too
+SCREEN = Style("screen", 0.4064, 14.0)  # 1600 pixels
 
 
 @dataclass(frozen=True)
@@ -99,8 +111,6 @@ LOOKS = (
 @contextmanager
 def drawing(style: Style) -> Iterator[None]:
     """The settings figures are made with, whatever this computer's own are."""
-    import matplotlib.style as mpl_style
-
     settings: dict[Any, Any] = {
         "font.family": "DejaVu Sans",
         "font.size": style.text_pt,
@@ -113,6 +123,12 @@ def drawing(style: Style) -> Iterator[None]:
         "axes.spines.top": False,
         "axes.spines.right": False,
         "axes.axisbelow": True,
+        "axes.titlesize": style.text_pt + 1,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.titlepad": 12,
+        "grid.color": GRID,
+        "grid.linewidth": 0.6,
         "axes.unicode_minus": True,
         "xtick.color": INK,
         "ytick.color": INK,
@@ -133,7 +149,7 @@ def drawing(style: Style) -> Iterator[None]:
         "lines.linewidth": 1.2,
         "lines.markersize": 4.0,
     }
-    with mpl_style.context(["default", settings]):
+    with _style.context(["default", settings]):
         yield
 
 
@@ -142,8 +158,6 @@ def blank(
 ) -> Figure:
     """An empty figure of the style's width that says what of it is simulated. ``foot_pt``: room
     left free at the bottom. Raises InputError when there are too many conditions to tell apart."""
-    from matplotlib.figure import Figure
-
     if len(analyses) > len(LOOKS):
         raise InputError(
             f"{len(analyses)} experiments are more than one figure can tell apart.",
@@ -153,7 +167,9 @@ def blank(
     head = _HEAD_PT / _PT_PER_INCH if mark else 0.0
     foot = foot_pt / _PT_PER_INCH
     height = height_m / _INCH_M + head + foot
-    figure = Figure(figsize=(style.width_in, height), facecolor="white", layout="constrained")
+    figure: Figure = mpl_figure.Figure(
+        figsize=(style.width_in, height), facecolor="white", layout="constrained"
+    )
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, foot / height, 1, 1 - (head + foot) / height), w_pad=0.02, h_pad=0.02)
     if mark:
@@ -167,16 +183,14 @@ def blank(
 
 def head_legend(figure: Figure, entries: Sequence[Any], columns: int) -> None:
     """A legend above the axes, filled row by row; the figure grows by its height."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     if not entries:
         return
     columns = min(columns, len(entries))
     by_rows = [entry for column in range(columns) for entry in entries[column::columns]]
     legend = figure.legend(handles=by_rows, loc="upper left", ncols=columns)
     legend.set_in_layout(False)
-    canvas: Any = FigureCanvasAgg(figure)
-    room = legend.get_window_extent(canvas.get_renderer()).height / figure.dpi
+    renderer = _agg.FigureCanvasAgg(figure).get_renderer()
+    room = legend.get_window_extent(renderer).height / figure.dpi
     mark = [text for text in figure.texts if text.get_gid() == SIMULATED]
     head = _HEAD_PT / _PT_PER_INCH if mark else 0.0
     height = figure.get_figheight() + room
@@ -243,8 +257,6 @@ def labels(analyses: Sequence[Analysis]) -> list[str]:
 def log_axis(axes: Axes, values_mm_s: Sequence[float], room: tuple[float, float]) -> None:
     """Logarithmic, around the values with that room as factors below and above, and with ticks at
     1, 2, 5 and between where there are few."""
-    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
-
     low, high = min(values_mm_s) / room[0], max(values_mm_s) * room[1]
     axes.set_yscale("log")
     axes.set_ylim(low, high)
@@ -253,20 +265,18 @@ def log_axis(axes: Axes, values_mm_s: Sequence[float], room: tuple[float, float]
         ticks = [tick for tick in ticks if low <= tick <= high]
         if len(ticks) >= 3:
             break
-    axes.yaxis.set_major_locator(FixedLocator(ticks))
+    axes.yaxis.set_major_locator(mpl_ticker.FixedLocator(ticks))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.grid(axis="y", color="0.93", lw=0.6)
+    axes.yaxis.set_minor_locator(mpl_ticker.NullLocator())
+    axes.yaxis.set_minor_formatter(mpl_ticker.NullFormatter())
+    axes.grid(axis="y")
 
 
 def iteration_axis(axes: Axes, iterations: Sequence[int]) -> None:
     """Whole numbers, with half an iteration of room."""
-    from matplotlib.ticker import MaxNLocator
-
     first, last = min(iterations, default=1), max(iterations, default=1)
     axes.set_xlim(first - 0.6, last + 0.6)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=10, min_n_ticks=1))
+    axes.xaxis.set_major_locator(mpl_ticker.MaxNLocator(integer=True, nbins=10, min_n_ticks=1))
     axes.set_xlabel("iteration")
 
 
@@ -284,30 +294,44 @@ def mm(value_m_s: float) -> str:
     return f"{value:.0f}" if value >= 99.5 else f"{value:.1f}" if value >= 0.95 else f"{value:.2g}"
 
 
-def save(figure: Figure, path: Path) -> None:
-    """As PDF, SVG or PNG by the name's ending, the same bytes for the same figure on one machine:
-    no dates, no random ids. Text stays text in a PDF; in an SVG it is outlines, which look the same
-    on a computer without the font."""
-    kind = path.suffix.removeprefix(".")
-    if kind not in _NOTHING_ELSE:
-        raise InputError(f"figures are not written as '{path.suffix}'.", "Use .pdf, .svg or .png.")
-    replace_file(path, written(figure, kind))
-
-
-def written(figure: Figure, kind: str) -> bytes:
-    """What ``save`` writes; ``kind``: pdf, svg or png."""
-    import matplotlib.style as mpl_style
-
+def written(figure: Figure, kind: str, dpi: int = _DPI) -> bytes:
+    """The file's content, ``kind``: pdf, svg or png; the same bytes for the same figure on one
+    machine: no dates, no random ids. Text stays text in a PDF; in an SVG it is outlines, which look
+    the same on a computer without the font."""
     settings: dict[Any, Any] = {
         "pdf.fonttype": 42,
         "svg.fonttype": "path",
         "svg.hashsalt": "tailbeat",
-        "savefig.dpi": _DPI,
+        "savefig.dpi": dpi,
     }
     out = io.BytesIO()
-    with mpl_style.context(["default", settings]):
-        figure.savefig(out, format=kind, dpi=_DPI, metadata=_NOTHING_ELSE[kind])
+    with _style.context(["default", settings]):
+        figure.savefig(out, format=kind, dpi=dpi, metadata=_NOTHING_ELSE[kind])
     return out.getvalue()
+
+
+@contextmanager
+def picture(
+    path: Path,
+    width_px: float,
+    height_px: float,
+    title: str = "",
+    subtitle: str = "",
+    text_pt: float = SCREEN.text_pt,
+    **how: Any,
+) -> Iterator[Figure]:
+    """An empty figure for a screen under a title; the PNG is written, whole, where the block ends.
+    ``how``: as ``Figure`` takes it. Raises InputError when it cannot be written."""
+    size = width_px / _SCREEN_DPI, height_px / _SCREEN_DPI
+    with drawing(replace(SCREEN, text_pt=text_pt)):
+        figure: Figure = mpl_figure.Figure(size, _SCREEN_DPI, facecolor="white", **how)
+        bold: dict[str, Any] = {"fontsize": 20, "fontweight": "bold"}
+        plain: dict[str, Any] = {"fontsize": SCREEN.text_pt, "color": GREY}
+        for text, below_px, look in ((title, 43, bold), (subtitle, 87, plain)):
+            if text:
+                figure.text(0.02, 1 - below_px / height_px, text, va="center", **look)
+        yield figure
+        write_whole(path, written(figure, "png", _SCREEN_DPI))
 
 
 KINDS = ("kept", "repeat", "undecided", "incomplete", "discarded")
@@ -371,59 +395,47 @@ def marker(kind: str, look: Look, size: float = 4.0) -> dict[str, Any]:
     return shape
 
 
-def legend_of_kinds(analyses: Sequence[Analysis]) -> list[Line2D]:
-    """One entry for every kind that there is, if there is more than one; conditions in grey."""
-    from matplotlib.lines import Line2D
+def entry(label: str, **how: Any) -> Any:
+    """Of a legend: a line or a marker, as ``Axes.plot`` takes it."""
+    return _lines.Line2D([], [], label=label, **how)
 
+
+def legend_of_kinds(analyses: Sequence[Analysis]) -> list[Any]:
+    """One entry for every kind that there is, if there is more than one; conditions in grey."""
     there = {kind_of(row) for analysis in analyses for row in analysis.last_rows}
     if there <= {"kept"}:
         return []
     look = LOOKS[0] if len(analyses) == 1 else Look(GREY, "o", "-")
     return [
-        Line2D([], [], label=_WORDS[kind], **marker(kind, look)) for kind in KINDS if kind in there
+        _lines.Line2D([], [], label=_WORDS[kind], **marker(kind, look))
+        for kind in KINDS
+        if kind in there
     ]
 
 
-def legend_of_conditions(names: Sequence[str]) -> list[Line2D]:
+def legend_of_conditions(names: Sequence[str]) -> list[Any]:
     """Line and marker of each, if there are several."""
-    from matplotlib.lines import Line2D
-
     if len(names) < 2:
         return []
     return [
-        Line2D([], [], color=look.colour, ls=look.dash, marker=look.marker, ms=4, label=name)
+        _lines.Line2D([], [], color=look.colour, ls=look.dash, marker=look.marker, ms=4, label=name)
         for name, look in zip(names, LOOKS, strict=False)
     ]
 
 
-def level(axes: Axes, value: float, text: str, **how: Any) -> None:
-    """A line across with its name at one end: ``left``, above or below."""
-    left, above = how.pop("left"), how.pop("above")
-    size = how.pop("fontsize")
-    axes.axhline(value, zorder=1, **how)
+def level(
+    axes: Axes,
+    value: float,
+    text: str,
+    left: bool = False,
+    above: bool = True,
+    fontsize: float = SCREEN.small_pt,
+    **line: Any,
+) -> None:
+    """A line across with its name at one end."""
+    axes.axhline(value, **{"zorder": 1, **line})
     axes.annotate(
         text, (0.005 if left else 0.995, value), (0, 1.5 if above else -2),
-        xycoords=("axes fraction", "data"), textcoords="offset points", fontsize=size,
+        xycoords=("axes fraction", "data"), textcoords="offset points", fontsize=fontsize,
         ha="left" if left else "right", va="bottom" if above else "top", color=INK, zorder=5,
     )  # fmt: skip
-
-
-# Of the pictures that one command draws as PNG.
-STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 14,
-    "axes.edgecolor": "0.55",
-    "axes.labelcolor": "0.15",
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 15,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.titlepad": 12,
-    "text.color": "0.15",
-    "xtick.color": "0.15",
-    "ytick.color": "0.15",
-    "xtick.labelsize": 13,
-    "ytick.labelsize": 13,
-}

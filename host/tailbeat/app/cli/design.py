@@ -22,7 +22,7 @@ from tailbeat.experiment.library import Logbook
 from tailbeat.learning.design import Design, law_words
 from tailbeat.learning.design import design as design_law
 from tailbeat.learning.identification import Identified, from_table
-from tailbeat.report.figures.law import render_law
+from tailbeat.report.figures.convergence import draw_law
 
 
 def design(
@@ -105,7 +105,7 @@ def _plot(path: Path, known: Identified, chosen: Reference, found: Design) -> No
     thesis = design_law(
         known, chosen, found.law.amplitude_max_rad, 4.0, 0.0, 1, step_max_rad=found.law.step_max_rad
     )
-    render_law(found, thesis, path)
+    draw_law(found, thesis, path)
 
 
 def _document(found: Design, chosen: Reference, known: Identified, applied: bool) -> dict[str, Any]:

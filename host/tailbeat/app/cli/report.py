@@ -21,7 +21,7 @@ from tailbeat.experiment.library import DISCARDED, Kept, logbook_of, read_trials
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.assessment import Progress, progress_of
 from tailbeat.learning.identification import Identified
-from tailbeat.report.figures.series import progress_png
+from tailbeat.report.figures.convergence import draw_progress
 from tailbeat.report.paper import Written, write_report
 
 
@@ -51,7 +51,7 @@ def progress(
     left_out = _discarded(known, found)
     applied = _apply(found, connect) if apply else None
     if plot is not None:
-        progress_png(found, plot)
+        draw_progress(found, plot)
     document = _progress_document(found) | {"applied": applied, "discarded": left_out}
     return Output(document, lambda: _progress_text(found, applied, left_out))
 

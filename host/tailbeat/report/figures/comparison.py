@@ -6,7 +6,6 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,19 +15,17 @@ from tailbeat.experiment.compare import compare, counted
 from tailbeat.experiment.trial_rows import student_t
 from tailbeat.report.style import (
     LOOKS,
+    Axes,
+    Figure,
     Style,
     blank,
     drawing,
     earlier_words,
     labels,
     marked,
+    mpl_ticker,
     nothing,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _LINE = 1.3  # of text, in heights of it
 _STRIP = 0.12  # half the width the swims are spread over
@@ -99,8 +96,6 @@ def _strip(axes: Axes, analysis: Analysis, at: int) -> bool:
 
 
 def _axes(axes: Axes, analyses: Sequence[Analysis], style: Style) -> None:
-    from matplotlib.ticker import MaxNLocator
-
     room = style.chars(0.8 / len(analyses))
     names = [
         f"{textwrap.fill(name, room)}\nn = {len(counted(analysis))}"
@@ -110,8 +105,8 @@ def _axes(axes: Axes, analyses: Sequence[Analysis], style: Style) -> None:
     axes.set_xlim(-0.55, len(analyses) - 0.45)
     axes.tick_params(axis="x", length=0)
     axes.margins(y=0.12)
-    axes.grid(axis="y", color="0.93", lw=0.6)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
+    axes.grid(axis="y")
+    axes.yaxis.set_major_locator(mpl_ticker.MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
     axes.set_ylabel("max|e| (mm/s)")
 
 

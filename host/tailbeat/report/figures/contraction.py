@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tailbeat.experiment.analysis import Analysis
 from tailbeat.experiment.trial_rows import student_t
@@ -13,23 +13,22 @@ from tailbeat.report.style import (
     BAND,
     INK,
     LOOKS,
+    Axes,
+    Figure,
     Style,
     blank,
     drawing,
     earlier_words,
+    entry,
     freedom_words,
     head_legend,
     iteration_axis,
     labels,
     log_axis,
     marked,
+    mpl_patches,
     nothing,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _SHOWN = (0.5, 2.0)  # ratios; a band of noise is shown as far as that, swims always
 _ROLLED: dict[str, Any] = {
@@ -88,17 +87,14 @@ def _swims(axes: Axes, analysis: Analysis, at: int, of: int) -> list[float]:
 
 
 def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     drawn = [row for one in analyses for row in one.last_rows if math.isfinite(row.contraction)]
     entries: list[Any] = [*swims.legend_of_conditions(labels(analyses))]
     freedoms = [one.noise_freedom for one in analyses if one.noise_freedom]
     if freedoms and any(math.isfinite(row.noise_low) for row in drawn):
         words = f"noise alone, 95 %, {freedom_words(*freedoms)}"
-        entries.append(Patch(color=BAND, lw=0, label=words))
+        entries.append(mpl_patches.Patch(color=BAND, lw=0, label=words))
     if any(row.rolled_back for row in drawn):
-        entries.append(Line2D([], [], label="rolled back to the best", **_ROLLED))
+        entries.append(entry("rolled back to the best", **_ROLLED))
     head_legend(figure, entries, 6 if style.wide else 2)
 
 

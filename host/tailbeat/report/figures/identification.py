@@ -2,117 +2,79 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.files import replace_file
 from tailbeat.learning.fit_quality import NAMES, Account, SwimAccount, steady_band
 from tailbeat.learning.identification import Identified, SpeedTable
-from tailbeat.report.style import STYLE
+from tailbeat.report.style import ACCENT, BAND, GREY, INK, Axes, Figure, picture
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-
-    Array = F64
-
-_DPI = 100
-_ACCENT, _FAINT, _BAND = "#0b5394", "0.45", "0.85"
 _PANELS_MAX = 6
 _COLUMNS = 2
 
 
 def draw_account(account: Account, path: Path, simulated: bool = False) -> None:
     """Writes a PNG of 1600 x 1000 px: map with band, numbers, runs with residuals."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(STYLE | {"axes.titlesize": 13, "font.size": 12.5}):
-        figure = Figure(figsize=(16, 10), dpi=_DPI, facecolor="white")
-        _heading(figure, account, simulated)
+    count = len(account.swims)
+    title = f"The fish, identified from {count} trial{'' if count == 1 else 's'}"
+    volts = f", battery {account.battery_text}" if account.battery_v else ""
+    words = (
+        f"{account.beats} beats, the model misses them by {account.rms_m_s * 1e3:.1f} mm/s "
+        f"RMS{volts}"
+    )
+    with picture(path, 1600, 1000, title, words, text_pt=12.5) as figure:
+        if simulated:
+            figure.text(
+                0.98, 0.955, "SIMULATED", fontsize=14, fontweight="bold", ha="right", va="center",
+                color="white", bbox={"boxstyle": "round,pad=0.45", "facecolor": "0.25", "lw": 0},
+            )  # fmt: skip
         parts: Any = figure.subfigures(1, 2, width_ratios=[0.38, 0.62])
         left, right = parts
         axes = left.add_axes((0.17, 0.38, 0.78, 0.455))
-        _draw_map(axes, account.identified, *account.steady, _top(account), "95 % band")
+        top_rad = max(swim.top_rad for swim in account.swims)
+        _draw_map(axes, account.identified, *account.steady, top_rad, "95 % band")
         _numbers(left, account)
         _runs(right, account)
-        _write(figure, path)
 
 
 def draw_table(table: SpeedTable, path: Path) -> None:
     """Writes a PNG of 1000 x 700 px: the map through the rows of a table."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10, 7), dpi=_DPI, facecolor="white")
+    with picture(path, 1000, 700) as figure:
         axes = figure.add_axes((0.11, 0.12, 0.85, 0.76))
-        top = float(table.amplitude_rad[-1])
+        top_rad = float(table.amplitude_rad[-1])
         name = "band, each row left out in turn"
-        _draw_map(axes, table.identified, table.amplitude_rad, table.speed_m_s, top, name)
-        _write(figure, path)
-
-
-def _write(figure: Figure, path: Path) -> None:
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=_DPI)
-    replace_file(path, out.getvalue())
-
-
-def _heading(figure: Figure, account: Account, simulated: bool) -> None:
-    count = len(account.swims)
-    figure.text(
-        0.02, 0.955, f"The fish, identified from {count} swim{'' if count == 1 else 's'}",
-        fontsize=23, fontweight="bold", va="center",
-    )  # fmt: skip
-    volts = f", battery {account.battery_text}" if account.battery_v else ""
-    figure.text(
-        0.02, 0.91, f"{account.beats} beats, the model misses them by "
-        f"{account.rms_m_s * 1e3:.1f} mm/s RMS{volts}", fontsize=14, color="0.35", va="center",
-    )  # fmt: skip
-    if simulated:
-        figure.text(
-            0.98, 0.955, "SIMULATED", fontsize=14, fontweight="bold", ha="right", va="center",
-            color="white", bbox={"boxstyle": "round,pad=0.45", "facecolor": "0.25", "lw": 0},
-        )  # fmt: skip
-
-
-def _top(account: Account) -> float:
-    return max(swim.top_rad for swim in account.swims)
+        _draw_map(axes, table.identified, table.amplitude_rad, table.speed_m_s, top_rad, name)
 
 
 def _draw_map(
-    axes: Axes, identified: Identified, amplitude: Array, speed: Array, top_rad: float, band: str
+    axes: Axes, identified: Identified, amplitude: F64, speed: F64, top_rad: float, band: str
 ) -> None:
     grid = np.linspace(0.0, 1.05 * top_rad, 200)
     low, high = steady_band(identified.models, grid)
     degrees = np.degrees(grid)
-    axes.fill_between(degrees, low * 1e3, high * 1e3, color=_BAND, lw=0, label=band)
+    axes.fill_between(degrees, low * 1e3, high * 1e3, color=BAND, lw=0, label=band)
     model = identified.model.steady_m_s(grid) * 1e3
-    axes.plot(degrees, model, color=_ACCENT, lw=2.4, label="model")
+    axes.plot(degrees, model, color=ACCENT, lw=2.4, label="model")
     axes.plot(
-        np.degrees(amplitude), speed * 1e3, "o", ms=9, mfc="white", mec="0.1", mew=2,
+        np.degrees(amplitude), speed * 1e3, "o", ms=9, mfc="white", mec=INK, mew=2,
         label="measured, steady",
     )  # fmt: skip
     dead = float(np.degrees(identified.model.dead_zone_rad))
     axes.annotate(
         f"dead zone\nto {dead:.1f}°", (dead / 2, 0), (0, 8), textcoords="offset points",
-        ha="center", va="bottom", color="0.3",
+        ha="center", va="bottom", color=GREY,
     )  # fmt: skip
     axes.set_xlim(0, degrees[-1])
     axes.set_ylim(0, max(float(high[-1]) * 1e3, float(np.max(speed, initial=0)) * 1e3) * 1.06)
-    axes.set_title("Steady speed, mm/s, over tail amplitude")
-    axes.set_xlabel("amplitude, degrees")
-    axes.grid(color="0.93", lw=1)
-    axes.set_axisbelow(True)
-    axes.legend(loc="upper left", frameon=False)
+    axes.set(xlabel="amplitude, degrees", title="Steady speed, mm/s, over tail amplitude")
+    axes.grid()
+    axes.legend(loc="upper left")
 
 
-def _numbers(part: SubFigure, account: Account) -> None:
+def _numbers(part: Figure, account: Account) -> None:
     """The four numbers under the map."""
     known = account.identified
     for row, (name, (label, unit)) in enumerate(NAMES.items()):
@@ -122,11 +84,11 @@ def _numbers(part: SubFigure, account: Account) -> None:
         y = 0.235 - 0.048 * row
         part.text(0.05, y, label, fontsize=13)
         part.text(0.62, y, f"{value:.3g} {unit}", fontsize=13, ha="right", fontweight="bold")
-        part.text(0.95, y, assumed, fontsize=13, ha="right", color="0.3")
-    part.text(0.95, 0.283, "95 % interval", fontsize=12, ha="right", color="0.4")
+        part.text(0.95, y, assumed, fontsize=13, ha="right", color=GREY)
+    part.text(0.95, 0.283, "95 % interval", fontsize=12, ha="right", color=GREY)
 
 
-def _runs(part: SubFigure, account: Account) -> None:
+def _runs(part: Figure, account: Account) -> None:
     swims = account.swims[-_PANELS_MAX:]
     rows = -(-len(swims) // _COLUMNS)
     grid = part.add_gridspec(
@@ -140,36 +102,30 @@ def _runs(part: SubFigure, account: Account) -> None:
         )
         above = part.add_subplot(cell[0])
         below = part.add_subplot(cell[1], sharex=above)
-        last_row = index + _COLUMNS >= len(swims)
         _draw_run(above, below, swim, speed, miss)
         if index == 0:
-            above.legend(loc="upper left", frameon=False, handlelength=1.6)
+            above.legend(loc="upper left")
         if index % _COLUMNS == 0:
             above.set_ylabel("mm/s")
             below.set_ylabel("miss,\nmm/s")
-        if last_row:
+        if index + _COLUMNS >= len(swims):
             below.set_xlabel("time, s")
 
 
 def _draw_run(above: Axes, below: Axes, swim: SwimAccount, top: float, miss: float) -> None:
     middle = (np.arange(len(swim.speed_m_s)) + 0.5) * swim.beat_s
-    _measured(above, middle, swim.speed_m_s * 1e3)
-    above.plot(middle, swim.model_m_s * 1e3, color=_ACCENT, lw=2, zorder=2, label="model")
-    above.set_ylim(-0.04 * top, top * 1.12)
-    above.set_title(_run_title(swim))
+    above.plot(
+        middle, swim.speed_m_s * 1e3, "o", ms=5.5, mfc="white", mec=INK, mew=1.4, zorder=3,
+        label="measured",
+    )  # fmt: skip
+    above.plot(middle, swim.model_m_s * 1e3, color=ACCENT, lw=2, zorder=2, label="model")
+    above.set(ylim=(-0.04 * top, top * 1.12), title=_run_title(swim))
     above.tick_params(labelbottom=False)
-    below.axhline(0, color=_ACCENT, lw=1.2)
-    below.vlines(middle, 0, (swim.speed_m_s - swim.model_m_s) * 1e3, color="0.2", lw=2)
+    below.axhline(0, color=ACCENT, lw=1.2)
+    below.vlines(middle, 0, (swim.speed_m_s - swim.model_m_s) * 1e3, color=INK, lw=2)
     below.set_ylim(-1.15 * max(miss, 1.0), 1.15 * max(miss, 1.0))
     for axes in (above, below):
-        axes.grid(axis="y", color="0.93", lw=1)
-        axes.set_axisbelow(True)
-
-
-def _measured(axes: Axes, middle: Any, speed: Any) -> None:
-    axes.plot(
-        middle, speed, "o", ms=5.5, mfc="white", mec="0.1", mew=1.4, zorder=3, label="measured"
-    )
+        axes.grid(axis="y")
 
 
 def _run_title(swim: SwimAccount) -> str:

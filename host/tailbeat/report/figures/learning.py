@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,31 +14,31 @@ from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report import style as swims
 from tailbeat.report.style import (
     BAND,
+    DASHED,
+    DOTTED,
     GREY,
     INK,
     LOOKS,
+    Axes,
+    Figure,
     Look,
     Style,
     blank,
     drawing,
     earlier_words,
+    entry,
     head_legend,
     iteration_axis,
     labels,
     log_axis,
     marked,
     mm,
+    mpl_patches,
     nothing,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-
 BAND_SWIMS_MIN = 3  # fewer have no 5 to 95 % band worth the name
 _SHADE = 0.16
-_DASHED, _DOTTED = (0, (5, 2)), (0, (1.2, 1.6))
 
 
 def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
@@ -118,14 +118,14 @@ def _of_band(band: IterationStatistics, what: str) -> tuple[F64, ...]:
 
 
 def _levels(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -> list[float]:
-    """Zero input, floor and least squares: mm/s of those drawn. The last two are known for max|e|
+    """Baseline, error bound, L2-optimal input: mm/s of those drawn; the last two of max|e|
     alone. Labels lie where the swims are not: early below, late above."""
     look: dict[str, Any] = {"lw": 0.8, "fontsize": style.small_pt}
     drawn = []
     zero = start_m_s(analyses[0], what) * 1e3
     if math.isfinite(zero) and zero > 0:
-        text = f"zero input {zero:.1f}"
-        swims.level(axes, zero, text, color=GREY, ls=_DOTTED, left=False, above=True, **look)
+        text = f"baseline {zero:.1f}"
+        swims.level(axes, zero, text, color=GREY, ls=DOTTED, left=False, above=True, **look)
         drawn.append(zero)
     if what == "max":
         drawn += _floors(axes, analyses, look)
@@ -133,7 +133,7 @@ def _levels(axes: Axes, analyses: Sequence[Analysis], what: str, style: Style) -
 
 
 def start_m_s(analysis: Analysis, what: str) -> float:
-    """The error of the zero input."""
+    """The error of the baseline, u = 0."""
     if what == "max":
         return analysis.start_error_m_s
     squares = [float(speed) ** 2 for speed in analysis.reference_m_s]
@@ -148,31 +148,24 @@ def _floors(axes: Axes, analyses: Sequence[Analysis], look: dict[str, Any]) -> l
         whose = f" ({names[id(analysis)]})" if len(known) > 1 else ""
         line = analysis.floor_m_s * 1e3
         colour = LOOKS[list(analyses).index(analysis)].colour if len(known) > 1 else INK
-        swims.level(
-            axes, line, f"floor {text}{whose}", color=colour, ls=_DASHED, left=True, above=False,
-            **look,
-        )  # fmt: skip
+        words = f"error bound {text}{whose}"
+        swims.level(axes, line, words, color=colour, ls=DASHED, left=True, above=False, **look)
         drawn.append(line)
     squares = analyses[0].floor_lsq_m_s
     if len(analyses) == 1 and math.isfinite(squares):
-        text = f"least squares {mm(squares)}"
-        swims.level(
-            axes, squares * 1e3, text, color=GREY, ls=_DOTTED, left=True, above=True, **look
-        )
+        text = f"L2-optimal {mm(squares)}"
+        swims.level(axes, squares * 1e3, text, color=GREY, ls=DOTTED, left=True, above=True, **look)
         drawn.append(squares * 1e3)
     return drawn
 
 
 def _legend(figure: Figure, analyses: Sequence[Analysis], style: Style) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     kinds = swims.legend_of_kinds(analyses)
     single = len(analyses) == 1
-    median = Line2D([], [], color=INK if single else GREY, lw=1.1, label="median")
+    median = entry("median", color=INK if single else GREY, lw=1.1)
     entries: list[Any] = [*swims.legend_of_conditions(labels(analyses)), *kinds, median]
     if any((analysis.band.swims >= BAND_SWIMS_MIN).any() for analysis in analyses):
-        entries.append(Patch(color=BAND, lw=0, label="5 to 95 %"))
+        entries.append(mpl_patches.Patch(color=BAND, lw=0, label="5 to 95 %"))
     head_legend(figure, entries, (6 if single else 3) if style.wide else 2)
 
 
@@ -206,7 +199,7 @@ def caption(analyses: Sequence[Analysis]) -> str:
             ". Bars: swims cut short or with beats that were not measured, by the beats they have, "
             "in no statistic"
         )
-    text += ". Zero input: a fish that does not move."
+    text += ". Baseline: no input (u = 0)."
     return text + _floor_words(analyses) + earlier_words(analyses)
 
 
@@ -225,9 +218,9 @@ def _floor_words(analyses: Sequence[Analysis]) -> str:
         return ""
     fish = "simulated" if all(a.floor_by == "simulator" for a in known) else "identified"
     words = (
-        f" Floor: the smallest max|e| any input can reach on the {fish} fish without noise; a "
-        "single swim can be luckier"
+        f" Error bound: the smallest max|e| of any input on the {fish} fish without noise; a "
+        "single trial can be below it"
     )
     if len(analyses) == 1 and math.isfinite(known[0].floor_lsq_m_s):
-        words += "; least squares: max|e| of the input with the smallest RMS"
+        words += "; L2-optimal: max|e| of the input with the smallest RMS"
     return words + "."

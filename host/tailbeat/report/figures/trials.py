@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +16,19 @@ from tailbeat.experiment.trial_rows import TrialRow
 from tailbeat.report.style import (
     GREY,
     INK,
+    Axes,
+    Figure,
     Look,
     Style,
     blank,
     drawing,
+    entry,
     head_legend,
     marked,
     mm,
+    mpl_patches,
     nothing,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    Array = F64
 
 _REFERENCE = "0.86"
 _LIMIT_DASH = (0, (2, 2.5))
@@ -87,13 +85,11 @@ def draw(analyses: Sequence[Analysis], style: Style) -> Figure:
 def _speeds(
     axes: Axes, analysis: Analysis, picked: list[tuple[str, TrialRow, Trial]], style: Style
 ) -> list[Any]:
-    from matplotlib.patches import Patch
-
     reference = np.asarray(analysis.reference_m_s, np.float64) * 1e3
     edges = np.arange(len(reference) + 1) * analysis.beat_s
     axes.stairs(reference, edges, fill=True, color=_REFERENCE, lw=0, zorder=0.5)
     axes.stairs(reference, edges, color=GREY, lw=0.5, zorder=0.6, baseline=None)
-    lines = [Patch(facecolor=_REFERENCE, edgecolor=GREY, lw=0.5, label="reference")]
+    lines = [mpl_patches.Patch(facecolor=_REFERENCE, edgecolor=GREY, lw=0.5, label="reference")]
     top, low = float(np.max(reference, initial=1.0)), float(np.min(reference, initial=0.0))
     for role, row, trial in picked:
         values = trial.beats.speed_m_s.astype(np.float64) * 1e3
@@ -109,8 +105,6 @@ def _speeds(
 def _amplitudes(
     axes: Axes, analysis: Analysis, picked: list[tuple[str, TrialRow, Trial]], style: Style
 ) -> list[Any]:
-    from matplotlib.lines import Line2D
-
     limit = math.degrees(analysis.amplitude_max_rad)
     top = 1.0
     any_saturated = False
@@ -133,13 +127,13 @@ def _amplitudes(
         top = max(top, limit)
     axes.set_ylim(0, 1.18 * top)
     axes.set_ylabel("amplitude (°)")
-    return [Line2D([], [], ls="", label="at the limit", **_SATURATED)] if any_saturated else []
+    return [entry("at the limit", ls="", **_SATURATED)] if any_saturated else []
 
 
 _SATURATED: dict[str, Any] = {"marker": "o", "ms": 2.6, "mfc": "white", "mec": INK, "mew": 0.7}
 
 
-def _curve(axes: Axes, values: Array, beat_s: float, look: Look, name: str) -> Any:
+def _curve(axes: Axes, values: F64, beat_s: float, look: Look, name: str) -> Any:
     """A line with gaps where nothing was measured; a beat between two gaps is a dot."""
     time = (np.arange(len(values)) + 0.5) * beat_s
     how: dict[str, Any] = {
@@ -161,7 +155,7 @@ def saturated(trial: Trial) -> NDArray[np.bool_]:
     return np.isfinite(_swum(trial)) & (trial.beats.amplitude_rad > np.float32(limit))
 
 
-def _swum(trial: Trial) -> Array:
+def _swum(trial: Trial) -> F64:
     """Amplitudes as swum; NaN from where the trial ended."""
     applied = trial.beats.applied_rad.astype(np.float64)
     return np.where(np.arange(len(applied)) < trial.executed_beats, applied, np.nan)

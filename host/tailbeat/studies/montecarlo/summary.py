@@ -16,15 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.files import replacing
-from tailbeat.core.lazy import lazy
+from tailbeat.report.style import ACCENT, GREY, Axes, Figure, mpl_ticker, picture
 from tailbeat.studies.montecarlo.recipe import BY_REPEATS, ClaimSpec, Recipe
 from tailbeat.studies.montecarlo.results import FAILED
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Group = tuple[str, ...]
 
@@ -337,13 +334,8 @@ def _largest_rise(runs: F64) -> F64:
     return rise
 
 
-mpl: Any = lazy("matplotlib")
-mpl_figure: Any = lazy("matplotlib.figure")
-mpl_ticker: Any = lazy("matplotlib.ticker")
-
-_INK, _FAINT = "0.15", "0.55"
 _STYLES = (
-    ("#0b5394", "-"), ("#b45f06", "--"), ("0.35", ":"), ("#38761d", "-."),
+    (ACCENT, "-"), ("#b45f06", "--"), ("0.35", ":"), ("#38761d", "-."),
     ("#741b47", (0, (5, 1, 1, 1, 1, 1))),
 )  # fmt: skip
 _CORNERS_NAMED = 3  # more corners than that are drawn as one bundle
@@ -358,11 +350,7 @@ def render(summary: StudySummary, path: Path) -> None:
     plants = len({line.plant for line in summary.lines})
     across = min(len(panels), plants if 1 < plants <= _ACROSS_MAX else _ACROSS)
     down = math.ceil(len(panels) / across)
-    style: dict[Any, Any] = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}
-    with mpl.rc_context(style):
-        figure = mpl_figure.Figure(
-            figsize=(5.2 * across, 4.2 * down + 0.6), dpi=100, layout="constrained"
-        )
+    with picture(path, 520 * across, 420 * down + 60, text_pt=11.0, layout="constrained") as figure:
         figure.suptitle(summary.title, fontweight="bold", x=0.02, ha="left", fontsize=14)
         grid = figure.subplots(down, across, squeeze=False, sharey=True)
         for axes in grid.flat[len(panels) :]:
@@ -372,8 +360,6 @@ def render(summary: StudySummary, path: Path) -> None:
             if i % across == 0:
                 grid.flat[i].set_ylabel("true max|e|, mm/s")
         _legends(figure, list(grid.flat[: len(panels)]))
-        with replacing(path) as file:
-            figure.savefig(file, format="png")
 
 
 def _panels(lines: list[GroupSummary]) -> list[tuple[str, list[GroupSummary]]]:
@@ -394,21 +380,23 @@ def _panels(lines: list[GroupSummary]) -> list[tuple[str, list[GroupSummary]]]:
 
 
 def _panel(axes: Axes, title: str, lines: list[GroupSummary]) -> None:
-    axes.set_title(title, loc="left", fontsize=11, color=_INK)
+    axes.set_title(title, loc="left", fontsize=11, fontweight="normal")
     laws = list(dict.fromkeys(line.law for line in lines))
     for law, (color, dash) in zip(laws, cycle(_STYLES)):
         bundle = [line for line in lines if line.law == law]
         for j, line in enumerate(bundle):
             _curve(axes, line, color, dash, _label(law, bundle, j), len(laws) <= _BANDS_MAX)
     floor = lines[0].floor_lsq_m_s * 1e3
-    axes.axhline(floor, color=_FAINT, lw=1, label="floor")
-    axes.set_title(f"floor {floor:.1f} mm/s", loc="right", fontsize=9, color=_FAINT)
+    axes.axhline(floor, color=GREY, lw=1, label="L2-optimal input")
+    axes.set_title(
+        f"L2-optimal {floor:.1f} mm/s", loc="right", fontsize=9, fontweight="normal", color=GREY
+    )
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:g}"[0] in "25" else "")
     axes.xaxis.set_major_locator(mpl_ticker.MaxNLocator(integer=True))
     axes.set_xlabel("iteration")
-    axes.grid(axis="y", color="0.92", lw=0.8)
+    axes.grid(axis="y")
 
 
 def _legends(figure: Figure, panels: list[Axes]) -> None:
@@ -417,10 +405,10 @@ def _legends(figure: Figure, panels: list[Axes]) -> None:
     same = all(labels == entries[0][1] for _, labels in entries)
     if same and len(panels) > _LEGENDS_MAX:
         handles, labels = entries[0]
-        figure.legend(handles, labels, loc="outside lower left", ncols=len(labels), frameon=False)
+        figure.legend(handles, labels, loc="outside lower left", ncols=len(labels))
         return
     for panel in panels:
-        panel.legend(frameon=False, fontsize=9, loc="best")
+        panel.legend(fontsize=9, loc="best")
 
 
 def _label(law: str, bundle: list[GroupSummary], j: int) -> str:

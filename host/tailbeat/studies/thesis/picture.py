@@ -3,30 +3,20 @@ printer."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.files import replace_file
-from tailbeat.core.lazy import lazy
-from tailbeat.report.style import STYLE
+from tailbeat.report.style import ACCENT as ACCENT
+from tailbeat.report.style import Axes as Axes
+from tailbeat.report.style import level as named_level
+from tailbeat.report.style import picture
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes as Axes
-else:
-    Axes = Any
-
-mpl: Any = lazy("matplotlib")
-mpl_figure: Any = lazy("matplotlib.figure")
-
-_DPI = 100
-ACCENT = "#0b5394"  # prints as dark grey
 LINES: tuple[dict[str, Any], ...] = (
     {"color": ACCENT, "lw": 2.6, "ls": "-"},
     {"color": "0.15", "lw": 2.0, "ls": (0, (6, 2.5))},
@@ -80,10 +70,7 @@ class Panel:
             self.more(axes)
         axes.set(**self.axes)
         if any(curve.label for curve in self.curves):
-            axes.legend(
-                frameon=False, fontsize=12.5, handlelength=2.8, loc="lower left",
-                bbox_to_anchor=(0.0, 1.0), ncols=self.columns,
-            )  # fmt: skip
+            axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=self.columns)
 
 
 @dataclass(frozen=True)
@@ -103,27 +90,18 @@ def draw(path: Path, drawing: Panel | Panels) -> None:
     """Writes it as a PNG."""
     all_of_it = drawing if isinstance(drawing, Panels) else Panels([drawing])
     count, across = len(all_of_it.panels), all_of_it.across
-    size = (8.0 * count, 6.0) if across else (10.0, 4.2 * count)
+    size_px = (800 * count, 600) if across else (1000, 420 * count)
     rows, columns = (1, count) if across else (count, 1)
-    with mpl.rc_context(STYLE):
-        sheet = mpl_figure.Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
+    with picture(path, *size_px, layout="constrained") as sheet:
         grid = sheet.subplots(rows, columns, squeeze=False)
         for panel, axes in zip(all_of_it.panels, grid.flat, strict=True):
-            axes.grid(color="0.93", lw=1)
-            axes.set_axisbelow(True)
+            axes.grid()
             panel.plot(axes)
-        out = io.BytesIO()
-        sheet.savefig(out, format="png", dpi=_DPI)
-    replace_file(path, out.getvalue())
 
 
 def level(axes: Axes, value: float, text: str, place: float = 1.0) -> None:
     """A line across with its name above it, at its right end or, with ``place`` 0, its left."""
-    axes.axhline(value, **THIN)
-    axes.annotate(
-        text, (place, value), (5 - 5 * place, 4), xycoords=("axes fraction", "data"),
-        textcoords="offset points", ha="right" if place else "left", fontsize=12,
-    )  # fmt: skip
+    named_level(axes, value, text, left=not place, **THIN)
 
 
 def errors(

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis import chapter2, picture
+from tailbeat.studies.thesis import chapter2
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -252,7 +252,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chapter2, "LATE", 100)
     monkeypatch.setattr(chapter2, "_START_SEEDS", range(1, 31))
     monkeypatch.setattr(chapter2, "_FIGURE_SEEDS", range(1, 4))
-    monkeypatch.setattr(picture, "_DPI", 30)
 
 
 def verdicts(name: str, setting: Average | None = None) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tailbeat.core.errors import InputError
-from tailbeat.studies.thesis import chapter3, picture
+from tailbeat.studies.thesis import chapter3
 from tailbeat.studies.thesis.example import (
     COMES_OUT,
     DOES_NOT,
@@ -335,7 +335,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(chapter3, name, range(1, seeds + 1))
     monkeypatch.setattr(chapter3, "_FIGURE_SEEDS", range(1, 4))
     monkeypatch.setattr(chapter3, "_FIGURE_LAST", (6, 4))
-    monkeypatch.setattr(picture, "_DPI", 30)
 
 
 def coarse(example: Example, **changes: float) -> Study:
