@@ -19,7 +19,7 @@
 #include "ilc/memory.h"
 #include "imu/imu.h"
 #include "imu/line.h"
-#include "learn_batch.h"
+#include "learn_past.h"
 #include "params/params.h"
 #include "shoal.h"
 #include "sim.h"

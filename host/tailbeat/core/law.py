@@ -39,7 +39,7 @@ _SHORT = {
     "step_max": "step_max_rad",
 }
 _TAILS = {"hold": 0, "keep": 1, "hold-new": 2, "hold-old": 3}
-LAST, MEAN, WINDOW = 0, 1, 2  # what a law learns from, ILC_KIND
+LAST = 0  # ILC_KIND of a law that learns from the last trial alone
 _KINDS = ("kind", "ILC_KIND")
 _WHOLE = ("fade_from", "q_len", "tail")
 _VISITS_MAX = 255
@@ -160,9 +160,28 @@ class Law:
 
 
 @dataclass(frozen=True)
+class PastKind:
+    """A kind of law by what it learns from. ``number``: its ILC_KIND. ``label``: what a folder name
+    says of it. ``earlier``: trials it looks back on; None = one less than its window. ``running``:
+    what the board keeps of them is their mean."""
+
+    number: int
+    label: str
+    earlier: int | None
+    running: bool = False
+
+
+PAST_KINDS = {
+    "last": PastKind(LAST, "", earlier=0),
+    "mean": PastKind(1, "mean-", earlier=1, running=True),
+    "window": PastKind(2, "avg{window}-", earlier=None),
+}
+
+
+@dataclass(frozen=True)
 class Averaging:
-    """What the board's law learns from: ``kind`` LAST, MEAN or WINDOW, the last ``window`` trials.
-    ILC_KIND and ILC_WINDOW; firmware without them has the last trial alone."""
+    """What the board's law learns from: ``kind``, a number of ``PAST_KINDS``, with a ``window`` of
+    so many trials. ILC_KIND and ILC_WINDOW; firmware without them has the last trial alone."""
 
     kind: int = LAST
     window: int = 3
@@ -172,9 +191,21 @@ class Averaging:
         """What the board learns from with these parameters."""
         return cls(int(params.get("ILC_KIND", cls.kind)), int(params.get("ILC_WINDOW", cls.window)))
 
+    @property
+    def traits(self) -> PastKind:
+        """Of the kind."""
+        by_number = {kind.number: kind for kind in PAST_KINDS.values()}
+        return by_number.get(self.kind, PAST_KINDS["window"])
+
+    @property
+    def earlier(self) -> int:
+        """How many earlier trials it looks back on."""
+        found = self.traits.earlier
+        return self.window - 1 if found is None else found
+
     def label(self) -> str:
         """What a folder name says of it ahead of the law's label; "" for the last trial."""
-        return {LAST: "", MEAN: "mean-"}.get(self.kind, f"avg{self.window}-")
+        return self.traits.label.format(window=self.window)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def _memory(fish: Fish, status: BoardStatus) -> Memory:
 def _earlier(fish: Fish, past: laws.Averaging, iteration: int) -> list[PastTrial]:
     """What the board looks back on, newest first: the chain that begins with what it has learned
     (docs/protocol.md). A file that is missing or not of the chain ends it."""
-    most = {laws.LAST: 0, laws.MEAN: 1}.get(past.kind, past.window - 1)
+    most = past.earlier
     learned = fish.learned_record() if most else None
     earlier: list[PastTrial] = []
     wanted = record_crc(learned) if learned is not None else 0
@@ -108,7 +108,7 @@ def _earlier(fish: Fish, past: laws.Averaging, iteration: int) -> list[PastTrial
             break
         if found.kind != past.kind or wanted != (found.crc if earlier else found.learned_crc):
             break
-        trials = found.trials if past.kind == laws.MEAN else 1
+        trials = found.trials if past.traits.running else 1
         earlier.append(PastTrial(found.amplitude_rad, found.error_m_s, trials))
         wanted = found.previous_crc
     return earlier

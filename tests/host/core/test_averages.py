@@ -12,13 +12,15 @@ from tailbeat.core import records, reference
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
-from tailbeat.core.law import MEAN, WINDOW, Averaging, Law
+from tailbeat.core.law import PAST_KINDS, Averaging, Law
 from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
 from tailbeat.session.dry_run import dry_run
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
+
+MEAN, WINDOW = PAST_KINDS["mean"].number, PAST_KINDS["window"].number
 
 Array = F64
 Floats = F32

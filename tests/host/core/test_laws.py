@@ -251,7 +251,7 @@ def test_label() -> None:
     assert Law(kp_rad_s_m=4.6, kd_rad_s2_m=1, lead_beats=1, q_len=3).label() == "p4.6d1-lead1-q3"
     assert Law(lead_beats=0.5).label() == "p4-lead0.5"
     assert Law(lead_beats=2.0, fade=0.25).label() == "p4-lead2-fade0.25"
-    averages = [Averaging(), Averaging(laws.MEAN), Averaging(laws.WINDOW, 5)]
+    averages = [Averaging(), Averaging(1), Averaging(2, 5)]
     assert [past.label() for past in averages] == ["", "mean-", "avg5-"]
     assert Averaging.from_params({}) == Averaging()
-    assert Averaging.from_params({"ILC_KIND": 2.0, "ILC_WINDOW": 4.0}) == Averaging(laws.WINDOW, 4)
+    assert Averaging.from_params({"ILC_KIND": 2.0, "ILC_WINDOW": 4.0}) == Averaging(2, 4)

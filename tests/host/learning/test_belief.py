@@ -17,8 +17,7 @@ from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import propose
-from tailbeat.studies.montecarlo.batch import FishBatch
-from tailbeat.studies.montecarlo.learners import identify
+from tailbeat.studies.montecarlo.learners import FishBatch, identify
 
 Array = F64
 

@@ -30,8 +30,7 @@ from tailbeat.learning.fit import Scatter
 from tailbeat.learning.identification import Identified, identify_table
 from tailbeat.learning.law_prediction import expected_series, next_ratio, response
 from tailbeat.learning.planner import plan
-from tailbeat.studies.montecarlo.batch import FishBatch
-from tailbeat.studies.montecarlo.learners import identify
+from tailbeat.studies.montecarlo.learners import FishBatch, identify
 
 Array = F64
 

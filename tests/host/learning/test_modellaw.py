@@ -31,7 +31,7 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, document_of, predicted_before, propose, repropose
 from tailbeat.session.model_step import ModelStep, next_of, numbered_anew, swims_since
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo.batch import FishBatch
+from tailbeat.studies.montecarlo.learners import FishBatch
 
 Array = F64
 

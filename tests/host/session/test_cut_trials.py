@@ -16,9 +16,8 @@ from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo import batch as lengths
 from tailbeat.studies.montecarlo import learners
-from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import cells, run_cell
-from tailbeat.studies.montecarlo.learners import PastKind
+from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch, PastKind
 from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, parse
 from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
 

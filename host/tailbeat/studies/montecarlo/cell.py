@@ -21,8 +21,13 @@ from tailbeat.learning.feasible import suggest
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 from tailbeat.studies.montecarlo import learners
-from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch, executed, parse_lengths
-from tailbeat.studies.montecarlo.learners import ROLLED_BACK, BatchLearner, BatchReport
+from tailbeat.studies.montecarlo.learners import (
+    ROLLED_BACK,
+    BatchLearner,
+    BatchReport,
+    BatchTrials,
+    FishBatch,
+)
 from tailbeat.studies.montecarlo.recipe import (
     REFERENCE_IDENTIFIED,
     REFERENCES_FEASIBLE,
@@ -37,10 +42,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _CHUNKS = {"p": 250, "repeats": 250, "design": 5, "model": 5}  # each some seconds of work at most
-_BOUNDS = (
-    "amplitude_min_rad", "amplitude_max_rad", "step_rad",
-    "true_min_m_s", "true_max_m_s", "travel_m",
-)  # fmt: skip
 _ANOTHER_SEED = 0  # of the fish that a reference is made for: one of those that learn, but not them
 
 
@@ -102,7 +103,7 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
         if len(cell.seeds) > 1:
             alone = [_run(recipe, replace(cell, seeds=(seed,)), phases) for seed in cell.seeds]
             return arrow().concat_tables(alone).combine_chunks()
-        return _failed(cell, phases, error)
+        return _failed(recipe, cell, phases, error)
     except Exception as error:
         error.add_note(f"in cell {cell.label}, seeds {cell.seeds[0]} to {cell.seeds[-1]}")
         raise
@@ -111,26 +112,26 @@ def _run(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
 def _trials(recipe: Recipe, cell: Cell, phases: Phases) -> pa.Table:
     fish = [{**cell.plant.values, **cell.noise.values, "seed": seed} for seed in cell.seeds]
     batch = FishBatch(cell.plant.plant, fish)
-    rows = _Rows(cell)
-    learner = _learner(recipe, cell, fish, phases[0][0])
-    spread = parse_lengths(cell.noise.lengths)
+    rows = _Rows(recipe, cell)
+    learner = _LEARNERS[cell.law.kind](recipe, cell, fish, phases[0][0])
     number = 0
     for ground, iterations in phases:
-        learner.begin(ground.reference)
-        rows.begin(ground, learner.floor_m_s)
+        reference = ground.reference
+        learner.begin(reference)
+        rows.begin(ground, learner.bound_m_s)
         for _ in range(iterations):
             number += 1
             amplitude = learner.following()
-            reached = executed(spread, cell.seeds, number, ground.reference.beats)
-            swims = batch.run(amplitude, number, ground.reference.beat_s).cut(reached)
-            said = learner.learn(swims)
-            rows.add(amplitude, swims, reached, said, learner.floor_m_s, recipe.amplitude_max_rad)
+            reached = cell.noise.executed(cell.seeds, number, reference.beats)
+            trials = batch.run(amplitude, number, reference.beat_s).cut(reached)
+            report = learner.learn(trials)
+            rows.add(amplitude, trials, reached, report, learner.bound_m_s)
     return rows.table()
 
 
-def _failed(cell: Cell, phases: Phases, error: Exception) -> pa.Table:
+def _failed(recipe: Recipe, cell: Cell, phases: Phases, error: Exception) -> pa.Table:
     message = error.message if isinstance(error, TailbeatError) else f"{error!r}"
-    rows = _Rows(cell)
+    rows = _Rows(recipe, cell)
     for ground, iterations in phases:
         rows.failed(ground, iterations, " ".join(message.split()))
     return rows.table()
@@ -146,6 +147,7 @@ class _Ground:
     near_optimal_rad: F64
 
 
+Fish = list[dict[str, float]]
 Phases = list[tuple[_Ground, int]]  # what is learned one after the other, each for so many swims
 
 
@@ -192,24 +194,26 @@ def _reference(
     return suggest(fish, thesis, amplitude_max_rad).reference
 
 
-def _learner(
-    recipe: Recipe, cell: Cell, fish: list[dict[str, float]], ground: _Ground
-) -> BatchLearner:
-    spec, most = cell.law, recipe.amplitude_max_rad
-    if spec.kind == "repeats":
-        return learners.FixedInput(ground.near_optimal_rad, len(fish))
-    if spec.kind == "p":
-        past = learners.PastKind(spec.past, spec.window)
-        return learners.BoardLaw(
-            [learners.law_of(spec, most)] * len(fish), spec.rollback_ratio, past
-        )
-    beat_s = ground.reference.beat_s
-    identified = [
+def _fixed(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
+    return learners.FixedInput(ground.near_optimal_rad, len(fish))
+
+
+def _board(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
+    spec = cell.law
+    laws = [learners.law_of(spec, recipe.amplitude_max_rad)] * len(fish)
+    return learners.BoardLaw(laws, spec.rollback_ratio, spec.past, spec.window)
+
+
+def _identified(recipe: Recipe, cell: Cell, fish: Fish, ground: _Ground) -> BatchLearner:
+    most, beat_s = recipe.amplitude_max_rad, ground.reference.beat_s
+    known = [
         learners.identify(cell.plant.plant, _at_corner(one, cell), most, beat_s) for one in fish
     ]
-    if spec.kind == "design":
-        return learners.DesignedLaw(identified, spec, most)
-    return learners.ModelBasedLaw(identified, learners.law_of(spec, most), most)
+    return _BY_MODEL[cell.law.kind](known, cell.law, most)
+
+
+_BY_MODEL = {"design": learners.DesignedLaw, "model": learners.ModelBasedLaw}
+_LEARNERS = {"p": _board, "repeats": _fixed, "design": _identified, "model": _identified}
 
 
 def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
@@ -227,156 +231,118 @@ def _at_corner(fish: dict[str, float], cell: Cell) -> dict[str, float]:
 class _Rows:
     """Collects columns of shape (iterations, fish)."""
 
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, recipe: Recipe, cell: Cell) -> None:
         self.cell = cell
+        self.amplitude_max_rad = recipe.amplitude_max_rad
         self.fish = len(cell.seeds)
         self.kappa_per_m = float(plant_config(cell.plant.plant, cell.plant.values).kappa_per_m)
-        self.columns: dict[str, list[Any]] = {name: [] for name in schema().names}
+        self.rows: list[dict[str, Any]] = []
 
-    def begin(self, ground: _Ground, predicted_floor_m_s: F64) -> None:
-        """Iteration 0: the zero input, which is not swum; its error is the reference."""
+    def begin(self, ground: _Ground, bound_m_s: F64) -> None:
+        """Iteration 0: the zero input, which is not executed; its error is the reference."""
         self.ground = ground
-        self.predicted_floor_m_s = predicted_floor_m_s
-        self.iteration = 0
-        wanted = ground.reference.speed_m_s.astype(np.float64)
-        still = np.tile(np.abs(wanted), (self.fish, 1))
-        self._errors(still, still)
-        self._before = np.zeros_like(still)
-        self._made_by_law = np.zeros(self.fish, dtype=bool)
-        self._bounds(self._before, self._step(self._before), self._before, ground.reference.beats)
-        self._said(BatchReport.nothing(self.fish), np.zeros(self.fish, dtype=np.int64))
+        self.iteration = -1
+        self.wanted = ground.reference.speed_m_s.astype(np.float64)
+        self._largest: F64 = np.full(self.fish, np.nan)
+        still = np.tile(np.abs(self.wanted), (self.fish, 1))
+        nothing = np.zeros_like(still)
+        self._before, self._made_by_law = nothing, np.zeros(self.fish, dtype=bool)
+        self._put(
+            self._errors(still, still)
+            | self._bounds(nothing, nothing, np.full(self.fish, ground.reference.beats)),
+            predicted_floor_m_s=bound_m_s,
+        )
 
     def add(
         self,
         amplitude: F64,
-        swims: BatchTrials,
+        trials: BatchTrials,
         executed: NDArray[np.int64],
-        said: BatchReport,
-        floor_m_s: F64,
-        amplitude_max_rad: float,
+        report: BatchReport,
+        bound_m_s: F64,
     ) -> None:
-        """A trial swum for ``executed`` beats; ``floor_m_s``: as it was predicted before."""
-        self.iteration += 1
-        self.predicted_floor_m_s = floor_m_s
-        wanted = self.ground.reference.speed_m_s.astype(np.float64)
-        self._errors(wanted - swims.speed_m_s, wanted - swims.true_m_s)
-        self._bounds(amplitude, self._step(amplitude), swims.true_m_s, executed)
-        self._before = amplitude
-        self._made_by_law = np.broadcast_to(np.array(said.verdict) != ROLLED_BACK, self.fish)
-        at_limit = amplitude >= np.float32(amplitude_max_rad) * (1 - 1e-7)
-        self._said(said, at_limit.sum(axis=1))
-
-    def failed(self, ground: _Ground, iterations: int, why: str) -> None:
-        """Nothing is known of any trial."""
-        nothing = np.full(self.fish, np.nan)
-        said = BatchReport.nothing(self.fish)
-        said.verdict = FAILED
-        self.ground = ground
-        self.predicted_floor_m_s = nothing
-        for self.iteration in range(iterations + 1):
-            self._put(
-                max_abs_error_m_s=nothing,
-                ratio=nothing,
-                rms_error_m_s=nothing,
-                true_max_abs_error_m_s=nothing,
-                true_rms_error_m_s=nothing,
-                measured_beats=0,
-                executed_beats=0,
-                **dict.fromkeys(_BOUNDS, nothing),
-            )
-            self._said(said, np.zeros(self.fish, dtype=np.int64), why)
-
-    def _errors(self, error: F64, true: F64) -> None:
-        known = np.isfinite(error)
-        count = known.sum(axis=1)
-        squares = np.where(known, error, 0.0) ** 2
-        highest = np.sqrt(squares.max(axis=1))
-        nothing = count == 0
-        largest = np.where(nothing, np.nan, highest)
-        before = self.columns["max_abs_error_m_s"]
-        ratio = largest / before[-1] if self.iteration > 0 else np.full(self.fish, np.nan)
-        rms = np.sqrt(squares.sum(axis=1) / np.where(nothing, 1, count))
+        """A trial executed for ``executed`` beats; ``bound_m_s``: as it was predicted before."""
+        at_limit = amplitude >= np.float32(self.amplitude_max_rad) * (1 - 1e-7)
+        low, middle, high = report.predicted_m_s
         self._put(
-            max_abs_error_m_s=largest,
-            ratio=ratio,
-            rms_error_m_s=np.where(nothing, np.nan, rms),
-            true_max_abs_error_m_s=np.abs(true).max(axis=1),
-            true_rms_error_m_s=np.sqrt(np.mean(true**2, axis=1)),
-            measured_beats=count,
-        )
-
-    def _step(self, amplitude: F64) -> F64:
-        """Largest change of a beat that the law made; 0 for the first amplitudes and for those that
-        were brought back."""
-        change: F64 = np.abs(amplitude - self._before).max(axis=1)
-        return np.where(self._made_by_law, change, 0.0)
-
-    def _bounds(
-        self, amplitude: F64, step: F64, true: F64, executed: NDArray[np.int64] | int
-    ) -> None:
-        reached = np.arange(true.shape[1]) < np.broadcast_to(executed, self.fish)[:, None]
-        self._put(
-            executed_beats=executed,
-            amplitude_min_rad=amplitude.min(axis=1),
-            amplitude_max_rad=amplitude.max(axis=1),
-            step_rad=step,
-            true_min_m_s=true.min(axis=1),
-            true_max_m_s=true.max(axis=1),
-            travel_m=(true * reached).sum(axis=1) * self.ground.reference.beat_s,
-        )
-
-    def _said(self, said: BatchReport, saturated: NDArray[np.int64], failure: str = "") -> None:
-        low, middle, high = said.predicted_m_s
-        self._put(
-            saturated_beats=saturated,
+            self._errors(self.wanted - trials.speed_m_s, self.wanted - trials.true_m_s)
+            | self._bounds(amplitude, trials.true_m_s, executed),
+            predicted_floor_m_s=bound_m_s,
+            saturated_beats=at_limit.sum(axis=1),
             predicted_low_m_s=low,
             predicted_max_abs_error_m_s=middle,
             predicted_high_m_s=high,
-            ratio_low=said.ratio[0],
-            ratio_high=said.ratio[1],
-            gain_rad_s_m=said.gain_rad_s_m,
-            lead_beats=said.lead_beats,
-            swum_law=said.law,
-            verdict=said.verdict,
-            failure=failure,
-            predicted_floor_m_s=self.predicted_floor_m_s,
-            iteration=self.iteration,
-            seed=self.cell.seeds,
-            plant=self.cell.plant.name,
-            law=self.cell.law.name,
-            noise=self.cell.noise.name,
-            corner=self.cell.corner.name,
-            reference=self.ground.reference.name,
-            kappa_per_m=self.kappa_per_m,
-            floor_minimax_m_s=self.ground.floor_minimax_m_s,
-            floor_lsq_m_s=self.ground.floor_lsq_m_s,
+            ratio_low=report.ratio[0],
+            ratio_high=report.ratio[1],
+            gain_rad_s_m=report.gain_rad_s_m,
+            lead_beats=report.lead_beats,
+            swum_law=report.law,
+            verdict=report.verdict,
         )
+        self._before = amplitude
+        self._made_by_law = np.broadcast_to(np.array(report.verdict) != ROLLED_BACK, self.fish)
 
-    def _put(self, **columns: Any) -> None:
-        for name, values in columns.items():
-            self.columns[name].append(values)
+    def failed(self, ground: _Ground, iterations: int, why: str) -> None:
+        """Nothing is known of any trial."""
+        self.ground = ground
+        self.iteration = -1
+        for _ in range(iterations + 1):
+            self._put({}, verdict=FAILED, failure=why)
+
+    def _errors(self, error: F64, true: F64) -> dict[str, Any]:
+        known = np.isfinite(error)
+        count = known.sum(axis=1)
+        squares = np.where(known, error, 0.0) ** 2
+        largest = np.where(count == 0, np.nan, np.sqrt(squares.max(axis=1)))
+        rms = np.sqrt(squares.sum(axis=1) / np.where(count == 0, 1, count))
+        before, self._largest = self._largest, largest
+        return {
+            "max_abs_error_m_s": largest,
+            "ratio": largest / before,
+            "rms_error_m_s": np.where(count == 0, np.nan, rms),
+            "true_max_abs_error_m_s": np.abs(true).max(axis=1),
+            "true_rms_error_m_s": np.sqrt(np.mean(true**2, axis=1)),
+            "measured_beats": count,
+        }
+
+    def _bounds(self, amplitude: F64, true: F64, executed: NDArray[np.int64]) -> dict[str, Any]:
+        """``step_rad``: the largest change of a beat that the law made; 0 for the first amplitudes
+        and for those that were brought back."""
+        reached = np.arange(true.shape[1]) < executed[:, None]
+        change = np.abs(amplitude - self._before).max(axis=1)
+        return {
+            "executed_beats": executed,
+            "amplitude_min_rad": amplitude.min(axis=1),
+            "amplitude_max_rad": amplitude.max(axis=1),
+            "step_rad": np.where(self._made_by_law, change, 0.0),
+            "true_min_m_s": true.min(axis=1),
+            "true_max_m_s": true.max(axis=1),
+            "travel_m": (true * reached).sum(axis=1) * self.ground.reference.beat_s,
+        }
+
+    def _put(self, columns: dict[str, Any], **more: Any) -> None:
+        """The next row; what is not given is NaN, 0 or empty."""
+        self.iteration += 1
+        cell, ground = self.cell, self.ground
+        names = {key: getattr(cell, key).name for key in ("plant", "law", "noise", "corner")}
+        self.rows.append(
+            columns | more | names | {
+                "iteration": self.iteration,
+                "seed": cell.seeds,
+                "reference": ground.reference.name,
+                "kappa_per_m": self.kappa_per_m,
+                "floor_minimax_m_s": ground.floor_minimax_m_s,
+                "floor_lsq_m_s": ground.floor_lsq_m_s,
+            }
+        )  # fmt: skip
 
     def table(self) -> pa.Table:
         """Fish by fish, in the order of the iterations."""
-        arrays = [self._column(field) for field in schema()]
-        return arrow().table(arrays, schema=schema())
-
-    def _column(self, field: pa.Field) -> pa.Array:
         types = arrow()
-        rows = self.columns[field.name]
-        if field.type != types.string():
-            grid = np.array([np.broadcast_to(row, self.fish) for row in rows])
-            return types.array(grid.T.ravel(), type=field.type)
-        codes: dict[str, int] = {}
-        numbers = [
-            np.broadcast_to(
-                [
-                    codes.setdefault(word, len(codes))
-                    for word in ([row] if isinstance(row, str) else row)
-                ],
-                self.fish,
-            )
-            for row in rows
-        ]
-        indices = types.array(np.array(numbers, dtype=np.int32).T.ravel())
-        return types.DictionaryArray.from_arrays(indices, list(codes)).cast(types.string())
+        defaults = {types.string(): "", types.int64(): 0, types.float64(): np.nan}
+        arrays = []
+        for column in schema():
+            rows = [row.get(column.name, defaults[column.type]) for row in self.rows]
+            values = np.array([np.broadcast_to(row, self.fish) for row in rows]).T.ravel()
+            arrays.append(types.array(values, type=column.type))
+        return types.table(arrays, schema=schema())

@@ -1,21 +1,26 @@
-"""The laws of a Monte Carlo study, each for a chunk of fish at once.
+"""The laws of a Monte Carlo study, each for a chunk of simulated fish at once.
 
-The board's law learns in C for all of them (host/native/learn_batch.h); learning with the model is
-one fish after the other, by the very functions that a real fish is taught with.
+The fish are side by side: the simulator's water, tail and camera, without board and wire. Each
+moves exactly as the simulated board's would with the same settings, seed and trial number; its
+speeds are measured from its camera's noisy pictures by a line over each beat (sim/shoal.h). They
+are taught with the very functions that a real fish is taught with.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from itertools import count
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tailbeat.core import trial_checks as judging
-from tailbeat.core.arrays import F32, F64
+from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.core.law import Law
+from tailbeat.core.law import PAST_KINDS, Averaging, Law, errors_of
+from tailbeat.core.law_memory import LawMemory
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import Reference
 from tailbeat.learning.convergence import Score, assess, input_crc
@@ -24,344 +29,326 @@ from tailbeat.learning.fish_model import SIGMA_M_S, FishModel, TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import Limits, identify_runs
 from tailbeat.learning.law_prediction import next_ratio
-from tailbeat.learning.model_law import Proposal, propose
+from tailbeat.learning.model_law import propose
 from tailbeat.learning.planner import plan
-from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
-from tailbeat.studies.montecarlo.recipe import PASTS, LawSpec
+from tailbeat.sim.config import make_config, senseless
+from tailbeat.studies.montecarlo.recipe import LawSpec
 
-ROLLED_BACK = "rolled_back"  # what the board's law says when it brought the best back
+ROLLED_BACK = "rolled_back"  # what the board's law reports when it brought the best back
 FIRST_RUN = 1001  # noise of identification runs is keyed from here, that of trials from 1
+
+
+@dataclass(frozen=True)
+class BatchTrials:
+    """Shape (fish, beats), m/s over ground. ``speed_m_s``: measured, NaN = too few pictures;
+    ``sigma_m_s``: its standard deviation from the scatter about the line, NaN likewise;
+    ``true_m_s``: the simulator's own."""
+
+    speed_m_s: F64
+    sigma_m_s: F64
+    true_m_s: F64
+
+    def cut(self, executed: NDArray[np.int64]) -> BatchTrials:
+        """As it is known of trials that ended after ``executed`` whole beats, shape (fish,). The
+        simulator's own speeds go on: they are what the amplitudes would have done."""
+        beyond = np.arange(self.speed_m_s.shape[1]) >= executed[:, None]
+        speed, sigma = (np.where(beyond, np.nan, of) for of in (self.speed_m_s, self.sigma_m_s))
+        return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=self.true_m_s)
+
+
+class FishBatch:
+    """Fish given as settings of the simulator (fields of ``sim_config_t``, ``seed`` among them)
+    that differ from the plant's defaults. Raises InputError when a value makes no sense."""
+
+    def __init__(self, plant: str, fish: Sequence[dict[str, float]]) -> None:
+        self._count = len(fish)
+        self._configs: Any = ffi.new("sim_config_t[]", max(1, self._count))
+        for index, settings in enumerate(fish):
+            others = {name: value for name, value in settings.items() if name != "seed"}
+            config = make_config(plant, settings.get("seed", 1), others)
+            if not lib.sim_config_valid(config):
+                raise senseless()
+            self._configs[index] = config[0]
+
+    def __len__(self) -> int:
+        return self._count
+
+    def run(
+        self, amplitude_rad: F64, number: int | NDArray[np.uint32], beat_s: float = 1.0
+    ) -> BatchTrials:
+        """One trial of each, with ``amplitude_rad`` of shape (fish, beats); ``number`` keys the
+        noise (1 = the first trial), one for all or one for each. Raises InputError when a value
+        makes no sense."""
+        amplitude = np.ascontiguousarray(amplitude_rad, dtype=np.float64)
+        if amplitude.ndim != 2 or len(amplitude) != self._count:
+            raise InputError(
+                f"amplitudes of shape {amplitude.shape} do not fit {self._count} fish.",
+                "Give one row of amplitudes per fish.",
+            )
+        numbers = np.ascontiguousarray(np.broadcast_to(number, self._count), dtype=np.uint32)
+        true, speed, sigma = (np.empty_like(amplitude) for _ in range(3))
+        arrays = [ffi.from_buffer("double[]", one) for one in (amplitude, true, speed, sigma)]
+        if not lib.shoal_swim(
+            self._configs, self._count, ffi.from_buffer("uint32_t[]", numbers), arrays[0],
+            amplitude.shape[1], beat_s, *arrays[1:],
+        ):  # fmt: skip
+            raise InputError(
+                f"no fish can swim these amplitudes in beats of {beat_s:g} s.",
+                "Amplitudes are finite, in rad; a beat is a multiple of 0.02 s.",
+            )
+        return BatchTrials(speed_m_s=speed, sigma_m_s=sigma, true_m_s=true)
+
+    def config(self, index: int) -> Any:
+        """``sim_config_t *`` of one fish, a copy."""
+        return ffi.new("sim_config_t *", self._configs[range(self._count)[index]])
 
 
 @dataclass
 class BatchReport:
-    """What a law reports of one trial; arrays (fish,), NaN or "" where it says nothing."""
+    """What a law reports of one trial; arrays (fish,), NaN or "" where it reports nothing."""
 
     predicted_m_s: F64  # max|e|: 5 %, median, 95 %; shape (3, fish)
     ratio: F64  # (2, fish): the predicted range of max|e| over that of the trial before
     gain_rad_s_m: F64
     lead_beats: F64
-    law: str | list[str]
-    verdict: str | list[str]
+    law: str | list[str] = ""
+    verdict: str | list[str] = ""
 
     @classmethod
     def nothing(cls, fish: int) -> BatchReport:
-        """A law that just swims."""
+        """Of a law that predicts and changes nothing."""
         none = np.full(fish, np.nan)
-        return cls(
-            np.full((3, fish), np.nan), np.full((2, fish), np.nan), none, none.copy(),
-            "", "",
-        )  # fmt: skip
+        return cls(np.full((3, fish), np.nan), np.full((2, fish), np.nan), none, none)
 
 
-class BatchLearner(Protocol):
-    """A law at work: ``begin``, then ``following`` and ``learn`` in turn. ``following``: the
-    amplitudes of the next iteration, (fish, beats), rad, as the tail does them; ``learn`` takes the
-    trial of them and returns what the law reports of it."""
+class BatchLearner:
+    """A law at work: ``begin``, then ``following`` and ``learn`` in turn. ``bound_m_s``: (fish,),
+    max|e| of the least-squares optimum by what is known of the fish, NaN = nothing."""
 
-    floor_m_s: F64  # (fish,): max|e| of the least-squares optimum by what is known of the fish
-
-    def begin(self, reference: Reference) -> None: ...
-
-    def following(self) -> F64: ...
-
-    def learn(self, swims: BatchTrials) -> BatchReport: ...
-
-
-@dataclass
-class FixedInput:
-    """The same input again and again. ``amplitude_rad``: shape (beats,)."""
-
-    amplitude_rad: F64
-    fish: int
-    floor_m_s: F64 = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.floor_m_s = np.full(self.fish, np.nan)
+    def __init__(self, fish: int) -> None:
+        self.fish = fish
+        self.bound_m_s: F64 = np.full(fish, np.nan)
 
     def begin(self, reference: Reference) -> None:
-        """Of a reference that has as many beats."""
+        """A reference; what was learned along another one before is kept if the law can use it."""
 
     def following(self) -> F64:
-        """Always the same."""
+        """The amplitudes of the next iteration, (fish, beats), rad, as the tail executes them."""
+        raise NotImplementedError
+
+    def learn(self, trials: BatchTrials) -> BatchReport:
+        """Learns from the trial of them."""
+        raise NotImplementedError
+
+
+class FixedInput(BatchLearner):
+    """The same input again and again. ``amplitude_rad``: shape (beats,)."""
+
+    def __init__(self, amplitude_rad: F64, fish: int) -> None:
+        super().__init__(fish)
+        self.amplitude_rad = amplitude_rad
+
+    def following(self) -> F64:
         return np.tile(self.amplitude_rad, (self.fish, 1))
 
-    def learn(self, swims: BatchTrials) -> BatchReport:
-        """Learns nothing."""
-        said = BatchReport.nothing(self.fish)
-        said.law = "fixed"
-        return said
+    def learn(self, trials: BatchTrials) -> BatchReport:
+        report = BatchReport.nothing(self.fish)
+        report.law = "fixed"
+        return report
 
 
-@dataclass(frozen=True)
-class PastKind:
-    """What the board's law learns from: ``last``, ``mean`` or ``window`` (ILC_KIND 0, 1, 2), the
-    last ``window`` trials (ILC_WINDOW)."""
-
-    kind: str = "last"
-    window: int = 3
-
-
-class BoardLaw:
-    """The board's law and memory, one ``Law`` per fish."""
+class BoardLaw(BatchLearner):
+    """The board's law and memory, one ``Law`` per fish. ``past``: what it learns from, a key of
+    ``PAST_KINDS``, with a ``window`` of so many trials."""
 
     def __init__(
-        self, laws: Sequence[Law], rollback_ratio: float, past: PastKind | None = None
+        self, laws: Sequence[Law], rollback_ratio: float, past: str = "last", window: int = 3
     ) -> None:
+        super().__init__(len(laws))
         self.laws = list(laws)
         self.rollback_ratio = rollback_ratio
-        self.past = past or PastKind()
-        self.floor_m_s = np.full(len(self.laws), np.nan)
+        self.past, self.window = past, window
 
     def begin(self, reference: Reference) -> None:
         """Empties the memory."""
-        fish, beats = len(self.laws), reference.beats
-        self._memories = ffi.new("memory_t[]", fish)
-        self._pasts = ffi.NULL if self.past.kind == "last" else ffi.new("learn_past_t[]", fish)
-        self._reports = ffi.new("memory_report_t[]", fish)
-        self._laws = ffi.new("law_t[]", fish)
-        for i, law in enumerate(self.laws):
-            self._laws[i] = asdict(replace(law, beat_s=reference.beat_s))
-            if self._pasts:
-                kind = PASTS.index(self.past.kind)
-                self._must(lib.learn_past_begin(self._pasts + i, kind, self.past.window))
-        self._wanted = np.ascontiguousarray(reference.speed_m_s, dtype=np.float32)
-        self._trial = 0
-        self._applied = np.empty((fish, beats))
-        self._must(
-            lib.learn_batch_first(
-                self._memories, self._laws, fish, beats, _floats(self._wanted),
-                _doubles(self._applied),
-            )
-        )  # fmt: skip
+        self._reference = reference
+        self.laws = [replace(law, beat_s=reference.beat_s) for law in self.laws]
+        self._memories = [LawMemory(reference.beats) for _ in self.laws]
+        for memory, law in zip(self._memories, self.laws, strict=True):
+            memory.average(Averaging(PAST_KINDS[self.past].number, self.window))
+            memory.first(law, reference.speed_m_s)
 
     def following(self) -> F64:
-        """As the board executes it."""
-        return self._applied
+        rows = np.array([memory.amplitude_rad for memory in self._memories], dtype=np.float64)
+        most = np.array([[np.float32(law.amplitude_max_rad)] for law in self.laws])
+        return np.clip(rows, 0.0, most)
 
-    def learn(self, swims: BatchTrials) -> BatchReport:
-        """One trial of every fish."""
-        speed = np.ascontiguousarray(swims.speed_m_s, dtype=np.float64)
-        self._applied = np.empty_like(speed)
-        self._trial += 1
-        self._must(
-            lib.learn_batch_learn(
-                self._memories, self._pasts, self._laws, len(self.laws), _floats(self._wanted),
-                _doubles(speed), self._trial, self.rollback_ratio, self._reports,
-                _doubles(self._applied),
-            )
-        )  # fmt: skip
-        said = BatchReport.nothing(len(self.laws))
-        said.gain_rad_s_m = np.array([law.kp_rad_s_m for law in self.laws])
-        said.lead_beats = np.array([float(law.lead_beats) for law in self.laws])
-        said.law = "p" if self.past.kind == "last" else self.past.kind
-        if self.rollback_ratio > 0:
-            back = [report.rolled_back for report in self._reports]
-            said.verdict = [ROLLED_BACK if rolled else "" for rolled in back]
-        return said
-
-    def _must(self, fine: bool) -> None:
-        if not fine:
-            raise InputError(
-                "a law does not fit the reference.", "Look at gain, lead, q_len and limits."
-            )
+    def learn(self, trials: BatchTrials) -> BatchReport:
+        """A fish without any speed keeps its amplitudes; a trial without a speed in its last beat
+        counts as cut short."""
+        back = []
+        for memory, law, speed in zip(self._memories, self.laws, trials.speed_m_s, strict=True):
+            error, measured = errors_of(self._reference.speed_m_s, speed)
+            if measured.any():
+                memory.learn(law, error, measured, bool(measured[-1]), self.rollback_ratio)
+            back.append(ROLLED_BACK if measured.any() and memory.rolled_back else "")
+        report = BatchReport.nothing(self.fish)
+        report.gain_rad_s_m = np.array([law.kp_rad_s_m for law in self.laws])
+        report.lead_beats = np.array([float(law.lead_beats) for law in self.laws])
+        report.law = "p" if self.past == "last" else self.past
+        report.verdict = back if self.rollback_ratio > 0 else ""
+        return report
 
 
-class DesignedLaw:
-    """The board's law as ``tailbeat session design`` makes it for each fish, with the ratio of each
-    step predicted before it is swum."""
+class _IdentifiedFish(BatchLearner):
+    """Laws that rest on the identification of each fish; their trials are assessed."""
 
     def __init__(
-        self,
-        identified: Sequence[Identified],
-        spec: LawSpec,
-        amplitude_max_rad: float,
+        self, identified: Sequence[Identified], spec: LawSpec, amplitude_max_rad: float
     ) -> None:
+        super().__init__(len(identified))
         self.identified = list(identified)
         self.spec = spec
         self.amplitude_max_rad = amplitude_max_rad
-        self.floor_m_s = np.full(len(self.identified), np.nan)
+
+    def begin(self, reference: Reference) -> None:
+        self._reference = reference
+        self._judges = [ConvergenceJudge(reference) for _ in self.identified]
+        self.bound_m_s = self._bounds([one.model for one in self.identified])
+
+    def _bounds(self, models: Sequence[FishModel]) -> F64:
+        """max|e| of the least-squares optimum by each fish's model, m/s."""
+        wanted, most = self._reference, self.amplitude_max_rad
+        plans = [plan(model, wanted.speed_m_s, wanted.beat_s, most) for model in models]
+        return np.array([one.max_abs_error_m_s for one in plans])
+
+    def _assessed(self, trials: BatchTrials) -> tuple[list[TrialSpeeds], list[str]]:
+        """The trials of the last amplitudes, and the kinds of their assessments."""
+        reference = self._reference
+        rows = speeds_of(trials, self._amplitude, reference.beat_s, reference.crc)
+        return rows, [one.kind(row) for one, row in zip(self._judges, rows, strict=True)]
+
+    _amplitude: F64
+
+
+class DesignedLaw(_IdentifiedFish):
+    """The board's law as ``tailbeat session design`` makes it for each fish, with the ratio of each
+    step predicted before it is executed."""
 
     def begin(self, reference: Reference) -> None:
         """Designs."""
-
-        self._reference = reference
-        laws = []
-        for one in self.identified:
-            law = design(
-                one, reference, self.amplitude_max_rad, step_max_rad=self.spec.step_max_rad
-            ).law
-            if self.spec.fade > 0:
-                law = replace(law, fade=self.spec.fade, fade_from=self.spec.fade_from)
-            laws.append(law)
-        self._board = BoardLaw(laws, self.spec.rollback_ratio)
+        super().begin(reference)
+        spec, most = self.spec, self.amplitude_max_rad
+        schedule: dict[str, Any] = (
+            {"fade": spec.fade, "fade_from": spec.fade_from} if spec.fade > 0 else {}
+        )
+        designs = [
+            design(one, reference, most, step_max_rad=spec.step_max_rad) for one in self.identified
+        ]
+        laws = [replace(one.law, **schedule) for one in designs]
+        self._board = BoardLaw(laws, spec.rollback_ratio)
         self._board.begin(reference)
-        self._judges = [ConvergenceJudge(reference) for _ in laws]
-        self._swum: list[TrialSpeeds] = []
-        models = [one.model for one in self.identified]
-        self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
+        self._before: list[TrialSpeeds] = []
 
     def following(self) -> F64:
-        """As the board executes it; predicts what that will change."""
-
+        """Predicts what its amplitudes will change."""
         self._amplitude = self._board.following()
-        ranges = [
-            next_ratio(one, self._reference, swim, row)
-            for one, swim, row in zip(self.identified, self._swum, self._amplitude)  # noqa: B905
-        ]
-        self._ratio = np.array(ranges).T if ranges else np.full((2, len(self.identified)), np.nan)
+        self._ratio = np.full((2, self.fish), np.nan)
+        for i, before in enumerate(self._before):
+            self._ratio[:, i] = next_ratio(
+                self.identified[i], self._reference, before, self._amplitude[i]
+            )
         return self._amplitude
 
-    def learn(self, swims: BatchTrials) -> BatchReport:
-        """One trial of every fish."""
-        self._swum = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
-        said = self._board.learn(swims)
-        said.ratio = self._ratio
-        said.verdict = verdicts(self._judges, self._swum)
-        return said
+    def learn(self, trials: BatchTrials) -> BatchReport:
+        report = self._board.learn(trials)
+        self._before, report.verdict = self._assessed(trials)
+        report.ratio = self._ratio
+        return report
 
 
-class ModelBasedLaw:
-    """Learning with the model, from identification on."""
+class ModelBasedLaw(_IdentifiedFish):
+    """Learning with the model, from the identification and all trials along any reference on."""
 
     def __init__(
-        self, identified: Sequence[Identified], fallback: Law, amplitude_max_rad: float
+        self, identified: Sequence[Identified], spec: LawSpec, amplitude_max_rad: float
     ) -> None:
-        self.identified = list(identified)
-        self.fallback = fallback
-        self.amplitude_max_rad = amplitude_max_rad
-        self.floor_m_s = np.full(len(self.identified), np.nan)
-        self._swims: list[list[TrialSpeeds]] = [[] for _ in self.identified]
-
-    def begin(self, reference: Reference) -> None:
-        """From the identification, and all that was swum along other references."""
-        self._reference = reference
-        self._judges = [ConvergenceJudge(reference) for _ in self.identified]
-        models = [one.model for one in self.identified]
-        self.floor_m_s = predicted_floors(models, reference, self.amplitude_max_rad)
+        super().__init__(identified, spec, amplitude_max_rad)
+        self._trials: list[list[TrialSpeeds]] = [[] for _ in identified]
 
     def following(self) -> F64:
         """Proposes."""
-
-        self._proposals: list[Proposal] = [
-            propose(one, self._reference, self.amplitude_max_rad, kept, self.fallback)
-            for one, kept in zip(self.identified, self._swims, strict=True)
+        most, fallback = self.amplitude_max_rad, law_of(self.spec, self.amplitude_max_rad)
+        self._proposals = [
+            propose(one, self._reference, most, kept, fallback)
+            for one, kept in zip(self.identified, self._trials, strict=True)
         ]
-        models = [one.model for one in self._proposals]
-        self.floor_m_s = predicted_floors(models, self._reference, self.amplitude_max_rad)
-        rows = [np.asarray(one.amplitude_rad, dtype=np.float64) for one in self._proposals]
-        self._amplitude = np.clip(np.array(rows), 0, self.amplitude_max_rad)
+        self.bound_m_s = self._bounds([one.model for one in self._proposals])
+        self._amplitude = np.clip([one.amplitude_rad for one in self._proposals], 0, most)
         return self._amplitude
 
-    def learn(self, swims: BatchTrials) -> BatchReport:
-        """One trial of every fish."""
-        recorded = swims_of(swims, self._amplitude, self._reference.beat_s, self._reference.crc)
-        for kept, swim in zip(self._swims, recorded, strict=True):
-            kept.append(swim)
-        said = BatchReport.nothing(len(recorded))
-        said.predicted_m_s = np.array(
-            [one.predicted_max_abs_error_m_s for one in self._proposals]
-        ).T
-        said.law = [one.law for one in self._proposals]
-        said.verdict = verdicts(self._judges, recorded)
-        return said
+    def learn(self, trials: BatchTrials) -> BatchReport:
+        rows, verdicts = self._assessed(trials)
+        for kept, row in zip(self._trials, rows, strict=True):
+            kept.append(row)
+        predicted = [one.predicted_max_abs_error_m_s for one in self._proposals]
+        report = BatchReport.nothing(self.fish)
+        report.predicted_m_s = np.array(predicted).T
+        report.law, report.verdict = [one.law for one in self._proposals], verdicts
+        return report
 
 
 @dataclass
 class ConvergenceJudge:
-    """Passes the trials of one fish on to the verdict."""
+    """Assesses the trials of one fish."""
 
     reference: Reference
     scores: list[Score] = field(default_factory=list)
 
-    def verdict(self, swim: TrialSpeeds) -> str:
-        """The kind of assessment of a trial."""
-        error = self.reference.speed_m_s - swim.speed_m_s
-        largest = float(np.nanmax(np.abs(error))) if swim.measured.any() else float("nan")
+    def kind(self, trial: TrialSpeeds) -> str:
+        """The kind of the assessment of a trial."""
+        error = self.reference.speed_m_s - trial.speed_m_s
+        largest = float(np.nanmax(np.abs(error))) if trial.measured.any() else float("nan")
         number = len(self.scores) + 1
         self.scores.append(
             Score(
                 trial=number,
                 iteration=number,
-                input_crc=input_crc(swim.amplitude_rad.astype(np.float32)),
+                input_crc=input_crc(trial.amplitude_rad.astype(np.float32)),
                 max_abs_error_m_s=largest,
-                judged=judging.counts(error.astype(np.float32), bool(swim.measured[-1])),
+                judged=judging.counts(error.astype(np.float32), bool(trial.measured[-1])),
                 error_m_s=error.astype(np.float32),
             )
         )
         return assess(self.scores).kind
 
 
-def verdicts(judges: Sequence[ConvergenceJudge], swims: Sequence[TrialSpeeds]) -> list[str]:
-    """Of one trial of every fish."""
-    return [one.verdict(swim) for one, swim in zip(judges, swims, strict=True)]
-
-
-def swims_of(
-    swims: BatchTrials, amplitude_rad: F64, beat_s: float, reference_crc: int = 0
+def speeds_of(
+    trials: BatchTrials, amplitude_rad: F64, beat_s: float, reference_crc: int = 0
 ) -> list[TrialSpeeds]:
-    """One ``Swim`` per fish; the standard deviation of what was not measured is the usual one."""
-    sigma = np.where(np.isfinite(swims.sigma_m_s), swims.sigma_m_s, SIGMA_M_S)
-    return [
-        TrialSpeeds(
-            amplitude_rad=amplitude_rad[i],
-            speed_m_s=swims.speed_m_s[i],
-            sigma_m_s=sigma[i],
-            beat_s=beat_s,
-            reference_crc=reference_crc,
-        )
-        for i in range(len(amplitude_rad))
-    ]
+    """One per fish; the standard deviation of what was not measured is the usual one."""
+    sigma = np.where(np.isfinite(trials.sigma_m_s), trials.sigma_m_s, SIGMA_M_S)
+    rows = zip(amplitude_rad, trials.speed_m_s, sigma, strict=True)
+    return [TrialSpeeds(*row, beat_s=beat_s, reference_crc=reference_crc) for row in rows]
 
 
 def identify(
     plant: str, settings: dict[str, float], amplitude_max_rad: float, beat_s: float
 ) -> Identified:
     """Identification runs of one simulated fish."""
-
     batch = FishBatch(plant, [settings])
-    number = FIRST_RUN
+    numbers = count(FIRST_RUN)
 
-    def swim(amplitude_rad: F64) -> TrialSpeeds:
-        nonlocal number
-        recorded = batch.run(amplitude_rad[None, :], number, beat_s)
-        number += 1
-        return swims_of(recorded, amplitude_rad[None, :], beat_s)[0]
+    def execute(amplitude_rad: F64) -> TrialSpeeds:
+        row = amplitude_rad[None, :]
+        return speeds_of(batch.run(row, next(numbers), beat_s), row, beat_s)[0]
 
     limits = Limits(amplitude_max_rad=amplitude_max_rad, beat_s=beat_s)
-    return identify_runs(swim, limits, quick=True)
-
-
-def predicted_floors(
-    models: Sequence[FishModel], reference: Reference, amplitude_max_rad: float
-) -> F64:
-    """max|e| of the least-squares optimum by each fish's model, m/s, shape (fish,)."""
-
-    return np.array(
-        [
-            plan(model, reference.speed_m_s, reference.beat_s, amplitude_max_rad)
-            .max_abs_error_m_s
-            for model in models
-        ]
-    )  # fmt: skip
+    return identify_runs(execute, limits, quick=True)
 
 
 def law_of(spec: LawSpec, amplitude_max_rad: float) -> Law:
     """The board's law with the values of a recipe."""
-    return Law(
-        kp_rad_s_m=spec.gain,
-        lead_beats=spec.lead_beats,
-        q_len=spec.q_len,
-        fade=spec.fade,
-        fade_from=spec.fade_from,
-        step_max_rad=spec.step_max_rad,
-        amplitude_max_rad=amplitude_max_rad,
-    )
-
-
-def _floats(array: F32) -> Any:
-    return ffi.from_buffer("float[]", array)
-
-
-def _doubles(array: F64) -> Any:
-    return ffi.from_buffer("double[]", array)
+    names = ("lead_beats", "q_len", "fade", "fade_from", "step_max_rad")
+    values = {name: getattr(spec, name) for name in names}
+    return Law(kp_rad_s_m=spec.gain, amplitude_max_rad=amplitude_max_rad, **values)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.law import PAST_KINDS
 from tailbeat.core.native import HERE, Native, load_library
 
 Precision = Literal["double", "float"]
@@ -39,7 +40,6 @@ def pointer(native: Native, values: F64 | None) -> Any:
 
 
 UNLIMITED = 1e30  # of inputs: LAW_LIMIT
-PASTS = {"last": 0, "mean": 1, "window": 2}
 HISTORIES = {"zero": 0, "first": 1, "none": 2}
 TAILS = {"error": 0, "keep": 1, "hold-new": 2, "hold-old": 3}
 
@@ -77,7 +77,7 @@ class LearnerConfig:
             "q_len": self.q_len, "tail": TAILS[self.tail],
         }  # fmt: skip
         return {
-            "law": law, "samples": self.samples, "past": PASTS[self.past],
+            "law": law, "samples": self.samples, "past": PAST_KINDS[self.past].number,
             "history": HISTORIES[self.history], "window": len(self.weights),
             "weight": [dict(zip(("input", "kp", "kd"), one, strict=True)) for one in self.weights],
         }  # fmt: skip

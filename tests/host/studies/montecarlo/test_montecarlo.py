@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +28,8 @@ from tailbeat.core.reference import from_text
 from tailbeat.learning.fish_model import SIGMA_M_S
 from tailbeat.studies.montecarlo import cell as cell_module
 from tailbeat.studies.montecarlo import learners, runner
-from tailbeat.studies.montecarlo.batch import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.cell import Cell, cells, run_cell
+from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch
 from tailbeat.studies.montecarlo.recipe import Recipe, load, parse
 from tailbeat.studies.montecarlo.results import identity
 from tailbeat.studies.montecarlo.runner import Interrupted, StudyFolder, compute, run_study
@@ -299,7 +298,7 @@ def test_the_same_bytes_by_a_dask_cluster(
             patch.setattr("tailbeat.studies.montecarlo.runner.identity", _Once(here))
             with pytest.raises(InputError, match=r"has another numpy .* here 0.0"):
                 run_study(
-                    replace(tiny, seeds=4), tmp_path / "other", scheduler=cluster.scheduler_address
+                    tiny.with_seeds(4), tmp_path / "other", scheduler=cluster.scheduler_address
                 )
 
 
@@ -365,7 +364,7 @@ def test_a_cluster_without_the_package(
 
 def test_a_folder_of_something_else_is_refused(tiny: Recipe, tmp_path: Path) -> None:
     StudyFolder(tmp_path).open(tiny)
-    StudyFolder(tmp_path).open(replace(tiny, claims=[]))  # claims only judge
+    StudyFolder(tmp_path).open(parse(TINY[: TINY.index("[[claim]]")], "tiny"))  # claims only judge
     with pytest.raises(InputError, match=r"results of another recipe .* --out"):
         StudyFolder(tmp_path).open(tiny.with_seeds(7))
     manifest = json.loads((tmp_path / "sweep.json").read_text())
@@ -473,7 +472,7 @@ def test_a_reference_for_what_identification_knows() -> None:
 
 def test_a_beat_without_a_speed_has_the_usual_standard_deviation() -> None:
     speed = np.array([[0.1, np.nan]])
-    recorded = learners.swims_of(BatchTrials(speed, speed / 50, speed), np.ones((1, 2)), 1.0, 7)[0]
+    recorded = learners.speeds_of(BatchTrials(speed, speed / 50, speed), np.ones((1, 2)), 1.0, 7)[0]
     assert np.array_equal(recorded.sigma_m_s, [0.002, SIGMA_M_S])
     assert recorded.measured.tolist() == [True, False]
     assert (recorded.beat_s, recorded.reference_crc) == (1.0, 7)
@@ -490,23 +489,26 @@ def test_corners() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("title", "titel"), "the recipe: unknown key titel"),
+        (("title", "titel"), "recipe tiny: unknown key titel"),
         (("kappa_per_m = [10, 20]", "colour = 1"), "plant 1: the simulator has no value colour"),
         (("kappa_per_m = [10, 20]", 'plant = "pond"'), "there is no plant pond"),
         (("kappa_per_m = [10, 20]", "kappa_per_m = -1"), "the simulator cannot run plant 'tank'"),
         (("kappa_per_m = [10, 20]", 'kappa_per_m = "x"'), "kappa_per_m = 'x' is not a number"),
-        (("lead_beats = 1", "leed = 1"), "law board: unknown key leed"),
+        (("lead_beats = 1", "leed = 1"), "law[0]: unknown key leed"),
         (('kind = "repeats"', 'kind = "magic"'), "there is no law of kind magic"),
         (('name = "repeats"', 'name = "board"'), "two of law are called board"),
         (("seeds = 3", "seeds = 0"), "seeds and iterations must be 1 or more"),
-        (("seeds = 3", "seeds = 2.5"), "seeds = 2.5 is not a whole number"),
+        (("seeds = 3", "seeds = 2.5"), "seeds: expected a whole number"),
         (("cosine:0.05,3,2", "sine"), "there is no reference 'sine'"),
-        (("at_most = 0.9", ""), "claim 1 has no bound"),
+        (("at_most = 0.9", ""), "gets better' has no bound"),
         (('"median"', '"mean"'), "there is no statistic mean"),
-        (('law = "board" }', 'law = "bord" }'), "there is no law 'bord'"),
+        (
+            ('law = "board" }', 'law = "bord" }'),
+            "claim 1, 'the board's law gets better': there is no law bord",
+        ),
         (("iteration = 3\nagainst", 'of = "error"\nagainst'), "there is no column error"),
-        (("title =", "title"), "is not TOML"),
-        (("[[law]]", "[law]"), "is not TOML"),
+        (("title =", "title"), "no TOML"),
+        (("[[law]]", "[law]"), "no TOML"),
         (("chunk = 2", "before = 'thesis'"), "before needs before_iterations"),
         (("chunk = 2", "before = 'thesis'\nbefore_iterations = 1"), "repeats cannot change"),
     ],
