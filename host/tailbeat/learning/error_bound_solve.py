@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -32,34 +32,39 @@ _SPEED_MIN_M_S = 1e-6  # below it a fish has no thrust; keeps w/w_max a number
 _BISECTIONS = 20
 
 
-class Plant(Protocol):
+class Plant:
     """``w_max``: largest w, (m/s)**2. ``delay_s``: from a beat's begin to its thrust."""
 
-    @property
-    def w_max(self) -> float: ...
-
-    @property
-    def delay_s(self) -> float: ...
+    w_max: float
+    delay_s: float
 
     def amplitude_rad(self, w: F64) -> F64:
         """The smallest amplitude that gives w; for 0 the edge of the dead zone, from where thrust
         is soonest reached."""
-        ...
+        raise NotImplementedError
 
     def thrust(self, amplitude_rad: F64) -> F64:
         """w of amplitudes, at most ``w_max``."""
-        ...
+        raise NotImplementedError
 
     def beats(self, w: F64) -> F64:
         """Mean speed of every beat, m/s."""
-        ...
+        raise NotImplementedError
 
     def slopes(self, w: F64, beats_m_s: F64) -> F64:
-        """d beats[k] / d w[j], shape (beats, beats); ``beats_m_s`` = ``beats(w)``."""
-        ...
+        """d beats[k] / d w[j], shape (beats, beats); ``beats_m_s`` = ``beats(w)``. By finite
+        differences."""
+        slopes = np.empty((len(w), len(w)))
+        size = _DIFFERENCE * self.w_max
+        for j in range(len(w)):
+            step = size if w[j] + size <= self.w_max else -size
+            moved = w.copy()
+            moved[j] += step
+            slopes[:, j] = (self.beats(moved) - beats_m_s) / step
+        return slopes
 
 
-class ModelPlant:
+class ModelPlant(Plant):
     """An identified fish; slopes are exact."""
 
     def __init__(self, model: FishModel, beat_s: float, amplitude_max_rad: float) -> None:
@@ -87,7 +92,7 @@ class ModelPlant:
         return slopes
 
 
-class SimulatedPlant:
+class SimulatedPlant(Plant):
     """The simulator's plant, ``sim_config_t *``; slopes are finite differences of it."""
 
     def __init__(self, config: Any, beat_s: float, amplitude_max_rad: float) -> None:
@@ -138,16 +143,6 @@ class SimulatedPlant:
 
     def beats(self, w: F64) -> F64:
         return plant_beats(self._config, self.amplitude_rad(w), self._beat_s)
-
-    def slopes(self, w: F64, beats_m_s: F64) -> F64:
-        slopes = np.empty((len(w), len(w)))
-        size = _DIFFERENCE * self.w_max
-        for j in range(len(w)):
-            step = size if w[j] + size <= self.w_max else -size
-            moved = w.copy()
-            moved[j] += step
-            slopes[:, j] = (self.beats(moved) - beats_m_s) / step
-        return slopes
 
 
 def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:

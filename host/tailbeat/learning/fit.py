@@ -46,6 +46,14 @@ class Scatter:
     model_m_s: float = 0.001
     switch: float = 0.05
 
+    def draw(self, rng: np.random.Generator) -> Conditions:
+        """How one trial differs from the others."""
+        return Conditions(
+            start_m_s=abs(rng.normal(0, self.start_m_s)),
+            flow_m_s=rng.normal(0, self.flow_m_s),
+            gain=max(rng.normal(1, self.gain), 0.0),
+        )
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -97,8 +105,8 @@ def sample(found: Fit, count: int = 40, seed: int = 1) -> list[FishModel]:
     normal = np.random.default_rng(seed).standard_normal((count // 2, _SHARED))
     normal = normal @ np.linalg.inv(np.linalg.cholesky(normal.T @ normal / len(normal))).T
     normal = np.concatenate([normal, -normal])
-    rows = _shared_of(found.model) + normal @ np.linalg.cholesky(found.covariance).T
-    return [_model_of(row) for row in rows]
+    rows = vector_of(found.model) + normal @ np.linalg.cholesky(found.covariance).T
+    return [model_of(row) for row in rows]
 
 
 def bootstrap(
@@ -127,12 +135,7 @@ def bootstrap(
 def _swum_again(
     swim: TrialSpeeds, model: FishModel, residual: F64, differ: Scatter, rng: np.random.Generator
 ) -> TrialSpeeds:
-    conditions = Conditions(
-        start_m_s=abs(rng.normal(0, differ.start_m_s)),
-        flow_m_s=rng.normal(0, differ.flow_m_s),
-        gain=max(rng.normal(1, differ.gain), 0.0),
-    )
-    speed = model.beats(swim.amplitude_rad, swim.beat_s, conditions)
+    speed = model.beats(swim.amplitude_rad, swim.beat_s, differ.draw(rng))
     known = residual[np.isfinite(residual)]
     blocks = -(-swim.beats // _BLOCK_BEATS)
     begins = rng.integers(0, max(len(known) - _BLOCK_BEATS, 0) + 1, blocks)
@@ -141,14 +144,16 @@ def _swum_again(
     return replace(swim, speed_m_s=np.where(swim.measured, speed + drawn, np.nan))
 
 
-def _shared_of(model: FishModel) -> F64:
+def vector_of(model: FishModel) -> F64:
+    """(log kappa, log slope, dead zone, delay): what a ``covariance`` is of."""
     return np.array(
         [math.log(model.kappa_per_m), math.log(model.slope_m_s_rad), model.dead_zone_rad,
          model.delay_s]
     )  # fmt: skip
 
 
-def _model_of(shared: F64) -> FishModel:
+def model_of(shared: F64) -> FishModel:
+    """The other way, within what a fish can be."""
     low, high = _KAPPA_RANGE
     return FishModel(
         kappa_per_m=min(max(math.exp(shared[0]), low), high),
@@ -171,7 +176,7 @@ class _Problem:
             max(scatter.gain, _SIGMA_MIN),
         ]
         believed = [prior.kappa, prior.slope, prior.dead_zone_rad, prior.delay_s]
-        self.centre = np.r_[_shared_of(prior.model), np.zeros(_CONDITIONS * len(swims))]
+        self.centre = np.r_[vector_of(prior.model), np.zeros(_CONDITIONS * len(swims))]
         self.spread = np.r_[believed, differ * len(swims)]
         self.low = np.r_[math.log(_KAPPA_RANGE[0]), -np.inf, 0.0, 0.0,
                          [0.0, -np.inf, -np.inf] * len(swims)]  # fmt: skip
@@ -185,7 +190,7 @@ class _Problem:
 
     def evaluated(self, x: F64) -> tuple[F64, F64]:
         """(residuals, Jacobian): the prior's rows first, then the measured beats of every swim."""
-        model = _model_of(x[:_SHARED])
+        model = model_of(x[:_SHARED])
         prior = (x - self.centre) / self.spread
         rows, slopes = [prior], [np.diag(1 / self.spread)]
         for index, (swim, sigma) in enumerate(zip(self.swims, self.sigma, strict=True)):
@@ -200,7 +205,7 @@ class _Problem:
         return np.concatenate(rows), np.vstack(slopes)
 
     def solved(self, x: F64) -> Fit:
-        model = _model_of(x[:_SHARED])
+        model = model_of(x[:_SHARED])
         off, jacobian = self.evaluated(x)
         normal = jacobian.T @ jacobian
         covariance = np.linalg.inv(normal)[:_SHARED, :_SHARED]
@@ -318,41 +323,25 @@ def farthest(
     units of what is known of them, the one straight up the slope of the way. ``covariance``: 4 x 4
     of the first four.
     """
-    centre = _as_vector(model)
+    centre = np.r_[vector_of(model), 1.0, 0.0]
     whole = np.zeros((6, 6))
     whole[:4, :4] = covariance
     whole[4, 4], whole[5, 5] = scatter.gain**2, scatter.flow_m_s**2
     sigma = np.sqrt(np.diag(whole))
 
-    def way_of(x: F64) -> float:
-        fish, day = _from_vector(x)
-        return travel_m(fish, amplitude_rad, beat_s, day)
+    def fish_at(x: F64) -> tuple[FishModel, Conditions]:
+        return model_of(x), Conditions(gain=max(float(x[4]), 0.0), flow_m_s=float(x[5]))
+
+    def travel_at(x: F64) -> float:
+        fish, conditions = fish_at(x)
+        return travel_m(fish, amplitude_rad, beat_s, conditions)
 
     slope = np.zeros(6)
     for i in np.flatnonzero(sigma > 0):
         step = np.zeros(6)
         step[i] = sigma[i]
-        slope[i] = (way_of(centre + step) - way_of(centre - step)) / (2 * sigma[i])
+        slope[i] = (travel_at(centre + step) - travel_at(centre - step)) / (2 * sigma[i])
     spread = math.sqrt(float(slope @ whole @ slope))
     if spread == 0:
         return model, Conditions()
-    return _from_vector(centre + PESSIMISM * (whole @ slope) / spread)
-
-
-def _as_vector(model: FishModel) -> F64:
-    return np.array(
-        [
-            math.log(model.kappa_per_m),
-            math.log(model.slope_m_s_rad),
-            model.dead_zone_rad,
-            model.delay_s,
-            1.0,
-            0.0,
-        ]
-    )
-
-
-def _from_vector(x: F64) -> tuple[FishModel, Conditions]:
-    kappa, slope, dead, delay, gain, flow = map(float, x)
-    model = FishModel(math.exp(kappa), math.exp(slope), max(dead, 0.0), max(delay, 0.0))
-    return model, Conditions(gain=max(gain, 0.0), flow_m_s=flow)
+    return fish_at(centre + PESSIMISM * (whole @ slope) / spread)

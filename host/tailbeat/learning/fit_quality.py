@@ -14,7 +14,7 @@ What an identification is worth, for people: how well the model fits, and what t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -118,16 +118,10 @@ NAMES = {
 
 
 @dataclass(frozen=True)
-class SwimAccount:
-    """One swim. Arrays: shape (beats,). ``model_m_s``: with the swim's own start, flow and gain."""
+class SwimAccount(TrialSpeeds):
+    """A trial and what the model makes of it, with the trial's own start, flow and gain."""
 
-    trial: int
-    amplitude_rad: F64
-    speed_m_s: F64
-    sigma_m_s: F64
-    model_m_s: F64
-    beat_s: float
-    battery_v: float | None
+    model_m_s: F64 = field(kw_only=True)
 
     @property
     def top_rad(self) -> float:
@@ -199,16 +193,8 @@ def account_of(identified: Identified, prior: Prior | None = None) -> Account:
     swims = identified.swims
     found = fit(swims, prior, identified.scatter)
     accounts = [
-        SwimAccount(
-            trial=swim.trial,
-            amplitude_rad=swim.amplitude_rad,
-            speed_m_s=swim.speed_m_s,
-            sigma_m_s=swim.sigma_m_s,
-            model_m_s=found.model.beats(swim.amplitude_rad, swim.beat_s, given),
-            beat_s=swim.beat_s,
-            battery_v=swim.battery_v,
-        )
-        for swim, given in zip(swims, found.conditions, strict=True)
+        SwimAccount(**vars(swim), model_m_s=found.model.beats(swim.amplitude_rad, swim.beat_s, day))
+        for swim, day in zip(swims, found.conditions, strict=True)
     ]
     volts = [swim.battery_v for swim in swims if swim.battery_v is not None]
     battery = (min(volts), max(volts)) if volts else None

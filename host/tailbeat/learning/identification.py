@@ -20,14 +20,16 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.csv import read_table
+from tailbeat.core.csv import read_rows, value_of
+from tailbeat.core.decode import convert
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import replace_file
+from tailbeat.core.files import plain, replace_file
 from tailbeat.core.reference import THESIS_PLATEAU_M_S
-from tailbeat.learning.fish_model import FishModel, TrialSpeeds
-from tailbeat.learning.fit import Fit, Scatter
+from tailbeat.learning.fish_model import PARAMS, FishModel, TrialSpeeds
+from tailbeat.learning.fit import Fit, Scatter, vector_of
 
 _FORMAT = "tailbeat identified 1"
+_REMEDY = "Identify the fish: tailbeat session identify --out FILE"
 
 
 @dataclass(frozen=True)
@@ -79,20 +81,13 @@ class Identified:
 
     def as_dict(self) -> dict[str, Any]:
         """What the file holds: JSON types, SI units; NaN as null."""
-        return {
-            "format": _FORMAT,
-            "unique_id": self.unique_id,
-            "made": self.made,
-            "source": self.source,
-            "assumed": list(self.assumed),
-            "alpha_kg_m": self.alpha_kg_m,
-            "model": asdict(self.model),
-            "band": {name: list(band) for name, band in self.band.items()},
-            "covariance": self.covariance.tolist(),
-            "scatter": asdict(self.scatter),
-            "models": [list(asdict(model).values()) for model in self.models],
-            "swims": [_swim_document(swim) for swim in self.swims],
-        }
+        names = ("unique_id", "made", "source", "assumed", "alpha_kg_m", "model", "band")
+        models = [list(asdict(model).values()) for model in self.models]
+        values = {name: getattr(self, name) for name in (*names, "covariance", "scatter")}
+        found: dict[str, Any] = plain(
+            {"format": _FORMAT, **values, "models": models, "swims": self.swims}
+        )
+        return found
 
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all, and so that it lasts."""
@@ -100,62 +95,30 @@ class Identified:
         replace_file(path, json.dumps(self.as_dict(), indent=1, allow_nan=False) + "\n")
 
     @classmethod
-    def from_dict(cls, raw: dict[str, Any]) -> Identified:
-        """Of what ``as_dict`` gave. Raises KeyError, TypeError, ValueError or AttributeError."""
-        return _from_document(raw)
+    def from_dict(cls, raw: dict[str, Any], where: str = "the identified fish") -> Identified:
+        """Of what ``as_dict`` gave. Raises InputError, which begins with ``where``."""
+        return convert(raw, cls, where, _REMEDY, prepare=_checked)
 
     @classmethod
     def load(cls, path: Path) -> Identified:
         """Raises InputError when it is not there or damaged."""
-        remedy = "Identify the fish: tailbeat session identify --out FILE"
         try:
             raw = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise InputError(f"cannot read {path} ({reason(error)}).", remedy) from error
-        try:
-            return _from_document(raw)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"{path} does not hold an identified fish.", remedy) from error
+            raise InputError(f"cannot read {path} ({reason(error)}).", _REMEDY) from error
+        return cls.from_dict(raw, f"{path} does not hold an identified fish")
 
 
-def _swim_document(swim: TrialSpeeds) -> dict[str, Any]:
-    speed = [value if math.isfinite(value) else None for value in swim.speed_m_s.tolist()]
-    return asdict(swim) | {
-        "amplitude_rad": swim.amplitude_rad.tolist(),
-        "speed_m_s": speed,
-        "sigma_m_s": swim.sigma_m_s.tolist(),
-    }
-
-
-def _from_document(raw: dict[str, Any]) -> Identified:
+def _checked(raw: dict[str, Any]) -> dict[str, Any]:
+    """With models by the names of their numbers. Raises KeyError, TypeError or ValueError."""
     if raw["format"] != _FORMAT:
-        raise ValueError(raw["format"])
-    model = FishModel(**raw["model"])
+        raise ValueError(f"its format is {raw['format']}")
+    models = [dict(zip(PARAMS, row, strict=True)) for row in raw["models"]]
     covariance = np.array(raw["covariance"], dtype=np.float64)
-    models = [FishModel(*map(float, row)) for row in raw["models"]]
-    numbers = [*covariance.ravel(), *(v for m in (model, *models) for v in asdict(m).values())]
+    numbers = [*covariance.ravel(), *(v for m in (raw["model"], *models) for v in m.values())]
     if covariance.shape != (4, 4) or not models or not all(map(math.isfinite, numbers)):
-        raise ValueError("numbers")
-    return Identified(
-        model=model,
-        models=models,
-        covariance=covariance,
-        scatter=Scatter(**raw["scatter"]),
-        source=str(raw["source"]),
-        assumed=tuple(map(str, raw["assumed"])),
-        unique_id=str(raw["unique_id"]),
-        made=str(raw["made"]),
-        alpha_kg_m=raw["alpha_kg_m"],
-        swims=[_swim_from(swim) for swim in raw["swims"]],
-    )
-
-
-def _swim_from(raw: dict[str, Any]) -> TrialSpeeds:
-    arrays = {
-        name: np.array(raw[name], dtype=np.float64)  # None becomes NaN
-        for name in ("amplitude_rad", "speed_m_s", "sigma_m_s")
-    }
-    return TrialSpeeds(**(raw | arrays))
+        raise ValueError("its numbers make no model")
+    return raw | {"models": models}
 
 
 COLUMNS = ("amplitude_rad", "speed_m_s")
@@ -247,33 +210,29 @@ class SpeedTable:
 
     def rows(self) -> list[dict[str, float]]:
         """One per row, with what the line and the thesis's model miss it by."""
-        model = self.identified.model.steady_m_s(self.amplitude_rad)
+        line = self.identified.model.steady_m_s(self.amplitude_rad)
         columns = {
             "amplitude_rad": self.amplitude_rad,
             "speed_m_s": self.speed_m_s,
-            "line_m_s": model,
-            "line_residual_m_s": self.speed_m_s - model,
+            "line_m_s": line,
+            "line_residual_m_s": self.speed_m_s - line,
             "thesis_m_s": self.thesis_m_s,
             "thesis_residual_m_s": self.speed_m_s - self.thesis_m_s,
         }
-        return [
-            {name: float(values[k]) for name, values in columns.items()}
-            for k in range(len(self.speed_m_s))
-        ]
+        values = np.column_stack(list(columns.values())).tolist()
+        return [dict(zip(columns, row, strict=True)) for row in values]
 
     def as_dict(self) -> dict[str, Any]:
         """For ``--json``; keys end in their unit."""
-        return {
+        names = (
+            "alpha_kg_m", "kappa_thesis_per_m", "note", "gain_min_m_s_rad", "gain_max_m_s_rad",
+        )  # fmt: skip
+        return {name: getattr(self, name) for name in names} | {
             "source": "table",
-            "alpha_kg_m": self.alpha_kg_m,
-            "kappa_thesis_per_m": self.kappa_thesis_per_m,
             "coast_thesis_s": self.coast_s,
-            "note": self.note,
             "slope_m_s_rad": self.line.slope_m_s_rad,
             "dead_zone_rad": self.line.dead_zone_rad,
             "line_rms_m_s": self.line.rms_m_s,
-            "gain_min_m_s_rad": self.gain_min_m_s_rad,
-            "gain_max_m_s_rad": self.gain_max_m_s_rad,
             "assumed": {name: getattr(self.identified.model, name) for name in ASSUMED},
             "band": self.identified.band,
             "rows": self.rows(),
@@ -283,7 +242,7 @@ class SpeedTable:
 def from_table(path: Path, fish: ThesisFish | None = None) -> SpeedTable:
     """Reads ``amplitude_rad,speed_m_s`` (steady cruise) and identifies the fish as far as that
     goes. Raises InputError, one line, for a table that cannot be one."""
-    amplitude, speed = read_rows(path)
+    amplitude, speed = read_steady_speeds(path)
     return identify_table(amplitude, speed, fish, path.name)
 
 
@@ -337,16 +296,10 @@ def _identified(amplitude: F64, speed: F64, line: SpeedLine, alpha_kg_m: float) 
         for kappa, delay, one in product(KAPPA_PER_M, DELAY_S, lines)
     ]
     model = FishModel(KAPPA_PER_M[1], line.slope_m_s_rad, line.dead_zone_rad, DELAY_S[1])
-    scale = np.array(
-        [
-            [math.log(m.kappa_per_m), math.log(m.slope_m_s_rad), m.dead_zone_rad, m.delay_s]
-            for m in models
-        ]
-    )
     return Identified(
         model=model,
         models=models,
-        covariance=np.cov(scale.T),
+        covariance=np.cov(np.array([vector_of(one) for one in models]).T),
         source="table",
         assumed=ASSUMED,
         made=datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -362,50 +315,27 @@ def _jackknife(amplitude: F64, speed: F64) -> list[SpeedLine]:
     return [one for one in lines if one.slope_m_s_rad > 0]
 
 
-def read_rows(path: Path) -> tuple[F64, F64]:
-    """(amplitude_rad, speed_m_s) of a table, by rising amplitude. Raises InputError."""
-    wanted = ",".join(COLUMNS)
-    cells = read_table(path, wanted)
-    header = [cell.strip() for cell in cells[0]] if cells else []
-    for column in COLUMNS:
-        if column not in header:
-            raise InputError(
-                f"{path.name}, row 1: the header has no column {column}.",
-                f"The first row must be {wanted}.",
-            )
-    at = [header.index(column) for column in COLUMNS]
-    rows = [
-        [_value(path, number, name, row[i] if i < len(row) else "")
-         for name, i in zip(COLUMNS, at, strict=True)]
-        for number, row in enumerate(cells[1:], start=2)
-        if any(cell.strip() for cell in row)
-    ]  # fmt: skip
-    return _sorted(path, rows)
-
-
-def _sorted(path: Path, rows: list[list[float]]) -> tuple[F64, F64]:
-    if len({row[0] for row in rows}) < 2:
+def read_steady_speeds(path: Path) -> tuple[F64, F64]:
+    """(amplitude_rad, speed_m_s) of a table, by rising amplitude; rows of one amplitude stand for
+    their mean. Raises InputError."""
+    cells = [
+        [_positive(path.name, number, *one) for one in zip(COLUMNS, row, strict=True)]
+        for number, row in read_rows(path, COLUMNS)
+    ]
+    table = np.array(sorted(cells))
+    amplitude = np.unique(table[:, 0])
+    if len(amplitude) < 2:
         raise InputError(
-            f"{path.name} has {len(rows)} row{'' if len(rows) == 1 else 's'} of use; a line needs "
+            f"{path.name} has {len(table)} row{'s'[: len(table) != 1]} of use; a line needs "
             "two amplitudes.",
             "Give steady speeds at two or more amplitudes, three for an error.",
         )
-    table = np.array(sorted(rows))
-    # Repeats of an amplitude stand for one row: their mean.
-    amplitude = np.unique(table[:, 0])
-    speed = np.array([table[table[:, 0] == one, 1].mean() for one in amplitude])
-    return amplitude, speed
+    return amplitude, np.array([table[table[:, 0] == one, 1].mean() for one in amplitude])
 
 
-def _value(path: Path, number: int, column: str, cell: str) -> float:
-    text = cell.strip()
-    where = f"{path.name}, row {number}, column {column}"
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: '{text}' is no finite number.", "Write it like 0.0791.")
+def _positive(name: str, number: int, column: str, cell: str) -> float:
+    value = value_of(name, number, column, cell)
+    where = f"{name}, row {number}, column {column}"
     if value <= 0:
         raise InputError(
             f"{where}: {value:g} is not above 0.", "Leave out rows in which the fish did not swim."

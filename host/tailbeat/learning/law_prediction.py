@@ -80,15 +80,6 @@ def _camera_sigma(identified: Identified) -> float:
     return float(np.median(known)) if known.size else SIGMA_M_S
 
 
-def draw_conditions(scatter: Scatter, rng: Generator) -> Conditions:
-    """How one swim differs from the others."""
-    return Conditions(
-        start_m_s=abs(rng.normal(0, scatter.start_m_s)),
-        flow_m_s=rng.normal(0, scatter.flow_m_s),
-        gain=max(rng.normal(1, scatter.gain), 0.0),
-    )
-
-
 def _learn(
     model: FishModel,
     scatter: Scatter,
@@ -103,7 +94,7 @@ def _learn(
     worst = [float(np.abs(wanted).max())]
     for _ in range(iterations):
         recorded = np.clip(amplitude, 0, np.float32(law.amplitude_max_rad)).astype(np.float64)
-        speed = model.beats(recorded, reference.beat_s, draw_conditions(scatter, rng))
+        speed = model.beats(recorded, reference.beat_s, scatter.draw(rng))
         error = wanted - speed - rng.normal(0, sigma_m_s, len(wanted))
         worst.append(float(np.abs(error).max()))
         amplitude, _ = update(law, amplitude, error)

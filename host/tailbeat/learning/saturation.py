@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,27 +44,16 @@ class Saturation:
     limit_rad: float
     needed_rad: float | None
     basis: str
-    words: str
+    words: str = field(init=False)
     action: str
     expected: bool
 
-    @classmethod
-    def of(
-        cls,
-        beats: int,
-        trial_beats: int,
-        limit_rad: float,
-        needed_rad: float | None,
-        basis: str,
-        action: str,
-        expected: bool,
-    ) -> Saturation:
-        """With the words."""
+    def __post_init__(self) -> None:
         need = "how much the reference needs is not known"
-        if needed_rad is not None:
-            need = f"the reference needs about {up_to_grain(needed_rad):.2f} ({basis})"
-        words = f"{beats} of {trial_beats} beats at the limit {limit_rad:.2f} rad; {need}"
-        return cls(beats, trial_beats, limit_rad, needed_rad, basis, words, action, expected)
+        if self.needed_rad is not None:
+            need = f"the reference needs about {up_to_grain(self.needed_rad):.2f} ({self.basis})"
+        at = f"{self.beats} of {self.trial_beats} beats at the limit {self.limit_rad:.2f} rad"
+        object.__setattr__(self, "words", f"{at}; {need}")
 
     @property
     def text(self) -> str:
@@ -190,12 +179,12 @@ def _judged(
     limit = params["AMP_MAX_RAD"]
     if known is None:
         action = "To find out how much it needs: tailbeat session identify"
-        return Saturation.of(count, trial_beats, limit, None, "", action, expected)
+        return Saturation(count, trial_beats, limit, None, "", action, expected)
     if not count or _best_rad(known.identified, reference) <= limit + GRAIN_RAD:
         return None
     need = needed_rad(known.identified, reference)
     action = _action(reference, params, known, need, learned)
-    return Saturation.of(count, trial_beats, limit, need, known.basis, action, expected)
+    return Saturation(count, trial_beats, limit, need, known.basis, action, expected)
 
 
 def _action(

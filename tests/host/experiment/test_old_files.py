@@ -30,7 +30,7 @@ from tailbeat.experiment.current import current, strayed
 from tailbeat.experiment.export import export
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.library import FOLDER_VARIABLE, Logbook
-from tailbeat.learning.identification import Identified, read_rows
+from tailbeat.learning.identification import Identified, read_steady_speeds
 from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
 from tailbeat.sensors.camera.calibration.file import load_calibration
@@ -336,7 +336,7 @@ def test_other_files(old: Path) -> None:
     for name in ("identified.json", "identified-table.json"):
         document = json.loads((old / name).read_bytes())
         assert not missing(renamed(document), Identified.load(old / name).as_dict())
-    assert len(read_rows(old / "steady.csv")[0]) == 5
+    assert len(read_steady_speeds(old / "steady.csv")[0]) == 5
     law, by_params = load(old / "law.json"), load(old / "law-params.json")
     assert (law.q_len, law.tail) == (by_params.q_len, by_params.tail) == (3, 2)
     assert len(from_csv(old / "reference.csv").speed_m_s) == 12

@@ -123,7 +123,7 @@ def test_no_negative_dead_zone() -> None:
     [
         ("", "no column amplitude_rad"),
         ("theta,speed_m_s\n0.4,0.05\n", "no column amplitude_rad"),
-        ("amplitude_rad,speed_m_s\n", "0 rows of use"),
+        ("amplitude_rad,speed_m_s\n", "a header but no numbers"),
         ("amplitude_rad,speed_m_s\n0.4,0.05\n", "1 row of use"),
         ("amplitude_rad,speed_m_s\n0.4,0.05\n0.4,0.06\n", "two amplitudes"),
         ("amplitude_rad,speed_m_s\n0.4,0.05\n0.6,fast\n", "row 3, column speed_m_s: 'fast'"),
