@@ -32,7 +32,6 @@ from tailbeat.learning.convergence import (
     default_band,
     expected_band,
     score_of,
-    visits,
 )
 from tailbeat.learning.fish_model import trial_speeds
 from tailbeat.learning.identification import Identified
@@ -166,6 +165,13 @@ _STEP_MIN = 0.05
 _BY_THE_LAW = ("law", "first", "restored", "")  # what made a trial's amplitudes; "" = not told
 
 
+def rollback_words(best_trial: int = 0) -> str:
+    """That the board went back to its best input by itself. Every place that shows what was learned
+    says it with these words; ``best_trial`` 0 = not known which."""
+    whose = f"trial {best_trial}'s amplitudes" if best_trial else "the best amplitudes"
+    return f"ROLLED BACK: worse twice in a row, so {whose} swim next"
+
+
 @dataclass(frozen=True)
 class Row:
     """One trial. ``repeat_of``: the first trial with the same amplitudes, 0 = this is the first."""
@@ -226,6 +232,15 @@ def progress_of(
         fade=_fade(series, scores, last, found, identified) if last.saturation is None else None,
         problems=[*problems, *_crooked(series)],
     )
+
+
+def visits(trials: Sequence[Trial]) -> NDArray[np.int64]:
+    """How many trials swam and measured each beat; as long as the longest trial."""
+    count = np.zeros(max((len(t.beats.samples) for t in trials), default=0), np.int64)
+    for trial in trials:
+        recorded = np.arange(len(trial.beats.samples)) < trial.executed_beats
+        count[: len(recorded)] += recorded & np.isfinite(trial.beats.error_m_s)
+    return count
 
 
 def _with_saturation(verdict: Assessment, saturation: Saturation | None) -> Assessment:

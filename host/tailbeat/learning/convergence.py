@@ -12,9 +12,10 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tailbeat.core import trial_checks as judging
 from tailbeat.core.arrays import F32, F64
@@ -26,7 +27,7 @@ from tailbeat.learning.saturation import Saturation
 
 SCATTER_M_S = 0.0031  # half of the 95 % interval of repeats on the tank plant, kappa 5 to 20 1/m
 WINDOW = 3  # trials without progress that end a series
-FLOOR_WINDOW = 2  # trials in a row within noise of the floor that end it
+BOUND_WINDOW = 2  # trials in a row within noise of the error bound that end it
 MOVES = 0.9  # a fish whose max|e| is above this part of the one at rest hardly swims yet
 _SLOPE_SIGMAS = 1.2  # a slope this far from none may well be one
 _REPEATS_MIN = 3
@@ -135,16 +136,14 @@ def assess_all(
     """What ``judge`` said, or would have said, after each trial. ``expected``: the band for the
     best trial of those up to then."""
     bands: dict[int, NoiseBand] = {}
-    verdicts = []
+    assessments = []
     for end in range(1, len(scores) + 1):
-        band = None
         best = best_of(scores[:end])
-        if expected is not None and best is not None:
-            if best.input_crc not in bands:
-                bands[best.input_crc] = expected(best)
-            band = bands[best.input_crc]
-        verdicts.append(assess(scores[:end], band, floor_m_s, rest_m_s))
-    return verdicts
+        if expected is not None and best is not None and best.input_crc not in bands:
+            bands[best.input_crc] = expected(best)
+        band = bands.get(best.input_crc) if best else None
+        assessments.append(assess(scores[:end], band, floor_m_s, rest_m_s))
+    return assessments
 
 
 def noise_band(scores: Sequence[Score], expected: NoiseBand | None = None) -> NoiseBand:
@@ -198,9 +197,7 @@ def expected_band(
     worst = np.empty(_DRAWS)
     for row, (gain, flow, start) in enumerate(draws):
         given = Conditions(
-            start_m_s=abs(start) * scatter.start_m_s,
-            flow_m_s=flow * scatter.flow_m_s,
-            gain=1 + gain * scatter.gain,
+            abs(start) * scatter.start_m_s, flow * scatter.flow_m_s, 1 + gain * scatter.gain
         )
         speed = identified.model.beats(amplitude_rad, reference.beat_s, given)
         worst[row] = np.abs(wanted - speed - noise[row]).max()
@@ -235,22 +232,6 @@ def score_of(trial: Trial, rolled_back: bool = False) -> Score:
     )
 
 
-def visits(trials: Sequence[Trial]) -> NDArray[np.int64]:
-    """How many trials swam and measured each beat; as long as the longest trial."""
-    count = np.zeros(max((len(t.beats.samples) for t in trials), default=0), np.int64)
-    for trial in trials:
-        recorded = np.arange(len(trial.beats.samples)) < trial.executed_beats
-        count[: len(recorded)] += recorded & np.isfinite(trial.beats.error_m_s)
-    return count
-
-
-def rollback_words(best_trial: int = 0) -> str:
-    """That the board went back to its best input by itself. Every place that shows what was learned
-    says it with these words; ``best_trial`` 0 = not known which."""
-    whose = f"trial {best_trial}'s amplitudes" if best_trial else "the best amplitudes"
-    return f"ROLLED BACK: worse twice in a row, so {whose} swim next"
-
-
 def repeat_limits(before: Sequence[Score], input_crc: int, band: NoiseBand) -> tuple[float, float]:
     """(low, high) of max|e| that one more swim of an input has in 95 of 100 cases, m/s. ``before``:
     the series; judged trials of other inputs tell how lucky a single one of this was."""
@@ -270,7 +251,9 @@ def best_of(scores: Sequence[Score]) -> Score | None:
     """The judged trial that the board would have made its best; None = none is judged. It has the
     smallest max|e|, the first of equals, when no beat is missing; else see firmware/ilc/judge.h."""
     judged = [score for score in scores if score.judged]
-    at = judging.best_at(_errors(score) for score in judged)
+    alone = (np.array([score.max_abs_error_m_s], np.float32) for score in judged)
+    known = (score.error_m_s for score in judged)
+    at = judging.best_at(b if a is None else a for a, b in zip(known, alone, strict=True))
     return None if at is None else judged[at]
 
 
@@ -294,12 +277,6 @@ def _against(score: Score, best: Score) -> Score:
     return replace(score, max_abs_error_m_s=value)
 
 
-def _errors(score: Score) -> F32:
-    if score.error_m_s is not None:
-        return score.error_m_s
-    return np.array([score.max_abs_error_m_s], np.float32)
-
-
 def repeats_of(scores: Sequence[Score], input_crc: int) -> list[Score]:
     """The judged trials of one input."""
     return [score for score in scores if score.judged and score.input_crc == input_crc]
@@ -319,10 +296,9 @@ def _kind_and_words(scores: Sequence[Score], band: NoiseBand) -> tuple[str, str]
     if value < min(low, best.max_abs_error_m_s):
         return "progress", f"progress: {_mm(best)} -> {_mm(last)} mm/s"
     if value > high:
-        same = last.input_crc == best.input_crc
-        words = f"worse than noise explains: {_mm(last)} mm/s"
-        words += " with the best's own input" if same else ""
-        words += "; has the water, the battery or the camera changed?" if same else ""
+        own = " with the best's own input; has the water, the battery or the camera changed?"
+        own = own if last.input_crc == best.input_crc else ""
+        words = f"worse than noise explains: {_mm(last)} mm/s{own}"
         return "worse", f"{words} (the best: {_about(best, band)})"
     if value < best.max_abs_error_m_s:
         return "noise", f"the best, but within noise of trial {best.trial} ({_about(best, band)})"
@@ -367,10 +343,11 @@ def _stop_reason(
         return ""
     if rest_m_s is not None and best.max_abs_error_m_s > MOVES * rest_m_s:
         return ""
-    if floor_m_s is not None and _reaches(floor_m_s, judged, band):
-        floor = f"{floor_m_s * 1e3:.1f}"
-        what = f"the floor (least squares, {floor} mm/s)"
-        return f"the last {FLOOR_WINDOW} trials are within noise of {what}"
+    latest = [score.max_abs_error_m_s for score in judged[-BOUND_WINDOW:]]
+    enough = len(latest) == BOUND_WINDOW  # one trial near the error bound may be chance
+    if floor_m_s is not None and enough and max(latest) <= floor_m_s * band.high:
+        what = f"the error bound (least squares, {floor_m_s * 1e3:.1f} mm/s)"
+        return f"the last {BOUND_WINDOW} trials are within noise of {what}"
     before, window = judged[:-WINDOW], judged[-WINDOW:]
     if not before:
         return ""
@@ -384,12 +361,6 @@ def _stop_reason(
     if kind in ("worse", "rolled_back"):
         return f"the last {WINDOW} trials brought nothing better, and this one is worse"
     return f"the last {WINDOW} trials brought no progress beyond noise"
-
-
-def _reaches(floor_m_s: float, judged: Sequence[Score], band: NoiseBand) -> bool:
-    """One trial near the floor may be luck."""
-    latest = [score.max_abs_error_m_s for score in judged[-FLOOR_WINDOW:]]
-    return len(latest) == FLOOR_WINDOW and max(latest) <= floor_m_s * band.high
 
 
 def _falls(judged: Sequence[Score], band: NoiseBand, high_m_s: float) -> bool:
@@ -468,8 +439,6 @@ def _student(freedom: int) -> float:
 
 
 def _normal(tail: float) -> float:
-    from statistics import NormalDist
-
     return -NormalDist().inv_cdf(tail)
 
 

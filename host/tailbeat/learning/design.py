@@ -126,20 +126,24 @@ def design(
     if q_len is None and lead_beats is None:
         lengths = [length for length in _Q_LENS if 2 * length - 1 <= reference.beats]
     chosen = _choose(plants, gain, leads, lengths, best)
-    law = _law(chosen, amplitude_max_rad, step_max_rad, reference.beat_s)
-    nominal = plan(identified.model, reference.speed_m_s, reference.beat_s, amplitude_max_rad)
-    input_ratio, input_beats = _input_ratio(
-        identified, nominal, plants, reference, chosen, amplitude_max_rad
+    law = Law(
+        kp_rad_s_m=chosen.gain,
+        amplitude_max_rad=amplitude_max_rad,
+        step_max_rad=step_max_rad,
+        beat_s=reference.beat_s,
+        lead_beats=chosen.lead_beats,
+        q_len=chosen.q_len,
     )
+    nominal = plan(identified.model, reference.speed_m_s, reference.beat_s, amplitude_max_rad)
+    input_ratio, input_beats = _input_ratio(identified, nominal, plants, reference, law)
+    slow = plants.slow_ratio(chosen.gain, chosen.lead_beats, chosen.q_len)
     return Design(
         law=law,
         frequency_cycles=FREQUENCIES,
         ratio=chosen.ratio,
         ratio_max=chosen.worst,
         ratio_dc=float(chosen.ratio[0]),
-        ratio_slow=float(
-            plants.slow_ratio(chosen.gain, chosen.lead_beats, chosen.q_len).max(initial=0.0)
-        ),
+        ratio_slow=float(slow.max(initial=0.0)),
         input_ratio=input_ratio,
         input_beats=input_beats,
         static_gain_best=best,
@@ -150,7 +154,7 @@ def design(
         floor_m_s=nominal.max_abs_error_m_s,
         series=expected_series(identified, reference, law, iterations),
         refused=_refusal(chosen, best, limit),
-        warnings=_warnings(chosen, plants, identified, reference),
+        warnings=_warnings(chosen, slow, plants.speeds_m_s[1], identified, reference),
     )
 
 
@@ -230,33 +234,17 @@ def _rounded_down(gain: float) -> float:
     return round(math.floor(gain / _GAIN_STEP) * _GAIN_STEP, 2)
 
 
-def _law(choice: _Choice, amplitude_max_rad: float, step_max_rad: float, beat_s: float) -> Law:
-    return Law(
-        kp_rad_s_m=choice.gain,
-        amplitude_max_rad=amplitude_max_rad,
-        step_max_rad=step_max_rad,
-        beat_s=beat_s,
-        lead_beats=choice.lead_beats,
-        q_len=choice.q_len,
-    )
-
-
 def _input_ratio(
-    identified: Identified,
-    best: Plan,
-    plants: Plants,
-    reference: Reference,
-    choice: _Choice,
-    amplitude_max_rad: float,
+    identified: Identified, best: Plan, plants: Plants, reference: Reference, law: Law
 ) -> tuple[float, int]:
     """The norm of a step in the input, the largest of the set, and on how many beats: those where
     the reference wants a speed of the certificate's range and the best amplitude is outside the
     dead zone and below the largest. Every model is taken at the same steady speeds."""
     amplitude, nominal = best.amplitude_rad, identified.model
-    free = (amplitude > nominal.dead_zone_rad) & (amplitude < amplitude_max_rad)
+    free = (amplitude > nominal.dead_zone_rad) & (amplitude < law.amplitude_max_rad)
     beats: NDArray[np.bool_] = free & (reference.speed_m_s >= plants.speeds_m_s[0])
     steady = nominal.steady_m_s(amplitude)
-    step = (choice.gain, choice.lead_beats, choice.q_len)
+    step = (law.kp_rad_s_m, law.lead_beats, law.q_len)
     norms = [
         input_norm(model, model.amplitude_rad(steady), reference.beat_s, *step, beats)
         for model in [nominal, *identified.models]
@@ -275,22 +263,19 @@ def _refusal(choice: _Choice, best: float, limit: float) -> str:
 
 
 def _warnings(
-    choice: _Choice, plants: Plants, identified: Identified, reference: Reference
+    choice: _Choice, slow: F64, fastest_m_s: float, identified: Identified, reference: Reference
 ) -> list[str]:
-    slow = plants.slow_ratio(choice.gain, choice.lead_beats, choice.q_len)
     everywhere = np.maximum(choice.ratio, slow)
     found = [_growth(everywhere)] if choice.ratio[0] < 1 else []
     wanted = float(np.max(reference.speed_m_s))
-    if plants.speeds_m_s[1] < wanted:
+    if fastest_m_s < wanted:
         found.append(
             f"the reference wants {wanted * 1e3:.0f} mm/s, but the slowest model of the set "
-            f"reaches {plants.speeds_m_s[1] * 1e3:.0f} with the largest amplitude"
+            f"reaches {fastest_m_s * 1e3:.0f} with the largest amplitude"
         )
-    found += [
-        f"{_ASSUMED[name]} assumed, {_range(identified, name)}"
-        for name in identified.assumed
-        if name in _ASSUMED
-    ]
+    for name in (name for name in identified.assumed if name in _ASSUMED):
+        values = sorted({f"{getattr(model, name):g}" for model in identified.models}, key=float)
+        found.append(f"{_ASSUMED[name]} assumed, {' to '.join([values[0], *values[1:][-1:]])}")
     return [line for line in found if line]
 
 
@@ -300,12 +285,6 @@ _ASSUMED = {
     "slope_m_s_rad": "the map's slope (m/s/rad) is",
     "dead_zone_rad": "the dead zone (rad) is",
 }
-
-
-def _range(identified: Identified, name: str) -> str:
-    values = [getattr(model, name) for model in identified.models]
-    low, high = min(values), max(values)
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def _growth(ratio: F64) -> str:

@@ -17,7 +17,7 @@ from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import current, require_meant, require_meant_here, swims_for
 from tailbeat.experiment.library import DISCARDED, logbook_of
 from tailbeat.experiment.redo import write_redo
-from tailbeat.learning.convergence import rollback_words
+from tailbeat.learning.assessment import rollback_words
 from tailbeat.link.messages import BoardStatus, LearnReport
 from tailbeat.session.collect import (
     STOPPED,

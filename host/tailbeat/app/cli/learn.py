@@ -25,7 +25,8 @@ from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import Logbook, logbook_of
-from tailbeat.learning.convergence import Assessment, rollback_words
+from tailbeat.learning.assessment import rollback_words
+from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
