@@ -6,16 +6,10 @@
 
 /* Trials kept beside the running one, each with an amplitude and an error per sample. */
 static size_t kept_trials(const learner_config_t *config) {
-    switch (config->past) {
-    case PAST_MEAN:
-        return 1;
-    case PAST_WINDOW:
+    if (config->past == PAST_WINDOW) {
         return config->window - 1u;
-    case PAST_LAST:
-    case PAST_KIND_COUNT:
-        break;
     }
-    return 0;
+    return config->past == PAST_MEAN ? 1u : 0u;
 }
 
 static bool weights_finite(const learner_config_t *config) {
@@ -49,7 +43,7 @@ static bool config_valid(const learner_config_t *config) {
                         (config->window >= 1u && config->window <= LEARNER_WINDOW_MAX &&
                          (unsigned)config->history <= LEARNER_HISTORY_NONE &&
                          weights_finite(config) && inputs_bounded(config));
-    return (unsigned)config->past < PAST_KIND_COUNT && window &&
+    return (unsigned)config->past <= PAST_WINDOW && window &&
            past_fits(config->past, &config->law) &&
            law_check(&config->law, config->samples) == LAW_OK;
 }
@@ -206,16 +200,10 @@ static void keep_trial(learner_t *learner) {
 }
 
 static law_result_t add_all(learner_t *learner) {
-    switch (learner->config.past) {
-    case PAST_MEAN:
-        return add_mean(learner);
-    case PAST_WINDOW:
+    if (learner->config.past == PAST_WINDOW) {
         return add_window(learner);
-    case PAST_LAST:
-    case PAST_KIND_COUNT:
-        break;
     }
-    return add_last(learner);
+    return learner->config.past == PAST_MEAN ? add_mean(learner) : add_last(learner);
 }
 
 /* LAW_NOTHING_MEASURED is no refusal here, but the report stays empty. */

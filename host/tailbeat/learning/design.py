@@ -127,13 +127,9 @@ def design(
         lengths = [length for length in _Q_LENS if 2 * length - 1 <= reference.beats]
     chosen = _choose(plants, gain, leads, lengths, best)
     law = Law(
-        kp_rad_s_m=chosen.gain,
-        amplitude_max_rad=amplitude_max_rad,
-        step_max_rad=step_max_rad,
-        beat_s=reference.beat_s,
-        lead_beats=chosen.lead_beats,
-        q_len=chosen.q_len,
-    )
+        kp_rad_s_m=chosen.gain, lead_beats=chosen.lead_beats, q_len=chosen.q_len,
+        amplitude_max_rad=amplitude_max_rad, step_max_rad=step_max_rad, beat_s=reference.beat_s,
+    )  # fmt: skip
     nominal = plan(identified.model, reference.speed_m_s, reference.beat_s, amplitude_max_rad)
     input_ratio, input_beats = _input_ratio(identified, nominal, plants, reference, law)
     slow = plants.slow_ratio(chosen.gain, chosen.lead_beats, chosen.q_len)

@@ -31,8 +31,7 @@ _BRAKE_MARGIN = 0.9  # what is left for learning to correct
 _PUSH_MARGIN = 0.5
 _SPEED_MARGIN = 0.95
 _TRAVEL_MARGIN = 0.97
-_GENTLER_BRAKE = 0.9
-_GENTLER_PUSH = 0.9
+_GENTLER = 0.9
 _TRIES_MAX = 6
 _FITS_MAX = 8
 _UNDER_WAY = 0.3  # of the speed asked for
@@ -73,12 +72,8 @@ class _Reach:
     delay_s: float
 
     def gentler(self) -> _Reach:
-        return replace(
-            self,
-            brake_per_m=self.brake_per_m * _GENTLER_BRAKE,
-            push_per_m=self.push_per_m * _GENTLER_PUSH,
-            ramp_beats=self.ramp_beats + 1,
-        )
+        brake, push = self.brake_per_m * _GENTLER, self.push_per_m * _GENTLER
+        return replace(self, brake_per_m=brake, push_per_m=push, ramp_beats=self.ramp_beats + 1)
 
 
 def suggest(
@@ -225,7 +220,6 @@ def _differences(difference: F64) -> list[str]:
         if run.size:
             most = float(np.abs(difference[run]).max()) * 1e3
             where = f"beat {run[0]}" if run.size == 1 else f"beats {run[0]} to {run[-1]}"
-            lines.append(
-                f"{where} up to {most:.1f} mm/s {'faster' if sign[run[0]] > 0 else 'slower'}"
-            )
+            how = "faster" if sign[run[0]] > 0 else "slower"
+            lines.append(f"{where} up to {most:.1f} mm/s {how}")
     return lines

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,11 +24,13 @@ import numpy as np
 from tailbeat.core import law as laws
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.core.files import plain
 from tailbeat.core.law import Law
 from tailbeat.core.reference import Reference
 from tailbeat.learning.belief import Belief, believe
 from tailbeat.learning.convergence import input_crc
 from tailbeat.learning.fish_model import PARAMS, SIGMA_M_S, FishModel, TrialSpeeds, last_input
+from tailbeat.learning.fit import vector_of
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 
@@ -208,31 +210,21 @@ def _reason(belief: Belief, law: str) -> str:
     if not count:
         return "planned with the identified model, before any swim"
     text = f"re-fitted on {count} swim{'s' if count > 1 else ''}"
-    moved = [
-        f"{_number(name, getattr(belief.model, name))} (identified {_number(name, was, bare=True)})"
-        for name, was in _moved(belief)
-    ]
+    moved = _moved(belief)
     return f"{text}: {', '.join(moved)}" if moved else text
 
 
-def _moved(belief: Belief) -> list[tuple[str, float]]:
+def _moved(belief: Belief) -> list[str]:
     """The numbers that left their identified 95 % interval, and what they were."""
     identified = belief.identified
     sigma = np.sqrt(np.diag(identified.covariance) + np.diag(belief.covariance))
+    change = vector_of(belief.model) - vector_of(identified.model)
     found = []
-    for name, s in zip(PARAMS, sigma, strict=True):
-        was, now = getattr(identified.model, name), getattr(belief.model, name)
-        relative = name in ("kappa_per_m", "slope_m_s_rad")
-        way = np.log(now / was) if relative else now - was
-        if abs(way) > 2 * s:
-            found.append((name, was))
+    for name in np.array(PARAMS)[np.abs(change) > 2 * sigma]:
+        word, unit, digits = _WORDS[name]
+        was, now = (f"{getattr(one.model, name):.{digits}f}" for one in (identified, belief))
+        found.append(f"{word} {now} {unit} (identified {was})")
     return found
-
-
-def _number(name: str, value: float, bare: bool = False) -> str:
-    word, unit, digits = _WORDS[name]
-    number = f"{value:.{digits}f}"
-    return number if bare else f"{word} {number} {unit}"
 
 
 FORMAT = "tailbeat proposal 1"
@@ -248,34 +240,31 @@ def document_of(
     step_max_rad: float,
 ) -> dict[str, Any]:
     """JSON types, SI units. The arguments are those ``propose`` was called with."""
-    low, median, high = proposal.predicted_max_abs_error_m_s
-    return {
-        "format": FORMAT,
-        "law": proposal.law,
-        "reason": proposal.reason,
-        "input_crc": input_crc(proposal.amplitude_rad),
-        "amplitude_rad": _numbers(proposal.amplitude_rad),
-        "predicted_m_s": _numbers(proposal.predicted_m_s),
-        "low_m_s": _numbers(proposal.low_m_s),
-        "high_m_s": _numbers(proposal.high_m_s),
-        "predicted_max_abs_error_m_s": {"low": low, "median": median, "high": high},
-        "model": asdict(proposal.model),
-        "disturbance_m_s": _numbers(proposal.disturbance_m_s),
-        "fitted_trials": list(proposal.trials),
-        "chance": proposal.chance,
-        "limited_beats": proposal.limited_beats,
-        "reference": {
-            "crc": reference.crc,
-            "name": reference.name,
-            "beat_s": reference.beat_s,
-            "speed_m_s": [float(v) for v in reference.speed_m_s],
-        },
-        "amplitude_max_rad": amplitude_max_rad,
-        "step_max_rad": step_max_rad,
-        "fallback": asdict(fallback),
-        "swims": [{"trial": swim.trial, "crc": swim_crc(swim)} for swim in swims],
-        "identified": identified.as_dict(),
-    }
+    quantiles = zip(("low", "median", "high"), proposal.predicted_max_abs_error_m_s, strict=True)
+    document: dict[str, Any] = plain(
+        {
+            "format": FORMAT,
+            "law": proposal.law,
+            "reason": proposal.reason,
+            "input_crc": input_crc(proposal.amplitude_rad),
+            **_of(proposal, "amplitude_rad", "predicted_m_s", "low_m_s", "high_m_s"),
+            "predicted_max_abs_error_m_s": dict(quantiles),
+            **_of(proposal, "model", "disturbance_m_s"),
+            "fitted_trials": proposal.trials,
+            **_of(proposal, "chance", "limited_beats"),
+            "reference": _of(reference, "crc", "name", "beat_s", "speed_m_s"),
+            "amplitude_max_rad": amplitude_max_rad,
+            "step_max_rad": step_max_rad,
+            "fallback": fallback,
+            "swims": [{"trial": swim.trial, "crc": swim_crc(swim)} for swim in swims],
+            "identified": identified.as_dict(),
+        }
+    )
+    return document
+
+
+def _of(source: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(source, name) for name in names}
 
 
 def repropose(document: dict[str, Any], swims: Sequence[TrialSpeeds]) -> Proposal:
@@ -320,7 +309,3 @@ def swim_crc(swim: TrialSpeeds) -> int:
     for values in (swim.amplitude_rad, swim.speed_m_s, swim.sigma_m_s):
         crc = zlib.crc32(np.nan_to_num(values, nan=-1.0).astype("<f8").tobytes(), crc)
     return crc
-
-
-def _numbers(values: F64) -> list[float]:
-    return [float(value) for value in values]

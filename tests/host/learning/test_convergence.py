@@ -13,7 +13,7 @@ from scipy.stats import studentized_range, t
 from tailbeat.core import reference
 from tailbeat.core.arrays import F64
 from tailbeat.core.trial_file import Beats, Slots, Trial
-from tailbeat.learning import convergence
+from tailbeat.learning import assessment, convergence
 from tailbeat.learning.convergence import NoiseBand, Score, assess, assess_all, noise_band
 from tailbeat.learning.fish_model import Conditions, FishModel
 from tailbeat.learning.fit import Scatter
@@ -347,10 +347,10 @@ def test_visits_count_what_each_beat_was_swum() -> None:
     hole = error.copy()
     hole[1] = np.nan
     trials = [trial_of(1, wild, error), trial_of(2, wild, error, 4), trial_of(3, wild, hole)]
-    np.testing.assert_array_equal(convergence.visits(trials), [3, 2, 3, 3, 2, 2])
+    np.testing.assert_array_equal(assessment.visits(trials), [3, 2, 3, 3, 2, 2])
     stopped = replace(trial_of(4, wild, error), executed_beats=2)  # coasted on, and was seen
-    np.testing.assert_array_equal(convergence.visits([stopped]), [1, 1, 0, 0, 0, 0])
-    assert len(convergence.visits([])) == 0
+    np.testing.assert_array_equal(assessment.visits([stopped]), [1, 1, 0, 0, 0, 0])
+    assert len(assessment.visits([])) == 0
 
 
 def test_a_rollback_is_seen_in_the_files() -> None:

@@ -19,7 +19,6 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from tailbeat.core.errors import InputError, TailbeatError, reason
@@ -32,18 +31,11 @@ from tailbeat.studies.montecarlo.recipe import Recipe, parse
 from tailbeat.studies.montecarlo.results import arrow, identity, schema, to_bytes
 from tailbeat.studies.pool import each_result
 
-
-def _dask() -> ModuleType:
-    found: ModuleType = need(
-        "distributed", "cluster", "Computing on a cluster needs Dask (distributed)"
-    )
-    return found
-
-
 if TYPE_CHECKING:
     import pyarrow as pa
 
-distributed = LazyModule("distributed", _dask)
+_NEEDED = ("distributed", "cluster", "Computing on a cluster needs Dask (distributed)")
+distributed = LazyModule("distributed", lambda: need(*_NEEDED))
 Progress = Callable[[int, int], None]  # cells done, cells in all
 Finished = Iterator[tuple[Cell, bytes]]
 
@@ -76,11 +68,13 @@ class StudyFolder:
                     f"{self.folder} holds results, but no {MANIFEST} says of what.",
                     "Give another folder with --out.",
                 )
-            self._make(wanted, recipe.source)
+            (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
+            self._keep_source(recipe.source)
+            replace_file(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
             return
         different = [key for key, value in wanted.items() if found.get(key) != value]
         if not different:
-            self._rejudge(recipe.source)
+            self._keep_source(recipe.source)
             return
         what = "another recipe" if different[0].startswith("recipe") else f"another {different[0]}"
         what = "another build of tailbeat" if different[0] == "code" else what
@@ -111,13 +105,8 @@ class StudyFolder:
             raise InputError(f"{self.folder} holds no sweep.", "Give the folder of one.")
         return parse(source.read_text(encoding="utf-8"), str(manifest["recipe"]))
 
-    def _make(self, wanted: dict[str, str], source: str) -> None:
-        (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
-        replace_file(self.folder / RECIPE, source.encode())
-        replace_file(self.folder / MANIFEST, (json.dumps(wanted, indent=1) + "\n").encode())
-
-    def _rejudge(self, source: str) -> None:
-        """Only what judges the results can differ: from now on it is what is given now."""
+    def _keep_source(self, source: str) -> None:
+        """Of results that are there only what judges them can differ: from now on it is this."""
         path = self.folder / RECIPE
         if not path.exists() or path.read_bytes() != source.encode():
             replace_file(path, source.encode())
@@ -246,12 +235,10 @@ def compute(recipe: Recipe, cell: Cell) -> bytes:
 def _computed(
     recipe: Recipe, missing: list[Cell], cores: int | None, scheduler: str | None
 ) -> Finished:
-    if not missing:
-        return
-    if scheduler is not None:
+    if missing and scheduler is not None:
         yield from computed_by(scheduler, recipe, missing)
-        return
-    yield from _computed_here(recipe, missing, cores or cores_here())
+    elif missing:
+        yield from _computed_here(recipe, missing, cores or cores_here())
 
 
 def _computed_here(recipe: Recipe, missing: list[Cell], cores: int) -> Finished:

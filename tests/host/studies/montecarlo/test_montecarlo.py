@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from tailbeat.app.cli import run
 from tailbeat.core import law as laws
 from tailbeat.core.errors import InputError
+from tailbeat.core.extras import need
 from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.lazy import LazyModule
@@ -357,7 +358,9 @@ def test_a_cluster_without_the_package(
     tiny: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    monkeypatch.setattr(runner, "distributed", LazyModule("distributed", runner._dask))
+    monkeypatch.setattr(
+        runner, "distributed", LazyModule("distributed", lambda: need(*runner._NEEDED))
+    )
     with pytest.raises(InputError, match=r"needs Dask.*tools/bootstrap cluster"):
         run_study(tiny, tmp_path, scheduler="tcp://127.0.0.1:1")
 
