@@ -18,7 +18,7 @@ from tailbeat.core import records
 from tailbeat.core.errors import TailbeatError
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
-from tailbeat.sensors.camera.speed.smoother import BeatFit
+from tailbeat.sensors.camera.tracking.live import BeatFit
 from tailbeat.session.trial_camera import default_camera, vision_message
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard

@@ -14,7 +14,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import BOARD_COMPONENT, BOARD_SYSTEM, Link
-from tailbeat.sensors.camera.speed.smoother import BeatFit
+from tailbeat.sensors.camera.tracking.live import BeatFit
 from tailbeat.session.trial_camera import default_camera, vision_message
 from tailbeat.sim.board import CONSOLE, FLASH_BYTES, SimTransport
 from tailbeat.sim.emulated import EmulatedBoard

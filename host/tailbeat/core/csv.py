@@ -6,8 +6,9 @@ Speeds that were measured after a swim: CSV files to one value per beat.
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,6 +84,15 @@ def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]
     if not rows:
         raise InputError(f"{path.name} has a header but no numbers.", f"Add rows of {wanted}.")
     return rows
+
+
+def table_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table as CSV; None = an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def spreadsheet_text(text: str) -> str:

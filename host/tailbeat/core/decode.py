@@ -33,7 +33,7 @@ _WORDS = {
     "array": "a list",
     "null": "nothing (null)",
 }
-_AT = re.compile(r"(?s)(.*?)(?: - at `\$\.?(.*)`)?$")
+_AT = re.compile(r"(?s)(.*?)(?: - at (?:`key` in )?`\$\.?(.*)`)?$")
 
 
 class StrictTable(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -91,7 +91,7 @@ def convert(
     try:
         if prepare is not None:
             document = prepare(document)
-        return msgspec.convert(document, kind, dec_hook=_custom)
+        return msgspec.convert(document, kind, dec_hook=_custom, str_keys=True)
     except msgspec.ValidationError as error:
         problem, place = _explained(str(error))
         known = _known_keys(kind, place) if "unknown key" in problem else []
@@ -139,10 +139,13 @@ def _explained(message: str) -> tuple[str, str]:
     problem, place = match[1], (match[2] or "").replace("[...]", "")
     if found := re.fullmatch(r"Object (missing required|contains unknown) field `(.*)`", problem):
         return (f"unknown key {found[2]}" if "unknown" in found[1] else f"no {found[2]}"), place
-    for name, words in _WORDS.items():
-        problem = re.sub(rf"`{name}`", words, problem)
-    problem = problem.replace("`", "").replace("Expected", "expected")
-    return problem.replace(" | ", " or ").replace("Invalid enum value", "unknown value"), place
+    problem = re.sub(r"`([^`]*)`", lambda types: _in_words(types[1]), problem)
+    problem = problem.replace("Expected", "expected")
+    return problem.replace("Invalid enum value", "unknown value"), place
+
+
+def _in_words(types: str) -> str:
+    return " or ".join(_WORDS.get(name, name) for name in types.split(" | "))
 
 
 def _of_python(error: Exception) -> str:

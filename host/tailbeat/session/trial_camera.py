@@ -31,7 +31,7 @@ from tailbeat.link.messages import BeatEvent
 from tailbeat.link.sockets import TcpTransport
 from tailbeat.link.timesync import BoardClock
 from tailbeat.sensors.camera.render.source import RemoteCamera, SimulatedCamera
-from tailbeat.sensors.camera.speed.smoother import BeatFit, SpeedSample
+from tailbeat.sensors.camera.tracking.live import BeatFit, SpeedSample
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter, is_computed
 from tailbeat.session.events import OnEvent, TrialWarning
 

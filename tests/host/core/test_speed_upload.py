@@ -17,7 +17,7 @@ from tailbeat.core.csv import BeatSpeeds, read_speeds
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.trial_file import read_trial
-from tailbeat.sensors.camera.speed import smoother
+from tailbeat.sensors.camera import speed as smoother
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

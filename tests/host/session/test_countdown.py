@@ -16,8 +16,8 @@ from tailbeat.core import records
 from tailbeat.core.errors import InputError, LinkLostError, Refused
 from tailbeat.core.frames import Frame
 from tailbeat.link import _dialect as mavlink
+from tailbeat.sensors.camera.led import read_led
 from tailbeat.sensors.camera.render.source import SimulatedCamera
-from tailbeat.sensors.camera.sync.led import read_led
 from tailbeat.sensors.camera.tracking.track import SEEN, Track
 from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
 from tailbeat.session.events import Countdown, Event

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,16 +21,10 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.library import logbook_of
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker, MarkerKind
-from tailbeat.sensors.camera.render.source import (
-    RemoteCamera,
-    RenderedDevice,
-    SimulatedCamera,
-    scene_of,
-)
-from tailbeat.sensors.camera.source.device import Device
+from tailbeat.sensors.camera.render.source import RemoteCamera
 from tailbeat.sensors.camera.source.film import Recorder
-from tailbeat.sensors.camera.source.picture import PictureSource
-from tailbeat.sensors.camera.sync.sync import sync_by_led
+from tailbeat.sensors.camera.source.open import SourceOptions, live_source
+from tailbeat.sensors.camera.sync import sync_by_led
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.sensors.camera.tracking.tracker import Tracker
@@ -38,7 +32,6 @@ from tailbeat.session.events import Event, TrialRecorded, TrialStarted
 from tailbeat.session.guards import Guard, WallGuard
 from tailbeat.session.trial_camera import default_camera
 
-RENDERED = "rendered"
 LATE_MAX_S = 0.03
 MARKERS_METAVAR = "|".join(KINDS)
 
@@ -95,7 +88,8 @@ class CameraOptions(MarkerOptions):
             )
         if video is not None and video.exists():
             raise InputError(f"{video} is there already", "Give --video another name.")
-        if self.calibration is None and not self.positions and self.camera != RENDERED:
+        simulated = self.positions or live_source(str(self.camera)).simulated
+        if self.calibration is None and not simulated:
             raise InputError(
                 "a camera needs a calibration",
                 "Give --calibration TANK.json; make one: tailbeat camera calibrate",
@@ -149,8 +143,15 @@ def live_camera(
             yield LiveCamera(positions, _guard(fish, known, wall_m), None)
         return
     with ExitStack() as stack:
-        source, calibration = _source(fish, options, known)
+        kind = live_source(str(options.camera))
+        size_px = known.size_px if known is not None else None
+        opening = SourceOptions(
+            size_px, options.latency, lambda: default_camera(fish), options.on_fish()
+        )
+        source = kind.open(str(options.camera), opening)
         stack.callback(source.close)
+        calibration = known or source.calibration
+        assert calibration is not None  # check() let only sources with their own pass
         calibration.check_size(source.size_px, source.name)
         recorder = None
         if video is not None:
@@ -159,30 +160,9 @@ def live_camera(
             if known is None:
                 calibration.save(video.with_suffix(".tank.json"))
         tracker = Tracker(options.on_fish(), calibration, source.name, glow=True)
-        camera = VideoCamera(source, tracker, options.camera != RENDERED, recorder)
+        camera = VideoCamera(source, tracker, not kind.simulated, recorder)
         stack.callback(camera.close)
         yield LiveCamera(camera, _guard(fish, calibration, wall_m), camera, recorder)
-
-
-def _source(
-    fish: Fish, options: CameraOptions, known: Calibration | None
-) -> tuple[PictureSource, Calibration]:
-    """A device, or the simulated fish as a camera would see it, with the true calibration unless
-    another is given."""
-    if known is not None and options.camera != RENDERED:
-        device = Device(str(options.camera), known.size_px, latency_s=options.latency)
-        return device, known
-    seen = default_camera(fish)
-    if not isinstance(seen, SimulatedCamera | RemoteCamera):
-        raise InputError("only a simulated fish can be drawn", "Start one: tailbeat sim")
-    usual, number, side_m = scene_of(seen), options.marker_id, options.marker_side
-    scene = replace(
-        usual,
-        marker=options.marker,
-        marker_id=usual.marker_id if number is None else number,
-        marker_side_m=usual.marker_side_m if side_m is None else side_m,
-    )
-    return RenderedDevice(seen, scene), known or scene.calibration()
 
 
 def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) -> Guard | None:

@@ -19,12 +19,17 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import named_reference
 from tailbeat.report.figures.track import draw_track
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
-from tailbeat.sensors.camera.film_to_speed import FilmAnalysis, analyse, new_folder, write_analysis
+from tailbeat.sensors.camera.film_to_speed import (
+    FilmAnalysis,
+    Overlay,
+    analyse,
+    new_folder,
+    write_analysis,
+)
 from tailbeat.sensors.camera.marker.detector import MarkerKind
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.source.open import open_source
+from tailbeat.sensors.camera.source.open import SourceOptions, open_source
 from tailbeat.sensors.camera.source.picture import PictureSource
-from tailbeat.sensors.camera.tracking.overlay import Overlay
 from tailbeat.sensors.camera.tracking.track import Progress
 
 _SIZE_MIN_PX, _SIZE_MAX_PX = 64, 8192
@@ -121,8 +126,9 @@ def track(
     known = _calibration(marker.calibration)
     log = read_trial(trial) if trial is not None else None
     folder = out or _folder(source)
+    options = SourceOptions(known.size_px, marker.latency)
     with (
-        closing(open_source(source, seconds, marker.latency, known.size_px)) as pictures,
+        closing(open_source(source, options, seconds)) as pictures,
         new_folder(folder) as part,
         Overlay(part / "overlay.mp4", pictures.size_px, pictures.fps)
         if overlay

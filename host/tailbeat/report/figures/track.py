@@ -12,7 +12,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.report.style import ACCENT, BAND, DASHED, DOTTED, FAINT, INK, Axes, picture
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.sensors.camera.speed.smoother import STEPS_PER_BEAT, SpeedCurve
+from tailbeat.sensors.camera.speed import STEPS_PER_BEAT, SpeedCurve
 from tailbeat.sensors.camera.tracking.track import LOST, Track
 
 _HOLE, _WATER = "0.94", "0.95"

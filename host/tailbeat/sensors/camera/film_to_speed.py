@@ -1,12 +1,11 @@
-"""From pictures to speeds: the whole way, and the files that come of it."""
+"""From pictures to speeds, and the files that are written: tables, a summary, the overlay film."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import shutil
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import replace_file
 from tailbeat.core.frames import Frame
@@ -24,9 +24,12 @@ from tailbeat.core.trial_checks import HeadingDrift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker
-from tailbeat.sensors.camera.source.picture import PictureSource
-from tailbeat.sensors.camera.speed.smoother import SpeedCurve, swim_speed, write_speeds
-from tailbeat.sensors.camera.sync.sync import Sync, sync, sync_by_led
+from tailbeat.sensors.camera.marker.tags import Detection
+from tailbeat.sensors.camera.opencv import cv2, require_cv2
+from tailbeat.sensors.camera.source.film import FilmWriter
+from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
+from tailbeat.sensors.camera.speed import SpeedCurve, swim_speed, write_speeds
+from tailbeat.sensors.camera.sync import Sync, sync, sync_by_led
 from tailbeat.sensors.camera.tracking.track import (
     BRIDGED,
     LOST,
@@ -36,6 +39,7 @@ from tailbeat.sensors.camera.tracking.track import (
     track,
     write_track,
 )
+from tailbeat.sensors.camera.tracking.tracker import TrackedImage
 
 SUMMARY = "summary.json"
 _FILES = {"track.csv", "speed.csv", "beats.csv", "track.png", "overlay.mp4", SUMMARY}
@@ -113,7 +117,7 @@ def analyse(
     progress: Progress | None = None,
     on_place: Callable[..., None] | None = None,
 ) -> FilmAnalysis:
-    """All of ``source``: track, begin of the swim (``start_s`` if given, else by LED or wobble when
+    """All of ``source``: track, begin of the swim (``start_s`` if given, else by LED or yaw when
     there is a trial) and speed; with a trial its sigma holds that of the begin. ``beat_s`` counts
     without a trial only.
 
@@ -193,18 +197,14 @@ def write_analysis(found: FilmAnalysis, folder: Path) -> None:
     write_track(found.track, folder / "track.csv")
     write_speeds(found.curve, folder / "speed.csv", found.trial.number if found.trial else None)
     if found.trial is not None:
-        replace_file(folder / "beats.csv", _beats_csv(*found.beats()))
+        rows = (
+            (beat, *(f"{v:.6f}" if math.isfinite(v) else None for v in values))
+            for beat, values in enumerate(zip(*found.beats(), strict=True))
+        )
+        columns = ("beat", "speed_m_s", "sigma_m_s")
+        replace_file(folder / "beats.csv", table_text(columns, rows))
     text = json.dumps(found.summary(), indent=2, allow_nan=False) + "\n"
     replace_file(folder / SUMMARY, text)
-
-
-def _beats_csv(speed: F64, sigma: F64) -> str:
-    out = io.StringIO()
-    rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(("beat", "speed_m_s", "sigma_m_s"))
-    for beat, (v, s) in enumerate(zip(speed, sigma, strict=True)):
-        rows.writerow((beat, *(f"{value:.6f}" if math.isfinite(value) else "" for value in (v, s))))
-    return out.getvalue()
 
 
 def _straight_summary(found: HeadingDrift | None) -> dict[str, Any] | None:
@@ -237,3 +237,93 @@ def _of_measured(what: Callable[[F64], Any], values: F64) -> float | None:
 
 def _number(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+_TRAIL_S = 2.0
+_DARK, _LIGHT = (30, 30, 30), (255, 255, 255)
+_OUTLINE, _TRAIL, _ARROW, _UNSEEN = (0, 220, 0), (0, 200, 255), (60, 60, 255), (60, 60, 255)
+_AROUND = ((-1, 0), (1, 0), (0, -1), (0, 1))
+_SHIFT = 4  # OpenCV draws at sixteenths of a pixel
+_LINE_PX = 720  # height of a picture whose lines are two pixels wide
+
+
+class Overlay(FilmWriter):
+    """Writes ``path``: each picture with the marker's outline, an arrow along the heading, the way
+    of the last 2 s, time and state. Call it with what track() gives to ``on_place``."""
+
+    def __init__(self, path: Path, size_px: tuple[int, int], fps: float) -> None:
+        require_cv2()
+        super().__init__(path, size_px, fps)
+        self._trail: deque[tuple[float, tuple[float, float]]] = deque()
+
+    def __call__(self, picture: TimedImage, place: TrackedImage) -> None:
+        """The next picture."""
+        image: Image = cv2.cvtColor(picture.image, cv2.COLOR_GRAY2BGR)
+        self._draw_trail(image, place)
+        if place.sighting is not None:
+            self._draw_sighting(image, place.sighting)
+        self._draw_text(image, place)
+        self.add(image, picture.t_s)
+
+    def _draw_trail(self, image: Image, place: TrackedImage) -> None:
+        while self._trail and self._trail[0][0] < place.t_s - _TRAIL_S:
+            self._trail.popleft()
+        if place.sighting is not None:
+            self._trail.append((place.t_s, place.sighting.centre_px))
+        self._line(image, [point for _, point in self._trail], _TRAIL, closed=False)
+
+    def _draw_sighting(self, image: Image, sighting: Detection) -> None:
+        centre, front = np.array(sighting.centre_px), np.array(sighting.front_px)
+        if sighting.corners_px is not None:
+            outline = sighting.corners_px
+        else:
+            outline = _blob_box(centre, front, sighting.side_px)
+        self._line(image, outline, _OUTLINE, closed=True)
+        ahead = front - centre
+        length = max(3 * sighting.side_px, 24.0)
+        tip = centre + ahead * (length / max(float(np.linalg.norm(ahead)), 1e-6))
+        cv2.arrowedLine(
+            image, _fixed(centre), _fixed(tip), _ARROW, _width(image),
+            cv2.LINE_AA, _SHIFT, 0.2,
+        )  # fmt: skip
+
+    def _draw_text(self, image: Image, place: TrackedImage) -> None:
+        state = ("not seen", _UNSEEN)
+        if place.sighting is not None:
+            state = (f"seen, quality {place.sighting.quality:.2f}", _LIGHT)
+        lines = [(f"{place.t_s:.3f} s", _LIGHT), state]
+        scale = image.shape[0] / _LINE_PX
+        for row, (text, colour) in enumerate(lines):
+            left, base = round(16 * scale), round((34 + 32 * row) * scale)
+            # Thicker letters are wider in OpenCV 5: a shadow all around is the same text, shifted.
+            for dx, dy, ink in (*((*step, _DARK) for step in _AROUND), (0, 0, colour)):
+                cv2.putText(
+                    image, text, (left + dx, base + dy), cv2.FONT_HERSHEY_SIMPLEX, 0.9 * scale,
+                    ink, 1, cv2.LINE_AA,
+                )  # fmt: skip
+
+    def _line(self, image: Image, points: Any, colour: tuple[int, int, int], closed: bool) -> None:
+        if len(points) < 2:
+            return
+        fixed = np.rint(np.asarray(points, np.float64) * 2**_SHIFT).astype(np.int32)
+        for ink, more in ((_DARK, 2), (colour, 0)):
+            cv2.polylines(
+                image, [fixed.reshape(-1, 1, 2)], closed, ink, _width(image) + more,
+                cv2.LINE_AA, _SHIFT,
+            )  # fmt: skip
+
+
+def _blob_box(centre: F64, front: F64, side_px: float) -> F64:
+    """Corners of a blob: as long as twice the way to its front end, as wide as its side."""
+    ahead = front - centre
+    aside = np.array([-ahead[1], ahead[0]]) / max(float(np.linalg.norm(ahead)), 1e-6) * side_px / 2
+    return np.array([front - aside, front + aside, 2 * centre - front + aside,
+                     2 * centre - front - aside])  # fmt: skip
+
+
+def _fixed(point: F64) -> tuple[int, int]:
+    return round(float(point[0]) * 2**_SHIFT), round(float(point[1]) * 2**_SHIFT)
+
+
+def _width(image: Image) -> int:
+    return max(1, round(2 * float(image.shape[0]) / _LINE_PX))

@@ -20,7 +20,7 @@ from tailbeat.core.trial_file import read_trial
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.picture import TimedImage
-from tailbeat.sensors.camera.sync.sync import Sync
+from tailbeat.sensors.camera.sync import Sync
 from tailbeat.sensors.camera.tracking.live import VideoCamera
 from tailbeat.sensors.camera.tracking.tracker import TrackedImage
 from tailbeat.sim.board import SimTransport, SimulatedBoard
@@ -109,7 +109,7 @@ def swim(
                 prepare(devices[-1])
             return devices[-1]
 
-        monkeypatch.setattr("tailbeat.app.cli._camera.Device", opened)
+        monkeypatch.setattr("tailbeat.sensors.camera.source.open.Device", opened)
         status = run(["trial", "run", "--connect", "it", *words])
         out, err = capsys.readouterr()
         assert all(device.closed for device in devices)

@@ -10,7 +10,7 @@ import pytest
 
 from tailbeat.core.native import lib
 from tailbeat.core.reference import thesis
-from tailbeat.sensors.camera.speed.smoother import BeatFit, SpeedSample
+from tailbeat.sensors.camera.tracking.live import BeatFit, SpeedSample
 from tailbeat.sim.world import Wires
 
 
@@ -47,8 +47,6 @@ def test_noise_of_a_millimetre_gives_seven_tenths_per_second() -> None:
     assert rms == pytest.approx(0.65e-3, rel=0.1)
     mean_sigma = sum(s.sigma_m_s for s in samples) / len(samples)
     assert mean_sigma == pytest.approx(rms, rel=0.1)
-    known = feed(BeatFit(position_noise_m=1e-3), noisy[:26])
-    assert known[0].sigma_m_s == pytest.approx(0.654e-3, rel=0.01)
 
 
 def test_ripple_of_the_tail_is_mostly_gone() -> None:

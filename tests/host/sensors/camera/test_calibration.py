@@ -202,16 +202,25 @@ NAN, INF = float("nan"), float("inf")
 WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "other format": (put("format", "tank"), "is no calibration of a camera"),
     "newer": (put("version", 2), "has version 2, this tailbeat reads 1"),
-    "no matrix": (lambda raw: raw.pop("camera_matrix"), "damaged: it has no 'camera_matrix'"),
-    "nan": (put("camera_matrix", [[NAN, 0, 640], *K[1:]]), "its camera_matrix is not finite"),
-    "infinite": (put("distortion", [INF, 0, 0, 0, 0]), "its distortion is not finite"),
-    "text": (put("distortion", ["1", "0", "0", "0", "0"]), "distortion should be 5 numbers"),
-    "truth": (put("distortion", [True] * 5), "distortion should be 5 numbers"),
-    "huge": (put("distortion", [10**400, 0, 0, 0, 0]), "distortion should be 5 numbers"),
-    "ragged": (put("camera_matrix", [[1, 0], [0, 1, 2], [0]]), "should be 3 x 3 numbers"),
-    "two sizes": (put("size_px", [1280, 720, 3]), "its size_px should be 2 numbers"),
+    "no matrix": (lambda raw: raw.pop("camera_matrix"), ": no camera_matrix"),
+    "nan": (
+        put("camera_matrix", [[NAN, 0, 640], *K[1:]]),
+        "camera_matrix should be 3 x 3 numbers, finite",
+    ),
+    "infinite": (put("distortion", [INF, 0, 0, 0, 0]), "distortion should be 5 numbers, finite"),
+    "text": (
+        put("distortion", ["1", "0", "0", "0", "0"]),
+        "distortion: expected a list of numbers",
+    ),
+    "truth": (put("distortion", [True] * 5), "distortion: expected a list of numbers"),
+    "huge": (put("distortion", [10**400, 0, 0, 0, 0]), "distortion: expected a list of numbers"),
+    "ragged": (
+        put("camera_matrix", [[1, 0], [0, 1, 2], [0]]),
+        "camera_matrix: expected a list of numbers",
+    ),
+    "two sizes": (put("size_px", [1280, 720, 3]), "size_px: expected a list of length 2"),
     "tiny": (put("size_px", [1, 0]), "pictures of 1x0 pixels cannot be"),
-    "giant": (put("size_px", [1e9, 720]), "cannot be"),
+    "giant": (put("size_px", [10**9, 720]), "cannot be"),
     "skew": (put("camera_matrix", [[1000, 3, 640], *K[1:]]), "matrix is no pinhole's"),
     "backwards": (put("camera_matrix", [[-1000, 0, 640], *K[1:]]), "matrix is no pinhole's"),
     "other size": (put("size_px", [320, 240]), "the lens's axis lies outside the picture"),
@@ -227,17 +236,17 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "millimetres": (put("tank_from_image", [[2.7, 0, 0], [0, 2.7, 0], [0, 0, 1]]), "2.7e+03 mm"),
     "edge-on": (put("tank_from_image", [[0.1, 0, 0], [0, 0.001, 0], [0, 0, 1]]), "no sense"),
     "two corners": (put("area_m", [[0, 0], [1, 1]]), "at least three corners"),
-    "no corners": (put("area_m", []), "area_m should be"),
-    "area": (put("area_m", 7), "is damaged"),
+    "no corners": (put("area_m", []), "at least three corners"),
+    "area": (put("area_m", 7), "area_m: expected a list of numbers"),
     "bent": (put("area_m", [[0, 0], [3, 0], [1, 1], [0, 3]]), "is not convex"),
     "crossed": (put("area_m", [[0, 0], [3, 0], [0, 2], [3, 2]]), "is not convex"),
     "star": (star, "is not convex"),
     "line": (put("area_m", [[0, 0], [1, 0], [2, 0]]), "is not convex"),
     "twice": (put("area_m", [[0, 0], [1, 0], [1, 0], [0, 1]]), "is not convex"),
-    "anchors": (put("anchors", [1, 2]), "anchors are no list of ids and places"),
-    "anchor's name": (put("anchors", {"x": [1, 2]}), "is damaged"),
-    "anchor's place": (put("anchors", {"40": [1]}), "its 40 should be 2 numbers"),
-    "rms": (put("rms_px", "good"), "its rms_px should be a number"),
+    "anchors": (put("anchors", [1, 2]), "anchors: expected a table of keys and values"),
+    "anchor's name": (put("anchors", {"x": [1, 2]}), "anchors: expected a whole number"),
+    "anchor's place": (put("anchors", {"40": [1]}), "anchors: expected a list of length 2"),
+    "rms": (put("rms_px", "good"), "rms_px: expected a number"),
 }
 
 
@@ -261,7 +270,7 @@ def test_what_cannot_be_is_refused(file: Path, what: str) -> None:
 def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other.json"
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"is no calibration of a camera\. Make one: tailbeat"):
+    with pytest.raises(InputError, match=r"other.json.*Make one: tailbeat"):
         load_calibration(path)
 
 
@@ -269,14 +278,14 @@ def test_a_film_is_not_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "film.mp4"
     with path.open("wb") as file:
         file.truncate(2**40)
-    with pytest.raises(InputError, match="is no calibration"):
+    with pytest.raises(InputError, match="is too long"):
         load_calibration(path)
 
 
 def test_missing_files_and_folders(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none.json cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"cannot read .*none.json \(No such file"):
         load_calibration(tmp_path / "none.json")
-    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+    with pytest.raises(InputError, match=r"cannot read .*\(Is a directory"):
         load_calibration(tmp_path)
 
 
@@ -300,7 +309,7 @@ def test_damaged_bytes_never_do_worse_than_refuse(file: Path) -> None:
 def test_nothing_half_written(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = file.read_bytes()
     good = camera(**FULL)[0]
-    with pytest.raises(InputError, match="is not finite"):
+    with pytest.raises(InputError, match="scale_error should be a number, finite"):
         replace(good, scale_error=NAN).save(file)
     with pytest.raises(InputError, match="tank_from_image should be"):
         replace(good, tank_from_image=np.full((3, 3), NAN)).save(file)

@@ -14,8 +14,8 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.learning.design import design
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.speed.smoother import swim_speed
-from tailbeat.sensors.camera.sync.sync import sync
+from tailbeat.sensors.camera.speed import swim_speed
+from tailbeat.sensors.camera.sync import sync
 from tailbeat.session.identify import Attendant, identify_fish
 from tailbeat.session.trial import run_trial
 

@@ -14,8 +14,8 @@ pytest.importorskip("cv2")
 from tailbeat.board.fish import Fish
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.speed.smoother import SpeedCurve, swim_speed
-from tailbeat.sensors.camera.sync.sync import sync_by_led, sync_by_yaw
+from tailbeat.sensors.camera.speed import SpeedCurve, swim_speed
+from tailbeat.sensors.camera.sync import sync_by_led, sync_by_yaw
 
 from ...rendered_tank import Swum, swim_before_the_camera
 

@@ -22,7 +22,7 @@ from tailbeat.sensors.camera import film_to_speed
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.open import Beginning
-from tailbeat.sensors.camera.sync.sync import Sync
+from tailbeat.sensors.camera.sync import Sync
 from tailbeat.sensors.camera.tracking.track import Track
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
@@ -189,7 +189,7 @@ def test_the_film_of_another_trial_is_refused(
 
 
 @pytest.mark.usefixtures("seen_once")
-def test_a_film_paired_by_the_wobble_is_questioned(
+def test_a_film_paired_by_the_yaw_is_questioned(
     film: Exercise,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

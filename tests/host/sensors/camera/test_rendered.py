@@ -23,7 +23,7 @@ from tailbeat.sensors.camera.render.source import RenderedDevice, SimulatedCamer
 from tailbeat.sensors.camera.render.sprites import Body, Canvas, stamp
 from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.picture import Image
-from tailbeat.sensors.camera.sync.sync import sync, sync_by_yaw
+from tailbeat.sensors.camera.sync import sync, sync_by_yaw
 from tailbeat.sensors.camera.tracking.track import track
 from tailbeat.sim.native import SimBoard
 from tailbeat.sim.world import CameraFrame
@@ -34,7 +34,7 @@ SEED = 5
 CLEAN = Scene(pixel_noise=0, ripples=0)
 CLOSE = replace(CLEAN, tank_m=(1.2, 0.7), height_m=1.0)  # the marker has 54 pixels
 SMALL = replace(CLEAN, size_px=(640, 360))
-HERE = DrawnPose(t_s=3.0, x_m=0.8, y_m=0.1, heading_rad=0.15, tail_rad=0.0, led=0.0)
+HERE = DrawnPose(time_s=3.0, x_m=0.8, y_m=0.1, heading_rad=0.15, tail_rad=0.0, led=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -159,9 +159,9 @@ def test_the_calibration_knows_walls_and_anchors(clean: Painter) -> None:
 def test_the_same_picture_comes_again_whatever_was_drawn_before() -> None:
     scene = Scene(size_px=(640, 360), glare=0.4, hidden=0.5, fish=2)
     painter = Painter(scene)
-    first = [painter.paint(replace(HERE, t_s=k / 25), k) for k in range(4)]
-    again = [painter.paint(replace(HERE, t_s=k / 25), k) for k in (3, 2, 1, 0)]
-    other = [Painter(scene).paint(replace(HERE, t_s=k / 25), k) for k in range(4)]
+    first = [painter.paint(replace(HERE, time_s=k / 25), k) for k in range(4)]
+    again = [painter.paint(replace(HERE, time_s=k / 25), k) for k in (3, 2, 1, 0)]
+    other = [Painter(scene).paint(replace(HERE, time_s=k / 25), k) for k in range(4)]
     assert [i.tobytes() for i in first] == [i.tobytes() for i in reversed(again)]
     assert [i.tobytes() for i in first] == [i.tobytes() for i in other]
     assert (painter.paint(HERE, 0) != painter.paint(HERE, 1)).any()
@@ -221,7 +221,7 @@ def test_as_many_are_hidden_as_asked_for(small: Painter) -> None:
 
 def test_glare_wanders_and_grows() -> None:
     def spot(glare: float, t_s: float) -> tuple[float, float, int]:
-        image = Painter(replace(SMALL, glare=glare)).paint(replace(HERE, t_s=t_s), 0)
+        image = Painter(replace(SMALL, glare=glare)).paint(replace(HERE, time_s=t_s), 0)
         v, u = np.nonzero(image == 255)
         return float(u.mean()), float(v.mean()), len(u)
 
@@ -235,7 +235,9 @@ def test_waves_move_on_the_water_only() -> None:
     scene = replace(SMALL, ripples=1.0)
     painter = Painter(scene)
     calm = Painter(SMALL).paint(HERE, 0)
-    one, soon, late = (painter.paint(replace(HERE, t_s=t), 0).astype(int) for t in (3.0, 3.04, 9.0))
+    one, soon, late = (
+        painter.paint(replace(HERE, time_s=t), 0).astype(int) for t in (3.0, 3.04, 9.0)
+    )
     water = np.zeros(calm.shape, np.uint8)
     walls = scene.calibration().to_pixels(np.array(scene.walls_m(0.02)))
     cv2.fillConvexPoly(water, np.rint(walls).astype(np.int32), 1)

@@ -13,9 +13,9 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Frame
 from tailbeat.core.reference import Reference, thesis
+from tailbeat.sensors.camera import speed as speed_module
 from tailbeat.sensors.camera.render.source import SimulatedCamera
-from tailbeat.sensors.camera.speed import ripple_filter
-from tailbeat.sensors.camera.speed.smoother import (
+from tailbeat.sensors.camera.speed import (
     COLUMNS,
     SpeedCurve,
     swim_direction_rad,
@@ -136,12 +136,12 @@ def test_a_swim_in_steps_has_larger_errors_and_says_so() -> None:
 
 def dense(t_s, way, beat_s, by, ends):
     """Way between two moments and its variance, by plain Gaussian conditioning on everything."""
-    mean, cov = ripple_filter.prior(by, float(way[np.isfinite(way)][0]))
-    count, n = len(t_s), ripple_filter.STATES
+    mean, cov = speed_module.prior(by, float(way[np.isfinite(way)][0]))
+    count, n = len(t_s), speed_module.STATES
     means, blocks = [mean[0]], [[cov[0]]]
     for k in range(1, count):
-        step = ripple_filter.transition(t_s[k] - t_s[k - 1], beat_s)
-        noise = ripple_filter.process_noise(t_s[k] - t_s[k - 1], beat_s, by)[0]
+        step = speed_module.transition(t_s[k] - t_s[k - 1], beat_s)
+        noise = speed_module.process_noise(t_s[k] - t_s[k - 1], beat_s, by)[0]
         blocks.append([step @ block for block in blocks[-1]])
         blocks[k].append(step @ blocks[k - 1][k - 1] @ step.T + noise)
         means.append(step @ means[-1])
@@ -153,9 +153,9 @@ def dense(t_s, way, beat_s, by, ends):
     seen = np.flatnonzero(np.isfinite(way))
     rows = np.zeros((len(seen) + 1, count * n))
     for row, k in enumerate(seen):
-        rows[row, k * n : k * n + n] = ripple_filter.SEEN_AS
-    rows[-1, ends[1] * n : ends[1] * n + n] += ripple_filter.SEEN_AS
-    rows[-1, ends[0] * n : ends[0] * n + n] -= ripple_filter.SEEN_AS
+        rows[row, k * n : k * n + n] = speed_module.SEEN_AS
+    rows[-1, ends[1] * n : ends[1] * n + n] += speed_module.SEEN_AS
+    rows[-1, ends[0] * n : ends[0] * n + n] -= speed_module.SEEN_AS
     all_cov = rows @ joint @ rows.T
     all_mean = rows @ np.concatenate(means)
     data = all_cov[:-1, :-1] + np.eye(len(seen))
@@ -165,40 +165,40 @@ def dense(t_s, way, beat_s, by, ends):
 
 
 def test_the_smoother_gives_what_plain_gaussian_conditioning_gives(monkeypatch) -> None:
-    from tailbeat.sensors.camera.speed import smoother
-
     # A vague prior costs the dense way its digits.
-    monkeypatch.setattr(ripple_filter, "_WAY_SPREAD", 1e2)
-    monkeypatch.setattr(ripple_filter, "_SPEED_SPREAD", 1e2)
-    monkeypatch.setattr(ripple_filter, "_RISE_SPREAD", 1e1)
+    monkeypatch.setattr(speed_module, "_WAY_SPREAD", 1e2)
+    monkeypatch.setattr(speed_module, "_SPEED_SPREAD", 1e2)
+    monkeypatch.setattr(speed_module, "_RISE_SPREAD", 1e1)
     random = np.random.default_rng(5)
     t_s = np.sort(np.concatenate([np.arange(45) * 0.05, random.uniform(0, 2.2, 12)]))
     t_s = np.round(t_s, 6)
     way = 30 * t_s + np.sin(2 * np.pi * t_s) + random.normal(size=len(t_s))
     way[::7] = np.nan
-    by = ripple_filter.Candidates(np.array([20.0]), np.array([0.8]), np.array([0.4]))
-    smoothed = ripple_filter.smooth(t_s, 1.0, ripple_filter.forward(t_s, way, 1.0, by, keep=True))
+    by = speed_module.Candidates(np.array([20.0]), np.array([0.8]), np.array([0.4]))
+    smoothed = speed_module.smooth(t_s, 1.0, speed_module.forward(t_s, way, 1.0, by, keep=True))
     on_grid = np.arange(0, len(t_s), 4)
-    speed, sigma = smoother._mean_speeds(smoothed, on_grid, 1.0)
+    speed, sigma = speed_module._mean_speeds(smoothed, on_grid, 1.0)
     for at in range(len(speed)):
-        ends = on_grid[at], on_grid[at + smoother.STEPS_PER_BEAT]
+        ends = on_grid[at], on_grid[at + speed_module.STEPS_PER_BEAT]
         value, variance = dense(t_s, way, 1.0, by, ends)
         assert speed[at] == pytest.approx(value, rel=1e-6)
         assert sigma[at] ** 2 == pytest.approx(variance, rel=1e-4)
 
 
 def test_the_likelihood_is_that_of_the_innovations() -> None:
-    by = ripple_filter.Candidates(np.array([5.0, 50.0]), np.array([0.5, 2.0]), np.array([0.1, 1.0]))
+    by = speed_module.Candidates(np.array([5.0, 50.0]), np.array([0.5, 2.0]), np.array([0.1, 1.0]))
     t_s = np.arange(60) * 0.04
     way = np.random.default_rng(2).normal(size=60)
-    both = ripple_filter.forward(t_s, way, 1.0, by, keep=False)
+    both = speed_module.forward(t_s, way, 1.0, by, keep=False)
     for k in range(2):
-        one = ripple_filter.Candidates(
+        one = speed_module.Candidates(
             by.jerk[k : k + 1], by.ripple[k : k + 1], by.second[k : k + 1]
         )
-        alone = ripple_filter.forward(t_s, way, 1.0, one, keep=True)
-        assert alone.innovation is not None
-        assert both.chi2[k] == pytest.approx(np.sum(alone.innovation[1:] ** 2))
+        alone = speed_module.forward(t_s, way, 1.0, one, keep=True)
+        predicted, covariance, _, _ = alone.nodes
+        missed = way - predicted @ speed_module.SEEN_AS
+        variance = speed_module.SEEN_AS @ covariance @ speed_module.SEEN_AS + 1
+        assert both.chi2[k] == pytest.approx(np.sum((missed**2 / variance)[1:]))
         assert both.log_variance[k] == pytest.approx(alone.log_variance[0])
     assert both.count == 59
 

@@ -17,10 +17,8 @@ from tailbeat.core import reference
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Frame
 from tailbeat.core.trial_file import NO_MOTION, Trial, read_trial
-from tailbeat.sensors.camera.sync.led import read_led
-from tailbeat.sensors.camera.sync.led_search import Waveform
-from tailbeat.sensors.camera.sync.sync import WrongPair, sync, sync_by_led, sync_by_yaw
-from tailbeat.sensors.camera.sync.yaw import read_yaw
+from tailbeat.sensors.camera.led import Waveform, read_led
+from tailbeat.sensors.camera.sync import WrongPair, read_yaw, sync, sync_by_led, sync_by_yaw
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera

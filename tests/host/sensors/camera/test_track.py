@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+import av
 import numpy as np
 import pytest
 
@@ -15,13 +16,12 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Frame
 from tailbeat.report.figures.track import draw_track
 from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.film_to_speed import Overlay
 from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.marker.tags import Detection
-from tailbeat.sensors.camera.source.film import Film
 from tailbeat.sensors.camera.source.picture import TimedImage
-from tailbeat.sensors.camera.speed.smoother import SpeedCurve
+from tailbeat.sensors.camera.speed import SpeedCurve
 from tailbeat.sensors.camera.tracking import track as tracks
-from tailbeat.sensors.camera.tracking.overlay import Overlay
 from tailbeat.sensors.camera.tracking.track import (
     BRIDGED,
     COLUMNS,
@@ -29,7 +29,6 @@ from tailbeat.sensors.camera.tracking.track import (
     SEEN,
     STATES,
     Track,
-    read_track,
     track,
     track_of,
     write_track,
@@ -319,23 +318,11 @@ def test_file(tmp_path: Path) -> None:
     assert lines[1] == "0,0.000000,0.000000,0.000000,0.000000,0.750000,seen"
     assert lines[51] == "50,2.000000,,,,0.000000,lost"
     assert lines[21].endswith(",0.000000,bridged")
-    back = read_track(path)
-    assert np.array_equal(back.state, made.state)
-    for column in ("t_s", "x_m", "y_m", "heading_rad", "quality"):
-        ours, theirs = getattr(made, column), getattr(back, column)
-        assert np.allclose(ours, theirs, atol=1e-6, equal_nan=True), column
-    assert back.fps == pytest.approx(25, rel=1e-4)
-    assert (back.name, back.glow) == ("track.csv", None)
-
-
-def test_file_survives_spreadsheets(tmp_path: Path) -> None:
-    path = tmp_path / "track.csv"
-    write_track(track_of(places(EVEN_S[:4], {1})), path)
-    rows = [line.split(",") for line in path.read_text().splitlines()]
-    shuffled = [[row[-1], *(f" {cell} " for cell in row[:-1]), "note"] for row in rows]
-    text = "\ufeff" + "\r\n".join(",".join(row) for row in shuffled) + "\r\n,,\r\n"
-    path.write_text(text, encoding="utf-8")
-    assert [STATES[s] for s in read_track(path).state] == ["seen", "bridged", "seen", "seen"]
+    rows = [line.split(",") for line in lines[1:]]
+    assert [STATES.index(row[-1]) for row in rows] == made.state.tolist()
+    for at, column in enumerate(("t_s", "x_m", "y_m", "heading_rad", "quality"), start=1):
+        theirs = [float(row[at] or "nan") for row in rows]
+        assert np.allclose(getattr(made, column), theirs, atol=1e-6, equal_nan=True), column
 
 
 def test_unwritable(tmp_path: Path) -> None:
@@ -349,60 +336,32 @@ def test_unwritable(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["track.csv"]
 
 
-GOOD = ",".join(COLUMNS) + "\n0,0,0,0,0,1,seen\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "row 1: the header has no column picture"),
-        ("t_s,v_m_s\n0,1\n", "row 1: the header has no column picture"),
-        (",".join(COLUMNS) + "\n", "has a header but no rows"),
-        (GOOD + "1,0.04,,0,0,1,seen\n", "row 3, column x_m: '' is no finite number"),
-        (GOOD + "1,0.04,nan,0,0,1,bridged\n", "row 3, column x_m: 'nan' is no finite number"),
-        (GOOD + "1,0.04,0,inf,0,1,seen\n", "row 3, column y_m: 'inf' is no finite number"),
-        (GOOD + "1,0.04,0,0,x,1,lost\n", "row 3, column heading_rad: 'x' is no finite number"),
-        (GOOD + "1,,0,0,0,1,lost\n", "row 3, column t_s: '' is no finite number"),
-        (GOOD + "1,0.04,0,0\n", "row 3, column state: '' is none of seen, bridged, lost"),
-        (GOOD + "1,0.04,0,0,0,1,gone\n", "row 3, column state: 'gone' is none of"),
-        (GOOD + "\n1,0,0,0,0,1,seen\n", "row 4, column t_s: time does not rise"),
-    ],
-)
-def test_bad_files(tmp_path: Path, text: str, words: str) -> None:
-    path = tmp_path / "track.csv"
-    path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_track(path)
-    assert words in str(caught.value)
-    assert "track.csv" in str(caught.value)
-
-
-def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot read"):
-        read_track(tmp_path / "none.csv")
-
-
 GREY = 90
 CORNERS = np.array([[60.0, 40.0], [60.0, 60.0], [40.0, 60.0], [40.0, 40.0]])  # looks to the right
 
 
-def drawn(path: Path, seen: list[bool], colour: bool = False) -> list[TimedImage]:
+def in_colour(path: Path) -> list[TimedImage]:
+    """The film's pictures, BGR."""
+    with av.open(str(path)) as film:
+        frames = enumerate(film.decode(video=0))
+        return [TimedImage(i, float(f.time), f.to_ndarray(format="bgr24")) for i, f in frames]
+
+
+def drawn(path: Path, seen: list[bool]) -> list[TimedImage]:
     """What an overlay made of pictures in which a marker goes down by 20 pixels each."""
-    shape = (240, 320, 3) if colour else (240, 320)
     with Overlay(path, (320, 240), 2) as overlay:
         for index, there in enumerate(seen):
             t_s = 0.5 * index
-            image = np.full(shape, GREY, np.uint8)
+            image = np.full((240, 320), GREY, np.uint8)
             down = np.array([100.0, 40.0 + 20 * index])
             sighting = Detection(
                 (50 + down[0], 50 + down[1]), (60 + down[0], 50 + down[1]), 20, 0.5, CORNERS + down
             )
             where = TrackedImage(index, t_s, swims(t_s), sighting, None)
             gone = TrackedImage(index, t_s, None, None, None)
-            overlay(TimedImage(index, t_s, image), where if there else gone, 0.081)
+            overlay(TimedImage(index, t_s, image), where if there else gone)
             assert (image == GREY).all()  # the picture is its holder's
-    film = Film(path, colour=True)
-    return list(iter(film.read, None))
+    return in_colour(path)
 
 
 def coloured(picture: TimedImage, u: float, v: float, bgr: tuple[int, int, int]) -> bool:
@@ -414,9 +373,8 @@ def coloured(picture: TimedImage, u: float, v: float, bgr: tuple[int, int, int])
 GREEN, RED, YELLOW = (0, 220, 0), (60, 60, 255), (0, 200, 255)
 
 
-@pytest.mark.parametrize("colour", [False, True])
-def test_overlay(tmp_path: Path, colour: bool) -> None:
-    found = drawn(tmp_path / "o.mp4", [True] * 4 + [False], colour)
+def test_overlay(tmp_path: Path) -> None:
+    found = drawn(tmp_path / "o.mp4", [True] * 4 + [False])
     assert [p.t_s for p in found] == pytest.approx([0, 0.5, 1, 1.5, 2], abs=1e-5)
     fourth, last = found[3], found[4]
     for u, v in ((160, 140), (160, 160), (140, 160), (140, 140)):
@@ -445,8 +403,7 @@ def test_overlay_of_a_blob(tmp_path: Path) -> None:
     with Overlay(path, (320, 240), 25) as overlay:
         picture = TimedImage(0, 0.0, np.full((240, 320), GREY, np.uint8))
         overlay(picture, TrackedImage(0, 0.0, swims(0.0), blob, None))
-    first = Film(path, colour=True).read()
-    assert first is not None
+    first = in_colour(path)[0]
     for u, v in ((190, 105), (190, 135), (110, 105), (110, 135)):
         assert coloured(first, u, v, GREEN)
 

@@ -12,7 +12,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.native import ffi, lib
 from tailbeat.core.reference import thesis
-from tailbeat.sensors.camera.speed.smoother import BeatFit
+from tailbeat.sensors.camera.tracking.live import BeatFit
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.world import Wires
 from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch

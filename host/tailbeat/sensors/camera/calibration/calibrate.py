@@ -12,9 +12,8 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.sensors.camera.calibration.file import SCALE_ERROR_MAX, Calibration, check_sense
+from tailbeat.sensors.camera.calibration.file import SCALE_ERROR_MAX, Calibration, Lens, check_sense
 from tailbeat.sensors.camera.calibration.intrinsics import Intrinsics, find_intrinsics
-from tailbeat.sensors.camera.calibration.lens import Lens
 from tailbeat.sensors.camera.calibration.plane import (
     WATER,
     CameraPlace,

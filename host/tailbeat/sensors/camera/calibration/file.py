@@ -1,30 +1,126 @@
-"""From pixels to metres in the tank: one file, made by ``tailbeat camera calibrate``.
+"""From pixels to metres in the tank: the file that ``tailbeat camera calibrate`` writes.
 
-Whether a calibration makes sense: what no camera over a tank can have is refused.
+``Lens`` removes and adds a lens's distortion; ``Calibration`` also knows the plane of the marker.
+``check_sense`` refuses what no camera over a tank can have.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tailbeat.core import decode
 from tailbeat.core.arrays import F64
-from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import write_whole
-from tailbeat.sensors.camera.calibration.lens import Lens
+from tailbeat.core.errors import InputError
+from tailbeat.core.files import plain, write_whole
 from tailbeat.sensors.camera.opencv import cv2
+
+_FAR_PX = 1e6
+_ROUNDS, _CLOSE_PX = 60, 1e-7
+_OUTSIDE = 1.05
+_NOTHING = 1e-12
+
+
+class Lens:
+    """OpenCV's pinhole and Brown-Conrady model. ``camera_matrix`` (3, 3) without skew,
+    ``distortion`` (5,): k1, k2, p1, p2, k3."""
+
+    def __init__(self, camera_matrix: F64, distortion: F64) -> None:
+        self.camera_matrix = np.ascontiguousarray(camera_matrix, dtype=np.float64)
+        self.distortion = np.ascontiguousarray(distortion, dtype=np.float64)
+        self.focal_px = self.camera_matrix[[0, 1], [0, 1]]
+        self.middle_px = self.camera_matrix[:2, 2]
+        self.straight = not self.distortion.any()
+
+    def undistorted(self, points_px: F64) -> F64:
+        """Pixels (n, 2) of the picture to pixels (n, 2) of the same camera without distortion."""
+        points = _rows(points_px)
+        if self.straight or not len(points):
+            return points.reshape(-1, 2)
+        matrix = self.camera_matrix
+        found: F64 = cv2.undistortPoints(
+            points, matrix, self.distortion, None, None, matrix, self._stop
+        )
+        return found.reshape(-1, 2)
+
+    def distorted(self, points_px: F64) -> F64:
+        """The way back. Points beyond where the model folds over are put outside the picture, in
+        their direction, instead of somewhere in it."""
+        points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+        rays = np.ones((len(points), 3))
+        rays[:, :2] = (points - self.middle_px) / self.focal_px
+        return self.pixels(rays)
+
+    def pixels(self, rays: F64) -> F64:
+        """Where directions x, y, 1 in the camera's frame, (n, 3), are in the picture: (n, 2); as
+        in ``distorted``."""
+        if self.straight or not len(rays):
+            return rays[:, :2] * self.focal_px + self.middle_px
+        found: F64 = cv2.projectPoints(rays, _ZERO, _ZERO, self.camera_matrix, self.distortion)[0]
+        found = found.reshape(-1, 2)
+        if self.fold_radius < np.inf:
+            self._put_outside(found, rays[:, :2])
+        return found
+
+    def determinant(self, points_px: F64) -> F64:
+        """Of undistorted pixels (n, 2): the determinant of the distortion's derivative, 1 in the
+        middle of a picture; -1 where the model folds over."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = ((_rows(points_px).reshape(-1, 2) - self.middle_px) / self.focal_px).T
+        s = x * x + y * y
+        radial = 1 + s * (k1 + s * (k2 + s * k3))
+        slope = 2 * (k1 + s * (2 * k2 + s * 3 * k3))  # of radial, over x or y
+        a = radial + x * x * slope + 2 * p1 * y + 6 * p2 * x
+        d = radial + y * y * slope + 6 * p1 * y + 2 * p2 * x
+        b = x * y * slope + 2 * p1 * x + 2 * p2 * y
+        found: F64 = np.where((s < self.fold_radius**2) & (a > 0), a * d - b * b, -1.0)
+        return found
+
+    @cached_property
+    def fold_radius(self) -> float:
+        """Distance from the axis, over the focal length, up to which distortion is monotonic."""
+        k1, k2, _, _, k3 = self.distortion
+        terms = np.array([7 * k3, 5 * k2, 3 * k1, 1.0])
+        terms[np.abs(terms) < _NOTHING] = 0.0
+        roots = np.roots(terms)
+        turns = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+        return float(np.sqrt(turns.min())) if len(turns) else np.inf
+
+    @cached_property
+    def _stop(self) -> tuple[int, int, float]:
+        return (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _ROUNDS, _CLOSE_PX)
+
+    def _put_outside(self, found: F64, rays: F64) -> None:
+        radius = np.sqrt(np.einsum("ij,ij->i", rays, rays))
+        if radius.max() <= self.fold_radius:
+            return
+        k1, k2, _, _, k3 = self.distortion
+        s = self.fold_radius**2
+        edge = self.fold_radius * (1 + s * (k1 + s * (k2 + s * k3)))
+        beyond = radius > self.fold_radius
+        stretch = np.maximum(1.0, _OUTSIDE * edge / radius[beyond])[:, None]
+        outside = self.middle_px + rays[beyond] * stretch * self.focal_px
+        found[beyond] = np.clip(outside, -_FAR_PX, _FAR_PX)
+
+
+_ZERO = np.zeros(3)
+
+
+def _rows(points: F64) -> F64:
+    """As OpenCV takes points."""
+    return np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 1, 2)
+
 
 ANCHOR_ID_MIN = 40  # ArUco DICT_4X4_50 ids from here on are the tank's, not the fish's
 SCALE_ERROR_MAX = 0.01
 ANCHOR_OFF_MAX_M = 0.02
 
 _FORMAT, _VERSION = "tailbeat camera calibration", 1
-_BYTES_MAX = 1_000_000
 _HORIZON = 1e-6
 _MAKE_ONE = "Make one: tailbeat camera calibrate"
 
@@ -34,7 +130,7 @@ class Calibration:
     """A camera over a tank.
 
     The tank's frame: x along the swim direction from the start, y to the right, both in the plane
-    in which the marker moves; metres. Pixels as in marker/sighting.py.
+    in which the marker moves; metres. Pixels as in marker/tags.py.
 
     ``camera_matrix`` (3, 3) and ``distortion`` (5,) are OpenCV's pinhole and Brown-Conrady model;
     ``tank_from_image`` (3, 3) maps undistorted pixels (of the same camera_matrix) to the tank.
@@ -61,7 +157,7 @@ class Calibration:
     def to_tank(self, points_px: F64) -> F64:
         """Pixels (n, 2) of the distorted picture to metres (n, 2)."""
         flat = self.lens.undistorted(points_px)
-        return _mapped(self._to_tank, flat)
+        return mapped(self._to_tank, flat)
 
     def to_pixels(self, points_m: F64) -> F64:
         """Metres (n, 2) to pixels (n, 2) of the distorted picture; the inverse of to_tank within
@@ -95,7 +191,7 @@ class Calibration:
             raise InputError(
                 f"{name} has pictures of {_size(size_px)}, the calibration is for "
                 f"{_size(self.size_px)}: another camera or another setting of it",
-                "Film with the camera and the setting that were calibrated, or calibrate anew: "
+                "Film with the camera and the setting that were calibrated, or calibrate again: "
                 "tailbeat camera calibrate",
             )
 
@@ -115,7 +211,7 @@ class Calibration:
                 f"in {name} anchor {both[worst]} is {off_m[worst] * 100:.0f} cm from where it was "
                 "when the camera was calibrated: camera or anchor has been moved, or it is another "
                 "camera",
-                "Put it back, or calibrate anew: tailbeat camera calibrate",
+                "Put it back, or calibrate again: tailbeat camera calibrate",
             )
         return float(off_m[worst])
 
@@ -123,93 +219,37 @@ class Calibration:
         """Writes the file whole or not at all. Raises InputError when the calibration makes no
         sense or the file cannot be written."""
         check_sense(self, "this calibration")
-        write_whole(path, json.dumps(_document(self), indent=1, allow_nan=False) + "\n")
+        held = replace(self, anchors=dict(sorted(self.anchors.items())))
+        document = {"format": _FORMAT, "version": _VERSION} | plain(held)
+        write_whole(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def load_calibration(path: Path) -> Calibration:
     """Reads a file of ``save``. Raises InputError when it is none or makes no sense."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(_BYTES_MAX + 1)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {reason(error)}", _MAKE_ONE) from error
-    try:
-        raw = json.loads(data.decode("utf-8")) if len(data) <= _BYTES_MAX else None
-    except (ValueError, RecursionError):
-        raw = None
-    if not isinstance(raw, dict) or raw.get("format") != _FORMAT:
-        raise InputError(f"{path} is no calibration of a camera", _MAKE_ONE)
-    if raw.get("version") != _VERSION:
-        raise InputError(
-            f"{path} has version {str(raw.get('version'))[:20]}, this tailbeat reads {_VERSION}",
-            "Use the tailbeat that wrote it, or calibrate anew.",
-        )
-    try:
-        found = _from_document(raw)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"{path} is damaged: {what}", _MAKE_ONE) from error
+
+    def this_version(document: Any) -> Any:
+        if not isinstance(document, dict) or document.get("format") != _FORMAT:
+            raise InputError(f"{path} is no calibration of a camera", _MAKE_ONE)
+        if document.get("version") != _VERSION:
+            raise InputError(
+                f"{path} has version {str(document.get('version'))[:20]}, this tailbeat reads "
+                f"{_VERSION}",
+                "Use the tailbeat that wrote it, or calibrate again.",
+            )
+        return document
+
+    found = decode.read(path, Calibration, _MAKE_ONE, prepare=this_version)
     check_sense(found, str(path))
     return found
 
 
-def _document(calibration: Calibration) -> dict[str, Any]:
-    raw = asdict(calibration)
-    for name in ("camera_matrix", "distortion", "tank_from_image", "area_m"):
-        raw[name] = None if raw[name] is None else np.asarray(raw[name], dtype=float).tolist()
-    raw["anchors"] = {str(i): list(place) for i, place in sorted(calibration.anchors.items())}
-    return {"format": _FORMAT, "version": _VERSION} | raw
+def corners_of(left: float, top: float, right: float, bottom: float) -> F64:
+    """Corners (4, 2) of a box, in order around it."""
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
-def _from_document(raw: dict[str, Any]) -> Calibration:
-    area = raw.get("area_m")
-    width, height = _array(raw, "size_px", (2,))
-    return Calibration(
-        size_px=(int(width), int(height)),
-        camera_matrix=_array(raw, "camera_matrix", (3, 3)),
-        distortion=_array(raw, "distortion", (5,)),
-        tank_from_image=_array(raw, "tank_from_image", (3, 3)),
-        area_m=None if area is None else _array(raw, "area_m", (len(area), 2)),
-        anchors=_anchors(raw.get("anchors", {})),
-        scale_error=_number(raw, "scale_error"),
-        rms_px=_number(raw, "rms_px"),
-        plane_rms_m=_number(raw, "plane_rms_m"),
-        plane=str(raw.get("plane", "")),
-        camera=str(raw.get("camera", "")),
-        made_at=str(raw.get("made_at", "")),
-    )
-
-
-def _anchors(raw: Any) -> dict[int, tuple[float, float]]:
-    if not isinstance(raw, dict):
-        raise TypeError("its anchors are no list of ids and places")
-    found = {}
-    for name in raw:
-        u, v = _array(raw, name, (2,))
-        found[int(name)] = (float(u), float(v))
-    return found
-
-
-def _number(raw: dict[str, Any], name: str) -> float | None:
-    return None if raw.get(name) is None else float(_array(raw, name, ()))
-
-
-def _array(raw: dict[str, Any], name: str, shape: tuple[int, ...]) -> F64:
-    """Raises KeyError, or ValueError unless these are numbers in that shape. Text that looks like
-    a number is none."""
-    try:
-        array = np.array(raw[name])
-    except ValueError:  # rows of different lengths
-        array = np.array(None)
-    if array.dtype.kind not in "iuf" or array.shape != shape:
-        words = " x ".join(map(str, shape)) + " numbers" if shape else "a number"
-        raise ValueError(f"its {name} should be {words}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"its {name} is not finite")
-    return array.astype(np.float64)
-
-
-def _mapped(homography: F64, points: F64) -> F64:
+def mapped(homography: F64, points: F64) -> F64:
+    """The points (n, 2), sent through the homography (3, 3)."""
     if not len(points):
         return np.empty((0, 2))
     found: F64 = cv2.perspectiveTransform(points.reshape(-1, 1, 2), homography)
@@ -227,7 +267,15 @@ _FOLD_MARGIN = 0.05  # nearer to a fold, one pixel is twenty: no measuring there
 _SCALE_M_PX = (1e-6, 1.0)
 _TURN_RAD, _TINY = 1e-6, 1e-30
 _STRETCH_MAX = 50.0  # of a pixel on the water, long side over short: seen almost edge-on
-_ANEW = "Calibrate anew: tailbeat camera calibrate"
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "camera_matrix": (3, 3),
+    "distortion": (5,),
+    "tank_from_image": (3, 3),
+    "scale_error": (),
+    "rms_px": (),
+    "plane_rms_m": (),
+}
+_AGAIN = "Calibrate again: tailbeat camera calibrate"
 
 
 def check_sense(calibration: Calibration, name: str) -> None:
@@ -245,9 +293,9 @@ def check_area(area_m: F64, name: str) -> None:
     """Raises InputError unless the corners (n, 2) are those of a convex area, n >= 3, in order."""
     area = np.asarray(area_m, dtype=float)
     if area.ndim != 2 or area.shape[1] != 2 or len(area) < 3:
-        raise InputError(f"{name}: an area has at least three corners x, y", _ANEW)
+        raise InputError(f"{name}: an area has at least three corners x, y", _AGAIN)
     if not (np.abs(area) <= _FAR_M).all():
-        raise InputError(f"{name}: that area is not in a tank", _ANEW)
+        raise InputError(f"{name}: that area is not in a tank", _AGAIN)
     sides = np.roll(area, -1, axis=0) - area
     after = np.roll(sides, -1, axis=0)
     cross = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
@@ -255,30 +303,34 @@ def check_area(area_m: F64, name: str) -> None:
     once_round = abs(abs(turn.sum()) - 2 * np.pi) < _TURN_RAD  # a star turns more than once
     one_way = (turn >= -_TURN_RAD).all() or (turn <= _TURN_RAD).all()
     if not (sides.any(axis=1).all() and once_round and one_way):
-        raise InputError(f"{name}: the area is not convex, or its corners are out of order", _ANEW)
+        raise InputError(f"{name}: the area is not convex, or its corners are out of order", _AGAIN)
 
 
 def _check_numbers(calibration: Calibration, name: str) -> None:
-    shapes = {"camera_matrix": (3, 3), "distortion": (5,), "tank_from_image": (3, 3)}
-    for what, shape in shapes.items():
-        array = np.asarray(getattr(calibration, what), dtype=float)
-        if array.shape != shape or not np.isfinite(array).all():
-            raise InputError(f"{name}: {what} should be {shape} finite numbers", _ANEW)
-    for what in ("scale_error", "rms_px", "plane_rms_m"):
+    for what, shape in _SHAPES.items():
         value = getattr(calibration, what)
-        if value is not None and not np.isfinite(value):
-            raise InputError(f"{name}: {what} is not finite", _ANEW)
+        if value is None:
+            continue
+        array = np.asarray(value, dtype=float)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputError(f"{name}: {what} should be {_words(shape)}, finite", _AGAIN)
+    if not all(np.isfinite(place).all() for place in calibration.anchors.values()):
+        raise InputError(f"{name}: an anchor's place should be finite", _AGAIN)
+
+
+def _words(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape)) + " numbers" if shape else "a number"
 
 
 def _check_camera(calibration: Calibration, name: str) -> None:
     width, height = calibration.size_px
     if not (1 < width <= SIDE_PX_MAX and 1 < height <= SIDE_PX_MAX):
-        raise InputError(f"{name}: pictures of {width}x{height} pixels cannot be", _ANEW)
+        raise InputError(f"{name}: pictures of {width}x{height} pixels cannot be", _AGAIN)
     matrix = np.asarray(calibration.camera_matrix)
     plain = np.array_equal(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]], [0, 0, 0, 0, 1])
     focal = matrix[[0, 1], [0, 1]]
     if not plain or not ((focal > 1) & (focal < _FOCAL_PX_MAX)).all():
-        raise InputError(f"{name}: that camera matrix is no pinhole's", _ANEW)
+        raise InputError(f"{name}: that camera matrix is no pinhole's", _AGAIN)
     if not (0 <= matrix[0, 2] <= width and 0 <= matrix[1, 2] <= height):
         raise InputError(
             f"{name}: the lens's axis lies outside the picture: it is another camera's matrix, or "
@@ -289,7 +341,7 @@ def _check_camera(calibration: Calibration, name: str) -> None:
 
 def _check_lens(calibration: Calibration, name: str) -> None:
     if not (np.abs(calibration.distortion) <= _DISTORTION_MAX).all():
-        raise InputError(f"{name}: no lens distorts like that", _ANEW)
+        raise InputError(f"{name}: no lens distorts like that", _AGAIN)
     lens, points = calibration.lens, _raster(calibration.size_px)
     flat = lens.undistorted(points)
     with np.errstate(all="ignore"):
@@ -311,7 +363,7 @@ def _check_plane(calibration: Calibration, name: str) -> None:
     matrix = matrix / (size if size > _TINY else 1.0)
     values = np.linalg.svd(matrix @ np.diag([*calibration.size_px, 1.0]), compute_uv=False)
     if not (values[2] > 1e-9 * values[0] and _TINY < size < 1 / _TINY):
-        raise InputError(f"{name}: the homography is singular", _ANEW)
+        raise InputError(f"{name}: the homography is singular", _AGAIN)
     depth = rows @ matrix[2]
     if not (np.sign(depth) == np.sign(depth[0])).all() or depth[0] == 0:
         raise InputError(

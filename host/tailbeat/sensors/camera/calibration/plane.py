@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
-from tailbeat.sensors.camera.calibration.lens import Lens
+from tailbeat.sensors.camera.calibration.file import Lens, mapped
 from tailbeat.sensors.camera.opencv import cv2
 
 LEAVE_OUT_FROM = 6
@@ -152,7 +152,7 @@ def fit_plane(
     used = used_points(flat, places_m, names, fit)
     _check_spread(flat[used], places_m[used])
     matrix = _homography(flat[used], places_m[used])
-    off = np.linalg.norm(_mapped(matrix, flat) - places_m, axis=1)
+    off = np.linalg.norm(mapped(matrix, flat) - places_m, axis=1)
     left_out = {int(i): float(off[i]) for i in np.setdiff1d(np.arange(len(flat)), used)}
     plane = Plane(matrix, off[used], left_out, _foretold(flat[used], places_m[used]))
     _check_seen_from_above(matrix, flat)
@@ -178,7 +178,7 @@ def camera_place(
     used = np.setdiff1d(np.arange(len(pixels)), list(plane.left_out))
     flat, places = lens.undistorted(pixels[used]), places_m[used]
     rotation, shift = _pose(lens, flat, places)
-    off = np.linalg.norm(_mapped(_seen_by(lens, rotation, shift), flat) - places, axis=1)
+    off = np.linalg.norm(mapped(_seen_by(lens, rotation, shift), flat) - places, axis=1)
     rms = float(np.sqrt(np.mean(off**2)))
     centre = np.asarray(-rotation.T @ shift)  # z of a frame with x forward, y to the right is down
     if not rms <= max(POSE_RMS_MAX_M, _POSE_OVER_PLANE * plane.rms_m) or centre[2] >= 0:
@@ -230,7 +230,7 @@ def _fit(lens: Lens | None) -> PlaneFit:
             matrix = _homography(flat[used], places[used])
         else:
             matrix = _seen_by(lens, *_pose(lens, flat[used], places[used]))
-        return np.asarray(np.linalg.norm(_mapped(matrix, flat) - places, axis=1))
+        return np.asarray(np.linalg.norm(mapped(matrix, flat) - places, axis=1))
 
     return PlaneFit(off_m, RMS_MAX_M if lens is None else POSE_RMS_MAX_M, lens is not None)
 
@@ -279,7 +279,7 @@ def _foretold(flat: F64, places: F64) -> float | None:
         if _spread(flat[rest], places[rest]) < _SPREAD_MIN:
             continue
         matrix = _homography(flat[rest], places[rest])
-        off = _mapped(matrix, flat[i : i + 1])[0] - places[i]
+        off = mapped(matrix, flat[i : i + 1])[0] - places[i]
         worst = max(worst, float(np.hypot(*off)))
     return worst or None
 
@@ -290,11 +290,6 @@ def _homography(flat: F64, places: F64) -> F64:
         raise InputError("no plane fits the tank's points", "Check them.")
     matrix: F64 = found
     return matrix
-
-
-def _mapped(matrix: F64, points: F64) -> F64:
-    found: F64 = cv2.perspectiveTransform(points.reshape(-1, 1, 2), matrix)
-    return found.reshape(-1, 2)
 
 
 def _check_spread(flat: F64, places: F64) -> None:

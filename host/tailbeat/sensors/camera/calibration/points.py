@@ -14,7 +14,7 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError, reason
-from tailbeat.sensors.camera.calibration.file import Calibration, check_area
+from tailbeat.sensors.camera.calibration.file import Calibration, check_area, corners_of
 from tailbeat.sensors.camera.marker.tags import anchors_of
 from tailbeat.sensors.camera.opencv import cv2
 
@@ -32,7 +32,7 @@ def rectangle(numbers: list[float]) -> F64:
     x0, y0, x1, y1 = numbers
     if not (x1 > x0 and y1 > y0):
         raise InputError("that area is empty", "X1 is larger than X0, Y1 than Y0; metres.")
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return corners_of(x0, y0, x1, y1)
 
 
 def hull(places_m: F64) -> F64:

@@ -24,6 +24,7 @@ from tailbeat.sensors.camera.render.sprites import (
     whole_elements,
 )
 from tailbeat.sensors.camera.source.picture import Image
+from tailbeat.sim.world import CameraFrame
 
 _COARSE = 8  # pixels per element of the waves
 _TILE = 128  # elements, after which the pattern of the waves repeats
@@ -157,18 +158,11 @@ _STEP_PX = 0.4  # of a moving marker, that is drawn where it is and not as its w
 _STEPS_MAX = 16
 
 
-@dataclass(frozen=True, slots=True)
-class DrawnPose:
-    """The fish in the middle of an exposure: marker's centre and heading in the tank's frame, tail
-    angle against the body (positive to the right), part of the exposure the LED was on; speed along
-    x and turn of the heading, which blur the picture."""
+@dataclass(frozen=True)
+class DrawnPose(CameraFrame):
+    """The fish in the middle of an exposure. Its speed along x and the turn of its heading blur the
+    picture."""
 
-    t_s: float
-    x_m: float
-    y_m: float
-    heading_rad: float
-    tail_rad: float
-    led: float
     speed_m_s: float = 0.0
     turn_rad_s: float = 0.0
 
@@ -189,14 +183,14 @@ class Painter:
 
     def paint(self, truth: DrawnPose, index: int) -> Image:
         """Grey, shape (height, width), a fresh array."""
-        image = self._waves.add_to(self._backdrop, truth.t_s)
+        image = self._waves.add_to(self._backdrop, truth.time_s)
         if self._scene.fish > 1:
             self._draw(image, _beside(truth))
         self._draw(image, truth)
         if chance(self._scene.seed, "hidden", index) < self._scene.hidden:
             self._hide(image, truth, index)
         if self._glare is not None:
-            self._glare.add_to(image, truth.t_s)
+            self._glare.add_to(image, truth.time_s)
         self._noise.add_to(image, index)
         return image
 

@@ -1,9 +1,4 @@
-"""Chance that depends on nothing but its names: any picture can be drawn before any other.
-
-The simulated tank and its camera: what there is to see, and how well.
-
-The simulated camera: where in the picture a point of the tank is.
-"""
+"""The simulated tank and its camera: what there is to see, and where in the picture it is."""
 
 from __future__ import annotations
 
@@ -75,7 +70,22 @@ class Scene:
 
     def calibration(self) -> Calibration:
         """The true one, with area, anchors (four markers at the corners) and scale error 0."""
-        return true_calibration(self)
+        optics, anchors = Optics(self), self.anchors_m()
+        places = optics.pixels(np.array(list(anchors.values())))
+        at = {key: (float(u), float(v)) for key, (u, v) in zip(anchors, places, strict=True)}
+        return Calibration(
+            size_px=self.size_px,
+            camera_matrix=optics.camera_matrix,
+            distortion=optics.distortion,
+            tank_from_image=optics.tank_from_image,
+            area_m=np.array(self.walls_m(), dtype=np.float64),
+            anchors=at,
+            scale_error=0.0,
+            rms_px=0.0,
+            plane_rms_m=0.0,
+            plane=_PLANE,
+            camera="rendered",
+        )
 
 
 _PLANE = "simulated: the tank's frame is the plane of the marker, nothing to correct"
@@ -132,26 +142,6 @@ def along_edges(corners: list[tuple[float, float]]) -> F64:
     ends = np.array([*corners, corners[0]], dtype=np.float64)
     parts = [np.linspace(a, b, _EDGE_POINTS, endpoint=False) for a, b in pairwise(ends)]
     return np.concatenate(parts)
-
-
-def true_calibration(scene: Scene) -> Calibration:
-    """What a perfect calibration of the scene's camera finds."""
-    optics = Optics(scene)
-    anchors = scene.anchors_m()
-    places = optics.pixels(np.array(list(anchors.values())))
-    return Calibration(
-        size_px=scene.size_px,
-        camera_matrix=optics.camera_matrix,
-        distortion=optics.distortion,
-        tank_from_image=optics.tank_from_image,
-        area_m=np.array(scene.walls_m(), dtype=np.float64),
-        anchors={key: (float(u), float(v)) for key, (u, v) in zip(anchors, places, strict=True)},
-        scale_error=0.0,
-        rms_px=0.0,
-        plane_rms_m=0.0,
-        plane=_PLANE,
-        camera="rendered",
-    )
 
 
 def _pose(scene: Scene) -> tuple[F64, F64]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import socket
 from collections import deque
 from typing import Literal, Protocol
+
+import msgspec
 
 from tailbeat.core.errors import ConnectError, reason
 from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Scene
-from tailbeat.sensors.camera.source.picture import TimedImage
+from tailbeat.sensors.camera.source.picture import PictureSource, TimedImage
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.world import CameraFrame
 
@@ -74,7 +75,7 @@ class RemoteCamera:
         self.computed = False  # until a simulator's line has come; a program may track pictures
         self._rest = b""
         self._open = True
-        self._told = False
+        self._reported = False
         try:
             self._socket = socket.create_connection((host, port), 2.0)
         except (OSError, UnicodeError, OverflowError) as error:
@@ -89,16 +90,16 @@ class RemoteCamera:
         return [_frame_of(moment) for moment in self.moments()]
 
     def moments(self) -> list[CameraFrame]:
-        """The same with the tail and the LED, as far as they are told."""
+        """The same with the tail and the LED, as far as they are sent."""
         while self._open and (piece := self._receive()):
             self._rest += piece
         *lines, self._rest = self._rest.split(b"\n")
-        told = [(line, moment) for line in lines if (moment := _moment(line)) is not None]
-        self.computed |= any(b'"tail_rad"' in line for line, _ in told)
-        moments = [moment for _, moment in told]
-        if moments or self._open or self._told:
+        known = [(line, moment) for line in lines if (moment := _moment(line)) is not None]
+        self.computed |= any(b'"tail_rad"' in line for line, _ in known)
+        moments = [moment for _, moment in known]
+        if moments or self._open or self._reported:
             return moments
-        self._told = True
+        self._reported = True
         raise CameraGone(
             "the camera behind the network has hung up", "Look at the program that sends positions."
         )
@@ -116,7 +117,7 @@ class RemoteCamera:
 
     def close(self) -> None:
         """Closes the connection; nothing is raised of what that breaks."""
-        self._told = True
+        self._reported = True
         with contextlib.suppress(OSError):
             self._socket.close()
 
@@ -125,35 +126,38 @@ def _frame_of(moment: CameraFrame) -> Frame:
     return Frame(moment.time_s, moment.x_m, moment.y_m, moment.heading_rad)
 
 
+class _PositionLine(msgspec.Struct):
+    """A line of a stream of positions."""
+
+    t_board_s: float
+    x_m: float
+    y_m: float | None = 0.0
+    heading_rad: float | None = 0.0
+    tail_rad: float | None = 0.0
+    led: float | None = 0.0
+
+
 def _moment(line: bytes) -> CameraFrame | None:
     try:
-        row = json.loads(line)
-        return CameraFrame(
-            float(row["t_board_s"]),
-            float(row["x_m"]),
-            *(float(row.get(name) or 0.0) for name in ("y_m", "heading_rad", "tail_rad", "led")),
-        )
-    except (ValueError, KeyError, TypeError, AttributeError):
+        row = msgspec.json.decode(line, type=_PositionLine)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
+    rest = (row.y_m, row.heading_rad, row.tail_rad, row.led)
+    return CameraFrame(row.t_board_s, row.x_m, *(value or 0.0 for value in rest))
 
 
 _SPEED_MAX_M_S = 1.0  # faster than that somebody has carried the fish
 _KEPT = 4
 
 
-class RenderedDevice:
-    """Pictures of a simulated fish (pictures.PictureSource), as they come due.
+class RenderedDevice(PictureSource):
+    """Pictures of a simulated fish, as they come due; ``calibration`` is the true one.
 
     The simulator's own camera noise is how far the drawn fish is off the truth in each picture;
     its lost frames are pictures that never come. read() never blocks; None = none due yet. Of a
     simulator that runs by itself, over the network, it draws what there is time for: the newest few
     are waiting, and after each picture it says None once, so that whoever reads gets on.
     """
-
-    name: str
-    clock: Literal["video", "host", "board"]
-    fps: float
-    size_px: tuple[int, int]
 
     def __init__(self, camera: Moments, scene: Scene | None = None) -> None:
         """Takes ``camera`` over. ``scene`` None = the default one with that camera's exposure."""
@@ -168,6 +172,7 @@ class RenderedDevice:
         self.clock = camera.clock
         self.fps = camera.fps
         self.size_px = scene.size_px
+        self.calibration = scene.calibration()
 
     def read(self) -> TimedImage | None:
         """The next picture that is due."""
@@ -181,11 +186,6 @@ class RenderedDevice:
         self._before = frame
         index = picture_index(frame, self.fps)
         return TimedImage(index, frame.time_s, self._painter.paint(truth, index))
-
-    @property
-    def ended(self) -> bool:
-        """Never."""
-        return False
 
     def close(self) -> None:
         """Gives the simulated camera up."""
@@ -209,14 +209,6 @@ def drawn_pose_of(frame: CameraFrame, before: CameraFrame | None) -> DrawnPose:
         passed_s = frame.time_s - before.time_s
         speed_m_s = (frame.x_m - before.x_m) / passed_s
         turn_rad_s = (frame.heading_rad - before.heading_rad) / passed_s
-    carried = abs(speed_m_s) > _SPEED_MAX_M_S
-    return DrawnPose(
-        frame.time_s,
-        frame.x_m,
-        frame.y_m,
-        frame.heading_rad,
-        frame.tail_rad,
-        frame.led,
-        0.0 if carried else speed_m_s,
-        0.0 if carried else turn_rad_s,
-    )
+    if abs(speed_m_s) > _SPEED_MAX_M_S:
+        return DrawnPose(**vars(frame))
+    return DrawnPose(**vars(frame), speed_m_s=speed_m_s, turn_rad_s=turn_rad_s)

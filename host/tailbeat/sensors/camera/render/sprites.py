@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
+from tailbeat.sensors.camera.calibration.file import corners_of
 from tailbeat.sensors.camera.marker.detector import MARKERS, MarkerKind
 from tailbeat.sensors.camera.marker.tags import TAGS, TagKind
 from tailbeat.sensors.camera.opencv import cv2
@@ -52,14 +53,7 @@ class Sprite:
         rows, columns = self.cover.shape
         right_m = self.left_m + columns / self.px_per_m
         bottom_m = self.top_m + rows / self.px_per_m
-        return np.array(
-            [
-                [self.left_m, self.top_m],
-                [right_m, self.top_m],
-                [right_m, bottom_m],
-                [self.left_m, bottom_m],
-            ]
-        )
+        return corners_of(self.left_m, self.top_m, right_m, bottom_m)
 
 
 def stamp(
@@ -245,7 +239,7 @@ def foam(side_m: float, seed: int, px_per_m: float) -> Sprite:
     """A patch of foam over the half of a marker with y > 0, card included."""
     half_m = side_m * 0.75
     canvas = Canvas((-half_m, half_m), half_m, px_per_m)
-    canvas.fill(np.array([[-half_m, 0], [half_m, 0], [half_m, half_m], [-half_m, half_m]]), _FOAM)
+    canvas.fill(corners_of(-half_m, 0, half_m, half_m), _FOAM)
     for k in range(70):
         x, y, size, grey = (chance(seed, "foam", k, what) for what in "xysg")
         radius_m = half_m * (0.06 + 0.12 * size)

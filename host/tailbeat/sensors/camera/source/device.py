@@ -1,7 +1,4 @@
-"""A camera of OpenCV in a thread of its own: its driver may block for ever, the caller may not.
-
-Cameras on this computer, by OpenCV.
-"""
+"""Cameras on this computer, by OpenCV, each in a thread of its own: a driver may block forever."""
 
 from __future__ import annotations
 
@@ -15,13 +12,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from tailbeat.core.errors import InputError
 from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image, TimedImage
+from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 
 _KEPT = 16  # pictures nobody has asked for yet; older ones go
 _FAILURES_MAX = 3
@@ -128,39 +125,33 @@ _FPS_USUAL = 25.0
 _NO_PICTURES = "Close other programs that may use it; plug it in directly, without a hub."
 
 
-class Device:
-    """A camera (pictures.PictureSource), ``address`` = its number or path (0, /dev/video0).
+class Device(PictureSource):
+    """A camera, ``address`` = its number or path (0, /dev/video0).
 
     Time stamps: the driver's where it gives any in the clock of time.monotonic() (V4L2 does),
     otherwise the moment of arrival; ``stamps`` says which: the driver's if those of the first three
     pictures lie within the second before their arrival. ``latency_s`` is taken off arrivals.
     Pictures are grey. When they are not read in time the oldest are dropped; ``index`` counts them.
 
-    With ``size_px`` or ``fps`` Motion JPEG is asked for first, since most cameras give large
+    With ``size_px`` Motion JPEG is asked for first, since most cameras give large
     pictures at full rate only so; if no picture comes of it, what the driver prefers.
     Raises InputError when it cannot be opened, gives pictures of another size, or is unplugged
     (read).
     """
 
-    name: str
-    clock: Literal["video", "host", "board"] = "host"
-    fps: float
-    size_px: tuple[int, int]
-    stamps: Literal["driver", "arrival"]
+    clock = "host"
 
     def __init__(
         self,
         address: str,
         size_px: tuple[int, int] | None = None,
-        fps: float | None = None,
         latency_s: float = 0.0,
     ) -> None:
         self.name = f"camera {address}"
         self._address = address
         self._latency_s = latency_s
         self._last_s = -float("inf")
-        self._ended = False
-        self._capture, first = _started(address, size_px, fps)
+        self._capture, first = _started(address, size_px)
         self._ahead = deque([first])
         try:
             while len(self._ahead) < _PROBED:
@@ -171,12 +162,12 @@ class Device:
         self.size_px = _size(first)
         by_driver = all(_is_recent(shot) for shot in self._ahead)
         self.stamps = "driver" if by_driver else "arrival"
-        told = self._capture.fps
-        self.fps = told if 1 <= told <= 1000 else fps or _FPS_USUAL
+        reported = self._capture.fps
+        self.fps = reported if 1 <= reported <= 1000 else _FPS_USUAL
 
     def read(self) -> TimedImage | None:
         """Waits for the next picture, 2 s at most; None = closed."""
-        while not self._ended:
+        while not self.ended:
             shot = self._ahead.popleft() if self._ahead else self._next()
             t_s = self._stamp(shot)
             if t_s is not None:
@@ -184,14 +175,9 @@ class Device:
                 return TimedImage(shot.index, t_s, shot.image)
         return None
 
-    @property
-    def ended(self) -> bool:
-        """Whether it is gone."""
-        return self._ended
-
     def close(self) -> None:
         """Gives it up; may be called twice."""
-        self._ended = True
+        self.ended = True
         self._capture.close()
 
     def _stamp(self, shot: Shot) -> float | None:
@@ -219,15 +205,12 @@ def _is_recent(shot: Shot) -> bool:
     return 0.0 <= shot.arrived_s - shot.driver_s <= _DRIVER_AGE_MAX_S
 
 
-def _started(
-    address: str, size_px: tuple[int, int] | None, fps: float | None
-) -> tuple[Capture, Shot]:
+def _started(address: str, size_px: tuple[int, int] | None) -> tuple[Capture, Shot]:
     """The camera and its first picture. Raises InputError."""
     _check_node(address)
-    wanted = [partial(_opened, address, size_px, fps, jpeg) for jpeg in (True, False)]
     other_size = ""
-    for opened in wanted if size_px or fps else [partial(_opened, address, None, None, False)]:
-        capture = Capture(opened)
+    for jpeg in (True, False) if size_px else (False,):
+        capture = Capture(partial(_opened, address, size_px, jpeg))
         try:
             if not capture.is_open(_OPEN_S):
                 raise InputError(
@@ -255,7 +238,7 @@ def _size(shot: Shot) -> tuple[int, int]:
     return shot.image.shape[1], shot.image.shape[0]
 
 
-def _opened(address: str, size_px: tuple[int, int] | None, fps: float | None, jpeg: bool) -> Any:
+def _opened(address: str, size_px: tuple[int, int] | None, jpeg: bool) -> Any:
     log = cv2.utils.logging
     log.setLogLevel(log.LOG_LEVEL_SILENT)  # it has its own words for what we say in one line
     linux = sys.platform.startswith("linux")
@@ -266,8 +249,6 @@ def _opened(address: str, size_px: tuple[int, int] | None, fps: float | None, jp
     if size_px:
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
-    if fps:
-        capture.set(cv2.CAP_PROP_FPS, fps)
     return capture
 
 

@@ -1,9 +1,4 @@
-"""The whole pictures of a video file, and where damage begins.
-
-Video files: reading with the time stamp of every picture, and writing with them.
-
-Films what a live camera sees.
-"""
+"""Video files: read with the time stamp of every picture up to any damage, and written."""
 
 from __future__ import annotations
 
@@ -12,14 +7,14 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Self
 
 import numpy as np
 
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import temporary_beside
 from tailbeat.sensors.camera.opencv import av, cv2
-from tailbeat.sensors.camera.source.picture import Image, TimedImage
+from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 
 _GIVE_A_FILM = "Give a film: .mp4, .mkv, .mov or .avi."
 _SHORT_PERIODS = 1.5
@@ -148,8 +143,8 @@ _AGAIN = "Copy it from the camera again."
 _NO_TIMES = "Record as .mp4 or .mkv: bare streams and some .avi hold no times."
 
 
-class Film:
-    """A video file (pictures.PictureSource), read with PyAV; grey pictures unless ``colour``.
+class Film(PictureSource):
+    """A video file, read with PyAV as grey pictures.
 
     Time stamps are the file's own, from its first picture; a file with a variable frame rate is as
     good as any. Pictures come in the order they were taken and as the sensor saw them: what the
@@ -160,16 +155,11 @@ class Film:
     good), shorter than its header says, time stamps that do not rise or are missing.
     """
 
-    name: str
-    clock: Literal["video", "host", "board"] = "video"
-    fps: float
-    size_px: tuple[int, int]
+    clock = "video"
 
-    def __init__(self, path: Path, colour: bool = False) -> None:
-        self._stretch = cv2.LUT
+    def __init__(self, path: Path) -> None:
         self._container, self._stream = open_film(path)
-        self._frames: Iterator[Any] | None = whole_frames(self._container, self._stream)
-        self._colour = colour
+        self._frames = whole_frames(self._container, self._stream)
         self._given = 0
         self._first_pts = 0
         self._last_pts: int | None = None
@@ -179,16 +169,11 @@ class Film:
         self.fps = float(self._stream.average_rate or self._stream.guessed_rate or 25)
         end_s = declared_end_s(self._container, self._stream)
         by_time = round(end_s * self.fps) if end_s else None
-        self._pictures: int | None = self._stream.frames or by_time
-
-    @property
-    def pictures(self) -> int | None:
-        """How many it should have, about, by its header; None = not told."""
-        return self._pictures
+        self.pictures = self._stream.frames or by_time  # by its header, about
 
     def read(self) -> TimedImage | None:
         """The next picture; None at the end."""
-        if self._frames is None:
+        if self.ended:
             return None
         try:
             frame = next(self._frames, None)
@@ -205,14 +190,9 @@ class Film:
         self._given += 1
         return TimedImage(self._given - 1, t_s, self._pixels(frame))
 
-    @property
-    def ended(self) -> bool:
-        """Whether all were read."""
-        return self._frames is None
-
     def close(self) -> None:
         """Closes the file; may be called twice."""
-        self._frames = None
+        self.ended = True
         self._container.close()
 
     def _check(self, frame: Any) -> None:
@@ -231,8 +211,6 @@ class Film:
         return float((pts - self._first_pts) * self._stream.time_base)
 
     def _pixels(self, frame: Any) -> Image:
-        if self._colour:
-            return np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
         name = frame.format.name
         if name not in _BRIGHT_FIRST:
             return np.asarray(frame.to_ndarray(format="gray"), np.uint8)
@@ -240,7 +218,7 @@ class Film:
         rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
         bright = rows[: plane.height, : plane.width]
         full = name == "gray" or name.startswith("yuvj") or frame.color_range == _FULL_RANGE
-        return bright.copy() if full else np.asarray(self._stretch(bright, _STRETCH), np.uint8)
+        return bright.copy() if full else np.asarray(cv2.LUT(bright, _STRETCH), np.uint8)
 
     def _damaged(self) -> InputError:
         if self._last_pts is None:
@@ -349,7 +327,7 @@ class FilmWriter:
                 container.close()
             self._part.unlink(missing_ok=True)
 
-    def __enter__(self) -> FilmWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

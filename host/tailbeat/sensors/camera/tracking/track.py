@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.csv import read_table
+from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import Calibration
@@ -82,7 +80,7 @@ def track(
     raises: there is no track of a film that is damaged further on.
     """
     tracker = Tracker(marker, calibration, source.name, glow)
-    expected = getattr(source, "pictures", None)
+    expected = source.pictures
     places: list[TrackedImage] = []
     while (picture := source.read()) is not None:
         place = tracker.look(picture)
@@ -199,64 +197,9 @@ def _bridge(state: NDArray[np.uint8], t_s: F64, columns: list[F64]) -> None:
 
 def write_track(track: Track, path: Path) -> None:
     """CSV with COLUMNS, whole or not at all; empty cells where LOST. ``picture`` counts rows."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
     columns = (track.t_s, track.x_m, track.y_m, track.heading_rad, track.quality)
-    for row, (state, *values) in enumerate(zip(track.state, *columns, strict=True)):
-        cells = [f"{value:.6f}" if math.isfinite(value) else "" for value in values]
-        writer.writerow([row, *cells, STATES[state]])
-    write_whole(path, out.getvalue())
-
-
-def read_track(path: Path) -> Track:
-    """Reads it back (no glow). Raises InputError with row and column."""
-    table = read_table(path, ",".join(COLUMNS))
-    header = [cell.strip() for cell in table[0]] if table else []
-    for column in COLUMNS:
-        if column not in header:
-            raise InputError(
-                f"{path.name}, row 1: the header has no column {column}.",
-                "Give a file that tailbeat camera track wrote.",
-            )
-    rows = [
-        (number, *_read_row(path, number, dict(zip(header, map(str.strip, row), strict=False))))
-        for number, row in enumerate(table[1:], start=2)
-        if any(cell.strip() for cell in row)
-    ]
-    if not rows:
-        raise InputError(f"{path.name} has a header but no rows.", "Track the film again.")
-    numbers, states, values = zip(*rows, strict=True)
-    t_s, x_m, y_m, heading_rad, quality = np.array(values, np.float64).T.copy()
-    back = np.flatnonzero(np.diff(t_s) <= 0)
-    if back.size:
-        raise InputError(
-            f"{path.name}, row {numbers[back[0] + 1]}, column t_s: time does not rise.",
-            "Sort by time.",
-        )
-    state = np.array(states, np.uint8)
-    return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(t_s), path.name)
-
-
-def _read_row(path: Path, number: int, cells: dict[str, str]) -> tuple[int, list[float]]:
-    state = cells.get("state", "")
-    if state not in STATES:
-        raise InputError(
-            f"{path.name}, row {number}, column state: '{state}' is none of {', '.join(STATES)}.",
-            "Track the film again.",
-        )
-    values = []
-    for column in COLUMNS[1:-1]:
-        cell = cells.get(column, "")
-        may_miss = state == STATES[LOST] and column != "t_s"
-        try:
-            value = float(cell) if cell or not may_miss else math.nan
-        except ValueError:
-            value = math.inf
-        if math.isinf(value) or (math.isnan(value) and not may_miss):
-            raise InputError(
-                f"{path.name}, row {number}, column {column}: '{cell}' is no finite number.",
-                "Write it like 0.0791.",
-            )
-        values.append(value)
-    return STATES.index(state), values
+    rows = (
+        (row, *(f"{v:.6f}" if math.isfinite(v) else None for v in values), STATES[state])
+        for row, (state, *values) in enumerate(zip(track.state, *columns, strict=True))
+    )
+    write_whole(path, table_text(COLUMNS, rows))

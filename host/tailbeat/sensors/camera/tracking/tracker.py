@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Camera, Frame
-from tailbeat.sensors.camera.calibration.file import Calibration
+from tailbeat.sensors.camera.calibration.file import Calibration, corners_of
 from tailbeat.sensors.camera.marker.detector import MARKERS, Marker, detector_for
 from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow, TagReader, centre_of
 from tailbeat.sensors.camera.opencv import cv2
@@ -143,14 +143,7 @@ Glow = NDArray[np.uint8]
 
 _SAMPLES_MAX = 12  # per cell and direction
 
-_PATCH_M = np.array(
-    [
-        [GLOW_LEFT_M, -GLOW_HALF_WIDTH_M],
-        [GLOW_RIGHT_M, -GLOW_HALF_WIDTH_M],
-        [GLOW_RIGHT_M, GLOW_HALF_WIDTH_M],
-        [GLOW_LEFT_M, GLOW_HALF_WIDTH_M],
-    ]
-)
+_PATCH_M = corners_of(GLOW_LEFT_M, -GLOW_HALF_WIDTH_M, GLOW_RIGHT_M, GLOW_HALF_WIDTH_M)
 
 
 def glow_around(grey: Image, frame: Frame, calibration: Calibration) -> Glow:
@@ -163,7 +156,7 @@ def glow_around(grey: Image, frame: Frame, calibration: Calibration) -> Glow:
     per_cell = _samples(corners)
     rows, columns = GLOW_SHAPE[0] * per_cell, GLOW_SHAPE[1] * per_cell
     # Over 0.4 m even a wide lens bends by less than a cell: four corners are enough.
-    flat = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32) - 0.5
+    flat = corners_of(0, 0, columns, rows) - 0.5
     to_patch = cv2.getPerspectiveTransform(corners.astype(np.float32), flat.astype(np.float32))
     patch = cv2.warpPerspective(grey, to_patch, (columns, rows), flags=cv2.INTER_LINEAR)
     cells = patch.reshape(GLOW_SHAPE[0], per_cell, GLOW_SHAPE[1], per_cell)
@@ -316,7 +309,7 @@ class Tracker:
         """The fish in the next picture. Raises InputError for two fish, a picture of another size,
         anchors that are elsewhere (first pictures), a marker whose size contradicts the
         calibration by more than 5 % (median of the first second of sightings)."""
-        grey = _grey(picture.image)
+        grey = picture.image
         self._calibration.check_size((grey.shape[1], grey.shape[0]), self._name)
         self._anchors.look(picture.t_s, grey)
         sighting = self._find(grey, picture.t_s)
@@ -417,9 +410,3 @@ def _can_swim(start: _Seen, end: _Seen) -> bool:
 
 def _nearest(sightings: list[Detection], guess: F64) -> Detection:
     return min(sightings, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
-
-
-def _grey(image: Image) -> Image:
-    if image.ndim == 2:
-        return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

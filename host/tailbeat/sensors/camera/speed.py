@@ -1,17 +1,18 @@
-"""Speed from positions: a line fitted over one beat (live), and a smoother of a whole film.
+"""Speeds of a film: a Kalman filter and smoother over the positions along the swim direction.
 
-Positions along the swim direction are a trend (acceleration is a Wiener process) plus the beat's
-own ripple at once and twice the beat frequency, whose size drifts slowly, plus white noise; the
-sizes of all four are those that make the film likeliest (ripplefilter.py). With 1 mm of noise at
-25 frames/s a frame difference is 35 mm/s wrong, a line over one beat 0.7, this 0.2.
+State: way, speed, acceleration (a Wiener process, spectral density ``jerk`` squared), and two
+oscillators at once and twice the beat's frequency, each [in phase, in quadrature], stationary with
+standard deviations ``ripple`` and ``second`` and a correlation time of CORRELATION_BEATS. What is
+seen is way + both in phase + white noise. Everything is in units of the noise: it divides out, and
+its size follows from the innovations.
+
+The sizes of all four are those of the largest likelihood. With 1 mm of noise at 25 frames/s a frame
+difference is 35 mm/s wrong, a line over one beat (tracking/live.py) 0.7, this 0.2.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
@@ -21,103 +22,140 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
+from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
-from tailbeat.sensors.camera.speed.ripple_filter import (
-    SEEN_AS,
-    STATES,
-    Candidates,
-    Smoothed,
-    forward,
-    smooth,
-)
 from tailbeat.sensors.camera.tracking.track import BRIDGED_IN_A_ROW_MAX, Track
 
-LOST_IN_A_ROW_MAX = 5
+STATES = 7
+SEEN_AS = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0])
+CORRELATION_BEATS = 4.0
+# Before the first picture: anywhere (in units of the noise), at any speed of a fish.
+_WAY_SPREAD, _SPEED_SPREAD, _RISE_SPREAD = 1e6, 1e3, 1e3
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Parameters in units of the noise, arrays of shape (n,): ``jerk`` in 1/s^2.5, the ripples as
+    lengths."""
+
+    jerk: F64
+    ripple: F64
+    second: F64
+
+
+@dataclass(frozen=True)
+class Forward:
+    """A filter pass: innovation^2/variance and log variance summed over what was seen, shape (n,).
+    ``nodes``, of one candidate: mean and covariance of each node as predicted, and as filtered."""
+
+    chi2: F64
+    log_variance: F64
+    count: int
+    nodes: tuple[F64, ...] = ()
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """Shape (nodes, 7), (nodes, 7, 7); ``gain[k]`` (7, 7) takes node k+1's smoothing back to k."""
+
+    mean: F64
+    cov: F64
+    gain: F64
+
+
+def transition(dt_s: float, beat_s: float) -> F64:
+    """Shape (7, 7)."""
+    step = np.zeros((STATES, STATES))
+    step[:3, :3] = np.array([[1, dt_s, dt_s**2 / 2], [0, 1, dt_s], [0, 0, 1]])
+    kept = np.exp(-dt_s / (CORRELATION_BEATS * beat_s))
+    for order in (1, 2):
+        angle = 2 * np.pi * order * dt_s / beat_s
+        cos, sin = kept * np.cos(angle), kept * np.sin(angle)
+        at = 1 + 2 * order
+        step[at : at + 2, at : at + 2] = np.array([[cos, sin], [-sin, cos]])
+    return step
+
+
+def process_noise(dt_s: float, beat_s: float, by: Candidates) -> F64:
+    """Shape (n, 7, 7)."""
+    noise = np.zeros((len(by.jerk), STATES, STATES))
+    d = dt_s
+    wiener = np.array(
+        [[d**5 / 20, d**4 / 8, d**3 / 6], [d**4 / 8, d**3 / 3, d**2 / 2], [d**3 / 6, d**2 / 2, d]]
+    )
+    noise[:, :3, :3] = (by.jerk**2)[:, None, None] * wiener
+    lost = 1 - np.exp(-2 * dt_s / (CORRELATION_BEATS * beat_s))
+    for at, size in ((3, by.ripple), (5, by.second)):
+        noise[:, at, at] = noise[:, at + 1, at + 1] = size**2 * lost
+    return noise
+
+
+def prior(by: Candidates, first: float) -> tuple[F64, F64]:
+    """Mean (n, 7) and covariance (n, 7, 7) at the first node."""
+    count = len(by.jerk)
+    mean = np.zeros((count, STATES))
+    mean[:, 0] = first
+    cov = np.zeros((count, STATES, STATES))
+    for at, spread in enumerate((_WAY_SPREAD, _SPEED_SPREAD, _RISE_SPREAD)):
+        cov[:, at, at] = spread**2
+    for at, size in ((3, by.ripple), (5, by.second)):
+        cov[:, at, at] = cov[:, at + 1, at + 1] = size**2
+    return mean, cov
+
+
+def forward(t_s: F64, way: F64, beat_s: float, by: Candidates, keep: bool) -> Forward:
+    """Filters nodes at rising ``t_s``, shape (nodes,); ``way`` NaN = nothing seen there."""
+    steps: dict[int, tuple[F64, F64]] = {}  # by their length, which few films have many of
+    mean, cov = prior(by, float(way[np.isfinite(way)][0]))
+    chi2, log_variance, count = np.zeros(len(by.jerk)), np.zeros(len(by.jerk)), 0
+    nodes: list[tuple[F64, ...]] = []
+    for k in range(len(t_s)):
+        if k:
+            microseconds = round((t_s[k] - t_s[k - 1]) * 1e6)
+            if microseconds not in steps:
+                dt_s = microseconds * 1e-6
+                steps[microseconds] = transition(dt_s, beat_s), process_noise(dt_s, beat_s, by)
+            step, noise = steps[microseconds]
+            mean = mean @ step.T
+            cov = step @ cov @ step.T + noise
+        predicted = mean, cov
+        if np.isfinite(way[k]):
+            mean, cov, missed, variance = _see(mean, cov, float(way[k]))
+            if count:  # the first only says where the way begins
+                chi2 += missed**2 / variance
+                log_variance += np.log(variance)
+            count += 1
+        if keep:
+            nodes.append(tuple(part[0] for part in (*predicted, mean, cov)))
+    return Forward(chi2, log_variance, count - 1, tuple(map(np.array, zip(*nodes, strict=True))))
+
+
+def _see(mean: F64, cov: F64, way: float) -> tuple[F64, F64, F64, F64]:
+    across = cov @ SEEN_AS
+    variance = across @ SEEN_AS + 1.0
+    missed = way - mean @ SEEN_AS
+    gain = across / variance[:, None]
+    mean = mean + gain * missed[:, None]
+    cov = cov - gain[:, :, None] * across[:, None, :]
+    return mean, cov, missed, variance
+
+
+def smooth(t_s: F64, beat_s: float, done: Forward) -> Smoothed:
+    """Rauch, Tung and Striebel's pass over a kept filter pass, in its arrays."""
+    predicted, predicted_cov, mean, cov = done.nodes
+    steps = {dt: transition(dt * 1e-6, beat_s) for dt in {round(d * 1e6) for d in np.diff(t_s)}}
+    moves = np.array([steps[round(d * 1e6)] for d in np.diff(t_s)])
+    crossed = cov[:-1] @ moves.transpose(0, 2, 1)
+    gain = np.linalg.solve(predicted_cov[1:], crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
+    for k in range(len(t_s) - 2, -1, -1):
+        mean[k] += gain[k] @ (mean[k + 1] - predicted[k + 1])
+        cov[k] += gain[k] @ (cov[k + 1] - predicted_cov[k + 1]) @ gain[k].T
+    return Smoothed(mean, cov, gain)
+
+
 COVERAGE_MIN = 0.6
-_SPAN_SLACK_FRAMES = 0.6
-_SIGMA_MIN_M_S = 1e-5
-_PLAUSIBLE_M_S = 1.0
-_JUMP_M = 0.01  # ten times the noise of a good camera
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedSample:
-    """Mean speed over a window of one beat whose middle is ``t_s``; ``sigma_m_s`` > 0."""
-
-    t_s: float
-    speed_m_s: float
-    sigma_m_s: float
-
-
-class BeatFit:
-    """Feed it positions; it gives a speed for every frame that closes a whole beat.
-
-    The window is one beat long by the frames' time stamps, both ends included (26 frames at
-    25 frames/s), within 0.6 of a frame. Nothing comes out of a window with more than 5 frames
-    missing in a row or with fewer than 60 % of its frames; a jump no fish can swim (somebody
-    carried it back) begins a new window. With ``position_noise_m`` the standard
-    deviation follows from it, otherwise from the scatter about the line.
-    """
-
-    def __init__(
-        self, beat_s: float = 1.0, fps: float = 25.0, position_noise_m: float | None = None
-    ) -> None:
-        self._beat_s = beat_s
-        self._frame_s = 1.0 / fps
-        self._noise_m = position_noise_m
-        self._frames_min = max(3, math.ceil(COVERAGE_MIN * (round(beat_s * fps) + 1)))
-        self._window: deque[tuple[float, float]] = deque()
-
-    def reset(self) -> None:
-        """Forgets all positions."""
-        self._window.clear()
-
-    def add(self, t_s: float, x_m: float) -> SpeedSample | None:
-        """Takes one position; frames that are not newer than the last are dropped."""
-        window = self._window
-        if not (math.isfinite(t_s) and math.isfinite(x_m)):
-            return None
-        if window and t_s <= window[-1][0]:
-            return None
-        if window and abs(x_m - window[-1][1]) > _PLAUSIBLE_M_S * (t_s - window[-1][0]) + _JUMP_M:
-            window.clear()
-        window.append((t_s, x_m))
-        slack_s = _SPAN_SLACK_FRAMES * self._frame_s
-        while t_s - window[0][0] > self._beat_s + slack_s:
-            window.popleft()
-        if len(window) < self._frames_min or t_s - window[0][0] < self._beat_s - slack_s:
-            return None
-        return self._fit()
-
-    def _fit(self) -> SpeedSample | None:
-        """Least squares about the middle; sums of about 26 terms are cheaper than keeping them."""
-        window = self._window
-        count = len(window)
-        begin_s, x0 = window[0]
-        gap_max_s = (LOST_IN_A_ROW_MAX + 1.5) * self._frame_s
-        st = sx = stt = stx = sxx = last = 0.0
-        for t_s, x_m in window:
-            t = t_s - begin_s
-            x = x_m - x0
-            if t - last > gap_max_s:
-                return None
-            last = t
-            st += t
-            sx += x
-            stt += t * t
-            stx += t * x
-            sxx += x * x
-        vtt = stt - st * st / count
-        vtx = stx - st * sx / count
-        speed = vtx / vtt
-        if self._noise_m is None:
-            scatter = max(0.0, sxx - sx * sx / count - speed * vtx)
-            variance = scatter / (count - 2)
-        else:
-            variance = self._noise_m**2
-        sigma = max(math.sqrt(variance / vtt), _SIGMA_MIN_M_S)
-        return SpeedSample(begin_s + last / 2, speed, sigma)
+SIGMA_MIN_M_S = 1e-5
 
 
 _TUNING_PICTURES = 1500
@@ -249,27 +287,20 @@ def swim_speed(
         direction_rad = swim_direction_rad(track, beat_s)
     way = track.x_m[seen] * math.cos(direction_rad) + track.y_m[seen] * math.sin(direction_rad)
     pieces = [
-        _Piece(t_s, along)
-        for t_s, along in _unbroken(track.t_s[seen], way)
-        if len(t_s) and t_s[-1] - t_s[0] >= 2 * beat_s
+        piece
+        for piece in _unbroken(track.t_s[seen], way)
+        if len(piece[0]) and piece[0][-1] - piece[0][0] >= 2 * beat_s
     ]
     if not pieces:
         raise InputError(
             f"{track.name or 'the film'} shows the fish for less than two beats on end",
             "Look at the track: light, focus, the marker's size in the picture.",
         )
-    by, noise_m = _tune(max(pieces, key=lambda piece: len(piece.t_s)), beat_s)
+    by, noise_m = _tune(max(pieces, key=lambda piece: len(piece[0])), beat_s)
     curves = [_curve(piece, by, noise_m, beat_s, begin_s, 1 / track.fps) for piece in pieces]
-    return SpeedCurve(
-        t_s=np.concatenate([curve[0] for curve in curves]),
-        v_m_s=np.concatenate([curve[1] for curve in curves]),
-        sigma_m_s=np.concatenate([curve[2] for curve in curves]),
-        beat_s=beat_s,
-        start_s=begin_s,
-        direction_rad=direction_rad,
-        noise_m=noise_m,
-        outliers=sum(curve[3] for curve in curves),
-    )
+    *columns, outliers = zip(*curves, strict=True)
+    t_s, v_m_s, sigma_m_s = map(np.concatenate, columns)
+    return SpeedCurve(t_s, v_m_s, sigma_m_s, beat_s, begin_s, direction_rad, noise_m, sum(outliers))
 
 
 def _seen(track: Track) -> NDArray[np.bool_]:
@@ -286,28 +317,26 @@ def _cut(track: Track, begin_s: float, end_s: float) -> Track:
     return replace(track, **{name: getattr(track, name)[inside] for name in columns}, glow=None)
 
 
-def _unbroken(t_s: F64, way: F64) -> Iterator[tuple[F64, F64]]:
+_Piece = tuple[F64, F64]  # times and way, shape (pictures,) each
+
+
+def _unbroken(t_s: F64, way_m: F64) -> Iterator[_Piece]:
     """Pieces in which the fish may have swum all the way."""
-    dt, dx = np.diff(t_s), np.abs(np.diff(way))
+    dt, dx = np.diff(t_s), np.abs(np.diff(way_m))
     ends = np.flatnonzero(dx > _CARRIED_M_S * dt + _CARRIED_M) + 1
-    return zip(np.split(t_s, ends), np.split(way, ends), strict=True)
-
-
-@dataclass(frozen=True)
-class _Piece:
-    t_s: F64
-    way_m: F64
+    return zip(np.split(t_s, ends), np.split(way_m, ends), strict=True)
 
 
 def _tune(piece: _Piece, beat_s: float) -> tuple[Candidates, float]:
     """The likeliest parameters without the positions that they do not believe; wrong ones make the
     noise look larger, so in rounds."""
+    t_s, way_m = piece
     for _ in range(_OUTLIER_ROUNDS):
-        by, noise_m = likeliest(piece.t_s, piece.way_m, beat_s)
-        _, believed = _smooth_without_outliers(piece.t_s, piece.way_m / noise_m, beat_s, by)
+        by, noise_m = likeliest(t_s, way_m, beat_s)
+        _, believed = _smooth_without_outliers(t_s, way_m / noise_m, beat_s, by)
         if believed.all():
             break
-        piece = _Piece(piece.t_s[believed], piece.way_m[believed])
+        t_s, way_m = t_s[believed], way_m[believed]
     return by, noise_m
 
 
@@ -315,21 +344,22 @@ def _curve(
     piece: _Piece, by: Candidates, noise_m: float, beat_s: float, start_s: float, period_s: float
 ) -> tuple[F64, F64, F64, int]:
     """Times, speeds, sigmas, and how many positions were not believed."""
+    seen_s, way_m = piece
     step_s = beat_s / STEPS_PER_BEAT
-    first = math.ceil((piece.t_s[0] - start_s) / step_s - 1e-6)
-    last = math.floor((piece.t_s[-1] - start_s) / step_s + 1e-6)
+    first = math.ceil((seen_s[0] - start_s) / step_s - 1e-6)
+    last = math.floor((seen_s[-1] - start_s) / step_s + 1e-6)
     grid_s = start_s + np.arange(first, last + 1) * step_s
-    t_s = np.concatenate([piece.t_s, grid_s])
-    way = np.concatenate([piece.way_m / noise_m, np.full(len(grid_s), np.nan)])
+    t_s = np.concatenate([seen_s, grid_s])
+    way = np.concatenate([way_m / noise_m, np.full(len(grid_s), np.nan)])
     order = np.argsort(t_s, kind="stable")
     t_s, way = t_s[order], way[order]
-    on_grid = np.flatnonzero(order >= len(piece.t_s))
+    on_grid = np.flatnonzero(order >= len(seen_s))
     smoothed, believed = _smooth_without_outliers(t_s, way, beat_s, by)
     speed, sigma = _mean_speeds(smoothed, on_grid, beat_s)
     middle_s = grid_s[STEPS_PER_BEAT // 2 : len(grid_s) - STEPS_PER_BEAT // 2]
     known = _covered(t_s[believed], middle_s, beat_s, period_s)
-    outliers = len(piece.t_s) - int(believed.sum())
-    sigma_m_s = np.maximum(sigma[known] * noise_m, _SIGMA_MIN_M_S)
+    outliers = len(seen_s) - int(believed.sum())
+    sigma_m_s = np.maximum(sigma[known] * noise_m, SIGMA_MIN_M_S)
     return middle_s[known], speed[known] * noise_m, sigma_m_s, outliers
 
 
@@ -394,18 +424,9 @@ def _covered(t_s: F64, middle_s: F64, beat_s: float, period_s: float) -> NDArray
 def write_speeds(curve: SpeedCurve, path: Path, trial: int | None = None) -> None:
     """CSV with COLUMNS, whole or not at all; t_s counts from the begin of the swim, ``trial`` is
     its number, empty when the film is not paired with one (then t_s is the film's own time)."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(COLUMNS)
     zero_s = curve.start_s if trial is not None else 0.0
-    for t_s, speed, sigma in zip(curve.t_s, curve.v_m_s, curve.sigma_m_s, strict=True):
-        rows.writerow(
-            [
-                f"{t_s - zero_s:.4f}",
-                f"{speed:.6f}",
-                f"{sigma:.6f}",
-                f"{curve.beat_s:g}",
-                "" if trial is None else trial,
-            ]
-        )
-    write_whole(path, text.getvalue())
+    rows = (
+        (f"{t_s - zero_s:.4f}", f"{speed:.6f}", f"{sigma:.6f}", f"{curve.beat_s:g}", trial)
+        for t_s, speed, sigma in zip(curve.t_s, curve.v_m_s, curve.sigma_m_s, strict=True)
+    )
+    write_whole(path, table_text(COLUMNS, rows))

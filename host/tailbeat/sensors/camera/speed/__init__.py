@@ -1,1 +1,0 @@
-"""Speed from tracked positions."""

@@ -1,1 +1,0 @@
-"""The clock offset between camera and board."""
