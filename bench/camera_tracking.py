@@ -120,7 +120,7 @@ def main(load: Load = FULL) -> int:
         draw(path, load.film_s)
         calibration = SCENE.calibration()
         both_s = seconds(
-            lambda: follow(path, Tracker(MARKER, calibration, "the film", glow=True)), turns
+            lambda: follow(path, Tracker(MARKER, calibration, "the film", patch=True)), turns
         )
         decode_s = seconds(lambda: follow(path, None), turns)
         whole_ms, window_ms = search_ms(path, turns)

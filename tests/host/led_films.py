@@ -1,4 +1,4 @@
-"""Tracks with the LED in their glow, made without pictures: what a bad camera would leave of it."""
+"""Tracks with the LED in their patches, made without pictures: what a bad camera leaves of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.tracking.track import LOST, SEEN, Track
-from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
+from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE
 
 Floats = F64
 
@@ -46,11 +46,11 @@ class LedFilm:
         count = int((self.before_s + self.swim_s + self.after_s) * self.fps)
         t_s = np.arange(count) / self.fps
         t_s += rng.uniform(-0.5, 0.5, count) * self.jitter_s
-        glow = self._water(rng, t_s - start_s)
+        patch = self._water(rng, t_s - start_s)
         if self.led:
-            self._shine(rng, glow, self._lit(t_s - start_s, exposure_s))
+            self._shine(rng, patch, self._lit(t_s - start_s, exposure_s))
         seen = rng.random(count) >= self.lost
-        levels = np.clip(glow, 0, 255).astype(np.uint8)
+        levels = np.clip(patch, 0, 255).astype(np.uint8)
         levels[~seen] = 0
         state = np.where(seen, SEEN, LOST).astype(np.uint8)
         where = np.where(seen, 0.0, np.nan)
@@ -80,21 +80,21 @@ class LedFilm:
 
     def _water(self, rng: np.random.Generator, since_s: Floats) -> Floats:
         """Body texture, the tail's shade at once and twice the beat, flashes of glare."""
-        rows, columns = GLOW_SHAPE
-        glow = rng.uniform(20, 90, (rows, columns)) + rng.normal(
+        rows, columns = PATCH_SHAPE
+        patch = rng.uniform(20, 90, (rows, columns)) + rng.normal(
             0, 4, (len(since_s), rows, columns)
         )
         for column in range(8):
             phase = 2 * np.pi * since_s + 0.3 * column
-            glow[:, 4:8, column] += 60 * rng.uniform(0.3, 1) * np.abs(np.sin(phase))[:, None]
-            glow[:, 2:6, column + 8] += 40 * (np.sin(phase) > 0)[:, None]
+            patch[:, 4:8, column] += 60 * rng.uniform(0.3, 1) * np.abs(np.sin(phase))[:, None]
+            patch[:, 2:6, column + 8] += 40 * (np.sin(phase) > 0)[:, None]
         for i in np.flatnonzero(rng.random(len(since_s)) < self.glare):
             row, column = int(rng.integers(0, rows)), int(rng.integers(0, columns))
             spot = np.s_[i, max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
-            glow[spot] += rng.uniform(50, 150)
-        return glow
+            patch[spot] += rng.uniform(50, 150)
+        return patch
 
-    def _shine(self, rng: np.random.Generator, glow: Floats, lit: Floats) -> None:
+    def _shine(self, rng: np.random.Generator, patch: Floats, lit: Floats) -> None:
         """At a corner of four cells, now in one and now in the next."""
         count = len(lit)
         runs = max(1, round(self.hidden_s * self.fps))
@@ -102,4 +102,4 @@ class LedFilm:
         row = rng.integers(3, 9) + rng.integers(0, 2, count)
         column = rng.integers(18, 36) + rng.integers(0, 2, count)
         level = rng.uniform(60, 160)
-        glow[np.arange(count), row, column] += np.where(covered, 0.0, level * lit)
+        patch[np.arange(count), row, column] += np.where(covered, 0.0, level * lit)

@@ -23,11 +23,11 @@ from tailbeat.session.trial import run_trial
 
 
 @contextmanager
-def drawn_camera(fish: Fish, scene: Scene, glow: bool = False) -> Iterator[VideoCamera]:
+def drawn_camera(fish: Fish, scene: Scene, patch: bool = False) -> Iterator[VideoCamera]:
     """What ``tailbeat trial run --camera rendered`` looks through."""
     source = RenderedDevice(SimulatedCamera(fish.sim), scene)
     marker = Marker(scene.marker, scene.marker_id, scene.marker_side_m)
-    tracker = Tracker(marker, scene.calibration(), source.name, glow=glow)
+    tracker = Tracker(marker, scene.calibration(), source.name, patch=patch)
     camera = VideoCamera(source, tracker, threaded=False)
     try:
         yield camera
@@ -45,9 +45,9 @@ class Swum:
     start_s: float
 
 
-def swim_before_the_camera(fish: Fish, scene: Scene, glow: bool = False) -> Swum:
+def swim_before_the_camera(fish: Fish, scene: Scene, patch: bool = False) -> Swum:
     """The next trial, filmed. It stays pending."""
-    with drawn_camera(fish, scene, glow) as camera:
+    with drawn_camera(fish, scene, patch) as camera:
         outcome = run_trial(fish, camera)
         track = camera.track()
     trial = read(fish, outcome.number)

@@ -19,7 +19,7 @@ from tailbeat.link import _dialect as mavlink
 from tailbeat.sensors.camera.led import read_led
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.sensors.camera.tracking.track import SEEN, Track
-from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE
+from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE
 from tailbeat.session.events import Countdown, Event
 from tailbeat.session.preflight.step import GivenUp, NotReady, PreflightLimits, countdown
 from tailbeat.session.trial import run_trial
@@ -245,12 +245,12 @@ def test_arming_without_a_countdown_lights_it_at_once(reference: bytes, again: b
 def track_of(frames: list[CameraFrame], fps: float, seed: int) -> Track:
     """What tracking a film of it would leave: the LED in one of the places, among noise."""
     rng = np.random.default_rng(seed)
-    glow = rng.uniform(20, 60, GLOW_SHAPE) + rng.normal(0, 4, (len(frames), *GLOW_SHAPE))
-    glow[:, 6, 20] += 100 * np.array([frame.led for frame in frames])
+    patch = rng.uniform(20, 60, PATCH_SHAPE) + rng.normal(0, 4, (len(frames), *PATCH_SHAPE))
+    patch[:, 6, 20] += 100 * np.array([frame.led for frame in frames])
     t_s = np.array([frame.time_s for frame in frames])
     nothing = np.zeros(len(frames))
     state = np.full(len(frames), SEEN, np.uint8)
-    levels = np.clip(glow, 0, 255).astype(np.uint8)
+    levels = np.clip(patch, 0, 255).astype(np.uint8)
     return Track(t_s, nothing, nothing, nothing, nothing + 1, state, fps, "film.mp4", levels)
 
 

@@ -159,7 +159,7 @@ def live_camera(
             stack.callback(recorder.close)
             if known is None:
                 calibration.save(video.with_suffix(".tank.json"))
-        tracker = Tracker(options.on_fish(), calibration, source.name, glow=True)
+        tracker = Tracker(options.on_fish(), calibration, source.name, patch=True)
         camera = VideoCamera(source, tracker, not kind.simulated, recorder)
         stack.callback(camera.close)
         yield LiveCamera(camera, _guard(fish, calibration, wall_m), camera, recorder)

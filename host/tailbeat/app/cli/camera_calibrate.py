@@ -195,7 +195,7 @@ def _document(made: Calibrated, calibration: Calibration, out: Path) -> dict[str
         "focal_sigma": found.focal_sigma if found else None,
         **board,
         "plane_rms_m": plane.rms_m,
-        "plane_foretold_m": plane.foretold_m,
+        "plane_foretold_m": plane.predicted_m,
         "points_left_out": {made.points[i]: off for i, off in plane.left_out.items()},
         "camera_height_m": made.camera.height_m if made.camera else None,
         "rulers": [_ruler_document(check) for check in made.rulers],
@@ -205,8 +205,8 @@ def _document(made: Calibrated, calibration: Calibration, out: Path) -> dict[str
 
 def _text(made: Calibrated, out: Path) -> str:
     plane, count = made.plane, len(made.plane.off_m)
-    foretold = plane.foretold_m
-    each = f"; each is foretold by the others within {foretold * 1e3:.1f} mm" if foretold else ""
+    predicted = plane.predicted_m
+    each = f"; each is predicted by the others within {predicted * 1e3:.1f} mm" if predicted else ""
     lines = [
         f"camera     {_camera_text(made)}",
         f"points     {count}, {plane.rms_m * 1e3:.1f} mm off (RMS){each}",

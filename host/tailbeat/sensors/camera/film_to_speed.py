@@ -18,14 +18,14 @@ import numpy as np
 from tailbeat.core.arrays import F64
 from tailbeat.core.csv import table_text
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import replace_file
+from tailbeat.core.files import plain, replace_file
 from tailbeat.core.frames import Frame
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial
+from tailbeat.sensors.camera import cv2, require_cv2
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import Marker
 from tailbeat.sensors.camera.marker.tags import Detection
-from tailbeat.sensors.camera.opencv import cv2, require_cv2
 from tailbeat.sensors.camera.source.film import FilmWriter
 from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 from tailbeat.sensors.camera.speed import SpeedCurve, swim_speed, write_speeds
@@ -58,7 +58,7 @@ class FilmAnalysis:
     calibration: Calibration
 
     def beats(self) -> tuple[F64, F64]:
-        """Mean speed and sigma of each beat swum, shape (beats,); NaN = not measured. Of a film
+        """Mean speed and sigma of each executed beat, shape (beats,); NaN = not measured. Of a film
         without a trial: empty."""
         return self.curve.beats(self.trial.executed_beats if self.trial is not None else 0)
 
@@ -80,31 +80,45 @@ class FilmAnalysis:
 
     def summary(self) -> dict[str, Any]:
         """What summary.json holds: plain values, units in the names, None = not known."""
-        state = self.track.state
+        state, straight, sync = self.track.state, self.straight(), self.sync
         speed, sigma = self.beats()
         paired = self.trial is not None
         mean_of, sigma_of = (speed, sigma) if paired else (self.curve.v_m_s, self.curve.sigma_m_s)
-        return {
+        document = {
             "made_by": _FORMAT,
             "film": self.track.name,
             "pictures": len(state),
-            "seen": int(np.count_nonzero(state == SEEN)),
-            "bridged": int(np.count_nonzero(state == BRIDGED)),
-            "lost": int(np.count_nonzero(state == LOST)),
+            "seen": np.count_nonzero(state == SEEN),
+            "bridged": np.count_nonzero(state == BRIDGED),
+            "lost": np.count_nonzero(state == LOST),
             "fps": round(self.track.fps, 3),
             "trial": self.trial.number if self.trial is not None else None,
-            "sync": _sync_summary(self.sync),
+            "sync": sync
+            and {
+                "how": sync.how,
+                "start_s": sync.start_s,
+                "sigma_s": sync.sigma_s,
+                "led_trial": sync.trial,
+                "score": sync.score,
+            },
             "beats": len(speed) if paired else None,
-            "measured_beats": int(np.count_nonzero(np.isfinite(speed))) if paired else None,
+            "measured_beats": np.count_nonzero(np.isfinite(speed)) if paired else None,
             "mean_speed_m_s": _of_measured(np.mean, mean_of),
             "sigma_median_m_s": _of_measured(np.median, sigma_of),
-            "direction_rad": _number(self.curve.direction_rad),
-            "straight": _straight_summary(self.straight()),
-            "position_noise_m": _number(self.curve.noise_m),
+            "direction_rad": self.curve.direction_rad,
+            "straight": straight
+            and {
+                "mean_yaw_rad": straight.mean_yaw_rad,
+                "worst_yaw_rad": straight.worst_yaw_rad,
+                "curvature_1_m": straight.curvature_1_m,
+                "crooked": straight.crooked,
+            },
+            "position_noise_m": self.curve.noise_m,
             "outliers": self.curve.outliers,
-            "scale_error": _number(self.calibration.scale_error),
-            "marker_side_m": _number(self.track.marker_side_m),
+            "scale_error": self.calibration.scale_error,
+            "marker_side_m": self.track.marker_side_m,
         }
+        return {key: plain(value) for key, value in document.items()}
 
 
 def analyse(
@@ -142,13 +156,15 @@ def begin_of(seen: Track, trial: Trial | None, start_s: float | None = None) -> 
         if not seen.t_s[0] <= start_s <= seen.t_s[-1]:
             raise InputError(
                 f"the film goes from {seen.t_s[0]:.1f} to {seen.t_s[-1]:.1f} s, "
-                f"and the swim should begin at {start_s:g} s",
+                f"and the trial should begin at {start_s:g} s",
                 "Count --start in seconds from the first picture.",
             )
         return Sync(start_s, 0.5 / seen.fps / math.sqrt(3), "given", None, 1.0)
     if trial is not None:
         if trial.executed_beats == 0:
-            raise InputError(f"trial {trial.number} did not swim", "Give the film's own trial.")
+            raise InputError(
+                f"trial {trial.number} has no executed beat", "Give the film's own trial."
+            )
         return sync(seen, trial)
     try:
         return sync_by_led(seen)
@@ -207,36 +223,9 @@ def write_analysis(found: FilmAnalysis, folder: Path) -> None:
     replace_file(folder / SUMMARY, text)
 
 
-def _straight_summary(found: HeadingDrift | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {
-        "mean_yaw_rad": _number(found.mean_yaw_rad),
-        "worst_yaw_rad": _number(found.worst_yaw_rad),
-        "curvature_1_m": _number(found.curvature_1_m),
-        "crooked": found.crooked,
-    }
-
-
-def _sync_summary(found: Sync | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {
-        "how": found.how,
-        "start_s": _number(found.start_s),
-        "sigma_s": _number(found.sigma_s),
-        "led_trial": found.trial,
-        "score": _number(found.score),
-    }
-
-
 def _of_measured(what: Callable[[F64], Any], values: F64) -> float | None:
     measured = values[np.isfinite(values)]
     return float(what(measured)) if measured.size else None
-
-
-def _number(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None
 
 
 _TRAIL_S = 2.0
@@ -260,27 +249,27 @@ class Overlay(FilmWriter):
         """The next picture."""
         image: Image = cv2.cvtColor(picture.image, cv2.COLOR_GRAY2BGR)
         self._draw_trail(image, place)
-        if place.sighting is not None:
-            self._draw_sighting(image, place.sighting)
+        if place.detection is not None:
+            self._draw_detection(image, place.detection)
         self._draw_text(image, place)
         self.add(image, picture.t_s)
 
     def _draw_trail(self, image: Image, place: TrackedImage) -> None:
         while self._trail and self._trail[0][0] < place.t_s - _TRAIL_S:
             self._trail.popleft()
-        if place.sighting is not None:
-            self._trail.append((place.t_s, place.sighting.centre_px))
+        if place.detection is not None:
+            self._trail.append((place.t_s, place.detection.centre_px))
         self._line(image, [point for _, point in self._trail], _TRAIL, closed=False)
 
-    def _draw_sighting(self, image: Image, sighting: Detection) -> None:
-        centre, front = np.array(sighting.centre_px), np.array(sighting.front_px)
-        if sighting.corners_px is not None:
-            outline = sighting.corners_px
+    def _draw_detection(self, image: Image, detection: Detection) -> None:
+        centre, front = np.array(detection.centre_px), np.array(detection.front_px)
+        if detection.corners_px is not None:
+            outline = detection.corners_px
         else:
-            outline = _blob_box(centre, front, sighting.side_px)
+            outline = _blob_box(centre, front, detection.side_px)
         self._line(image, outline, _OUTLINE, closed=True)
         ahead = front - centre
-        length = max(3 * sighting.side_px, 24.0)
+        length = max(3 * detection.side_px, 24.0)
         tip = centre + ahead * (length / max(float(np.linalg.norm(ahead)), 1e-6))
         cv2.arrowedLine(
             image, _fixed(centre), _fixed(tip), _ARROW, _width(image),
@@ -289,8 +278,8 @@ class Overlay(FilmWriter):
 
     def _draw_text(self, image: Image, place: TrackedImage) -> None:
         state = ("not seen", _UNSEEN)
-        if place.sighting is not None:
-            state = (f"seen, quality {place.sighting.quality:.2f}", _LIGHT)
+        if place.detection is not None:
+            state = (f"seen, quality {place.detection.quality:.2f}", _LIGHT)
         lines = [(f"{place.t_s:.3f} s", _LIGHT), state]
         scale = image.shape[0] / _LINE_PX
         for row, (text, colour) in enumerate(lines):

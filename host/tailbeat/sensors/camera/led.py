@@ -12,7 +12,7 @@ likelihood, and its sigma holds that stretch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -23,7 +23,7 @@ from tailbeat.core.errors import InputError
 from tailbeat.core.lazy import lazy
 from tailbeat.core.native import lib
 from tailbeat.sensors.camera.tracking.track import Track
-from tailbeat.sensors.camera.tracking.tracker import Glow
+from tailbeat.sensors.camera.tracking.tracker import LedPatch
 
 fft = lazy("scipy.fft")
 ndimage = lazy("scipy.ndimage")
@@ -95,15 +95,15 @@ class Find:
     strength: float
 
 
-def series_of(glow: Glow) -> NDArray[np.uint8]:
+def series_of(patch: LedPatch) -> NDArray[np.uint8]:
     """Brightness over time at every place, shape (places, pictures), against what is usual for each
     cell (_USUAL); the brightest of 2 x 2 cells, because an LED at the edge of a cell is now in one
     and now in the next."""
-    cells = glow.astype(np.int16)
+    cells = patch.astype(np.int16)
     cells -= np.median(cells, axis=0).astype(np.int16) - _USUAL
     bright = np.clip(cells, 0, 255).astype(np.uint8)
     pooled = ndimage.maximum_filter(bright, size=(1, 2, 2))[:, 1:, 1:]
-    return np.ascontiguousarray(pooled.reshape(len(glow), -1).T)
+    return np.ascontiguousarray(pooled.reshape(len(patch), -1).T)
 
 
 def find(series: NDArray[np.uint8], t_s: F64, length_s: float | None, beat_s: float) -> Find | None:
@@ -250,12 +250,16 @@ class LedBrightness:
 
 
 @dataclass(frozen=True)
-class LedFit:
-    """``score``: pictures in which the LED is seen on while it is, less those while it is not."""
+class LedReading:
+    """``begin_s``: the track's time at which frame 0 of the trial began. ``score``: pictures in
+    which the LED is seen on while it is, less those while it is not. ``ahead``: log likelihood
+    ratio of ``number`` to the next."""
 
     begin_s: float
     sigma_s: float
     score: float
+    number: int = 0
+    ahead: float = 0.0
 
 
 def looks_of(bright: NDArray[np.uint8], lit: F64) -> tuple[LedBrightness, float]:
@@ -283,7 +287,7 @@ _FINE: _Grid = (0.025, 0.001, 0.0025)
 
 def fit(
     bright: NDArray[np.uint8], t_s: F64, wave: Waveform, begin_s: float, grid: _Grid
-) -> tuple[LedFit, LedBrightness] | None:
+) -> tuple[LedReading, LedBrightness] | None:
     """The begin near ``begin_s``, which is right within the grid's reach; ``bright``: the LED's
     place, shape (pictures,), at times ``t_s``. None = never both on and off."""
     since_s = t_s - begin_s
@@ -307,7 +311,7 @@ def fit(
     chance = np.exp(special.logsumexp(fits, axis=1) - special.logsumexp(fits))
     mean = float(chance @ shifts)
     spread = float(np.sqrt(chance @ (shifts - mean) ** 2 + step_s**2 / 12))
-    return LedFit(begin_s + mean, max(spread, _SIGMA_MIN_S), score), looks
+    return LedReading(begin_s + mean, max(spread, _SIGMA_MIN_S), score), looks
 
 
 def _seen_as(lit: F64, from_part: float, to_part: float) -> F64:
@@ -323,29 +327,17 @@ _ROUNDS = 4  # begin, number and length each make the others better
 _CLEAR_S = 0.02  # pictures so far from an edge show one symbol only
 
 
-@dataclass(frozen=True)
-class LedReading:
-    """``begin_s``: the track's time at which frame 0 of the swim began. ``ahead``: log likelihood
-    ratio of ``number`` to the next."""
-
-    begin_s: float
-    sigma_s: float
-    number: int
-    score: float
-    ahead: float
-
-
 def read_led(track: Track, length_s: float | None = None, beat_s: float = 1.0) -> LedReading:
     """What the LED says. ``length_s`` of the swim, None = not known. Raises InputError when there
     is none to be seen, or its number cannot be read."""
-    if track.glow is None:
+    if track.patch is None:
         raise InputError(
             f"{track.name}: nobody looked for the LED in this track",
             "Track the film again, with the LED.",
         )
     seen = track.seen()
     t_s = track.t_s[seen]
-    series = series_of(track.glow[seen])
+    series = series_of(track.patch[seen])
     found = find(series, t_s, length_s, beat_s) if len(t_s) > 1 else None
     if found is None or found.strength < _STRENGTH_MIN:
         raise _no_led(track)
@@ -355,7 +347,7 @@ def read_led(track: Track, length_s: float | None = None, beat_s: float = 1.0) -
     if reading.ahead < _AHEAD_MIN:
         raise InputError(
             f"{track.name}: if an LED blinks, too little of it is seen to read its number",
-            "Film the whole swim with the LED in view, or say --start.",
+            "Film the whole trial with the LED in view, or say --start.",
         )
     return reading
 
@@ -379,8 +371,7 @@ def _reading(
     result = fit(bright, t_s, Waveform.of(number, known_s), begin_s, _FINE)
     if result is None:
         return None
-    fitted = result[0]
-    return LedReading(fitted.begin_s, fitted.sigma_s, number, fitted.score, ahead)
+    return replace(result[0], number=number, ahead=ahead)
 
 
 def _read_number(
@@ -425,6 +416,6 @@ def _length_s(bright: NDArray[np.uint8], since_s: F64, number: int, looks: LedBr
 
 def _no_led(track: Track) -> InputError:
     return InputError(
-        f"{track.name}: no LED blinks the code of a swim",
+        f"{track.name}: no LED blinks the code of a trial",
         "Is it in view, and was the fish swimming? Otherwise say --start.",
     )

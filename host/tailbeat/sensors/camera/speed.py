@@ -311,17 +311,17 @@ def _cut(track: Track, begin_s: float, end_s: float) -> Track:
     inside = (track.t_s >= begin_s) & (track.t_s <= end_s)
     if not inside.any():
         raise InputError(
-            f"the swim is not in {track.name or 'the film'}", "Is this the film of that trial?"
+            f"the trial is not in {track.name or 'the film'}", "Is this the film of that trial?"
         )
     columns = ("t_s", "x_m", "y_m", "heading_rad", "quality", "state")
-    return replace(track, **{name: getattr(track, name)[inside] for name in columns}, glow=None)
+    return replace(track, **{name: getattr(track, name)[inside] for name in columns}, patch=None)
 
 
 _Piece = tuple[F64, F64]  # times and way, shape (pictures,) each
 
 
 def _unbroken(t_s: F64, way_m: F64) -> Iterator[_Piece]:
-    """Pieces in which the fish may have swum all the way."""
+    """Pieces in which the fish may have moved all the way."""
     dt, dx = np.diff(t_s), np.abs(np.diff(way_m))
     ends = np.flatnonzero(dx > _CARRIED_M_S * dt + _CARRIED_M) + 1
     return zip(np.split(t_s, ends), np.split(way_m, ends), strict=True)

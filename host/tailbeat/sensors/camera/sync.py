@@ -86,9 +86,9 @@ def too_short(trial: Trial) -> InputError:
     """That of a swim that was aborted before its yaw or LED tell anything."""
     beats = trial.executed_beats
     return InputError(
-        f"trial {trial.number} swam only {beats} beat{'s' * (beats != 1)}: "
+        f"trial {trial.number} has only {beats} executed beat{'s' * (beats != 1)}: "
         "too short to be put in time with a film",
-        "Say when the swim begins: --start.",
+        "Say when the trial begins: --start.",
     )
 
 
@@ -359,7 +359,7 @@ class WrongPair(InputError):
 def sync_by_led(track: Track, trial: Trial | None = None) -> Sync:
     """By the LED. Without ``trial`` its number is read from the film. Raises WrongPair when the
     film shows another trial's number, InputError when no LED blinks in it or the track has no
-    glow."""
+    patch."""
     if trial is None:
         reading = read_led(track)
     else:
@@ -403,7 +403,7 @@ def sync(track: Track, trial: Trial) -> Sync:
             raise
         except InputError as no_yaw:
             raise InputError(
-                f"{no_led.message}, and {no_yaw.message}", "Say when the swim begins: --start."
+                f"{no_led.message}, and {no_yaw.message}", "Say when the trial begins: --start."
             ) from no_yaw
     _agree(led, track, trial)
     return led
@@ -419,13 +419,13 @@ def _agree(led: Sync, track: Track, trial: Trial) -> None:
         if why.args[0] == AMBIGUOUS:
             return
         raise WrongPair(
-            f"the LED shows trial {trial.number}, but {track.name} is of another swim: {why}",
+            f"the LED shows trial {trial.number}, but {track.name} is of another trial: {why}",
             "Give the film's own trial file.",
         ) from why
     apart_s = abs(found.begin_s - led.start_s)
     if apart_s > _AGREE_SIGMAS * math.hypot(led.sigma_s, found.sigma_s):
         raise WrongPair(
-            f"the LED says the swim began at {led.start_s:.2f} s, "
+            f"the LED says the trial began at {led.start_s:.2f} s, "
             f"the fish's yaw oscillation at {found.begin_s:.2f} s",
             "Give the film's own trial file.",
         )

@@ -63,7 +63,7 @@ class Device:
 class Eyes:
     """Knows where the fish is."""
 
-    def __init__(self, marker: Any, calibration: Any, name: str, glow: bool = False) -> None:
+    def __init__(self, marker: Any, calibration: Any, name: str, patch: bool = False) -> None:
         pass
 
     def look(self, picture: TimedImage) -> TrackedImage:

@@ -73,7 +73,7 @@ def by_film(scene: Scene):
 
     def swim(fish: Fish) -> int:
         fish.params.set("SPD_SOURCE", UPLOAD)
-        recorded = swim_before_the_camera(fish, scene, glow=True)
+        recorded = swim_before_the_camera(fish, scene, patch=True)
         start_s = sync(recorded.track, recorded.trial).start_s
         count = recorded.trial.executed_beats
         speed, sigma = swim_speed(

@@ -32,7 +32,7 @@ def filmed(seed: int, fps: float, scene: Scene, lost: float, reference: Referenc
         fish.params.set("AMP_MAX_RAD", math.pi / 4)
         fish.upload_reference(reference)
         fish.imu_verdict()
-        return swim_before_the_camera(fish, scene, glow=True)
+        return swim_before_the_camera(fish, scene, patch=True)
 
 
 def speeds_of(recorded: Swum) -> tuple[SpeedCurve, np.ndarray, np.ndarray]:

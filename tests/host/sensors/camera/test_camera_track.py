@@ -167,7 +167,7 @@ def test_errors_leave_nothing(
     fails(run(["camera", "track", str(film.film)]), "no tank.json here", capsys)
     fails(
         track(film, out, "--seconds", "0.5", "--start", "99"),
-        "the swim should begin at 99 s",
+        "the trial should begin at 99 s",
         capsys,
     )
     fails(
@@ -199,8 +199,8 @@ def test_a_film_paired_by_the_yaw_is_questioned(
 
     def without_led(*arguments: Any) -> Track:
         seen = with_led(*arguments)
-        assert seen.glow is not None
-        return replace(seen, glow=np.zeros_like(seen.glow))
+        assert seen.patch is not None
+        return replace(seen, patch=np.zeros_like(seen.patch))
 
     monkeypatch.setattr(film_to_speed, "track", without_led)
     assert track(film, tmp_path / "swim", "--trial", str(film.trial_file)) == 0

@@ -90,8 +90,8 @@ def pictures(kind: str, side_px: float, count: int, seed: int) -> list[tuple[Flo
 
 
 def seen(kind: str, image: Image, window: SearchWindow | None = None) -> Detection:
-    (sighting,) = detector_for(Marker(kind)).find(image, window)  # type: ignore[arg-type]
-    return sighting
+    (detection,) = detector_for(Marker(kind)).find(image, window)  # type: ignore[arg-type]
+    return detection
 
 
 @pytest.mark.parametrize(
@@ -103,14 +103,14 @@ def test_corners_centre_and_front_edge_are_where_they_were_drawn(
 ) -> None:
     centres, fronts, corners, sides = [], [], [], []
     for truth, image in pictures(kind, side_px, 24, seed=11):
-        sighting = seen(kind, image)
+        detection = seen(kind, image)
         matrix = homography(SQUARE, truth)
-        centres.append(sighting.centre_px - mapped(matrix, 0, 0))
-        fronts.append(sighting.front_px - mapped(matrix, 0, -1))
-        assert sighting.corners_px is not None
-        corners.append(sighting.corners_px - truth)
+        centres.append(detection.centre_px - mapped(matrix, 0, 0))
+        fronts.append(detection.front_px - mapped(matrix, 0, -1))
+        assert detection.corners_px is not None
+        corners.append(detection.corners_px - truth)
         sides.append(
-            sighting.side_px / np.linalg.norm(np.roll(truth, -1, 0) - truth, axis=1).mean()
+            detection.side_px / np.linalg.norm(np.roll(truth, -1, 0) - truth, axis=1).mean()
         )
     rms = {"centre": root_mean_square(centres), "front": root_mean_square(fronts)}
     rms["corner"] = root_mean_square(corners)

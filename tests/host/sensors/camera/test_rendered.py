@@ -424,7 +424,7 @@ def test_a_fish_without_a_marker_is_paired_with_its_trial(tmp_path: Path) -> Non
     )
     made = make_exercise(tmp_path / "swim.mp4", swim)
     calibration = load_calibration(made.calibration)
-    found = track(Film(made.film), Marker("blob"), calibration, glow=True)
+    found = track(Film(made.film), Marker("blob"), calibration, patch=True)
     headings = [row["heading_rad"] for row in truth_rows(made.truth)]
     assert np.abs(found.heading_rad - headings).max() < 0.05
     trial = read_trial(made.trial_file)

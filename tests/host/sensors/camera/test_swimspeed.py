@@ -349,7 +349,7 @@ def test_only_the_swim_counts() -> None:
     curve = swim_speed(track_of(t_s, x_m + rough), 1.0, start_s=12.0, beats=10)
     assert curve.t_s.min() > 9
     assert curve.t_s.max() < 25
-    with pytest.raises(InputError, match="the swim is not in"):
+    with pytest.raises(InputError, match="the trial is not in"):
         swim_speed(track_of(t_s, x_m), 1.0, start_s=99.0, beats=10)
 
 

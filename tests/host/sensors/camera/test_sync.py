@@ -1,4 +1,4 @@
-"""A film and a trial are put together: by the LED's code, by the wobble, and refused when wrong."""
+"""A film and a trial are put together: by the LED's code, by the yaw, and refused when wrong."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tailbeat.session.trial_camera import default_camera
 from ...led_films import LedFilm
 
 LED_MAX_S, YAW_MAX_S = 0.010, 0.040
-YAW_BIAS_MAX_S = 0.012  # the simulated IMU is 20 ms late, wobble.py subtracts half of it
+YAW_BIAS_MAX_S = 0.012  # the simulated IMU is 20 ms late, sync.py subtracts half of it
 IN_TWO_SIGMA = 0.9
 
 
@@ -201,7 +201,7 @@ def test_a_film_without_led_says_so() -> None:
         read_led(track)
     assert not isinstance(error.value, WrongPair)
     with pytest.raises(InputError, match="nobody looked for the LED"):
-        read_led(replace(track, glow=None))
+        read_led(replace(track, patch=None))
 
 
 def test_another_number_is_refused(learned: list[Swim]) -> None:
@@ -227,11 +227,11 @@ def yaw_study(found: list[Swim], name: str) -> None:
     assert abs(np.mean(errors)) <= YAW_BIAS_MAX_S
 
 
-def test_wobble_tells_the_begin(learned: list[Swim]) -> None:
+def test_yaw_tells_the_begin(learned: list[Swim]) -> None:
     yaw_study(learned + swims(4, fps=60.0), "yaw")
 
 
-def test_wobble_of_part_of_a_film(learned: list[Swim]) -> None:
+def test_yaw_of_part_of_a_film(learned: list[Swim]) -> None:
     swim = learned[2]
     for first, last in ((10.0, 60.0), (0.0, 30.0), (12.0, 32.0)):
         inside = (swim.track.t_s >= first) & (swim.track.t_s < last)
@@ -240,7 +240,7 @@ def test_wobble_of_part_of_a_film(learned: list[Swim]) -> None:
         assert abs(sync_by_yaw(part, swim.trial).start_s - swim.start_s) <= YAW_MAX_S
 
 
-def test_wobble_bears_drift_and_a_few_wrong_headings(learned: list[Swim]) -> None:
+def test_yaw_bears_drift_and_a_few_wrong_headings(learned: list[Swim]) -> None:
     swim = learned[1]
     drift = 0.3 * np.sin(swim.track.t_s / 9) + 0.02 * swim.track.t_s
     drift += np.where(np.arange(len(drift)) % 40 == 7, 0.8, 0.0)
@@ -248,7 +248,7 @@ def test_wobble_bears_drift_and_a_few_wrong_headings(learned: list[Swim]) -> Non
     assert abs(sync_by_yaw(track, swim.trial).start_s - swim.start_s) <= YAW_MAX_S
 
 
-def test_wobble_of_another_trial_is_refused(learned: list[Swim]) -> None:
+def test_yaw_of_another_trial_is_refused(learned: list[Swim]) -> None:
     for i, film in enumerate(learned):
         for k, file in enumerate(learned):
             if i != k:
@@ -269,7 +269,7 @@ def test_equal_beats_tell_no_beat() -> None:
         sync_by_yaw(part, swim.trial)
 
 
-def test_a_file_without_turns_or_a_film_without_wobble(learned: list[Swim]) -> None:
+def test_a_file_without_turns_or_a_film_without_yaw(learned: list[Swim]) -> None:
     swim = learned[0]
     none = np.full_like(swim.trial.slots.turn_100urad, NO_MOTION)
     blind = replace(swim.trial, slots=replace(swim.trial.slots, turn_100urad=none))
@@ -278,7 +278,7 @@ def test_a_file_without_turns_or_a_film_without_wobble(learned: list[Swim]) -> N
     assert not isinstance(error.value, WrongPair)
     noise = np.random.default_rng(1).normal(0, 0.01, len(swim.track.t_s))
     still = replace(swim.track, heading_rad=np.where(swim.track.seen(), noise, np.nan))
-    with pytest.raises(InputError, match="no wobble") as error:
+    with pytest.raises(InputError, match="no yaw oscillation") as error:
         sync_by_yaw(still, swim.trial)
     assert not isinstance(error.value, WrongPair)
     with pytest.raises(InputError, match=r"nobody looked for the LED.* does not say how"):
@@ -290,7 +290,7 @@ def test_headings_that_are_all_equal(learned: list[Swim]) -> None:
     swim = learned[0]
     for heading_rad in (0.0, 0.3):
         heading = np.where(swim.track.seen(), heading_rad, np.nan)
-        with pytest.raises(InputError, match="shows no wobble") as error:
+        with pytest.raises(InputError, match="shows no yaw oscillation") as error:
             sync_by_yaw(replace(swim.track, heading_rad=heading), swim.trial)
         assert not isinstance(error.value, WrongPair)
         heading[:75] += 0.02 * np.sin(np.arange(75))
@@ -301,14 +301,14 @@ def test_headings_that_are_all_equal(learned: list[Swim]) -> None:
 def test_a_trial_that_was_aborted_early(learned: list[Swim]) -> None:
     short = replace(learned[0].trial, number=7, executed_beats=3)
     track, _ = LedFilm(swim_s=3.0, hidden=0.0).make(1)
-    says = "trial 7 swam only 3 beats: too short to be put in time with a film"
+    says = "trial 7 has only 3 executed beats: too short to be put in time with a film"
     for way in (sync, sync_by_yaw):
         with pytest.raises(InputError) as error:
             way(replace(track, heading_rad=np.zeros(len(track.t_s))), short)
         assert error.value.message == says
         assert "--start" in error.value.remedy
         assert not isinstance(error.value, WrongPair)
-    with pytest.raises(InputError, match="trial 7 swam only 1 beat: too short"):
+    with pytest.raises(InputError, match="trial 7 has only 1 executed beat: too short"):
         sync(track, replace(short, executed_beats=1))
 
 
@@ -319,11 +319,11 @@ def with_led(swim: Swim, late_s: float = 0.0, number: int | None = None) -> Trac
     track, start_s = replace(film, swim_s=swim.trial.executed_beats * 1.0).make(1)
     row = np.round((swim.track.t_s - swim.start_s - late_s + start_s) * film.fps).astype(int)
     inside = (row >= 0) & (row < len(track.t_s))
-    assert track.glow is not None
-    glow = np.zeros((len(swim.track.t_s), *track.glow.shape[1:]), np.uint8)
+    assert track.patch is not None
+    patch = np.zeros((len(swim.track.t_s), *track.patch.shape[1:]), np.uint8)
     around = np.s_[2:11, 17:38]  # the rest takes time only
-    glow[inside, *around] = track.glow[row[inside], *around]
-    return replace(swim.track, glow=glow)
+    patch[inside, *around] = track.patch[row[inside], *around]
+    return replace(swim.track, patch=patch)
 
 
 def test_both_ways_must_agree(learned: list[Swim]) -> None:
@@ -335,7 +335,7 @@ def test_both_ways_must_agree(learned: list[Swim]) -> None:
     with pytest.raises(WrongPair, match="the LED says"):
         sync(with_led(swim, late_s=0.4), swim.trial)
     other = replace(learned[2].trial, number=swim.trial.number)
-    with pytest.raises(WrongPair, match="is of another swim"):
+    with pytest.raises(WrongPair, match="is of another trial"):
         sync(with_led(swim), other)
 
 

@@ -33,7 +33,7 @@ from tailbeat.sensors.camera.tracking.track import (
     track_of,
     write_track,
 )
-from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, TrackedImage
+from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE, TrackedImage
 
 cv2 = pytest.importorskip("cv2")
 pytest.importorskip("av")
@@ -70,10 +70,10 @@ def swims(t_s: float) -> Frame:
     return Frame(t_s, 0.08 * t_s, 0.01 * t_s, math.remainder(2.5 * t_s, 2 * math.pi))
 
 
-def place(index: int, t_s: float, seen: bool = True, glow: int | None = None) -> TrackedImage:
+def place(index: int, t_s: float, seen: bool = True, patch: int | None = None) -> TrackedImage:
     if not seen:
         return TrackedImage(index, t_s, None, None, None)
-    patch = None if glow is None else np.full(GLOW_SHAPE, glow, np.uint8)
+    patch = None if patch is None else np.full(PATCH_SHAPE, patch, np.uint8)
     return TrackedImage(index, t_s, swims(t_s), Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.75), patch)
 
 
@@ -90,11 +90,11 @@ def fake_tracker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None
             other_ids = ids or []
             measured_side_m = 0.0599
 
-            def __init__(self, marker: Marker, calibration: Any, name: str, glow: bool) -> None:
-                self.glow = 9 if glow else None
+            def __init__(self, marker: Marker, calibration: Any, name: str, patch: bool) -> None:
+                self.patch = 9 if patch else None
 
             def look(self, picture: TimedImage) -> TrackedImage:
-                return place(picture.index, picture.t_s, picture.index not in unseen, self.glow)
+                return place(picture.index, picture.t_s, picture.index not in unseen, self.patch)
 
         monkeypatch.setattr(tracks, "Tracker", Fake)
 
@@ -129,7 +129,7 @@ def test_all_of_a_film(fake_tracker: Callable[..., None]) -> None:
     )
     right(found)
     assert found.name == "swim.mp4"
-    assert found.glow is None
+    assert found.patch is None
     assert found.fps == pytest.approx(25)
     assert np.array_equal(found.t_s, EVEN_S)
     assert (found.state == SEEN).all()
@@ -217,23 +217,23 @@ def test_a_pause() -> None:
             track_of(places([*EVEN_S, EVEN_S[-1] + far_s]), "a")
 
 
-def test_glow_stays_with_its_picture() -> None:
+def test_patch_stays_with_its_picture() -> None:
     there = [place(i, t, i != 3, i) for i, t in enumerate(EVEN_S[:10]) if i != 5]
     found = track_of(there)
-    assert found.glow is not None
-    assert found.glow.shape == (10, *GLOW_SHAPE)
-    assert [int(patch.max()) for patch in found.glow] == [0, 1, 2, 0, 4, 0, 6, 7, 8, 9]
+    assert found.patch is not None
+    assert found.patch.shape == (10, *PATCH_SHAPE)
+    assert [int(patch.max()) for patch in found.patch] == [0, 1, 2, 0, 4, 0, 6, 7, 8, 9]
 
 
 def test_what_came_before_the_head_was_known_is_turned_around() -> None:
     """A blob whose detector takes the other end for the head in picture 30, and again in 60."""
-    patch, turned = (np.full(GLOW_SHAPE, n, np.uint8) for n in (7, 8))
+    patch, turned = (np.full(PATCH_SHAPE, n, np.uint8) for n in (7, 8))
 
     def seen(index: int, t_s: float, turns: int) -> TrackedImage:
         heading = 0.1 * math.sin(t_s) + math.pi * (turns != 1)
-        sighting = Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.5, turns=turns)
+        detection = Detection((1.0, 1.0), (2.0, 1.0), 3.0, 0.5, turns=turns)
         frame = Frame(t_s, 0.1 * t_s, 0.0, math.remainder(heading, 2 * math.pi))
-        return TrackedImage(index, t_s, frame, sighting, patch, turned)
+        return TrackedImage(index, t_s, frame, detection, patch, turned)
 
     once = [seen(i, t, int(i >= 30)) for i, t in enumerate(EVEN_S[:60])]
     once[10] = place(10, EVEN_S[10], seen=False)
@@ -241,13 +241,13 @@ def test_what_came_before_the_head_was_known_is_turned_around() -> None:
     expected = 0.1 * np.sin(EVEN_S[:60])
     assert np.abs(np.sin((found.heading_rad - expected) / 2)).max() < 1e-4
     assert np.ptp(found.heading_rad) < 0.3
-    assert found.glow is not None
-    assert [int(each.max()) for each in found.glow] == [8] * 10 + [0] + [8] * 19 + [7] * 30
+    assert found.patch is not None
+    assert [int(each.max()) for each in found.patch] == [8] * 10 + [0] + [8] * 19 + [7] * 30
     twice = [seen(i, t, min(i // 30, 2)) for i, t in enumerate(EVEN_S)]
     back = track_of(twice)
     assert np.abs(np.cos(back.heading_rad) + np.cos(0.1 * np.sin(EVEN_S))).max() < 1e-4
-    assert back.glow is not None
-    assert [int(each.max()) for each in back.glow] == [7] * 30 + [8] * 30 + [7] * 40
+    assert back.patch is not None
+    assert [int(each.max()) for each in back.patch] == [7] * 30 + [8] * 30 + [7] * 40
 
 
 def test_few_pictures() -> None:
@@ -354,10 +354,10 @@ def drawn(path: Path, seen: list[bool]) -> list[TimedImage]:
             t_s = 0.5 * index
             image = np.full((240, 320), GREY, np.uint8)
             down = np.array([100.0, 40.0 + 20 * index])
-            sighting = Detection(
+            detection = Detection(
                 (50 + down[0], 50 + down[1]), (60 + down[0], 50 + down[1]), 20, 0.5, CORNERS + down
             )
-            where = TrackedImage(index, t_s, swims(t_s), sighting, None)
+            where = TrackedImage(index, t_s, swims(t_s), detection, None)
             gone = TrackedImage(index, t_s, None, None, None)
             overlay(TimedImage(index, t_s, image), where if there else gone)
             assert (image == GREY).all()  # the picture is its holder's

@@ -21,14 +21,14 @@ from tailbeat.sensors.camera.render.painter import DrawnPose, Painter
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.source.picture import Image, TimedImage
 from tailbeat.sensors.camera.tracking.tracker import (
-    GLOW_CELL_M,
-    GLOW_HALF_WIDTH_M,
-    GLOW_LEFT_M,
-    GLOW_RIGHT_M,
-    GLOW_SHAPE,
+    PATCH_CELL_M,
+    PATCH_HALF_WIDTH_M,
+    PATCH_LEFT_M,
+    PATCH_RIGHT_M,
+    PATCH_SHAPE,
     TrackedImage,
     Tracker,
-    glow_around,
+    patch_around,
 )
 
 FPS = 25.0
@@ -71,7 +71,7 @@ def test_follows_the_fish_to_a_fraction_of_a_millimetre(kind: str) -> None:
     off = []
     for (truth, picture), place in zip(pictures, follow(tracker, pictures), strict=True):
         assert place.frame is not None
-        assert place.sighting is not None
+        assert place.detection is not None
         assert (
             (place.index, place.t_s) == (picture.index, picture.t_s) == (place.index, truth.time_s)
         )
@@ -166,32 +166,32 @@ def test_the_led_stays_in_its_cell_while_the_fish_turns() -> None:
     scene = Scene()
     calibration = scene.calibration()
     behind_m, right_m = -0.195, 0.035
-    row = math.floor((right_m + GLOW_HALF_WIDTH_M) / GLOW_CELL_M)
-    column = math.floor((behind_m - GLOW_LEFT_M) / GLOW_CELL_M)
+    row = math.floor((right_m + PATCH_HALF_WIDTH_M) / PATCH_CELL_M)
+    column = math.floor((behind_m - PATCH_LEFT_M) / PATCH_CELL_M)
     for k, heading in enumerate(np.linspace(-math.pi, math.pi, 9)):
         truth = DrawnPose(0.0, 0.9 + 0.1 * k, 0.1 * (k - 4), float(heading), 0.0, 0.0)
         image = painter(scene).paint(truth, k)
-        tracker = Tracker(ARUCO, calibration, "a film", glow=True)
-        dark = tracker.look(TimedImage(0, 0.0, image)).glow
+        tracker = Tracker(ARUCO, calibration, "a film", patch=True)
+        dark = tracker.look(TimedImage(0, 0.0, image)).patch
         ahead = np.array([math.cos(heading), math.sin(heading)])
         aside = np.array([-ahead[1], ahead[0]])
         dot = np.array([truth.x_m, truth.y_m]) + behind_m * ahead + right_m * aside
         (u, v) = np.rint(calibration.to_pixels(dot[None])[0]).astype(int)
         lit_image = image.copy()
         lit_image[v, u] = 255
-        lit = tracker.look(TimedImage(1, 0.04, lit_image)).glow
+        lit = tracker.look(TimedImage(1, 0.04, lit_image)).patch
         assert dark is not None
         assert lit is not None
-        assert dark.shape == GLOW_SHAPE
+        assert dark.shape == PATCH_SHAPE
         gain = lit.astype(int) - dark
-        assert np.unravel_index(np.argmax(gain), GLOW_SHAPE) == (row, column)
+        assert np.unravel_index(np.argmax(gain), PATCH_SHAPE) == (row, column)
         assert gain[row, column] > 40
 
 
-def test_no_glow_unless_asked_for() -> None:
+def test_no_patch_unless_asked_for() -> None:
     scene = Scene()
     ((_, picture),) = film(scene, [0.0])
-    assert Tracker(ARUCO, scene.calibration(), "a film").look(picture).glow is None
+    assert Tracker(ARUCO, scene.calibration(), "a film").look(picture).patch is None
 
 
 # From here on the detector says what it is told; the camera looks straight down, 4 mm a pixel.
@@ -334,8 +334,8 @@ def test_a_blob_is_seen_from_the_first_picture_on_and_swims_ahead() -> None:
     for (truth, _), place in zip(pictures, places, strict=True):
         assert place.frame is not None
         assert abs(place.frame.heading_rad) < 0.3
-        assert place.sighting is not None
-        assert 0 < place.sighting.quality <= 0.5
+        assert place.detection is not None
+        assert 0 < place.detection.quality <= 0.5
         off.append((place.frame.x_m - truth.x_m, place.frame.y_m - truth.y_m))
     rms = np.std(off, axis=0)
     sys.stdout.write(f"blob: {1000 * rms[0]:.2f} mm along, {1000 * rms[1]:.2f} mm across\n")
@@ -366,21 +366,24 @@ def test_a_small_blobs_head_is_where_its_tail_is_not_and_its_heading_the_bodys()
     assert rms < 0.006
 
 
-def test_a_blobs_glow_is_also_that_of_a_fish_the_other_way_round() -> None:
+def test_a_blobs_patch_is_also_that_of_a_fish_the_other_way_round() -> None:
     scene = Scene(marker="blob")
     image = painter(scene).paint(replace(recorded(0.0), x_m=0.3, heading_rad=0.4), 0)
-    tracker = Tracker(Marker("blob"), scene.calibration(), "a film", glow=True)
+    tracker = Tracker(Marker("blob"), scene.calibration(), "a film", patch=True)
     place = tracker.look(TimedImage(0, 0.0, image))
     turned = place.turned()
     assert place.frame is not None and turned.frame is not None
     assert turned.frame.heading_rad - place.frame.heading_rad == pytest.approx(math.pi)
-    assert place.glow is not None and turned.glow is not None
-    assert (turned.glow == glow_around(image, turned.frame, scene.calibration())).all()
+    assert place.patch is not None and turned.patch is not None
+    assert (turned.patch == patch_around(image, turned.frame, scene.calibration())).all()
     # Both patches hold the water up to 15 cm around; there one is the other upside down.
-    shared = round(2 * GLOW_RIGHT_M / GLOW_CELL_M)
-    there, again = turned.glow[:, -shared:].astype(int), place.glow[::-1, -shared:][:, ::-1]
-    assert np.abs(there - again).mean() < 5 < np.abs(there - place.glow[:, -shared:]).mean()
-    assert turned.turned().glow is place.glow
+    shared = round(2 * PATCH_RIGHT_M / PATCH_CELL_M)
+    there, again = (
+        turned.patch[:, -shared:].astype(int),
+        place.patch[::-1, -shared:][:, ::-1],
+    )
+    assert np.abs(there - again).mean() < 5 < np.abs(there - place.patch[:, -shared:]).mean()
+    assert turned.turned().patch is place.patch
 
 
 def body(image: Image, u: float, v: float, ahead: int = 1) -> None:

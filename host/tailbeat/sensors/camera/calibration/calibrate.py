@@ -1,7 +1,4 @@
-"""A stick of known length in the tank: are the metres of a calibration metres?
-
-Makes a calibration: from pictures of the board, known points in the tank, and a ruler.
-"""
+"""Makes a calibration from pictures of the board, known points in the tank, and a ruler."""
 
 from __future__ import annotations
 
@@ -32,7 +29,7 @@ from tailbeat.sensors.camera.calibration.points import (
     tank_anchors,
 )
 from tailbeat.sensors.camera.marker.tags import RULER_IDS, anchors_of, find_markers
-from tailbeat.sensors.camera.source.picture import Image
+from tailbeat.sensors.camera.source.picture import Image, size_of
 
 END_SIGMA_PX = 0.2
 SIGMA_MAX = SCALE_ERROR_MAX / 2
@@ -54,33 +51,18 @@ class RulerCheck:
         return self.measured_m / self.true_m - 1
 
 
-def ruler_ends(seen: dict[int, tuple[float, float]], name: str) -> F64:
-    """Pixels (2, 2) of the ruler's two among the markers ``seen`` in the picture ``name``. Raises
-    InputError when they are not both there."""
-    missing = [str(i) for i in RULER_IDS if i not in seen]
-    if missing:
-        raise InputError(
-            f"{name} does not show the ruler's marker{'s' * (len(missing) - 1)} "
-            f"{' and '.join(missing)}",
-            "Lay the ruler flat, wholly in view, without glare; print it: tailbeat camera print "
-            "ruler",
-        )
-    return np.array([seen[i] for i in RULER_IDS])
-
-
-def check_ruler(calibration: Calibration, ends_px: F64, true_m: float, name: str) -> RulerCheck:
-    """Measures the ruler between ``ends_px`` (2, 2). Raises InputError when it is too short in the
-    picture to tell half a percent. Whether the scale is right: ``refuse_scale``."""
+def check_ruler(calibration: Calibration, ruler: Ruler) -> RulerCheck:
+    """Measures the ruler. Raises InputError when it is too short in the picture to tell half a
+    percent. Whether the scale is right: ``refuse_scale``."""
+    name, true_m, ends_px = ruler.name, ruler.true_m, ruler.ends_px
     if not 0 < true_m < np.inf:
         raise InputError(f"a ruler of {true_m:g} m cannot be", "Its length in metres.")
     width, height = calibration.size_px
-    inside = (ends_px >= -0.5) & (ends_px <= [width - 0.5, height - 0.5])
-    if not inside.all():
+    if not ((ends_px >= -0.5) & (ends_px <= [width - 0.5, height - 0.5])).all():
         raise InputError(
             f"{name}: the ruler's ends are not in the picture of {width}x{height}",
             "Give them as U1,V1,U2,V2 in pixels.",
         )
-    measured = _length(calibration, ends_px)
     slopes = [
         (_length(calibration, ends_px + step) - _length(calibration, ends_px - step)) / 2
         for step in np.eye(4).reshape(4, 2, 2)
@@ -92,7 +74,7 @@ def check_ruler(calibration: Calibration, ends_px: F64, true_m: float, name: str
             f"within {sigma * 100:.1f} %",
             "Use one as long as the tank allows, at least a quarter of the picture.",
         )
-    return RulerCheck(name, true_m, measured, sigma)
+    return RulerCheck(name, true_m, _length(calibration, ends_px), sigma)
 
 
 def refuse_scale(check: RulerCheck, known_camera: bool) -> None:
@@ -100,18 +82,14 @@ def refuse_scale(check: RulerCheck, known_camera: bool) -> None:
     SCALE_ERROR_MAX. ``known_camera``: the lens is from pictures of the board."""
     if abs(check.scale_error) <= SCALE_ERROR_MAX:
         return
-    board = (
-        "The camera was taken to be free of distortion: give pictures of the board (--board). "
-        if not known_camera
-        else ""
-    )
+    board = "The camera was taken to be free of distortion: give pictures of the board (--board). "
     raise InputError(
         f"{check.name}: the ruler of {check.true_m:g} m measures {check.measured_m:.3f} m, "
         f"{check.scale_error * 100:+.1f} % (sigma {check.sigma * 100:.1f} %, at most "
         f"{SCALE_ERROR_MAX * 100:g} %)",
-        f"{board}Is the ruler at the marker's height (if not the points, then --raise or --depth)? "
-        "Are the points and the ruler's length typed right? Is it the same camera, zoom and "
-        "setting?",
+        f"{'' if known_camera else board}Is the ruler at the marker's height (if not the points, "
+        "then --raise or --depth)? Are the points and the ruler's length typed right? Is it the "
+        "same camera, zoom and setting?",
     )
 
 
@@ -120,7 +98,7 @@ def _length(calibration: Calibration, ends_px: F64) -> float:
     return float(np.hypot(*(b - a)))
 
 
-_FORETOLD_MAX_M = 0.02
+_PREDICTED_MAX_M = 0.02
 _NEEDS_BOARD = (
     "needs the camera's focal length: from points in one plane alone nobody can tell how large "
     "things are above or below it"
@@ -177,14 +155,15 @@ def calibrate(
     (n, 2); None = the hull of the points. ``look`` is told each picture before it is looked at.
     Raises InputError for whatever does not fit, the ruler's scale included."""
     name, image = tank
-    size_px = (image.shape[1], image.shape[0])
+    size_px = size_of(image)
     board = list(board)
     intrinsics = find_intrinsics(board, look) if board else None
     if intrinsics is not None:
         _check_same_size(intrinsics, size_px, name)
     lens = _lens(intrinsics, size_px)
     look(name)
-    here = located(points, find_markers(image, name) if _by_marker(points) else {}, name)
+    by_marker = any(point.pixel is None for point in points)
+    here = located(points, find_markers(image, name) if by_marker else {}, name)
     pixels, places = _arrays(here, size_px, name)
     names = [point.name for point in here]
     known_camera = intrinsics is not None
@@ -199,13 +178,15 @@ def calibrate(
     )  # fmt: skip
     check_sense(calibration, "what comes out")
     check_area_seen(calibration)
-    calibration, checks = _with_scale(calibration, rulers or [])
-    notes = [
-        *_notes(intrinsics, plane, names, len(points) - len(here), places),
-        *_area_note(area_m),
-    ]
-    if not checks:
-        notes += _unchecked(plane, intrinsics)
+    checks = check_scale(calibration, rulers or [])
+    notes = _notes(intrinsics, plane, here, len(points) - len(here), bool(checks))
+    if area_m is None:
+        notes.append("the area is the hull of the points (--area is better)")
+    if checks:
+        worst = max((check.scale_error for check in checks), key=abs)
+        calibration = replace(calibration, scale_error=worst)
+    else:
+        notes.append("the scale was not checked: lay a ruler into the tank (--ruler)")
     return Calibrated(
         calibration, intrinsics, plane, tuple(names), camera, checks, _mm_per_px(calibration),
         tuple(notes),
@@ -219,21 +200,25 @@ def check_scale(calibration: Calibration, rulers: list[Ruler]) -> tuple[RulerChe
         if ruler.size_px is not None:
             calibration.check_size(ruler.size_px, ruler.name)
         calibration.check_anchors(ruler.anchors, ruler.name)
-    checks = tuple(check_ruler(calibration, r.ends_px, r.true_m, r.name) for r in rulers)
+    checks = tuple(check_ruler(calibration, ruler) for ruler in rulers)
     for check in checks:
         refuse_scale(check, known_camera=calibration.rms_px is not None)
     return checks
 
 
 def ruler_in(image: Image, name: str, true_m: float) -> Ruler:
-    """The printed ruler's ends, found in a grey picture. Raises InputError."""
+    """The printed ruler's ends, found in a grey picture. Raises InputError when they are not both
+    there."""
     seen = find_markers(image, name)
-    size_px = (image.shape[1], image.shape[0])
-    return Ruler(name, ruler_ends(seen, name), true_m, size_px, anchors_of(seen))
-
-
-def _by_marker(points: list[TankPoint]) -> bool:
-    return any(point.pixel is None for point in points)
+    if missing := [str(i) for i in RULER_IDS if i not in seen]:
+        raise InputError(
+            f"{name} does not show the ruler's marker{'s' * (len(missing) - 1)} "
+            f"{' and '.join(missing)}",
+            "Lay the ruler flat, wholly in view, without glare; print it: tailbeat camera print "
+            "ruler",
+        )
+    ends_px = np.array([seen[i] for i in RULER_IDS])
+    return Ruler(name, ends_px, true_m, size_of(image), anchors_of(seen))
 
 
 def _check_same_size(intrinsics: Intrinsics, size_px: tuple[int, int], name: str) -> None:
@@ -312,61 +297,40 @@ def _above(raise_m: float) -> str:
     return f"{abs(raise_m) * 1e3:.0f} mm {where} the points"
 
 
-def _with_scale(
-    calibration: Calibration, rulers: list[Ruler]
-) -> tuple[Calibration, tuple[RulerCheck, ...]]:
-    checks = check_scale(calibration, rulers)
-    if not checks:
-        return calibration, ()
-    worst = max((check.scale_error for check in checks), key=abs)
-    return replace(calibration, scale_error=worst), checks
-
-
 def _notes(
-    intrinsics: Intrinsics | None, plane: Plane, names: list[str], unseen: int, places: F64
+    found: Intrinsics | None, plane: Plane, points: list[TankPoint], unseen: int, measured: bool
 ) -> list[str]:
+    """What a person should know. ``measured``: the scale was checked with a ruler."""
     notes = []
-    if intrinsics is None:
+    if found is None:
         notes.append(
             "no pictures of the board: the camera is taken to be free of distortion; near the "
             "picture's edges few are"
         )
-    elif intrinsics.unseen:
-        notes.append(
-            f"the board was never in the {', '.join(intrinsics.unseen)} of the picture: distortion "
-            "there is a guess"
-        )
-    notes += [f"{name} was not used: {why}" for name, why in _dropped(intrinsics).items()]
+    else:
+        if found.unseen:
+            notes.append(
+                f"the board was never in the {', '.join(found.unseen)} of the picture: distortion "
+                "there is a guess"
+            )
+        notes += [f"{name} was not used: {why}" for name, why in found.dropped.items()]
     for i, off_m in plane.left_out.items():
-        x, y = places[i]
+        x, y = points[i].place_m
         notes.append(
-            f"{names[i]} ({x:g}, {y:g} m) is {off_m * 1e3:.0f} mm off the others and was left out: "
-            "check it"
+            f"{points[i].name} ({x:g}, {y:g} m) is {off_m * 1e3:.0f} mm off the others and was "
+            "left out: check it"
         )
     if unseen:
         notes.append(f"{unseen} of the tank's markers were not seen")
-    if plane.foretold_m is None:
+    if plane.predicted_m is None:
         notes.append("four points always fit: with more of them, errors would show")
-    return notes
-
-
-def _unchecked(plane: Plane, intrinsics: Intrinsics | None) -> list[str]:
-    notes = []
-    if plane.foretold_m is not None and plane.foretold_m > _FORETOLD_MAX_M:
-        lens = "" if intrinsics else "the lens bends lines (--board), or "
+    elif plane.predicted_m > _PREDICTED_MAX_M and not measured:
+        lens = "" if found else "the lens bends lines (--board), or "
         notes.append(
-            f"each point is foretold by the others only within {plane.foretold_m * 1e3:.0f} mm "
+            f"each point is predicted by the others only within {plane.predicted_m * 1e3:.0f} mm "
             f"(good: below 10): {lens}a point is wrong; nothing here tells how wrong speeds are"
         )
-    return [*notes, "the scale was not checked: lay a ruler into the tank (--ruler)"]
-
-
-def _dropped(intrinsics: Intrinsics | None) -> dict[str, str]:
-    return intrinsics.dropped if intrinsics is not None else {}
-
-
-def _area_note(area_m: F64 | None) -> list[str]:
-    return [] if area_m is not None else ["the area is the hull of the points (--area is better)"]
+    return notes
 
 
 def _mm_per_px(calibration: Calibration) -> float:

@@ -18,7 +18,7 @@ from tailbeat.core import decode
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import plain, write_whole
-from tailbeat.sensors.camera.opencv import cv2
+from tailbeat.sensors.camera import cv2
 
 _FAR_PX = 1e6
 _ROUNDS, _CLOSE_PX = 60, 1e-7
@@ -376,7 +376,7 @@ def _check_plane(calibration: Calibration, name: str) -> None:
         raise InputError(
             f"{name}: the tank would be seen in a mirror: x and y are swapped, or y is counted to "
             "the left",
-            "x goes along the swim, y to the right of it (seen from above).",
+            "x goes along the swim direction, y to the right of it (seen from above).",
         )
     sensible = short.min() >= _SCALE_M_PX[0] and long.max() <= _SCALE_M_PX[1]
     if not sensible or (long / short).max() > _STRETCH_MAX:

@@ -1,7 +1,4 @@
-"""One picture of the ChArUco board: its corners, and how sharp they are.
-
-The camera itself: focal length and distortion, from pictures of the ChArUco board.
-"""
+"""The camera itself: focal length and distortion, from pictures of the ChArUco board."""
 
 from __future__ import annotations
 
@@ -15,9 +12,9 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
 from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.marker.tags import BOARD_SQUARES, board
-from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image
+from tailbeat.sensors.camera.source.picture import Image, size_of
 
 CORNERS_MIN = 8
 _PATCH = 0.3  # of a square: what is looked at around a corner
@@ -49,10 +46,9 @@ class Viewer:
         """What is seen of the board in a picture, or why that is of no use."""
         corners, ids, _, _ = self._detector.detectBoard(grey)
         count = 0 if ids is None else len(ids)
-        if count == 0:
-            return "the board was not found"
         if count < CORNERS_MIN:
-            return f"{count} corners of the board, at least {CORNERS_MIN} are needed"
+            few = f"{count} corners of the board, at least {CORNERS_MIN} are needed"
+            return few if count else "the board was not found"
         if self._board.checkCharucoCornersCollinear(ids):
             return "the corners found lie on one line"
         points, pixels = self._board.matchImagePoints(corners, ids)
@@ -143,7 +139,7 @@ def find_intrinsics(
     dropped: dict[str, str] = {}
     for name, image in pictures:
         look(name)
-        sizes[name] = (image.shape[1], image.shape[0])
+        sizes[name] = size_of(image)
         seen = viewer.view(name, image)
         if isinstance(seen, str):
             dropped[name] = seen
@@ -185,9 +181,8 @@ def _without_blurred(views: list[View], dropped: dict[str, str]) -> list[View]:
         return []
     usual = float(np.median([view.blur_px for view in views]))
     limit = min(max(usual * _BLUR_OVER_MEDIAN, _BLUR_FINE_PX), _BLUR_MAX_PX)
-    for view in views:
-        if view.blur_px > limit:
-            dropped[view.name] = f"blurred ({view.blur_px:.1f} px)"
+    blurred = [view for view in views if view.blur_px > limit]
+    dropped.update({view.name: f"blurred ({view.blur_px:.1f} px)" for view in blurred})
     return [view for view in views if view.blur_px <= limit]
 
 
@@ -210,9 +205,8 @@ def _fit_without_outliers(
     kept = [view for view, off in zip(views, found.errors_px, strict=True) if off <= limit]
     if len(kept) == len(views):
         return found, views
-    for view, off in zip(views, found.errors_px, strict=True):
-        if off > limit:
-            dropped[view.name] = f"does not fit the others ({off:.1f} px)"
+    worse = [(v.name, off) for v, off in zip(views, found.errors_px, strict=True) if off > limit]
+    dropped.update({name: f"does not fit the others ({off:.1f} px)" for name, off in worse})
     _check_enough(kept, dropped)
     return _fit(kept, size_px), kept
 

@@ -1,7 +1,4 @@
-"""One point among several that is measured or typed wrong: which one is it?
-
-The plane of known points in the tank, and from it the plane in which the marker moves.
-"""
+"""The plane of known points in the tank, without those that are wrong, and that of the marker."""
 
 from __future__ import annotations
 
@@ -13,8 +10,8 @@ from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.calibration.file import Lens, mapped
-from tailbeat.sensors.camera.opencv import cv2
 
 LEAVE_OUT_FROM = 6
 OUTLIER_M = 0.02
@@ -117,20 +114,20 @@ _SPREAD_MIN = 0.01  # of the equations for a homography, smallest over largest s
 POSE_RMS_MAX_M = 0.01
 _POSE_OVER_PLANE = 1.5  # of points measured less well
 _SPAN_M_PX_MAX, _HEIGHT_MAX_M = 0.05, 20.0
-_RIGHT = "x goes along the swim, y to the right of it (seen from above)."
+_RIGHT = "x goes along the swim direction, y to the right of it (seen from above)."
 
 
 @dataclass(frozen=True)
 class Plane:
     """``tank_from_image`` (3, 3): undistorted pixels to metres in the plane of the points.
     ``off_m``: how far each point used is off. ``left_out``: index of a point that does not fit the
-    others -> how far off it is. ``foretold_m``: the worst error with which the others foretell a
+    others -> how far off it is. ``predicted_m``: the worst error with which the others predict a
     point; None with four, which always fit."""
 
     tank_from_image: F64
     off_m: F64
     left_out: dict[int, float]
-    foretold_m: float | None
+    predicted_m: float | None
 
     @property
     def rms_m(self) -> float:
@@ -154,7 +151,7 @@ def fit_plane(
     matrix = _homography(flat[used], places_m[used])
     off = np.linalg.norm(mapped(matrix, flat) - places_m, axis=1)
     left_out = {int(i): float(off[i]) for i in np.setdiff1d(np.arange(len(flat)), used)}
-    plane = Plane(matrix, off[used], left_out, _foretold(flat[used], places_m[used]))
+    plane = Plane(matrix, off[used], left_out, _predicted(flat[used], places_m[used]))
     _check_seen_from_above(matrix, flat)
     _check_fit(plane, [names[i] for i in used])
     return plane
@@ -188,18 +185,18 @@ def camera_place(
 
 
 def _refuse_pose(rms_m: float, plane_rms_m: float, wrong: list[str]) -> None:
-    told = (
+    compared = (
         f"with the camera's intrinsics the tank's points are {rms_m * 1e3:.0f} mm off, without "
         f"them {plane_rms_m * 1e3:.0f} mm: "
     )
     if wrong:
         raise InputError(
-            f"{told}{' or '.join(wrong)} is wrong (without it the others fit)",
+            f"{compared}{' or '.join(wrong)} is wrong (without it the others fit)",
             "Measure it anew, or more points: from six on a wrong one is left out.",
         )
     raise InputError(
-        f"{told}the pictures of the board are of another camera, zoom or setting, or points are "
-        "wrong",
+        f"{compared}the pictures of the board are of another camera, zoom or setting, or points "
+        "are wrong",
         "Take the pictures of the board with the camera as it hangs over the tank; check what was "
         "measured and typed.",
     )
@@ -270,7 +267,7 @@ def refraction_error_m(height_m: float, depth_m: float, distance_m: float) -> fl
     return float(surface_m * (1 + depth_m / WATER / height_m) - distance_m)
 
 
-def _foretold(flat: F64, places: F64) -> float | None:
+def _predicted(flat: F64, places: F64) -> float | None:
     if len(flat) <= 4:
         return None
     worst = 0.0
@@ -303,16 +300,11 @@ def _check_spread(flat: F64, places: F64) -> None:
 
 def _spread(flat: F64, places: F64) -> float:
     """How well the points determine a homography: 0 = not at all."""
-    u, v = _normal(flat).T
-    x, y = _normal(places).T
+    (u, v), (x, y) = _normal(flat).T, _normal(places).T
     one, nil = np.ones(len(u)), np.zeros(len(u))
-    rows = np.concatenate(
-        [
-            np.column_stack([u, v, one, nil, nil, nil, -x * u, -x * v, -x]),
-            np.column_stack([nil, nil, nil, u, v, one, -y * u, -y * v, -y]),
-        ]
-    )
-    values = np.linalg.svd(rows, compute_uv=False)
+    across = np.column_stack([u, v, one, nil, nil, nil, -x * u, -x * v, -x])
+    down = np.column_stack([nil, nil, nil, u, v, one, -y * u, -y * v, -y])
+    values = np.linalg.svd(np.concatenate([across, down]), compute_uv=False)
     return float(values[7] / values[0])
 
 

@@ -1,22 +1,18 @@
-"""The water the fish may be in: as given, or between the tank's points.
-
-Places in the tank whose metres are known: a table, and where they are in a picture.
-"""
+"""Places in the tank whose metres are known, and the area of the water: given or between them."""
 
 from __future__ import annotations
 
-import csv
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from tailbeat.core.arrays import F64
-from tailbeat.core.errors import InputError, reason
+from tailbeat.core.csv import read_rows, read_table, value_of
+from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.calibration.file import Calibration, check_area, corners_of
 from tailbeat.sensors.camera.marker.tags import anchors_of
-from tailbeat.sensors.camera.opencv import cv2
 
 _LARGER_MAX = 2.0  # than what the picture shows
 _SHARED_MIN = 0.1  # with the hull of the points, of the smaller one
@@ -81,7 +77,7 @@ def _shared_square_m(one: F64, other: F64) -> float:
 
 POINTS_MIN = 4
 _BY_HAND, _BY_MARKER = ("u_px", "v_px", "x_m", "y_m"), ("id", "x_m", "y_m")
-_REMEDY = f"Its first line is {','.join(_BY_HAND)} or {','.join(_BY_MARKER)}."
+_COLUMNS = f"{','.join(_BY_HAND)} or {','.join(_BY_MARKER)}"
 _FAR_M = 1000.0
 
 
@@ -99,22 +95,16 @@ class TankPoint:
 def read_points(path: Path) -> list[TankPoint]:
     """From CSV with a header: pixels and metres, or ids of markers and metres. Raises InputError:
     no such table, not numbers, fewer than four points, one twice."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {reason(error)}", "Check the name.") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no table of points", _REMEDY) from error
-    rows = [row for row in csv.reader(lines) if any(cell.strip() for cell in row)]
-    header = tuple(cell.strip() for cell in rows[0]) if rows else ()
-    if lines and ";" in lines[0]:
-        raise InputError(
-            f"{path} has semicolons between its cells",
-            "Write it with commas between cells and points in numbers: 40,0.000,-0.750",
-        )
-    if header not in (_BY_HAND, _BY_MARKER):
-        raise InputError(f"{path} is no table of points", _REMEDY)
-    points = [_point(row, header, f"{path}, row {i}") for i, row in enumerate(rows[1:], 2)]
+    table = read_table(path, _COLUMNS)
+    header = {cell.strip() for cell in table[0]} if table else set()
+    columns = next((some for some in (_BY_HAND, _BY_MARKER) if header.issuperset(some)), None)
+    if columns is None:
+        raise InputError(f"{path} is no table of points", f"Its first line is {_COLUMNS}.")
+    points = []
+    for number, cells in read_rows(path, columns):
+        named = zip(columns, cells, strict=True)
+        values = [value_of(path.name, number, column, cell) for column, cell in named]
+        points.append(_point(values, f"{path}, row {number}"))
     _check_distinct(points, path)
     if len(points) < POINTS_MIN:
         raise InputError(
@@ -136,11 +126,7 @@ def located(
             "the points are markers, and there is no picture of them",
             "Give a picture of the tank: --picture FILE",
         )
-    found = [
-        TankPoint(point.name, point.place_m, seen[point.id], point.id)
-        for point in points
-        if point.id is not None and point.id in seen
-    ]
+    found = [replace(point, pixel=seen[point.id]) for point in points if point.id in seen]
     if len(found) < POINTS_MIN:
         missing = ", ".join(str(p.id) for p in points if p.id not in seen)
         raise InputError(
@@ -156,23 +142,15 @@ def tank_anchors(points: list[TankPoint]) -> dict[int, tuple[float, float]]:
     return anchors_of({p.id: p.pixel for p in points if p.id is not None and p.pixel is not None})
 
 
-def _point(row: list[str], header: tuple[str, ...], where: str) -> TankPoint:
-    try:
-        values = [float(cell) for cell in row]
-    except ValueError as error:
-        raise InputError(f"{where}: {error}", _REMEDY) from error
-    if len(values) != len(header):
-        raise InputError(f"{where}: {len(values)} numbers instead of {len(header)}", _REMEDY)
-    if not all(map(math.isfinite, values)):
-        raise InputError(f"{where}: not a number", _REMEDY)
-    x, y = values[-2:]
+def _point(values: list[float], where: str) -> TankPoint:
+    *what, x, y = values
     if max(abs(x), abs(y)) > _FAR_M:
         raise InputError(f"{where}: {x:g}, {y:g} is not in a tank", "x_m and y_m are metres.")
-    if header == _BY_HAND:
-        return TankPoint(f"{values[0]:g}, {values[1]:g} px", (x, y), (values[0], values[1]))
-    if not (values[0].is_integer() and 0 <= values[0] < 50):
-        raise InputError(f"{where}: {values[0]:g} is no marker's id", "Ids are 0 to 49.")
-    return TankPoint(f"marker {values[0]:g}", (x, y), None, int(values[0]))
+    if len(what) == 2:
+        return TankPoint(f"{what[0]:g}, {what[1]:g} px", (x, y), (what[0], what[1]))
+    if not (what[0].is_integer() and 0 <= what[0] < 50):
+        raise InputError(f"{where}: {what[0]:g} is no marker's id", "Ids are 0 to 49.")
+    return TankPoint(f"marker {what[0]:g}", (x, y), None, int(what[0]))
 
 
 def _check_distinct(points: list[TankPoint], path: Path) -> None:

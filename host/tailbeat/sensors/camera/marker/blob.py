@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow
-from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.source.picture import Image
 
 _LEARNED_PER_PICTURE = 0.01  # of what the picture shows there: the sun moves, the fish is faster
@@ -114,7 +114,7 @@ class _Region:
 
 
 class BlobDetector:
-    """Finds what moves (sighting.Detector); look at every picture with it, in order.
+    """Finds what moves (tags.Detector); look at every picture with it, in order.
 
     In the first picture the fish is the one thing of a fish's shape that stands out from its
     surroundings; it is seen from then on. When there is none or more than one, the fish is seen
@@ -145,7 +145,7 @@ class BlobDetector:
         for region in regions:
             fish[region.box] |= region.mask
         self._background.learn(small, fish)
-        found = [self._sighting(region, first=k == 0) for k, region in enumerate(regions)]
+        found = [self._detection(region, first=k == 0) for k, region in enumerate(regions)]
         return [one for one in found if window is None or _inside(one, window)]
 
     def _moving(self, small: Image) -> list[_Region]:
@@ -184,7 +184,7 @@ class BlobDetector:
             return region.area_px <= _AREAS[1] * picture_px
         return _WIDTHS[0] <= region.width_px / self._width_px <= _WIDTHS[1]
 
-    def _sighting(self, region: _Region, first: bool) -> Detection:
+    def _detection(self, region: _Region, first: bool) -> Detection:
         axis = self._towards_head(region) if first else region.axis
         front = region.middle + axis * region.length_px / 2
         centre = (region.middle + 0.5) * self._shrink - 0.5

@@ -9,10 +9,10 @@ from typing import Literal, cast
 import numpy as np
 
 from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera import cv2, require_cv2
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
 from tailbeat.sensors.camera.marker.blob import BlobDetector
 from tailbeat.sensors.camera.marker.tags import TAGS, Detector, TagDetector, TagFamily, TagKind
-from tailbeat.sensors.camera.opencv import cv2, require_cv2
 
 MarkerKind = Literal[TagKind, "blob"]
 _BODY_WIDTH_M = 0.09  # of the thesis's fish; half and double are taken as well

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import write_whole
-from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN
+from tailbeat.sensors.camera import cv2
+from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, corners_of
 from tailbeat.sensors.camera.marker.tags import (
     ANCHOR_IDS,
     BOARD_MARKER,
@@ -24,7 +25,6 @@ from tailbeat.sensors.camera.marker.tags import (
     TagKind,
     board,
 )
-from tailbeat.sensors.camera.opencv import cv2
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,9 +60,10 @@ class Sheet:
 
 def board_sheet(paper: Paper = "a4") -> Sheet:
     """The ChArUco board, as large as fits."""
-    square = _square_mm(paper)
     columns, rows = BOARD_SQUARES
-    width, _ = PAPERS_MM[paper]
+    width, height = PAPERS_MM[paper]
+    fits = min((width - 2 * _EDGE_MM) / columns, (height - _EDGE_MM - _FOOT_MM) / rows)
+    square = float(np.floor(fits))
     left = (width - columns * square) / 2
     text = (
         f"ChArUco board, {columns} x {rows} squares of {square:g} mm. Stick it on something flat "
@@ -71,7 +72,7 @@ def board_sheet(paper: Paper = "a4") -> Sheet:
 
     def draw(axes: Axes) -> None:
         plan = board(square)
-        top = PAPERS_MM[paper][1] - _EDGE_MM
+        top = height - _EDGE_MM
         taken = set()
         for number, corners in zip(plan.getIds().ravel(), plan.getObjPoints(), strict=True):
             middle = corners.mean(axis=0) / square
@@ -185,13 +186,6 @@ def _several(name: str, text: str, ids: tuple[int, ...], side_mm: float, paper: 
     return Sheet(name, text, paper, draw)
 
 
-def _square_mm(paper: Paper) -> float:
-    width, height = PAPERS_MM[paper]
-    columns, rows = BOARD_SQUARES
-    fits = min((width - 2 * _EDGE_MM) / columns, (height - _EDGE_MM - _FOOT_MM) / rows)
-    return float(np.floor(fits))
-
-
 def _check_fish_id(kind: TagKind, number: int) -> None:
     end = TAGS[kind].printed_ids
     if 0 <= number < end:
@@ -215,13 +209,16 @@ def _check_side(side_mm: float, paper: Paper, columns: int, rows: int) -> None:
 def _draw_marker(
     axes: Axes, kind: TagKind, number: int, side_mm: float, middle: tuple[float, float]
 ) -> None:
+    from matplotlib.patches import Rectangle
+
     corner = (middle[0] - side_mm / 2, middle[1] - side_mm / 2)
     _draw_cells(axes, _cells(TAGS[kind].dictionary(), number), corner, side_mm)
     cut = side_mm * _CUT
-    _frame(axes, middle[0] - cut / 2, middle[1] - cut / 2, cut)
-    name = f"{kind} {number}"
+    outline = (middle[0] - cut / 2, middle[1] - cut / 2)
+    dashes = Rectangle(outline, cut, cut, fill=False, linewidth=0.4, linestyle=(0, (4, 4)))
+    axes.add_patch(dashes)
     at = (middle[0] - side_mm / 2, middle[1] - side_mm * 0.685)
-    axes.text(*at, name, fontsize=max(3.0, side_mm * 0.12), va="bottom", ha="left")
+    axes.text(*at, f"{kind} {number}", fontsize=max(3.0, side_mm * 0.12), va="bottom", ha="left")
 
 
 def _draw_head(axes: Axes, x: float, top: float, side_mm: float) -> None:
@@ -280,13 +277,7 @@ def _boxes(
     """Each x, y, width, height, filled."""
     from matplotlib.collections import PolyCollection
 
-    corners = [[(x, y), (x + w, y), (x + w, y + h), (x, y + h)] for x, y, w, h in boxes]
+    corners = [corners_of(x, y, x + w, y + h) for x, y, w, h in boxes]
     filled = PolyCollection(corners, facecolors=colour, linewidths=0, edgecolors="none")
     filled.set_snap(False)
     axes.add_collection(filled, autolim=False)
-
-
-def _frame(axes: Axes, x: float, y: float, side: float) -> None:
-    from matplotlib.patches import Rectangle
-
-    axes.add_patch(Rectangle((x, y), side, side, fill=False, linewidth=0.4, linestyle=(0, (4, 4))))

@@ -24,8 +24,8 @@ import numpy as np
 
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
+from tailbeat.sensors.camera import cv2, require_cv2
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN
-from tailbeat.sensors.camera.opencv import cv2, require_cv2
 from tailbeat.sensors.camera.source.picture import Image
 
 RULER_IDS = (30, 31)  # of ArUco DICT_4X4_50
@@ -146,8 +146,8 @@ _STEP_PX = 0.25
 _REACH_CELLS = 0.75  # stays inside the black border, one cell wide
 _REACH_PX = (1.75, 4.0)  # a detector's corners are off by up to 1 px
 _ROUNDS = 2
-_NOISE_FLOOR = 0.25  # of a profile's steepest rise; less is noise
-_RESIDUAL_FLOOR_PX = 0.02
+_NOISE_MIN = 0.25  # of a profile's steepest rise; less is noise
+_RESIDUAL_MIN_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,48 +160,40 @@ class Square:
     contrast: float
 
 
-@dataclass(frozen=True, slots=True)
-class Sides:
-    """Points found along the sides of a guessed square; arrays (4, profiles)."""
-
-    starts: F64  # (4, 2)
-    along: F64  # (4, 2), a side as a vector
-    outward: F64  # (4, 2), unit vectors
-    offset_px: F64  # of the edge from the guessed side, outward
-    weight: F64  # how clear the edge is; 0 = there is none
-    rise: F64  # grey levels
-
-
 def fit_square(grey: Image, corners: F64, cells: int) -> Square | None:
     """The square whose corners, clockwise, are near ``corners`` (4, 2); ``cells`` of the marker
     along a side, border included. None when there is no square in ``grey`` there."""
     for _ in range(_ROUNDS):
-        sides = find_sides(grey, corners, cells)
-        moved, residual_px = _through(sides)
+        along = np.roll(corners, -1, axis=0) - corners
+        length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
+        outward = np.column_stack([along[:, 1], -along[:, 0]]) / length
+        reach = float(np.clip(_REACH_CELLS * length.mean() / cells, *_REACH_PX))
+        offset_px, weight, rise = _edges(grey, corners, along, outward, reach)
+        ends, residual_px = _lines(offset_px, weight)
+        first = corners + outward * ends[:, :1]
+        moved = _meet(first, along + outward * (ends[:, 1:] - ends[:, :1]))
         if not np.all(np.isfinite(moved)) or np.max(np.abs(moved - corners)) > _REACH_PX[1]:
             return None
         corners = moved
-    return Square(corners, residual_px, float(np.median(sides.rise)))
+    return Square(corners, residual_px, float(np.median(rise)))
 
 
-def find_sides(grey: Image, corners: F64, cells: int) -> Sides:
-    """Profiles across the sides of the square with these ``corners``."""
-    along = np.roll(corners, -1, axis=0) - corners
-    length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
-    outward = np.column_stack([along[:, 1], -along[:, 0]]) / length
-    reach = float(np.clip(_REACH_CELLS * length.mean() / cells, *_REACH_PX))
-    steps = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
+def _edges(
+    grey: Image, corners: F64, along: F64, outward: F64, reach_px: float
+) -> tuple[F64, F64, F64]:
+    """By profiles across the sides of a guessed square, arrays (4, profiles): how far outward the
+    edge is (px), how clear it is (0 = there is none), and its rise in grey levels."""
+    steps = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
     base = corners[:, None] + (0.5 + _ALONG)[None, :, None] * along[:, None]
     points = base[:, :, None] + steps[None, None, :, None] * outward[:, None, None]
     rise = np.diff(_sample(grey, points), axis=2)
     steepest = rise.max(axis=2, keepdims=True)
-    clear = np.where(rise > _NOISE_FLOOR * steepest, rise, 0.0) ** 2
+    clear = np.where(rise > _NOISE_MIN * steepest, rise, 0.0) ** 2
     weight = clear.sum(axis=2)
     middle = (steps[1:] + steps[:-1]) / 2
-    offset = (clear * middle).sum(axis=2) / np.maximum(weight, 1e-9)
+    offset_px = (clear * middle).sum(axis=2) / np.maximum(weight, 1e-9)
     # One glaring profile must not outweigh its side.
-    weight = np.minimum(weight, _middle(weight))
-    return Sides(corners, along, outward, offset, weight, np.clip(rise, 0, None).sum(axis=2))
+    return offset_px, np.minimum(weight, _middle(weight)), np.clip(rise, 0, None).sum(axis=2)
 
 
 def _sample(grey: Image, points: F64) -> F64:
@@ -217,25 +209,22 @@ def _sample(grey: Image, points: F64) -> F64:
     return np.asarray(values, np.float64).reshape(points.shape[:3])
 
 
-def _through(sides: Sides) -> tuple[F64, float]:
-    """The corners where robust lines through each side's points meet, and the points' residual."""
-    weight = sides.weight
+def _lines(offset_px: F64, clear: F64) -> tuple[F64, float]:
+    """Robust lines through each side's points: their offsets at both ends, (4, 2), and the points'
+    residual."""
+    weight = clear
     for _ in range(3):
         total = np.maximum(weight.sum(axis=1), 1e-9)
         x_mean = (weight * _ALONG).sum(axis=1) / total
-        y_mean = (weight * sides.offset_px).sum(axis=1) / total
+        y_mean = (weight * offset_px).sum(axis=1) / total
         x = _ALONG - x_mean[:, None]
-        y = sides.offset_px - y_mean[:, None]
+        y = offset_px - y_mean[:, None]
         slope = (weight * x * y).sum(axis=1) / np.maximum((weight * x * x).sum(axis=1), 1e-9)
         residual = y - slope[:, None] * x
-        spread = 1.48 * _middle(np.abs(residual))
-        tolerance = 2 * np.maximum(spread, _RESIDUAL_FLOOR_PX)
-        weight = sides.weight / (1 + (residual / tolerance) ** 2)
+        tolerance = 2 * np.maximum(1.48 * _middle(np.abs(residual)), _RESIDUAL_MIN_PX)
+        weight = clear / (1 + (residual / tolerance) ** 2)
     ends = y_mean[:, None] + slope[:, None] * (np.array([-0.5, 0.5]) - x_mean[:, None])
-    first = sides.starts + sides.outward * ends[:, :1]
-    along = sides.along + sides.outward * (ends[:, 1:] - ends[:, :1])
-    rms = float(np.sqrt((weight * residual**2).sum() / max(weight.sum(), 1e-9)))
-    return _meet(first, along), rms
+    return ends, float(np.sqrt((weight * residual**2).sum() / max(weight.sum(), 1e-9)))
 
 
 def _middle(values: F64) -> F64:
@@ -327,7 +316,7 @@ class TagReader:
 
 
 class TagDetector:
-    """Finds the fish's marker (sighting.Detector). ``belongs``: which ids can be the fish's."""
+    """Finds the fish's marker (tags.Detector). ``belongs``: which ids can be the fish's."""
 
     def __init__(self, kind: TagKind, belongs: Callable[[int], bool]) -> None:
         self._reader = TagReader(kind)
@@ -340,11 +329,11 @@ class TagDetector:
         tags = self._reader.read(grey, window, lambda tag: self._belongs(tag.id))
         self.other_ids.update(tag.id for tag in tags if not self._belongs(tag.id))
         mine = [detection_of(tag.square, self._cells) for tag in tags if self._belongs(tag.id)]
-        return _once(sorted(mine, key=lambda sighting: -sighting.quality))
+        return _once(sorted(mine, key=lambda detection: -detection.quality))
 
 
 def detection_of(square: Square, cells: int) -> Detection:
-    """The square as a sighting; its front edge is between the first two corners."""
+    """The square as a detection; its front edge is between the first two corners."""
     corners = square.corners
     side_px = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
     centre, front = _middles(corners)
@@ -379,14 +368,12 @@ def _middles(corners: F64) -> tuple[tuple[float, float], tuple[float, float]]:
     return (float(centre[0]), float(centre[1])), (float(front[0]), float(front[1]))
 
 
-def _once(sightings: list[Detection]) -> list[Detection]:
+def _once(detections: list[Detection]) -> list[Detection]:
     """Without those that lie on a better one."""
     kept: list[Detection] = []
-    for one in sightings:
-        if all(_apart(one, other) > max(one.side_px, other.side_px) / 2 for other in kept):
+    for one in detections:
+        apart = [np.hypot(*np.subtract(one.centre_px, other.centre_px)) for other in kept]
+        sides = [max(one.side_px, other.side_px) for other in kept]
+        if all(px > side / 2 for px, side in zip(apart, sides, strict=True)):
             kept.append(one)
     return kept
-
-
-def _apart(one: Detection, other: Detection) -> float:
-    return float(np.hypot(*np.subtract(one.centre_px, other.centre_px)))

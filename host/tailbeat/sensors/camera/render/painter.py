@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tailbeat.core.arrays import F32, F64
-from tailbeat.sensors.camera.opencv import cv2
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.render import sprites
 from tailbeat.sensors.camera.render.scene import Optics, Scene, chance
 from tailbeat.sensors.camera.render.sprites import (

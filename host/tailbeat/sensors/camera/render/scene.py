@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from tailbeat.core.arrays import F64
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.calibration.file import ANCHOR_ID_MIN, Calibration
 from tailbeat.sensors.camera.marker.detector import MarkerKind
-from tailbeat.sensors.camera.opencv import cv2
 
 
 def chance(*names: int | str) -> float:

@@ -1,4 +1,4 @@
-"""Sprites of the rendered tank: the fish, its marker, what covers it, floor, walls and anchors.
+"""Sprites of the rendered tank: the fish, its marker, what covers it, and what stands still.
 
 Polygons and markers are drawn in metres, with smooth edges; greys of 255.
 """
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.calibration.file import corners_of
 from tailbeat.sensors.camera.marker.detector import MARKERS, MarkerKind
 from tailbeat.sensors.camera.marker.tags import TAGS, TagKind
-from tailbeat.sensors.camera.opencv import cv2
 from tailbeat.sensors.camera.render.scene import (
     ANCHOR_SIDE_M,
     RIM_M,
@@ -161,8 +161,8 @@ class Canvas:
         """What was drawn."""
         rows, columns = self._cover.shape
         size = (columns // _SMOOTH, rows // _SMOOTH)
-        value = cv2.resize(self._value, size, interpolation=cv2.INTER_AREA)
-        cover = cv2.resize(self._cover, size, interpolation=cv2.INTER_AREA)
+        layers = (self._value, self._cover)
+        value, cover = (cv2.resize(layer, size, interpolation=cv2.INTER_AREA) for layer in layers)
         scale = self._px_per_m
         return Sprite(value, cover, scale, self._left / scale, self._top / scale)
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from tailbeat.core.errors import InputError
-from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
+from tailbeat.sensors.camera import cv2
+from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage, size_of
 
 _KEPT = 16  # pictures nobody has asked for yet; older ones go
 _FAILURES_MAX = 3
@@ -63,16 +63,10 @@ class Capture:
             return self._is_open
 
     def next(self, within_s: float) -> Shot | None:
-        """The oldest picture not taken yet; None = none came in time, or none will (``ended``)."""
+        """The oldest picture not taken yet; None = none came in time, or none will."""
         with self._news:
             self._news.wait_for(lambda: self._shots or self._ended, within_s)
             return self._shots.popleft() if self._shots else None
-
-    @property
-    def ended(self) -> bool:
-        """Whether the camera is gone, or was never there, and all its pictures are taken."""
-        with self._news:
-            return self._ended and not self._shots
 
     def close(self) -> None:
         """Gives the camera up, after 2 s even if its driver does not return."""
@@ -159,9 +153,8 @@ class Device(PictureSource):
         except BaseException:
             self.close()
             raise
-        self.size_px = _size(first)
-        by_driver = all(_is_recent(shot) for shot in self._ahead)
-        self.stamps = "driver" if by_driver else "arrival"
+        self.size_px = size_of(first.image)
+        self.stamps = "driver" if all(map(_is_recent, self._ahead)) else "arrival"
         reported = self._capture.fps
         self.fps = reported if 1 <= reported <= 1000 else _FPS_USUAL
 
@@ -182,13 +175,10 @@ class Device(PictureSource):
 
     def _stamp(self, shot: Shot) -> float | None:
         """None = not to be used: the time stamp makes no sense."""
-        if self.stamps == "arrival":
-            t_s = shot.arrived_s - self._latency_s
-        elif _is_recent(shot):
-            t_s = shot.driver_s
-        else:
-            return None
-        return t_s if t_s > self._last_s else None
+        by_driver = self.stamps == "driver"
+        t_s = shot.driver_s if by_driver else shot.arrived_s - self._latency_s
+        sensible = t_s > self._last_s and (not by_driver or _is_recent(shot))
+        return t_s if sensible else None
 
     def _next(self) -> Shot:
         shot = self._capture.next(_PICTURE_S)
@@ -221,10 +211,10 @@ def _started(address: str, size_px: tuple[int, int] | None) -> tuple[Capture, Sh
         except BaseException:
             capture.close()
             raise
-        if first is not None and size_px in (None, _size(first)):
+        if first is not None and size_px in (None, size_of(first.image)):
             return capture, first
         if first is not None:
-            other_size = "{} x {}".format(*_size(first))
+            other_size = "{} x {}".format(*size_of(first.image))
         capture.close()
     if size_px and other_size:
         raise InputError(
@@ -232,10 +222,6 @@ def _started(address: str, size_px: tuple[int, int] | None) -> tuple[Capture, Sh
             "Ask for a size it has; v4l2-ctl --list-formats-ext shows them.",
         )
     raise InputError(f"camera {address} gives no pictures.", _NO_PICTURES)
-
-
-def _size(shot: Shot) -> tuple[int, int]:
-    return shot.image.shape[1], shot.image.shape[0]
 
 
 def _opened(address: str, size_px: tuple[int, int] | None, jpeg: bool) -> Any:

@@ -6,14 +6,13 @@ import contextlib
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 
 from tailbeat.core.errors import InputError, reason
 from tailbeat.core.files import temporary_beside
-from tailbeat.sensors.camera.opencv import av, cv2
+from tailbeat.sensors.camera import av, cv2
 from tailbeat.sensors.camera.source.picture import Image, PictureSource, TimedImage
 
 _GIVE_A_FILM = "Give a film: .mp4, .mkv, .mov or .avi."
@@ -38,7 +37,8 @@ def open_film(path: Path) -> tuple[Any, Any]:
     except (av.error.FFmpegError, ValueError) as error:
         raise _no_film(path) from error
     stream = _video(container)
-    if stream is None or _is_still(container):
+    name = container.format.name  # libav takes single photos and plain text for films as well
+    if stream is None or name in ("tty", "image2", "gif") or name.endswith("_pipe"):
         sound = bool(container.streams.audio) and not container.streams.video
         container.close()
         raise InputError(
@@ -72,12 +72,6 @@ def _video(container: Any) -> Any:
     return None
 
 
-def _is_still(container: Any) -> bool:
-    """libav takes single photos and plain text for films as well."""
-    name = container.format.name
-    return name in ("tty", "image2", "gif") or name.endswith("_pipe")
-
-
 def whole_frames(container: Any, stream: Any) -> Iterator[Any]:
     """Frames in order of display. Raises DamagedError behind the last that is whole, also when the
     file ends earlier than its header says. The few frames that the decoder holds back to put them
@@ -105,8 +99,8 @@ def whole_frames(container: Any, stream: Any) -> Iterator[Any]:
 
 
 def declared_end_s(container: Any, stream: Any) -> float | None:
-    """End of the last picture by the header, in the stream's own time; None = not told, or told
-    better by the index (MP4)."""
+    """End of the last picture by the header, in the stream's own time; None = not known, or known
+    better from the index (MP4)."""
     if "matroska" in container.format.name:
         text = stream.metadata.get("DURATION", "")
         try:
@@ -196,16 +190,16 @@ class Film(PictureSource):
         self._container.close()
 
     def _check(self, frame: Any) -> None:
+        at = f"at picture {self._given}"
         if (frame.width, frame.height) != self.size_px:
-            what = f"changes its size to {frame.width} x {frame.height} at picture {self._given}"
+            what = f"changes its size to {frame.width} x {frame.height} {at}"
             raise self._refused(what, "Give films of one size each.")
         if frame.pts is None:
-            raise self._refused(f"has no time stamp at picture {self._given}", _NO_TIMES)
+            raise self._refused(f"has no time stamp {at}", _NO_TIMES)
         if self._last_pts is None:
             self._first_pts = frame.pts
         elif frame.pts <= self._last_pts:
-            what = f"goes back in time at picture {self._given}: its time stamps do not rise"
-            raise self._refused(what, _NO_TIMES)
+            raise self._refused(f"goes back in time {at}: its time stamps do not rise", _NO_TIMES)
 
     def _since_first_s(self, pts: int) -> float:
         return float((pts - self._first_pts) * self._stream.time_base)
@@ -274,11 +268,11 @@ class FilmWriter:
 
     def add(self, image: Image, t_s: float) -> None:
         """The next picture, grey or BGR; times rise, by what the file tells apart (InputError)."""
-        if (image.shape[1], image.shape[0]) != self._size_px:
-            size = f"{image.shape[1]} x {image.shape[0]}"
+        height, width = image.shape[:2]
+        if (width, height) != self._size_px:
+            size = "{} x {}".format(*self._size_px)
             raise InputError(
-                f"{self._path.name}: a picture of {size} in a film of "
-                f"{self._size_px[0]} x {self._size_px[1]}.",
+                f"{self._path.name}: a picture of {width} x {height} in a film of {size}.",
                 "Write films of one size each.",
             )
         first_s = t_s if self._first_s is None else self._first_s
@@ -330,12 +324,7 @@ class FilmWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.close()
         else:
@@ -353,7 +342,6 @@ class Recorder:
         """Raises InputError when there can be no film at ``path``."""
         self._writer = FilmWriter(path, size_px, fps)
         self._error: Exception | None = None
-        self._pictures = 0
 
     def __call__(self, picture: TimedImage) -> None:
         """The next picture."""
@@ -361,16 +349,15 @@ class Recorder:
             return
         try:
             self._writer.add(picture.image, picture.t_s)
-            self._pictures += 1
         except Exception as error:
             self._error = error
             self._writer.discard()
 
     def close(self) -> None:
-        """Finishes the film, if it is wanted and has a picture. Raises what went wrong."""
+        """Finishes the film, if it is wanted. Raises what went wrong."""
         if self._error is not None:
             raise self._error
-        if self.wanted and self._pictures:
+        if self.wanted:
             self._writer.close()
         else:
             self._writer.discard()

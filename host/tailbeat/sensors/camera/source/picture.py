@@ -46,3 +46,8 @@ class PictureSource(Protocol):
 
     def close(self) -> None:
         """Gives the file or device up; may be called twice."""
+
+
+def size_of(image: Image) -> tuple[int, int]:
+    """Width and height, pixels."""
+    return image.shape[1], image.shape[0]

@@ -217,9 +217,7 @@ class BeatFit:
     def add(self, t_s: float, x_m: float) -> SpeedSample | None:
         """Takes one position; frames that are not newer than the last are dropped."""
         window = self._window
-        if not (math.isfinite(t_s) and math.isfinite(x_m)):
-            return None
-        if window and t_s <= window[-1][0]:
+        if not (math.isfinite(t_s) and math.isfinite(x_m)) or (window and t_s <= window[-1][0]):
             return None
         if window and abs(x_m - window[-1][1]) > _PLAUSIBLE_M_S * (t_s - window[-1][0]) + _JUMP_M:
             window.clear()

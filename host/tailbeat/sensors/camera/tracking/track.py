@@ -18,7 +18,7 @@ from tailbeat.core.files import write_whole
 from tailbeat.sensors.camera.calibration.file import Calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker
 from tailbeat.sensors.camera.source.picture import PictureSource
-from tailbeat.sensors.camera.tracking.tracker import GLOW_SHAPE, Glow, TrackedImage, Tracker
+from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE, LedPatch, TrackedImage, Tracker
 
 SEEN, BRIDGED, LOST = 0, 1, 2
 STATES = ("seen", "bridged", "lost")
@@ -41,7 +41,7 @@ class Track:
     periods, evenly spread between them. The period is the median of the 25 distances before (of
     the first 25 at the begin), so that it follows a film whose rate changes; where it suddenly
     halves, the next twelve distances hold one row too many each, bridged and of no consequence.
-    ``glow`` (rows, *GLOW_SHAPE), 0 where not seen; None = not asked for. ``marker_side_m``: as
+    ``patch`` (rows, *PATCH_SHAPE), 0 where not seen; None = not asked for. ``marker_side_m``: as
     Tracker.measured_side_m.
     """
 
@@ -53,7 +53,7 @@ class Track:
     state: NDArray[np.uint8]
     fps: float  # by the time stamps: one over their median distance; 0 = fewer than two
     name: str = ""
-    glow: Glow | None = None
+    patch: LedPatch | None = None
     marker_side_m: float | None = None
 
     def seen(self) -> NDArray[np.bool_]:
@@ -69,7 +69,7 @@ def track(
     source: PictureSource,
     marker: Marker,
     calibration: Calibration,
-    glow: bool = False,
+    patch: bool = False,
     progress: Progress | None = None,
     on_place: Callable[..., None] | None = None,
 ) -> Track:
@@ -79,7 +79,7 @@ def track(
     Raises InputError: no picture, never a marker, what Tracker.look raises, and what the source
     raises: there is no track of a film that is damaged further on.
     """
-    tracker = Tracker(marker, calibration, source.name, glow)
+    tracker = Tracker(marker, calibration, source.name, patch)
     expected = source.pictures
     places: list[TrackedImage] = []
     while (picture := source.read()) is not None:
@@ -91,7 +91,7 @@ def track(
             done = len(places)
             progress(done, min(1.0, done / expected) if expected else math.nan)
     if not places:
-        raise InputError(f"{source.name} holds no picture.", "Give a film of a swim.")
+        raise InputError(f"{source.name} holds no picture.", "Give a film of a trial.")
     if all(place.frame is None for place in places):
         raise _no_marker(source.name, marker, len(places), tracker.other_ids)
     return replace(track_of(places, source.name), marker_side_m=tracker.measured_side_m)
@@ -128,25 +128,25 @@ def track_of(places: Sequence[TrackedImage], name: str = "") -> Track:
     state[at[seen]] = SEEN
     values = np.full((3, len(t_s)), np.nan)
     quality = np.zeros(len(t_s))
-    glow = None
-    if any(place.glow is not None for place in places):
-        glow = np.zeros((len(t_s), *GLOW_SHAPE), np.uint8)
+    patch = None
+    if any(place.patch is not None for place in places):
+        patch = np.zeros((len(t_s), *PATCH_SHAPE), np.uint8)
     for row, place in zip(at, places, strict=True):
         if place.frame is not None:
             frame = place.frame
             values[:, row] = frame.x_m, frame.y_m, frame.heading_rad
-            quality[row] = place.sighting.quality if place.sighting is not None else 1.0
-        if glow is not None and place.glow is not None:
-            glow[row] = place.glow
+            quality[row] = place.detection.quality if place.detection is not None else 1.0
+        if patch is not None and place.patch is not None:
+            patch[row] = place.patch
     x_m, y_m, heading_rad = values
     heading_rad[at[seen]] = np.unwrap(heading_rad[at[seen]])
     _bridge(state, t_s, [x_m, y_m, heading_rad])
-    return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(taken_s), name, glow)
+    return Track(t_s, x_m, y_m, heading_rad, quality, state, _fps(taken_s), name, patch)
 
 
 def _one_head(places: Sequence[TrackedImage]) -> list[TrackedImage]:
     """With those turned around that the detector itself turned around later."""
-    turns = [0 if place.sighting is None else place.sighting.turns for place in places]
+    turns = [0 if place.detection is None else place.detection.turns for place in places]
     last = max(turns, default=0)
     return [
         place.turned() if (last - by_then) % 2 else place
@@ -167,7 +167,7 @@ def _rows(taken_s: F64, name: str) -> tuple[F64, NDArray[np.intp]]:
     if gaps[longest] > _PAUSE_MAX_S:
         raise InputError(
             f"{name} pauses for {gaps[longest]:.0f} s after picture {longest}.",
-            "Give a film of one swim, in one piece.",
+            "Give a film of one trial, in one piece.",
         )
     periods = gaps / _periods(gaps)
     lacking = np.where(periods > _LACK_PERIODS, np.rint(periods) - 1, 0).astype(np.intp)

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from tailbeat.core.arrays import F64
 from tailbeat.core.errors import InputError
 from tailbeat.core.frames import Camera, Frame
+from tailbeat.sensors.camera import cv2
 from tailbeat.sensors.camera.calibration.file import Calibration, corners_of
 from tailbeat.sensors.camera.marker.detector import MARKERS, Marker, detector_for
 from tailbeat.sensors.camera.marker.tags import Detection, SearchWindow, TagReader, centre_of
-from tailbeat.sensors.camera.opencv import cv2
-from tailbeat.sensors.camera.source.picture import Image, TimedImage
+from tailbeat.sensors.camera.source.picture import Image, TimedImage, size_of
 
 PERSISTS = 3  # pictures in a row: nothing is believed on the word of one
 SIZE_ERROR_MAX = 0.05
 _SIZE_AFTER_S = 1.0
-_SIZE_SIGHTINGS_MIN = 5
+_SIZE_DETECTIONS_MIN = 5
 _SAME_SIZE = (0.7, 1.4)  # the second fish's marker against the first's
 _ANCHOR_LOOKS = 3
 _ANCHOR_LOOK_EVERY_S = 0.2
@@ -43,9 +43,10 @@ class SecondFish:
         """Whether the next picture has to be searched as a whole to know."""
         return self._pictures > 0
 
-    def look(self, fish: Detection, sightings: list[Detection]) -> None:
-        """``sightings``: all in this picture, the ``fish`` among them."""
-        others = [one for one in sightings if one is not fish and _same_size(one, fish)]
+    def look(self, fish: Detection, detections: list[Detection]) -> None:
+        """``detections``: all in this picture, the ``fish`` among them."""
+        low, high = (ratio * fish.side_px for ratio in _SAME_SIZE)
+        others = [one for one in detections if one is not fish and low <= one.side_px <= high]
         self._pictures = self._pictures + 1 if others else 0
         if self._pictures < PERSISTS:
             return
@@ -64,7 +65,7 @@ class MarkerSize:
 
     def __init__(self, marker: Marker, calibration: Calibration, name: str) -> None:
         self.measured_m: float | None = None
-        self._said_m = marker.side_m
+        self._expected_m = marker.side_m
         self._calibration = calibration
         self._name = name
         self._sides_m: list[float] = []
@@ -79,18 +80,18 @@ class MarkerSize:
         corners = self._calibration.to_tank(corners_px)
         along = np.roll(corners, -1, axis=0) - corners
         self._sides_m.append(float(np.linalg.norm(along, axis=1).mean()))
-        if t_s - self._first_s >= _SIZE_AFTER_S and len(self._sides_m) >= _SIZE_SIGHTINGS_MIN:
+        if t_s - self._first_s >= _SIZE_AFTER_S and len(self._sides_m) >= _SIZE_DETECTIONS_MIN:
             self.measured_m = float(np.median(self._sides_m))
-            if self._said_m is not None:
-                self._judge(self._said_m, self.measured_m)
+            self._judge(self.measured_m)
 
-    def _judge(self, said_m: float, seen_m: float) -> None:
-        if abs(seen_m / said_m - 1) <= SIZE_ERROR_MAX:
+    def _judge(self, seen_m: float) -> None:
+        expected_m = self._expected_m
+        if expected_m is None or abs(seen_m / expected_m - 1) <= SIZE_ERROR_MAX:
             return
         raise InputError(
             f"in {self._name} the marker is {seen_m * 1000:.1f} mm wide, it should be "
-            f"{said_m * 1000:.1f} mm: the calibration, --marker-side or the marker's height over "
-            "the calibrated plane is wrong",
+            f"{expected_m * 1000:.1f} mm: the calibration, --marker-side or the marker's height "
+            "over the calibrated plane is wrong",
             "Measure the printed black square; calibrate at the height at which the marker swims.",
         )
 
@@ -126,47 +127,43 @@ class Anchors:
         self._calibration.check_anchors(seen, self._name)
 
 
-def _same_size(one: Detection, other: Detection) -> bool:
-    return _SAME_SIZE[0] <= one.side_px / other.side_px <= _SAME_SIZE[1]
-
-
 # A patch of the water around the fish, fixed to its marker: in it the LED stands still.
-GLOW_LEFT_M, GLOW_RIGHT_M = -0.25, 0.15  # along the fish, from the marker's centre; head = +
-GLOW_HALF_WIDTH_M = 0.06
-GLOW_CELL_M = 0.01
-GLOW_SHAPE = (
-    round(2 * GLOW_HALF_WIDTH_M / GLOW_CELL_M),
-    round((GLOW_RIGHT_M - GLOW_LEFT_M) / GLOW_CELL_M),
+PATCH_LEFT_M, PATCH_RIGHT_M = -0.25, 0.15  # along the fish, from the marker's centre; head = +
+PATCH_HALF_WIDTH_M = 0.06
+PATCH_CELL_M = 0.01
+PATCH_SHAPE = (
+    round(2 * PATCH_HALF_WIDTH_M / PATCH_CELL_M),
+    round((PATCH_RIGHT_M - PATCH_LEFT_M) / PATCH_CELL_M),
 )
 
-Glow = NDArray[np.uint8]
+LedPatch = NDArray[np.uint8]
 
 _SAMPLES_MAX = 12  # per cell and direction
 
-_PATCH_M = corners_of(GLOW_LEFT_M, -GLOW_HALF_WIDTH_M, GLOW_RIGHT_M, GLOW_HALF_WIDTH_M)
+_PATCH_M = corners_of(PATCH_LEFT_M, -PATCH_HALF_WIDTH_M, PATCH_RIGHT_M, PATCH_HALF_WIDTH_M)
 
 
-def glow_around(grey: Image, frame: Frame, calibration: Calibration) -> Glow:
-    """The brightest pixel of each cell, GLOW_SHAPE; 0 outside the picture. Row 0 is the fish's left
-    side, column 0 its tail's end; cell (r, c) reaches from GLOW_LEFT_M + c GLOW_CELL_M along the
-    fish and from r GLOW_CELL_M - GLOW_HALF_WIDTH_M to its right."""
+def patch_around(grey: Image, frame: Frame, calibration: Calibration) -> LedPatch:
+    """The brightest pixel of each cell, PATCH_SHAPE; 0 outside the picture. Row 0 is the fish's
+    left, column 0 its tail's end; cell (r, c) reaches from PATCH_LEFT_M + c PATCH_CELL_M along the
+    fish and from r PATCH_CELL_M - PATCH_HALF_WIDTH_M to its right."""
     cos, sin = np.cos(frame.heading_rad), np.sin(frame.heading_rad)
     places = _PATCH_M @ np.array([[cos, sin], [-sin, cos]]) + [frame.x_m, frame.y_m]
     corners = calibration.to_pixels(places)
     per_cell = _samples(corners)
-    rows, columns = GLOW_SHAPE[0] * per_cell, GLOW_SHAPE[1] * per_cell
+    rows, columns = PATCH_SHAPE[0] * per_cell, PATCH_SHAPE[1] * per_cell
     # Over 0.4 m even a wide lens bends by less than a cell: four corners are enough.
     flat = corners_of(0, 0, columns, rows) - 0.5
     to_patch = cv2.getPerspectiveTransform(corners.astype(np.float32), flat.astype(np.float32))
     patch = cv2.warpPerspective(grey, to_patch, (columns, rows), flags=cv2.INTER_LINEAR)
-    cells = patch.reshape(GLOW_SHAPE[0], per_cell, GLOW_SHAPE[1], per_cell)
+    cells = patch.reshape(PATCH_SHAPE[0], per_cell, PATCH_SHAPE[1], per_cell)
     return np.asarray(cells.max(axis=(1, 3)), np.uint8)
 
 
 def _samples(corners: F64) -> int:
     """As many as a cell has pixels, so that no bright pixel falls between them."""
     length_px = float(np.linalg.norm(corners[1] - corners[0]))
-    return int(np.clip(np.ceil(length_px / GLOW_SHAPE[1]), 1, _SAMPLES_MAX))
+    return int(np.clip(np.ceil(length_px / PATCH_SHAPE[1]), 1, _SAMPLES_MAX))
 
 
 FROZEN_S = 1.0
@@ -232,35 +229,35 @@ def _position(frame: Frame) -> tuple[float, float, float]:
 EVERYWHERE_EVERY_S = 1.0
 STAYS_NEAR_S = 0.2  # a marker that is covered for a moment is not looked for elsewhere
 FORGOTTEN_AFTER_S = 0.5  # then the fish can be anywhere
-SPEED_MAX_M_S, JUMP_MAX_M = 1.0, 0.05  # what a fish can do, and what a sighting can be off
+SPEED_MAX_M_S, JUMP_MAX_M = 1.0, 0.05  # what a fish can do, and what a detection can be off
 _WINDOW_SIDES = 1.2  # half a window, in markers
 _WINDOW_M, _WINDOW_M_S = 0.02, 0.5  # and what the prediction can be off
 
 
 @dataclass(frozen=True, slots=True)
 class TrackedImage:
-    """What one picture said. ``frame`` None = the fish was not seen. ``glow``: brightest pixel of
-    each cell of the patch around the fish, GLOW_SHAPE; None when not seen or not asked for.
-    ``glow_turned``: the same if its head is the other end, of a blob."""
+    """What one picture said. ``frame`` None = the fish was not seen. ``patch``: brightest pixel of
+    each cell of the patch around the fish, PATCH_SHAPE; None when not seen or not asked for.
+    ``patch_turned``: the same if its head is the other end, of a blob."""
 
     index: int
     t_s: float
     frame: Frame | None
-    sighting: Detection | None
-    glow: Glow | None
-    glow_turned: Glow | None = None
+    detection: Detection | None
+    patch: LedPatch | None
+    patch_turned: LedPatch | None = None
 
     def turned(self) -> TrackedImage:
-        """The same with the head at the other end (not so in the ``sighting``)."""
+        """The same with the head at the other end (not so in the ``detection``)."""
         if self.frame is None:
             return self
         frame = replace(self.frame, heading_rad=self.frame.heading_rad + np.pi)
-        return replace(self, frame=frame, glow=self.glow_turned, glow_turned=self.glow)
+        return replace(self, frame=frame, patch=self.patch_turned, patch_turned=self.patch)
 
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    sighting: Detection
+    detection: Detection
     frame: Frame
 
     @property
@@ -272,12 +269,12 @@ class Tracker:
     """Looks first where the fish should be, then everywhere; everywhere also once a second, so that
     a second fish does not go unnoticed.
 
-    A fish that is suddenly where it cannot have swum is not believed before it has been there for
+    A fish that is suddenly where it cannot have got to is not believed before it has been there for
     three pictures.
     """
 
     def __init__(
-        self, marker: Marker, calibration: Calibration, name: str, glow: bool = False
+        self, marker: Marker, calibration: Calibration, name: str, patch: bool = False
     ) -> None:
         """``name``: of the film or device, for messages. Raises what detector_for raises."""
         self._detector = detector_for(marker, calibration)
@@ -285,7 +282,7 @@ class Tracker:
         self._whole_image = MARKERS[marker.kind].whole_image
         self._calibration = calibration
         self._name = name
-        self._glow = glow
+        self._patch = patch
         self._anchors = Anchors(calibration, name)
         self._size = MarkerSize(marker, calibration, name)
         self._second = SecondFish(calibration, name)
@@ -301,77 +298,68 @@ class Tracker:
 
     @property
     def measured_side_m(self) -> float | None:
-        """Of the marker, in the calibrated plane: the median of the first second of sightings.
+        """Of the marker, in the calibrated plane: the median of the first second of detections.
         None = not known yet, or a blob."""
         return self._size.measured_m
 
     def look(self, picture: TimedImage) -> TrackedImage:
         """The fish in the next picture. Raises InputError for two fish, a picture of another size,
         anchors that are elsewhere (first pictures), a marker whose size contradicts the
-        calibration by more than 5 % (median of the first second of sightings)."""
+        calibration by more than 5 % (median of the first second of detections)."""
         grey = picture.image
-        self._calibration.check_size((grey.shape[1], grey.shape[0]), self._name)
+        self._calibration.check_size(size_of(grey), self._name)
         self._anchors.look(picture.t_s, grey)
-        sighting = self._find(grey, picture.t_s)
-        if sighting is None:
+        found = self._find(grey, picture.t_s)
+        seen = _Seen(found, self._frame(picture.t_s, found)) if found is not None else None
+        if seen is None or not self._believed(seen):
             return TrackedImage(picture.index, picture.t_s, None, None, None)
-        seen = _Seen(sighting, self._frame(picture.t_s, sighting))
-        if not self._believed(seen):
-            return TrackedImage(picture.index, picture.t_s, None, None, None)
-        self._size.look(picture.t_s, sighting.corners_px)
+        self._size.look(picture.t_s, seen.detection.corners_px)
         self._before, self._last = self._last, seen
-        place = TrackedImage(picture.index, picture.t_s, seen.frame, sighting, None)
-        return self._with_glow(place, grey) if self._glow else place
+        place = TrackedImage(picture.index, picture.t_s, seen.frame, seen.detection, None)
+        return self._with_patch(place, grey) if self._patch else place
 
-    def _with_glow(self, place: TrackedImage, grey: Image) -> TrackedImage:
-        assert place.frame is not None
-        glow = glow_around(grey, place.frame, self._calibration)
-        if not self._whole_image:
-            return replace(place, glow=glow)
-        other = place.turned().frame
-        assert other is not None
-        glow_turned = glow_around(grey, other, self._calibration)
-        return replace(place, glow=glow, glow_turned=glow_turned)
+    def _with_patch(self, place: TrackedImage, grey: Image) -> TrackedImage:
+        ends = [place, place.turned()] if self._whole_image else [place]
+        patches = [patch_around(grey, end.frame, self._calibration) for end in ends if end.frame]
+        return replace(place, patch=patches[0], patch_turned=patches[1] if patches[1:] else None)
 
     def _find(self, grey: Image, t_s: float) -> Detection | None:
         guess = self._prediction(t_s)
         due = t_s >= self._everywhere_s or self._second.suspected or self._whole_image
         if guess is not None and not due:
             window = self._window(guess, t_s, grey)
-            sightings = self._detector.find(grey, window)
-            if sightings or self._is_near(t_s):
-                return _nearest(sightings, guess) if sightings else None
-        sightings = self._detector.find(grey)
+            detections = self._detector.find(grey, window)
+            assert self._last is not None
+            if detections or t_s - self._last.t_s <= STAYS_NEAR_S:
+                return _nearest(detections, guess) if detections else None
+        detections = self._detector.find(grey)
         self._everywhere_s = t_s + EVERYWHERE_EVERY_S
-        if not sightings:
+        if not detections:
             return None
-        fish = sightings[0] if guess is None else _nearest(sightings, guess)
-        self._second.look(fish, sightings)
+        fish = detections[0] if guess is None else _nearest(detections, guess)
+        self._second.look(fish, detections)
         return fish
-
-    def _is_near(self, t_s: float) -> bool:
-        return self._last is not None and t_s - self._last.t_s <= STAYS_NEAR_S
 
     def _prediction(self, t_s: float) -> F64 | None:
         """Where the fish should be, in pixels; None = lost."""
         last, before = self._last, self._before
         if last is None or not 0 <= t_s - last.t_s <= FORGOTTEN_AFTER_S:
             return None
-        centre = np.array(last.sighting.centre_px)
+        centre = np.array(last.detection.centre_px)
         if before is None or last.t_s - before.t_s > FORGOTTEN_AFTER_S:
             return centre
-        step = centre - before.sighting.centre_px
+        step = centre - before.detection.centre_px
         return np.asarray(centre + step * (t_s - last.t_s) / (last.t_s - before.t_s))
 
     def _window(self, guess: F64, t_s: float, grey: Image) -> SearchWindow:
         assert self._last is not None
-        sighting, frame = self._last.sighting, self._last.frame
-        front = self._calibration.to_tank(np.array([sighting.front_px]))[0]
-        px_per_m = np.hypot(*np.subtract(sighting.front_px, sighting.centre_px)) / max(
+        detection, frame = self._last.detection, self._last.frame
+        front = self._calibration.to_tank(np.array([detection.front_px]))[0]
+        px_per_m = np.hypot(*np.subtract(detection.front_px, detection.centre_px)) / max(
             float(np.hypot(*(front - (frame.x_m, frame.y_m)))), 1e-9
         )
         off_m = _WINDOW_M + _WINDOW_M_S * (t_s - frame.t_s)
-        half = _WINDOW_SIDES * sighting.side_px + px_per_m * off_m
+        half = _WINDOW_SIDES * detection.side_px + px_per_m * off_m
         low = np.floor(guess - half).astype(int)
         high = np.ceil(guess + half).astype(int) + 1
         height, width = grey.shape
@@ -379,8 +367,8 @@ class Tracker:
         top, bottom = np.clip((low[1], high[1]), 0, height)
         return SearchWindow(int(left), int(top), int(right), int(bottom))
 
-    def _frame(self, t_s: float, sighting: Detection) -> Frame:
-        pixels = np.array([sighting.centre_px, sighting.front_px])
+    def _frame(self, t_s: float, detection: Detection) -> Frame:
+        pixels = np.array([detection.centre_px, detection.front_px])
         (x, y), (front_x, front_y) = self._calibration.to_tank(pixels)
         heading = float(np.arctan2(front_y - y, front_x - x))
         return Frame(t_s, float(x), float(y), heading)
@@ -408,5 +396,5 @@ def _can_swim(start: _Seen, end: _Seen) -> bool:
     return bool(apart_m <= SPEED_MAX_M_S * apart_s + JUMP_MAX_M)
 
 
-def _nearest(sightings: list[Detection], guess: F64) -> Detection:
-    return min(sightings, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
+def _nearest(detections: list[Detection], guess: F64) -> Detection:
+    return min(detections, key=lambda one: float(np.hypot(*(guess - one.centre_px))))
