@@ -32,14 +32,9 @@ class PlaneFit:
     rms_max_m: float
     rigid: bool
 
-    def rms_m(self, off_m: F64) -> float:
-        """Infinite for points that do not fit each other at all."""
-        rms = float(np.sqrt(np.mean(off_m**2)))
-        return rms if np.isfinite(rms) else np.inf
-
     def good(self, off_m: F64) -> bool:
         """Whether points that are so far off fit each other."""
-        return bool(self.rms_m(off_m) <= self.rms_max_m and off_m.max() <= OUTLIER_M)
+        return bool(_rms(off_m) <= self.rms_max_m and off_m.max() <= OUTLIER_M)
 
 
 @dataclass(frozen=True)
@@ -87,7 +82,7 @@ def _ways(flat: F64, places: F64, used: NDArray[np.intp], fit: PlaneFit) -> list
         if off is None:
             continue
         good = fit.good(off[rest]) and bool(off[i] > OUTLIER_M)
-        ways.append(_Without(int(i), rest, fit.rms_m(off[rest]), good))
+        ways.append(_Without(int(i), rest, _rms(off[rest]), good))
     return sorted(ways, key=lambda way: way.rms_m)
 
 
@@ -132,7 +127,7 @@ class Plane:
     @property
     def rms_m(self) -> float:
         """How far the points used are off, root mean square."""
-        return float(np.sqrt(np.mean(self.off_m**2)))
+        return _rms(self.off_m)
 
 
 def fit_plane(
@@ -176,7 +171,7 @@ def camera_place(
     flat, places = lens.undistorted(pixels[used]), places_m[used]
     rotation, shift = _pose(lens, flat, places)
     off = np.linalg.norm(mapped(_seen_by(lens, rotation, shift), flat) - places, axis=1)
-    rms = float(np.sqrt(np.mean(off**2)))
+    rms = _rms(off)
     centre = np.asarray(-rotation.T @ shift)  # z of a frame with x forward, y to the right is down
     if not rms <= max(POSE_RMS_MAX_M, _POSE_OVER_PLANE * plane.rms_m) or centre[2] >= 0:
         wrong = [names[used[i]] for i in suspects(flat, places, _fit(lens))]
@@ -281,6 +276,12 @@ def _predicted(flat: F64, places: F64) -> float | None:
     return worst or None
 
 
+def _rms(off_m: F64) -> float:
+    """Root mean square; infinite for points that do not fit each other at all."""
+    rms = float(np.sqrt(np.mean(off_m**2)))
+    return rms if np.isfinite(rms) else np.inf
+
+
 def _homography(flat: F64, places: F64) -> F64:
     found, _ = cv2.findHomography(flat, places, 0)
     if found is None:
@@ -309,10 +310,8 @@ def _spread(flat: F64, places: F64) -> float:
 
 
 def _normal(points: F64) -> F64:
-    centred = points - points.mean(axis=0)
-    size = np.sqrt((centred**2).mean())
-    scaled: F64 = centred / size if size > 0 else centred
-    return scaled
+    centred: F64 = points - points.mean(axis=0)
+    return centred / (float(np.sqrt((centred**2).mean())) or 1.0)
 
 
 def _check_metres(flat: F64, places: F64, lens: Lens | None) -> None:

@@ -47,14 +47,13 @@ def detector_for(marker: Marker, calibration: Calibration | None = None) -> Dete
 def _tag_detector(marker: Marker, calibration: Calibration | None) -> Detector:
     family = TAGS[cast(TagKind, marker.kind)]
     _check_id(marker.id, family)
-    return TagDetector(
-        cast(TagKind, marker.kind),
-        lambda number: (
-            number == marker.id
-            if marker.id is not None
-            else not family.shared or number < ANCHOR_ID_MIN
-        ),
-    )
+
+    def belongs(number: int) -> bool:
+        if marker.id is not None:
+            return number == marker.id
+        return not family.shared or number < ANCHOR_ID_MIN
+
+    return TagDetector(cast(TagKind, marker.kind), belongs)
 
 
 def _check_id(number: int | None, family: TagFamily) -> None:

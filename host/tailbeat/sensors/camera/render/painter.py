@@ -16,7 +16,6 @@ from tailbeat.sensors.camera.render import sprites
 from tailbeat.sensors.camera.render.scene import Optics, Scene, chance
 from tailbeat.sensors.camera.render.sprites import (
     FINER,
-    Sprite,
     backdrop,
     dimming,
     stamp,
@@ -179,7 +178,13 @@ class Painter:
         self._waves = Waves(scene, optics)
         self._glare = Glare(scene, optics) if scene.glare > 0 else None
         self._noise = Noise(scene)
-        self._parts = _Parts(scene, FINER * optics.px_per_m)
+        side_m, steps = scene.marker_side_m, _LED_STEPS if scene.led else 0
+        px_per_m = whole_elements(scene.marker, side_m, FINER * optics.px_per_m)
+        self._where = sprites.Body(side_m)
+        self._tail = sprites.tail(self._where, px_per_m)
+        self._foam = sprites.foam(side_m, scene.seed, px_per_m)
+        lit = [step / _LED_STEPS for step in range(steps + 1)]
+        self._bodies = [sprites.body(scene, part, px_per_m) for part in lit]
 
     def paint(self, truth: DrawnPose, index: int) -> Image:
         """Grey, shape (height, width), a fresh array."""
@@ -196,15 +201,16 @@ class Painter:
 
     def _draw(self, image: Image, truth: DrawnPose) -> None:
         poses = self._poses(truth)
-        hinge = _turned(-truth.tail_rad, self._parts.where.hinge_m)
+        hinge = _turned(-truth.tail_rad, self._where.hinge_m)
+        body = self._bodies[round(truth.led * (len(self._bodies) - 1))]
         blur_px, gain = self._scene.blur_px, self._gain(poses[0])
-        stamp(image, self._parts.tail, [pose @ hinge for pose in poses], blur_px, gain)
-        stamp(image, self._parts.body(truth.led), poses, blur_px, gain)
+        stamp(image, self._tail, [pose @ hinge for pose in poses], blur_px, gain)
+        stamp(image, body, poses, blur_px, gain)
 
     def _hide(self, image: Image, truth: DrawnPose, index: int) -> None:
         quarter = math.floor(4 * chance(self._scene.seed, "half", index))
         pose = self._pose(truth, 0.0) @ _turned(quarter * math.pi / 2, 0.0)
-        stamp(image, self._parts.foam, [pose], self._scene.blur_px, self._gain(pose))
+        stamp(image, self._foam, [pose], self._scene.blur_px, self._gain(pose))
 
     def _poses(self, truth: DrawnPose) -> list[F64]:
         """The fish's places during the exposure, evenly spread around its middle."""
@@ -225,25 +231,6 @@ class Painter:
         height, width = self._dimming.shape
         u, v = np.rint(pose[:2, 2] / pose[2, 2]).astype(int)
         return float(self._dimming[min(max(v, 0), height - 1), min(max(u, 0), width - 1)])
-
-
-class _Parts:
-    """The sprites, drawn once."""
-
-    def __init__(self, scene: Scene, px_per_m: float) -> None:
-        side_m = scene.marker_side_m
-        px_per_m = whole_elements(scene.marker, side_m, px_per_m)
-        self.where = sprites.Body(side_m)
-        self.tail = sprites.tail(self.where, px_per_m)
-        self.foam = sprites.foam(side_m, scene.seed, px_per_m)
-        steps = _LED_STEPS if scene.led else 0
-        self._bodies = [
-            sprites.body(scene, step / _LED_STEPS, px_per_m) for step in range(steps + 1)
-        ]
-
-    def body(self, led: float) -> Sprite:
-        """With the LED lit for that part of the exposure."""
-        return self._bodies[round(led * (len(self._bodies) - 1))]
 
 
 def _turned(angle_rad: float, ahead_m: float) -> F64:

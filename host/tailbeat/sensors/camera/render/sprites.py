@@ -334,8 +334,7 @@ def _fill(fine: F32, points_px: F64, grey: float) -> None:
 
 def _fixed(points_px: F64) -> NDArray[np.int32]:
     """Pixels to the finer picture, in OpenCV's fractions."""
-    places = (points_px + 0.5) * _FINE - 0.5
-    return np.round(places * (1 << _SHIFT)).astype(np.int32)
+    return np.round(((points_px + 0.5) * _FINE - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 
 def _speckle(scene: Scene, optics: Optics) -> F32:

@@ -260,10 +260,6 @@ class _Seen:
     detection: Detection
     frame: Frame
 
-    @property
-    def t_s(self) -> float:
-        return self.frame.t_s
-
 
 class Tracker:
     """Looks first where the fish should be, then everywhere; everywhere also once a second, so that
@@ -330,7 +326,7 @@ class Tracker:
             window = self._window(guess, t_s, grey)
             detections = self._detector.find(grey, window)
             assert self._last is not None
-            if detections or t_s - self._last.t_s <= STAYS_NEAR_S:
+            if detections or t_s - self._last.frame.t_s <= STAYS_NEAR_S:
                 return _nearest(detections, guess) if detections else None
         detections = self._detector.find(grey)
         self._everywhere_s = t_s + EVERYWHERE_EVERY_S
@@ -343,13 +339,14 @@ class Tracker:
     def _prediction(self, t_s: float) -> F64 | None:
         """Where the fish should be, in pixels; None = lost."""
         last, before = self._last, self._before
-        if last is None or not 0 <= t_s - last.t_s <= FORGOTTEN_AFTER_S:
+        if last is None or not 0 <= t_s - last.frame.t_s <= FORGOTTEN_AFTER_S:
             return None
         centre = np.array(last.detection.centre_px)
-        if before is None or last.t_s - before.t_s > FORGOTTEN_AFTER_S:
+        if before is None or last.frame.t_s - before.frame.t_s > FORGOTTEN_AFTER_S:
             return centre
         step = centre - before.detection.centre_px
-        return np.asarray(centre + step * (t_s - last.t_s) / (last.t_s - before.t_s))
+        now_s, then_s = last.frame.t_s, before.frame.t_s
+        return np.asarray(centre + step * (t_s - now_s) / (now_s - then_s))
 
     def _window(self, guess: F64, t_s: float, grey: Image) -> SearchWindow:
         assert self._last is not None
@@ -389,7 +386,7 @@ class Tracker:
 
 
 def _can_swim(start: _Seen, end: _Seen) -> bool:
-    apart_s = end.t_s - start.t_s
+    apart_s = end.frame.t_s - start.frame.t_s
     if apart_s > FORGOTTEN_AFTER_S:
         return True
     apart_m = np.hypot(end.frame.x_m - start.frame.x_m, end.frame.y_m - start.frame.y_m)
