@@ -249,8 +249,8 @@ def read_as_each(data: bytes) -> None:
     refused = None
     decoders: list[Callable[[bytes], object]] = [
         records.decode_reference,
-        records.decode_speeds,
-        records.decode_amplitudes,
+        records.decode_past,
+        records.decode_learned,
         records.record_crc,
         lambda record: crash.decode_crash(record).as_dict(),
     ]

@@ -101,20 +101,22 @@ def spreadsheet_text(text: str) -> str:
     return f"'{text}" if text[:1] in _FORMULA else text
 
 
-def value_of(name: str, number: int, column: str, cell: str, gaps: bool = False) -> float:
-    """A cell as a number; with ``gaps`` an empty one or ``nan`` is NaN. Raises InputError, which
-    names the file, row and column."""
+def value_of(
+    name: str, number: int, column: str, cell: str, gaps: bool = False, least: float = -math.inf
+) -> float:
+    """A cell as a number, ``least`` or more; with ``gaps`` an empty one or ``nan`` is NaN. Raises
+    InputError, which names the file, row and column."""
     if gaps and cell.lower() in ("", "nan"):
         return math.nan
+    where = f"{name}, row {number}, column {column}"
     try:
         value = float(cell)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(
-            f"{name}, row {number}, column {column}: '{cell}' is no finite number.",
-            "Write it like 0.0791.",
-        )
+        raise InputError(f"{where}: '{cell}' is no finite number.", "Write it like 0.0791.")
+    if value < least:
+        raise InputError(f"{where}: {value:g} is less than {least:g}.", f"From {least:g} on.")
     return value
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,8 @@ from tailbeat.core.arrays import F32
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import fault_info
 from tailbeat.core.native import ffi, lib
+
+T = TypeVar("T")
 
 FILE_REFERENCE = 0
 FILE_AMPLITUDES = 1
@@ -40,23 +42,6 @@ class ReferenceRecord:
     beat_s: float
     speed_m_s: F32
     crc: int
-
-
-@dataclass(frozen=True)
-class SpeedsRecord:
-    """Decoded speeds of a trial; NaN = not measured. Arrays: float32, shape (beats,), m/s."""
-
-    trial: int
-    speed_m_s: F32
-    sigma_m_s: F32
-
-
-@dataclass(frozen=True)
-class AmplitudesRecord:
-    """Decoded amplitudes, rad, for the reference with ``reference_crc``."""
-
-    reference_crc: int
-    amplitude_rad: F32
 
 
 @dataclass(frozen=True)
@@ -136,11 +121,8 @@ def encode_reference(beat_s: float, speed_m_s: ArrayLike) -> bytes:
 
 def decode_reference(record: bytes) -> ReferenceRecord:
     """Raises InputError when ``record`` is not a sound reference."""
-    struct = ffi.new("reference_t *")
-    _check(lib.record_decode_reference(ffi.from_buffer(record), len(record), struct), "reference")
-    return ReferenceRecord(
-        float(struct.beat_s), _array(struct.speed_m_s, struct.beats), int(struct.crc)
-    )
+    struct = _decoded("reference_t *", lib.record_decode_reference, record, "reference")
+    return _record(ReferenceRecord, struct)
 
 
 def encode_speeds(trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> bytes:
@@ -155,16 +137,6 @@ def encode_speeds(trial: int, speed_m_s: ArrayLike, sigma_m_s: ArrayLike) -> byt
     return _encode(lib.record_encode_speeds, struct, 2, len(speeds))
 
 
-def decode_speeds(record: bytes) -> SpeedsRecord:
-    """Raises InputError when ``record`` is not sound."""
-    struct = ffi.new("speed_upload_t *")
-    _check(lib.record_decode_speeds(ffi.from_buffer(record), len(record), struct), "speeds file")
-    beats = struct.beats
-    return SpeedsRecord(
-        int(struct.trial), _array(struct.speed_m_s, beats), _array(struct.sigma_m_s, beats)
-    )
-
-
 def encode_amplitudes(reference_crc: int, amplitude_rad: ArrayLike) -> bytes:
     """Amplitudes the host computed itself, one per beat of the reference."""
     amplitudes = _beats(amplitude_rad, "amplitude")
@@ -175,14 +147,6 @@ def encode_amplitudes(reference_crc: int, amplitude_rad: ArrayLike) -> bytes:
     return _encode(lib.record_encode_amplitudes, struct, 1, len(amplitudes))
 
 
-def decode_amplitudes(record: bytes) -> AmplitudesRecord:
-    """Raises InputError when ``record`` is not sound."""
-    struct = ffi.new("amplitudes_upload_t *")
-    fault = lib.record_decode_amplitudes(ffi.from_buffer(record), len(record), struct)
-    _check(fault, "amplitudes file")
-    return AmplitudesRecord(int(struct.reference_crc), _array(struct.amplitude_rad, struct.beats))
-
-
 def past_path(iteration: int) -> str:
     """Where the board keeps the past trial of ``iteration``, or the mean up to it."""
     return f"/past{iteration % PAST_FILES}.bin"
@@ -190,18 +154,7 @@ def past_path(iteration: int) -> str:
 
 def decode_past(record: bytes) -> PastRecord:
     """Raises InputError when ``record`` is not sound."""
-    struct = ffi.new("past_t *")
-    _check(lib.record_decode_past(ffi.from_buffer(record), len(record), struct), "past trial")
-    beats = struct.beats
-    return PastRecord(
-        crc=int(struct.crc),
-        learned_crc=int(struct.learned_crc),
-        previous_crc=int(struct.previous_crc),
-        kind=int(struct.kind),
-        trials=int(struct.trials),
-        amplitude_rad=_array(struct.amplitude_rad, beats),
-        error_m_s=_array(struct.error_m_s, beats),
-    )
+    return _record(PastRecord, _decoded("past_t *", lib.record_decode_past, record, "past trial"))
 
 
 def encode_learned(
@@ -236,18 +189,7 @@ def encode_learned(
 
 def decode_learned(record: bytes) -> LearnedRecord:
     """Raises InputError when ``record`` is not sound."""
-    struct = ffi.new("memory_t *")
-    fault = lib.record_decode_memory(ffi.from_buffer(record), len(record), struct)
-    _check(fault, "learned record")
-    return LearnedRecord(
-        reference_crc=int(struct.reference_crc),
-        iteration=int(struct.iteration),
-        best_iteration=int(struct.best_iteration),
-        input=int(struct.input),
-        best_max_abs_error_m_s=float(struct.best_max_abs_error_m_s),
-        amplitude_rad=_array(struct.amplitude_rad, struct.beats),
-        best_rad=_array(struct.best_rad, struct.beats),
-    )
+    return _record(LearnedRecord, _memory(record))
 
 
 def fill_peaks(peaks: Any, error_m_s: F32) -> None:
@@ -276,9 +218,7 @@ def without_peaks(record: bytes) -> bytes:
     InputError when ``record`` is not sound."""
     if record[4:6] == _UNVISITED:
         return record
-    struct = ffi.new("memory_t *")
-    fault = lib.record_decode_memory(ffi.from_buffer(record), len(record), struct)
-    _check(fault, "learned record")
+    struct = _memory(record)
     struct.peaks.count = 0
     return _encode(lib.record_encode_memory, struct, 3, struct.beats)
 
@@ -318,6 +258,20 @@ def _encode(encoder: Any, struct: Any, arrays: int, beats: int) -> bytes:
     return bytes(ffi.buffer(out, encoder(struct, out)))
 
 
-def _check(fault: int, what: str) -> None:
-    if fault:
-        raise InputError(f"not a sound {what}: {fault_info(int(fault)).meaning}", "Make it again.")
+def _memory(record: bytes) -> Any:
+    return _decoded("memory_t *", lib.record_decode_memory, record, "learned record")
+
+
+def _decoded(kind: str, decoder: Any, record: bytes, what: str) -> Any:
+    """The C struct of a record. Raises InputError."""
+    struct = ffi.new(kind)
+    if fault := int(decoder(ffi.from_buffer(record), len(record), struct)):
+        raise InputError(f"not a sound {what}: {fault_info(fault).meaning}", "Make it again.")
+    return struct
+
+
+def _record(made: type[T], struct: Any) -> T:
+    """A dataclass from the fields of the same names; its arrays have a value per beat."""
+    values = {f.name: getattr(struct, f.name) for f in fields(made)}  # type: ignore[arg-type]
+    arrays = {f.name for f in fields(made) if f.type == "F32"}  # type: ignore[arg-type]
+    return made(**{n: _array(v, struct.beats) if n in arrays else v for n, v in values.items()})

@@ -11,13 +11,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tailbeat.core.arrays import F32, F64
-from tailbeat.core.csv import read_table
+from tailbeat.core.csv import read_rows, read_table, value_of
 from tailbeat.core.errors import InputError
 from tailbeat.core.files import replacing_text
 from tailbeat.core.records import encode_reference
@@ -321,50 +321,28 @@ def _of_beat_means(path: Path, middle_s: F64, speed: F64) -> Reference:
 
 def _read_points(path: Path) -> tuple[F64, F64, bool]:
     """Times, speeds, and whether they are of beats."""
-    rows = read_table(path, "t_s,v_m_s")
-    if not rows:
+    table = read_table(path, "t_s,v_m_s")
+    if not table:
         raise InputError(f"{path.name} is empty.", "It needs a header t_s,v_m_s and numbers.")
-    header = [cell.strip() for cell in rows[0]]
-    for column in ("t_s", "v_m_s"):
-        if column not in header:
+    points: list[tuple[float, float]] = []
+    for number, (t_cell, v_cell) in read_rows(path, ("t_s", "v_m_s")):
+        t = value_of(path.name, number, "t_s", t_cell, least=0.0)
+        if points and t <= points[-1][0]:
             raise InputError(
-                f"{path.name}, row 1: the header has no column {column}.",
-                "The first row must be t_s,v_m_s.",
+                f"{path.name}, row {number}, column t_s: {t:g} does not come after "
+                f"{points[-1][0]:g}.",
+                "Sort by time.",
             )
-    at_t, at_v = header.index("t_s"), header.index("v_m_s")
-    time: list[float] = []
-    speed: list[float] = []
-    for number, row in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in row):
-            continue
-        t = _number(path, number, row, "t_s", at_t)
-        v = _number(path, number, row, "v_m_s", at_v)
-        if time and t <= time[-1]:
-            _reject(path, number, "t_s", f"{t:g} does not come after {time[-1]:g}", "Sort by time.")
-        time.append(t)
-        speed.append(v)
-    if not time:
-        raise InputError(f"{path.name} has a header but no numbers.", "Add rows of t_s,v_m_s.")
-    return np.array(time), np.array(speed), "beat" in header
+        points.append((t, value_of(path.name, number, "v_m_s", v_cell, least=0.0)))
+    time, speed = np.array(points).T
+    return time, speed, "beat" in [cell.strip() for cell in table[0]]
 
 
-def _number(path: Path, number: int, row: list[str], column: str, index: int) -> float:
-    cell = row[index].strip() if index < len(row) else ""
-    try:
-        value = float(cell)
-    except ValueError:
-        _reject(path, number, column, f"'{cell}' is not a number", "Write it like 0.0791.")
-    if not math.isfinite(value):
-        _reject(path, number, column, f"{cell} is not finite", "Fill the gap.")
-    if value < 0:
-        _reject(path, number, column, f"{value:g} is negative", "Use values of 0 or more.")
-    return value
-
-
-def _reject(path: Path, number: int, column: str, what: str, remedy: str) -> NoReturn:
-    raise InputError(f"{path.name}, row {number}, column {column}: {what}.", remedy)
-
-
+_SHAPES: dict[str, tuple[Callable[..., Reference], str]] = {
+    "thesis": (thesis, "0.0633,50 (m/s, s)"),
+    "trapezoid": (trapezoid, "0.08,8,20 (m/s, s, s)"),
+    "cosine": (cosine, "0.08,8,20 (m/s, s, s)"),
+}
 _NAMES = (
     "Use thesis, thesis:V,DURATION_S, trapezoid:V,RAMP_S,HOLD_S, cosine:V,RAMP_S,HOLD_S "
     "or a CSV file."
@@ -377,22 +355,17 @@ def from_text(text: str) -> Reference:
     kind, _, arguments = text.partition(":")
     if text == "thesis":
         return thesis()
-    if kind == "thesis":
+    if kind in _SHAPES and (arguments or kind == "thesis"):
+        shape, example = _SHAPES[kind]
         try:
-            speed, duration_s = (float(part) for part in arguments.split(","))
+            numbers = [float(part) for part in arguments.split(",")]
+            if len(numbers) != example.partition(" ")[0].count(",") + 1:
+                raise ValueError
         except ValueError:
             raise InputError(
-                f"'{text}' is not a reference.", "Write it like thesis:0.0633,50 (m/s, s)."
+                f"'{text}' is not a reference.", f"Write it like {kind}:{example}."
             ) from None
-        return thesis(speed, duration_s)
-    if kind in ("trapezoid", "cosine") and arguments:
-        try:
-            speed, ramp_s, hold_s = (float(part) for part in arguments.split(","))
-        except ValueError:
-            raise InputError(
-                f"'{text}' is not a reference.", f"Write it like {kind}:0.08,8,20 (m/s, s, s)."
-            ) from None
-        return (trapezoid if kind == "trapezoid" else cosine)(speed, ramp_s, hold_s)
+        return shape(*numbers)
     path = Path(text)
     if not text.strip():
         raise InputError("the name of the reference is empty.", _NAMES)

@@ -8,8 +8,8 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
 
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import FaultInfo, ImuProblem, fault_info, problem_info
@@ -17,6 +17,8 @@ from tailbeat.core.imu_fields import error_words
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Link, Message, text_of
 from tailbeat.link.timesync import BoardClock
+
+T = TypeVar("T")
 
 STATES = ("BOOT", "IDLE", "ARMED", "RUNNING", "SETTLING", "LEARNING", "ABORTED", "FAULT")
 BOARD_KINDS = {1: "fish", 2: "simulated", 3: "emulated"}
@@ -71,22 +73,19 @@ class BoardStatus:
     @classmethod
     def of(cls, m: Message) -> BoardStatus:
         """From the message."""
-        return cls(
+        return _of(
+            cls,
+            m,
             time_s=m.time_boot_ms * 1e-3,
             state=_name(STATES, m.state),
             fault=fault_info(m.fault),
             trial=m.trial or None,
-            next_trial=m.next_trial,
             pending_trial=m.pending_trial or None,
             last_learned_trial=m.last_learned_trial or None,
             reference_crc=m.reference_crc or None,
             best_max_abs_error_m_s=_number(m.best_max_abs_error_m_s),
-            iteration=m.iteration,
             best_iteration=m.best_iteration or None,
-            beats=m.beats,
-            beat=m.beat,
             battery_v=m.battery_mv * 1e-3,
-            worse_streak=m.worse_streak,
             battery_at_limit=bool(m.battery_at_limit),
         )
 
@@ -122,14 +121,11 @@ class BeatEvent:
     def of(cls, m: Message) -> BeatEvent:
         """From TAILBEAT_BEAT."""
         measured = bool(m.flags & _MEASURED)
-        return cls(
-            trial=m.trial,
-            beat=m.beat,
-            amplitude_rad=m.amplitude_rad,
-            reference_m_s=m.reference_m_s,
+        return _of(
+            cls,
+            m,
             speed_m_s=_number(m.speed_m_s) if measured else None,
             sigma_m_s=_number(m.sigma_m_s) if measured else None,
-            samples=m.samples,
             saturated=bool(m.flags & _SATURATED),
             provisional=bool(m.flags & _PROVISIONAL),
         )
@@ -152,14 +148,10 @@ class LearnReport:
     @classmethod
     def of(cls, m: Message) -> LearnReport:
         """From TAILBEAT_LEARN_REPORT."""
-        return cls(
-            trial=m.trial,
-            iteration=m.iteration,
-            max_abs_error_m_s=m.max_abs_error_m_s,
-            rms_error_m_s=m.rms_error_m_s,
+        return _of(
+            cls,
+            m,
             best_max_abs_error_m_s=_number(m.best_max_abs_error_m_s),
-            measured_beats=m.measured_beats,
-            saturated_beats=m.saturated_beats,
             improved=bool(m.flags & _IMPROVED),
             rolled_back=bool(m.flags & _ROLLED_BACK),
         )
@@ -206,14 +198,15 @@ class ImuInfo:
     @classmethod
     def of(cls, m: Message) -> ImuInfo:
         """From the message."""
-        return cls(
+        return _of(
+            cls,
+            m,
             state=_name(IMU_STATES, m.state),
             problem=problem_info(m.problem),
             error=error_words(m.error) if m.error else None,
             model=text_of(m.model) or None,
             firmware=text_of(m.firmware) or None,
             baud=m.baud or None,
-            rate_hz=m.rate_hz,
             port=m.port or None,
         )
 
@@ -254,6 +247,12 @@ def health_dict(m: Message) -> dict[str, int | str]:
     values: dict[str, int | str] = {name: getattr(m, name) for name in m.get_fieldnames()}
     values["reset_cause"] = _name(RESET_CAUSES, m.reset_cause)
     return values
+
+
+def _of(made: type[T], m: Message, **values: Any) -> T:
+    """A dataclass from a message: ``values``, and the message's fields of the same names."""
+    same = {f.name for f in fields(made)} - set(values)  # type: ignore[arg-type]
+    return made(**values, **{name: getattr(m, name) for name in same})
 
 
 def _number(value: float) -> float | None:

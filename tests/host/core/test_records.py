@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tailbeat.core import records
 from tailbeat.core.errors import InputError
+from tailbeat.core.native import ffi, lib
 from tailbeat.core.records import Amplitudes
 
 speeds = st.lists(st.floats(0, 0.25, width=32), min_size=1, max_size=512)
@@ -36,17 +37,19 @@ def test_reference_round_trip(values: list[float]) -> None:
 
 def test_speeds_round_trip() -> None:
     record = records.encode_speeds(7, [0.1, float("nan"), 0.2], 0.001)
-    decoded = records.decode_speeds(record)
-    assert decoded.trial == 7
-    np.testing.assert_array_equal(decoded.speed_m_s, np.float32([0.1, np.nan, 0.2]))
-    np.testing.assert_array_equal(decoded.sigma_m_s, np.float32([0.001] * 3))
+    decoded = ffi.new("speed_upload_t *")
+    assert lib.record_decode_speeds(record, len(record), decoded) == 0
+    assert (decoded.trial, decoded.beats) == (7, 3)
+    np.testing.assert_array_equal(list(decoded.speed_m_s[0:3]), np.float32([0.1, np.nan, 0.2]))
+    np.testing.assert_array_equal(list(decoded.sigma_m_s[0:3]), np.float32([0.001] * 3))
 
 
 def test_amplitudes_round_trip() -> None:
     record = records.encode_amplitudes(0xDEADBEEF, [0.1, -0.2, 0.3])
-    decoded = records.decode_amplitudes(record)
-    assert decoded.reference_crc == 0xDEADBEEF
-    np.testing.assert_array_equal(decoded.amplitude_rad, np.float32([0.1, -0.2, 0.3]))
+    decoded = ffi.new("amplitudes_upload_t *")
+    assert lib.record_decode_amplitudes(record, len(record), decoded) == 0
+    assert (decoded.reference_crc, decoded.beats) == (0xDEADBEEF, 3)
+    np.testing.assert_array_equal(list(decoded.amplitude_rad[0:3]), np.float32([0.1, -0.2, 0.3]))
 
 
 @pytest.mark.parametrize("visits", [None, [0, 3, 255]])
@@ -109,7 +112,7 @@ def test_any_flipped_bit_is_noticed(at: int) -> None:
 
 @given(st.binary(max_size=80))
 def test_noise_is_no_record(noise: bytes) -> None:
-    for decode in (records.decode_reference, records.decode_speeds, records.decode_amplitudes):
+    for decode in (records.decode_reference, records.decode_past, records.decode_learned):
         with pytest.raises(InputError):
             decode(noise)
 
