@@ -252,7 +252,7 @@ def read_as_each(data: bytes) -> None:
         records.decode_past,
         records.decode_learned,
         records.record_crc,
-        lambda record: crash.decode_crash(record).as_dict(),
+        crash.decode_crash,
     ]
     for decoder in decoders:
         try:

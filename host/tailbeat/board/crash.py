@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tailbeat.board.flash.programs import build_id_of, require_program, run_program
 from tailbeat.core.errors import InputError
@@ -54,10 +53,6 @@ class CrashReport:
     build_id: str
     registers: dict[str, int]
     stack: list[int]
-
-    def as_dict(self) -> dict[str, Any]:
-        """For ``--json``."""
-        return asdict(self)
 
 
 def decode_crash(record: bytes) -> CrashReport:

@@ -51,11 +51,7 @@ class SelftestReport:
 
     def as_dict(self) -> dict[str, object]:
         """The JSON document of ``tailbeat sim selftest --json``."""
-        tests = [
-            {"name": test.name, "suite": test.suite, "ok": test.ok, "message": test.message}
-            for test in self.tests
-        ]
-        return {"passed": self.passed, "failed": self.failed, "tests": tests}
+        return {"passed": self.passed, "failed": self.failed, "tests": self.tests}
 
 
 def is_source_tree(folder: Path) -> bool:

@@ -14,7 +14,7 @@ import os
 import secrets
 import stat
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -25,7 +25,7 @@ from platformdirs.unix import Unix
 from tailbeat.core import decode
 from tailbeat.core.decode import Hex
 from tailbeat.core.errors import InputError, reason
-from tailbeat.core.files import replace_file
+from tailbeat.core.files import plain, replace_file
 from tailbeat.core.locks import locked
 
 KEY_BYTES = 32
@@ -101,16 +101,7 @@ def new_key(board: str, name: str = "") -> StoredKey:
 
 def encode_key(key: StoredKey) -> bytes:
     """A key as a file, the secret in it."""
-    document = {
-        "format": _FORMAT,
-        "key": key.key.hex(),
-        "board": key.board,
-        "name": key.name,
-        "created": key.created,
-        "link_id": key.link_id,
-        "used": key.used,
-        "heard": key.heard,
-    }
+    document = {"format": _FORMAT, **plain(key)}
     return json.dumps(document, indent=2).encode() + b"\n"
 
 
@@ -138,9 +129,7 @@ def decode_key(content: bytes, where: str) -> StoredKey:
     words_ok = held.name.isprintable() and held.created.isprintable()
     if len(held.key) != KEY_BYTES or not any(held.key) or not board_ok or not words_ok:
         raise InputError(f"{where} holds no key", remedy)
-    return StoredKey(
-        held.key, held.board, held.name, held.created, held.link_id, held.used, held.heard
-    )
+    return StoredKey(**{f.name: getattr(held, f.name) for f in fields(StoredKey)})
 
 
 def _new_link_id(other: int = 0) -> int:

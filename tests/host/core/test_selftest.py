@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tailbeat.core import selftest
+from tailbeat.core.files import plain
 from tailbeat.core.selftest import SelftestError, SelftestReport, SelftestResult
 
 OUTPUT = """\
@@ -91,7 +92,7 @@ def test_a_hang_is_a_failed_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_report_counts() -> None:
     report = SelftestReport(selftest.parse_unity("test_gait", OUTPUT))
-    document = report.as_dict()
+    document = plain(report.as_dict())
     assert (document["passed"], document["failed"]) == (2, 1)
     tests = document["tests"]
     assert isinstance(tests, list) and set(tests[0]) == {"name", "suite", "ok", "message"}

@@ -184,7 +184,7 @@ def crash(
     """
     report = fish.crash_report()
     found = places(report, elf) if report is not None and elf is not None else []
-    document = {"crash": None if report is None else report.as_dict() | {"places": found}}
+    document = {"crash": None if report is None else plain(report) | {"places": found}}
     return Output(document, lambda: _crash_text(report, found))
 
 
