@@ -148,7 +148,6 @@ class _Demo:
         self.rows = [_zero_row(self.reference)]
         self.trials: list[Trial] = []
         self.identified: Identified | None = None  # law model only
-        self.teacher: Teacher | None = None
 
     def run(self, progress: Progress) -> DemoResult:
         self._prepare()
@@ -192,7 +191,6 @@ class _Demo:
         self.info = fish.info()
 
     def _identify(self, progress: Progress) -> None:
-
         attendant = Attendant(
             before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}")
         )
@@ -202,8 +200,16 @@ class _Demo:
         """The reference, and with the model law the first amplitudes."""
         self.fish.upload_reference(self.reference.record())
         if self.identified is not None:
-            self.teacher = Teacher(self.fish, self.identified, experiment)
-            self.teacher.teach([])
+            self.setting = setting_of(self.fish)
+            experiment.add_raw("identified.json", _json_bytes(self.identified.as_dict()))
+            self._propose(self.identified, experiment)
+
+    def _propose(self, identified: Identified, experiment: Experiment) -> None:
+        """The model's next amplitudes; what they came from goes into the experiment."""
+        step = next_step(self.setting, identified, [trial_speeds(trial) for trial in self.trials])
+        name = f"proposal-{len(self.trials) + 1:04d}.json"
+        experiment.add_raw(name, _json_bytes(step.document))
+        upload(self.fish, self.setting, step.proposal)
 
     def _experiment(self) -> Experiment:
         kind = "vboard" if self.info.board == "emulated" else "sim"
@@ -256,8 +262,8 @@ class _Demo:
         report = fish.learn(outcome.number)
         compare(trial, self.law, fish.amplitudes().values, report.rolled_back, visits)
         self.trials.append(trial)
-        if self.teacher is not None:
-            self.teacher.teach(self.trials)
+        if self.identified is not None:
+            self._propose(self.identified, experiment)
         self.rows.append(self._row(trial, report))
 
     def _row(self, trial: Trial, report: LearnReport) -> DemoTrial:
@@ -294,24 +300,6 @@ class _Demo:
         config = plant_config(self.plant, values)
         found = error_bound(config, self.reference, AMPLITUDE_MAX_RAD)
         return found.minimax_m_s, found.lsq_max_abs_m_s
-
-
-class Teacher:
-    """Gives the board the model's amplitudes; what they came from goes into the experiment."""
-
-    def __init__(self, fish: Fish, identified: Identified, experiment: Experiment) -> None:
-
-        self.fish, self.identified, self.experiment = fish, identified, experiment
-        self.setting = setting_of(fish)
-        experiment.add_raw("identified.json", _json_bytes(identified.as_dict()))
-
-    def teach(self, trials: list[Trial]) -> None:
-        """After ``trials``, all since the identification."""
-
-        step = next_step(self.setting, self.identified, [trial_speeds(trial) for trial in trials])
-        name = f"proposal-{len(trials) + 1:04d}.json"
-        self.experiment.add_raw(name, _json_bytes(step.document))
-        upload(self.fish, self.setting, step.proposal)
 
 
 def _json_bytes(document: dict[str, Any]) -> bytes:

@@ -23,7 +23,7 @@ from tailbeat.experiment.analysis import ANALYSIS, Analysis, analyse, write_anal
 from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.redo import write_redo
-from tailbeat.experiment.relearn import Relearned, relearn
+from tailbeat.experiment.relearn import relearn
 from tailbeat.report.paper import MADE, MAKERS, made_with, write_report
 
 __all__ = ["Replay", "replay", "write_redo"]
@@ -36,7 +36,7 @@ _PARQUET_MAKER = "pyarrow"
 _STALE = "is not what the folder gives now: it is older than the last entry, or was changed"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Replay:
     """``raw``: files checked against their sums; ``recomputed``: trials whose speeds the board's
     own code gave again bit for bit; ``not_recomputed``: number and why (speeds were uploaded);
@@ -45,12 +45,12 @@ class Replay:
     again, the analysis among them, ``not_drawn``: those that were not compared, and why;
     ``different``: what did not come out the same or is missing, one line each."""
 
-    raw: int
-    recomputed: list[int]
-    not_recomputed: list[tuple[int, str]]
-    learned: list[int]
-    figures: list[str]
-    different: list[str]
+    raw: int = 0
+    recomputed: list[int] = field(default_factory=list)
+    not_recomputed: list[tuple[int, str]] = field(default_factory=list)
+    learned: list[int] = field(default_factory=list)
+    figures: list[str] = field(default_factory=list)
+    different: list[str] = field(default_factory=list)
     not_learned: list[tuple[int, str]] = field(default_factory=list)
     not_drawn: list[tuple[str, str]] = field(default_factory=list)
 
@@ -63,43 +63,24 @@ class Replay:
 _RAW_FIRST = "raw files are not as they were: put them back from a copy, then again"
 
 
-@dataclass
-class _Found:
-    """What a replay has come to so far."""
-
-    recomputed: list[int] = field(default_factory=list)
-    not_recomputed: list[tuple[int, str]] = field(default_factory=list)
-    figures: list[str] = field(default_factory=list)
-    different: list[str] = field(default_factory=list)
-    not_drawn: list[tuple[str, str]] = field(default_factory=list)
-
-
 def replay(experiment: Experiment, scratch: Path) -> Replay:
     """Raw files against ``raw/SHA256SUMS``; speeds by recompute; learning by the C law; then
     ``analysis.json`` and the report's figures and tables, made anew in ``scratch`` and compared
     byte by byte with those in the folder. Raises InputError when there is nothing to compare."""
     analysis = analyse(experiment)
-    found = _Found(different=_problems(experiment, analysis))
+    raw = len(experiment.sums()) - len(experiment.damaged())
+    found = Replay(raw, different=_problems(experiment, analysis))
     for trial in analysis.trials:
         _recompute(trial, found)
-    learning = _relearn(experiment, analysis, found)
+    _relearn(experiment, analysis, found)
     if experiment.raw_problems():
         found.not_drawn.append((f"{ANALYSIS} and {REPORT}", _RAW_FIRST))
     else:
         _make_again(experiment, scratch, found)
-    return Replay(
-        raw=len(experiment.sums()) - len(experiment.damaged()),
-        recomputed=found.recomputed,
-        not_recomputed=found.not_recomputed,
-        learned=learning.learned,
-        figures=found.figures,
-        different=[*found.different, *learning.different],
-        not_learned=learning.not_learned,
-        not_drawn=found.not_drawn,
-    )
+    return found
 
 
-def _make_again(experiment: Experiment, scratch: Path, found: _Found) -> None:
+def _make_again(experiment: Experiment, scratch: Path, found: Replay) -> None:
     copy = _copy(experiment, scratch)
     if (experiment.folder / ANALYSIS).is_file():
         write_analysis(copy)
@@ -123,7 +104,7 @@ def _is_bad(name: str, told: str) -> bool:
     return name in told and f"raw/{name}" not in told and f"{name}: it swam another" not in told
 
 
-def _recompute(trial: Trial, found: _Found) -> None:
+def _recompute(trial: Trial, found: Replay) -> None:
 
     number = trial.number
     if trial.uploaded or speed_source(trial.params).uploaded:
@@ -147,13 +128,15 @@ def _recompute(trial: Trial, found: _Found) -> None:
         )
 
 
-def _relearn(experiment: Experiment, analysis: Analysis, found: _Found) -> Relearned:
+def _relearn(experiment: Experiment, analysis: Analysis, found: Replay) -> None:
     try:
         held = held_state(experiment)
     except InputError as error:
         found.different.append(error.message)
         held = None
-    return relearn(analysis, held)
+    learning = relearn(analysis, held)
+    found.learned, found.not_learned = learning.learned, learning.not_learned
+    found.different += learning.different
 
 
 def _copy(experiment: Experiment, scratch: Path) -> Experiment:
@@ -169,7 +152,7 @@ def _copy(experiment: Experiment, scratch: Path) -> Experiment:
     return Experiment.open(folder)
 
 
-def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: _Found) -> None:
+def _redraw(experiment: Experiment, copy: Experiment, scratch: Path, found: Replay) -> None:
     """The report as it was asked for; ``report/report.json`` tells how and by what."""
 
     folder = experiment.folder / REPORT
@@ -237,7 +220,7 @@ def _files(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
-def _compare(was: Path, now: Path, names: Sequence[str], found: _Found, prefix: str = "") -> None:
+def _compare(was: Path, now: Path, names: Sequence[str], found: Replay, prefix: str = "") -> None:
     for name in names:
         again = now / name
         if not again.is_file():
