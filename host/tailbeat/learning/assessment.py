@@ -345,26 +345,21 @@ def _rows(series: Sequence[Trial], scores: list[Score], verdicts: list[Assessmen
 def _by_the_model(
     series: Sequence[Trial], scores: list[Score], identified: Identified | None
 ) -> tuple[Callable[[Score], NoiseBand] | None, float | None]:
-    """(noise band of a trial's input, least-squares floor) of an identified fish."""
+    """(noise band of a trial's input, least-squares error bound) of an identified fish."""
     best = best_of(scores)
     if identified is None or best is None:
         return None, None
 
     trial = next(t for t, s in zip(series, scores, strict=True) if s is best)
-    wanted = _reference(trial)
+    wanted = Reference(trial.beat_s, trial.beats.reference_m_s, f"{trial.reference_crc:#010x}")
     limit = trial.params.get("AMP_MAX_RAD", math.pi / 4)
-    floor = plan(identified.model, wanted.speed_m_s, wanted.beat_s, limit).max_abs_error_m_s
+    bound_m_s = plan(identified.model, wanted.speed_m_s, wanted.beat_s, limit).max_abs_error_m_s
 
     def expected(score: Score) -> NoiseBand:
         recorded = next(t for t, s in zip(series, scores, strict=True) if s is score)
         return expected_band(identified, wanted, recorded.beats.applied_rad)
 
-    return expected, floor
-
-
-def _reference(trial: Trial) -> Reference:
-
-    return Reference(trial.beat_s, trial.beats.reference_m_s, f"{trial.reference_crc:#010x}")
+    return expected, bound_m_s
 
 
 def _fade(

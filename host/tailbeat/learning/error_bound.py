@@ -1,4 +1,4 @@
-"""The floor of a reference on a fish: the smallest error any admissible input can reach.
+"""The error bound of a reference on a fish: the smallest error any admissible input can reach.
 
 Noise-free, from rest, in beat means. Admissible are amplitudes from 0 to a largest one; thrust is
 never negative, so only the drag slows the fish; neighbouring beats may be bound by a slew limit.
@@ -55,7 +55,7 @@ class Miss:
 class ErrorBound:
     """What no learning law can beat on this fish with this reference.
 
-    ``lsq_…``: of the least-squares optimum, "the" floor where nothing else is said. Inputs are
+    ``lsq_…``: of the least-squares optimum, "the" bound where nothing else is said. Inputs are
     amplitudes in rad, float32, shape (beats,). ``spots``: where and why, the worst first; none when
     the reference can be reached.
     """
@@ -72,7 +72,7 @@ class ErrorBound:
 
 @dataclass(frozen=True)
 class ErrorBoundRange:
-    """The floor of an identified fish, by its model, and the 90 % interval over its models."""
+    """The bound of an identified fish, by its model, and the 90 % interval over its models."""
 
     bound: ErrorBound
     lsq_max_abs_m_s: tuple[float, float]
@@ -113,7 +113,7 @@ def lsq_max_abs_m_s(
     amplitude_max_rad: float,
     slew_rad: float | None = None,
 ) -> float:
-    """The least-squares floor alone; of a ``FishModel`` in some 5 ms."""
+    """The least-squares bound alone; of a ``FishModel`` in some 5 ms."""
     task = _task(fish, reference, amplitude_max_rad, slew_rad)
     return float(np.abs(task.error(least_squares(task))).max())
 
@@ -124,7 +124,7 @@ def error_bound_range(
     amplitude_max_rad: float,
     slew_rad: float | None = None,
 ) -> ErrorBoundRange:
-    """The floor before the first trial, and how sure it is."""
+    """The error bound before the first trial, and how sure it is."""
     each = [
         lsq_max_abs_m_s(model, reference, amplitude_max_rad, slew_rad)
         for model in identified.models

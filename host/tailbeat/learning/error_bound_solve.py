@@ -1,12 +1,12 @@
-"""Plants as the floor sees them: noise-free beat means of a fish at rest, and their slopes.
+"""Plants as the error bound sees them: noise-free beat means of a fish at rest, and their slopes.
 
 The mean speed over a beat is nearly linear in ``w = vss(u)**2``, the square of the steady speed,
 which is proportional to thrust and free of the dead zone; so w, and not the amplitude, is what the
-floor is searched in.
+bound is searched in.
 
 The two best inputs on a plant: least squares, and minimax by a sequence of linear programs.
 
-Both search w (``floorplant``) in 0 <= w <= w_max. A slew limit between neighbouring beats bounds w
+Both search w in 0 <= w <= w_max. A slew limit between neighbouring beats bounds w
 from above by a concave function of the neighbour's, so what it allows is a convex set.
 """
 
@@ -164,7 +164,7 @@ def plant_beats(config: Any, amplitude_rad: F64, beat_s: float) -> F64:
 
 
 def plant_config(plant: str, overrides: dict[str, float]) -> Any:
-    """``sim_config_t *`` of a plant with its disturbances left as they are (the floor ignores
+    """``sim_config_t *`` of a plant with its disturbances left as they are (the bound ignores
     them)."""
 
     config = ffi.new("sim_config_t *")

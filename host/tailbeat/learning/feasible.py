@@ -24,7 +24,7 @@ from tailbeat.learning.error_bound import NEGLIGIBLE_M_S, lsq_max_abs_m_s
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
 
-TARGET_M_S = 0.001  # the floor that is aimed at
+TARGET_M_S = 0.001  # the error bound that is aimed at
 
 _GRID = 20  # points per beat
 _BRAKE_MARGIN = 0.9  # what is left for learning to correct

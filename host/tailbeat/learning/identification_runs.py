@@ -246,8 +246,7 @@ def identify_runs(
         if on_run is not None:
             on_run(run)
         course.add(run, swim(run.amplitude_rad))
-    assert course.found is not None
-    return _identified(course.found, course, "runs", unique_id, quick)
+    return identify_swims(course.swims, course.prior, course.scatter, "runs", unique_id, quick)
 
 
 def identify_swims(
@@ -259,19 +258,11 @@ def identify_swims(
     quick: bool = False,
 ) -> Identified:
     """From swims of any kind that exist. Raises InputError when no beat of them has a speed."""
-    course = IdentificationSeries(Limits(), prior or Prior(), scatter or Scatter(), list(swims))
-    found = fit.fit(swims, course.prior, course.scatter)
-    return _identified(found, course, source, unique_id, quick)
-
-
-def _identified(
-    found: Fit, course: IdentificationSeries, source: str, unique_id: str, quick: bool
-) -> Identified:
+    prior, scatter = prior or Prior(), scatter or Scatter()
+    found = fit.fit(swims, prior, scatter)
     models = fit.sample(found, _MODELS)
     if not quick:
         # Alone either is a little narrow: the bootstrap when a few swims happen to be alike, the
         # posterior when the model leaves something out.
-        models += fit.bootstrap(
-            course.swims, found, _MODELS, prior=course.prior, scatter=course.scatter
-        )
-    return Identified.of(found, models, course.swims, source, unique_id, course.scatter)
+        models += fit.bootstrap(swims, found, _MODELS, prior=prior, scatter=scatter)
+    return Identified.of(found, models, list(swims), source, unique_id, scatter)

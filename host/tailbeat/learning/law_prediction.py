@@ -58,20 +58,11 @@ def expected_series(
     gain, flow and start speed of its own and noisy speeds. Without the rollback. Deterministic."""
     rng = np.random.default_rng(_SEED)
     sigma = _camera_sigma(identified)
-    models = _spread(identified, _SWIMMERS)
+    known = identified.models or [identified.model]
+    models = [known[i * len(known) // _SWIMMERS] for i in range(_SWIMMERS)]
     rows = [_learn(m, identified.scatter, reference, law, iterations, sigma, rng) for m in models]
     low, median, high = np.percentile(rows, [5, 50, 95], axis=0)
     return ExpectedSeries(median, low, high)
-
-
-def _set_of(identified: Identified) -> list[FishModel]:
-    return [identified.model, *identified.models]
-
-
-def _spread(identified: Identified, count: int) -> list[FishModel]:
-    """``count`` models, spread over the set."""
-    models = identified.models or [identified.model]
-    return [models[i * len(models) // count] for i in range(count)]
 
 
 def _camera_sigma(identified: Identified) -> float:
@@ -121,7 +112,8 @@ def next_ratio(
     swim = _with_sigmas(swim)
     before = float(np.abs(wanted - swim.speed_m_s)[seen].max())
     rng = np.random.default_rng(_SEED)
-    guesses = [_Guess.of(model, identified.scatter, swim) for model in _set_of(identified)]
+    models = [identified.model, *identified.models]
+    guesses = [_Guess.of(model, identified.scatter, swim) for model in models]
     likely = np.array([guess.log_likelihood for guess in guesses])
     share = np.exp((likely - likely.max()) / max(int(seen.sum()) / _EFFECTIVE_BEATS, 1.0))
     counts = rng.multinomial(_DRAWS, share / share.sum())
