@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -14,12 +16,19 @@ from tailbeat.core.reference import from_text
 from tailbeat.link.messages import BeatEvent
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
-from tailbeat.studies.montecarlo import batch as lengths
 from tailbeat.studies.montecarlo import learners
 from tailbeat.studies.montecarlo.cell import cells, run_cell
-from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch, PastKind
-from tailbeat.studies.montecarlo.recipe import ClaimSpec, load, parse
+from tailbeat.studies.montecarlo.learners import BatchTrials, FishBatch
+from tailbeat.studies.montecarlo.recipe import ClaimSpec, SimSettings, load, parse, parse_lengths
 from tailbeat.studies.montecarlo.summary import Rows, judge, summarise
+
+
+class PastKind(NamedTuple):
+    """What the board's law learns from: a key of ``PAST_KINDS``, and its window."""
+
+    kind: str
+    window: int = 3
+
 
 Array = F64
 
@@ -55,7 +64,7 @@ def test_a_series_of_cut_trials_on_the_board(past: PastKind, params: dict[str, f
     reference = from_text("cosine:0.07,4,2")
     base = {"ILC_KIND": KINDS[past.kind], "ILC_WINDOW": past.window, "ROLLBACK_RATIO": 0}
     one_fish = FishBatch("tank", [{"seed": 5}])
-    spread = lengths.parse_lengths("uniform:4,13")
+    noise = SimSettings("cut", lengths="uniform:4,13")
     rolled, ends = [], []
     with Fish.connect("sim:tank", seed=5) as fish:
         values = {"SPD_SOURCE": UPLOAD, "AMP_MAX_RAD": 0.785, "DU_MAX_RAD": 0, **base, **params}
@@ -63,12 +72,12 @@ def test_a_series_of_cut_trials_on_the_board(past: PastKind, params: dict[str, f
             fish.params.set(name, value)
         known = fish.params.values()
         law, ratio = Law.from_params(known, reference.beat_s), known["ROLLBACK_RATIO"]
-        batch = learners.BoardLaw([law], ratio, past)
+        batch = learners.BoardLaw([law], ratio, *past)
         batch.begin(reference)
         fish.upload_reference(reference)
         for number in range(1, 10):
             amplitude = batch.following()
-            wanted = lengths.executed(spread, [5], number, reference.beats)
+            wanted = noise.executed([5], number, reference.beats)
             outcome = run_trial(fish, guard=CutAfter(int(wanted[0])))
             told = {beat.beat: beat.amplitude_rad for beat in outcome.beats}
             assert all(np.float32(told[k]) == np.float32(amplitude[0, k]) for k in told)
@@ -111,7 +120,7 @@ def test_averages_are_what_the_formulas_say(past: PastKind) -> None:
     speed = wanted + rng.normal(0, 0.02, (9, reference.beats))
     for row, cut in zip(speed, rng.integers(3, reference.beats + 1, len(speed)), strict=True):
         row[cut:] = np.nan
-    board = learners.BoardLaw([Law(kp_rad_s_m=5.0, amplitude_max_rad=0.6)], 0.0, past)
+    board = learners.BoardLaw([Law(kp_rad_s_m=5.0, amplitude_max_rad=0.6)], 0.0, *past)
     board.begin(reference)
     for trial, expected in zip(speed, by_hand(past, 5.0, speed, wanted), strict=False):
         np.testing.assert_allclose(board.following()[0], expected, rtol=0, atol=2e-6)
@@ -120,20 +129,24 @@ def test_averages_are_what_the_formulas_say(past: PastKind) -> None:
 
 def test_lengths_belong_to_fish_and_trial() -> None:
     """Even, within their spread, and the same whoever asks first."""
-    spread = lengths.parse_lengths("uniform:20,50")
+    spread = parse_lengths("uniform:20,50")
     assert spread is not None
     drawn = np.array([[spread.executed(s, t, 40) for t in range(1, 41)] for s in range(1, 101)])
     assert (drawn.min(), drawn.max()) == (20, 40)
     assert np.mean(drawn == 40) == pytest.approx(1 / 3, abs=0.03)
     for beats in range(20, 40):
         assert np.mean(drawn == beats) == pytest.approx(1 / 30, abs=0.012)
-    assert lengths.executed(spread, [7, 3], 5, 40).tolist() == [drawn[6, 4], drawn[2, 4]]
+    noise = SimSettings("cut", lengths="uniform:20,50")
+    assert noise.executed([7, 3], 5, 40).tolist() == [
+        drawn[6, 4],
+        drawn[2, 4],
+    ]
     assert len({tuple(row) for row in drawn}) == 100
-    scaled = lengths.parse_lengths("uniform:44,58,50")
+    scaled = parse_lengths("uniform:44,58,50")
     assert scaled is not None
     ends = {scaled.executed(s, 1, 40) for s in range(300)}
     assert ends == {35, 36, 37, 38, 39, 40}
-    assert lengths.executed(lengths.parse_lengths(""), [1, 2], 3, 40).tolist() == [40, 40]
+    assert SimSettings("").executed([1, 2], 3, 40).tolist() == [40, 40]
 
 
 @pytest.mark.parametrize(
@@ -141,7 +154,7 @@ def test_lengths_belong_to_fish_and_trial() -> None:
 )
 def test_lengths_that_make_no_sense(text: str) -> None:
     with pytest.raises(InputError, match="Write it like uniform:20,50"):
-        lengths.parse_lengths(text)
+        parse_lengths(text)
 
 
 SMALL = """
@@ -190,8 +203,8 @@ def test_rows_of_cut_trials() -> None:
     assert rows["step_rad"][limited].max() <= 0.1 + 1e-7 < rows["step_rad"][~limited].max()
     assert {*rows["swum_law"][recorded]} == {"p", "mean", "window"}
     claim = ClaimSpec(
-        "P is sooner there", "reach", over="floor_lsq_m_s", where={"law": ["P"]}, level=3.0,
-        against={"law": ["average"]}, at_most=1.0,
+        text="P is sooner there", statistic="reach", over="floor_lsq_m_s", where={"law": ["P"]},
+        level=3.0, against={"law": ["average"]}, at_most=1.0,
     )  # fmt: skip
     assert judge(claim, Rows.of(table)).holds
 
