@@ -81,8 +81,14 @@ class Browser:
             raise AssertionError(f"never: {script}\nthe page shows:\n{shown}") from None
 
     def phase(self, *phases: str) -> str:
-        self.until(f"{json.dumps(phases)}.includes(document.querySelector('.root')?.dataset.phase)")
-        return str(self.ask("document.querySelector('.root').dataset.phase"))
+        """The first of these that is reached; fails at once when the worker has failed."""
+        ends = json.dumps([*phases, "failed"])
+        self.until(f"{ends}.includes(document.querySelector('.root')?.dataset.phase)")
+        reached = str(self.ask("document.querySelector('.root').dataset.phase"))
+        if reached == "failed" and "failed" not in phases:
+            shown = self.ask("document.body.innerText")
+            raise AssertionError(f"failed before {phases}\nthe page shows:\n{shown}")
+        return reached
 
     def click(self, selector: str) -> None:
         """As soon as it can be: what unfolds or opens moves for a moment."""
