@@ -17,7 +17,7 @@ NOTEBOOK = Path(__file__).parent.parent / "docs" / "fish-api.ipynb"
 
 
 def executed(path: Path) -> Any:
-    """The notebook as it comes out now, with a logbook and keys of its own."""
+    """The notebook as it comes out now, with a trial library and keys of its own."""
     book = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as folder:
         for name in ("TAILBEAT_LOGBOOK", "TAILBEAT_KEYS", "IPYTHONDIR"):

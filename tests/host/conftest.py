@@ -65,10 +65,10 @@ def keys_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mo
 
 
 @pytest.fixture(autouse=True)
-def logbook_folder(
+def library_folder(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> Path:
-    """Nor their logbooks."""
+    """Nor their trial libraries."""
     folder = tmp_path_factory.getbasetemp() / "data" / secrets.token_hex(4)
     monkeypatch.delenv("TAILBEAT_LOGBOOK", raising=False)
     monkeypatch.setenv("XDG_DATA_HOME", str(folder))

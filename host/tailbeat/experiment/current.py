@@ -6,7 +6,7 @@ Everything else is lost (a battery swap takes what was not saved) or somebody el
 would go on with it, and the law learn by it, without a word: so it is told first.
 
 An experiment knows its own in its journal and its copy of the board's state. Before there is one,
-and between two, the fish's logbook does: ``meant.json``, what commands have set on this board.
+and between two, the fish's trial library does: ``meant.json``, what commands set on this board.
 
 A second ``experiment new`` before anything was swum in the first.
 """
@@ -32,7 +32,7 @@ from tailbeat.core.records import record_crc
 from tailbeat.core.reference import Reference, from_text, thesis
 from tailbeat.experiment.board_state import expected_params, held_state, set_held_params
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.experiment.redo import write_redo
 from tailbeat.sim.config import simulator_settings
 
@@ -44,8 +44,8 @@ Conditions = dict[str, str | float]
 
 
 def current(fish: Fish) -> Experiment | None:
-    """The one last made or used with this fish, if its folder is still there; from its logbook."""
-    if (book := logbook_of(fish)) is None:
+    """The one last made or used with this fish, by its trial library; None: its folder is gone."""
+    if (book := library_of(fish)) is None:
         return None
     try:
         folder = Path(json.loads((book.folder / _CURRENT).read_text(encoding="utf-8"))["folder"])
@@ -64,8 +64,8 @@ def swims_for(fish: Fish) -> Experiment | None:
 
 
 def use(fish: Fish, experiment: Experiment) -> None:
-    """Makes it the current one. Does nothing for a board without a logbook."""
-    if (book := logbook_of(fish)) is None:
+    """Makes it the current one. Does nothing for a board without a trial library."""
+    if (book := library_of(fish)) is None:
         return
     book.put(_CURRENT, {"folder": str(experiment.folder.resolve())})
 
@@ -116,7 +116,7 @@ def require_own(fish: Fish) -> None:
 def is_interrupted(fish: Fish) -> bool:
     """Whether the board still has the reference of an identification or a trim that was broken
     off: until it is restored no trial may begin."""
-    return was_interrupted(fish, preserve_folder(logbook_of(fish)))
+    return was_interrupted(fish, preserve_folder(library_of(fish)))
 
 
 def reference_of(experiment: Experiment) -> bytes | None:
@@ -212,14 +212,14 @@ def make(
 
 
 def _copy_identified(fish: Fish, experiment: Experiment) -> None:
-    book = logbook_of(fish)
+    book = library_of(fish)
     if book is not None and (path := book.folder / _IDENTIFIED).is_file():
         experiment.add_raw(_IDENTIFIED, path.read_bytes())
 
 
 def _named(fish: Fish, held: Reference) -> Reference:
-    """A board knows no names: the logbook does, and the thesis's is known by its CRC."""
-    book, usual = logbook_of(fish), thesis()
+    """A board knows no names: the trial library does, and the thesis's is known by its CRC."""
+    book, usual = library_of(fish), thesis()
     name = book.reference_name(held.crc) if book is not None else None
     if name is None and held.crc == usual.crc:
         name = usual.name
@@ -242,8 +242,8 @@ _REMEDY = (
 
 
 def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | None = None) -> None:
-    """What was set on purpose, into the logbook and into ``experiment``, by default the one the
-    fish swims for. Raises InputError (disk full); the board then counts as strayed."""
+    """What was set on purpose, into the trial library and into ``experiment``, by default the one
+    the fish swims for. Raises InputError (disk full); the board then counts as strayed."""
     note_board(fish, params)
     if (experiment := experiment or swims_for(fish)) is None:
         return
@@ -255,9 +255,9 @@ def note_set(fish: Fish, params: Mapping[str, float], experiment: Experiment | N
 
 
 def note_board(fish: Fish, params: Mapping[str, float]) -> None:
-    """What the board is meant to have, into the logbook alone. Does nothing for a board without
-    one. Raises InputError."""
-    if (book := logbook_of(fish)) is not None:
+    """What the board is meant to have, into the trial library alone. Does nothing for a board
+    without one. Raises InputError."""
+    if (book := library_of(fish)) is not None:
         with book.changing():
             book.put(_MEANT, _board_params(fish) | dict(params))
 
@@ -285,7 +285,7 @@ def note_all(fish: Fish) -> None:
 
 
 def note_restored(fish: Fish) -> None:
-    """The board has what it is meant to have again: the logbook follows. Raises InputError."""
+    """The board has its expected values again: the trial library follows. Raises InputError."""
     note_board(fish, fish.params.values())
 
 
@@ -342,8 +342,8 @@ def _words(found: Differences) -> str:
 
 
 def _board_params(fish: Fish) -> dict[str, float]:
-    """As the logbook has them; empty = nothing was set. Raises InputError when it is damaged."""
-    book = logbook_of(fish)
+    """As the trial library has them; empty = nothing was set. Raises InputError: it is damaged."""
+    book = library_of(fish)
     if book is None or not (path := book.folder / _MEANT).is_file():
         return {}
     remedy = "Look at its parameters (tailbeat params list), then delete the file."

@@ -1,4 +1,4 @@
-"""The logbook of a fish: every trial of it this computer has seen, and what was identified.
+"""The trial library of a fish: every trial of it this computer has seen, and what was identified.
 
 A folder per fish, named by its unique id, in ``$TAILBEAT_LOGBOOK``, else in ``tailbeat/fish`` of
 the user's data: ``trials/`` (copies of trial files, never changed, in the order they came),
@@ -44,8 +44,8 @@ _ORDERS = 999_999
 
 @dataclass(frozen=True)
 class Kept:
-    """A trial of the logbook and its file. ``mark``: empty, ``discarded`` (counts for nothing) or
-    ``run`` (of an identification: the model knows it, but it is in no series)."""
+    """A trial of the trial library and its file. ``mark``: empty, ``discarded`` (counts for
+    nothing) or ``run`` (of an identification: the model knows it, but it is in no series)."""
 
     trial: Trial
     path: Path
@@ -53,15 +53,15 @@ class Kept:
 
 
 @dataclass(frozen=True)
-class Logbook:
+class TrialLibrary:
     """One fish's folder."""
 
     folder: Path
 
     @classmethod
-    def of(cls, unique_id: str, root: Path | None = None) -> Logbook:
-        """The logbook of a fish; the folder is made when something is first kept. ``root``: the
-        folder of all logbooks, if not the usual one. Raises InputError."""
+    def of(cls, unique_id: str, root: Path | None = None) -> TrialLibrary:
+        """The trial library of a fish; the folder is made when something is first kept. ``root``:
+        the folder of all trial libraries, if not the usual one. Raises InputError."""
         if not (unique_id.isalnum() and unique_id.isascii() and len(unique_id) <= 64):
             raise InputError(
                 f"'{unique_id}' names no fish", "Give the unique id that 'tailbeat info' prints."
@@ -245,24 +245,24 @@ class Logbook:
             yield
         except OSError as error:
             raise InputError(
-                f"cannot write into the logbook {self.folder} ({reason(error)})",
+                f"cannot write into the trial library {self.folder} ({reason(error)})",
                 f"Make the folder writable, or name another one in {FOLDER_VARIABLE}.",
             ) from error
 
 
-def logbook_of(fish: Fish, root: Path | None = None) -> Logbook | None:
-    """The logbook of a connected board. None for a simulated one in this process, which is a new
-    fish every time, unless a folder is named."""
+def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
+    """The trial library of a connected board. None for a simulated one in this process, which is a
+    new fish every time, unless a folder is named."""
     if fish.sim is not None and root is None and FOLDER_VARIABLE not in os.environ:
         return None
-    return Logbook.of(fish.unique_id(), root)
+    return TrialLibrary.of(fish.unique_id(), root)
 
 
 def name_reference(fish: Fish, reference: Reference) -> None:
-    """Keeps the name of a reference the fish has got; a logbook that cannot take it is no reason to
-    fail."""
+    """Keeps the name of a reference the fish has got. A trial library that cannot be written is no
+    reason to fail."""
     with contextlib.suppress(InputError):
-        if (book := logbook_of(fish)) is not None:
+        if (book := library_of(fish)) is not None:
             book.name_reference(reference.crc, reference.name)
 
 
@@ -313,13 +313,13 @@ def _is_sound(path: Path, content: bytes) -> bool:
     return path.stem.rpartition("_")[2] == _digest(content)
 
 
-def preserve_folder(book: Logbook | None) -> Path | None:
+def preserve_folder(book: TrialLibrary | None) -> Path | None:
     """Where ``board.preserve`` keeps its copy: one folder for all procedures of a fish, so that an
-    interrupted one is found by any other. None for a board without a logbook."""
+    interrupted one is found by any other. None for a board without a trial library."""
     return None if book is None else book.folder / _PRESERVED
 
 
-def known_fish_of(library: Logbook | None) -> KnownFish | None:
+def known_fish_of(library: TrialLibrary | None) -> KnownFish | None:
     """The model of a fish that its trial library gives; None without a library or a trial."""
     if library is None:
         return None

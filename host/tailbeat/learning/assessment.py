@@ -297,7 +297,7 @@ def _begins_anew(before: Trial, trial: Trial, between: bool) -> bool:
 
 
 def _without_runs(trials: Sequence[Trial], identified: Identified | None) -> list[Trial]:
-    """Those of earlier identifications are marked in the logbook; a folder's files are not."""
+    """Earlier identifications are marked in the trial library; a folder's files are not."""
     if identified is None or identified.source != "runs":
         return list(trials)
 

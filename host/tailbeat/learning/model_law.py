@@ -288,7 +288,7 @@ def repropose(document: dict[str, Any], swims: Sequence[TrialSpeeds]) -> Proposa
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            "this is no proposal, or it is damaged.", "Take one from the fish's logbook."
+            "this is no proposal, or it is damaged.", "Take one from the fish's trial library."
         ) from error
 
 
@@ -298,7 +298,7 @@ def _named(names: Sequence[dict[str, Any]], swims: Sequence[TrialSpeeds]) -> lis
     if missing:
         raise InputError(
             f"the proposal was made from other data of trial {', '.join(missing)}.",
-            "Look for that trial's file in the fish's logbook.",
+            "Look for that trial's file in the fish's trial library.",
         )
     return [by_crc[name["crc"]] for name in names]
 

@@ -23,7 +23,13 @@ from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import RUN, Logbook, logbook_of, name_reference, preserve_folder
+from tailbeat.experiment.library import (
+    RUN,
+    TrialLibrary,
+    library_of,
+    name_reference,
+    preserve_folder,
+)
 from tailbeat.learning.design import design, law_words
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun
@@ -143,7 +149,7 @@ class _Session:
     def look(self) -> CommissionStep:
         """Whether it can swim at all; then the reference."""
         fish = self.fish
-        restore_interrupted(fish, preserve_folder(logbook_of(fish)), self._note)
+        restore_interrupted(fish, preserve_folder(library_of(fish)), self._note)
         _require_idle(fish)
         params = fish.params.values()
         findings = look_at(fish)
@@ -211,7 +217,7 @@ class _Session:
     def identify(self) -> CommissionStep:
         """Within the limits as they are."""
 
-        book = logbook_of(self.fish)
+        book = library_of(self.fish)
         attendant = self._attendant(book)
         found = identify_fish(self.fish, attendant, preserve_folder(book), self.camera)
         self.identified = found
@@ -227,7 +233,7 @@ class _Session:
             f"{model.delay_s:.2f} s",
         )
 
-    def _attendant(self, book: Logbook | None) -> Attendant:
+    def _attendant(self, book: TrialLibrary | None) -> Attendant:
 
         def before(run: IdentificationRun) -> None:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
@@ -248,7 +254,7 @@ class _Session:
     def _note(self, text: str) -> None:
         self.operator.tell(Notice(text))
 
-    def _keep(self, path: Path, book: Logbook | None) -> None:
+    def _keep(self, path: Path, book: TrialLibrary | None) -> None:
         self.straight = heading_drift(read_trial(path)) or self.straight
         if book is not None:
             book.keep(path, RUN)
@@ -334,6 +340,6 @@ def _tank_question(params: dict[str, float]) -> str:
 
 def _identified(fish: Fish) -> Identified | None:
     try:
-        return book.identified() if (book := logbook_of(fish)) is not None else None
+        return book.identified() if (book := library_of(fish)) is not None else None
     except InputError:
         return None

@@ -23,7 +23,7 @@ from tailbeat.core.frames import Camera
 from tailbeat.core.reference import Reference
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import Trial
-from tailbeat.experiment.library import RUN, logbook_of, preserve_folder
+from tailbeat.experiment.library import RUN, library_of, preserve_folder
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.planner import plan
 from tailbeat.learning.saturation import (
@@ -180,7 +180,7 @@ def prove(
     """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
     afterwards, also when it fails. ``wanted``: of the ritual before it; None = none. Raises
     TailbeatError when the swim ends early."""
-    book = logbook_of(fish)
+    book = library_of(fish)
 
     def note(text: str) -> None:
         operator.tell(Notice(text))

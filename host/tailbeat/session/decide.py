@@ -1,7 +1,7 @@
 """Single commands (learn, trial discard) in the experiment the fish is in: what they decide and
 what the board learns is written down as a series writes it, and in the same order.
 
-What is decided on a swim, carried out: journal and logbook first, then the board.
+What is decided on a swim, carried out: journal and trial library first, then the board.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tailbeat.core.errors import InputError, Refused, TailbeatError
 from tailbeat.core.faults import WRONG_STATE, fault_info
 from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.current import current, require_meant, require_meant_here, swims_for
-from tailbeat.experiment.library import DISCARDED, logbook_of
+from tailbeat.experiment.library import DISCARDED, library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.link.messages import BoardStatus, LearnReport
@@ -275,12 +275,12 @@ class Decisions:
         )
 
     def _file(self, recorded: RecordedTrial, decision: Decision) -> None:
-        """Into the fish's logbook; one that cannot take it is no reason to stop."""
+        """Into the fish's trial library; one that cannot take it is no reason to stop."""
         try:
-            if (book := logbook_of(self.fish)) is not None:
+            if (book := library_of(self.fish)) is not None:
                 book.keep(recorded.file, DISCARDED if decision.kind == "discard" else "")
         except TailbeatError as error:
-            self.operator.tell(Notice(f"not kept in the logbook: {error}"))
+            self.operator.tell(Notice(f"not kept in the trial library: {error}"))
 
     def _on_board(
         self, recorded: RecordedTrial, decision: Decision, status: BoardStatus

@@ -13,7 +13,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
@@ -52,7 +52,7 @@ def report_assessment(operator: Operator, verdict: Assessment | None) -> None:
 
 
 def _identified(fish: Fish) -> Identified | None:
-    book = logbook_of(fish)
+    book = library_of(fish)
     return None if book is None else book.identified()
 
 

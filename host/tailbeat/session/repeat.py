@@ -13,7 +13,7 @@ from tailbeat.core.records import decode_learned
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.board_state import copy_state
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.learning.assessment import series_of
 from tailbeat.learning.convergence import input_crc
 from tailbeat.learning.fish_model import FishModel
@@ -176,7 +176,7 @@ def _left_over(
         account.decided(recorded, decision)
     if decision.kind == "discard":
         raise TailbeatError(f"the repeat was discarded: {decision.reason}.", f"Again: {AGAIN}")
-    if (book := logbook_of(fish)) is not None:
+    if (book := library_of(fish)) is not None:
         book.keep(recorded.file)
     return recorded
 
@@ -255,7 +255,7 @@ def _series(fish: Fish, trials: list[Trial]) -> list[Trial]:
 
 def _identified(fish: Fish) -> Identified | None:
     try:
-        return book.identified() if (book := logbook_of(fish)) is not None else None
+        return book.identified() if (book := library_of(fish)) is not None else None
     except InputError:
         return None  # a damaged file: the expected band is the one of any fish
 

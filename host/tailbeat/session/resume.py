@@ -13,7 +13,7 @@ from tailbeat.core.records import record_crc
 from tailbeat.experiment.board_state import copy_state, expected_params, held_state
 from tailbeat.experiment.current import note_restored, reference_of, strayed, use
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session.log import AGAIN
 from tailbeat.session.repeat import end_repeat, idle
 
@@ -46,7 +46,7 @@ def restore(fish: Fish, experiment: Experiment, another_board: bool = False) -> 
     ``another_board``: it was replaced and takes the other's place. Raises InputError before
     anything is written: another fish, nothing held, not idle, both have learned."""
     notes: list[str] = []
-    restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
+    restore_interrupted(fish, preserve_folder(library_of(fish)), notes.append)
     held = _held(experiment)
     pending = idle(fish).pending_trial
     before = _other_board(fish, experiment, held, another_board)

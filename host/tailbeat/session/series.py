@@ -16,7 +16,7 @@ from tailbeat.core.frames import Camera
 from tailbeat.experiment.board_state import copy_state, require_not_lost
 from tailbeat.experiment.current import require_meant, require_own, require_same
 from tailbeat.experiment.folder import Experiment, alone
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.convergence import Assessment
 from tailbeat.link.messages import LearnReport
@@ -361,7 +361,7 @@ class _Series:
         """Up to a board that is armed, with the guard that ends the swim by distance; without a
         ritual only the room is looked at."""
         fish, wanted, operator = around.fish, self.options.wanted, around.operator
-        ready, book = None, logbook_of(fish)
+        ready, book = None, library_of(fish)
         if wanted is None:
             travel_next(fish, book).require_room()
         else:

@@ -11,7 +11,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.session.battery import Drain
@@ -93,7 +93,7 @@ def swims_left(now_v: float, low_v: float, fall_v: float | None) -> int | None:
 def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Assessment | None, str]:
 
     try:
-        book = logbook_of(fish)
+        book = library_of(fish)
         identified = book.identified() if book is not None else None
         crc = fish.status().reference_crc
         return progress_of(trials, crc, identified, (), rolled_back).verdict, ""

@@ -3,9 +3,9 @@
 A reference like an old one, and what was learned along that, onto a connected board.
 
 A board forgets what it had learned when another reference arrives. So a copy of that is on the disk
-before, in the fish's logbook, and beside it the CRC of the reference that comes: when the link
-drops between the two uploads, the same command finds the board with the new reference and nothing
-learned, and takes the copy.
+before, in the fish's trial library, and beside it the CRC of the reference that comes: when the
+link drops between the two uploads, the same command finds the board with the new reference and
+nothing learned, and takes the copy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.experiment.current import named_reference
 from tailbeat.experiment.folder import list_experiments
-from tailbeat.experiment.library import Logbook
+from tailbeat.experiment.library import TrialLibrary
 from tailbeat.learning.convergence import best_of, score_of
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.identification import Identified
@@ -140,7 +140,7 @@ def _travel_m(trial: Trial) -> float:
 
 
 BOARD = "board"
-COPIES = "learned"  # below the logbook
+COPIES = "learned"  # below the trial library
 _NEXT = "next-reference.txt"
 _ROUNDING = 1e-9
 
@@ -180,12 +180,12 @@ def plan(
     like: str,
     new: Reference,
     identified: Identified | None = None,
-    book: Logbook | None = None,
+    book: TrialLibrary | None = None,
     experiments: Path = Path("experiments"),
 ) -> TransferPlan:
     """What would be uploaded; changes nothing. ``like``: ``board``, a trial's file, a folder of
     them (an experiment), a copy of a board, or a reference, whose best trial is looked for on the
-    board, in the logbook and in ``experiments``. ``identified`` None: by the board's MDL_...
+    board, in the trial library and in ``experiments``. ``identified`` None: by the board's MDL_...
 
     Raises InputError: the board is not ready, has learned along ``new`` already, or nothing was
     learned along the old one; the two are not alike; the fish would swim farther than the tank is
@@ -220,11 +220,12 @@ def plan(
 def carry(
     fish: Fish,
     found: TransferPlan,
-    book: Logbook | None = None,
+    book: TrialLibrary | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path | None:
     """Uploads the reference, then the amplitudes; where the copy is of what the board had learned,
-    None when it had nothing or there is no logbook. Repeating it after a broken link is safe."""
+    None when it had nothing or there is no trial library. Repeating it after a broken link is
+    safe."""
     copy = None
     if not found.swims_it and book is not None:
         copy = _copied(fish, book.folder / COPIES, found.new.crc)
@@ -276,7 +277,7 @@ def _learned(
     like: str,
     new: Reference,
     state: _State,
-    book: Logbook | None,
+    book: TrialLibrary | None,
     experiments: Path,
 ) -> Learned:
     if like == BOARD:
@@ -291,7 +292,7 @@ def _learned(
     return _along(fish, like, state, book, experiments)
 
 
-def _left(fish: Fish, new: Reference, book: Logbook | None) -> Learned:
+def _left(fish: Fish, new: Reference, book: TrialLibrary | None) -> Learned:
     """The copy that was made before ``new`` came; the last, when there are some."""
     root = book.folder / COPIES if book is not None else None
     for folder in sorted(root.iterdir(), reverse=True) if root and root.is_dir() else []:
@@ -308,7 +309,7 @@ def _left(fish: Fish, new: Reference, book: Logbook | None) -> Learned:
 
 
 def _along(
-    fish: Fish, text: str, state: _State, book: Logbook | None, experiments: Path
+    fish: Fish, text: str, state: _State, book: TrialLibrary | None, experiments: Path
 ) -> Learned:
     """A reference by name or CSV."""
 

@@ -20,7 +20,7 @@ from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import Logbook
+from tailbeat.experiment.library import TrialLibrary
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.fit import Prior, Scatter, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
@@ -128,7 +128,7 @@ def travel_of(
     return travel_by(travel_model_of(params, identified, last), amplitude_rad, params, beat_s)
 
 
-def travel_next(fish: Fish, book: Logbook | None) -> Travel:
+def travel_next(fish: Fish, book: TrialLibrary | None) -> Travel:
     """Of what the board will swim next, by the best that is known of it. Raises Refused without a
     reference. Nothing on the board changes: before the first arming the amplitudes are those that
     arming will compute."""
@@ -136,7 +136,7 @@ def travel_next(fish: Fish, book: Logbook | None) -> Travel:
     return travel_by(following.belief, following.amplitude_rad, following.params, following.beat_s)
 
 
-def room_guard(fish: Fish, book: Logbook | None) -> RoomGuard:
+def room_guard(fish: Fish, book: TrialLibrary | None) -> RoomGuard:
     """The guard for what the board will swim next, by the same knowledge. One for each swim."""
 
     following = _next(fish, book)
@@ -158,7 +158,7 @@ class _Next:
     belief: TravelModel
 
 
-def _next(fish: Fish, book: Logbook | None) -> _Next:
+def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
 
     record = fish.reference_record()
     if record is None:
@@ -176,7 +176,7 @@ def _next(fish: Fish, book: Logbook | None) -> _Next:
     return _Next(amplitude, wanted.beat_s, params, belief)
 
 
-def _identified(book: Logbook | None) -> Identified | None:
+def _identified(book: TrialLibrary | None) -> Identified | None:
     """A damaged file is no reason not to swim: then the board's parameters count."""
     try:
         return book.identified() if book is not None else None
@@ -184,9 +184,9 @@ def _identified(book: Logbook | None) -> Identified | None:
         return None
 
 
-def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
-    """The trial the board learned from last, else the last of the logbook that counts, is of no
-    identification and has speeds. One that the logbook lacks is fetched, once."""
+def last_measured(fish: Fish, book: TrialLibrary | None) -> Trial | None:
+    """The trial the board learned from last, else the last of the trial library that counts, is of
+    no identification and has speeds. One that the trial library lacks is fetched, once."""
     number = fish.status().last_learned_trial
     counting = [one.trial for one in book.kept()[0] if not one.mark] if book is not None else []
     measured = [trial for trial in counting if np.isfinite(trial.beats.speed_m_s).any()]

@@ -23,7 +23,7 @@ from tailbeat.core.trial_checks import (
 )
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.current import current, set_and_save
-from tailbeat.experiment.library import RUN, Logbook, logbook_of, preserve_folder
+from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
 from tailbeat.learning.fit import Scatter
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Notice, StepProgress
@@ -195,7 +195,7 @@ def find_centre(
 
     Raises InputError when the turns do not tell a centre (none was felt, the two are alike, or the
     centre would lie beyond the servo's range), GivenUp when the operator wants no more."""
-    book = logbook_of(fish)
+    book = library_of(fish)
     belief = _belief(fish, book)
 
     def note(text: str) -> None:
@@ -228,7 +228,7 @@ def apply(fish: Fish, trim: Trim) -> float:
     return held
 
 
-def _belief(fish: Fish, book: Logbook | None) -> TravelModel:
+def _belief(fish: Fish, book: TrialLibrary | None) -> TravelModel:
     params = fish.params.values()
     identified = book.identified() if book is not None else None
     return travel_model_of(params, identified, last_measured(fish, book))
@@ -250,7 +250,7 @@ class _TrimRunner:
     camera: Camera | None
     guard: Guard | None
     wanted: PreflightLimits | None
-    book: Logbook | None
+    book: TrialLibrary | None
 
     def swim(self, number: int, centre_us: float, planned: TrimPlan) -> _Log:
         """Asks, swims, keeps."""

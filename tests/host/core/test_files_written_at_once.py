@@ -18,7 +18,7 @@ from tailbeat.core.locks import WRITE_LOCK, locked
 from tailbeat.core.records import crc32
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.journal import Journal
-from tailbeat.experiment.library import Logbook
+from tailbeat.experiment.library import TrialLibrary
 from tailbeat.link.ftp.download import PartFile
 from tailbeat.link.keystore import KeyStore, new_key
 
@@ -50,7 +50,7 @@ def test_writers_of_one_file_do_not_meet(tmp_path: Path) -> None:
 
 
 def _change_many(folder: Path, writer: int) -> None:
-    experiment, book = Experiment.open(folder / "experiment"), Logbook.of(FISH, folder)
+    experiment, book = Experiment.open(folder / "experiment"), TrialLibrary.of(FISH, folder)
     for count in range(ROUNDS // 3):
         experiment.write_settings({f"{writer}.{count}": count})
         experiment.note(f"note {writer}.{count}")
@@ -64,7 +64,7 @@ def test_whatever_is_read_changed_and_written_keeps_all_changes(tmp_path: Path) 
     _together(_change_many, tmp_path)
     done = [(writer, count) for writer in range(WRITERS) for count in range(ROUNDS // 3)]
     settings, notes, sums = experiment.settings(), experiment.notes(), experiment.sums()
-    book = Logbook.of(FISH, tmp_path)
+    book = TrialLibrary.of(FISH, tmp_path)
     assert [settings.get(f"{w}.{c}") for w, c in done] == [c for _, c in done]
     assert [notes.count(f" note {w}.{c}\n") for w, c in done] == [1] * len(done)
     assert {f"{w}.{c}.bin" for w, c in done} <= set(sums)

@@ -29,7 +29,7 @@ from tailbeat.experiment.board_state import held_state
 from tailbeat.experiment.current import current, strayed
 from tailbeat.experiment.export import export
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import FOLDER_VARIABLE, Logbook
+from tailbeat.experiment.library import FOLDER_VARIABLE, TrialLibrary
 from tailbeat.learning.identification import Identified, read_steady_speeds
 from tailbeat.link.keystore import KeyStore, decode_key
 from tailbeat.report.paper import draw_all
@@ -274,7 +274,7 @@ def test_the_experiment_the_fish_is_in(old: Path, fresh: Fish) -> None:
 
 
 def test_the_library(old: Path) -> None:
-    kept, problems = Logbook.of(UNIQUE_ID).kept()
+    kept, problems = TrialLibrary.of(UNIQUE_ID).kept()
     found = [
         {
             "trial": one.trial.number,
@@ -286,7 +286,7 @@ def test_the_library(old: Path) -> None:
         for one in kept
     ]
     assert (found, problems) == (EXPECTED["library"], [])
-    book = Logbook.of(UNIQUE_ID)
+    book = TrialLibrary.of(UNIQUE_ID)
     assert {book.reference_name(one["reference_crc"]) for one in found if not one["mark"]} == {
         "hill",
         "slow",

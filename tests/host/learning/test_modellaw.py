@@ -23,7 +23,7 @@ from tailbeat.core.law import Law
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.reference import Reference, cosine, thesis, trapezoid
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import Logbook
+from tailbeat.experiment.library import TrialLibrary
 from tailbeat.learning.belief import believe
 from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior
@@ -345,7 +345,7 @@ def test_after_a_rollback_only_something_better_is_uploaded() -> None:
 @pytest.mark.parametrize(("law", "median_m_s"), [("p", 1e-4), ("model", 1e-4), ("model", 1.0)])
 def test_words_after_a_rollback_are_true(
     fish: Fish,
-    book: Logbook,
+    book: TrialLibrary,
     identified_file: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -394,7 +394,7 @@ def test_words_after_a_rollback_are_true(
 
 
 def test_another_fishs_model_is_told(
-    fish: Fish, book: Logbook, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fish: Fish, book: TrialLibrary, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fish.upload_reference(SHORT.record())
     for unique_id, said in (("abc", True), (fish.unique_id(), False)):
@@ -404,7 +404,9 @@ def test_another_fishs_model_is_told(
         assert (err == f"tailbeat: identified on another fish ({unique_id})\n") is said
 
 
-def test_a_reference_that_stands_for_none(fish: Fish, book: Logbook, identified_file: Path) -> None:
+def test_a_reference_that_stands_for_none(
+    fish: Fish, book: TrialLibrary, identified_file: Path
+) -> None:
     fish.upload_reference(REST)
     assert board_reference(fish) is None
     with pytest.raises(InputError, match="the board has no reference"):
@@ -419,9 +421,9 @@ def identified_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def book(fish: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Logbook:
+def book(fish: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> TrialLibrary:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "books"))
-    return Logbook.of(fish.unique_id())
+    return TrialLibrary.of(fish.unique_id())
 
 
 SHORT = cosine(0.06, 5.0, 6.0)
@@ -433,7 +435,7 @@ def printed(output: Output) -> str:
 
 
 def test_session_on_a_board(
-    fish: Fish, book: Logbook, identified_file: Path, capsys: pytest.CaptureFixture[str]
+    fish: Fish, book: TrialLibrary, identified_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fish.params.set("ILC_LEAD", 1)
     fish.upload_reference(SHORT.record())
@@ -468,7 +470,7 @@ def test_session_on_a_board(
 
 
 def test_session_says_one_line(
-    fish: Fish, book: Logbook, identified_file: Path, capsys: pytest.CaptureFixture[str]
+    fish: Fish, book: TrialLibrary, identified_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fish.upload_reference(SHORT.record())
     line = printed(learn_with_model(fish, None, identified_file, False))
@@ -479,7 +481,7 @@ def test_session_says_one_line(
     assert first.startswith("trial 1: max|e| ") and "predicted" in first and "next max|e|" in first
 
 
-def test_board_that_was_never_identified_is_told_so(fish: Fish, book: Logbook) -> None:
+def test_board_that_was_never_identified_is_told_so(fish: Fish, book: TrialLibrary) -> None:
     fish.upload_reference(SHORT.record())
     with pytest.raises(InputError, match="has not been identified"):
         learn_with_model(fish, None, None, False)

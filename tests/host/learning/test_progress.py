@@ -1,4 +1,4 @@
-"""tailbeat experiment progress, and what learn and trial pull put into the logbook."""
+"""tailbeat experiment progress, and what learn and trial pull put into the trial library."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from tailbeat.app.cli import run
 from tailbeat.board.fish import Fish
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import Kept, Logbook
+from tailbeat.experiment.library import Kept, TrialLibrary
 from tailbeat.learning.assessment import progress_of, series_of
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
@@ -130,16 +130,16 @@ def test_what_makes_no_sense(
 
 @pytest.mark.usefixtures("connected", "recorded")
 def test_a_simulated_fish_keeps_nothing_by_itself(
-    tailbeat: Run, logbook_folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    tailbeat: Run, library_folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     tailbeat("trial", "pull", "--into", str(tmp_path), "--connect", "x")
-    assert not logbook_folder.exists()
+    assert not library_folder.exists()
     assert run(["experiment", "progress", "--connect", "x"]) == 1
     assert "has no trial library" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("connected", "recorded")
-def test_pull_and_learn_fill_the_logbook(
+def test_pull_and_learn_fill_the_library(
     tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, board: SimBoard
 ) -> None:
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "book"))
@@ -158,12 +158,12 @@ def test_pull_and_learn_fill_the_logbook(
     rows = json.loads(out)["trials"]
     assert [row["trial"] for row in rows] == [*before, number]
     assert rows[-1]["words"] == words
-    book = Logbook(next((tmp_path / "book").iterdir()))
+    book = TrialLibrary(next((tmp_path / "book").iterdir()))
     assert len(book.trials()) == TRIALS + 1
 
 
 @pytest.mark.usefixtures("connected", "recorded")
-def test_learning_does_not_fail_with_the_logbook(
+def test_learning_does_not_fail_with_the_library(
     tailbeat: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     (tmp_path / "book").write_text("a file in its place")
@@ -303,7 +303,7 @@ def test_a_discarded_repeat_counts_and_a_spoiled_swim_does_not(
         ran, _ = tailbeat("trial", "run", "--connect", "x", "--json")
         numbers.append(json.loads(ran)["number"])
         tailbeat("trial", "discard", *words, "--connect", "x")
-    book = Logbook(next((tmp_path / "book").iterdir()))
+    book = TrialLibrary(next((tmp_path / "book").iterdir()))
     assert [kept.mark for kept in book.kept()[0]] == ["", "", "discarded"]
     assert [swim.trial for swim in book.swims()][-1] == numbers[0]
     out, _ = tailbeat("experiment", "progress", "--connect", "x", "--json")

@@ -26,7 +26,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.folder import Experiment, alone
-from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session import series
 from tailbeat.session.events import Event
 from tailbeat.session.log import SessionLog, write_held
@@ -110,7 +110,7 @@ def break_off_a_trim(monkeypatch: pytest.MonkeyPatch) -> None:
     """The laptop dies: nothing is put back."""
     with connected() as fish, monkeypatch.context() as patch:
         patch.setattr(preserve, "_put_back", lambda *_: None)
-        with preserved(fish, preserve_folder(logbook_of(fish)), lambda _: None, "trim") as board:
+        with preserved(fish, preserve_folder(library_of(fish)), lambda _: None, "trim") as board:
             board.prepare("a run", np.full(4, 0.1, np.float32), OTHER)
 
 

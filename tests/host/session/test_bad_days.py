@@ -402,7 +402,7 @@ def test_a_board_that_was_switched_off_and_has_all_of_it(day: BadDay) -> None:
 
 
 def test_a_swap_before_the_first_swim(day: BadDay) -> None:
-    """Nothing knows what was set but the logbook: no experiment has begun."""
+    """Nothing knows what was set but the trial library: no experiment has begun."""
     shutil.rmtree("experiments")
     assert day.says("params", "set", "ILC_GAIN", "3")[0] == 0
     day.board.world.swap_battery(8.2)

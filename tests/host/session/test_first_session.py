@@ -242,8 +242,8 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
     assert (tmp_path / fish_folder(tmp_path) / "identified.json").is_file()
 
 
-def fish_folder(logbook: Path) -> str:
-    return next(path.name for path in logbook.iterdir())
+def fish_folder(library: Path) -> str:
+    return next(path.name for path in library.iterdir())
 
 
 @pytest.mark.parametrize(

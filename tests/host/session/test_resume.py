@@ -1,7 +1,7 @@
 """After a battery swap: what the board gets back, and what one repeat of the best says of the fish.
 
 The boards live in this process, in virtual time. ``Pool`` swims one short series; every test gets a
-copy of its board's flash, its experiment and its logbook.
+copy of its board's flash, its experiment and its trial library.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import begin, note_set
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import DISCARDED, Logbook
+from tailbeat.experiment.library import DISCARDED, TrialLibrary
 from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session import series as series_module
@@ -177,7 +177,7 @@ def test_no_end(text: str) -> None:
 # the order of a round
 
 
-def test_a_kept_swim_is_in_the_raw_files_the_journal_the_logbook_and_learned(
+def test_a_kept_swim_is_in_the_raw_files_the_journal_the_library_and_learned(
     swim: Callable[..., SeriesEnd], fish: Fish, experiment: Experiment
 ) -> None:
     operator = Script(KEEP)
@@ -186,7 +186,7 @@ def test_a_kept_swim_is_in_the_raw_files_the_journal_the_logbook_and_learned(
     assert [path.name for path in experiment.trial_files()] == ["0001.ulg"]
     assert kinds(experiment)[-4:] == ["begun", "swum", "decided", "learned"]
     assert fish.status().last_learned_trial == 1 and fish.status().pending_trial is None
-    assert len(Logbook.of(fish.unique_id()).trials()) == 1
+    assert len(TrialLibrary.of(fish.unique_id()).trials()) == 1
     assert end.verdict is not None and end.verdict.kind == "first"
     report = end.rounds[0].learned
     assert report is not None
@@ -207,7 +207,7 @@ def test_only_kept_swims_count(
     assert fish.status().iteration == 3
     first, second = (read_trial(end.records[k].file).beats.applied_rad for k in (0, 2))
     assert np.array_equal(first, second)
-    marks = [kept.mark for kept in Logbook.of(fish.unique_id()).kept()[0]]
+    marks = [kept.mark for kept in TrialLibrary.of(fish.unique_id()).kept()[0]]
     assert marks == ["", DISCARDED, "", ""]
     decided = [(e["decision"], e["reason"]) for e in experiment.journal.entries("decided")]
     assert decided == [

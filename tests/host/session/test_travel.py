@@ -15,7 +15,7 @@ from tailbeat.core import reference
 from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.reference import thesis
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import Logbook
+from tailbeat.experiment.library import TrialLibrary
 from tailbeat.session.outcome import Travel
 from tailbeat.session.travel import last_measured, travel_next, travel_of
 from tailbeat.session.trial import run_trial
@@ -131,9 +131,9 @@ def test_a_trial_that_tells_nothing_teaches_nothing(tank: Fish, tmp_path: Path) 
         assert travel_of(amplitude, params, 1.0, last=replace(trial, beats=beats)) == plain
 
 
-def test_the_logbook_s_trials(tank: Fish, tmp_path: Path) -> None:
+def test_the_library_s_trials(tank: Fish, tmp_path: Path) -> None:
     """The one learned from last counts, fetched if need be; discarded ones and runs never."""
-    book = Logbook.of(tank.unique_id(), tmp_path)
+    book = TrialLibrary.of(tank.unique_id(), tmp_path)
     assert last_measured(tank, book) is None
     _, first = swim(tank, tmp_path)
     tank.learn()
@@ -153,7 +153,7 @@ def test_the_logbook_s_trials(tank: Fish, tmp_path: Path) -> None:
 
 
 def test_a_damaged_identification_is_none(tank: Fish, tmp_path: Path) -> None:
-    book = Logbook.of(tank.unique_id(), tmp_path)
+    book = TrialLibrary.of(tank.unique_id(), tmp_path)
     plain = travel_next(tank, book)
     (book.folder).mkdir(parents=True, exist_ok=True)
     (book.folder / "identified.json").write_text("{")

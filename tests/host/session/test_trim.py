@@ -21,7 +21,7 @@ from tailbeat.core.reference import thesis
 from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.library import RUN, Logbook, preserve_folder
+from tailbeat.experiment.library import RUN, TrialLibrary, preserve_folder
 from tailbeat.link.messages import BeatEvent
 from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
@@ -65,8 +65,8 @@ def askew(rad: float, seed: int = 1, **more: float) -> Fish:
 
 @pytest.fixture
 def learned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fish]:
-    """A fish with its tail askew that has learned from a trial, with a logbook, and a parameter
-    that is changed but not saved."""
+    """A fish with its tail askew that has learned from a trial, with a trial library, and a
+    parameter that is changed but not saved."""
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "books"))
     with askew(0.1, 4) as fish:
         fish.upload_reference(reference.cosine(0.06, 3, 2))
@@ -160,11 +160,11 @@ def test_it_says_how_far_before_it_swims(learned: Fish) -> None:
     assert all(" m, at worst " in text and "of 2.64 m" in text for text in told)
 
 
-def test_the_board_has_everything_back_and_the_logbook_has_the_runs(learned: Fish) -> None:
+def test_the_board_has_everything_back_and_the_library_has_the_runs(learned: Fish) -> None:
     before, trials = state(learned), learned.status().next_trial
     find_centre(learned, Somebody())
     assert state(learned) == before
-    book = Logbook.of(learned.unique_id())
+    book = TrialLibrary.of(learned.unique_id())
     kept = book.kept()[0]
     assert [one.mark for one in kept if one.trial.number >= trials] == [RUN, RUN]
     assert not preserve_folder(book).exists()  # type: ignore[union-attr]

@@ -18,7 +18,7 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.core.frames import Camera
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import read_trial
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.sensors.camera.calibration.file import Calibration, load_calibration
 from tailbeat.sensors.camera.marker.detector import KINDS, MARKERS, Marker, MarkerKind
 from tailbeat.sensors.camera.render.source import RemoteCamera
@@ -181,7 +181,7 @@ def _guard(fish: Fish, calibration: Calibration | None, wall_m: float | None) ->
 
 def _kappa_per_m(fish: Fish) -> float:
     """The fish's drag: as identified, else as the board has it."""
-    book = logbook_of(fish)
+    book = library_of(fish)
     with suppress(InputError):
         if book is not None and (identified := book.identified()) is not None:
             return identified.model.kappa_per_m

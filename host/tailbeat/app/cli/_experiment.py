@@ -12,7 +12,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.current import current
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import DISCARDED, Logbook, logbook_of
+from tailbeat.experiment.library import DISCARDED, TrialLibrary, library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
@@ -52,7 +52,7 @@ def keep_in_library(fish: Fish, path: Path) -> None:
     """Keeps a pulled trial; a library that cannot take it is reported on stderr and no reason to
     fail."""
     try:
-        if (book := logbook_of(fish)) is not None:
+        if (book := library_of(fish)) is not None:
             book.keep(path)
     except TailbeatError as error:
         warn(f"not kept in the trial library: {error}")
@@ -69,7 +69,7 @@ def discard_and_keep(fish: Fish, number: int | None, repeat: bool, reason: str =
         noted = noted_decision(fish, pending, "repeat" if repeat else "discard", reason)
     book, copy = None, None
     try:
-        book = logbook_of(fish)
+        book = library_of(fish)
         if book is not None and pending is not None:
             copy = keep_pulled(fish, book, pending)
     except TailbeatError as error:
@@ -96,7 +96,7 @@ def verdict_after_learning(
     None without a library, or when the trial cannot be had (reported on stderr): the board has
     learned all the same."""
     try:
-        if (book := logbook_of(fish)) is None:
+        if (book := library_of(fish)) is None:
             return None
         kept = kept or keep_pulled(fish, book, number)
         trials = [one.trial for one in book.kept(kept)[0] if not one.mark]
@@ -112,7 +112,7 @@ def pull_with_bar(fish: Fish, number: int, folder: Path) -> Path:
         return fish.pull_trial(number, folder, show)
 
 
-def keep_pulled(fish: Fish, book: Logbook, number: int) -> Path:
+def keep_pulled(fish: Fish, book: TrialLibrary, number: int) -> Path:
     """The trial's file in the trial library, copied from the board."""
     with TemporaryDirectory() as folder:
         return book.keep(pull_with_bar(fish, number, Path(folder)))
@@ -124,7 +124,7 @@ def warn_if_another(identified: Identified, unique_id: str) -> None:
         warn(f"identified on another fish ({identified.unique_id})")
 
 
-def sound_identified(book: Logbook) -> Identified | None:
+def sound_identified(book: TrialLibrary) -> Identified | None:
     """What was identified; None also for a damaged file, which is reported on stderr."""
     try:
         return book.identified()

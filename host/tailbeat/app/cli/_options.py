@@ -15,7 +15,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.board.provision import NO_KEY, connect_notice
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.files import replace_file
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.session.preflight.step import PreflightLimits
 
 Connect = Annotated[
@@ -111,7 +111,7 @@ def _reported_today(fish: Fish) -> bool:
     """Whether it was reported today; from now on it was. Without a trial library: not."""
     today = date.today().isoformat()
     try:
-        if (book := logbook_of(fish)) is None:
+        if (book := library_of(fish)) is None:
             return False
         path = book.folder / _REPORTED
         if path.is_file() and path.read_text(encoding="utf-8", errors="replace") == today:

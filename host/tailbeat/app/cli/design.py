@@ -18,7 +18,7 @@ from tailbeat.core.files import plain
 from tailbeat.core.printable import mm
 from tailbeat.core.reference import Reference, thesis
 from tailbeat.experiment.current import named_reference, note_set
-from tailbeat.experiment.library import Logbook
+from tailbeat.experiment.library import TrialLibrary
 from tailbeat.learning.design import Design, law_words
 from tailbeat.learning.design import design as design_law
 from tailbeat.learning.identification import Identified, from_table
@@ -77,7 +77,7 @@ def _identified(file: Path | None, table: Path | None, fish: Fish | None) -> Ide
     if table is not None:
         return from_table(table).identified
 
-    known = Logbook.of(fish.unique_id()).identified() if fish is not None else None
+    known = TrialLibrary.of(fish.unique_id()).identified() if fish is not None else None
     if known is None:
         raise InputError(
             "this fish has not been identified.",

@@ -29,7 +29,7 @@ from tailbeat.experiment.current import use as make_current
 from tailbeat.experiment.export import export as export_files
 from tailbeat.experiment.export import missing_formats
 from tailbeat.experiment.folder import Experiment, list_experiments
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import redo_text, write_redo
 from tailbeat.report.replay import Replay
 from tailbeat.report.replay import replay as replay_all
@@ -99,7 +99,7 @@ def use(folder: Folder, connect: Connect = None) -> Output:
     with connected(connect) as fish:
         require_same(fish, experiment)
         make_current(fish, experiment)
-        remembered = logbook_of(fish) is not None
+        remembered = library_of(fish) is not None
         experiment.journal.add("opened", unique_id=fish.unique_id())
     if not remembered:
         warn(

@@ -25,7 +25,7 @@ from tailbeat.core.frames import Camera
 from tailbeat.core.printable import mm
 from tailbeat.core.speed_source import speed_source
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import RUN, Logbook, logbook_of, preserve_folder
+from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
 from tailbeat.learning.fit_quality import NAMES, Account, account_of, from_trials, with_drag
 from tailbeat.learning.identification import Identified, SpeedTable, ThesisFish, from_table
 from tailbeat.learning.identification_runs import FRACTIONS, IdentificationRun, Limits
@@ -163,7 +163,7 @@ def _from_trials(files: list[Path], experiment: Path | None, write: ResultFiles)
     identified, simulated = from_trials(files)
     book = None
     if write.library is not None or not simulated:
-        book = Logbook.of(identified.unique_id, write.library)
+        book = TrialLibrary.of(identified.unique_id, write.library)
     return _finished(account_of(identified), book, write, simulated)
 
 
@@ -172,7 +172,7 @@ def _from_runs(
 ) -> Output:
     with connected(connect) as fish, live_camera(fish, camera) as live:
         simulated = fish.info().simulated
-        book = logbook_of(fish, write.library)
+        book = library_of(fish, write.library)
         restore_interrupted(fish, preserve_folder(book), warn)
         values = fish.params.values()
         limits = replace(Limits.from_params(values), margin_m=asked.margin_m)
@@ -188,7 +188,7 @@ def _from_runs(
 def _found(
     fish: Fish,
     live: LiveCamera,
-    book: Logbook | None,
+    book: TrialLibrary | None,
     limits: Limits,
     asked: RunOptions,
     by_hand: bool,
@@ -292,7 +292,7 @@ def _preflight(
 
 def _finished(
     account: Account,
-    book: Logbook | None,
+    book: TrialLibrary | None,
     write: ResultFiles,
     simulated: bool,
     held: dict[str, float] | None = None,

@@ -24,7 +24,7 @@ from tailbeat.core.faults import NO_TRIAL, refusal
 from tailbeat.core.printable import mm
 from tailbeat.core.trial_checks import never_corrected
 from tailbeat.core.trial_file import read_trial
-from tailbeat.experiment.library import Logbook, logbook_of
+from tailbeat.experiment.library import TrialLibrary, library_of
 from tailbeat.learning.assessment import rollback_words
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
@@ -113,7 +113,7 @@ def learn_with_model(
     if number not in (None, pending):
         raise refusal(NO_TRIAL)
     unique_id = fish.unique_id()
-    book = logbook_of(fish)
+    book = library_of(fish)
     identified = _identified(book, identified_file)
     warn_if_another(identified, unique_id)
     setting = setting_of(fish)
@@ -140,7 +140,7 @@ def learn_with_model(
     return _output(step, pending, report, following, verdict)
 
 
-def _identified(book: Logbook | None, file: Path | None) -> Identified:
+def _identified(book: TrialLibrary | None, file: Path | None) -> Identified:
     if file is not None:
         return Identified.load(file)
     found = book.identified() if book is not None else None
@@ -153,7 +153,7 @@ def _identified(book: Logbook | None, file: Path | None) -> Identified:
 
 
 def _swims(
-    fish: Fish, pending: int | None, book: Logbook | None, dry_run: bool
+    fish: Fish, pending: int | None, book: TrialLibrary | None, dry_run: bool
 ) -> tuple[list[TrialSpeeds], Path | None]:
     """All in the library and the pending one, which is kept there unless it is a dry run; and where
     it is kept."""

@@ -26,7 +26,7 @@ from tailbeat.core.printable import mm
 from tailbeat.core.records import decode_reference
 from tailbeat.core.reference import Reference, ReferenceLimits, ReferenceProblem
 from tailbeat.experiment.current import named_reference
-from tailbeat.experiment.library import logbook_of, name_reference
+from tailbeat.experiment.library import library_of, name_reference
 from tailbeat.learning import feasible
 from tailbeat.learning.error_bound import ErrorBoundRange, Miss, error_bound_range
 from tailbeat.learning.fish_model import TrialSpeeds
@@ -76,7 +76,7 @@ def _upload_warm(
     fish: Fish, reference: Reference, old: str, identified_file: Path | None, dry_run: bool
 ) -> Output:
     """Uploads the reference and amplitudes for it, or prints them."""
-    book = logbook_of(fish)
+    book = library_of(fish)
     identified = sound_identified(book) if book is not None else None
     if identified_file is not None:
         identified = Identified.load(identified_file)
@@ -280,9 +280,9 @@ def _known(
             limits = _limits(fish)
             if amp_max is None:
                 amp_max = fish.params.get("AMP_MAX_RAD").value
-            if loaded is None and (logbook := logbook_of(fish)) is not None:
-                loaded = logbook.identified()
-                swims = logbook.swims() if loaded is None else []
+            if loaded is None and (library := library_of(fish)) is not None:
+                loaded = library.identified()
+                swims = library.swims() if loaded is None else []
     if tank is not None:
         limits = replace(limits, tank_m=tank)
     return _CheckedAgainst(limits, amp_max, loaded, known_fish(loaded, swims))

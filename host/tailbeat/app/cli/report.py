@@ -17,7 +17,7 @@ from tailbeat.core.trial_checks import never_measured
 from tailbeat.experiment.current import note_set
 from tailbeat.experiment.export import missing_formats
 from tailbeat.experiment.folder import Experiment, list_experiments
-from tailbeat.experiment.library import DISCARDED, Kept, logbook_of, read_trials
+from tailbeat.experiment.library import DISCARDED, Kept, library_of, read_trials
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.assessment import Progress, progress_of
 from tailbeat.learning.identification import Identified
@@ -68,7 +68,7 @@ def _material(experiment: Path | None, root: Path | None, connect: str | None) -
         kept, problems = read_trials(experiment)
         return _Material(kept, _identified_in(experiment), problems)
     with connected(connect) as fish:
-        book = logbook_of(fish, root)
+        book = library_of(fish, root)
     if book is None:
         raise InputError(
             "a simulated fish in this process has no trial library.",

@@ -23,7 +23,7 @@ from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.experiment.library import library_of, preserve_folder
 from tailbeat.session.commission import CommissionStep, first_session
 from tailbeat.session.outcome import Decision
 from tailbeat.session.preflight.step import PreflightLimits
@@ -142,7 +142,7 @@ def _restore_without_experiment(fish: Fish) -> Output:
     """A fish that is in no experiment: what a trim or an identification has left can be put
     back, and what commands have set."""
     notes: list[str] = []
-    put_back = restore_interrupted(fish, preserve_folder(logbook_of(fish)), notes.append)
+    put_back = restore_interrupted(fish, preserve_folder(library_of(fish)), notes.append)
     params, refused = restore_params(fish)
     if not put_back and not params and current(fish) is None:
         raise in_no_experiment(fish)

@@ -31,7 +31,7 @@ from tailbeat.core.trial_checks import heading_drift, not_reached
 from tailbeat.core.trial_file import Trial, beats_csv, read_trial
 from tailbeat.experiment.current import require_fish
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import DISCARDED, logbook_of
+from tailbeat.experiment.library import DISCARDED, library_of
 from tailbeat.learning.saturation import Saturation, saturation_of
 
 _SAME = "recomputed: the same speeds and sigmas, bit for bit"
@@ -162,7 +162,7 @@ def _from_board(number: int | None, connect: str | None) -> tuple[Trial, Saturat
     with connected(connect) as fish, TemporaryDirectory() as folder:
         path = _pull(fish, _which(fish, number), Path(folder))
         trial = read_trial(path)
-        if (book := logbook_of(fish)) is None:
+        if (book := library_of(fish)) is None:
             return trial, saturation_of(trial, None, [trial])
         kept = [one.trial for one in book.kept(path)[0] if one.mark != DISCARDED]
     return trial, saturation_of(trial, sound_identified(book), kept)

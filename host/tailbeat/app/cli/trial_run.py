@@ -30,7 +30,7 @@ from tailbeat.experiment.current import (
     use,
 )
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import known_fish_of, logbook_of
+from tailbeat.experiment.library import known_fish_of, library_of
 from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
@@ -165,7 +165,7 @@ def _guarded(fish: Fish, guard: Guard | None) -> Guard:
     the tank has no room for; ends one that comes farther."""
     require_own(fish)
     require_meant_here(fish)
-    book = logbook_of(fish)
+    book = library_of(fish)
     travel_next(fish, book).require_room()
     return together(guard, room_guard(fish, book))
 
@@ -189,7 +189,7 @@ def _saturation(fish: Fish, outcome: TrialOutcome) -> Saturation | None:
     """None also when the board or the trial library cannot tell: the trial is over all the same."""
     try:
         return saturation_next(
-            fish, outcome.executed_beats, lambda: known_fish_of(logbook_of(fish))
+            fish, outcome.executed_beats, lambda: known_fish_of(library_of(fish))
         )
     except TailbeatError:
         return None

@@ -29,7 +29,7 @@ from tailbeat.core.reference import Reference, ReferenceLimits
 from tailbeat.experiment.analysis import analyse
 from tailbeat.experiment.current import begin, current, make, note_board, note_set, require_same
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import logbook_of, name_reference
+from tailbeat.experiment.library import library_of, name_reference
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_health
 from tailbeat.session.events import Event, TrialDecided
@@ -258,7 +258,7 @@ class Worker:
             self._note(ask)
 
     def _set_param(self, fish: Fish, name: str, value: float) -> None:
-        """Noted in the experiment the page goes on in; without one in the logbook alone."""
+        """Noted in the experiment the page goes on in; without one in the trial library alone."""
         held = fish.params.set(name, value)
         if self._experiment is not None:
             note_set(fish, {held.name: held.value}, self._experiment)
@@ -325,7 +325,7 @@ class Worker:
         try:
             travel = ""
             if self.now.reference_m_s:
-                travel = travel_line(travel_next(fish, logbook_of(fish)))
+                travel = travel_line(travel_next(fish, library_of(fish)))
         except LinkLostError:
             raise
         except TailbeatError as error:

@@ -14,7 +14,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError
 from tailbeat.core.faults import BATTERY_SENSE, TRIAL_PENDING, fault_info
 from tailbeat.core.frames import Camera
-from tailbeat.experiment.library import logbook_of
+from tailbeat.experiment.library import library_of
 from tailbeat.link.messages import BoardStatus
 from tailbeat.session.operator import Operator
 from tailbeat.session.outcome import Drift, Pose, Ready, Travel
@@ -148,7 +148,7 @@ def _look_at_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> No
 
 def _look_at_room(fish: Fish, operator: Operator) -> Travel:
     step = PreflightStep(fish, operator, "room")
-    travel = travel_next(fish, logbook_of(fish))
+    travel = travel_next(fish, library_of(fish))
     try:
         travel.require_room()
     except InputError as error:

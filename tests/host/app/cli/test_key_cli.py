@@ -647,7 +647,7 @@ def test_no_key_is_told_once_a_day(
     assert is_told()
     (tmp_path / "file").touch()
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "file"))
-    assert [is_told(), is_told()] == [True, True], "no logbook is no reason to fail"
+    assert [is_told(), is_told()] == [True, True], "no trial library is no reason to fail"
 
 
 def test_a_lost_key_is_told_every_time(

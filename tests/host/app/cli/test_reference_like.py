@@ -36,7 +36,7 @@ ENOUGH = StopReason(StopKind.CALLER, "enough")
 
 @pytest.fixture
 def simulated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SimBoard:
-    """A board that stays between commands, with a logbook."""
+    """A board that stays between commands, with a trial library."""
     board = SimBoard("tank", **QUIET)
     monkeypatch.setattr("tailbeat.board.fish.open_transport", lambda url: SimTransport(board))
     monkeypatch.setenv("TAILBEAT_LOGBOOK", str(tmp_path / "logbook"))
@@ -178,13 +178,13 @@ def test_from_files(learned: Fish, shell: Shell, tmp_path: Path) -> None:
     assert other["amplitude_rad"] != want
 
 
-def test_by_name_from_the_board_and_the_logbook(learned: Fish, shell: Shell) -> None:
+def test_by_name_from_the_board_and_the_library(learned: Fish, shell: Shell) -> None:
     assert shell.upload(SLOWER, "--warm-start", OLD, "--dry-run")["like"]["from"].startswith(
         "the board"
     )
-    from tailbeat.experiment.library import logbook_of
+    from tailbeat.experiment.library import library_of
 
-    book = logbook_of(learned)
+    book = library_of(learned)
     assert book is not None
     book.keep(learned.pull_trial(2, book.folder / "x"))
     learned.upload_reference(references.from_text("trapezoid:0.05,2,2").record())
@@ -348,7 +348,7 @@ def test_an_identified_fish_is_believed(learned: Fish, shell: Shell, tmp_path: P
     assert "MDL_SLOPE is 0" in shell.fails("trapezoid:0.06,5,7.5", "--warm-start", "board")
 
 
-def test_without_a_logbook_nothing_is_kept(
+def test_without_a_library_nothing_is_kept(
     learned: Fish, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
     monkeypatch.delenv("TAILBEAT_LOGBOOK")

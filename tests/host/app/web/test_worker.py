@@ -32,7 +32,7 @@ PATIENCE_S = 600.0  # wall time; a bound on what hangs, never waited for when al
 
 
 @pytest.fixture(autouse=True)
-def _logbook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "fish"))
 
 
