@@ -3,6 +3,7 @@ printed."""
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from datetime import datetime
@@ -17,7 +18,7 @@ from tailbeat.app.cli import run
 from tailbeat.app.cli._terminal import Output, echo, present, table, write_json
 from tailbeat.app.web.view import PageState, logged
 from tailbeat.board.fish import Fish
-from tailbeat.core.printable import printable, printable_lines
+from tailbeat.core.printable import mm, printable, printable_lines
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import text_event
@@ -111,3 +112,8 @@ def test_commands_print_through_one_function() -> None:
         if count := len(ways.findall(path.read_text(encoding="utf-8"))):
             found[path.name] = count
     assert found == own
+
+
+def test_speeds_in_mm_s() -> None:
+    assert mm(0.01234) == "12.3"
+    assert [mm(None), mm(math.nan), mm(math.inf, "none")] == ["-", "-", "none"]
