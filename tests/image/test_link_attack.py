@@ -12,7 +12,7 @@ from tailbeat.app.demo import same_bits
 from tailbeat.board.fish import Fish
 from tailbeat.core import records
 from tailbeat.link.impaired import Corrupt, Drop, Fault, ImpairedLine
-from tailbeat.session.dry_run import dry_run
+from tailbeat.session.next_input import dry_run
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.emulated import EmulatedBoard

@@ -16,7 +16,7 @@ from tailbeat.core import records
 from tailbeat.core.errors import Refused
 from tailbeat.core.speed_estimate import recompute_beats
 from tailbeat.core.trial_file import read_trial
-from tailbeat.session.dry_run import dry_run
+from tailbeat.session.next_input import dry_run
 from tailbeat.session.trial import run_trial
 
 TRIALS = 3

@@ -34,8 +34,8 @@ from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
 from tailbeat.report.paper import write_report
-from tailbeat.session.identify import Attendant, identify_fish
-from tailbeat.session.model_step import next_step, setting_of, upload
+from tailbeat.session.identify import IdentificationHooks, identify_fish
+from tailbeat.session.next_input import next_step, setting_of, upload
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimulatedBoard
 from tailbeat.sim.config import DEFAULT_SEED
@@ -191,7 +191,7 @@ class _Demo:
         self.info = fish.info()
 
     def _identify(self, progress: Progress) -> None:
-        attendant = Attendant(
+        attendant = IdentificationHooks(
             before=lambda run: progress(0.0, f"identify: run {run.number}, {run.kind}")
         )
         self.identified = identify_fish(self.fish, attendant, quick=True)

@@ -258,6 +258,19 @@ def library_of(fish: Fish, root: Path | None = None) -> TrialLibrary | None:
     return TrialLibrary.of(fish.unique_id(), root)
 
 
+def identified_of(library: Logbook | None) -> Identified | None:
+    """The identified fish of a library, if there are both. Raises InputError for a damaged file."""
+    return None if library is None else library.identified()
+
+
+def identified_if_readable(library: Logbook | None) -> Identified | None:
+    """As identified_of; of a damaged file None: then the board's own model counts."""
+    try:
+        return identified_of(library)
+    except InputError:
+        return None
+
+
 def name_reference(fish: Fish, reference: Reference) -> None:
     """Keeps the name of a reference the fish has got. A trial library that cannot be written is no
     reason to fail."""

@@ -7,6 +7,10 @@ Why beats of a swim have no speed, as far as its log tells.
 Puts together what is known of a swim, and what speaks against keeping it.
 
 The log of a swim, from the board into the experiment's raw files, and what it tells.
+
+The verdict on a series: by the trials of its experiment that count.
+
+One swim of a series: the guards around it, and the live view while it goes on.
 """
 
 from __future__ import annotations
@@ -14,15 +18,16 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tailbeat.board.fish import Fish
 from tailbeat.core.errors import InputError, TailbeatError, reason
 from tailbeat.core.faults import ABORT_COMMAND, REBOOT, TILT, WALL, FaultInfo, fault_info
-from tailbeat.core.frames import Frame
+from tailbeat.core.frames import Camera, Frame
 from tailbeat.core.speed_source import speed_source
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift, heading_drift_of_frames
 from tailbeat.core.trial_file import Trial, read_trial
@@ -30,9 +35,13 @@ from tailbeat.experiment.folder import Experiment
 from tailbeat.learning.convergence import score_of
 from tailbeat.learning.fish_model import trial_speeds
 from tailbeat.learning.fit_quality import disturbance_of
-from tailbeat.link.messages import BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.link.mavlink import Message
+from tailbeat.link.messages import SIMULATED_FISH, BeatEvent, BoardStatus, TrialOutcome
+from tailbeat.session.events import Event, LiveValues, Operator, TrialStopped
+from tailbeat.session.guards import FrameRecorder, Guard, all_guards, stop_when
 from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial, StopKind, StopReason
-from tailbeat.session.trial_camera import as_csv, stash_of
+from tailbeat.session.trial import run_trial
+from tailbeat.session.trial_camera import as_csv, position_store
 
 STOPPED = ("ABORTED", "FAULT")
 _BUSY = ("BOOT", "RUNNING", "SETTLING", "LEARNING")
@@ -100,7 +109,7 @@ def settled(fish: Fish, expected: int | None = None) -> BoardStatus:
 NO_SPEED = "beats have no speed"
 
 
-def unmeasured(trial: Trial) -> str:
+def unmeasured_text(trial: Trial) -> str:
     """In words; empty when every beat that was swum has a speed."""
     known = np.isfinite(trial.beats.speed_m_s[: trial.executed_beats])
     missing = np.flatnonzero(~known)
@@ -137,7 +146,7 @@ _NOT_COMPLETE = "not complete:"
 
 
 def record_of(
-    outcome: TrialOutcome, log: Log, ready: Ready | None, stopped: StopReason | None = None
+    outcome: TrialOutcome, log: TrialLog, ready: Ready | None, stopped: StopReason | None = None
 ) -> RecordedTrial:
     """``stopped``: why this program stopped it; None = it did not, or what the event log says."""
     stopped = stopped or log.stopped
@@ -164,7 +173,7 @@ def record_of(
 
 
 def _problems(
-    outcome: TrialOutcome, log: Log, measured: int, stopped: StopReason | None
+    outcome: TrialOutcome, log: TrialLog, measured: int, stopped: StopReason | None
 ) -> list[str]:
     trial, problems = log.trial, []
     if outcome.end != "complete":
@@ -182,7 +191,7 @@ def _problems(
 def _unmeasured(trial: Trial, measured: int) -> list[str]:
     if measured == 0:
         return ["no beat has a speed: there is nothing to learn from"]
-    words = unmeasured(trial)
+    words = unmeasured_text(trial)
     return [words] if words else []
 
 
@@ -193,7 +202,7 @@ def is_good(recorded: RecordedTrial) -> bool:
     return recorded.outcome.end == "complete" and not others
 
 
-def proposed(recorded: RecordedTrial) -> Decision:
+def proposed_decision(recorded: RecordedTrial) -> Decision:
     """What a careful person would say; the one who is there decides. It follows from the swim's
     end and its problems, which are in its log and in the journal: asked again later it is the
     same."""
@@ -215,7 +224,7 @@ def _ended(fault: int) -> str:
 
 
 @dataclass(frozen=True)
-class Log:
+class TrialLog:
     """A swim's raw file, and what is in it and beside it. ``stopped``: why this program stopped it,
     as the journal has it; None = it did not, or the journal does not know the swim yet."""
 
@@ -251,11 +260,11 @@ def drop_peeked(experiment: Experiment, number: int) -> None:
     folder = experiment.folder / ".pulling"
     with contextlib.suppress(OSError):
         (folder / f"{number:04d}.ulg").unlink(missing_ok=True)
-        stash_of(experiment, number).drop()
+        position_store(experiment, number).drop()
         folder.rmdir()
 
 
-def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
+def keep_log(fish: Fish, experiment: Experiment, number: int) -> TrialLog:
     """Pulls the log (an interrupted pull goes on), and keeps it and the positions of the camera.
     Raises InputError (disk full)."""
     with trial_is_safe(number, experiment):
@@ -264,7 +273,7 @@ def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
         pulled = fish.pull_trial(number, folder)
         kept = experiment.keep_trial(pulled)
         trial = read_trial(kept)
-        stash = stash_of(experiment, number)
+        stash = position_store(experiment, number)
         frames = stash.take(trial)
         if frames:
             experiment.add_raw(f"{kept.stem}_positions.csv", as_csv(frames, 0.0).encode())
@@ -272,7 +281,7 @@ def keep_log(fish: Fish, experiment: Experiment, number: int) -> Log:
             path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # the beginning of another trial may lie there
             folder.rmdir()
-    return Log(kept, trial, _straight(trial, frames), _stopped(experiment, kept))
+    return TrialLog(kept, trial, _straight(trial, frames), _stopped(experiment, kept))
 
 
 def _stopped(experiment: Experiment, kept: Path) -> StopReason | None:
@@ -322,3 +331,97 @@ def outcome_of(trial: Trial) -> TrialOutcome:
 
 def _number(value: np.float32) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+_LIVE_PERIOD_S = 0.1  # of the transport's clock: what an eye follows
+_RUNNING = 3  # TAILBEAT_STATE
+
+
+@dataclass
+class LiveReporter:
+    """What the board tells while it swims, as one event now and then. A guard that stops nothing:
+    it is asked all the time, so it also shows how long the link has been silent."""
+
+    fish: Fish
+    operator: Operator
+    simulated: bool
+    _values: LiveValues = field(init=False)
+    _told_s: float = field(default=-math.inf, init=False)
+    _running: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self._values = LiveValues(self.simulated)
+
+    def hear(self, message: Message) -> None:
+        """A message of the board's."""
+        kind, changes = message.get_type(), dict[str, Any]()
+        if kind == "TAILBEAT_STATUS":
+            changes |= {"beats": message.beats, "battery_v": message.battery_mv * 1e-3}
+            self._running = message.state == _RUNNING
+            if self._running:
+                changes["beat"] = message.beat
+        elif kind == "TAILBEAT_LIVE" and self._running:
+            changes |= {"beat": message.beat, "amplitude_rad": message.amplitude_rad}
+        elif kind == "TAILBEAT_BEAT":
+            changes["reference_m_s"] = message.reference_m_s
+        if changes and math.isfinite(speed_m_s := getattr(message, "speed_m_s", math.nan)):
+            changes["speed_m_s"] = speed_m_s
+        self._values = replace(self._values, **changes)
+
+    def __call__(self, _: object) -> None:
+        """Tells, when it is time to."""
+        link = self.fish.link
+        now_s = link.transport.now_s()
+        if now_s - self._told_s < _LIVE_PERIOD_S:
+            return
+        self._told_s = now_s
+        silent_s = (now_s - link.last_heard_s) * self.fish.clock.rate
+        self.operator.tell(replace(self._values, silent_s=silent_s))
+
+
+@dataclass(frozen=True)
+class TrialSetup:
+    """What a swim is done with. ``guard``: of the caller."""
+
+    fish: Fish
+    operator: Operator
+    camera: Camera | None
+    guard: Guard | None
+    reconnect_s: float
+
+
+@dataclass(frozen=True)
+class ExecutedTrial:
+    """How it went. ``stopped``: why something here stopped it; None = nothing did."""
+
+    outcome: TrialOutcome
+    stopped: StopReason | None
+
+
+def execute(
+    around: TrialSetup, experiment: Experiment, room: Guard, heading_rad: float
+) -> ExecutedTrial:
+    """Swims the next trial and keeps what the camera saw. ``room`` ends it by distance. Raises what
+    run_trial raises."""
+    fish, operator = around.fish, around.operator
+    live = LiveReporter(fish, operator, fish.info().board in SIMULATED_FISH)
+    stopped: list[StopReason] = []
+
+    def on_event(event: Event) -> None:
+        if isinstance(event, TrialStopped):
+            stopped.append(event.reason)
+        operator.tell(event)
+
+    seen, camera = FrameRecorder(), around.camera
+    guard = all_guards(around.guard, room, stop_when(operator.wants_abort, BY_HAND), seen, live)
+    stop_listening = fish.link.subscribe(live.hear)
+    try:
+        outcome = run_trial(
+            fish, camera, on_event, guard, around.reconnect_s, direction_rad=heading_rad
+        )
+        if camera is not None:
+            with trial_is_safe(outcome.number, experiment):
+                position_store(experiment, outcome.number).put(seen.frames, camera, fish.clock)
+    finally:
+        stop_listening()
+    return ExecutedTrial(outcome, stopped[0] if stopped else None)

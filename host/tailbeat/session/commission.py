@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tailbeat.board.diagnostics import look_at
 from tailbeat.board.diagnostics.evidence import PROBLEM
-from tailbeat.board.fish import Fish, board_reference
+from tailbeat.board.fish import Fish
 from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError, LinkLostError, TailbeatError
 from tailbeat.core.frames import Camera
@@ -22,30 +22,23 @@ from tailbeat.core.speed_source import SpeedSource, speed_source
 from tailbeat.core.trial_checks import HeadingDrift, heading_drift
 from tailbeat.core.trial_file import read_trial
 from tailbeat.experiment.current import set_and_save
-from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import (
-    RUN,
-    TrialLibrary,
-    library_of,
-    name_reference,
-    preserve_folder,
-)
+from tailbeat.experiment.library import RUN, Logbook, logbook_of, name_reference, preserve_folder
 from tailbeat.learning.design import design, law_words
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun
 from tailbeat.learning.saturation import needed_rad, servo_rad
-from tailbeat.session.commission_steps import RAISE_MAX_RAD, Raise, next_raise, prove
-from tailbeat.session.events import Notice
+from tailbeat.session.commission_steps import (
+    LimitIncrease,
+    next_limit_increase,
+    try_limit,
+)
+from tailbeat.session.events import Notice, Operator
 from tailbeat.session.guards import Guard
-from tailbeat.session.identify import Attendant, identify_fish, set_params
-from tailbeat.session.log import SessionLog
-from tailbeat.session.operator import Operator
-from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
+from tailbeat.session.identify import IdentificationHooks, identify_fish, set_params
+from tailbeat.session.preflight import prepare
+from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.trial_camera import camera_of
 from tailbeat.session.trim import apply, find_centre
-
-__all__ = ["RAISE_MAX_RAD", "CommissionStep", "Raise", "advice", "first_session", "next_raise"]
 
 _CAMERA_LOOK_S = 1.5  # of board time
 _RAISES_MAX = 8
@@ -60,10 +53,10 @@ class CommissionStep:
     name: str
     done: bool
     words: str
-    raises: tuple[Raise, ...] = ()
+    raises: tuple[LimitIncrease, ...] = ()
 
 
-def first_session(
+def commission_fish(
     fish: Fish,
     reference: Reference,
     operator: Operator,
@@ -97,29 +90,6 @@ def _steps(session: _Session) -> Iterator[CommissionStep]:
         yield step
         if not step.raises:
             return
-
-
-def advice(fish: Fish, experiment: Experiment) -> list[str]:
-    """What may be raised next, or why nothing may: one line each. Changes nothing."""
-
-    reference = board_reference(fish)
-    if reference is None:
-        return []
-    params = fish.params.values()
-    trials = SessionLog(experiment, experiment.journal).counting()
-    if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
-        return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
-    straight = heading_drift(trials[-1]) if trials else None
-    learned = experiment.journal.entries("learned")
-    rolled_back = bool(learned and learned[-1].get("rolled_back"))
-    found = next_raise(params, reference, _identified(fish), straight, rolled_back)
-    if isinstance(found, str):
-        return [found]
-    return [
-        f"AMP_MAX_RAD may go {found.text.removeprefix('AMP_MAX_RAD ')}",
-        f"to do that: tailbeat params set AMP_MAX_RAD {found.to:g}, tailbeat params save "
-        "(trials with another limit are judged as a new series)",
-    ]
 
 
 def _taken(name: str, take: Callable[[], CommissionStep]) -> CommissionStep:
@@ -233,7 +203,7 @@ class _Session:
             f"{model.delay_s:.2f} s",
         )
 
-    def _attendant(self, book: TrialLibrary | None) -> Attendant:
+    def _attendant(self, book: Logbook | None) -> IdentificationHooks:
 
         def before(run: IdentificationRun) -> None:
             text = f"Run {run.number}, {run.kind}, up to {run.cruise_rad:.2f} rad: about "
@@ -242,7 +212,7 @@ class _Session:
             prepare(self.fish, self.wanted, self.camera, self.operator)
             countdown(self.fish, self.wanted, self.operator)
 
-        return Attendant(
+        return IdentificationHooks(
             before=before,
             event=self.operator.tell,
             keep=lambda path: self._keep(path, book),
@@ -281,7 +251,7 @@ class _Session:
 
     def raise_limit(self) -> CommissionStep:
         """One step; a swim with it proves it before it is set."""
-        found = next_raise(
+        found = next_limit_increase(
             self.fish.params.values(), self.reference, self.identified, self.straight
         )
         if isinstance(found, str):
@@ -289,7 +259,7 @@ class _Session:
         assert self.identified is not None
         text = f"{found.text}. One short swim proves it. {_HANDS}"
         self._ask(text, f"{found.name} stays {found.was:.2f}")
-        proof = prove(
+        proof = try_limit(
             self.fish,
             found.to,
             self.identified,
@@ -336,10 +306,3 @@ def _tank_question(params: dict[str, float]) -> str:
         f"By TANK_LEN_M the tank is {tank_m:.2f} m long and by FISH_LEN_M the fish {fish_m:.2f} m: "
         f"it may swim {tank_m - fish_m:.2f} m. Is that right?"
     )
-
-
-def _identified(fish: Fish) -> Identified | None:
-    try:
-        return book.identified() if (book := library_of(fish)) is not None else None
-    except InputError:
-        return None

@@ -35,22 +35,21 @@ from tailbeat.learning.saturation import (
     up_to_grain,
 )
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.events import Notice
-from tailbeat.session.guards import Guard, RoomGuard, together, when
-from tailbeat.session.operator import Operator
+from tailbeat.session.change import slope_of
+from tailbeat.session.events import Notice, Operator
+from tailbeat.session.guards import Guard, RoomGuard, all_guards, stop_when
 from tailbeat.session.outcome import BY_HAND, Travel
-from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import PreflightLimits, countdown
-from tailbeat.session.shift import slope_of
+from tailbeat.session.preflight import prepare
+from tailbeat.session.preflight_step import PreflightLimits, countdown
 from tailbeat.session.travel import travel_of
 from tailbeat.session.trial import run_trial
 
 AMP_MAX = "AMP_MAX_RAD"
-RAISE_MAX_RAD = 0.1
+INCREASE_MAX_RAD = 0.1
 
 
 @dataclass(frozen=True)
-class Raise:
+class LimitIncrease:
     """A limit that may be raised. ``reason``: why that far and no farther, with its figures."""
 
     name: str
@@ -64,13 +63,13 @@ class Raise:
         return f"{self.name} from {self.was:.2f} to {self.to:.2f}: {self.reason}"
 
 
-def next_raise(
+def next_limit_increase(
     params: Mapping[str, float],
     reference: Reference,
     identified: Identified | None,
     straight: HeadingDrift | None,
     rolled_back: bool = False,
-) -> Raise | str:
+) -> LimitIncrease | str:
     """The next step for AMP_MAX_RAD (at most RAISE_MAX_RAD at once), or why there is none: enough
     for the reference with a margin, not identified, not straight, rolled back, no room in the tank,
     the servo's range. DU_MAX_RAD stays: it slows the way to an amplitude, and forbids none."""
@@ -87,13 +86,13 @@ def next_raise(
     if (why := _not_now(straight, rolled_back)) is not None:
         return f"{stays}: {why}"
     servo = servo_rad(params)
-    to = min(now + RAISE_MAX_RAD, up_to_grain(need), down_to_grain(servo))
+    to = min(now + INCREASE_MAX_RAD, up_to_grain(need), down_to_grain(servo))
     if to < now + GRAIN_RAD / 2:
         return f"{stays}: {_servo_words(params, servo, need)}"
     travel = _travel(params, reference, identified, to)
     if not travel.fits:
         return f"{stays}: no room for more, the swim would come {travel.text()}"
-    return Raise(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
+    return LimitIncrease(AMP_MAX, now, to, _reason(params, reference, identified, need, to, travel))
 
 
 def _not_now(straight: HeadingDrift | None, rolled_back: bool) -> str | None:
@@ -145,8 +144,8 @@ def _reason(
         f"it needs {need:.2f} with what learning adds"
     )
     if to < need - GRAIN_RAD / 2:
-        at_once = to >= params[AMP_MAX] + RAISE_MAX_RAD - GRAIN_RAD / 2
-        limit = f"at most {RAISE_MAX_RAD:g} at once" if at_once else "the servo turns no farther"
+        at_once = to >= params[AMP_MAX] + INCREASE_MAX_RAD - GRAIN_RAD / 2
+        limit = f"at most {INCREASE_MAX_RAD:g} at once" if at_once else "the servo turns no farther"
         words += f"; {limit}"
     step = params.get("DU_MAX_RAD", 0.0)
     if step > 0:
@@ -154,13 +153,15 @@ def _reason(
     return f"{words}; way {travel.text()}"
 
 
-AS_TOLD = 0.15  # of the speed the model tells: beyond it the model is not this fish up there
+PREDICTION_ERROR_MAX = (
+    0.15  # of the speed the model tells: beyond it the model is not this fish up there
+)
 _RAMP_BEATS, _CRUISE_BEATS, _CRUISE_LEAST, _COAST_BEATS = 4, 10, 4, 4
 _MARGIN_M = 0.15  # of the tank, left free, as identify does
 
 
 @dataclass(frozen=True)
-class Proof:
+class LimitTrial:
     """``why_not``: what speaks against the amplitude; empty = nothing. ``words``: what was seen."""
 
     words: str
@@ -168,7 +169,7 @@ class Proof:
     straight: HeadingDrift | None
 
 
-def prove(
+def try_limit(
     fish: Fish,
     amplitude_rad: float,
     identified: Identified,
@@ -176,7 +177,7 @@ def prove(
     camera: Camera | None = None,
     guard: Guard | None = None,
     wanted: PreflightLimits | None = None,
-) -> Proof:
+) -> LimitTrial:
     """Swims up to ``amplitude_rad``; the board has its limit and all it had learned back
     afterwards, also when it fails. ``wanted``: of the ritual before it; None = none. Raises
     TailbeatError when the swim ends early."""
@@ -193,7 +194,7 @@ def prove(
         allowed = board.params | {AMP_MAX: amplitude_rad}
         amplitude = profile(amplitude_rad, identified, allowed)
         if amplitude is None:
-            return Proof("", "the tank is too short even for the shortest swim with it", None)
+            return LimitTrial("", "the tank is too short even for the shortest swim with it", None)
         predicted = identified.model.beats(amplitude, 1.0)
         replace(board, params=allowed).prepare(
             "first session", amplitude, predicted, {AMP_MAX: amplitude_rad}
@@ -201,13 +202,13 @@ def prove(
         if wanted is not None:
             prepare(fish, wanted, camera, operator)
             countdown(fish, wanted, operator)
-        watch = together(
+        watch = all_guards(
             guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
-            when(operator.wants_abort, BY_HAND),
+            stop_when(operator.wants_abort, BY_HAND),
         )  # fmt: skip
         outcome = run_trial(fish, camera, operator.tell, watch)
         trial = board.collect(outcome, lambda o: _judge(fish, o), keep)
-    return judged(trial, identified)
+    return assess_limit_trial(trial, identified)
 
 
 def profile(
@@ -225,7 +226,7 @@ def profile(
     return None
 
 
-def judged(trial: Trial, identified: Identified) -> Proof:
+def assess_limit_trial(trial: Trial, identified: Identified) -> LimitTrial:
     """What the swim says of the amplitude."""
     straight = heading_drift(trial)
     part = slope_of(trial, identified.model)
@@ -233,14 +234,14 @@ def judged(trial: Trial, identified: Identified) -> Proof:
     if straight is not None:
         words += f", {straight.text()}"
     if straight is not None and straight.crooked:
-        return Proof(words, straight.text(), straight)
+        return LimitTrial(words, straight.text(), straight)
     if np.isnan(part):
-        return Proof(words, "its swim has no speeds", straight)
-    if abs(part - 1) > AS_TOLD:
+        return LimitTrial(words, "its swim has no speeds", straight)
+    if abs(part - 1) > PREDICTION_ERROR_MAX:
         how = "slower" if part < 1 else "faster"
         why = f"it swam {abs(part - 1):.0%} {how} than foretold: look at servo and tail, identify"
-        return Proof(words, why, straight)
-    return Proof(words, "", straight)
+        return LimitTrial(words, why, straight)
+    return LimitTrial(words, "", straight)
 
 
 def _judge(fish: Fish, outcome: TrialOutcome) -> None:

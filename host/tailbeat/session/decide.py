@@ -28,16 +28,15 @@ from tailbeat.session.collect import (
     settled,
     stop_words,
 )
-from tailbeat.session.events import Notice, TrialDecided
+from tailbeat.session.events import Notice, Operator, TrialDecided
 from tailbeat.session.log import SessionLog
-from tailbeat.session.operator import Operator
 from tailbeat.session.outcome import Decision, DecisionKind, RecordedTrial
 
 _NO_REASON = "by command, no reason given"
 
 
 @dataclass(frozen=True)
-class Noted:
+class LoggedDecision:
     """A decision that is in the experiment's journal. ``added``: by this command."""
 
     account: SessionLog
@@ -67,7 +66,9 @@ def pending_of(fish: Fish, number: int | None, command: str) -> int | None:
     return pending
 
 
-def noted_decision(fish: Fish, number: int, kind: DecisionKind, reason: str = "") -> Noted | None:
+def log_decision(
+    fish: Fish, number: int, kind: DecisionKind, reason: str = ""
+) -> LoggedDecision | None:
     """Into the experiment the fish swims for, with the trial's log, before the board hears of it.
     None when it swims for none. Raises InputError (disk full)."""
     if (account := _account(fish)) is None:
@@ -77,13 +78,13 @@ def noted_decision(fish: Fish, number: int, kind: DecisionKind, reason: str = ""
     account.recorded(recorded)
     before = account.decision_on(recorded.file)
     if kind == "keep" and before is not None and before.kind == kind:
-        return Noted(account, recorded, added=False)  # as trial run --no-learn has it
+        return LoggedDecision(account, recorded, added=False)  # as trial run --no-learn has it
     account.decided(recorded, Decision(kind, reason or _NO_REASON))
-    return Noted(account, recorded, added=True)
+    return LoggedDecision(account, recorded, added=True)
 
 
 @contextlib.contextmanager
-def withdrawn_if_refused(noted: Noted | None) -> Iterator[None]:
+def withdrawn_if_refused(noted: LoggedDecision | None) -> Iterator[None]:
     """Around what tells the board: a decision that it refuses is asked again."""
     try:
         yield
@@ -93,7 +94,7 @@ def withdrawn_if_refused(noted: Noted | None) -> Iterator[None]:
         raise
 
 
-def learn_noted(fish: Fish, number: int | None, command: str) -> LearnReport:
+def learn_and_log(fish: Fish, number: int | None, command: str) -> LearnReport:
     """The board learns from the pending trial, whose log and decision its experiment has before.
     When nothing waits, what the board has learned last and could not be written down then (disk
     full) is written down. Raises InputError (disk full; parameters that are not as they are meant
@@ -107,7 +108,7 @@ def learn_noted(fish: Fish, number: int | None, command: str) -> LearnReport:
             report = fish.learn(owed)  # said again it only tells what it learned
             _write_down(fish, account, report)
             return report
-    noted = None if pending is None else noted_decision(fish, pending, "keep")
+    noted = None if pending is None else log_decision(fish, pending, "keep")
     with withdrawn_if_refused(noted):
         report = fish.learn(number)
     if noted is not None:
@@ -115,7 +116,7 @@ def learn_noted(fish: Fish, number: int | None, command: str) -> LearnReport:
     return report
 
 
-def not_noted(fish: Fish) -> str:
+def not_logged_text(fish: Fish) -> str:
     """What an operator should know when the fish is in an experiment that its trials are not of;
     empty otherwise."""
     experiment = current(fish)
@@ -127,7 +128,7 @@ def not_noted(fish: Fish) -> str:
     )
 
 
-def restore_best_noted(fish: Fish) -> None:
+def restore_best_and_log(fish: Fish) -> None:
     """The best amplitudes swim next; the experiment knows."""
     account = _account(fish)
     fish.restore_best()
@@ -139,7 +140,7 @@ def restore_best_noted(fish: Fish) -> None:
     write_redo(account.experiment)
 
 
-def state_noted(fish: Fish) -> None:
+def log_state(fish: Fish) -> None:
     """Other amplitudes swim next: the experiment's copy of the board's state follows."""
     if (account := _account(fish)) is not None:
         copy_state(fish, account.experiment)
@@ -172,7 +173,7 @@ _ROLLED_BACK = (
 
 
 @dataclass(frozen=True)
-class Done:
+class DecisionResult:
     """What became of a decision. ``learned``: nothing was to be learned, or it was learned before,
     when None. ``left``: the board stopped by a rule of its own and was left so, in words."""
 
@@ -200,7 +201,7 @@ class Decisions:
         self.operator.tell(TrialDecided(recorded.outcome.number, decision))
         return decision
 
-    def carry_out(self, recorded: RecordedTrial, decision: Decision) -> Done:
+    def carry_out(self, recorded: RecordedTrial, decision: Decision) -> DecisionResult:
         """The board learns from the trial or drops it. Clears what stopped it, unless that was a
         rule of the board's own. Raises Refused; then it is asked again; InputError when the board
         would learn with parameters nobody meant."""
@@ -214,7 +215,7 @@ class Decisions:
             status = settled(self.fish, number)
         if status.state in STOPPED:
             if dangerous(status.fault):
-                return Done(left=stop_words(status))
+                return DecisionResult(left=stop_words(status))
             self.fish.clear()
             status = self.fish.status()
         if decision.kind == "keep":  # somebody may have swapped the battery while it was asked
@@ -226,7 +227,7 @@ class Decisions:
             raise
         self._require_done(recorded, decision)
         copy_state(self.fish, self.account.experiment)
-        return Done(learned)
+        return DecisionResult(learned)
 
     def write_down(self, report: LearnReport) -> None:
         """What the board has learned: journalled and told."""

@@ -249,7 +249,7 @@ _PLANNED_M = 0.1  # less is too little to tell by how much a fish differs from w
 _RATIO = (0.25, 4.0)
 
 
-def together(*guards: Guard | None) -> Guard:
+def all_guards(*guards: Guard | None) -> Guard:
     """Asks every guard (all see everything); the first reason counts."""
     there = [guard for guard in guards if guard is not None]
 
@@ -374,13 +374,13 @@ class RoomGuard:
         return self.way_m + self._ratio() * left_m < self.room_m
 
 
-def when(wanted: Callable[[], bool], reason: StopReason) -> Guard:
+def stop_when(wanted: Callable[[], bool], reason: StopReason) -> Guard:
     """Aborts with ``reason`` as soon as ``wanted()``."""
     return lambda _: reason if wanted() else None
 
 
 @dataclass
-class Seen:
+class FrameRecorder:
     """Keeps every frame of the swim; stops nothing."""
 
     frames: list[Frame] = field(default_factory=list)

@@ -24,7 +24,7 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun, Limits, identify_runs
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Event
-from tailbeat.session.guards import Guard, RoomGuard, together, when
+from tailbeat.session.guards import Guard, RoomGuard, all_guards, stop_when
 from tailbeat.session.outcome import BY_HAND
 from tailbeat.session.trial import run_trial
 
@@ -40,7 +40,7 @@ _COASTS_ON = 0.5  # of the drag that is believed: a fish nobody knows may coast 
 
 
 @dataclass(frozen=True)
-class Attendant:
+class IdentificationHooks:
     """Who sees to an identification. ``before``: told of each run once the board has its
     amplitudes, returns when it may begin, raises to end it all. ``speeds``: (trial, beats, beat_s)
     to speeds measured after the swim, NaN = not measured, one per beat; None: nobody can give any.
@@ -60,7 +60,7 @@ class Attendant:
 
 def identify_fish(
     fish: Fish,
-    attendant: Attendant,
+    attendant: IdentificationHooks,
     safe: Path | None = None,
     camera: Camera | None = None,
     limits: Limits | None = None,
@@ -110,7 +110,7 @@ class _IdentificationRunner:
     """Swims runs on the board."""
 
     board: PreservedBoard
-    attendant: Attendant
+    attendant: IdentificationHooks
     source: SpeedSource
     camera: Camera | None
     run: IdentificationRun | None = field(default=None)
@@ -124,7 +124,7 @@ class _IdentificationRunner:
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
         self.attendant.before(run)
-        guard = together(self.attendant.guard, self._room(run), when(self._stop, BY_HAND))
+        guard = all_guards(self.attendant.guard, self._room(run), stop_when(self._stop, BY_HAND))
         outcome = run_trial(self.board.fish, self.camera, self.attendant.event, guard)
         recorded = self.board.collect(outcome, self._judge, self.attendant.keep)
         return trial_speeds(recorded)

@@ -20,11 +20,12 @@ from tailbeat.experiment.library import library_of
 from tailbeat.experiment.redo import write_redo
 from tailbeat.learning.convergence import Assessment
 from tailbeat.link.messages import LearnReport
-from tailbeat.session.battery import accepted, forecast, switched_off_since, too_low
 from tailbeat.session.collect import (
     STOPPED,
+    TrialSetup,
     dangerous,
     drop_peeked,
+    execute,
     keep_log,
     make_safe,
     outcome_of,
@@ -34,19 +35,24 @@ from tailbeat.session.collect import (
     settled,
     stop_words,
 )
-from tailbeat.session.decide import Decisions, Done
-from tailbeat.session.events import Notice, TrialRecorded
-from tailbeat.session.execute import TrialSetup, execute, judged, report_assessment
+from tailbeat.session.decide import DecisionResult, Decisions
+from tailbeat.session.events import Notice, Operator, TrialRecorded
 from tailbeat.session.guards import Guard
-from tailbeat.session.log import AGAIN, SessionLog, held_before
-from tailbeat.session.operator import Operator
+from tailbeat.session.log import (
+    RESUME_COMMAND,
+    SessionLog,
+    accepted,
+    forecast,
+    held_before,
+    switched_off_since,
+    too_low,
+)
 from tailbeat.session.outcome import BY_HAND, Decision, DecisionKind, Ready, RecordedTrial
-from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import BatteryLow, GivenUp, PreflightLimits, countdown
+from tailbeat.session.preflight import prepare
+from tailbeat.session.preflight_step import BatteryLow, GivenUp, PreflightLimits, countdown
+from tailbeat.session.status import assess_series
 from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial_camera import camera_of
-
-__all__ = ["Options", "Round", "SeriesEnd", "Until", "swim_series"]
 
 CONVERGED, BATTERY = "converged", "battery"
 _SWIMS_MAX = 999
@@ -122,7 +128,7 @@ class SeriesEnd:
         return [one.recorded for one in self.rounds]
 
 
-def swim_series(
+def run_series(
     fish: Fish,
     experiment: Experiment,
     operator: Operator,
@@ -164,7 +170,7 @@ def _require_no_repeat(experiment: Experiment) -> None:
         raise InputError(
             "a repeat of the best after a battery swap was broken off, and the board still has the"
             " best amplitudes in place of those that swim next.",
-            f"To finish it: {AGAIN}",
+            f"To finish it: {RESUME_COMMAND}",
         )
 
 
@@ -425,12 +431,14 @@ class _Series:
         self, recorded: RecordedTrial, decision: Decision, counts: bool
     ) -> SeriesEnd | None:
         """Carries the decision out. An end when the board is left as it stopped."""
-        done: Done = self.decisions.carry_out(recorded, decision)
+        done: DecisionResult = self.decisions.carry_out(recorded, decision)
         self.rounds.append(Round(recorded, decision, done.learned))
         self.counted += counts and decision.kind in self.options.counts
         if done.learned is not None:
-            self.verdict = judged(self.account, self.around, done.learned.rolled_back)
-            report_assessment(self.around.operator, self.verdict)
+            around = self.around
+            self.verdict = assess_series(
+                around.fish, around.operator, self.account, done.learned.rolled_back
+            )
         if not done.left:
             return None
         critical = self.around.fish.status().fault.number == BATTERY_CRITICAL

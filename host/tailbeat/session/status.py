@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tailbeat.board.fish import Fish
+from tailbeat.board.fish import Fish, board_reference
 from tailbeat.core.errors import TailbeatError
+from tailbeat.core.trial_checks import heading_drift
 from tailbeat.core.trial_file import Trial
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import library_of
+from tailbeat.experiment.library import identified_if_readable, identified_of, logbook_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
-from tailbeat.session.battery import Drain
-from tailbeat.session.commission import advice
-from tailbeat.session.log import SessionLog
+from tailbeat.session.commission_steps import next_limit_increase
+from tailbeat.session.events import Assessed, Notice, Operator
+from tailbeat.session.log import Drain, SessionLog
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,8 @@ def status_of(fish: Fish, experiment: Experiment) -> SessionStatus:
     account = SessionLog(experiment, experiment.journal)
     info, trials = fish.info(), account.counting()
     status = info.status
-    learned = experiment.journal.entries("learned")
-    rolled_back = bool(learned and learned[-1].get("rolled_back"))
-    verdict, problem = _verdict(fish, trials, rolled_back)
+    rolled_back = _has_rolled_back(experiment)
+    verdict, problem = _assess(fish, trials, status.reference_crc, rolled_back)
     drains = account.drains()
     fall_v = fall_per_swim(drains, status.battery_v)
     low_v = fish.params.get("BATT_LOW_V").value
@@ -76,6 +76,11 @@ def status_of(fish: Fish, experiment: Experiment) -> SessionStatus:
     )
 
 
+def _has_rolled_back(experiment: Experiment) -> bool:
+    learned = experiment.journal.entries("learned")
+    return bool(learned and learned[-1].get("rolled_back"))
+
+
 def fall_per_swim(drains: Sequence[Drain], now_v: float) -> float | None:
     """How far the battery fell at rest, per swim; None before the first."""
     return (drains[0].start_v - now_v) / len(drains) if drains else None
@@ -90,13 +95,13 @@ def swims_left(now_v: float, low_v: float, fall_v: float | None) -> int | None:
     return math.floor((now_v - low_v) / fall_v + 1e-9) + 1
 
 
-def _verdict(fish: Fish, trials: list[Trial], rolled_back: bool) -> tuple[Assessment | None, str]:
-
+def _assess(
+    fish: Fish, trials: list[Trial], reference_crc: int | None, rolled_back: bool
+) -> tuple[Assessment | None, str]:
+    """The assessment, or why there is none."""
     try:
-        book = library_of(fish)
-        identified = book.identified() if book is not None else None
-        crc = fish.status().reference_crc
-        return progress_of(trials, crc, identified, (), rolled_back).verdict, ""
+        identified = identified_of(logbook_of(fish))
+        return progress_of(trials, reference_crc, identified, (), rolled_back).verdict, ""
     except TailbeatError as error:
         return None, str(error)
 
@@ -147,3 +152,41 @@ def _judgement(found: SessionStatus, verdict: Assessment) -> str:
     if verdict.saturation is not None:
         return f"{verdict.words}; {verdict.saturation.text}"
     return verdict.words
+
+
+def assess_series(
+    fish: Fish, operator: Operator, account: SessionLog, rolled_back: bool
+) -> Assessment | None:
+    """Reports the assessment after the last trial; when it fails a notice, and returns None: the
+    board has learned anyway."""
+    found, problem = _assess(fish, account.counting(), None, rolled_back)
+    if found is None:
+        operator.tell(Notice(f"no assessment: {problem}"))
+        return None
+    saturated = "" if found.saturation is None else found.saturation.text
+    operator.tell(Assessed(found.words, found.stop, found.stop_reason, found.advice, saturated))
+    return found
+
+
+def advice(fish: Fish, experiment: Experiment) -> list[str]:
+    """What may be raised next, or why nothing may: one line each. Changes nothing."""
+
+    reference = board_reference(fish)
+    if reference is None:
+        return []
+    params = fish.params.values()
+    trials = SessionLog(experiment, experiment.journal).counting()
+    if trials and trials[-1].params.get("AMP_MAX_RAD") != params["AMP_MAX_RAD"]:
+        return [f"AMP_MAX_RAD stays {params['AMP_MAX_RAD']:.2f}: no trial was swum with it yet"]
+    straight = heading_drift(trials[-1]) if trials else None
+    rolled_back = _has_rolled_back(experiment)
+    found = next_limit_increase(
+        params, reference, identified_if_readable(logbook_of(fish)), straight, rolled_back
+    )
+    if isinstance(found, str):
+        return [found]
+    return [
+        f"AMP_MAX_RAD may go {found.text.removeprefix('AMP_MAX_RAD ')}",
+        f"to do that: tailbeat params set AMP_MAX_RAD {found.to:g}, tailbeat params save "
+        "(trials with another limit are judged as a new series)",
+    ]

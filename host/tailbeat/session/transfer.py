@@ -39,7 +39,7 @@ _NOTHING = "Leave out --warm-start, and the fish learns afresh; or name a trial 
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedInput:
     """``amplitude_rad``: float32, one per beat of ``reference``. ``words``: where it comes from.
     ``max_abs_error_m_s``: of the trial that swam it; ``travel_m``: how far it came; None = not
     known. ``unique_id``: of its fish; empty = not known."""
@@ -60,7 +60,7 @@ def has_learned(record: bytes | None) -> bool:
     return held.best_iteration > 0 or (held.iteration > 0 and held.input != INPUT_FIRST)
 
 
-def of_records(reference: bytes | None, learned: bytes | None, where: str) -> Learned:
+def of_records(reference: bytes | None, learned: bytes | None, where: str) -> LearnedInput:
     """The best of what a board holds, or held; without a best what swims next. Raises InputError
     when it has learned nothing."""
     if reference is None or learned is None or not has_learned(learned):
@@ -68,7 +68,7 @@ def of_records(reference: bytes | None, learned: bytes | None, where: str) -> Le
     wanted, held = decode_reference(reference), decode_learned(learned)
     best = held.best_iteration > 0
     words = f"{where}, iteration {held.best_iteration if best else held.iteration}"
-    return Learned(
+    return LearnedInput(
         reference=Reference(wanted.beat_s, wanted.speed_m_s, f"{wanted.crc:08x}"),
         amplitude_rad=held.best_rad if best else held.amplitude_rad,
         words=words,
@@ -76,13 +76,13 @@ def of_records(reference: bytes | None, learned: bytes | None, where: str) -> Le
     )
 
 
-def of_backup(folder: Path) -> Learned:
+def of_backup(folder: Path) -> LearnedInput:
     """Of a copy that ``tailbeat board flash`` or an earlier --warm-start made."""
     backup = Snapshot.read(folder)
     return of_records(backup.reference, backup.learned, f"the copy {folder.name}")
 
 
-def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Learned:
+def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> LearnedInput:
     """The best of the trials that are judged; of several references ``crc``, or that of the last
     such trial. Raises InputError when there is none."""
     known = list(trials)
@@ -104,7 +104,7 @@ def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Le
     score = best_of([found for _, found in alike])
     best = next(trial for trial, found in alike if found is score)
     reference = Reference(best.beat_s, best.beats.reference_m_s, f"{best.reference_crc:08x}")
-    return Learned(
+    return LearnedInput(
         reference=reference,
         amplitude_rad=best.beats.applied_rad,
         words=f"trial {best.number} of {where}",
@@ -114,12 +114,12 @@ def of_trials(trials: Iterable[Trial], where: str, crc: int | None = None) -> Le
     )
 
 
-def of_file(path: Path) -> Learned:
+def of_file(path: Path) -> LearnedInput:
     """A trial's file. Raises InputError."""
     return of_trials([read_trial(path)], path.name)
 
 
-def of_folder(folder: Path) -> Learned:
+def of_folder(folder: Path) -> LearnedInput:
     """An experiment, a folder with trial files, or a copy of a board. Raises InputError."""
     if (folder / "board.json").is_file():
         return of_backup(folder)
@@ -151,7 +151,7 @@ class TransferPlan:
     scaled, less what the limit takes. ``model_of``: ``identified`` or ``board``. ``swims_it``: the
     board has the new reference already, with nothing learned along it."""
 
-    learned: Learned
+    learned: LearnedInput
     new: Reference
     by: Similarity
     transferred: Transferred
@@ -217,7 +217,7 @@ def plan(
     return TransferPlan(learned, new, by, transferred, travel_m, model_of, state.swims_it)
 
 
-def carry(
+def upload_transfer(
     fish: Fish,
     found: TransferPlan,
     book: TrialLibrary | None = None,
@@ -279,7 +279,7 @@ def _learned(
     state: _State,
     book: TrialLibrary | None,
     experiments: Path,
-) -> Learned:
+) -> LearnedInput:
     if like == BOARD:
         if state.swims_it:
             return _left(fish, new, book)
@@ -292,7 +292,7 @@ def _learned(
     return _along(fish, like, state, book, experiments)
 
 
-def _left(fish: Fish, new: Reference, book: TrialLibrary | None) -> Learned:
+def _left(fish: Fish, new: Reference, book: Logbook | None) -> LearnedInput:
     """The copy that was made before ``new`` came; the last, when there are some."""
     root = book.folder / COPIES if book is not None else None
     for folder in sorted(root.iterdir(), reverse=True) if root and root.is_dir() else []:
@@ -309,8 +309,8 @@ def _left(fish: Fish, new: Reference, book: TrialLibrary | None) -> Learned:
 
 
 def _along(
-    fish: Fish, text: str, state: _State, book: TrialLibrary | None, experiments: Path
-) -> Learned:
+    fish: Fish, text: str, state: _State, book: Logbook | None, experiments: Path
+) -> LearnedInput:
     """A reference by name or CSV."""
 
     try:

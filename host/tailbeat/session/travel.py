@@ -20,7 +20,7 @@ from tailbeat.core.faults import NO_REFERENCE, refusal
 from tailbeat.core.law_memory import first_amplitudes
 from tailbeat.core.records import decode_reference
 from tailbeat.core.trial_file import Trial, read_trial
-from tailbeat.experiment.library import TrialLibrary
+from tailbeat.experiment.library import Logbook, identified_if_readable
 from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.fit import Prior, Scatter, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
@@ -172,21 +172,13 @@ def _next(fish: Fish, book: TrialLibrary | None) -> _Next:
     else:
         values = held.values
     amplitude = laws.saturate(law, values).astype(np.float64)
-    belief = travel_model_of(params, _identified(book), last_measured(fish, book))
+    belief = travel_model_of(params, identified_if_readable(book), last_measured(fish, book))
     return _Next(amplitude, wanted.beat_s, params, belief)
 
 
-def _identified(book: TrialLibrary | None) -> Identified | None:
-    """A damaged file is no reason not to swim: then the board's parameters count."""
-    try:
-        return book.identified() if book is not None else None
-    except InputError:
-        return None
-
-
-def last_measured(fish: Fish, book: TrialLibrary | None) -> Trial | None:
-    """The trial the board learned from last, else the last of the trial library that counts, is of
-    no identification and has speeds. One that the trial library lacks is fetched, once."""
+def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
+    """The trial the board learned from last, else the last of the logbook that counts, is of no
+    identification and has speeds. One that the logbook lacks is fetched, once."""
     number = fish.status().last_learned_trial
     counting = [one.trial for one in book.kept()[0] if not one.mark] if book is not None else []
     measured = [trial for trial in counting if np.isfinite(trial.beats.speed_m_s).any()]

@@ -45,7 +45,7 @@ _AFTER_S = 120.0
 
 
 @dataclass(frozen=True)
-class Stash:
+class PositionStore:
     """Where the positions of one trial wait."""
 
     path: Path
@@ -93,9 +93,9 @@ class Stash:
         return []
 
 
-def stash_of(experiment: Experiment, trial: int) -> Stash:
+def position_store(experiment: Experiment, trial: int) -> PositionStore:
     """That of one trial of an experiment."""
-    return Stash(experiment.folder / ".pulling" / f"{trial:04d}_positions.csv")
+    return PositionStore(experiment.folder / ".pulling" / f"{trial:04d}_positions.csv")
 
 
 def as_csv(frames: Sequence[Frame], start_s: float) -> str:

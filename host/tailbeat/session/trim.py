@@ -26,12 +26,11 @@ from tailbeat.experiment.current import current, set_and_save
 from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_folder
 from tailbeat.learning.fit import Scatter
 from tailbeat.link.messages import TrialOutcome
-from tailbeat.session.events import Notice, StepProgress
-from tailbeat.session.guards import Guard, RoomGuard, Seen, together, when
-from tailbeat.session.operator import Operator
+from tailbeat.session.events import Notice, Operator, StepProgress
+from tailbeat.session.guards import FrameRecorder, Guard, RoomGuard, all_guards, stop_when
 from tailbeat.session.outcome import BY_HAND, Travel
-from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
+from tailbeat.session.preflight import prepare
+from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import TravelModel, last_measured, travel_by, travel_model_of
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import camera_of
@@ -58,7 +57,7 @@ _REST_S, _PATIENCE_S, _LOOK_S = 20.0, 90.0, 0.2  # of board time
 
 
 @dataclass(frozen=True)
-class TrimSwim:
+class TrimTrial:
     """One of the two: its centre, and how the fish turned per metre, clockwise from above."""
 
     centre_us: float
@@ -74,7 +73,7 @@ class Trim:
     was_us: float
     centre_us: float
     sigma_us: float
-    swims: tuple[TrimSwim, TrimSwim]
+    swims: tuple[TrimTrial, TrimTrial]
     source: str
 
     @property
@@ -100,7 +99,7 @@ class Trim:
 
 
 def centre_of(
-    swims: tuple[TrimSwim, TrimSwim], was_us: float, source: str, params: Mapping[str, float]
+    swims: tuple[TrimTrial, TrimTrial], was_us: float, source: str, params: Mapping[str, float]
 ) -> Trim:
     """The line through the two, where it turns by nothing. Raises InputError when that makes no
     sense."""
@@ -260,8 +259,8 @@ class _TrimRunner:
         )
         self._ask(number, centre_us, planned)
         room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
-        seen = Seen()
-        guards = together(self.guard, room, when(self.operator.wants_abort, BY_HAND), seen)
+        seen = FrameRecorder()
+        guards = all_guards(self.guard, room, stop_when(self.operator.wants_abort, BY_HAND), seen)
         outcome = run_trial(fish, self.camera, self.operator.tell, guards)
         trial = self.board.collect(outcome, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
@@ -331,7 +330,7 @@ def _since_begin(
     ]  # fmt: skip
 
 
-def _turned(log: _Log, course: HeadingTrace, source: str) -> TrimSwim:
+def _turned(log: _Log, course: HeadingTrace, source: str) -> TrimTrial:
     """With a sigma that holds what the scatter about the line does not show: a fish at rest that
     turned a little, and water that flowed (the tail turns it by the metre through the water)."""
     turn, sigma = course.turn_rad_m()
@@ -339,7 +338,7 @@ def _turned(log: _Log, course: HeadingTrace, source: str) -> TrimSwim:
     swim_s = float(np.count_nonzero(np.isfinite(course.way_m)))
     drift = imu_drift_rad_s(log.trial) / math.sqrt(3) if source == "imu" else 0.0
     flow = Scatter().flow_m_s * turn
-    return TrimSwim(
+    return TrimTrial(
         log.centre_us, turn, math.hypot(sigma, drift * swim_s / way_m, flow * swim_s / way_m)
     )
 

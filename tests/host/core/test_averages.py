@@ -14,7 +14,7 @@ from tailbeat.core.errors import InputError, Refused
 from tailbeat.core.faults import LAW_FEEDBACK, LAW_SIGN
 from tailbeat.core.law import PAST_KINDS, Averaging, Law
 from tailbeat.core.law_memory import LawMemory, Memory, PastTrial
-from tailbeat.session.dry_run import dry_run
+from tailbeat.session.next_input import dry_run
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport

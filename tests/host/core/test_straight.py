@@ -24,7 +24,7 @@ from tailbeat.core.trial_checks import (
 )
 from tailbeat.core.trial_file import NO_MOTION, Beats, Rest, Slots, Trial, read_trial
 from tailbeat.sensors.camera.render.source import SimulatedCamera
-from tailbeat.session.guards import Seen
+from tailbeat.session.guards import FrameRecorder
 from tailbeat.session.trial import run_trial
 
 Turn = Callable[[np.ndarray], np.ndarray]
@@ -189,7 +189,7 @@ def test_the_simulator_s_own_heading(askew_rad: float, tmp_path: Path) -> None:
         fish.params.set("ILC_GAIN", 7)
         fish.upload_reference(thesis().record())
         fish.link.run(30)
-        seen = Seen()
+        seen = FrameRecorder()
         number = run_trial(fish, guard=seen).number
         true_rad = fish.sim.world.truth().heading_rad
         one = read_trial(fish.pull_trial(number, tmp_path))

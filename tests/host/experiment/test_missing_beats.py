@@ -31,7 +31,7 @@ from tailbeat.learning.convergence import (
     noise_band,
     repeat_limits,
 )
-from tailbeat.session.dry_run import dry_run
+from tailbeat.session.next_input import dry_run
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.learners import FishBatch
 

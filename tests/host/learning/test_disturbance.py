@@ -14,7 +14,7 @@ from tailbeat.core.trial_file import Trial, read_trial
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.fit_quality import disturbance_of
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.collect import Log, outcome_of, record_of
+from tailbeat.session.collect import TrialLog, outcome_of, record_of
 from tailbeat.session.trial import run_trial
 
 PUSH_M_S = 0.05
@@ -57,7 +57,7 @@ def tank(tmp_path: Path) -> Iterator[Tank]:
 
 
 def problems(trial: Trial) -> tuple[str, ...]:
-    return record_of(outcome_of(trial), Log(Path("x.ulg"), trial, None), None).problems
+    return record_of(outcome_of(trial), TrialLog(Path("x.ulg"), trial, None), None).problems
 
 
 def test_a_push_is_told_and_learning_is_not(tank: Tank) -> None:

@@ -38,7 +38,7 @@ from tailbeat.learning.identification_runs import (
     identify_runs,
 )
 from tailbeat.link.messages import BeatEvent, Event
-from tailbeat.session.identify import Attendant, identify_fish, set_params
+from tailbeat.session.identify import IdentificationHooks, identify_fish, set_params
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
@@ -261,7 +261,7 @@ def test_the_board_has_everything_back(learned: Fish, tmp_path: Path) -> None:
     def keep(path: Path) -> None:
         files.append(Path(shutil.copy(path, tmp_path)))
 
-    found = identify_fish(learned, Attendant(keep=keep), tmp_path / "safe", quick=True)
+    found = identify_fish(learned, IdentificationHooks(keep=keep), tmp_path / "safe", quick=True)
     assert state(learned) == before
     assert not (tmp_path / "safe").exists()
     assert found.unique_id == learned.unique_id()
@@ -297,7 +297,10 @@ def test_after_a_failure_too(
     calls = 70 if where == "event" else 2
     with pytest.raises(type(error)):
         identify_fish(
-            learned, Attendant(**{where: failing(calls, error)}), tmp_path / "safe", quick=True
+            learned,
+            IdentificationHooks(**{where: failing(calls, error)}),
+            tmp_path / "safe",
+            quick=True,
         )
     assert state(learned) == before
     assert where != "event" or len(board.world.true_beats()) < 20  # the tail stopped at once
@@ -312,7 +315,7 @@ def test_stopped_by_hand_in_a_beat(learned: Fish, board: SimBoard) -> None:
         if isinstance(event, BeatEvent) and event.beat == 3:
             pressed.append(event)
 
-    attendant = Attendant(event=event, wants_abort=lambda: bool(pressed))
+    attendant = IdentificationHooks(event=event, wants_abort=lambda: bool(pressed))
     with pytest.raises(TailbeatError, match="run 1 was stopped by hand"):
         identify_fish(learned, attendant, quick=True)
     assert state(learned) == before
@@ -333,7 +336,9 @@ def test_the_wall_guard_is_asked(learned: Fish) -> None:
             else None
         )
 
-    identified = identify_fish(learned, Attendant(before=runs.append, guard=guard), quick=True)
+    identified = identify_fish(
+        learned, IdentificationHooks(before=runs.append, guard=guard), quick=True
+    )
     assert any(isinstance(one, Frame) for one in seen)
     assert len(runs) == 4 and len(identified.swims) == 4
     first = identified.swims[0]
@@ -347,7 +352,7 @@ def test_when_the_link_stays_away_a_copy_is_left(
     record = learned.learned_record()
     monkeypatch.setattr(preserve, "_restore", failing(1, LinkLostError("gone", "")))
     with pytest.raises(TailbeatError, match=r"a copy is in .*flash --restore"):
-        identify_fish(learned, Attendant(), tmp_path / "safe", quick=True)
+        identify_fish(learned, IdentificationHooks(), tmp_path / "safe", quick=True)
     copy = Snapshot.read(tmp_path / "safe")
     assert (copy.reference, copy.learned) == (before["reference"], record)
 
@@ -363,7 +368,10 @@ def killed(learned: Fish, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fi
         patch.setattr(preserve, "_put_back", lambda *_: None)
         with pytest.raises(Killed):
             identify_fish(
-                learned, Attendant(keep=failing(2, Killed())), tmp_path / "safe", quick=True
+                learned,
+                IdentificationHooks(keep=failing(2, Killed())),
+                tmp_path / "safe",
+                quick=True,
             )
     return learned
 
@@ -375,7 +383,7 @@ def test_after_a_computer_died_the_first_copy_is_put_back(
     fish = request.getfixturevalue("killed")
     assert fish.status().pending_trial is not None
     heard: list[str] = []
-    identify_fish(fish, Attendant(note=heard.append), tmp_path / "safe", quick=True)
+    identify_fish(fish, IdentificationHooks(note=heard.append), tmp_path / "safe", quick=True)
     assert state(fish) == before
     assert len(heard) == 1 and "broken off" in heard[0] and str(tmp_path / "safe") in heard[0]
     assert list(tmp_path.iterdir()) == []
@@ -414,7 +422,7 @@ def test_a_computer_that_died_while_putting_back(
     fish = request.getfixturevalue("killed")
     fish.discard()
     fish.upload_reference(before["reference"])  # what was learned did not follow
-    identify_fish(fish, Attendant(), tmp_path / "safe", quick=True)
+    identify_fish(fish, IdentificationHooks(), tmp_path / "safe", quick=True)
     assert state(fish) == before
 
 
@@ -431,7 +439,7 @@ def test_an_older_copy_neither_comes_back_nor_goes(
     fish.learn()
     before = state(fish)
     heard: list[str] = []
-    identify_fish(fish, Attendant(note=heard.append), tmp_path / "safe", quick=True)
+    identify_fish(fish, IdentificationHooks(note=heard.append), tmp_path / "safe", quick=True)
     assert state(fish) == before
     assert Snapshot.read(tmp_path / "safe-1") == copy
     assert str(tmp_path / "safe-1") in heard[0]
@@ -444,7 +452,7 @@ def test_a_guess_is_made_anew(tank: Fish) -> None:
     tank.arm()
     tank.disarm()
     assert tank.status().iteration == 1
-    identify_fish(tank, Attendant(), quick=True)
+    identify_fish(tank, IdentificationHooks(), quick=True)
     assert tank.status().iteration == 0
     tank.params.set("ILC_GAIN", 5.0)
     tank.arm()
@@ -454,7 +462,7 @@ def test_a_guess_is_made_anew(tank: Fish) -> None:
 
 
 def test_no_reference_before_and_no_run_after(tank: Fish) -> None:
-    identify_fish(tank, Attendant(), quick=True)
+    identify_fish(tank, IdentificationHooks(), quick=True)
     status = tank.status()
     assert (status.iteration, status.beats, status.pending_trial) == (0, 1, None)
     assert _reference(status).startswith("none; upload one")
@@ -464,25 +472,25 @@ def test_refused_while_a_trial_is_pending(learned: Fish) -> None:
     run_trial(learned)
     before = state(learned)
     with pytest.raises(InputError, match="trial 3 is neither learned nor discarded"):
-        identify_fish(learned, Attendant())
+        identify_fish(learned, IdentificationHooks())
     assert state(learned) == before
 
 
 def test_speeds_by_hand(tank: Fish, board: SimBoard) -> None:
     tank.params.set("SPD_SOURCE", 1)
     with pytest.raises(InputError, match="SPD_SOURCE is upload"):
-        identify_fish(tank, Attendant())
+        identify_fish(tank, IdentificationHooks())
 
     def by_video(trial: int, beats: int, beat_s: float) -> Array:
         del trial, beat_s
         return board.world.true_beats()[:beats]
 
-    found = identify_fish(tank, Attendant(speeds=by_video), quick=True)
+    found = identify_fish(tank, IdentificationHooks(speeds=by_video), quick=True)
     assert found.model.kappa_per_m == pytest.approx(10, rel=0.15)
 
 
 def test_parameters_last_and_others_do_not(learned: Fish, board: SimBoard) -> None:
-    found = identify_fish(learned, Attendant(), quick=True)
+    found = identify_fish(learned, IdentificationHooks(), quick=True)
     learned.params.set("ILC_GAIN", 5.5)
     held = set_params(learned, found)
     assert held["MDL_KAPPA"] == pytest.approx(found.model.kappa_per_m, rel=1e-6)

@@ -29,7 +29,12 @@ from tailbeat.learning.fish_model import Conditions, FishModel, TrialSpeeds
 from tailbeat.learning.fit import Prior
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.model_law import Proposal, document_of, predicted_before, propose, repropose
-from tailbeat.session.model_step import ModelStep, next_of, numbered_anew, swims_since
+from tailbeat.session.next_input import (
+    ModelStep,
+    choose_next_input,
+    numbering_restarted,
+    trials_since,
+)
 from tailbeat.session.trial import run_trial
 from tailbeat.studies.montecarlo.learners import FishBatch
 
@@ -310,9 +315,9 @@ def test_no_swim_no_speed_and_damage() -> None:
 def test_only_swims_after_the_identification_count() -> None:
     swims = [_as_modelled(TRUE, np.full(40, 0.4), thesis(), number) for number in range(1, 6)]
     identified = replace(known(TRUE), unique_id="aa", swims=swims[1:3])
-    assert [swim.trial for swim in swims_since(identified, swims, "aa")] == [4, 5]
-    assert [swim.trial for swim in swims_since(identified, swims, "bb")] == [1, 2, 3, 4, 5]
-    assert len(swims_since(replace(identified, swims=[]), swims, "aa")) == 5
+    assert [swim.trial for swim in trials_since(identified, swims, "aa")] == [4, 5]
+    assert [swim.trial for swim in trials_since(identified, swims, "bb")] == [1, 2, 3, 4, 5]
+    assert len(trials_since(replace(identified, swims=[]), swims, "aa")) == 5
 
 
 def test_numbers_that_come_again_hide_no_swim() -> None:
@@ -320,11 +325,11 @@ def test_numbers_that_come_again_hide_no_swim() -> None:
     runs = [_as_modelled(TRUE, np.full(40, 0.4), thesis(), number) for number in (1, 2, 3, 4)]
     later = [_as_modelled(TRUE, np.full(40, 0.45), thesis(), number) for number in (5, 1, 2)]
     identified = replace(known(TRUE), unique_id="aa", swims=runs)
-    since = swims_since(identified, [*runs, *later], "aa")
+    since = trials_since(identified, [*runs, *later], "aa")
     assert [swim.trial for swim in since] == [5, 1, 2]
-    assert numbered_anew([*runs, *later], since)
-    assert not numbered_anew(runs, runs)
-    assert not numbered_anew(runs, [runs[3], runs[1]])  # pulled late
+    assert numbering_restarted([*runs, *later], since)
+    assert not numbering_restarted(runs, runs)
+    assert not numbering_restarted(runs, [runs[3], runs[1]])  # pulled late
 
 
 def foreseeing(law: str, median_m_s: float) -> Proposal:
@@ -333,12 +338,12 @@ def foreseeing(law: str, median_m_s: float) -> Proposal:
 
 
 def test_after_a_rollback_only_something_better_is_uploaded() -> None:
-    assert next_of(foreseeing("p", 0.5), False, 0.01).upload
-    assert next_of(foreseeing("model", 0.5), False, 0.01).words == ""
-    assert not next_of(foreseeing("p", 0.001), True, 0.01).upload
-    better = next_of(foreseeing("model", 0.009), True, 0.01)
+    assert choose_next_input(foreseeing("p", 0.5), False, 0.01).upload
+    assert choose_next_input(foreseeing("model", 0.5), False, 0.01).words == ""
+    assert not choose_next_input(foreseeing("p", 0.001), True, 0.01).upload
+    better = choose_next_input(foreseeing("model", 0.009), True, 0.01)
     assert better.upload and "takes the place of the best" in better.words
-    worse = next_of(foreseeing("model", 0.0101), True, 0.01)
+    worse = choose_next_input(foreseeing("model", 0.0101), True, 0.01)
     assert not worse.upload and "nothing better (10.1 mm/s, the best had 10.0)" in worse.words
 
 

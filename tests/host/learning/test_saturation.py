@@ -25,7 +25,7 @@ from tailbeat.learning.saturation import (
 )
 from tailbeat.link.params import known_parameters
 from tailbeat.session.events import Event
-from tailbeat.session.execute import report_assessment
+from tailbeat.session.status import report_assessment
 from tailbeat.session.trial import run_trial
 
 TANK = FishModel(10.0, 0.219, 0.197, 0.3)

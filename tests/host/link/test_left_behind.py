@@ -26,13 +26,12 @@ from tailbeat.core.errors import InputError, TailbeatError
 from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current
 from tailbeat.experiment.folder import Experiment, alone
-from tailbeat.experiment.library import library_of, preserve_folder
-from tailbeat.session import series
+from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.session import preflight, series
 from tailbeat.session.events import Event
 from tailbeat.session.log import SessionLog, write_held
 from tailbeat.session.outcome import Decision, RecordedTrial
-from tailbeat.session.preflight import checklist
-from tailbeat.session.series import Options, Until, swim_series
+from tailbeat.session.series import Options, Until, run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -142,7 +141,7 @@ def test_the_page_does_not_go_on_either(says: Says, monkeypatch: pytest.MonkeyPa
         with pytest.raises(InputError, match=r"was broken off.*session resume"):
             begin(fish, Path("experiments"))
         with pytest.raises(InputError, match=r"was broken off.*session resume"):
-            swim_series(fish, made, Script(), ONCE)
+            run_series(fish, made, Script(), ONCE)
 
 
 def erase(board: SimBoard) -> None:
@@ -296,13 +295,13 @@ def test_only_one_program_swims_in_an_experiment(board: SimBoard) -> None:
 
         def second() -> None:
             with connected() as other, pytest.raises(InputError) as error:
-                swim_series(other, made, Script(), ONCE)
+                run_series(other, made, Script(), ONCE)
             refused.append(str(error.value))
 
-        end = swim_series(fish, made, Script(second), ONCE)
+        end = run_series(fish, made, Script(second), ONCE)
         assert (end.why, end.rounds[0].learned is not None) == ("swims", True)
         assert len(refused) == 1 and "another program swims in" in refused[0]
-        assert swim_series(fish, made, Script(), ONCE).why == "swims", "it is free again"
+        assert run_series(fish, made, Script(), ONCE).why == "swims", "it is free again"
 
 
 def test_the_lock_goes_with_its_program(board: SimBoard) -> None:
@@ -338,7 +337,7 @@ def test_a_decision_that_came_too_late(board: SimBoard, act: str, answer: str, w
         made = begin(fish, Path("experiments"))
         operator = Script(lambda: getattr(fish, act)(1), answer)
         with pytest.raises(TailbeatError, match=words):
-            swim_series(fish, made, operator, ONCE)
+            run_series(fish, made, operator, ONCE)
     assert [one["trial"] for one in journal("withdrawn")] == [1]
     account = SessionLog(made, made.journal)
     assert account.decision_on(made.raw / "0001.ulg") is None
@@ -405,13 +404,13 @@ def test_the_battery_sags_while_it_rests(
     says: Says, board: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert says(*KEEP)[0] == 0
-    look = checklist._look_at_battery
+    look = preflight._look_at_battery
 
     def sags(fish: Fish, *rest: Any) -> None:
         board.world.set_battery_v(6.4)
         look(fish, rest[0], fish.status())
 
-    monkeypatch.setattr(checklist, "_look_at_battery", sags)
+    monkeypatch.setattr(preflight, "_look_at_battery", sags)
     status, _ = says(*KEEP, "--until", "battery")
     assert status == 0, "as was asked for"
     assert len(journal("swum")) == 1

@@ -11,7 +11,7 @@ import pytest
 
 from tailbeat.board.fish import Fish
 from tailbeat.experiment.journal import Journal
-from tailbeat.session.battery import accepted, switched_off_since
+from tailbeat.session.log import accepted, switched_off_since
 
 
 def board(now_s: float, simulated: bool = False) -> Fish:

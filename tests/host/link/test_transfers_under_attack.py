@@ -30,7 +30,7 @@ from tailbeat.link.impaired import (
     hc05,
 )
 from tailbeat.link.mavlink import TRIES
-from tailbeat.session.dry_run import dry_run
+from tailbeat.session.next_input import dry_run
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

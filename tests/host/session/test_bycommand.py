@@ -22,9 +22,9 @@ from tailbeat.experiment.current import begin
 from tailbeat.experiment.folder import Experiment
 from tailbeat.experiment.relearn import relearn
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.collect import keep_log, outcome_of, proposed, record_of
+from tailbeat.session.collect import keep_log, outcome_of, proposed_decision, record_of
 from tailbeat.session.events import Event
-from tailbeat.session.guards import when
+from tailbeat.session.guards import stop_when
 from tailbeat.session.log import SessionLog
 from tailbeat.session.outcome import BY_HAND, Decision, StopKind, StopReason
 from tailbeat.session.trial import run_trial
@@ -64,7 +64,7 @@ def swims(fish: Fish, until_beat: int | None = None) -> int:
         nonlocal reached
         reached = reached or (isinstance(event, BeatEvent) and event.beat == until_beat)
 
-    return run_trial(fish, on_event=hear, guard=when(lambda: reached, BY_HAND)).number
+    return run_trial(fish, on_event=hear, guard=stop_when(lambda: reached, BY_HAND)).number
 
 
 def whats(experiment: Experiment) -> list[str]:
@@ -223,8 +223,8 @@ def test_a_swim_that_somebody_stopped_is_proposed_to_be_dropped_whenever_asked(
     log = keep_log(fish, experiment, swims(fish, until_beat=1))
     now = record_of(outcome_of(log.trial), log, None, BY_HAND)
     later = record_of(outcome_of(log.trial), log, None)
-    assert proposed(now) == Decision("discard", BY_HAND.text)
-    assert proposed(later).kind == "discard"
+    assert proposed_decision(now) == Decision("discard", BY_HAND.text)
+    assert proposed_decision(later).kind == "discard"
 
 
 @pytest.mark.parametrize("written", ["now", "by an older version"])
@@ -249,5 +249,5 @@ def test_who_stopped_it_is_known_after_a_restart(
         assert "stopped" not in experiment.journal.entries("swum")[-1]
     again = keep_log(fish, experiment, number)
     later = record_of(outcome_of(again.trial), again, None)
-    assert proposed(at_once) == proposed(later) == wanted
+    assert proposed_decision(at_once) == proposed_decision(later) == wanted
     assert later.problems == at_once.problems

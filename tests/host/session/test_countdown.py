@@ -21,7 +21,7 @@ from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.sensors.camera.tracking.track import SEEN, Track
 from tailbeat.sensors.camera.tracking.tracker import PATCH_SHAPE
 from tailbeat.session.events import Countdown, Event
-from tailbeat.session.preflight.step import GivenUp, NotReady, PreflightLimits, countdown
+from tailbeat.session.preflight_step import GivenUp, NotReady, PreflightLimits, countdown
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import default_camera
 from tailbeat.sim.world import CameraFrame

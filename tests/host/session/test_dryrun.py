@@ -6,7 +6,7 @@ import numpy as np
 
 from tailbeat.board.fish import Fish
 from tailbeat.core import reference
-from tailbeat.session.dry_run import dry_run
+from tailbeat.session.next_input import dry_run
 from tailbeat.session.outcome import StopKind, StopReason
 from tailbeat.session.trial import run_trial
 

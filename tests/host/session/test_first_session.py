@@ -25,10 +25,10 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import needed_rad, servo_rad
 from tailbeat.link.params import known_parameters
 from tailbeat.session import commission, commission_steps
-from tailbeat.session.battery import Drain
-from tailbeat.session.commission import CommissionStep, first_session
-from tailbeat.session.commission_steps import Raise, next_raise
+from tailbeat.session.commission import CommissionStep, commission_fish
+from tailbeat.session.commission_steps import LimitIncrease, next_limit_increase
 from tailbeat.session.events import Countdown, Event, StepProgress, TrialStarted
+from tailbeat.session.log import Drain
 from tailbeat.session.outcome import Decision, RecordedTrial
 from tailbeat.session.status import fall_per_swim, status_of, swims_left, words
 from tailbeat.session.trial import run_trial
@@ -71,7 +71,7 @@ class Somebody:
 # The rules
 
 
-def stays(said: Raise | str) -> str:
+def stays(said: LimitIncrease | str) -> str:
     assert isinstance(said, str)
     assert said.startswith("AMP_MAX_RAD stays ") and "\n" not in said
     return said
@@ -79,9 +79,11 @@ def stays(said: Raise | str) -> str:
 
 def test_in_small_steps_up_to_what_the_reference_needs() -> None:
     params, steps = dict(DEFAULTS), []
-    while isinstance(found := next_raise(params, THESIS, known(), STRAIGHT), Raise):
+    while isinstance(
+        found := next_limit_increase(params, THESIS, known(), STRAIGHT), LimitIncrease
+    ):
         assert found.name == "AMP_MAX_RAD" and found.was == params["AMP_MAX_RAD"]
-        assert 0 < found.to - found.was <= commission.RAISE_MAX_RAD + 1e-9
+        assert 0 < found.to - found.was <= commission.INCREASE_MAX_RAD + 1e-9
         steps.append(found.to)
         params["AMP_MAX_RAD"] = float(np.float32(found.to))
     need = needed_rad(known(), THESIS)
@@ -91,8 +93,8 @@ def test_in_small_steps_up_to_what_the_reference_needs() -> None:
 
 
 def test_the_reason_has_its_figures() -> None:
-    found = next_raise(DEFAULTS, THESIS, known(), STRAIGHT)
-    assert isinstance(found, Raise)
+    found = next_limit_increase(DEFAULTS, THESIS, known(), STRAIGHT)
+    assert isinstance(found, LimitIncrease)
     assert f"{TANK.amplitude_rad(0.0791):.2f} rad hold the 79 mm/s" in found.reason
     assert "at most 0.1 at once" in found.reason and "DU_MAX_RAD stays 0.15" in found.reason
     assert "of 2.64 m" in found.reason
@@ -102,7 +104,7 @@ def test_a_weaker_model_asks_for_more() -> None:
     weak = replace(TANK, slope_m_s_rad=0.19)
     assert needed_rad(known(TANK, weak), THESIS) > needed_rad(known(), THESIS) + 0.02
     slow = reference.thesis(0.04, 40.0)
-    assert "enough" in stays(next_raise(DEFAULTS, slow, known(), STRAIGHT))
+    assert "enough" in stays(next_limit_increase(DEFAULTS, slow, known(), STRAIGHT))
 
 
 def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
@@ -122,17 +124,19 @@ def test_a_sluggish_fish_needs_more_than_its_top_speed() -> None:
 )
 def test_why_not(given: tuple[Any, Any, bool], why: str) -> None:
     identified, straight, rolled_back = given
-    assert why in stays(next_raise(DEFAULTS, THESIS, identified, straight, rolled_back))
+    assert why in stays(next_limit_increase(DEFAULTS, THESIS, identified, straight, rolled_back))
 
 
 def test_the_servo_ends_it() -> None:
     near = DEFAULTS | {"SERVO_MAX_US": 1500 + 0.55 * DEFAULTS["SERVO_US_RAD"]}
     assert servo_rad(near) == pytest.approx(0.55)
-    found = next_raise(near, THESIS, known(), STRAIGHT)
-    assert isinstance(found, Raise) and found.to == pytest.approx(0.55)
+    found = next_limit_increase(near, THESIS, known(), STRAIGHT)
+    assert isinstance(found, LimitIncrease) and found.to == pytest.approx(0.55)
     assert "the servo turns no farther" in found.reason
     there = near | {"AMP_MAX_RAD": 0.55}
-    assert "the servo turns 0.55 rad" in stays(next_raise(there, THESIS, known(), STRAIGHT))
+    assert "the servo turns 0.55 rad" in stays(
+        next_limit_increase(there, THESIS, known(), STRAIGHT)
+    )
     askew = DEFAULTS | {"SERVO_CENTRE_US": 1200.0}
     assert servo_rad(askew) == pytest.approx(300 / DEFAULTS["SERVO_US_RAD"])
     assert servo_rad(DEFAULTS) == pytest.approx(math.pi / 3)
@@ -140,9 +144,9 @@ def test_the_servo_ends_it() -> None:
 
 def test_the_tank_ends_it() -> None:
     short = DEFAULTS | {"TANK_LEN_M": 2.3}
-    assert "no room for more" in stays(next_raise(short, THESIS, known(), STRAIGHT))
+    assert "no room for more" in stays(next_limit_increase(short, THESIS, known(), STRAIGHT))
     unchecked = DEFAULTS | {"TANK_LEN_M": 0.0}
-    assert isinstance(next_raise(unchecked, THESIS, known(), STRAIGHT), Raise)
+    assert isinstance(next_limit_increase(unchecked, THESIS, known(), STRAIGHT), LimitIncrease)
 
 
 # The proving swim
@@ -160,10 +164,10 @@ def test_a_profile_that_fits_or_none() -> None:
 def test_proofs(fish: Fish) -> None:
     fish.link.run(6.0)
     before = fish.params.get("AMP_MAX_RAD").value
-    found = commission_steps.prove(fish, 0.6, known(), Somebody())
+    found = commission_steps.try_limit(fish, 0.6, known(), Somebody())
     assert found.why_not == "" and "of the speed foretold" in found.words
     assert found.straight is not None and not found.straight.crooked
-    stronger = commission_steps.prove(
+    stronger = commission_steps.try_limit(
         fish, 0.6, known(replace(TANK, slope_m_s_rad=0.3)), Somebody()
     )
     assert "slower than foretold" in stronger.why_not
@@ -175,7 +179,7 @@ def test_a_proof_that_turns() -> None:
     board = SimBoard("tank", seed=1, tail_centre_rad=0.3)
     with Fish(SimTransport(board)) as fish:
         fish.link.run(15.0)
-        found = commission_steps.prove(fish, 0.6, known(), Somebody())
+        found = commission_steps.try_limit(fish, 0.6, known(), Somebody())
     assert "NOT STRAIGHT" in found.why_not
 
 
@@ -214,7 +218,7 @@ def test_the_whole_of_it(quickly: None, tmp_path: Path, monkeypatch: pytest.Monk
     board = SimBoard("tank", seed=1, tail_centre_rad=0.05)
     with Fish(SimTransport(board)) as fish:
         somebody = Somebody()
-        steps = list(first_session(fish, THESIS, somebody))
+        steps = list(commission_fish(fish, THESIS, somebody))
         assert [step.name for step in steps[:4]] == ["look", "trim", "identify", "design"]
         assert all(step.done for step in steps), steps
         counted = sum(isinstance(e, Countdown) and e.left_s == 0 for e in somebody.told)
@@ -253,7 +257,7 @@ def fish_folder(library: Path) -> str:
 def test_no_is_no(
     refused: str, ends_at: str, reached: float, fish: Fish, known_at_once: None
 ) -> None:
-    steps = list(first_session(fish, THESIS, Somebody(refused)))
+    steps = list(commission_fish(fish, THESIS, Somebody(refused)))
     assert steps[-1].name == ends_at and not steps[-1].done
     assert "the answer was no" in steps[-1].words
     assert limit(fish) == pytest.approx(reached)
@@ -264,7 +268,7 @@ def test_a_proof_that_fails_leaves_the_limit(
 ) -> None:
     fish.sim.world.swap_battery(8.2, gain=0.7)  # type: ignore[union-attr]
     fish.link.run(1.0)
-    steps = list(first_session(fish, THESIS, Somebody()))
+    steps = list(commission_fish(fish, THESIS, Somebody()))
     assert not steps[-1].done and "slower than foretold" in steps[-1].words
     assert limit(fish) == pytest.approx(0.5)
 
@@ -274,7 +278,7 @@ def broken(do: Callable[[SimBoard], None], **config: float) -> tuple[list[Commis
     do(board)
     board.run(1.0)
     with Fish(SimTransport(board)) as fish:
-        return list(first_session(fish, THESIS, Somebody())), limit(fish)
+        return list(commission_fish(fish, THESIS, Somebody())), limit(fish)
 
 
 def test_nothing_begins_on_an_empty_battery_or_without_a_camera() -> None:
@@ -291,7 +295,7 @@ def test_nothing_begins_on_an_empty_battery_or_without_a_camera() -> None:
 def test_a_trial_that_waits_comes_first(fish: Fish) -> None:
     fish.upload_reference(reference.trapezoid(0.05, 2, 2))
     run_trial(fish)
-    steps = list(first_session(fish, THESIS, Somebody()))
+    steps = list(commission_fish(fish, THESIS, Somebody()))
     assert len(steps) == 1 and "neither learned nor discarded" in steps[0].words
     assert fish.status().pending_trial == 1
 
@@ -301,7 +305,7 @@ def test_what_was_learned_is_not_given_up_unasked(fish: Fish) -> None:
     run_trial(fish)
     fish.learn()
     mine = fish.learned_record()
-    steps = list(first_session(fish, THESIS, Somebody("forget")))
+    steps = list(commission_fish(fish, THESIS, Somebody("forget")))
     assert not steps[-1].done and fish.learned_record() == mine
 
 

@@ -11,7 +11,7 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.guards import RoomGuard, Seen, together, when
+from tailbeat.session.guards import FrameRecorder, RoomGuard, all_guards, stop_when
 from tailbeat.session.outcome import BY_HAND, StopKind, StopReason
 from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial import run_trial
@@ -109,21 +109,21 @@ def test_together_all_see_everything_and_the_first_reason_counts() -> None:
         return None
 
     one, two = StopReason(StopKind.CALLER, "one"), StopReason(StopKind.CALLER, "two")
-    guard = together(None, lambda _: one, look, lambda _: two)
+    guard = all_guards(None, lambda _: one, look, lambda _: two)
     assert guard("x") == one and seen == ["x"]
-    assert together(None, None)("x") is None
+    assert all_guards(None, None)("x") is None
 
 
 def test_when() -> None:
     pressed = [False]
-    guard = when(lambda: pressed[0], BY_HAND)
+    guard = stop_when(lambda: pressed[0], BY_HAND)
     assert guard("x") is None
     pressed[0] = True
     assert guard("x") == BY_HAND
 
 
 def test_seen_keeps_the_frames_of_this_swim() -> None:
-    seen = Seen()
+    seen = FrameRecorder()
     seen(Frame(1.0, 0.5))
     seen(TrackReset())
     assert seen(Frame(102.0, 0.1, -0.2, 0.3)) is None and seen("x") is None

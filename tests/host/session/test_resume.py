@@ -28,15 +28,14 @@ from tailbeat.experiment.board_state import copy_state, held_state
 from tailbeat.experiment.current import begin, current, is_interrupted, note_set, strayed, use
 from tailbeat.experiment.folder import Experiment
 from tailbeat.link.messages import BeatEvent, LearnReport
+from tailbeat.session.change import FishChange, change_of
 from tailbeat.session.collect import keep_log, outcome_of, record_of
 from tailbeat.session.events import Event, TrialStarted
 from tailbeat.session.identify import prior_of
 from tailbeat.session.log import SessionLog, repeat_path, write_held
 from tailbeat.session.outcome import Decision, RecordedTrial
-from tailbeat.session.repeat import repeat_best
-from tailbeat.session.resume import Restored, restore
-from tailbeat.session.series import Options, Until, swim_series
-from tailbeat.session.shift import Shift, shift_of
+from tailbeat.session.resume import Restored, repeat_best, restore
+from tailbeat.session.series import Options, Until, run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trim import find_centre
 from tailbeat.sim.board import SimTransport
@@ -84,9 +83,9 @@ class Pool:
             fish.params.set(name, value)
         fish.upload_reference(WANTED)
         self.experiment = begin(fish, folder / "experiments").folder
-        swim_series(fish, Experiment(self.experiment), Somebody(), Options(Until(3), None))
+        run_series(fish, Experiment(self.experiment), Somebody(), Options(Until(3), None))
         self.younger = board.flash
-        swim_series(fish, Experiment(self.experiment), Somebody(), ONE)
+        run_series(fish, Experiment(self.experiment), Somebody(), ONE)
         self.flash = board.flash
         self.learned = fish.learned_record()
 
@@ -418,11 +417,11 @@ def test_the_repeat_is_a_repeat_and_nothing_is_learned(
     assert held is not None and held.learned == pool.learned
     assert experiment.journal.entries("shifted")[-1]["within"] == shift.within
     assert somebody.count(LearnReport) == 0
-    again = swim_series(swapped, experiment, Somebody(), ONE)  # learning goes on where it was
+    again = run_series(swapped, experiment, Somebody(), ONE)  # learning goes on where it was
     assert again.records[0].outcome.iteration == 5
 
 
-def shift_after(pool: Pool, experiment: Experiment, gain: float) -> Shift:
+def shift_after(pool: Pool, experiment: Experiment, gain: float) -> FishChange:
     fish = after_a_swap(pool.flash, gain=gain)
     restore(fish, experiment)
     return repeat_best(fish, experiment, Somebody(), ONE)[1]
@@ -441,8 +440,8 @@ def test_a_short_swim_tells_less_of_the_thrust(pool: Pool) -> None:
     trials = Experiment(pool.experiment).trials()
     best = min(trials, key=lambda trial: trial.max_abs_error_m_s())
     model = prior_of({name: p.value for name, p in connect(SimBoard("tank")).params.list().items()})
-    whole = shift_of(trials, best, model.model)
-    short = shift_of(trials, replace(best, executed_beats=4), model.model)
+    whole = change_of(trials, best, model.model)
+    short = change_of(trials, replace(best, executed_beats=4), model.model)
     assert short.thrust_high - 1 > 1.2 * (whole.thrust_high - 1)
 
 
@@ -489,7 +488,7 @@ def test_how_often_it_is_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             fish.params.set(name, value)
         fish.upload_reference(reference.thesis())
         experiment = begin(fish, tmp_path)
-        swim_series(fish, experiment, Somebody(), Options(Until(6), None))
+        run_series(fish, experiment, Somebody(), Options(Until(6), None))
         for gain in right:
             board.world.swap_battery(8.3, gain=gain)
             fish.link.run(2.0)

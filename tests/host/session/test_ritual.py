@@ -17,10 +17,9 @@ from tailbeat.core.frames import CameraGone, Frame
 from tailbeat.link import _dialect as mavlink
 from tailbeat.session.events import Event, StepProgress
 from tailbeat.session.outcome import StopKind, StopReason
-from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.pose import Sight
-from tailbeat.session.preflight.step import GivenUp, NotReady, PreflightLimits, PreflightStep
-from tailbeat.session.preflight.stillness import drift_of
+from tailbeat.session.preflight import drift_of, prepare
+from tailbeat.session.preflight_pose import CameraPose
+from tailbeat.session.preflight_step import GivenUp, NotReady, PreflightLimits, PreflightStep
 from tailbeat.session.trial import run_trial
 
 from ..conftest import BadRadio
@@ -181,7 +180,7 @@ def test_what_may_be_too_far_at_worst_is_a_notice(
     from tailbeat.session.outcome import Travel
 
     monkeypatch.setattr(
-        "tailbeat.session.preflight.checklist.travel_next",
+        "tailbeat.session.preflight.travel_next",
         lambda *_: Travel(2.5, 2.71, 2.64, "a test"),
     )
     operator = Script()
@@ -429,7 +428,7 @@ def test_out_of_sight_for_long_counts_anew(ready: Fish, blind_s: float, anew: bo
 def test_a_gap_counts_anew_though_nobody_looked_meanwhile(ready: Fish) -> None:
     """A bad radio may hold the ritual up for seconds."""
     camera = Overhead(ready, lies(), seen=lambda t_s: not 8.0 < t_s < 11.0)
-    sight = Sight(ready, camera, 10.0)
+    sight = CameraPose(ready, camera, 10.0)
     step = PreflightStep(ready, Script(), "still")
     for wait_s, from_s in ((7.5, 0.0), (5.0, 11.0)):
         ready.link.run(wait_s)

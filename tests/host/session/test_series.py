@@ -23,7 +23,6 @@ from tailbeat.experiment.library import DISCARDED, TrialLibrary
 from tailbeat.link.messages import BeatEvent, LearnReport
 from tailbeat.sensors.camera.render.source import SimulatedCamera
 from tailbeat.session import series as series_module
-from tailbeat.session.battery import Drain, forecast, too_low
 from tailbeat.session.events import (
     Assessed,
     Countdown,
@@ -39,9 +38,10 @@ from tailbeat.session.events import (
     TrialStarted,
     TrialWarning,
 )
+from tailbeat.session.log import Drain, forecast, too_low
 from tailbeat.session.outcome import Decision, RecordedTrial
-from tailbeat.session.preflight.step import GivenUp
-from tailbeat.session.series import Options, SeriesEnd, Until, swim_series
+from tailbeat.session.preflight_step import GivenUp
+from tailbeat.session.series import Options, SeriesEnd, Until, run_series
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -119,7 +119,7 @@ def swim(fish: Fish, experiment: Experiment) -> Callable[..., SeriesEnd]:
 
     def call(operator: Script, swims: int | None = 1, **options: Any) -> SeriesEnd:
         options = {"until": Until(swims), "wanted": None, **options}
-        return swim_series(fish, experiment, operator, Options(**options))
+        return run_series(fish, experiment, operator, Options(**options))
 
     return call
 
@@ -601,7 +601,7 @@ def test_ctrl_c_once_it_is_armed(
     swim: Callable[..., SeriesEnd],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from tailbeat.session.preflight.step import PreflightLimits
+    from tailbeat.session.preflight_step import PreflightLimits
 
     real = series_module.countdown
 
@@ -749,7 +749,7 @@ def test_the_link_is_gone_for_20_s_in_mid_swim(fish: Fish, board: SimBoard, tmp_
 
     fish.link.transport.wait = wait  # type: ignore[method-assign]
     options = Options(until=Until(2), wanted=None)
-    end = swim_series(fish, experiment, operator, options)
+    end = run_series(fish, experiment, operator, options)
     assert len(operator.of(LinkLost)) >= 1 and len(operator.of(LinkRestored)) == 1
     assert [recorded.outcome.end for recorded in end.records] == ["aborted:LINK_LOST", "complete"]
     assert [one.learned is not None for one in end.rounds] == [True, True]
@@ -788,7 +788,7 @@ def test_a_camera_that_dies(
     camera.dead_at_s = board.time_s + 4.0
     operator = Script(BUMPED)
     options = Options(until=Until(1), wanted=None, counts=("discard",))
-    end = swim_series(fish, experiment, operator, options, camera)
+    end = run_series(fish, experiment, operator, options, camera)
     assert end.records[0].outcome.end == "aborted:ABORT_COMMAND"
     assert any("unplugged" in event.text for event in operator.of(TrialWarning))
     require_goes_on(fish, board, experiment, swim, 0)
@@ -847,7 +847,7 @@ def test_a_ritual_that_is_given_up(
     def given_up(*_: Any) -> None:
         raise GivenUp("nobody wanted to wait", "Begin again.")
 
-    from tailbeat.session.preflight.step import PreflightLimits
+    from tailbeat.session.preflight_step import PreflightLimits
 
     monkeypatch.setattr(series_module, "prepare", given_up)
     end = swim(Script(), wanted=PreflightLimits())
@@ -858,7 +858,7 @@ def test_a_ritual_that_is_given_up(
 def test_with_the_ritual(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd]
 ) -> None:
-    from tailbeat.session.preflight.step import PreflightLimits
+    from tailbeat.session.preflight_step import PreflightLimits
 
     operator = Script()
     end = swim(operator, swims=2, wanted=PreflightLimits(rest_s=20.0, still_s=4.0, countdown_s=3.0))
@@ -876,7 +876,7 @@ def test_with_the_ritual(
 def test_ctrl_c_in_any_call_of_the_person_with_the_ritual(
     fish: Fish, board: SimBoard, experiment: Experiment, swim: Callable[..., SeriesEnd], most: int
 ) -> None:
-    from tailbeat.session.preflight.step import PreflightLimits
+    from tailbeat.session.preflight_step import PreflightLimits
 
     wanted = PreflightLimits(rest_s=0.0, still_s=2.0, countdown_s=2.0)
     whole = Calls(0, KeyboardInterrupt())

@@ -27,10 +27,10 @@ from tailbeat.link.params import known_parameters
 from tailbeat.session import trial, trim
 from tailbeat.session.events import Event, Notice, StepProgress, TrialStarted
 from tailbeat.session.outcome import Decision, RecordedTrial
-from tailbeat.session.preflight.step import GivenUp
+from tailbeat.session.preflight_step import GivenUp
 from tailbeat.session.travel import travel_model_of
 from tailbeat.session.trial import run_trial
-from tailbeat.session.trim import CENTRE, Trim, TrimSwim, apply, centre_of, find_centre, plan
+from tailbeat.session.trim import CENTRE, Trim, TrimTrial, apply, centre_of, find_centre, plan
 
 US_RAD = 572.9578
 PARAMS = {name: known.default for name, known in known_parameters().items()}
@@ -267,7 +267,7 @@ def test_set_for_good_says_what_is_held(learned: Fish) -> None:
 
 
 def made(low: float, high: float, sigma: float = 0.01) -> Trim:
-    swims = TrimSwim(1466.0, low, sigma), TrimSwim(1534.0, high, sigma)
+    swims = TrimTrial(1466.0, low, sigma), TrimTrial(1534.0, high, sigma)
     return centre_of(swims, 1500.0, "imu", PARAMS)
 
 

@@ -16,7 +16,7 @@ from tailbeat.experiment.library import DISCARDED, TrialLibrary, library_of
 from tailbeat.learning.assessment import progress_of
 from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.identification import Identified
-from tailbeat.session.decide import not_noted, noted_decision, pending_of, withdrawn_if_refused
+from tailbeat.session.decide import log_decision, not_logged_text, pending_of, withdrawn_if_refused
 
 
 def folder_or_current(folder: Path | None, connect: str | None) -> Experiment:
@@ -66,7 +66,7 @@ def discard_and_keep(fish: Fish, number: int | None, repeat: bool, reason: str =
     pending = pending_of(fish, number, f"trial discard{_given(number, repeat, reason)}")
     noted = None
     if pending is not None:
-        noted = noted_decision(fish, pending, "repeat" if repeat else "discard", reason)
+        noted = log_decision(fish, pending, "repeat" if repeat else "discard", reason)
     book, copy = None, None
     try:
         book = library_of(fish)
@@ -76,7 +76,7 @@ def discard_and_keep(fish: Fish, number: int | None, repeat: bool, reason: str =
         warn(f"not kept in the trial library: {error}")
     with withdrawn_if_refused(noted):
         fish.discard(number)
-    if noted is None and (line := not_noted(fish)):
+    if noted is None and (line := not_logged_text(fish)):
         warn(line)
     if book is not None and copy is not None and not repeat:
         book.mark(copy, DISCARDED)

@@ -12,7 +12,7 @@ from typing import Protocol
 from tailbeat.app.cli._terminal import Display, ended, json_asked
 from tailbeat.core.errors import TailbeatError
 from tailbeat.core.faults import ABORT_COMMAND, fault_info
-from tailbeat.session.collect import is_good, proposed
+from tailbeat.session.collect import is_good, proposed_decision
 from tailbeat.session.events import (
     Assessed,
     BoardText,
@@ -271,7 +271,7 @@ class TerminalOperator:
     def decide(self, recorded: RecordedTrial) -> Decision:
         """The answer given beforehand, else by a key. Raises Undecided when nobody is there and
         the trial is not plainly good."""
-        proposal = proposed(recorded)
+        proposal = proposed_decision(recorded)
         learned_unseen = proposal.kind != "keep" and self.then == Decision("keep")
         if self.then is not None and not (self.keys is not None and learned_unseen):
             return self.then

@@ -32,9 +32,9 @@ from tailbeat.learning.identification_runs import FRACTIONS, IdentificationRun, 
 from tailbeat.link.messages import BeatEvent
 from tailbeat.report.figures.identification import draw_account, draw_table
 from tailbeat.session.events import Event
-from tailbeat.session.identify import Attendant, identify_fish, prior_of, set_params
-from tailbeat.session.preflight.checklist import prepare
-from tailbeat.session.preflight.step import GivenUp, PreflightLimits, countdown
+from tailbeat.session.identify import IdentificationHooks, identify_fish, prior_of, set_params
+from tailbeat.session.preflight import prepare
+from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -210,7 +210,7 @@ def _found(
             if here:
                 runs.display = display
                 runs.check = partial(_preflight, fish, asked.rest, live.camera, operator)
-            attendant = Attendant(
+            attendant = IdentificationHooks(
                 runs.before,
                 None if asked.alone else ask_for_speeds,
                 runs.follow,

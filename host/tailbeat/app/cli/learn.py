@@ -30,18 +30,18 @@ from tailbeat.learning.convergence import Assessment
 from tailbeat.learning.fish_model import TrialSpeeds, trial_speeds
 from tailbeat.learning.identification import Identified
 from tailbeat.link.messages import LearnReport
-from tailbeat.session.decide import learn_noted, not_noted, restore_best_noted, state_noted
-from tailbeat.session.dry_run import dry_run as compute
-from tailbeat.session.model_step import (
+from tailbeat.session.decide import learn_and_log, log_state, not_logged_text, restore_best_and_log
+from tailbeat.session.next_input import (
     ModelStep,
-    Next,
-    next_of,
+    NextInput,
+    choose_next_input,
     next_step,
-    numbered_anew,
+    numbering_restarted,
     setting_of,
-    swims_since,
+    trials_since,
     upload,
 )
+from tailbeat.session.next_input import dry_run as compute
 from tailbeat.session.presenter import result
 
 
@@ -78,16 +78,16 @@ def learn(
 
 
 def _restore_best(fish: Fish) -> Output:
-    restore_best_noted(fish)
+    restore_best_and_log(fish)
     held = fish.amplitudes()
     document = {"restored": True, "iteration": held.iteration, "amplitude_rad": held.values}
     return Output(document, f"the best amplitudes swim next, as iteration {held.iteration}")
 
 
 def _learn(fish: Fish, number: int | None) -> Output:
-    report = learn_noted(fish, number, "learn" + ("" if number is None else f" {number}"))
+    report = learn_and_log(fish, number, "learn" + ("" if number is None else f" {number}"))
     held, visits = fish.amplitudes(), fish.visits()
-    if line := not_noted(fish):
+    if line := not_logged_text(fish):
         warn(line)
     verdict = verdict_after_learning(fish, report.trial, report.rolled_back)
     document = vars(report) | {"next_iteration": held.iteration, "amplitude_rad": held.values}
@@ -118,20 +118,20 @@ def learn_with_model(
     warn_if_another(identified, unique_id)
     setting = setting_of(fish)
     every, kept = _swims(fish, pending, book, dry_run)
-    swims = swims_since(identified, every, unique_id)
-    if numbered_anew(every, swims):
+    swims = trials_since(identified, every, unique_id)
+    if numbering_restarted(every, swims):
         warn(_ANEW)
     step = next_step(setting, identified, swims)
     if dry_run:
         return _output(step, pending, None, None, None)
-    report = None if pending is None else learn_noted(fish, pending, "learn --law model")
+    report = None if pending is None else learn_and_log(fish, pending, "learn --law model")
     restored = report.rolled_back if report else fish.amplitudes().input == _RESTORED
-    following = next_of(step.proposal, restored, fish.status().best_max_abs_error_m_s)
+    following = choose_next_input(step.proposal, restored, fish.status().best_max_abs_error_m_s)
     if following.upload:
         if book is not None:
             book.add_proposal(step.document)
         upload(fish, setting, step.proposal)
-        state_noted(fish)
+        log_state(fish)
     verdict = None
     if report is not None:
         verdict = verdict_after_learning(fish, report.trial, report.rolled_back, kept)
@@ -174,7 +174,7 @@ def _output(
     step: ModelStep,
     pending: int | None,
     report: LearnReport | None,
-    following: Next | None,
+    following: NextInput | None,
     verdict: Assessment | None,
 ) -> Output:
     """``following`` None: a dry run."""
@@ -191,7 +191,7 @@ def _output(
     return Output(document, lambda: _text(step, report, following) + verdict_text(verdict))
 
 
-def _text(step: ModelStep, report: LearnReport | None, following: Next | None) -> str:
+def _text(step: ModelStep, report: LearnReport | None, following: NextInput | None) -> str:
     proposal = step.proposal
     parts = []
     if report is not None:

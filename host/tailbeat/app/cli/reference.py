@@ -32,7 +32,7 @@ from tailbeat.learning.error_bound import ErrorBoundRange, Miss, error_bound_ran
 from tailbeat.learning.fish_model import TrialSpeeds
 from tailbeat.learning.identification import Identified
 from tailbeat.learning.saturation import KnownFish, Saturation, expected_saturation, known_fish
-from tailbeat.session.transfer import TransferPlan, carry, plan
+from tailbeat.session.transfer import TransferPlan, plan, upload_transfer
 
 _BOUND_FINE_M_S = 0.002
 
@@ -95,7 +95,7 @@ def _upload_warm(
         table = [f"{beat},{float(value)!r}" for beat, value in rows]
         return Output(document, "\n".join(["beat,amplitude_rad", *table]))
     with bytes_bar("upload") as show:
-        copy = carry(fish, found, book, show)
+        copy = upload_transfer(fish, found, book, show)
     name_reference(fish, reference)
     kept = f"; what the board had learned is kept in {copy}" if copy is not None else ""
     return Output(document | {"copy": copy}, f"uploaded {words}{kept}")

@@ -23,12 +23,11 @@ from tailbeat.board.preserve import restore_interrupted
 from tailbeat.core.errors import InputError
 from tailbeat.experiment.current import current, is_interrupted, named_reference, swims_for
 from tailbeat.experiment.folder import Experiment
-from tailbeat.experiment.library import library_of, preserve_folder
-from tailbeat.session.commission import CommissionStep, first_session
+from tailbeat.experiment.library import logbook_of, preserve_folder
+from tailbeat.session.commission import CommissionStep, commission_fish
 from tailbeat.session.outcome import Decision
-from tailbeat.session.preflight.step import PreflightLimits
-from tailbeat.session.repeat import repeat_best
-from tailbeat.session.resume import Restored, restore, restore_params
+from tailbeat.session.preflight_step import PreflightLimits
+from tailbeat.session.resume import Restored, repeat_best, restore, restore_params
 from tailbeat.session.series import Options
 from tailbeat.session.status import status_of, words
 from tailbeat.session.trim import Trim, apply, find_centre
@@ -63,7 +62,7 @@ def commission(
         operator = _operator(*there, yes)
         steps = []
         limits = preflight_limits(rest)
-        for step in first_session(fish, profile, operator, live.camera, live.guard, limits):
+        for step in commission_fish(fish, profile, operator, live.camera, live.guard, limits):
             display.keep(f"{'ok' if step.done else '--'}  {step.name}: {step.words}")
             steps.append(step)
         held = fish.params.values("AMP_MAX_RAD", "DU_MAX_RAD")

@@ -34,10 +34,10 @@ from tailbeat.experiment.library import known_fish_of, library_of
 from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
-from tailbeat.session.guards import Guard, together
+from tailbeat.session.guards import Guard, all_guards
 from tailbeat.session.outcome import Decision, DecisionKind
 from tailbeat.session.presenter import alert
-from tailbeat.session.series import Options, Round, SeriesEnd, Until, swim_series
+from tailbeat.session.series import Options, Round, SeriesEnd, Until, run_series
 from tailbeat.session.travel import room_guard, travel_next
 from tailbeat.session.trial import run_trial
 
@@ -167,7 +167,7 @@ def _guarded(fish: Fish, guard: Guard | None) -> Guard:
     require_meant_here(fish)
     book = library_of(fish)
     travel_next(fish, book).require_room()
-    return together(guard, room_guard(fish, book))
+    return all_guards(guard, room_guard(fish, book))
 
 
 def _follower(fish: Fish, live: LiveCamera, show: Callable[[float, str], None]) -> OnEvent:
@@ -223,7 +223,7 @@ def _run_guided(fish: Fish, live: LiveCamera, given: GuideOptions) -> Output:
         operator = TerminalOperator(
             display, keys, given.answer(), _keep_alive(fish), on_event=live.follow
         )
-        end = swim_series(fish, experiment, operator, options, live.camera, live.guard)
+        end = run_series(fish, experiment, operator, options, live.camera, live.guard)
     until = options.until
     good = (*_GOOD_ENDS, "battery") if until.swims is None and not until.converged else _GOOD_ENDS
     status = 0 if end.why in good else 130 if end.why == "interrupted" else 1

@@ -19,7 +19,7 @@ from tailbeat.app.web.worker import Worker
 from tailbeat.core.errors import InputError
 from tailbeat.core.printable import mm
 from tailbeat.experiment.trial_rows import TrialRow
-from tailbeat.session.collect import proposed
+from tailbeat.session.collect import proposed_decision
 from tailbeat.session.events import StepProgress
 from tailbeat.session.outcome import RecordedTrial
 from tailbeat.session.presenter import record_lines
@@ -292,7 +292,7 @@ class Deciding:
                 ui.label(line)
             for problem in recorded.problems:
                 ui.label(problem).classes("banner problem").style("width:100%")
-        self._why.set_value(proposed(recorded).reason)
+        self._why.set_value(proposed_decision(recorded).reason)
         self._keep.set_enabled(recorded.measured_beats > 0)
 
 

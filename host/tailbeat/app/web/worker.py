@@ -35,8 +35,8 @@ from tailbeat.link.messages import BeatEvent, BoardStatus, LearnReport, imu_heal
 from tailbeat.session.events import Event, TrialDecided
 from tailbeat.session.guards import Guard
 from tailbeat.session.outcome import KINDS, Decision, RecordedTrial
-from tailbeat.session.preflight.step import PreflightLimits
-from tailbeat.session.series import Options, Until, swim_series
+from tailbeat.session.preflight_step import PreflightLimits
+from tailbeat.session.series import Options, Until, run_series
 from tailbeat.session.travel import travel_next
 from tailbeat.session.trial_camera import camera_of
 
@@ -438,7 +438,7 @@ class Worker:
         self._set(steps=(), phase="ritual" if ritual else "working")
         try:
             with self.open_camera(fish) as (camera, guard):
-                end = swim_series(
+                end = run_series(
                     fish, self._experiment, PageOperator(self, fish), options, camera, guard
                 )
         finally:

@@ -19,7 +19,7 @@ from tailbeat.core.errors import LinkLostError
 from tailbeat.learning.fish_model import FishModel
 from tailbeat.learning.transfer import similarity, transfer
 from tailbeat.session.outcome import StopKind, StopReason
-from tailbeat.session.transfer import carry, plan
+from tailbeat.session.transfer import plan, upload_transfer
 from tailbeat.session.trial import run_trial
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard
@@ -372,7 +372,7 @@ def study(
         fresh = swim(fish, 4)
         fish.upload_reference(old.record())
         best = min(swim(fish, learn))
-        carry(fish, plan(fish, "board", new))
+        upload_transfer(fish, plan(fish, "board", new))
         return best, fresh, swim(fish, 1)[0]
 
 

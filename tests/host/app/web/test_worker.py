@@ -22,7 +22,7 @@ from tailbeat.experiment.journal import Journal
 from tailbeat.experiment.library import FOLDER_VARIABLE
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.preflight.step import PreflightLimits
+from tailbeat.session.preflight_step import PreflightLimits
 from tailbeat.session.series import SeriesEnd
 from tailbeat.sim.board import SimTransport
 from tailbeat.sim.native import SimBoard

@@ -16,7 +16,7 @@ from tailbeat.learning.design import design
 from tailbeat.sensors.camera.render.scene import Scene
 from tailbeat.sensors.camera.speed import swim_speed
 from tailbeat.sensors.camera.sync import sync
-from tailbeat.session.identify import Attendant, identify_fish
+from tailbeat.session.identify import IdentificationHooks, identify_fish
 from tailbeat.session.trial import run_trial
 
 from ...rendered_tank import drawn_camera, swim_before_the_camera
@@ -32,7 +32,7 @@ def prepared(seed: int, reference: Reference, **overrides: float) -> Fish:
     fish = Fish.connect(f"sim:tank?seed={seed}", **overrides)
     fish.params.set("AMP_MAX_RAD", math.pi / 4)
     fish.params.set("DU_MAX_RAD", 0.0)
-    identified = identify_fish(fish, Attendant(), quick=True)
+    identified = identify_fish(fish, IdentificationHooks(), quick=True)
     law = design(identified, reference, math.pi / 4).law
     for name, value in {"ILC_GAIN": law.kp_rad_s_m, "ILC_LEAD": law.lead_beats}.items():
         fish.params.set(name, value)

@@ -16,8 +16,7 @@ from tailbeat.core.errors import InputError, LinkLostError, Refused, TailbeatErr
 from tailbeat.link import _dialect as mavlink
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import BoardStatus
-from tailbeat.session.events import Countdown, Notice, StepProgress
-from tailbeat.session.operator import Operator
+from tailbeat.session.events import Countdown, Notice, Operator, StepProgress
 
 
 class NotReady(TailbeatError):

@@ -44,7 +44,7 @@ _TAIL = 0.025
 
 
 @dataclass(frozen=True)
-class Shift:
+class FishChange:
     """One repeat of the best against what it was. ``speed_shift_m_s``: mean over beats of the
     repeat's speed less the best's, with its standard error. ``low_m_s`` to ``high_m_s``: max|e|
     that a repeat has in 95 of 100 cases. ``thrust``: the repeat's speeds over those before, by the
@@ -69,13 +69,13 @@ class Shift:
     words: str
 
 
-def shift_of(
+def change_of(
     series: Sequence[Trial],
     repeat: Trial,
     model: FishModel,
     identified: Identified | None = None,
     straight: HeadingDrift | None = None,
-) -> Shift:
+) -> FishChange:
     """``series``: what was swum of this reference before, without the discarded. ``model``: the
     identified fish's, or the board's. Raises InputError when none of them swam the repeat's
     amplitudes."""
@@ -91,8 +91,8 @@ def shift_of(
     slower, sigma = _mean_shift(original, repeat)
     worst = again.max_abs_error_m_s
     within = low <= worst <= high and thrust.low <= thrust.now <= thrust.high
-    figures = _Figures(best, again, low, high, thrust, slower, within, straight)
-    return Shift(
+    figures = _ChangeFigures(best, again, low, high, thrust, slower, within, straight)
+    return FishChange(
         best_trial=best.trial,
         best_max_abs_error_m_s=best.max_abs_error_m_s,
         repeat_trial=repeat.number,
@@ -227,7 +227,7 @@ def _mean_shift(original: Trial, repeat: Trial) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class _Figures:
+class _ChangeFigures:
     best: Score
     again: Score
     low: float
@@ -260,7 +260,7 @@ _REMEDIES: dict[Remedy, str] = {
 }
 
 
-def _words(found: _Figures) -> str:
+def _words(found: _ChangeFigures) -> str:
     best, again = found.best, found.again
     figures = (
         f"max|e| {_mm(again.max_abs_error_m_s)} mm/s (95 of 100 repeats have {_mm(found.low)} to "
@@ -279,7 +279,7 @@ def _thrust_words(thrust: _Thrust) -> str:
     return f"thrust {thrust.now:.2f} of what it was ({low:.2f} to {high:.2f} are noise)"
 
 
-def _how(found: _Figures) -> str:
+def _how(found: _ChangeFigures) -> str:
     shift = found.speed_shift_m_s
     words = ""
     if math.isfinite(shift):

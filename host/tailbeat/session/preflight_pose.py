@@ -20,7 +20,7 @@ from tailbeat.core.frames import Camera, CameraGone, Frame
 from tailbeat.link.mavlink import Message
 from tailbeat.sensors.camera.tracking.tracker import RepeatFilter
 from tailbeat.session.outcome import Pose
-from tailbeat.session.preflight.step import PreflightLimits, PreflightStep
+from tailbeat.session.preflight_step import PreflightLimits, PreflightStep
 
 _OVER_S = 1.2  # of board time, so that two lines a second apart are in it
 _LEAST_S = 0.8
@@ -37,7 +37,7 @@ class Attitude:
     roll_deg: float
 
 
-class Feel:
+class ImuPose:
     """Listens to TAILBEAT_LIVE and, for a board that sends none, ATTITUDE, until closed."""
 
     def __init__(self, fish: Fish) -> None:
@@ -47,7 +47,7 @@ class Feel:
         self.close = fish.link.subscribe(self._hear)
 
     @classmethod
-    def of(cls, fish: Fish, step: PreflightStep) -> Feel | None:
+    def of(cls, fish: Fish, step: PreflightStep) -> ImuPose | None:
         """None when the board has no IMU that streams; waits until it knows."""
         while (info := fish.imu_info()).problem.number == IMU_STARTING:
             if step.elapsed_s > _VERDICT_S:
@@ -111,7 +111,7 @@ _FELT_WAIT_S = 4.0
 
 
 def wait_for_pose(
-    step: PreflightStep, wanted: PreflightLimits, sight: Sight | None, feel: Feel | None
+    step: PreflightStep, wanted: PreflightLimits, sight: CameraPose | None, feel: ImuPose | None
 ) -> Pose | None:
     """Waits until it lies right. None when nothing can tell. Raises NotReady and what the step and
     the camera raise."""
@@ -123,7 +123,7 @@ def wait_for_pose(
         if sight is not None:
             sight.look(step)
         pose = pose_now(sight, feel)
-        wrong = _unknown(sight) if pose is None else what_to_do(pose, wanted)
+        wrong = _unknown(sight) if pose is None else pose_correction(pose, wanted)
         if pose is not None and wrong is None and _has_felt(step, feel):
             _tell_right(step, pose, wanted, feel)
             return pose
@@ -139,7 +139,7 @@ def wait_for_pose(
 _REMEDY = "Put it on the start line with its nose along the tank, and begin again."
 
 
-def pose_now(sight: Sight | None, feel: Feel | None) -> Pose | None:
+def pose_now(sight: CameraPose | None, feel: ImuPose | None) -> Pose | None:
     """Mean over the last second; None when too little is known."""
     attitude = feel.attitude() if feel is not None else None
     yaw_deg = attitude.yaw_deg if attitude is not None else None
@@ -164,7 +164,7 @@ def _turned_rad(frames: Sequence[Frame]) -> float:
     return abs(math.remainder(second - first, math.tau))
 
 
-def what_to_do(pose: Pose, wanted: PreflightLimits) -> str | None:
+def pose_correction(pose: Pose, wanted: PreflightLimits) -> str | None:
     """In words for who stands behind the fish; None when it lies right. Without a camera its yaw is
     compared with that of an earlier start, if there was one."""
     if pose.source == "camera":
@@ -193,19 +193,19 @@ def _aside(y_m: float, wanted: PreflightLimits) -> str | None:
     return f"it lies {abs(y_m):.2f} m to the {'right' if y_m > 0 else 'left'} of the line"
 
 
-def _unknown(sight: Sight | None) -> str:
+def _unknown(sight: CameraPose | None) -> str:
     if sight is None:
         return "the IMU has not told its yaw yet"
     return "looks where the fish lies" if sight.frames else sight.blind_words()
 
 
-def _has_felt(step: PreflightStep, feel: Feel | None) -> bool:
+def _has_felt(step: PreflightStep, feel: ImuPose | None) -> bool:
     """An IMU that streams is heard a second later than a camera; on a bad radio it may never be."""
     return feel is None or feel.attitude() is not None or step.elapsed_s > _FELT_WAIT_S
 
 
 def _tell_right(
-    step: PreflightStep, pose: Pose, wanted: PreflightLimits, feel: Feel | None
+    step: PreflightStep, pose: Pose, wanted: PreflightLimits, feel: ImuPose | None
 ) -> None:
     attitude = feel.attitude() if feel is not None else None
     if attitude is not None:
@@ -236,7 +236,7 @@ _MOVE = (
 )
 
 
-class Sight:
+class CameraPose:
     """``frames``: believed, oldest first, ``keep_s`` of them and a little more; their time in s of
     board time from some moment on. None is older than the last time the fish was carried (it
     jumped) or out of sight for longer than BLIND_S. A picture that stands still to the last bit
