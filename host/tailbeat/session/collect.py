@@ -38,7 +38,7 @@ from tailbeat.learning.fit_quality import disturbance_of
 from tailbeat.link.mavlink import Message
 from tailbeat.link.messages import SIMULATED_FISH, BeatEvent, BoardStatus, TrialOutcome
 from tailbeat.session.events import Event, LiveValues, Operator, TrialStopped
-from tailbeat.session.guards import FrameRecorder, Guard, all_guards, stop_when
+from tailbeat.session.guards import FrameRecorder, Guard, GuardedTrial, guards_of
 from tailbeat.session.outcome import BY_HAND, Decision, Ready, RecordedTrial, StopKind, StopReason
 from tailbeat.session.trial import run_trial
 from tailbeat.session.trial_camera import as_csv, position_store
@@ -399,9 +399,9 @@ class ExecutedTrial:
 
 
 def execute(
-    around: TrialSetup, experiment: Experiment, room: Guard, heading_rad: float
+    around: TrialSetup, experiment: Experiment, guarded: GuardedTrial, heading_rad: float
 ) -> ExecutedTrial:
-    """Swims the next trial and keeps what the camera saw. ``room`` ends it by distance. Raises what
+    """Swims the next trial and keeps what the camera saw. Raises what
     run_trial raises."""
     fish, operator = around.fish, around.operator
     live = LiveReporter(fish, operator, fish.info().board in SIMULATED_FISH)
@@ -413,7 +413,7 @@ def execute(
         operator.tell(event)
 
     seen, camera = FrameRecorder(), around.camera
-    guard = all_guards(around.guard, room, stop_when(operator.wants_abort, BY_HAND), seen, live)
+    guard = guards_of(guarded, seen, live)
     stop_listening = fish.link.subscribe(live.hear)
     try:
         outcome = run_trial(

@@ -37,8 +37,8 @@ from tailbeat.learning.saturation import (
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.change import slope_of
 from tailbeat.session.events import Notice, Operator
-from tailbeat.session.guards import Guard, RoomGuard, all_guards, stop_when
-from tailbeat.session.outcome import BY_HAND, Travel
+from tailbeat.session.guards import Guard, GuardedTrial, guards_of
+from tailbeat.session.outcome import Travel
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import PreflightLimits, countdown
 from tailbeat.session.travel import travel_of
@@ -202,11 +202,8 @@ def try_limit(
         if wanted is not None:
             prepare(fish, wanted, camera, operator)
             countdown(fish, wanted, operator)
-        watch = all_guards(
-            guard, RoomGuard.of_params(allowed, 1.0, None, predicted),
-            stop_when(operator.wants_abort, BY_HAND),
-        )  # fmt: skip
-        outcome = run_trial(fish, camera, operator.tell, watch)
+        guarded = GuardedTrial(allowed, predicted, operator.wants_abort, guard)
+        outcome = run_trial(fish, camera, operator.tell, guards_of(guarded))
         trial = board.collect(outcome, lambda o: _judge(fish, o), keep)
     return assess_limit_trial(trial, identified)
 

@@ -1,6 +1,6 @@
-"""Stops the tail before the fish meets a wall.
+"""Guards stop the tail before the fish meets a wall. ``GUARDS`` is the list of those of every trial.
 
-Guards of a swim that are not walls: the tank's length, a key, and all of several.
+A guard sees what happens and returns the reason to stop, or None.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tailbeat.core.arrays import F64
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.link.messages import BeatEvent
 from tailbeat.sensors.camera.calibration.file import Calibration
-from tailbeat.session.outcome import StopKind, StopReason
+from tailbeat.session.outcome import BY_HAND, StopKind, StopReason
 
 Guard = Callable[[object], StopReason | None]
 """Sees every Frame, Unseen, Afresh, CameraGone and BeatEvent as they come (ignore what you do not
@@ -249,19 +249,8 @@ _PLANNED_M = 0.1  # less is too little to tell by how much a fish differs from w
 _RATIO = (0.25, 4.0)
 
 
-def all_guards(*guards: Guard | None) -> Guard:
-    """Asks every guard (all see everything); the first reason counts."""
-    there = [guard for guard in guards if guard is not None]
-
-    def ask(seen: object) -> StopReason | None:
-        reasons = [guard(seen) for guard in there]
-        return next((reason for reason in reasons if reason), None)
-
-    return ask
-
-
 @dataclass
-class RoomGuard:
+class DistanceGuard:
     """Stops a fish that has swum as far as the tank allows, less the way it coasts on: by the sums
     of its beats' speeds, which come ``late_s`` after their ends. ``room_m`` 0 or infinite: never.
 
@@ -284,19 +273,14 @@ class RoomGuard:
         self._begin()
 
     @classmethod
-    def of_params(
-        cls,
-        params: Mapping[str, float],
-        beat_s: float = 1.0,
-        kappa_per_m: float | None = None,
-        planned_m_s: ArrayLike | None = None,
-    ) -> RoomGuard:
-        """For a board with these parameters. ``kappa_per_m`` None: MDL_KAPPA."""
+    def of(cls, trial: GuardedTrial) -> DistanceGuard:
+        """For a board with the trial's parameters."""
+        params, kappa = trial.params, trial.kappa_per_m
         tank_m = params["TANK_LEN_M"]
         room_m = max(tank_m - params["FISH_LEN_M"], 0.01) if tank_m > 0 else math.inf
-        kappa = params["MDL_KAPPA"] if kappa_per_m is None else kappa_per_m
         late_s = params["SPD_LATE_S"] + params["SPD_GAP_S"]
-        return cls(room_m, beat_s, kappa, planned_m_s, late_s)
+        kappa = params["MDL_KAPPA"] if kappa is None else kappa
+        return cls(room_m, trial.beat_s, kappa, trial.planned_m_s, late_s)
 
     def _begin(self) -> None:
         self.way_m = 0.0
@@ -391,3 +375,51 @@ class FrameRecorder:
             self.frames.clear()
         elif isinstance(seen, Frame):
             self.frames.append(seen)
+
+
+@dataclass(frozen=True)
+class GuardedTrial:
+    """What the guards of a trial are made from. ``params``: of the board; ``planned_m_s``,
+    ``kappa_per_m``: as DistanceGuard has them, None = MDL_KAPPA; ``caller``: a guard of the
+    caller's, such as a WallGuard; ``abort_requested``: by the operator."""
+
+    params: Mapping[str, float]
+    planned_m_s: ArrayLike
+    abort_requested: Callable[[], bool] = lambda: False
+    caller: Guard | None = None
+    beat_s: float = 1.0
+    kappa_per_m: float | None = None
+
+
+def caller_guard(trial: GuardedTrial) -> Guard | None:
+    """The guard that the caller gave."""
+    return trial.caller
+
+
+def operator_guard(trial: GuardedTrial) -> Guard:
+    """Stops the trial when the operator asks for it."""
+    return stop_when(trial.abort_requested, BY_HAND)
+
+
+# The guards of every trial; the first reason counts.
+GUARDS: tuple[Callable[[GuardedTrial], Guard | None], ...] = (
+    caller_guard,
+    DistanceGuard.of,
+    operator_guard,
+)
+
+
+def guards_of(trial: GuardedTrial, *recorders: Guard) -> Guard:
+    """All GUARDS of a trial as one, with what else sees all that they see."""
+    return all_guards(*(make(trial) for make in GUARDS), *recorders)
+
+
+def all_guards(*guards: Guard | None) -> Guard:
+    """Asks every guard (all see everything); the first reason counts."""
+    there = [guard for guard in guards if guard is not None]
+
+    def ask(seen: object) -> StopReason | None:
+        reasons = [guard(seen) for guard in there]
+        return next((reason for reason in reasons if reason), None)
+
+    return ask

@@ -24,7 +24,7 @@ from tailbeat.learning.identification import Identified
 from tailbeat.learning.identification_runs import IdentificationRun, Limits, identify_runs
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Event
-from tailbeat.session.guards import Guard, RoomGuard, all_guards, stop_when
+from tailbeat.session.guards import Guard, GuardedTrial, guards_of
 from tailbeat.session.outcome import BY_HAND
 from tailbeat.session.trial import run_trial
 
@@ -124,7 +124,16 @@ class _IdentificationRunner:
         assert run is not None
         self.board.prepare(f"identify {run.number}", amplitude, run.predicted_m_s)
         self.attendant.before(run)
-        guard = all_guards(self.attendant.guard, self._room(run), stop_when(self._stop, BY_HAND))
+        # A run ends in its coast-down: its predicted speeds are all there are.
+        kappa = self.board.params["MDL_KAPPA"] * _COASTS_ON
+        guarded = GuardedTrial(
+            self.board.params,
+            run.predicted_m_s,
+            self._stop,
+            self.attendant.guard,
+            kappa_per_m=kappa,
+        )
+        guard = guards_of(guarded)
         outcome = run_trial(self.board.fish, self.camera, self.attendant.event, guard)
         recorded = self.board.collect(outcome, self._judge, self.attendant.keep)
         return trial_speeds(recorded)
@@ -132,11 +141,6 @@ class _IdentificationRunner:
     def _stop(self) -> bool:
         self.stopped = self.stopped or self.attendant.wants_abort()
         return self.stopped
-
-    def _room(self, run: IdentificationRun) -> RoomGuard:
-        """A run ends in its coast-down, so that what is predicted of it is all there is."""
-        kappa = self.board.params["MDL_KAPPA"] * _COASTS_ON
-        return RoomGuard.of_params(self.board.params, 1.0, kappa, run.predicted_m_s)
 
     def _judge(self, outcome: TrialOutcome) -> None:
         assert self.run is not None

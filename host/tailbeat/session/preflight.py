@@ -1,19 +1,14 @@
-"""How long ago the fish swam last, by the board's own clock: nobody has to remember.
+"""The preflight checks: what must be so before a trial. ``CHECKS`` is the table of them.
 
-Whether water and fish are still: a fish that drifts at 2 mm/s brings 2 mm/s into every beat.
-
-What must be so before a swim: rest, room, start pose, still water and a still fish; then the
-countdown.
-
-Each step is told as it goes (operator.Event ``step``); one that cannot be made raises NotReady with
-what to do. One that is not there (no camera, no IMU) is told as a notice and left out, never taken
-for passed.
+Each check reports its progress; one that fails raises NotReady with what to do. A check that needs
+a missing sensor is reported as skipped, never as passed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
@@ -127,10 +122,6 @@ _TOLD_FROM_S = 2.0  # over less a camera's noise of 1 mm is more than what is lo
 _BLOCKS = 10
 _FRAMES_MIN = 12
 _FELT_LOOK_S = 0.5
-_REMEDY = (
-    "Switch off pumps, let the water calm down, let go of the fish only when it lies still;"
-    " then begin again."
-)
 
 
 def wait_until_still(
@@ -161,7 +152,7 @@ def _wait_by_camera(step: PreflightStep, wanted: PreflightLimits, sight: CameraP
         if step.is_late:
             if not sight.frames:
                 raise step.refuse(words, sight.blind_remedy())
-            raise step.refuse(f"water and fish do not come to rest: {words}", _REMEDY)
+            raise step.refuse(f"water and fish do not come to rest: {words}")
         step.tell(words, left_s=None if whole else wanted.still_s - covered_s)
         step.wait()
 
@@ -244,102 +235,66 @@ def _wait_by_imu(step: PreflightStep, wanted: PreflightLimits, feel: ImuPose) ->
             moves = still_s <= 0
             words = "something moves it" if moves else "nothing moves it, by the IMU"
             if step.is_late:
-                raise step.refuse("the fish does not come to rest, by the IMU", _REMEDY)
+                raise step.refuse("the fish does not come to rest, by the IMU")
             step.tell(words, left_s=wanted.still_s - still_s)
         step.wait()
 
 
 _ROUNDS = 3  # a fish that turns while the water calms down is put right again
-_RISE_V = 0.2  # once it was too low, by the board's rule (supervisor/battery.h)
+_BATTERY_RISE_V = 0.2  # once it was too low, by the board's rule (supervisor/battery.h)
 
 _found_low: WeakSet[Fish] = WeakSet()
 
 
-def prepare(
-    fish: Fish, wanted: PreflightLimits, camera: Camera | None, operator: Operator
-) -> Ready:
-    """Goes through all of it up to the countdown, the board IDLE and unarmed all the time. Raises
-    NotReady, GivenUp (operator.wants_abort), CameraGone, InputError (no room), Refused.
+@dataclass
+class Preflight:
+    """What the checks of one trial share, and what they have found so far."""
 
-    What needs no waiting comes first: nobody rests for half a minute to hear of an empty battery. A
-    board that is armed is disarmed."""
-    watch(fish)
-    status = _look_at_board(fish, operator)
-    travel = _look_at_room(fish, operator)
-    sight = CameraPose(fish, camera, wanted.still_s) if camera is not None else None
-    step = PreflightStep(fish, operator, "rest")
-    wait_for_rest(step, wanted.rest_s, fish.status(), sight)
-    feel = ImuPose.of(fish, PreflightStep(fish, operator, "pose"))
-    try:
-        pose, drift = _lie_still(fish, wanted, operator, sight, feel)
-    finally:
-        if feel is not None:
-            feel.close()
-    last = _look_at_board(fish, operator)
-    if last.time_s < status.time_s:
-        raise NotReady("the board has restarted meanwhile", "Look at the battery; begin again.")
-    return Ready(travel, rested_s(fish, last), pose, drift, last.battery_v)
+    fish: Fish
+    limits: PreflightLimits
+    camera: Camera | None
+    operator: Operator
+    status: BoardStatus | None = None
+    travel: Travel | None = None
+    view: CameraPose | None = None
+    imu: ImuPose | None = None
+    pose: Pose | None = None
+    drift: Drift | None = None
+
+    def step(self, check: Check) -> PreflightStep:
+        """The progress of a check, from now on."""
+        patience_s = self.limits.patience_s if check.is_waiting else math.inf
+        return PreflightStep(self.fish, self.operator, check.name, patience_s, check.remedy)
 
 
-def _lie_still(
-    fish: Fish,
-    wanted: PreflightLimits,
-    operator: Operator,
-    sight: CameraPose | None,
-    feel: ImuPose | None,
-) -> tuple[Pose | None, Drift | None]:
-    """Until it lies right and still at the same time."""
-    for _ in range(_ROUNDS):
-        step = PreflightStep(fish, operator, "pose", wanted.patience_s)
-        pose = wait_for_pose(step, wanted, sight, feel)
-        still = PreflightStep(fish, operator, "still", wanted.patience_s)
-        drift = wait_until_still(still, wanted, sight, feel)
-        now = pose_now(sight, feel)
-        if now is None and sight is None:
-            now = pose
-        wrong = "it turns" if now is None and pose is not None else None
-        if now is not None:
-            wrong = pose_correction(now, wanted)
-        if wrong is None:
-            return now, drift
-        step.notice(f"it does not lie right any more: {wrong}")
-    raise step.refuse(
-        f"the fish does not stay as it was put: {wrong}",
-        "Look for a current that turns it, or trim its ballast; then begin again.",
-    )
-
-
-def _look_at_board(fish: Fish, operator: Operator) -> BoardStatus:
-    """IDLE, with nothing pending and enough battery."""
-    step = PreflightStep(fish, operator, "board")
-    status = fish.status()
+def check_board(at: Preflight, step: PreflightStep) -> None:
+    """IDLE, with nothing pending and enough battery; an armed board is disarmed."""
+    fish, before = at.fish, at.status
+    at.status = status = fish.status()
     if status.state == "ARMED":
         fish.disarm()
         step.notice("the board was armed; it is disarmed until the countdown")
-        status = fish.status()
+        at.status = status = fish.status()
     if status.state in ("ABORTED", "FAULT"):
         fault = status.fault
-        raise step.refuse(
-            f"the board is stopped ({fault.name}): {fault.meaning}",
-            f"{fault.remedy} To clear it: tailbeat board clear",
-        )
+        what = f"the board is stopped ({fault.name}): {fault.meaning}"
+        raise step.refuse(what, f"{fault.remedy} To clear it: tailbeat board clear")
     if status.state != "IDLE":
-        raise step.refuse(
-            f"the board is busy ({status.state})", "Wait until it is idle: tailbeat info"
-        )
+        raise step.refuse(f"the board is busy ({status.state})")
     if status.pending_trial is not None:
         pending = fault_info(TRIAL_PENDING)
         raise step.refuse(f"{pending.meaning} (trial {status.pending_trial})", pending.remedy)
-    _look_at_battery(fish, step, status)
+    _check_battery(fish, step, status)
     step.tell(f"idle, battery {status.battery_v:.2f} V", ok=True)
-    return status
+    if before is not None and status.time_s < before.time_s:
+        raise NotReady("the board has restarted meanwhile", "Look at the battery; begin again.")
 
 
-def _look_at_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> None:
-    """By the rule by which the board refuses to arm. What it remembers of an earlier connection it
-    does not tell, hence the notice."""
+def _check_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> None:
+    """By the rule by which the board refuses to arm. The board does not report what it remembers
+    of an earlier connection, hence the notice."""
     low_v = fish.params.get("BATT_LOW_V").value
-    least_v = low_v + _RISE_V if fish in _found_low else low_v
+    least_v = low_v + _BATTERY_RISE_V if fish in _found_low else low_v
     if low_v <= 0:
         return
     if status.battery_at_limit:
@@ -347,19 +302,20 @@ def _look_at_battery(fish: Fish, step: PreflightStep, status: BoardStatus) -> No
         raise step.refuse(sense.meaning, sense.remedy)
     if round(status.battery_v * 1e3) < round(least_v * 1e3):
         _found_low.add(fish)
-        refused = step.refuse(
-            f"the battery has {status.battery_v:.2f} V, a swim needs {least_v:.2f} V to begin with",
+        raise step.refuse(
+            f"the battery has {status.battery_v:.2f} V, a trial needs {least_v:.2f} V to begin"
+            " with",
             "Swap the battery, then begin again.",
+            BatteryLow,
         )
-        raise BatteryLow(refused.message, refused.remedy)
     _found_low.discard(fish)
-    if status.battery_v < low_v + _RISE_V:
+    if status.battery_v < low_v + _BATTERY_RISE_V:
         step.notice(f"the battery is nearly empty: {status.battery_v:.2f} V; have a full one ready")
 
 
-def _look_at_room(fish: Fish, operator: Operator) -> Travel:
-    step = PreflightStep(fish, operator, "room")
-    travel = travel_next(fish, logbook_of(fish))
+def check_room(at: Preflight, step: PreflightStep) -> None:
+    """The expected travel fits into the tank. Raises InputError."""
+    at.travel = travel = travel_next(at.fish, logbook_of(at.fish))
     try:
         travel.require_room()
     except InputError as error:
@@ -367,8 +323,99 @@ def _look_at_room(fish: Fish, operator: Operator) -> Travel:
         raise
     if travel.worst_m > travel.room_m:
         step.notice(
-            f"there is room for {travel.room_m:.2f} m and it comes about {travel.expected_m:.2f} m,"
-            f" but at worst {travel.worst_m:.2f}: be ready to catch it"
+            f"there is room for {travel.room_m:.2f} m; the expected travel is"
+            f" {travel.expected_m:.2f} m, at worst {travel.worst_m:.2f}: be ready to catch the fish"
         )
     step.tell(travel.text(), ok=True)
-    return travel
+
+
+def check_rest(at: Preflight, step: PreflightStep) -> None:
+    """The water has rested since the end of the last trial."""
+    if at.camera is not None:
+        at.view = CameraPose(at.fish, at.camera, at.limits.still_s)
+    wait_for_rest(step, at.limits.rest_s, at.fish.status(), at.view)
+
+
+def check_pose(at: Preflight, step: PreflightStep) -> None:
+    """The fish lies on the start line, its nose along the tank."""
+    if at.imu is None:
+        at.imu = ImuPose.of(at.fish, at.step(POSE))
+    at.pose = wait_for_pose(step, at.limits, at.view, at.imu)
+
+
+def check_stillness(at: Preflight, step: PreflightStep) -> None:
+    """Water and fish are still, and the fish lies right at the same time."""
+    for attempt in range(_ROUNDS):
+        if attempt:
+            check_pose(at, at.step(POSE))
+            step = at.step(STILLNESS)
+        at.drift = wait_until_still(step, at.limits, at.view, at.imu)
+        now = pose_now(at.view, at.imu)
+        if now is None and at.view is None:
+            now = at.pose
+        wrong = "it turns" if now is None and at.pose is not None else None
+        if now is not None:
+            wrong = pose_correction(now, at.limits)
+        if wrong is None:
+            at.pose = now
+            return
+        step.notice(f"the start pose has changed: {wrong}")
+    raise at.step(POSE).refuse(
+        f"the fish does not keep its start pose: {wrong}",
+        "Look for a current that turns it, or trim its ballast; then begin again.",
+    )
+
+
+@dataclass(frozen=True)
+class Check:
+    """One preflight check. ``function`` raises NotReady (``step.refuse``) when the trial may not
+    begin; ``remedy``: what to do then, unless the function gives another. ``is_waiting``: it ends
+    after ``patience_s``."""
+
+    name: str
+    function: Callable[[Preflight, PreflightStep], None]
+    remedy: str = ""
+    is_waiting: bool = False
+
+
+BOARD = Check("board", check_board, "Wait until it is idle: tailbeat info")
+POSE = Check(
+    "pose",
+    check_pose,
+    "Put it on the start line with its nose along the tank, and begin again.",
+    is_waiting=True,
+)
+STILLNESS = Check(
+    "still",
+    check_stillness,
+    "Switch off pumps, let the water calm down, let go of the fish only when it lies still;"
+    " then begin again.",
+    is_waiting=True,
+)
+# In this order: what needs no waiting comes first. The board is checked again at the end.
+CHECKS = (
+    BOARD,
+    Check("room", check_room),
+    Check("rest", check_rest),
+    POSE,
+    STILLNESS,
+    BOARD,
+)
+
+
+def prepare(
+    fish: Fish, limits: PreflightLimits, camera: Camera | None, operator: Operator
+) -> Ready:
+    """Makes all CHECKS, up to the countdown; the board is IDLE and unarmed all the time. Raises
+    NotReady, GivenUp (operator.wants_abort), CameraGone, InputError (no room), Refused."""
+    watch(fish)
+    at = Preflight(fish, limits, camera, operator)
+    try:
+        for check in CHECKS:
+            check.function(at, at.step(check))
+    finally:
+        if at.imu is not None:
+            at.imu.close()
+    assert at.status is not None and at.travel is not None
+    rest_s = rested_s(fish, at.status)
+    return Ready(at.travel, rest_s, at.pose, at.drift, at.status.battery_v)

@@ -131,12 +131,9 @@ def wait_for_pose(
         if step.is_late:
             if sight is not None and not sight.frames:
                 raise step.refuse(wrong, sight.blind_remedy())
-            raise step.refuse(f"the fish does not lie as it should: {wrong}", _REMEDY)
+            raise step.refuse(f"the fish does not lie as it should: {wrong}")
         step.tell(wrong)
         step.wait()
-
-
-_REMEDY = "Put it on the start line with its nose along the tank, and begin again."
 
 
 def pose_now(sight: CameraPose | None, feel: ImuPose | None) -> Pose | None:

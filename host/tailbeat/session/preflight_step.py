@@ -57,9 +57,14 @@ class PreflightStep:
     """``name`` as in operator.Event; times in s of board time, from when it was made."""
 
     def __init__(
-        self, fish: Fish, operator: Operator, name: str, patience_s: float = math.inf
+        self,
+        fish: Fish,
+        operator: Operator,
+        name: str,
+        patience_s: float = math.inf,
+        remedy: str = "",
     ) -> None:
-        self.fish = fish
+        self.fish, self._remedy = fish, remedy
         self._operator, self._name, self._patience_s = operator, name, patience_s
         self._begin_s = fish.transport.now_s()
         self._told: tuple[str, bool | None, int | None] | None = None
@@ -89,11 +94,11 @@ class PreflightStep:
         """Something to know that stops nothing."""
         self._operator.tell(Notice(text))
 
-    def refuse(self, what: str, remedy: str) -> NotReady:
-        """The error to raise, told."""
+    def refuse(self, what: str, remedy: str = "", error: type[NotReady] = NotReady) -> NotReady:
+        """Reports that the check has failed; the error to raise. ``remedy`` empty: the check's."""
         self._told = None
         self.tell(what, ok=False)
-        return NotReady(what, remedy)
+        return error(what, remedy or self._remedy)
 
     def wait(self) -> None:
         """A moment. Raises GivenUp when the operator gives up, LinkLostError when the board has

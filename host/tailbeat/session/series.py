@@ -37,7 +37,7 @@ from tailbeat.session.collect import (
 )
 from tailbeat.session.decide import DecisionResult, Decisions
 from tailbeat.session.events import Notice, Operator, TrialRecorded
-from tailbeat.session.guards import Guard
+from tailbeat.session.guards import Guard, GuardedTrial
 from tailbeat.session.log import (
     RESUME_COMMAND,
     SessionLog,
@@ -51,7 +51,7 @@ from tailbeat.session.outcome import BY_HAND, Decision, DecisionKind, Ready, Rec
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import BatteryLow, GivenUp, PreflightLimits, countdown
 from tailbeat.session.status import assess_series
-from tailbeat.session.travel import room_guard, travel_next
+from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial_camera import camera_of
 
 CONVERGED, BATTERY = "converged", "battery"
@@ -363,8 +363,8 @@ class _Series:
             return self.end("interrupted", f"trial {recorded.outcome.number} was {BY_HAND}")
         return end
 
-    def _prepare(self, around: TrialSetup) -> tuple[Ready | None, Guard]:
-        """Up to a board that is armed, with the guard that ends the swim by distance; without a
+    def _prepare(self, around: TrialSetup) -> tuple[Ready | None, GuardedTrial]:
+        """Up to a board that is armed, with what guards the trial; without a
         ritual only the room is looked at."""
         fish, wanted, operator = around.fish, self.options.wanted, around.operator
         ready, book = None, library_of(fish)
@@ -375,13 +375,14 @@ class _Series:
             ready = prepare(fish, wanted, around.camera, operator)
             if ready.pose is not None and self.yaw_deg is None:
                 self.yaw_deg = ready.pose.yaw_deg
-        room, status = room_guard(fish, book), fish.status()
+        guarded = guarded_trial(fish, book, around.guard, operator.wants_abort)
+        status = fish.status()
         volts = ready.battery_v if ready is not None else status.battery_v
         board_s = fish.clock.now_s()
         self.account.begun(status.next_trial, status.iteration, ready, volts, board_s)
         if wanted is not None:
             self._count_down(wanted, status.next_trial)
-        return ready, room
+        return ready, guarded
 
     def _count_down(self, wanted: PreflightLimits, number: int) -> None:
         try:
@@ -401,14 +402,14 @@ class _Series:
         return self.account.first_yaw_deg(datetime.now().astimezone() - timedelta(seconds=on_s))
 
     def _swim(
-        self, around: TrialSetup, ready: Ready | None, room: Guard
+        self, around: TrialSetup, ready: Ready | None, guarded: GuardedTrial
     ) -> tuple[RecordedTrial, bool] | SeriesEnd:
         """The trial, in the raw files; and whether the operator stopped it. An end when it was
         stopped before the board had begun a log."""
         fish, experiment = around.fish, self.account.experiment
         pose = ready.pose if ready else None
         heading_rad = pose.heading_rad if pose and pose.heading_rad is not None else 0.0
-        swam = execute(around, experiment, room, heading_rad)
+        swam = execute(around, experiment, guarded, heading_rad)
         number = swam.outcome.number
         stopped = BY_HAND if swam.outcome.interrupted else swam.stopped
         if swam.outcome.executed_beats == 0 and not self._has_log(number):

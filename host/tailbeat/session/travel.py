@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from tempfile import TemporaryDirectory
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -25,13 +26,9 @@ from tailbeat.learning.fish_model import FishModel, trial_speeds
 from tailbeat.learning.fit import Prior, Scatter, farthest, fit, speeds_with_coast, travel_m
 from tailbeat.learning.identification import Identified
 from tailbeat.link.ftp.wire import FtpError
-from tailbeat.session.guards import RoomGuard
+from tailbeat.session.guards import Guard, GuardedTrial
 from tailbeat.session.identify import prior_of
 from tailbeat.session.outcome import Travel
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 _TELLING_M = 0.1  # a trial that came less far says nothing of a longer one
 _MISS = 2.0  # the rest of a miss, after the fit, beyond which it was no swim like this one
@@ -136,15 +133,21 @@ def travel_next(fish: Fish, book: TrialLibrary | None) -> Travel:
     return travel_by(following.belief, following.amplitude_rad, following.params, following.beat_s)
 
 
-def room_guard(fish: Fish, book: TrialLibrary | None) -> RoomGuard:
-    """The guard for what the board will swim next, by the same knowledge. One for each swim."""
-
+def guarded_trial(
+    fish: Fish,
+    book: Logbook | None,
+    caller: Guard | None = None,
+    abort_requested: Callable[[], bool] = lambda: False,
+) -> GuardedTrial:
+    """What the guards of the board's next trial are made from, by the same knowledge."""
     following = _next(fish, book)
-    return RoomGuard.of_params(
+    return GuardedTrial(
         following.params,
+        following.belief.speeds(following.amplitude_rad, following.beat_s),
+        abort_requested,
+        caller,
         following.beat_s,
         following.belief.coasts_by_per_m,
-        following.belief.speeds(following.amplitude_rad, following.beat_s),
     )
 
 
@@ -189,8 +192,6 @@ def last_measured(fish: Fish, book: Logbook | None) -> Trial | None:
 
 
 def _fetched(fish: Fish, number: int) -> Trial:
-    from tempfile import TemporaryDirectory
-
     held = _had.get(fish)
     if held is None or held.number != number:
         with TemporaryDirectory() as folder:

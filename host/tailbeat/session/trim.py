@@ -27,8 +27,8 @@ from tailbeat.experiment.library import RUN, TrialLibrary, library_of, preserve_
 from tailbeat.learning.fit import Scatter
 from tailbeat.link.messages import TrialOutcome
 from tailbeat.session.events import Notice, Operator, StepProgress
-from tailbeat.session.guards import FrameRecorder, Guard, RoomGuard, all_guards, stop_when
-from tailbeat.session.outcome import BY_HAND, Travel
+from tailbeat.session.guards import FrameRecorder, Guard, GuardedTrial, guards_of
+from tailbeat.session.outcome import Travel
 from tailbeat.session.preflight import prepare
 from tailbeat.session.preflight_step import GivenUp, PreflightLimits, countdown
 from tailbeat.session.travel import TravelModel, last_measured, travel_by, travel_model_of
@@ -258,10 +258,11 @@ class _TrimRunner:
             f"trim {number}", planned.amplitude_rad, _reference(planned), {CENTRE: centre_us}
         )
         self._ask(number, centre_us, planned)
-        room = RoomGuard.of_params(self.board.params, 1.0, planned_m_s=planned.predicted_m_s)
+        guarded = GuardedTrial(
+            self.board.params, planned.predicted_m_s, self.operator.wants_abort, self.guard
+        )
         seen = FrameRecorder()
-        guards = all_guards(self.guard, room, stop_when(self.operator.wants_abort, BY_HAND), seen)
-        outcome = run_trial(fish, self.camera, self.operator.tell, guards)
+        outcome = run_trial(fish, self.camera, self.operator.tell, guards_of(guarded, seen))
         trial = self.board.collect(outcome, self._judge, self._keep)
         return _Log(centre_us, trial, _since_begin(fish, self.camera, seen.frames, trial))
 

@@ -11,9 +11,9 @@ from tailbeat.board.fish import Fish
 from tailbeat.core.frames import CameraGone, Frame, TrackReset, Unseen
 from tailbeat.core.reference import Reference, cosine, thesis
 from tailbeat.link.messages import BeatEvent
-from tailbeat.session.guards import FrameRecorder, RoomGuard, all_guards, stop_when
+from tailbeat.session.guards import DistanceGuard, FrameRecorder, all_guards, guards_of, stop_when
 from tailbeat.session.outcome import BY_HAND, StopKind, StopReason
-from tailbeat.session.travel import room_guard, travel_next
+from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial import run_trial
 
 ROOM_M = 3.0 - 0.36
@@ -23,7 +23,7 @@ def beat(number: int, speed: float | None, provisional: bool = True) -> BeatEven
     return BeatEvent(1, number, 0.5, 0.1, speed, 0.001, 25, False, provisional)
 
 
-def stopped_at(guard: RoomGuard, speeds: list[float | None]) -> int | None:
+def stopped_at(guard: DistanceGuard, speeds: list[float | None]) -> int | None:
     return next((k for k, v in enumerate(speeds) if guard(beat(k, v))), None)
 
 
@@ -31,49 +31,51 @@ def test_it_stops_where_the_fish_can_just_still_stop() -> None:
     """0.1 m/s: the last beat heard of ended 2 s ago, the next one is heard of in 1 s, 0.5 s until
     the tail rests, ln(10)/10 m of coast: 0.58 m."""
     for room_m in (1.0, 2.0, 2.64):
-        guard = RoomGuard(room_m)
+        guard = DistanceGuard(room_m)
         at = stopped_at(guard, [0.1] * 40)
         assert at is not None
         assert room_m - 0.58 - 0.1 < (at + 1) * 0.1 <= room_m - 0.58 + 0.1 + 1e-9
 
 
 def test_less_drag_and_later_speeds_stop_it_earlier() -> None:
-    usual = stopped_at(RoomGuard(2.64), [0.1] * 40)
+    usual = stopped_at(DistanceGuard(2.64), [0.1] * 40)
     assert usual is not None
-    coasting = stopped_at(RoomGuard(2.64, kappa_per_m=5.0), [0.1] * 40)
-    late = stopped_at(RoomGuard(2.64, late_s=4.0), [0.1] * 40)
+    coasting = stopped_at(DistanceGuard(2.64, kappa_per_m=5.0), [0.1] * 40)
+    late = stopped_at(DistanceGuard(2.64, late_s=4.0), [0.1] * 40)
     assert coasting == usual - 2 and late == usual - 2
-    assert stopped_at(RoomGuard(2.64, beat_s=2.0), [0.1] * 40) == pytest.approx(usual / 2, abs=1)
+    assert stopped_at(DistanceGuard(2.64, beat_s=2.0), [0.1] * 40) == pytest.approx(
+        usual / 2, abs=1
+    )
 
 
 def test_the_reason_says_how_far() -> None:
-    guard = RoomGuard(1.0)
+    guard = DistanceGuard(1.0)
     reason = next(r for k in range(20) if (r := guard(beat(k, 0.1))))
     assert reason.kind is StopKind.DISTANCE and "1.00 m" in reason.text
 
 
 @pytest.mark.parametrize("room_m", [0.0, math.inf])
 def test_a_tank_that_is_not_checked(room_m: float) -> None:
-    assert stopped_at(RoomGuard(room_m), [0.2] * 300) is None
+    assert stopped_at(DistanceGuard(room_m), [0.2] * 300) is None
 
 
 def test_a_beat_without_a_speed_counts_as_the_last() -> None:
-    known = stopped_at(RoomGuard(1.5), [0.1] * 40)
-    assert stopped_at(RoomGuard(1.5), [0.1] * 4 + [None] * 36) == known
-    guard = RoomGuard(1.5)  # beats that never came over the wire
+    known = stopped_at(DistanceGuard(1.5), [0.1] * 40)
+    assert stopped_at(DistanceGuard(1.5), [0.1] * 4 + [None] * 36) == known
+    guard = DistanceGuard(1.5)  # beats that never came over the wire
     assert [guard(beat(k, 0.1)) for k in (0, 1)] == [None, None]
     assert guard(beat(9, 0.1)) is not None and guard.way_m == pytest.approx(1.0)
 
 
 def test_a_beat_that_is_said_again_counts_once() -> None:
-    guard = RoomGuard(9.0)
+    guard = DistanceGuard(9.0)
     for k in range(3):
         assert guard(beat(k, 0.1)) is None and guard(beat(k, 0.1, provisional=False)) is None
     assert guard.way_m == pytest.approx(0.3)
 
 
 def test_afresh_begins_anew_and_all_else_is_ignored() -> None:
-    guard = RoomGuard(1.0)
+    guard = DistanceGuard(1.0)
     assert stopped_at(guard, [0.1] * 3) is None
     assert guard(TrackReset()) is None and guard.way_m == 0
     assert stopped_at(guard, [0.1] * 3) is None
@@ -85,19 +87,19 @@ def test_a_swim_that_will_come_to_rest_in_time_is_let_swim() -> None:
     """2.5 m at 0.1 m/s and then nothing: nobody could stop it in time, and nobody need."""
     speeds: list[float | None] = [*[0.1] * 25, 0.04, 0.01, 0.0]
     planned = np.array(speeds, dtype=float)
-    assert stopped_at(RoomGuard(2.64), speeds) is not None
-    assert stopped_at(RoomGuard(2.64, planned_m_s=planned), speeds) is None
+    assert stopped_at(DistanceGuard(2.64), speeds) is not None
+    assert stopped_at(DistanceGuard(2.64, planned_m_s=planned), speeds) is None
     faster = [1.1 * v for v in planned]
-    at = stopped_at(RoomGuard(2.64, planned_m_s=planned), list(faster))
-    plain = stopped_at(RoomGuard(2.64), list(faster))
+    at = stopped_at(DistanceGuard(2.64, planned_m_s=planned), list(faster))
+    plain = stopped_at(DistanceGuard(2.64), list(faster))
     assert at is not None and at == plain
 
 
 def test_a_plan_that_rises_stops_it_before_it_is_fast() -> None:
     planned = np.r_[np.full(10, 0.1), np.full(20, 0.2)]
-    guard = RoomGuard(1.8, planned_m_s=planned)
+    guard = DistanceGuard(1.8, planned_m_s=planned)
     at = stopped_at(guard, [float(v) for v in planned])
-    slow = stopped_at(RoomGuard(1.8), [float(v) for v in planned])
+    slow = stopped_at(DistanceGuard(1.8), [float(v) for v in planned])
     assert at is not None and slow is not None and at < slow
 
 
@@ -154,7 +156,7 @@ def recorded(
         amplitude = np.where(wanted > 0.002, np.clip(0.197 + wanted / 0.219, 0, 0.785), 0)
         fish.upload_amplitudes(amplitude.astype(np.float32))
         travel_next(fish, None).require_room()
-        end = run_trial(fish, guard=room_guard(fish, None)).end
+        end = run_trial(fish, guard=guards_of(guarded_trial(fish, None))).end
         while fish.sim.world.truth().v_m_s > 0.01:
             fish.sim.run(0.1)
         return end, fish.sim.world.truth().x_m

@@ -34,11 +34,11 @@ from tailbeat.experiment.library import known_fish_of, library_of
 from tailbeat.learning.saturation import Saturation, saturation_next
 from tailbeat.link.messages import BeatEvent, TrialOutcome
 from tailbeat.session.events import Event, OnEvent
-from tailbeat.session.guards import Guard, all_guards
+from tailbeat.session.guards import Guard, guards_of
 from tailbeat.session.outcome import Decision, DecisionKind
 from tailbeat.session.presenter import alert
 from tailbeat.session.series import Options, Round, SeriesEnd, Until, run_series
-from tailbeat.session.travel import room_guard, travel_next
+from tailbeat.session.travel import guarded_trial, travel_next
 from tailbeat.session.trial import run_trial
 
 _GOOD_ENDS = ("swims", "converged", "saturated")
@@ -167,7 +167,7 @@ def _guarded(fish: Fish, guard: Guard | None) -> Guard:
     require_meant_here(fish)
     book = library_of(fish)
     travel_next(fish, book).require_room()
-    return all_guards(guard, room_guard(fish, book))
+    return guards_of(guarded_trial(fish, book, guard))
 
 
 def _follower(fish: Fish, live: LiveCamera, show: Callable[[float, str], None]) -> OnEvent:
