@@ -1,4 +1,4 @@
-"""Guards stop the tail before the fish meets a wall. ``GUARDS`` is the list of those of every trial.
+"""Guards stop the tail before the fish meets a wall; ``GUARDS`` lists those of every trial.
 
 A guard sees what happens and returns the reason to stop, or None.
 """
